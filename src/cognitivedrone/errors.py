@@ -1,0 +1,57 @@
+"""The error tree. Every message names the place and the way out; the CLI prints it alone and exits with 2.
+
+    CognitiveDroneError
+    ├── TaskError        a malformed task or task file, an unknown family or suite
+    ├── LabelError       an unknown label, pack or style, an unreadable image
+    ├── RenderError      no OpenGL to render with
+    ├── PolicyError      an unknown policy or reasoner, or an action that cannot be flown
+    ├── RunError         a benchmark run that cannot start, go on or be read
+    └── MissingExtra     an optional dependency is not installed
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class CognitiveDroneError(Exception):
+    """Base of everything this package raises on purpose."""
+
+
+class TaskError(CognitiveDroneError):
+    """A malformed task or task file, an unknown family or suite."""
+
+
+class LabelError(CognitiveDroneError):
+    """An unknown label, pack or style, or an unreadable image."""
+
+
+class RenderError(CognitiveDroneError):
+    """No OpenGL to render with."""
+
+
+class PolicyError(CognitiveDroneError):
+    """An unknown policy or reasoner, or an action that cannot be flown."""
+
+
+class RunError(CognitiveDroneError):
+    """A benchmark run that cannot start, go on or be read."""
+
+
+class MissingExtra(CognitiveDroneError):
+    """An optional dependency is not installed."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        super().__init__(f"{package} is not installed; it comes with: pip install 'cognitivedrone[{extra}]'")
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """A closing hint for "unknown name" messages: near names, or all of them where there are few."""
+    known = sorted(known)
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    if near:
+        return "did you mean " + " or ".join(repr(n) for n in near) + "?"
+    if len(known) <= 16:
+        return "known: " + ", ".join(known)
+    return f"known: {', '.join(known[:12])}, ... ({len(known)} in all)"

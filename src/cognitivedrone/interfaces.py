@@ -1,0 +1,94 @@
+"""Every plug-in interface of the project. Plain Protocols: a class fits by its methods, it inherits nothing."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from cognitivedrone.types import (
+    Action,
+    ActionChunk,
+    DroneState,
+    Guidance,
+    Image,
+    Observation,
+    Truth,
+)
+
+
+class Policy(Protocol):
+    """Image and text in, velocity commands out."""
+
+    def reset(self, instruction: str) -> None:
+        """Forget the last flight; the next `act` starts a new one."""
+        ...
+
+    def act(self, observation: Observation) -> ActionChunk:
+        """Commands for the next k >= 1 control steps, (k, 4) float32 in the heading frame, m/s and rad/s."""
+        ...
+
+
+class Reasoner(Protocol):
+    """Turns the user's instruction into a plain directive, looking at the scene."""
+
+    def refine(self, image: Image, instruction: str) -> Guidance:
+        """The directive for what `image` shows."""
+        ...
+
+
+@runtime_checkable
+class Privileged(Protocol):
+    """A policy or reasoner that asks for the truth: oracles and teachers. Never available outside the simulator."""
+
+    def brief(self, truth: Truth) -> None:
+        """Called at the start of every stage, after `reset`."""
+        ...
+
+
+@runtime_checkable
+class StateAware(Protocol):
+    """A privileged policy that is also told the true state before every `act`."""
+
+    def sense(self, state: DroneState) -> None: ...
+
+
+@runtime_checkable
+class Seeded(Protocol):
+    """A policy or reasoner that draws random numbers: seeded once an episode, before `reset`."""
+
+    def seed(self, seed: int) -> None: ...
+
+
+class Drone(Protocol):
+    """Something that flies by velocity setpoints: the simulator, ArduPilot, a real vehicle."""
+
+    def observe(self) -> Observation:
+        """The newest frame and state."""
+        ...
+
+    def send(self, action: Action) -> Action:
+        """Set the velocity setpoint; returns it as really sent, after limits."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class Clock(Protocol):
+    """Where the loop takes its time from: the wall, or the simulation."""
+
+    def now(self) -> float: ...
+
+    def sleep_until(self, time: float) -> None: ...
+
+
+class Recorder(Protocol):
+    """Sees everything that happens in a flight."""
+
+    def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None: ...
+
+
+class LabelPack(Protocol):
+    """Knows what panels show."""
+
+    def image(self, reference: str) -> Image:
+        """The picture for a label reference `kind/concept@style`; raises `LabelError` with near names."""
+        ...

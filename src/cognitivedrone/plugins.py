@@ -1,0 +1,30 @@
+"""Names to objects: a family of plug-ins is one literal dict from a name to "module:attribute"."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from cognitivedrone.errors import PolicyError, did_you_mean
+
+
+def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
+    """The factory that `name` stands for: a key of `table`, or the user's own "module:attribute".
+
+    Raises `PolicyError` naming the known names, or what was wrong with the user's own.
+    """
+    target = table.get(name, name)
+    module_name, colon, attribute = target.partition(":")
+    if not colon:
+        raise PolicyError(f"unknown {kind} {name!r}; {did_you_mean(name, table)} Your own is given as module:attribute.")
+    try:
+        factory = getattr(importlib.import_module(module_name), attribute)
+    except ModuleNotFoundError as error:
+        raise PolicyError(f"{kind} {name!r}: no module {error.name!r}; is it installed, or its folder on PYTHONPATH?") from None
+    except AttributeError:
+        raise PolicyError(f"{kind} {name!r}: module {module_name!r} has no {attribute!r}") from None
+    if not callable(factory):
+        raise PolicyError(f"{kind} {name!r}: {attribute!r} is not a class or function that makes a {kind}")
+    result: Callable[..., Any] = factory
+    return result

@@ -1,0 +1,191 @@
+"""The values that travel between rooms: frozen, without behaviour, with shapes, units and frames in the docstrings.
+
+Frames and units (converted in `frames.py` alone):
+
+- World: ENU, metres. Body: FLU (x forward, y left, z up). Heading frame: the body frame turned level, yaw only.
+- Quaternions are (w, x, y, z), body to world. Angles in radians, yaw positive to the left. Time in seconds.
+- Images are uint8 (H, W, 3) RGB.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray: TypeAlias = NDArray[np.floating[Any]]
+Image: TypeAlias = NDArray[np.uint8]
+"""(H, W, 3) RGB."""
+Action: TypeAlias = NDArray[np.float32]
+"""(4,): vx, vy, vz in m/s and yaw rate in rad/s, in the heading frame."""
+ActionChunk: TypeAlias = NDArray[np.float32]
+"""(k, 4) actions for the next k control steps, k >= 1."""
+
+Category = Literal["human_recognition", "symbol_understanding", "reasoning"]
+Size = Literal["big", "small"]
+Shape = Literal["round", "square", "triangle"]
+Color = Literal["red", "green", "blue"]
+Outcome = Literal[
+    "passed",
+    "wrong_gate",
+    "collision",
+    "missed",
+    "out_of_bounds",
+    "timeout",
+    "invalid",
+    "policy_error",
+    "not_reached",
+]
+
+CATEGORIES: tuple[Category, ...] = ("human_recognition", "symbol_understanding", "reasoning")
+SIZES: tuple[Size, ...] = ("big", "small")
+SHAPES: tuple[Shape, ...] = ("round", "square", "triangle")
+COLORS: tuple[Color, ...] = ("red", "green", "blue")
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """What a gate looks like; where it stands is the stage's matter."""
+
+    size: Size
+    shape: Shape
+    color: Color
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """An instruction, three labelled gates and the one that is right."""
+
+    id: str
+    """Unique in its suite, for example "open-v1:test/0007"."""
+    category: Category
+    family: str
+    instruction: str
+    """What the user says; `prompt` in task files."""
+    directive: str
+    """The plain rewrite that names the right gate; `prompt_simpler` in task files."""
+    options: tuple[str, str, str]
+    """What the panels show, as published task files name it."""
+    labels: tuple[str, str, str]
+    """Label references `kind/concept@style`, one above each gate, left to right as gates 1, 2, 3."""
+    target: int
+    """Index of the right gate, 0 to 2; `correct` in task files is this plus one."""
+    gates: tuple[Gate, Gate, Gate]
+    board: str | None = None
+    """Label reference of the sum that hangs in the scene, where the family has one."""
+    background: str = "room"
+
+
+Track: TypeAlias = tuple[Task, ...]
+"""Tasks flown one after the other in one episode; a single task is a track of one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """A task placed in the world, without its question: what the simulator and the renderer know."""
+
+    gates: tuple[Gate, Gate, Gate]
+    labels: tuple[str, str, str]
+    """Label references, one a gate."""
+    board: str | None = None
+    """Label reference of the board, or none."""
+    origin: tuple[float, float] = (0.0, 0.0)
+    """World x, y of the stage origin, m."""
+    yaw: float = 0.0
+    """Heading of the stage's x axis in the world, rad."""
+
+
+@dataclass(frozen=True, slots=True)
+class DroneState:
+    """True rigid-body state."""
+
+    position: FloatArray
+    """(3,) world, m."""
+    velocity: FloatArray
+    """(3,) world, m/s."""
+    quaternion: FloatArray
+    """(4,) w, x, y, z, body to world."""
+    body_rates: FloatArray
+    """(3,) body FLU, rad/s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What a policy may see: no position, no gate, no truth."""
+
+    image: Image
+    """(256, 256, 3) first-person view."""
+    instruction: str
+    """What to do: the instruction or, behind a reasoner, its directive."""
+    velocity: FloatArray
+    """(3,) float32, heading frame, m/s."""
+    height: float
+    """Above ground, m."""
+    yaw_rate: float
+    """Positive to the left, rad/s."""
+    time: float
+    """Since the start of the flight, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What only privileged pilots and scorers are told about the stage at hand."""
+
+    task: Task
+    stage: Stage
+
+
+@dataclass(frozen=True, slots=True)
+class Guidance:
+    """A reasoner's answer."""
+
+    directive: str
+    """Plain sentence for the policy, such as "Fly through the small red round gate"."""
+    gate: int | None
+    """Index of the gate that is meant, 0 to 2 from left to right, where the reasoner can tell."""
+    confidence: float
+    """0 to 1."""
+    age: float = 0.0
+    """Seconds between the frame it was read from and now."""
+
+
+@dataclass(frozen=True, slots=True)
+class StageResult:
+    """How one stage of an episode ended."""
+
+    task_id: str
+    category: Category
+    family: str
+    target: int
+    """Index of the right gate, 0 to 2."""
+    outcome: Outcome
+    chosen: int | None
+    """Index of the gate flown at, 0 to 2; none where the flight favoured no gate."""
+    time_s: float
+    """Duration of the stage."""
+    path_m: float
+    """Length flown."""
+    path_ratio: float | None
+    """Length flown over the straight line from the stage's start to the gate; for gates flown through."""
+    clearance_m: float | None
+    """Room between the drone's hull and the frame when its centre crossed the gate plane."""
+    gate_distance_m: float
+    """Closest approach of the drone's centre to the right gate's centre (the published rule asks for 1 m)."""
+    directive: str | None = None
+    """The last directive of the reasoner, if one flew along."""
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeResult:
+    """One flight: a stage, or the stages of a track in order."""
+
+    episode: int
+    """Index in the suite."""
+    seed: int
+    stages: tuple[StageResult, ...]
+    steps: int
+    """Control steps flown."""
+    message: str = ""
+    """Why the episode is invalid or the policy failed, in one sentence."""
