@@ -36,7 +36,9 @@ def apt_install(packages: list[str], purpose: str) -> bool:
         subprocess.run(["apt-get", "update"], **quiet)
         if subprocess.run(line.split(), **quiet).returncode == 0:
             return True
-    print(f"{purpose[0].upper()}{purpose[1:]} needs system packages. Please type:\n\n    sudo {line}\n", file=sys.stderr)
+    print(
+        f"{purpose[0].upper()}{purpose[1:]} needs system packages. Please type:\n\n    sudo {line}\n", file=sys.stderr
+    )
     return False
 
 

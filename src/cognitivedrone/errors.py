@@ -1,12 +1,12 @@
 """The error tree. Every message names the place and the way out; the CLI prints it alone and exits with 2.
 
-    CognitiveDroneError
-    ├── TaskError        a malformed task or task file, an unknown family or suite
-    ├── LabelError       an unknown label, pack or style, an unreadable image
-    ├── RenderError      no OpenGL to render with
-    ├── PolicyError      an unknown policy or reasoner, or an action that cannot be flown
-    ├── RunError         a benchmark run that cannot start, go on or be read
-    └── MissingExtra     an optional dependency is not installed
+CognitiveDroneError
+├── TaskError        a malformed task or task file, an unknown family or suite
+├── LabelError       an unknown label, pack or style, an unreadable image
+├── RenderError      no OpenGL to render with
+├── PolicyError      an unknown policy or reasoner, or an action that cannot be flown
+├── RunError         a benchmark run that cannot start, go on or be read
+└── MissingExtra     an optional dependency is not installed
 """
 
 from __future__ import annotations

@@ -17,11 +17,15 @@ def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
     target = table.get(name, name)
     module_name, colon, attribute = target.partition(":")
     if not colon:
-        raise PolicyError(f"unknown {kind} {name!r}; {did_you_mean(name, table)} Your own is given as module:attribute.")
+        raise PolicyError(
+            f"unknown {kind} {name!r}; {did_you_mean(name, table)} Your own is given as module:attribute."
+        )
     try:
         factory = getattr(importlib.import_module(module_name), attribute)
     except ModuleNotFoundError as error:
-        raise PolicyError(f"{kind} {name!r}: no module {error.name!r}; is it installed, or its folder on PYTHONPATH?") from None
+        raise PolicyError(
+            f"{kind} {name!r}: no module {error.name!r}; is it installed, or its folder on PYTHONPATH?"
+        ) from None
     except AttributeError:
         raise PolicyError(f"{kind} {name!r}: module {module_name!r} has no {attribute!r}") from None
     if not callable(factory):
