@@ -2,8 +2,8 @@
 
 Usage: python3 scripts/setup.py [EXTRA ...]
 
-Works where Debian's python3 comes without `venv`, and looks for an OpenGL library for off-screen rendering: where there is
-none, it installs one as root, or prints the line to type.
+Works where Debian's python3 comes without `venv`, and looks for an OpenGL library for off-screen rendering: where
+there is none, it installs one as root, or prints the line to type.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def ensure_opengl() -> None:
 
 
 def main() -> None:
-    if sys.version_info < (3, 11):
+    if sys.version_info < (3, 11):  # noqa: UP036 - the reader's Python may be any
         sys.exit(f"Python 3.11 or newer is needed; this is {sys.version.split()[0]}.")
     make_venv()
     install(sorted(sys.argv[1:]))

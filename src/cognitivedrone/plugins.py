@@ -23,9 +23,7 @@ def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
     try:
         factory = getattr(importlib.import_module(module_name), attribute)
     except ModuleNotFoundError as error:
-        raise PolicyError(
-            f"{kind} {name!r}: no module {error.name!r}; is it installed, or its folder on PYTHONPATH?"
-        ) from None
+        raise PolicyError(f"{kind} {name!r}: no module {error.name!r}; is its folder on PYTHONPATH?") from None
     except AttributeError:
         raise PolicyError(f"{kind} {name!r}: module {module_name!r} has no {attribute!r}") from None
     if not callable(factory):
