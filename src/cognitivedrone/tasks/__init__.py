@@ -1,0 +1,1 @@
+"""What is asked: families, vocabulary, facts, suites and task files. Pure data, no pixels."""
