@@ -1,0 +1,160 @@
+"""Where a stage's gates, panels and start are, and how far a point is from them. Pure numpy.
+
+World ENU in metres. The gate frame of a gate has its origin in the gate's centre and the axes (along, lateral,
+vertical): along is the outward normal, from the stage's origin through the gate, lateral points left of it, vertical
+up. Functions accept any leading batch dimensions.
+
+Source of all sizes: the stage of the published CognitiveDroneBench (arXiv 2503.01378).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cognitivedrone.frames import FloatArray, rotate_yaw, world_to_heading
+from cognitivedrone.types import Gate, Size, Stage
+
+GATE_XY: Final = np.array([[4.0, 4.0], [5.0, 0.0], [4.0, -4.0]])
+"""Gate centres from the stage's origin, in the stage frame, m."""
+GATE_YAWS: Final = np.arctan2(GATE_XY[:, 1], GATE_XY[:, 0])
+"""Headings of the outward normals in the stage frame, rad: 45, 0 and -45 degrees."""
+GATE_HEIGHT: Final = 0.9
+"""Height of every gate's centre above ground, m."""
+BAR_WIDTH: Final = 0.15
+"""Width of the bar around the opening, in the gate's plane, m."""
+BAR_DEPTH: Final = 0.025
+"""Depth of the bar along the gate's normal, m."""
+
+PANEL_CENTER_HEIGHT: Final = 2.75
+"""Height of a label panel's centre above ground, m."""
+PANEL_HEIGHT: Final = 2.0
+"""Height of a label panel itself, m; its width follows the image's aspect."""
+PANEL_DEPTH: Final = 0.02
+"""Thickness of a panel, m."""
+
+START: Final = np.array([-1.0, 0.0, 0.75])
+"""Middle of the start box, in the stage frame, m. The drone starts looking along the stage's x axis."""
+START_HALF_EXTENT: Final = 1.0
+"""Half the side of the start box on every axis, m."""
+START_MIN_HEIGHT: Final = 0.2
+"""No start is lower than this, m."""
+
+NEXT_STAGE_DISTANCE: Final = 2.0
+"""On a track the next stage's origin lies this far behind the gate flown through, m.
+
+The gate is then at x = -2 of the next stage, the rear face of its start box: a drone that leaves the gate forwards is
+inside the box from the first metre, and half a second after the crossing about at its middle.
+"""
+
+_ROUND_RADIUS: Final[dict[Size, float]] = {"big": 0.75, "small": 0.375}
+_SIDE: Final[dict[Size, float]] = {"big": 1.5, "small": 0.75}
+_SQUARE: Final = np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
+"""Corners (lateral, vertical) of the square of inradius one."""
+_TRIANGLE: Final = np.array([[np.sqrt(3.0), -1.0], [0.0, 2.0], [-np.sqrt(3.0), -1.0]])
+"""Corners of the upright equilateral triangle of inradius one: base left to right, apex."""
+
+
+def gate_centers(stage: Stage) -> FloatArray:
+    """(3, 3) world positions of the gate centres, gates 1, 2, 3 from left to right, m."""
+    xy = rotate_yaw(GATE_XY, stage.yaw) + np.asarray(stage.origin)
+    return np.column_stack([xy, np.full(3, GATE_HEIGHT)])
+
+
+def gate_yaws(stage: Stage) -> FloatArray:
+    """(3,) world headings of the gates' outward normals, rad, not wrapped."""
+    yaws: FloatArray = GATE_YAWS + stage.yaw
+    return yaws
+
+
+def next_stage_origin(stage: Stage, gate_index: int) -> tuple[tuple[float, float], float]:
+    """Origin (x, y) in m and yaw in rad of the stage that follows once gate `gate_index` (0 to 2) is flown through.
+
+    Its x axis runs along the gate's outward normal, from `NEXT_STAGE_DISTANCE` behind the gate.
+    """
+    center = gate_centers(stage)[gate_index]
+    yaw = float(gate_yaws(stage)[gate_index])
+    wrapped = float(np.arctan2(np.sin(yaw), np.cos(yaw)))
+    x = float(center[0] + NEXT_STAGE_DISTANCE * np.cos(yaw))
+    y = float(center[1] + NEXT_STAGE_DISTANCE * np.sin(yaw))
+    return (x, y), wrapped
+
+
+def to_gate_frame(points: FloatArray, center: FloatArray, yaw: ArrayLike) -> FloatArray:
+    """World points (..., 3) as (along, lateral, vertical) of the gate at `center` (..., 3) with heading `yaw` (...)."""
+    return world_to_heading(np.asarray(points) - center, yaw)
+
+
+def opening_margin(gate: Gate, lateral: ArrayLike, vertical: ArrayLike) -> FloatArray:
+    """Signed distance, m, from points of the gate's plane to the opening's edge: positive inside, exact everywhere."""
+    return -_outline_distance(gate, 0.0, lateral, vertical)
+
+
+def frame_distance(gate: Gate, along: ArrayLike, lateral: ArrayLike, vertical: ArrayLike) -> FloatArray:
+    """Distance, m, from points of the gate frame to the solid bar around the opening; 0 inside the bar. Exact."""
+    from_opening = _outline_distance(gate, 0.0, lateral, vertical)
+    from_outer = _outline_distance(gate, BAR_WIDTH, lateral, vertical)
+    in_plane = np.maximum(np.maximum(-from_opening, from_outer), 0.0)
+    return np.hypot(in_plane, _beyond(along, BAR_DEPTH / 2))
+
+
+def panel_distance(aspect: float, along: ArrayLike, lateral: ArrayLike, vertical: ArrayLike) -> FloatArray:
+    """Distance, m, from points of the gate frame to the label panel above that gate; 0 inside it. Exact.
+
+    `aspect` is the width over the height of the label's image.
+    """
+    above = np.asarray(vertical, dtype=np.float64) - (PANEL_CENTER_HEIGHT - GATE_HEIGHT)
+    sideways = _beyond(lateral, aspect * PANEL_HEIGHT / 2)
+    return np.sqrt(_beyond(along, PANEL_DEPTH / 2) ** 2 + sideways**2 + _beyond(above, PANEL_HEIGHT / 2) ** 2)
+
+
+def opening_outline(gate: Gate, grow: float = 0.0) -> FloatArray:
+    """(k, 2) corners (lateral, vertical) of the opening around the gate's centre, m, for drawing.
+
+    Counter-clockwise in the (lateral, vertical) plane, the first corner not repeated. `grow` moves every edge
+    outwards, m: `grow=BAR_WIDTH` outlines the frame. A circle becomes a 64-gon with its corners on the circle.
+    """
+    if gate.shape == "round":
+        angle = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
+        return (_ROUND_RADIUS[gate.size] + grow) * np.column_stack([np.cos(angle), np.sin(angle)])
+    corners, inradius = _polygon(gate)
+    outline: FloatArray = corners * (inradius + grow)
+    return outline
+
+
+def _polygon(gate: Gate) -> tuple[FloatArray, float]:
+    """Corners at inradius one and the opening's true inradius. Both polygons are centred, so growing is scaling."""
+    if gate.shape == "square":
+        return _SQUARE, _SIDE[gate.size] / 2
+    return _TRIANGLE, _SIDE[gate.size] / (2 * np.sqrt(3.0))
+
+
+def _outline_distance(gate: Gate, grow: float, lateral: ArrayLike, vertical: ArrayLike) -> FloatArray:
+    """Signed distance, m, to the outline of the opening grown by `grow`: negative inside."""
+    x = np.asarray(lateral, dtype=np.float64)
+    y = np.asarray(vertical, dtype=np.float64)
+    if gate.shape == "round":
+        return np.hypot(x, y) - (_ROUND_RADIUS[gate.size] + grow)
+    corners, inradius = _polygon(gate)
+    return _polygon_distance(corners * (inradius + grow), x, y)
+
+
+def _polygon_distance(corners: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Signed distance to a convex polygon with counter-clockwise `corners` (k, 2): negative inside."""
+    edges = np.roll(corners, -1, axis=0) - corners
+    inside = np.full(np.broadcast(x, y).shape, -np.inf)
+    nearest = np.full_like(inside, np.inf)
+    for (cx, cy), (ex, ey) in zip(corners, edges, strict=True):
+        dx, dy = x - cx, y - cy
+        length = np.hypot(ex, ey)
+        inside = np.maximum(inside, (dx * ey - dy * ex) / length)
+        foot = np.clip((dx * ex + dy * ey) / length**2, 0.0, 1.0)
+        nearest = np.minimum(nearest, np.hypot(dx - foot * ex, dy - foot * ey))
+    return np.where(inside <= 0.0, inside, nearest)
+
+
+def _beyond(value: ArrayLike, half: float) -> FloatArray:
+    """How far |value| exceeds `half`; 0 where it does not."""
+    return np.maximum(np.abs(np.asarray(value, dtype=np.float64)) - half, 0.0)
