@@ -39,7 +39,7 @@ OBJECTS: tuple[str, ...] = (
     "window", "light_bulb", "candle", "flashlight", "book", "newspaper", "pencil", "pen", "paintbrush", "crayon",
     "ruler", "paperclip", "envelope", "mailbox", "package", "mobile_phone", "telephone", "laptop", "keyboard",
     "computer_mouse", "printer", "television", "radio", "camera", "microphone", "headphones", "battery",
-    "electric_plug", "watch", "alarm_clock", "hourglass", "calculator", "abacus", "compass", "map", "globe", "car",
+    "electric_plug", "watch", "alarm_clock", "hourglass", "floppy_disk", "abacus", "compass", "map", "globe", "car",
     "taxi", "bus", "ambulance", "fire_engine", "police_car", "truck", "tractor", "train", "bicycle", "motorcycle",
     "skateboard", "airplane", "helicopter", "rocket", "sailboat", "canoe", "parachute", "anchor", "umbrella",
     "top_hat", "crown", "sunglasses", "shirt", "jeans", "dress", "coat", "scarf", "gloves", "socks", "sneaker",
