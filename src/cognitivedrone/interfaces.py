@@ -7,7 +7,6 @@ from typing import Protocol, runtime_checkable
 from cognitivedrone.types import (
     Action,
     ActionChunk,
-    DroneState,
     Guidance,
     Image,
     Observation,
@@ -37,18 +36,11 @@ class Reasoner(Protocol):
 
 @runtime_checkable
 class Privileged(Protocol):
-    """A policy or reasoner that asks for the truth: oracles and teachers. Never available outside the simulator."""
+    """A policy or reasoner that asks for the truth: oracles and teachers. Only the simulator can tell it."""
 
     def brief(self, truth: Truth) -> None:
-        """Called at the start of every stage, after `reset`."""
+        """Called at the start of every stage, after a policy's `reset`."""
         ...
-
-
-@runtime_checkable
-class StateAware(Protocol):
-    """A privileged policy that is also told the true state before every `act`."""
-
-    def sense(self, state: DroneState) -> None: ...
 
 
 @runtime_checkable

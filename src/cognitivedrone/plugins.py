@@ -30,3 +30,15 @@ def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
         raise PolicyError(f"{kind} {name!r}: {attribute!r} is not a class or function that makes a {kind}")
     result: Callable[..., Any] = factory
     return result
+
+
+def make(kind: str, name: str, table: Mapping[str, str], methods: tuple[str, ...]) -> Any:
+    """A new object of the plug-in `name`; raises `PolicyError` where it lacks one of the interface's methods."""
+    try:
+        made = load(kind, name, table)()
+    except TypeError as error:
+        raise PolicyError(f"{kind} {name!r} cannot be made without arguments: {error}") from None
+    missing = [method for method in methods if not callable(getattr(made, method, None))]
+    if missing:
+        raise PolicyError(f"{kind} {name!r} has no method {missing[0]}(); see cognitivedrone.interfaces")
+    return made

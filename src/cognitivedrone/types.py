@@ -9,6 +9,7 @@ Frames and units (converted in `frames.py` alone):
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
@@ -43,6 +44,13 @@ CATEGORIES: tuple[Category, ...] = ("human_recognition", "symbol_understanding",
 SIZES: tuple[Size, ...] = ("big", "small")
 SHAPES: tuple[Shape, ...] = ("round", "square", "triangle")
 COLORS: tuple[Color, ...] = ("red", "green", "blue")
+
+ACTION_LIMITS = (3.0, 3.0, 1.5, 1.5)
+"""Largest magnitude of each action component that is flown, m/s and rad/s; what lies beyond is clipped."""
+CONTROL_HZ = 10
+"""Rate of the policy's commands."""
+IMAGE_SIZE = 256
+"""Height and width of the first-person view, pixels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,10 +139,12 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What only privileged pilots and scorers are told about the stage at hand."""
+    """What only privileged pilots are told about the stage at hand."""
 
     task: Task
     stage: Stage
+    state: Callable[[], DroneState]
+    """The drone's true state now."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,8 +181,9 @@ class StageResult:
     """Length flown over the straight line from the stage's start to the gate; for gates flown through."""
     clearance_m: float | None
     """Room between the drone's hull and the frame when its centre crossed the gate plane."""
-    gate_distance_m: float
-    """Closest approach of the drone's centre to the right gate's centre (the published rule asks for 1 m)."""
+    gate_distance_m: float | None
+    """Closest approach of the drone's centre to the right gate's centre (the published rule asks for 1 m); none where
+    the stage was not reached."""
     directive: str | None = None
     """The last directive of the reasoner, if one flew along."""
 

@@ -1,0 +1,145 @@
+"""Flies one episode of a suite with a pilot: the benchmark's inner step, the same in every worker process."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from cognitivedrone.benchmark.run_types import Flown, RunConfig, Trace
+from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
+from cognitivedrone.envs.drone import SimulatedDrone
+from cognitivedrone.errors import PolicyError, did_you_mean
+from cognitivedrone.flight.loop import Leg, NonFiniteAction, fly
+from cognitivedrone.interfaces import Policy, Privileged, Seeded
+from cognitivedrone.labels import load_pack
+from cognitivedrone.policies import make_policy
+from cognitivedrone.reasoners import make_reasoner
+from cognitivedrone.sim.airframe import AIRFRAMES
+from cognitivedrone.sim.gl import renderer_name
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.tasks import Suite
+from cognitivedrone.types import (
+    Action,
+    ActionChunk,
+    EpisodeResult,
+    FloatArray,
+    Guidance,
+    Image,
+    Observation,
+    StageResult,
+    Truth,
+)
+
+
+class EpisodeFlyer:
+    """A simulator, a policy and a reasoner, made once and used for any number of episodes in any order."""
+
+    def __init__(self, config: RunConfig, suite: Suite) -> None:
+        if config.airframe not in AIRFRAMES:
+            raise PolicyError(f"unknown airframe {config.airframe!r}; {did_you_mean(config.airframe, AIRFRAMES)}")
+        self.config = config
+        self.suite = suite
+        self.policy = make_policy(config.policy)
+        self.reasoner = make_reasoner(config.reasoner)
+        self.simulator = Simulator(1, airframe=AIRFRAMES[config.airframe])
+        labels = load_pack(str(config.labels) if config.labels else "open-v1")
+        self.course = Course(self.simulator, 0, labels, CourseConfig(look=config.look))
+        self.drone = SimulatedDrone(self.simulator, self.course)
+
+    @property
+    def renderer(self) -> str:
+        """Name of what draws the frames."""
+        return renderer_name()
+
+    def fly(self, episode: int, *, film: bool) -> Flown:
+        """Fly one track of the suite; the same flight every time."""
+        rng = episode_rng(self.suite.digest, episode, self.config.seed)
+        self.course.begin(self.suite.tracks[episode], rng)
+        for part in (self.policy, self.reasoner):
+            if isinstance(part, Seeded):
+                part.seed(int(rng.integers(2**31)))
+        log = _FlightLog(self.simulator, self.course, keep_frames=film)
+        timed = _Timed(self.policy)
+        message = ""
+        try:
+            fly(self.drone, timed, self.drone, self._mission, reasoner=self.reasoner, recorder=log)
+        except NonFiniteAction as error:
+            self.course.end("policy_error")
+            message = str(error)
+        if any(result.outcome == "invalid" for result in self.course.results):
+            message = "the physics diverged"
+        result = EpisodeResult(episode, self.config.seed, log.results(), len(log.path), message)
+        return Flown(result, log.trace(timed.mean_s), log.frames if film else None)
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self.simulator.close()
+
+    def _mission(self) -> Leg | None:
+        if self.course.finished:
+            return None
+        return Leg(self.course.index, self.course.task.instruction, self.course.truth())
+
+
+class _Timed:
+    """A policy that measures how long its decisions take."""
+
+    def __init__(self, policy: Policy) -> None:
+        self.policy = policy
+        self.total_s = 0.0
+        self.decisions = 0
+
+    @property
+    def mean_s(self) -> float:
+        return self.total_s / max(self.decisions, 1)
+
+    def reset(self, instruction: str) -> None:
+        self.policy.reset(instruction)
+
+    def brief(self, truth: Truth) -> None:
+        if isinstance(self.policy, Privileged):
+            self.policy.brief(truth)
+
+    def act(self, observation: Observation) -> ActionChunk:
+        begin = time.perf_counter()
+        chunk = self.policy.act(observation)
+        self.total_s += time.perf_counter() - begin
+        self.decisions += 1
+        return chunk
+
+
+class _FlightLog:
+    """Records path, frames and directives of one flight."""
+
+    def __init__(self, simulator: Simulator, course: Course, *, keep_frames: bool) -> None:
+        self.simulator = simulator
+        self.course = course
+        self.keep_frames = keep_frames
+        self.path: list[FloatArray] = []
+        self.frames: list[Image] = []
+        self.stage_start: list[int] = []
+        self.directives: dict[int, str] = {}
+
+    def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:  # noqa: ARG002
+        """One control step."""
+        if self.course.index == len(self.stage_start):
+            self.stage_start.append(len(self.path))
+        self.path.append(self.simulator.state(0).position.copy())
+        if self.keep_frames:
+            self.frames.append(observation.image.copy())
+        if guidance is not None:
+            self.directives[self.course.index] = guidance.directive
+
+    def results(self) -> tuple[StageResult, ...]:
+        """The stages' results, each with the directive it was flown by."""
+        return tuple(
+            replace(result, directive=self.directives.get(index)) for index, result in enumerate(self.course.results)
+        )
+
+    def trace(self, decision_s: float) -> Trace:
+        """Where the flight went, its last position included."""
+        path = np.array([*self.path, self.simulator.state(0).position], dtype=np.float32)
+        stages = tuple(self.course.stages[: len(self.stage_start)])
+        return Trace(path, stages, tuple(self.stage_start), decision_s)

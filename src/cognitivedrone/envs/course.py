@@ -1,0 +1,182 @@
+"""One drone's way through the tasks of a track: which stage is on, where it stands, how each ended.
+
+The bridge between tasks and the simulator: here a verdict ("through gate 2") meets the question ("which was right?").
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from cognitivedrone.interfaces import LabelPack
+from cognitivedrone.sim.referee import Verdict
+from cognitivedrone.sim.simulator import Scenery, Simulator, Start
+from cognitivedrone.types import Outcome, Stage, StageResult, Task, Track, Truth
+from cognitivedrone.world import geometry
+from cognitivedrone.world.look import PLAIN, Look, varied_look
+
+LOOKS = ("plain", "varied")
+
+
+@dataclass(frozen=True, slots=True)
+class CourseConfig:
+    """The conditions of a flight."""
+
+    look: str = "plain"
+    """`plain` as published, or `varied`: floor, walls, light, colours and camera noise drawn from the seed."""
+    time_limit_s: float = 30.0
+    """For each stage."""
+    wind_m_s: float = 0.0
+    """Speed of a steady wind; its direction is drawn from the seed."""
+
+
+def episode_rng(suite_digest: str, episode: int, seed: int) -> np.random.Generator:
+    """The one source of randomness of an episode: the same three numbers give the same flight conditions anywhere."""
+    digest = hashlib.sha256(suite_digest.encode()).digest()
+    return np.random.default_rng([int.from_bytes(digest[:8], "big"), episode, seed])
+
+
+def stage_of(task: Task, origin: tuple[float, float] = (0.0, 0.0), yaw: float = 0.0) -> Stage:
+    """The task's gates and panels, placed in the world."""
+    return Stage(gates=task.gates, labels=task.labels, board=task.board, origin=origin, yaw=yaw)
+
+
+def scenery_of(stage: Stage, labels: LabelPack, look: Look) -> Scenery:
+    """The pictures of a stage."""
+    first, second, third = (labels.image(reference) for reference in stage.labels)
+    return Scenery((first, second, third), labels.image(stage.board) if stage.board else None, look)
+
+
+def draw_start(rng: np.random.Generator, wind_m_s: float = 0.0) -> Start:
+    """The published start: (-1, 0, 0.75) m plus up to 1 m on each axis, never below 0.2 m, looking along x."""
+    x, y, z = geometry.START + rng.uniform(-geometry.START_HALF_EXTENT, geometry.START_HALF_EXTENT, 3)
+    direction = rng.uniform(-np.pi, np.pi)
+    wind = (wind_m_s * float(np.cos(direction)), wind_m_s * float(np.sin(direction)), 0.0)
+    return Start((float(x), float(y), max(float(z), geometry.START_MIN_HEIGHT)), 0.0, wind)
+
+
+class Course:
+    """Flies one world of a simulator through a track.
+
+    A stage that is passed, or left through a wrong gate, leads to the next one behind that gate; anything else ends
+    the flight, and the stages that were not reached count as such.
+    """
+
+    def __init__(self, simulator: Simulator, world: int, labels: LabelPack, config: CourseConfig) -> None:
+        if config.look not in LOOKS:
+            raise ValueError(f"unknown look {config.look!r}; known: {', '.join(LOOKS)}")
+        self.simulator = simulator
+        self.world = world
+        self.labels = labels
+        self.config = config
+        self.track: Track = ()
+        self.results: list[StageResult] = []
+        self.stages: list[Stage] = []
+        self.look = PLAIN
+
+    def begin(self, track: Track, rng: np.random.Generator) -> None:
+        """Start a new flight at the first stage; every random thing about it is drawn from `rng`."""
+        self.track = track
+        self.results = []
+        self.stages = [stage_of(track[0])]
+        self.look = varied_look(rng) if self.config.look == "varied" else PLAIN
+        start = draw_start(rng, self.config.wind_m_s)
+        self.simulator.begin(self.world, self.stages[0], scenery_of(self.stages[0], self.labels, self.look), start)
+        self._stage_start_s = 0.0
+
+    @property
+    def finished(self) -> bool:
+        """Whether the flight is over."""
+        return len(self.results) == len(self.track)
+
+    @property
+    def index(self) -> int:
+        """Which stage is on, from 0."""
+        return len(self.results)
+
+    @property
+    def task(self) -> Task:
+        """The task at hand; after the end, the last one."""
+        return self.track[min(self.index, len(self.track) - 1)]
+
+    @property
+    def stage(self) -> Stage:
+        """The stage at hand; after the end, the last one."""
+        return self.stages[-1]
+
+    def truth(self) -> Truth:
+        """What a privileged pilot is told."""
+        return Truth(self.task, self.stage, lambda: self.simulator.state(self.world))
+
+    def update(self, verdict: Verdict | None) -> StageResult | None:
+        """Take in what happened in the last stretch of flight; the result, where it ended the stage."""
+        if self.simulator.flight.diverged[self.world]:
+            return self.end("invalid")
+        if verdict is not None:
+            return self._judged(verdict)
+        if self.simulator.time(self.world) - self._stage_start_s >= self.config.time_limit_s - 1e-9:
+            return self.end("timeout")
+        return None
+
+    def end(self, outcome: Outcome, *, chosen: int | None = None, clearance_m: float | None = None) -> StageResult:
+        """End the flight here; what was not reached is recorded as such."""
+        if chosen is None and outcome not in ("invalid", "policy_error"):
+            chosen = self.simulator.referee(self.world).favoured()
+        result = self._result(outcome, chosen, clearance_m)
+        self.results.append(result)
+        for task in self.track[len(self.results) :]:
+            self.results.append(_not_reached(task))
+        return result
+
+    def _judged(self, verdict: Verdict) -> StageResult:
+        if verdict.kind != "gate":
+            return self.end(verdict.kind, chosen=verdict.gate)
+        passed = verdict.gate == self.task.target
+        outcome: Outcome = "passed" if passed else "wrong_gate"
+        result = self._result(outcome, verdict.gate, verdict.clearance_m)
+        self.results.append(result)
+        if not self.finished and verdict.gate is not None:
+            origin, yaw = geometry.next_stage_origin(self.stage, verdict.gate)
+            self.stages.append(stage_of(self.track[self.index], origin, yaw))
+            self.simulator.place(self.world, self.stage, scenery_of(self.stage, self.labels, self.look))
+            self._stage_start_s = self.simulator.time(self.world)
+        return result
+
+    def _result(self, outcome: Outcome, chosen: int | None, clearance_m: float | None) -> StageResult:
+        referee = self.simulator.referee(self.world)
+        task = self.task
+        ratio = None
+        if outcome in ("passed", "wrong_gate") and chosen is not None:
+            straight = float(np.linalg.norm(referee.centers[chosen] - referee.start))
+            ratio = referee.path_m / straight
+        return StageResult(
+            task_id=task.id,
+            category=task.category,
+            family=task.family,
+            target=task.target,
+            outcome=outcome,
+            chosen=chosen,
+            time_s=self.simulator.time(self.world) - self._stage_start_s,
+            path_m=referee.path_m,
+            path_ratio=ratio,
+            clearance_m=clearance_m,
+            gate_distance_m=float(referee.closest_m[task.target]),
+        )
+
+
+def _not_reached(task: Task) -> StageResult:
+    return StageResult(
+        task_id=task.id,
+        category=task.category,
+        family=task.family,
+        target=task.target,
+        outcome="not_reached",
+        chosen=None,
+        time_s=0.0,
+        path_m=0.0,
+        path_ratio=None,
+        clearance_m=None,
+        gate_distance_m=None,
+    )

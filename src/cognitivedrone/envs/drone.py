@@ -1,0 +1,64 @@
+"""The simulator as a `Drone` with its own `Clock`: the flight loop flies it as it flies a real one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cognitivedrone.envs.course import Course
+from cognitivedrone.frames import world_to_heading, yaw_of
+from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.types import ACTION_LIMITS, Action, FloatArray, Observation
+
+
+class SimulatedDrone:
+    """One world of a simulator. Time stands still between calls of `sleep_until`: it is drone and clock in one."""
+
+    def __init__(self, simulator: Simulator, course: Course) -> None:
+        self.simulator = simulator
+        self.course = course
+
+    def observe(self) -> Observation:
+        """Frame and state of this moment."""
+        world = self.course.world
+        velocity, height, yaw_rate = proprioception(self.simulator, world)
+        return Observation(
+            image=self.simulator.frames(worlds=[world])[0],
+            instruction=self.course.task.instruction,
+            velocity=velocity,
+            height=height,
+            yaw_rate=yaw_rate,
+            time=self.simulator.time(world),
+        )
+
+    def send(self, action: Action) -> Action:
+        """Set the velocity setpoint, clipped to `ACTION_LIMITS`."""
+        sent = clip_action(action)
+        self.simulator.command(self.course.world, sent)
+        return sent
+
+    def close(self) -> None:
+        """Nothing to land."""
+
+    def now(self) -> float:
+        """Simulated seconds since the flight began."""
+        return self.simulator.time(self.course.world)
+
+    def sleep_until(self, time: float) -> None:
+        """Let the world go on, the last command standing, until `time` or the end of the flight."""
+        ticks = round((time - self.now()) / Flight.TICK_S)
+        if ticks > 0 and not self.course.finished:
+            self.course.update(self.simulator.advance(ticks)[self.course.world])
+
+
+def proprioception(simulator: Simulator, world: int) -> tuple[FloatArray, float, float]:
+    """Heading-frame velocity (3,) float32 in m/s, height in m, yaw rate in rad/s."""
+    state = simulator.state(world)
+    velocity = world_to_heading(state.velocity, yaw_of(state.quaternion)).astype(np.float32)
+    return velocity, float(state.position[2]), float(state.body_rates[2])
+
+
+def clip_action(action: FloatArray) -> Action:
+    """The action (..., 4) within `ACTION_LIMITS`, float32."""
+    limit = np.array(ACTION_LIMITS, dtype=np.float32)
+    return np.clip(np.asarray(action, dtype=np.float32), -limit, limit)

@@ -1,0 +1,107 @@
+"""`CognitiveDrone-v1`: one drone, one episode at a time, through Gymnasium's interface."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+
+from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
+from cognitivedrone.envs.drone import clip_action, proprioception
+from cognitivedrone.envs.spaces import Info, action_space, observation_space
+from cognitivedrone.errors import PolicyError, TaskError
+from cognitivedrone.labels import load_pack
+from cognitivedrone.sim.airframe import AIRFRAMES
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.tasks import Suite, load_suite
+from cognitivedrone.types import CONTROL_HZ, Action, StageResult, Truth
+
+
+class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
+    """One episode is one track of the suite; a single task is a track of one stage.
+
+    Reward: 1 for every stage flown through the right gate. `terminated` when the track is done or the flight ended by
+    contact, miss or leaving the stage; `truncated` when the stage's time ran out. `info` holds `task`, and the
+    `StageResult`s so far as `results`. `reset(options={"episode": i})` flies one chosen episode of the suite.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
+
+    def __init__(
+        self,
+        suite: str | Suite = "open-v1:train",
+        *,
+        labels: str = "open-v1",
+        look: str = "plain",
+        airframe: str = "racer",
+        time_limit_s: float = 30.0,
+        wind_m_s: float = 0.0,
+        render_mode: str | None = None,
+    ) -> None:
+        self.suite = load_suite(suite) if isinstance(suite, str) else suite
+        self.observation_space = observation_space()
+        self.action_space = action_space()
+        self.render_mode = render_mode
+        self.simulator = Simulator(1, airframe=AIRFRAMES[airframe])
+        config = CourseConfig(look=look, time_limit_s=time_limit_s, wind_m_s=wind_m_s)
+        self.course = Course(self.simulator, 0, load_pack(labels), config)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], Info]:
+        """Begin an episode, drawn from the seed or given as `options["episode"]`."""
+        super().reset(seed=seed)
+        episode = pick_episode(self.suite, self.np_random, options)
+        draw = int(self.np_random.integers(2**31))
+        self.course.begin(self.suite.tracks[episode], episode_rng(self.suite.digest, episode, draw))
+        return self._observe(), self._info(episode=episode)
+
+    def step(self, action: Action) -> tuple[dict[str, Any], float, bool, bool, Info]:
+        """Fly one control period, 0.1 s."""
+        if not np.isfinite(action).all():
+            raise PolicyError(f"action {np.asarray(action).tolist()} holds a number that is not finite")
+        self.simulator.command(0, clip_action(action))
+        result = self.course.update(self.simulator.advance()[0])
+        reward, terminated, truncated = score(result, self.course.finished)
+        return self._observe(), reward, terminated, truncated, self._info()
+
+    def render(self) -> Any:
+        """The first-person view, (256, 256, 3) uint8."""
+        return self.simulator.frames()[0]
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self.simulator.close()
+
+    def truth(self) -> Truth:
+        """What privileged pilots are told: for experts that make training data."""
+        return self.course.truth()
+
+    def _observe(self) -> dict[str, Any]:
+        velocity, height, yaw_rate = proprioception(self.simulator, 0)
+        return {
+            "image": self.simulator.frames()[0],
+            "instruction": self.course.task.instruction,
+            "velocity": velocity,
+            "height": np.array([height], dtype=np.float32),
+            "yaw_rate": np.array([yaw_rate], dtype=np.float32),
+        }
+
+    def _info(self, **more: Any) -> Info:
+        return {"task": self.course.task, "results": tuple(self.course.results), **more}
+
+
+def pick_episode(suite: Suite, rng: np.random.Generator, options: dict[str, Any] | None) -> int:
+    """An episode of the suite: the one that the options name, or a random one."""
+    count = len(suite.tracks)
+    if not options or "episode" not in options:
+        return int(rng.integers(count))
+    episode = int(options["episode"])
+    if not 0 <= episode < count:
+        raise TaskError(f"suite {suite.name!r} has episodes 0 to {count - 1}, not {episode}")
+    return episode
+
+
+def score(result: StageResult | None, finished: bool) -> tuple[float, bool, bool]:
+    """Reward, terminated, truncated."""
+    timed_out = result is not None and result.outcome == "timeout"
+    return float(result is not None and result.outcome == "passed"), finished and not timed_out, timed_out

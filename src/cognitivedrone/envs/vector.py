@@ -1,0 +1,138 @@
+"""Many worlds stepped and rendered together: the fast way to make data and to train."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
+from cognitivedrone.envs.drone import clip_action
+from cognitivedrone.envs.gym import pick_episode, score
+from cognitivedrone.envs.spaces import action_space, observation_space
+from cognitivedrone.errors import PolicyError
+from cognitivedrone.frames import world_to_heading, yaw_of
+from cognitivedrone.labels import load_pack
+from cognitivedrone.sim.airframe import AIRFRAMES
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.tasks import Suite, load_suite
+from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, FloatArray, StageResult, Truth
+
+VectorInfo = dict[str, Any]
+
+
+class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray]):
+    """`num_envs` worlds of `CognitiveDroneEnv`, with the same spaces, rewards and endings.
+
+    A world whose episode ended begins a new one in the next step, whose action it ignores (Gymnasium's next-step mode).
+    Observations are views of buffers that the next step overwrites, unless `copy` is asked for.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
+        "render_modes": ["rgb_array"],
+        "render_fps": CONTROL_HZ,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 16,
+        suite: str | Suite = "open-v1:train",
+        *,
+        labels: str = "open-v1",
+        look: str = "plain",
+        airframe: str = "racer",
+        time_limit_s: float = 30.0,
+        wind_m_s: float = 0.0,
+        threads: int | None = None,
+        copy: bool = True,
+        render_mode: str | None = None,
+    ) -> None:
+        self.num_envs = num_envs
+        self.suite = load_suite(suite) if isinstance(suite, str) else suite
+        self.render_mode = render_mode
+        self.single_observation_space = observation_space()
+        self.single_action_space = action_space()
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._copy = copy
+        threads = threads or min(len(os.sched_getaffinity(0)), num_envs)
+        self.simulator = Simulator(num_envs, airframe=AIRFRAMES[airframe], threads=threads)
+        config = CourseConfig(look=look, time_limit_s=time_limit_s, wind_m_s=wind_m_s)
+        pack = load_pack(labels)
+        self.courses = [Course(self.simulator, world, pack, config) for world in range(num_envs)]
+        self._rngs = [np.random.default_rng() for _ in range(num_envs)]
+        self._ended = np.zeros(num_envs, dtype=np.bool_)
+        self._images = np.zeros((num_envs, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], VectorInfo]:
+        """Begin an episode in every world; world i is seeded by `seed + i`, or by the i-th of a list of seeds."""
+        if seed is not None:
+            seeds = [seed + world for world in range(self.num_envs)] if isinstance(seed, int) else seed
+            self._rngs = [np.random.default_rng(each) for each in seeds]
+        for world in range(self.num_envs):
+            self._begin(world, options)
+        self._ended[:] = False
+        return self._observe(), self._info([None] * self.num_envs)
+
+    def step(
+        self, actions: FloatArray
+    ) -> tuple[dict[str, Any], FloatArray, np.ndarray[Any, Any], np.ndarray[Any, Any], VectorInfo]:
+        """Fly all worlds for one control period, 0.1 s."""
+        if not np.isfinite(actions).all():
+            raise PolicyError(f"world {int(np.argmax(~np.isfinite(actions).all(axis=1)))}: the action is not finite")
+        self.simulator.flight.command(clip_action(actions))
+        verdicts = self.simulator.advance()
+        rewards = np.zeros(self.num_envs)
+        terminated = np.zeros(self.num_envs, dtype=np.bool_)
+        truncated = np.zeros(self.num_envs, dtype=np.bool_)
+        results: list[StageResult | None] = [None] * self.num_envs
+        for world, course in enumerate(self.courses):
+            if self._ended[world]:
+                self._begin(world, None)
+                continue
+            results[world] = course.update(verdicts[world])
+            rewards[world], terminated[world], truncated[world] = score(results[world], course.finished)
+        self._ended = terminated | truncated
+        return self._observe(), rewards, terminated, truncated, self._info(results)
+
+    def render(self) -> Any:
+        """The first-person views, a tuple of (256, 256, 3) uint8."""
+        return tuple(self.simulator.frames())
+
+    def close_extras(self, **_: Any) -> None:
+        """Free the renderers."""
+        self.simulator.close()
+
+    def truths(self) -> list[Truth]:
+        """What privileged pilots are told in each world: for experts that make training data."""
+        return [course.truth() for course in self.courses]
+
+    def _begin(self, world: int, options: dict[str, Any] | None) -> None:
+        rng = self._rngs[world]
+        episode = pick_episode(self.suite, rng, options)
+        draw = int(rng.integers(2**31))
+        self.courses[world].begin(self.suite.tracks[episode], episode_rng(self.suite.digest, episode, draw))
+
+    def _observe(self) -> dict[str, Any]:
+        flight = self.simulator.flight
+        self.simulator.frames(self._images)
+        return {
+            "image": self._images.copy() if self._copy else self._images,
+            "instruction": tuple(course.task.instruction for course in self.courses),
+            "velocity": world_to_heading(flight.velocity, yaw_of(flight.quaternion)).astype(np.float32),
+            "height": flight.position[:, 2:].astype(np.float32),
+            "yaw_rate": flight.body_rates[:, 2:].astype(np.float32),
+        }
+
+    def _info(self, results: list[StageResult | None]) -> VectorInfo:
+        tasks = np.empty(self.num_envs, dtype=object)
+        tasks[:] = [course.task for course in self.courses]
+        ended = np.empty(self.num_envs, dtype=object)
+        ended[:] = results
+        return {"task": tasks, "result": ended}

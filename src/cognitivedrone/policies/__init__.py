@@ -1,0 +1,22 @@
+"""Policies: image and text in, velocity commands out.
+
+`POLICIES` names those that come with the package; `make_policy` also takes a user's own "module:attribute".
+"""
+
+from __future__ import annotations
+
+from cognitivedrone import plugins
+from cognitivedrone.interfaces import Policy
+
+POLICIES: dict[str, str] = {
+    "oracle": "cognitivedrone.policies.expert:Expert",
+    "colour_seeker": "cognitivedrone.policies.colour_seeker:ColourSeeker",
+    "hover": "cognitivedrone.policies.blind:Hover",
+    "random": "cognitivedrone.policies.blind:Random",
+}
+
+
+def make_policy(name: str) -> Policy:
+    """A new policy by name or "module:attribute"; raises `PolicyError`."""
+    policy: Policy = plugins.make("policy", name, POLICIES, ("reset", "act"))
+    return policy

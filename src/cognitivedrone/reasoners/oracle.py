@@ -1,0 +1,23 @@
+"""The oracle reasoner: answers with the gold directive. The upper bound of thinking, to measure flying alone."""
+
+from __future__ import annotations
+
+from cognitivedrone.errors import PolicyError
+from cognitivedrone.types import Guidance, Image, Task, Truth
+
+
+class Oracle:
+    """Knows the right gate; looks at nothing."""
+
+    def __init__(self) -> None:
+        self._task: Task | None = None
+
+    def brief(self, truth: Truth) -> None:
+        """Take the task at hand."""
+        self._task = truth.task
+
+    def refine(self, image: Image, instruction: str) -> Guidance:
+        """The gold directive of the task at hand."""
+        if self._task is None:
+            raise PolicyError("the oracle reasoner needs the simulator's truth, which this flight does not have")
+        return Guidance(self._task.directive, self._task.target, 1.0)

@@ -1,0 +1,142 @@
+"""Sees what the drone does at the gates: flown through, missed, hit, or gone astray. Knows no right or wrong.
+
+A gate is flown through when the drone's centre crosses its plane, outward, inside the opening. Contact is a hull sphere
+touching a frame, a panel or the floor. A crossing of the nearest gate's plane outside its opening is a miss.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from cognitivedrone.types import FloatArray, Stage
+from cognitivedrone.world import geometry
+
+VerdictKind = Literal["gate", "missed", "collision", "out_of_bounds"]
+
+BOUNDS_LOW = np.array([-5.0, -8.0, -1.0])
+"""Corner of the box a flight must stay in, m, in the stage frame."""
+BOUNDS_HIGH = np.array([9.0, 8.0, 5.0])
+NEAR_M = 1.5
+"""Only closer to a gate's plane than this can anything happen at it."""
+REACH_M = 2.0
+"""A plane counts up to this far beside its gate's centre: about half way to the next gate."""
+NEAR_GATE_M = 3.5
+"""Nothing can be touched further from every gate's centre than this, by a path of one control period."""
+ASTRAY_M = 4.0
+"""Nobody is out of bounds closer to the stage's origin than this, by a path of one control period."""
+FAVOUR_M = 2.5
+"""A flight that ends within this distance of a gate is said to have chosen it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The first decisive event of a stretch of path."""
+
+    kind: VerdictKind
+    gate: int | None
+    """The gate it happened at, 0 to 2."""
+    sample: int
+    """Index into the path that was judged."""
+    clearance_m: float | None = None
+    """Room between hull and frame at the plane; only for a gate flown through."""
+
+
+def judge(stage: Stage, path: FloatArray, hull_radius: float, aspects: tuple[float, float, float]) -> Verdict | None:
+    """The first event along `path` ((k, 3) world, m; its first sample was judged before), or none.
+
+    `aspects` are width over height of the three panels.
+    """
+    centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
+    first: Verdict | None = None
+
+    def consider(verdict: Verdict) -> None:
+        nonlocal first
+        if first is None or verdict.sample < first.sample:
+            first = verdict
+
+    local = to_stage_frame(stage, path)
+    outside = np.any((local < BOUNDS_LOW) | (local > BOUNDS_HIGH), axis=1)
+    if outside.any():
+        consider(Verdict("out_of_bounds", None, int(np.argmax(outside))))
+    grounded = path[:, 2] < hull_radius
+    if grounded.any():
+        consider(Verdict("collision", None, int(np.argmax(grounded))))
+    for index, gate in enumerate(stage.gates):
+        points = geometry.to_gate_frame(path, centers[index], float(yaws[index]))
+        along, lateral, vertical = points[:, 0], points[:, 1], points[:, 2]
+        if np.abs(along).min() > NEAR_M:
+            continue
+        room = np.minimum(
+            geometry.frame_distance(gate, along, lateral, vertical),
+            geometry.panel_distance(aspects[index], along, lateral, vertical),
+        )
+        touching = room < hull_radius
+        if touching.any():
+            consider(Verdict("collision", index, int(np.argmax(touching))))
+        crossings = np.flatnonzero((along[:-1] <= 0) & (along[1:] > 0))
+        for before in crossings:
+            part = along[before] / (along[before] - along[before + 1])
+            side, rise = (float(v[before] + part * (v[before + 1] - v[before])) for v in (lateral, vertical))
+            if abs(side) > REACH_M:
+                continue
+            margin = float(geometry.opening_margin(gate, np.float64(side), np.float64(rise)))
+            if margin > 0:
+                consider(Verdict("gate", index, int(before) + 1, margin - hull_radius))
+            else:
+                consider(Verdict("missed", index, int(before) + 1))
+    return first
+
+
+def to_stage_frame(stage: Stage, points: FloatArray) -> FloatArray:
+    """World points (..., 3) in the frame of the stage's origin and heading."""
+    c, s = np.cos(stage.yaw), np.sin(stage.yaw)
+    x, y = points[..., 0] - stage.origin[0], points[..., 1] - stage.origin[1]
+    return np.stack([c * x + s * y, c * y - s * x, points[..., 2]], axis=-1)
+
+
+class Referee:
+    """Follows one drone through one stage: judges its path and measures it."""
+
+    def __init__(
+        self, stage: Stage, start: FloatArray, hull_radius: float, aspects: tuple[float, float, float]
+    ) -> None:
+        self.stage = stage
+        self.start = np.array(start, dtype=np.float64)
+        self.hull_radius = hull_radius
+        self.aspects = aspects
+        self.centers = geometry.gate_centers(stage)
+        self.path_m = 0.0
+        self.closest_m = np.linalg.norm(self.centers - self.start, axis=1)
+        """(3,) closest approach to each gate's centre so far, m."""
+        self._last = self.start
+
+    def follow(self, path: FloatArray) -> Verdict | None:
+        """Judge the next stretch, (k, 3) world, m."""
+        whole = np.concatenate([self._last[None], path])
+        verdict = judge(self.stage, whole, self.hull_radius, self.aspects) if self._near(whole) else None
+        if verdict is not None:
+            whole = whole[: verdict.sample + 1]
+        steps = np.diff(whole, axis=0)
+        self.path_m += float(np.sqrt((steps * steps).sum(axis=1)).sum())
+        to_gates = whole[:, None] - self.centers
+        np.minimum(self.closest_m, np.sqrt((to_gates * to_gates).sum(axis=2)).min(axis=0), out=self.closest_m)
+        self._last = whole[-1]
+        return verdict
+
+    def favoured(self) -> int | None:
+        """The gate nearest to where the drone is now, if one is near enough to call it a choice."""
+        distances = np.linalg.norm(self.centers - self._last, axis=1)
+        nearest = int(np.argmin(distances))
+        return nearest if distances[nearest] < FAVOUR_M else None
+
+    def _near(self, path: FloatArray) -> bool:
+        """Whether anything could have happened: a quick look, so that free flight costs nothing."""
+        last = path[-1]
+        astray = max(abs(last[0] - self.stage.origin[0]), abs(last[1] - self.stage.origin[1]), last[2])
+        if astray > ASTRAY_M or path[:, 2].min() < self.hull_radius:
+            return True
+        offsets = self.centers - last
+        return bool((offsets * offsets).sum(axis=1).min() < NEAR_GATE_M**2)

@@ -1,0 +1,120 @@
+"""Worlds with a drone, three gates and a camera: flight, sight and referee as one. Knows stages, never tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cognitivedrone.sim.airframe import RACER, Airframe
+from cognitivedrone.sim.camera import Cameras
+from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.referee import Referee, Verdict
+from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, DroneState, FloatArray, Image, Stage
+from cognitivedrone.world.look import PLAIN, Look
+
+TICKS_PER_CONTROL = round(1 / (CONTROL_HZ * Flight.TICK_S))
+if abs(TICKS_PER_CONTROL * CONTROL_HZ * Flight.TICK_S - 1) > 1e-9:
+    raise ValueError("the control period must be a whole number of physics ticks")
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where and how a flight begins, in the world."""
+
+    position: tuple[float, float, float]
+    """m."""
+    yaw: float = 0.0
+    """rad."""
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Steady wind, world, m/s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scenery:
+    """The pictures and the look of a stage."""
+
+    panels: tuple[Image, Image, Image]
+    board: Image | None = None
+    look: Look = PLAIN
+
+
+class Simulator:
+    """n independent worlds, stepped together.
+
+    `threads` are used for physics and rendering; results are the same bits whatever their number.
+    """
+
+    def __init__(
+        self,
+        worlds: int = 1,
+        *,
+        airframe: Airframe = RACER,
+        threads: int = 1,
+        size: int = IMAGE_SIZE,
+        render: bool = True,
+    ) -> None:
+        self.worlds = worlds
+        self.airframe = airframe
+        self.flight = Flight(worlds, airframe, threads=threads)
+        self.cameras = Cameras(worlds, size, threads=threads) if render else None
+        self.ticks = np.zeros(worlds, dtype=np.int64)
+        """(worlds,) physics ticks since each world's flight began."""
+        self._referees: list[Referee | None] = [None] * worlds
+
+    def begin(self, world: int, stage: Stage, scenery: Scenery, start: Start) -> None:
+        """Start a new flight in one world: the drone hovers at `start`."""
+        self.flight.reset(world, np.array(start.position), start.yaw, wind=np.array(start.wind))
+        self.ticks[world] = 0
+        self.place(world, stage, scenery)
+
+    def place(self, world: int, stage: Stage, scenery: Scenery) -> None:
+        """Set the stage of one world; the drone flies on."""
+        if self.cameras is not None:
+            self.cameras.set_stage(world, stage, scenery.panels, scenery.board, scenery.look)
+        aspects = tuple(image.shape[1] / image.shape[0] for image in scenery.panels)
+        start = self.flight.position[world]
+        self._referees[world] = Referee(stage, start, self.airframe.hull_radius, aspects)  # type: ignore[arg-type]
+
+    def command(self, world: int, action: FloatArray) -> None:
+        """Set one world's velocity setpoint: (4,) heading frame, m/s and rad/s."""
+        self.flight.command_one(world, action)
+
+    def advance(self, ticks: int = TICKS_PER_CONTROL) -> list[Verdict | None]:
+        """Let all worlds go on by physics ticks; what happened in each."""
+        path = self.flight.advance(ticks)
+        self.ticks += ticks
+        return [
+            None if referee is None or self.flight.diverged[world] else referee.follow(path[world])
+            for world, referee in enumerate(self._referees)
+        ]
+
+    def frames(self, out: Image | None = None, worlds: Sequence[int] | None = None) -> Image:
+        """First-person views (n, size, size, 3) of all worlds, or of some."""
+        if self.cameras is None:
+            raise ValueError("this simulator was made without cameras")
+        if worlds is None:
+            return self.cameras.first_person(self.flight.position, self.flight.quaternion, out)
+        chosen = list(worlds)
+        return self.cameras.first_person(self.flight.position[chosen], self.flight.quaternion[chosen], out, chosen)
+
+    def referee(self, world: int) -> Referee:
+        """The referee of the stage at hand."""
+        referee = self._referees[world]
+        if referee is None:
+            raise ValueError(f"world {world} has no stage yet; call begin() first")
+        return referee
+
+    def state(self, world: int) -> DroneState:
+        """True state of one drone."""
+        return self.flight.state(world)
+
+    def time(self, world: int) -> float:
+        """Seconds since the flight began in one world."""
+        return float(self.ticks[world] * Flight.TICK_S)
+
+    def close(self) -> None:
+        """Free the renderer."""
+        if self.cameras is not None:
+            self.cameras.close()

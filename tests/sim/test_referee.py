@@ -1,0 +1,112 @@
+"""The referee sees passes, misses, contacts and strays as a marshal at the gate would."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cognitivedrone.sim.referee import Referee, judge
+from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Stage
+from cognitivedrone.world import geometry
+
+HULL = 0.13
+SQUARE = (1.0, 1.0, 1.0)
+
+
+def stage_with(gate: Gate, yaw: float = 0.0, origin: tuple[float, float] = (0.0, 0.0)) -> Stage:
+    rest = [color for color in COLORS if color != gate.color]
+    gates = (gate, Gate("big", "square", rest[0]), Gate("big", "square", rest[1]))
+    return Stage(gates, ("letter/A@inter",) * 3, origin=origin, yaw=yaw)
+
+
+def straight(stage: Stage, gate: int, side: float, rise: float, *, length: float = 2.0, samples: int = 101):
+    """A path along the gate's normal, through the point (side, rise) of its plane."""
+    yaw = geometry.gate_yaws(stage)[gate]
+    normal = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    left = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+    middle = geometry.gate_centers(stage)[gate] + side * left + rise * np.array([0.0, 0.0, 1.0])
+    return middle + np.linspace(-length / 2, length / 2, samples)[:, None] * normal
+
+
+gates = st.builds(Gate, st.sampled_from(SIZES), st.sampled_from(SHAPES), st.sampled_from(COLORS))
+
+
+@given(gate=gates, yaw=st.floats(-3, 3), x=st.floats(-20, 20))
+@settings(max_examples=60, deadline=None)
+def test_the_centre_of_every_gate_can_be_flown_through(gate, yaw, x):
+    stage = stage_with(gate, yaw, (x, -x))
+    verdict = judge(stage, straight(stage, 0, 0.0, 0.0), HULL, SQUARE)
+    assert verdict is not None
+    assert (verdict.kind, verdict.gate) == ("gate", 0)
+    margin = float(geometry.opening_margin(gate, np.float64(0), np.float64(0)))
+    assert verdict.clearance_m == pytest.approx(margin - HULL)
+
+
+@given(gate=gates, side=st.floats(-1.9, 1.9), rise=st.floats(-0.7, 0.5))
+@settings(max_examples=150, deadline=None)
+def test_a_straight_flight_ends_as_the_geometry_of_its_plane_says(gate, side, rise):
+    stage = stage_with(gate)
+    margin = float(geometry.opening_margin(gate, np.float64(side), np.float64(rise)))
+    verdict = judge(stage, straight(stage, 0, side, rise), HULL, SQUARE)
+    assert verdict is not None
+    if margin > HULL + 0.01:
+        assert verdict.kind == "gate"
+    elif margin > -geometry.BAR_WIDTH - HULL + 0.01 and margin < HULL - 0.01:
+        assert verdict.kind == "collision"
+    elif margin < -geometry.BAR_WIDTH - HULL - 0.01 and rise < 0.4:
+        assert verdict.kind == "missed"
+
+
+def test_flying_back_through_a_gate_does_not_count():
+    stage = stage_with(Gate("big", "round", "red"))
+    assert judge(stage, straight(stage, 0, 0.0, 0.0)[::-1], HULL, SQUARE) is None
+
+
+def test_the_floor_is_a_contact():
+    stage = stage_with(Gate("big", "round", "red"))
+    path = np.column_stack([np.zeros(50), np.zeros(50), np.linspace(1, 0.1, 50)])
+    verdict = judge(stage, path, HULL, SQUARE)
+    assert verdict is not None
+    assert (verdict.kind, verdict.gate) == ("collision", None)
+    assert path[verdict.sample, 2] < HULL <= path[verdict.sample - 1, 2]
+
+
+def test_a_panel_is_a_contact_at_its_gate():
+    stage = stage_with(Gate("big", "round", "red"))
+    verdict = judge(stage, straight(stage, 1, 0.2, 2.0), HULL, SQUARE)
+    assert verdict is not None
+    assert (verdict.kind, verdict.gate) == ("collision", 1)
+
+
+def test_leaving_the_stage_is_out_of_bounds():
+    stage = stage_with(Gate("big", "round", "red"))
+    path = np.column_stack([np.linspace(-1, -6, 80), np.zeros(80), np.ones(80)])
+    verdict = judge(stage, path, HULL, SQUARE)
+    assert verdict is not None
+    assert verdict.kind == "out_of_bounds"
+
+
+@pytest.mark.parametrize("pieces", [1, 7, 25])
+def test_following_in_pieces_finds_what_judging_at_once_finds(pieces):
+    stage = stage_with(Gate("small", "triangle", "blue"), yaw=0.7, origin=(3.0, 2.0))
+    path = straight(stage, 0, 0.01, 0.0, length=6.0, samples=301)
+    whole = judge(stage, path, HULL, SQUARE)
+    referee = Referee(stage, path[0], HULL, SQUARE)
+    found = None
+    for piece in np.array_split(path[1:], pieces):
+        found = found or referee.follow(piece)
+    assert whole is not None
+    assert found is not None
+    assert (found.kind, found.gate, found.clearance_m) == (whole.kind, whole.gate, whole.clearance_m)
+    assert referee.closest_m[0] < 0.02
+
+
+def test_the_referee_measures_the_way():
+    stage = stage_with(Gate("big", "round", "red"))
+    referee = Referee(stage, np.array([-1.0, 0.0, 1.0]), HULL, SQUARE)
+    assert referee.favoured() is None
+    assert referee.follow(np.column_stack([np.linspace(-1, 3.5, 50), np.zeros(50), np.ones(50)])) is None
+    assert referee.path_m == pytest.approx(4.5)
+    assert referee.favoured() == 1
