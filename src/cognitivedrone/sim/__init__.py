@@ -1,0 +1,1 @@
+"""The simulator: airframe, autopilot, batched flight, camera, referee. Knows stages, never tasks."""

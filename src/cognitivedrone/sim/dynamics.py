@@ -1,0 +1,190 @@
+"""Drones in flight: MuJoCo's physics and our autopilot in lock-step, batched over worlds."""
+
+from __future__ import annotations
+
+import numpy as np
+from mujoco import mjtStage
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from cognitivedrone.errors import PolicyError
+from cognitivedrone.frames import world_to_heading, yaw_of
+from cognitivedrone.sim.airframe import RACER, Airframe, build_model
+from cognitivedrone.sim.autopilot import Autopilot, AutopilotGains, trim
+from cognitivedrone.types import DroneState, FloatArray
+
+_LIMITS = np.array([1e4] * 3 + [2.0] * 4 + [100.0] * 3 + [300.0] * 3)[:, None]
+"""What no sane flight exceeds: m, quaternion, m/s, rad/s."""
+
+
+class Flight:
+    """n drones, each in a world of its own, flown by velocity setpoints.
+
+    What happens in a world depends on its `reset` and its commands alone, to the last bit: not on the other worlds,
+    not on threads, not on earlier flights.
+    """
+
+    TICK_S = 0.0025
+    """Physics period, s."""
+    SAMPLE_TICKS = 4
+    """Ticks between samples of `advance`, which come at 100 Hz."""
+
+    def __init__(
+        self,
+        worlds: int = 1,
+        airframe: Airframe = RACER,
+        *,
+        threads: int = 1,
+        gains: AutopilotGains | None = None,
+    ) -> None:
+        self.worlds = worlds
+        self.airframe = airframe
+        self._batch = Batch(build_model(airframe, self.TICK_S), worlds, threads)
+        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._ctrl, self._act = self._batch.bind("ctrl"), self._batch.bind("act")
+        self._force = self._batch.bind("qfrc_applied")
+        self._autopilot = Autopilot(airframe, worlds, self.TICK_S, gains)
+        self._wind = np.zeros((3, worlds))
+        self._state = np.zeros((13, worlds))  # qpos and qvel, component first
+        self._diverged = np.zeros(worlds, dtype=bool)
+        for world in range(worlds):
+            self.reset(world, np.array([0.0, 0.0, 1.0]))
+
+    def reset(
+        self,
+        world: int,
+        position: FloatArray,
+        yaw: float = 0.0,
+        velocity: FloatArray | None = None,
+        *,
+        wind: FloatArray | None = None,
+    ) -> None:
+        """Start over in steady flight, trimmed, rotors at speed.
+
+        position, velocity and wind are (3,), world axes, m and m/s; yaw in rad. Until the first command the drone
+        keeps `velocity`, and like after any command, it stops when none follows for three seconds. The wind is steady.
+        """
+        position = np.asarray(position, dtype=np.float64)
+        velocity = np.zeros(3) if velocity is None else np.asarray(velocity, dtype=np.float64)
+        wind = np.zeros(3) if wind is None else np.asarray(wind, dtype=np.float64)
+        trimmed = trim(self.airframe, yaw, velocity, wind)
+        self._batch.reset(ids=[world], stage=mjtStage.mjSTAGE_NONE)
+        self._qpos[world, :3] = position
+        self._qpos[world, 3:] = trimmed.quaternion
+        self._qvel[world, :3] = velocity
+        self._ctrl[world] = self._act[world] = trimmed.rotor_thrust
+        self._wind[:, world] = wind
+        self._state[:7, world] = self._qpos[world]
+        self._state[7:, world] = self._qvel[world]
+        self._autopilot.reset(world, trimmed, position, velocity)
+        self._diverged[world] = False
+
+    def command(self, actions: FloatArray) -> None:
+        """Latch (worlds, 4) heading-frame velocities in m/s and yaw rates in rad/s, turned to world axes now.
+
+        Speeds and rates beyond the autopilot's limits are flown at the limit. Raises `PolicyError` on values that are
+        not finite or an array of another shape.
+        """
+        self._latch(slice(None), np.asarray(actions, dtype=np.float64), (self.worlds, 4))
+
+    def command_one(self, world: int, action: FloatArray) -> None:
+        """As `command`, (4,) for one world."""
+        self._latch(slice(world, world + 1), np.asarray(action, dtype=np.float64)[None], (1, 4))
+
+    def _latch(self, worlds: slice, actions: FloatArray, shape: tuple[int, int]) -> None:
+        if actions.shape != shape:
+            raise PolicyError(f"actions have shape {actions.shape}; expected {shape}: vx, vy, vz and yaw rate a drone")
+        if not np.isfinite(actions).all():
+            bad = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
+            raise PolicyError(
+                f"the action {actions[bad].tolist()} of drone {bad} is not finite; send four real numbers"
+            )
+        w, x, y, z = self._state[3:7, worlds]
+        # The heading's cosine and sine without angles, which keeps this exact.
+        c, s = 1 - 2 * (y * y + z * z), 2 * (w * z + x * y)
+        scale = 1 / np.maximum(np.sqrt(c * c + s * s), 1e-9)
+        c, s = c * scale, s * scale
+        vx, vy, vz, yaw_rate = actions.T
+        self._autopilot.command(worlds, np.stack((c * vx - s * vy, s * vx + c * vy, vz, yaw_rate)))
+
+    def advance(self, ticks: int) -> FloatArray:
+        """Fly on for `ticks`, a multiple of four; returns world positions after each fourth, (worlds, ticks / 4, 3), m."""
+        samples, rest = divmod(ticks, self.SAMPLE_TICKS)
+        if rest or ticks < 0:
+            raise ValueError(f"cannot advance by {ticks} ticks; the autopilot needs a multiple of {self.SAMPLE_TICKS}")
+        path = np.empty((self.worlds, samples, 3))
+        with np.errstate(over="ignore", invalid="ignore"):  # in a world that diverges, until it is frozen
+            for sample in range(samples):
+                self._advance_sample()
+                path[:, sample] = self._state[:3].T
+        return path
+
+    def _advance_sample(self) -> None:
+        state, rates = self._state, self._state[10:]
+        self._autopilot.guide(state[:3], state[7:10], state[3:7])
+        self._force[:, :3] = self._drag().T
+        flying = None if not self._diverged.any() else np.flatnonzero(~self._diverged)
+        for _ in range(self.SAMPLE_TICKS):
+            self._ctrl[:] = self._autopilot.stabilise(rates).T
+            self._batch.step(flying)
+            rates[:] = self._qvel[:, 3:].T
+        fresh = np.concatenate((self._qpos.T, self._qvel.T))
+        if (np.abs(fresh) < _LIMITS).all():
+            state[:] = fresh
+        else:
+            self._freeze(fresh)
+
+    def _drag(self) -> FloatArray:
+        """Force of the air on the body, (3, worlds), N."""
+        air = self._wind - self._state[7:10]
+        speed = np.sqrt(air[0] * air[0] + air[1] * air[1] + air[2] * air[2])
+        force: FloatArray = air * (self.airframe.linear_drag + self.airframe.quadratic_drag * speed)
+        return force
+
+    def _freeze(self, fresh: FloatArray) -> None:
+        """Stop the worlds that left the realm of the sane, at their last good state; the others go on."""
+        sane = (np.abs(fresh) < _LIMITS).all(axis=0)
+        self._state[:, sane] = fresh[:, sane]
+        self._diverged |= ~sane
+        self._qpos[~sane] = self._state[:7, ~sane].T
+        self._qvel[~sane] = self._state[7:, ~sane].T
+
+    @property
+    def position(self) -> FloatArray:
+        """(worlds, 3), world, m."""
+        return self._state[:3].T.copy()
+
+    @property
+    def velocity(self) -> FloatArray:
+        """(worlds, 3), world, m/s."""
+        return self._state[7:10].T.copy()
+
+    @property
+    def heading_velocity(self) -> FloatArray:
+        """(worlds, 3), heading frame, m/s."""
+        return world_to_heading(self.velocity, self.yaw)
+
+    @property
+    def quaternion(self) -> FloatArray:
+        """(worlds, 4), w, x, y, z, body to world."""
+        return self._state[3:7].T.copy()
+
+    @property
+    def body_rates(self) -> FloatArray:
+        """(worlds, 3), body FLU, rad/s."""
+        return self._state[10:].T.copy()
+
+    @property
+    def yaw(self) -> FloatArray:
+        """(worlds,), heading, rad."""
+        return yaw_of(self.quaternion)
+
+    @property
+    def diverged(self) -> NDArray[np.bool_]:
+        """(worlds,): where the state became absurd; such a world stands still until it is reset."""
+        return self._diverged.copy()
+
+    def state(self, world: int) -> DroneState:
+        """The true state of one drone."""
+        column = self._state[:, world].copy()
+        return DroneState(column[:3], column[7:10], column[3:7], column[10:])
