@@ -121,7 +121,8 @@ def _length(vector: FloatArray) -> FloatArray:
     square = vector[0] * vector[0]
     for row in vector[1:]:
         square = square + row * row
-    return np.sqrt(square)
+    size: FloatArray = np.sqrt(square)
+    return size
 
 
 def _within(vector: FloatArray, limit: float) -> FloatArray:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.sim.airframe import RACER, Airframe, build_model
-from cognitivedrone.sim.autopilot import Autopilot, AutopilotGains, trim
+from cognitivedrone.sim.autopilot import GUIDE_S, Autopilot, AutopilotGains, trim
 from cognitivedrone.types import DroneState, FloatArray
 
 _LIMITS = np.array([1e4] * 3 + [2.0] * 4 + [100.0] * 3 + [300.0] * 3)[:, None]
@@ -26,8 +26,8 @@ class Flight:
 
     TICK_S = 0.0025
     """Physics period, s."""
-    SAMPLE_TICKS = 4
-    """Ticks between samples of `advance`, which come at 100 Hz."""
+    SAMPLE_TICKS = round(GUIDE_S / TICK_S)
+    """Ticks between runs of the autopilot's outer loops, and between samples of `advance`."""
 
     def __init__(
         self,
@@ -47,6 +47,7 @@ class Flight:
         self._wind = np.zeros((3, worlds))
         self._state = np.zeros((13, worlds))  # qpos and qvel, component first
         self._diverged = np.zeros(worlds, dtype=bool)
+        self._phase = 0  # ticks since the last run of the outer loops
         for world in range(worlds):
             self.reset(world, np.array([0.0, 0.0, 1.0]))
 
@@ -78,6 +79,8 @@ class Flight:
         self._state[7:, world] = self._qvel[world]
         self._autopilot.reset(world, trimmed, position, velocity)
         self._diverged[world] = False
+        if self.worlds == 1:
+            self._phase = 0
 
     def command(self, actions: FloatArray) -> None:
         """Latch (worlds, 4) heading-frame velocities in m/s and yaw rates in rad/s, turned to world axes now.
@@ -108,29 +111,41 @@ class Flight:
         self._autopilot.command(worlds, np.stack((c * vx - s * vy, s * vx + c * vy, vz, yaw_rate)))
 
     def advance(self, ticks: int) -> FloatArray:
-        """Fly on for `ticks`, a multiple of four; returns world positions after each fourth, (worlds, ticks / 4, 3), m."""
-        samples, rest = divmod(ticks, self.SAMPLE_TICKS)
-        if rest or ticks < 0:
-            raise ValueError(f"cannot advance by {ticks} ticks; the autopilot needs a multiple of {self.SAMPLE_TICKS}")
-        path = np.empty((self.worlds, samples, 3))
-        with np.errstate(over="ignore", invalid="ignore"):  # in a world that diverges, until it is frozen
-            for sample in range(samples):
-                self._advance_sample()
-                path[:, sample] = self._state[:3].T
-        return path
+        """Fly on; returns positions (worlds, samples, 3), world, m, after each fourth tick and after the last.
 
-    def _advance_sample(self) -> None:
-        state, rates = self._state, self._state[10:]
+        Several worlds share one guidance clock, so they go by multiples of four ticks; a single world by any number.
+        Raises `ValueError` otherwise.
+        """
+        if ticks < 0 or (self.worlds > 1 and ticks % self.SAMPLE_TICKS):
+            raise ValueError(f"cannot advance {self.worlds} worlds by {ticks} ticks; give a multiple of four")
+        path = []
+        with np.errstate(over="ignore", invalid="ignore"):  # in a world that diverges, until it is frozen
+            while ticks > 0:
+                if self._phase == 0:
+                    self._guide()
+                run = min(ticks, self.SAMPLE_TICKS - self._phase)
+                self._step(run)
+                ticks -= run
+                self._phase = (self._phase + run) % self.SAMPLE_TICKS
+                path.append(self._state[:3].T.copy())
+        return np.stack(path, axis=1) if path else np.empty((self.worlds, 0, 3))
+
+    def _guide(self) -> None:
+        """The outer loops and, as slow, the drag."""
+        state = self._state
         self._autopilot.guide(state[:3], state[7:10], state[3:7])
         self._force[:, :3] = self._drag().T
-        flying = None if not self._diverged.any() else np.flatnonzero(~self._diverged)
-        for _ in range(self.SAMPLE_TICKS):
+
+    def _step(self, ticks: int) -> None:
+        flying = np.flatnonzero(~self._diverged) if self._diverged.any() else None
+        rates = self._state[10:].copy()
+        for _ in range(ticks):
             self._ctrl[:] = self._autopilot.stabilise(rates).T
             self._batch.step(flying)
             rates[:] = self._qvel[:, 3:].T
         fresh = np.concatenate((self._qpos.T, self._qvel.T))
         if (np.abs(fresh) < _LIMITS).all():
-            state[:] = fresh
+            self._state[:] = fresh
         else:
             self._freeze(fresh)
 
