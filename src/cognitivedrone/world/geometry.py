@@ -35,6 +35,11 @@ PANEL_HEIGHT: Final = 2.0
 PANEL_DEPTH: Final = 0.02
 """Thickness of a panel, m."""
 
+BOARD_CENTER: Final = np.array([5.2, 0.0, 5.05])
+"""Centre of the board that shows a sum, in the stage frame, m: above gate 2's panel, in view from every start."""
+BOARD_HEIGHT: Final = 2.2
+"""Height of the board itself, m; its width follows the image's aspect."""
+
 START: Final = np.array([-1.0, 0.0, 0.75])
 """Middle of the start box, in the stage frame, m. The drone starts looking along the stage's x axis."""
 START_HALF_EXTENT: Final = 1.0

@@ -1,0 +1,257 @@
+"""What the drone sees, and views for people: stages rendered by MuJoCo, without a screen.
+
+One `Cameras` serves many worlds. A world is a slot: `set_stage` fills it once, in place, and a frame then costs setting
+a camera and drawing. The picture of a slot depends on its stage, its look and the pose alone: not on what was rendered
+before, on the other slots, nor on the number of threads.
+"""
+
+from __future__ import annotations
+
+import weakref
+import zlib
+from collections.abc import Sequence
+from concurrent.futures import wait
+from functools import partial
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cognitivedrone.errors import RenderError
+from cognitivedrone.frames import FloatArray, rotate_yaw, rotation_matrix, yaw_of
+from cognitivedrone.sim.gl import GLThread
+from cognitivedrone.types import DroneState, Image, Stage
+from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture
+from cognitivedrone.world.camera_facts import CAMERA_ABOVE_M, CAMERA_AHEAD_M, FIELD_OF_VIEW, IMAGE_SIZE
+from cognitivedrone.world.look import PLAIN, Look, expose
+from cognitivedrone.world.scene import add_drone, fill_scene, new_scene
+
+_NEAR, _FAR = 0.03, 200.0
+_VIEW_FIELD_OF_VIEW = 1.1  # of the views for people, vertical, rad
+_CHASE_EYE, _CHASE_TARGET = (-2.0, 0.0, 0.8), (2.0, 0.0, 0.5)  # from the drone, heading frame, m
+_TOP_EYE, _TOP_TARGET = (-6.0, 0.0, 9.0), (2.2, 0.0, 1.0)  # stage frame, m
+_TOP_DRONE_SCALE = 3.0
+
+
+class Cameras:
+    """The cameras of `slots` worlds. Use it as a context manager, or call `close`.
+
+    `threads` renderers share the slots, each with an OpenGL context and a thread of its own. Raises `RenderError` where
+    there is no OpenGL.
+    """
+
+    def __init__(self, slots: int = 1, size: int = IMAGE_SIZE, *, threads: int = 1) -> None:
+        if not 1 <= threads <= slots:
+            raise ValueError(f"threads must be 1 to the number of slots ({slots}), not {threads}")
+        if -(-slots // threads) > MAX_SLOTS:
+            raise ValueError(f"{slots} slots are too many: at most {MAX_SLOTS} a thread")
+        self.slots = slots
+        self.size = size
+        self._threads: list[GLThread] = []
+        self._renderers: list[_Renderer] = []
+        self._finalizer = weakref.finalize(self, _close, self._threads, self._renderers)
+        self._finalizer.atexit = False  # GLThread sees to that, in the right order
+        for index in range(threads):
+            thread = GLThread(size, size)
+            self._threads.append(thread)
+            owned = len(range(index, slots, threads))
+            self._renderers.append(thread.call(partial(_Renderer, owned, size)).result())
+
+    def __enter__(self) -> Cameras:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free the OpenGL contexts; may be called twice."""
+        self._finalizer()
+
+    def set_stage(
+        self, slot: int, stage: Stage, images: Sequence[Image], board: Image | None = None, look: Look = PLAIN
+    ) -> None:
+        """Show `stage` in `slot`, with the label `images` (h, w, 3) of gates 1 to 3, and a board if given."""
+        if len(images) != 3:
+            raise ValueError(f"a stage has three labels, not {len(images)}")
+        thread, renderer, own = self._owner(slot)
+        thread.call(lambda: renderer.set_stage(own, stage, images, board, look)).result()
+
+    def first_person(
+        self,
+        positions: ArrayLike,
+        quaternions: ArrayLike,
+        out: Image | None = None,
+        slots: Sequence[int] | None = None,
+    ) -> Image:
+        """First-person images (n, size, size, 3) uint8 of drones at `positions` (n, 3) world m, attitudes (n, 4) wxyz.
+
+        Image i shows the world of `slots[i]`; of slot i where `slots` is left out. A slot may occur several times.
+        Written into `out` where given.
+        """
+        position = np.asarray(positions, dtype=np.float64)
+        axes = rotation_matrix(np.asarray(quaternions, dtype=np.float64))
+        count = len(position)
+        if position.shape != (count, 3) or axes.shape != (count, 3, 3):
+            got = f"{np.shape(positions)} and {np.shape(quaternions)}"
+            raise ValueError(f"expected positions (n, 3) and quaternions (n, 4), not {got}")
+        shown = range(count) if slots is None else slots
+        if len(shown) != count:
+            raise ValueError(f"{count} positions but {len(shown)} slots")
+        shape = (count, self.size, self.size, 3)
+        if out is None:
+            out = np.empty(shape, np.uint8)
+        elif out.shape != shape or out.dtype != np.uint8:
+            raise ValueError(f"out must be uint8 {shape}, not {out.dtype} {out.shape}")
+        forward, up = axes[..., 0], axes[..., 2]
+        eye = position + CAMERA_AHEAD_M * forward + CAMERA_ABOVE_M * up
+        jobs: list[list[tuple[int, int]]] = [[] for _ in self._threads]
+        for index, slot in enumerate(shown):
+            self._check(slot)
+            jobs[slot % len(jobs)].append((index, slot // len(jobs)))
+        pending = [
+            thread.call(partial(renderer.first_person, job, eye, forward, up, out))
+            for thread, renderer, job in zip(self._threads, self._renderers, jobs, strict=True)
+            if job
+        ]
+        wait(pending)  # all of them, so that nothing writes into `out` once an error is out
+        for future in pending:
+            future.result()
+        return out
+
+    def chase(self, slot: int, state: DroneState, size: tuple[int, int] = (640, 480)) -> Image:
+        """The drone and what lies before it, from behind and above: (h, w, 3) for `size` (w, h) in pixels."""
+        heading = yaw_of(np.asarray(state.quaternion, dtype=np.float64))
+        eye, target = (state.position + rotate_yaw(np.array(point), heading) for point in (_CHASE_EYE, _CHASE_TARGET))
+        eye[2] = max(eye[2], 0.1)
+        thread, renderer, own = self._owner(slot)
+        return thread.call(lambda: renderer.overlook(own, state, 1.0, size, eye, target)).result()
+
+    def top(self, slot: int, state: DroneState, size: tuple[int, int] = (640, 480)) -> Image:
+        """The whole stage from high above its start, the drone drawn three times its size: (h, w, 3)."""
+        thread, renderer, own = self._owner(slot)
+
+        def draw() -> Image:
+            stage = renderer.stage(own)
+            home = np.array([*stage.origin, 0.0])
+            eye, target = (home + rotate_yaw(np.array(point), stage.yaw) for point in (_TOP_EYE, _TOP_TARGET))
+            return renderer.overlook(own, state, _TOP_DRONE_SCALE, size, eye, target)
+
+        return thread.call(draw).result()
+
+    def _check(self, slot: int) -> None:
+        if not 0 <= slot < self.slots:
+            raise ValueError(f"slot must be 0 to {self.slots - 1}, not {slot}")
+
+    def _owner(self, slot: int) -> tuple[GLThread, _Renderer, int]:
+        """The thread and renderer of a slot, and its number there."""
+        self._check(slot)
+        index = slot % len(self._threads)
+        return self._threads[index], self._renderers[index], slot // len(self._threads)
+
+
+class _Renderer:
+    """The slots of one OpenGL context. Made and used in that context's thread alone."""
+
+    def __init__(self, slots: int, size: int) -> None:
+        self._size = size
+        self._assets = build_assets(slots, size)
+        self._context = mujoco.MjrContext(self._assets.model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+        self._scenes = [new_scene(self._assets) for _ in range(slots)]
+        self._stages: list[Stage | None] = [None] * slots
+        self._looks: list[Look] = [PLAIN] * slots
+        self._pixels = np.empty((size, size, 3), np.uint8)
+        self._viewport = mujoco.MjrRect(0, 0, size, size)
+
+    def stage(self, slot: int) -> Stage:
+        stage = self._stages[slot]
+        if stage is None:
+            raise RenderError("this slot shows no stage yet; call set_stage first.")
+        return stage
+
+    def set_stage(self, slot: int, stage: Stage, images: Sequence[Image], board: Image | None, look: Look) -> None:
+        pictures = dict(enumerate(images)) | ({} if board is None else {BOARD: board})
+        for picture, image in pictures.items():
+            texture = write_picture(self._assets, slot, picture, image)
+            mujoco.mjr_uploadTexture(self._assets.model, self._context, texture)
+        aspects = [_aspect(image) for image in images]
+        fill_scene(
+            self._scenes[slot], self._assets, slot, stage, aspects, None if board is None else _aspect(board), look
+        )
+        _set_lens(self._scenes[slot], FIELD_OF_VIEW)
+        self._stages[slot], self._looks[slot] = stage, look
+
+    def first_person(
+        self, job: list[tuple[int, int]], eye: FloatArray, forward: FloatArray, up: FloatArray, out: Image
+    ) -> None:
+        """Render (index, slot) pairs of `job` into `out[index]`."""
+        for index, slot in job:
+            self.stage(slot)
+            scene, look = self._scenes[slot], self._looks[slot]
+            _aim(scene, eye[index], forward[index], up[index])
+            self._draw(scene, self._viewport, self._pixels)
+            out[index] = self._pixels[::-1]
+            pose = np.concatenate([eye[index], forward[index], up[index]])
+            expose(out[index], look, zlib.crc32(pose.tobytes()))
+
+    def overlook(
+        self, slot: int, state: DroneState, scale: float, size: tuple[int, int], eye: FloatArray, target: FloatArray
+    ) -> Image:
+        """A view for people, from `eye` to `target`, with the drone in it: (h, w, 3)."""
+        self.stage(slot)
+        scene = self._scenes[slot]
+        width, height = size
+        stage_geoms = scene.ngeom
+        pixels = np.empty((height, width, 3), np.uint8)
+        forward = (target - eye) / np.linalg.norm(target - eye)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        add_drone(scene, state, scale)
+        _set_lens(scene, _VIEW_FIELD_OF_VIEW)
+        _aim(scene, eye, forward, np.cross(right / np.linalg.norm(right), forward))
+        mujoco.mjr_resizeOffscreen(width, height, self._context)
+        try:
+            self._draw(scene, mujoco.MjrRect(0, 0, width, height), pixels)
+        finally:
+            mujoco.mjr_resizeOffscreen(self._size, self._size, self._context)
+            scene.ngeom = stage_geoms
+            _set_lens(scene, FIELD_OF_VIEW)
+        return np.ascontiguousarray(pixels[::-1])
+
+    def free(self) -> None:
+        self._context.free()
+
+    def _draw(self, scene: Any, viewport: Any, pixels: NDArray[np.uint8]) -> None:
+        """Draw into `pixels`, the bottom row first."""
+        mujoco.mjr_render(viewport, scene, self._context)
+        mujoco.mjr_readPixels(pixels, None, viewport, self._context)
+
+
+def _set_lens(scene: Any, field_of_view: float) -> None:
+    """Vertical field of view, rad; MuJoCo takes the horizontal one from the viewport's aspect."""
+    half = _NEAR * float(np.tan(field_of_view / 2))
+    for camera in scene.camera:
+        camera.orthographic = 0
+        camera.frustum_center = camera.frustum_width = 0.0
+        camera.frustum_bottom, camera.frustum_top = -half, half
+        camera.frustum_near, camera.frustum_far = _NEAR, _FAR
+
+
+def _aim(scene: Any, eye: FloatArray, forward: FloatArray, up: FloatArray) -> None:
+    # Two cameras because MuJoCo can draw in stereo; a single view averages them.
+    for camera in scene.camera:
+        camera.pos = eye
+        camera.forward = forward
+        camera.up = up
+
+
+def _aspect(image: Image) -> float:
+    return float(image.shape[1] / image.shape[0])
+
+
+def _close(threads: list[GLThread], renderers: list[_Renderer]) -> None:
+    for thread, renderer in zip(threads, renderers, strict=False):
+        thread.call(renderer.free).result()
+    renderers.clear()
+    for thread in threads:
+        thread.stop()

@@ -1,0 +1,159 @@
+"""OpenGL without a screen: which library to render with, and threads that own a context.
+
+MuJoCo decides on a backend when it is imported and fails late and unreadably where that does not work. Here a child
+process tries EGL and then OSMesa, once; the answer is remembered in this process and, in an environment variable, for
+its children. A user's own `MUJOCO_GL` is honoured.
+"""
+
+from __future__ import annotations
+
+import atexit
+import importlib
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from queue import SimpleQueue
+from typing import Any, Final, TypeVar
+
+from cognitivedrone.errors import RenderError
+
+BACKENDS: Final = ("egl", "osmesa")
+_REMEMBERED: Final = "COGNITIVEDRONE_GL"
+_INSTALL: Final = "apt-get install -y libegl1 libgl1-mesa-dri"
+_PROBE: Final = """
+import sys
+from cognitivedrone.sim import gl
+context = gl.create_context(sys.argv[1], 16, 16)
+from OpenGL import GL
+print("renderer:", GL.glGetString(GL.GL_RENDERER).decode())
+context.free()
+"""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Backend:
+    """A way to render that was seen to work."""
+
+    name: str
+    """egl or osmesa."""
+    renderer: str
+    """What OpenGL calls itself, for reports: "llvmpipe (LLVM 19.1.7, 256 bits)"."""
+
+
+_chosen: Backend | None = None
+
+
+def backend() -> Backend:
+    """The backend to render with: `MUJOCO_GL` where the user set it, else the first of EGL and OSMesa that works.
+
+    Raises `RenderError` with the line to type where there is none.
+    """
+    global _chosen
+    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if wanted and wanted not in BACKENDS:
+        raise RenderError(f"MUJOCO_GL={wanted} cannot render without a screen; unset it, or set it to egl or osmesa.")
+    if _chosen is None or (wanted and wanted != _chosen.name):
+        _chosen = _remembered(wanted) or _find((wanted,) if wanted else BACKENDS)
+        os.environ[_REMEMBERED] = f"{_chosen.name}:{_chosen.renderer}"
+    return _chosen
+
+
+def renderer_name() -> str:
+    """What OpenGL calls itself on this machine, for reports."""
+    return backend().renderer
+
+
+def create_context(name: str, width: int, height: int) -> Any:
+    """A current OpenGL context of backend `name` for the calling thread, with `make_current()` and `free()`.
+
+    llvmpipe is told to render in the calling thread, which is faster for small images, unless the user's
+    `LP_NUM_THREADS` says otherwise.
+    """
+    os.environ.setdefault("LP_NUM_THREADS", "0")
+    try:
+        context = importlib.import_module(f"mujoco.{name}").GLContext(width, height)
+        context.make_current()
+    except Exception as error:  # ctypes, PyOpenGL and MuJoCo each fail in their own way
+        raise RenderError(f"OpenGL by {name} does not start ({error}). To install it: {_INSTALL}") from None
+    return context
+
+
+class GLThread:
+    """A thread with an OpenGL context that no other thread ever touches.
+
+    Rendering from one thread may go on while another computes or renders: MuJoCo lets go of the interpreter meanwhile.
+    """
+
+    def __init__(self, width: int, height: int) -> None:
+        name = backend().name
+        self._jobs: SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None] = SimpleQueue()
+        self._process = os.getpid()
+        self._stopped = False
+        self._thread = threading.Thread(target=_serve, args=(self._jobs,), name="cognitivedrone-gl", daemon=True)
+        self._thread.start()
+        self._context = self.call(lambda: create_context(name, width, height)).result()
+        # Registered after MuJoCo's own handler, so run before it: contexts go first, then the display.
+        atexit.register(self.stop)
+
+    def call(self, job: Callable[[], T]) -> Future[T]:
+        """Have the thread run `job`, after those it was given before."""
+        if self._stopped:
+            raise RenderError("this camera is closed; make a new one.")
+        if os.getpid() != self._process:
+            raise RenderError("OpenGL does not survive a fork; make a camera in each process.")
+        future: Future[T] = Future()
+        self._jobs.put((job, future))
+        return future
+
+    def stop(self) -> None:
+        """Free the context and end the thread, once."""
+        if self._stopped or os.getpid() != self._process:
+            return
+        freed = self.call(self._context.free)
+        self._stopped = True
+        self._jobs.put(None)
+        self._thread.join()
+        atexit.unregister(self.stop)
+        freed.result()
+
+
+def _serve(jobs: SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None]) -> None:
+    while (item := jobs.get()) is not None:
+        job, future = item
+        try:
+            future.set_result(job())
+        except BaseException as error:  # handed on to whoever waits
+            future.set_exception(error)
+        del item, job, future
+
+
+def _remembered(wanted: str) -> Backend | None:
+    """What a parent process found, where it is what is wanted."""
+    name, _, renderer = os.environ.get(_REMEMBERED, "").partition(":")
+    return Backend(name, renderer) if name in BACKENDS and wanted in ("", name) else None
+
+
+def _find(names: tuple[str, ...]) -> Backend:
+    """The first backend of `names` that works in a child process."""
+    for name in names:
+        renderer = _probe(name)
+        if renderer is not None:
+            return Backend(name, renderer)
+    raise RenderError(f"no OpenGL to render with: tried {' and '.join(names)}. To install it: {_INSTALL}")
+
+
+def _probe(name: str) -> str | None:
+    """The renderer's name, or none where the backend does not work. Whatever breaks, breaks in a child process."""
+    command = [sys.executable, "-c", _PROBE, name]
+    try:
+        child = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)  # noqa: S603
+    except (subprocess.SubprocessError, OSError):
+        return None
+    lines = [line.removeprefix("renderer:").strip() for line in child.stdout.splitlines() if "renderer:" in line]
+    return lines[-1] if lines else None

@@ -1,0 +1,172 @@
+"""How a stage looks: the published plain look, and looks drawn at random. Pure numpy, no OpenGL."""
+
+from __future__ import annotations
+
+import colorsys
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cognitivedrone.types import Image
+
+RGB: TypeAlias = tuple[float, float, float]
+"""Red, green, blue, 0 to 1."""
+Pattern = Literal["plain", "checker", "tiles", "planks", "bricks", "speckle", "clouds"]
+
+PATTERNS: tuple[Pattern, ...] = get_args(Pattern)
+_PATTERN_SIZE = 128
+_NOISE_SIZE = 512
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Colours, light and lens of a stage."""
+
+    floor: RGB
+    floor_pattern: Pattern
+    surroundings: RGB
+    surroundings_pattern: Pattern
+    surroundings_glow: float
+    """0 to 1: the share of the surroundings' colour that shows whatever the light; at 1 the room has no edges."""
+    gate_colors: tuple[RGB, RGB, RGB]
+    """What red, green and blue gates are painted."""
+    ambient: float
+    """Light from everywhere, 0 to 1."""
+    diffuse: float
+    """Directional light, 0 to 1."""
+    light_direction: tuple[float, float, float]
+    """Where the light travels to, in the stage frame; the last number is negative (downwards)."""
+    panel_brightness: float = 1.0
+    """What the labels' pixels are multiplied with, 0 to 1."""
+    gain: float = 1.0
+    """The camera's exposure: multiplies pixels."""
+    gamma: float = 1.0
+    """The camera's response curve: pixels (0 to 1) are raised to this power, before the gain."""
+    noise: float = 0.0
+    """Standard deviation of the camera's pixel noise, in steps of 1/255."""
+    seed: int = 0
+    """Seed of the pixel noise."""
+
+
+PLAIN = Look(
+    floor=(1.0, 1.0, 1.0),
+    floor_pattern="plain",
+    surroundings=(0.7, 0.7, 0.7),
+    surroundings_pattern="plain",
+    surroundings_glow=1.0,
+    gate_colors=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.12, 1.0)),
+    ambient=0.8,
+    diffuse=0.5,
+    light_direction=(0.5, 0.0, -0.85),
+)
+"""The published stage: white floor, plain grey surroundings, pure colours, a perfect camera."""
+
+
+def varied_look(rng: np.random.Generator) -> Look:
+    """A look drawn from `rng`: another room, another light, another camera. Gate colours keep their names."""
+
+    def hsv(hue: float, saturation: tuple[float, float], value: tuple[float, float]) -> RGB:
+        return colorsys.hsv_to_rgb(hue % 1.0, rng.uniform(*saturation), rng.uniform(*value))
+
+    azimuth = rng.uniform(0.0, 2 * np.pi)
+    slant = rng.uniform(0.2, 0.8)
+    red, green, blue = (
+        hsv(hue + rng.uniform(-spread, spread), (0.8, 1.0), (0.7, 1.0))
+        for hue, spread in ((0.0, 0.025), (1 / 3, 0.05), (0.64, 0.035))
+    )
+    return Look(
+        floor=hsv(rng.uniform(), (0.0, 0.3), (0.35, 1.0)),
+        floor_pattern=PATTERNS[rng.integers(len(PATTERNS))],
+        surroundings=hsv(rng.uniform(), (0.0, 0.35), (0.3, 0.95)),
+        surroundings_pattern=PATTERNS[rng.integers(len(PATTERNS))],
+        surroundings_glow=float(rng.uniform(0.0, 0.6)),
+        gate_colors=(red, green, blue),
+        ambient=float(rng.uniform(0.4, 0.7)),
+        diffuse=float(rng.uniform(0.25, 0.6)),
+        light_direction=(float(slant * np.cos(azimuth)), float(slant * np.sin(azimuth)), -1.0),
+        panel_brightness=float(rng.uniform(0.75, 1.0)),
+        gain=float(rng.uniform(0.85, 1.1)),
+        gamma=float(rng.uniform(0.8, 1.25)),
+        noise=float(rng.uniform(0.0, 6.0)),
+        seed=int(rng.integers(2**31)),
+    )
+
+
+def expose(image: Image, look: Look, key: int) -> None:
+    """What the look's camera makes of a perfect `image` (h, w, 3), in place: response curve, gain, pixel noise.
+
+    The noise depends on the look's seed and `key` alone, so equal keys give equal bits; h and w are at most 512.
+    """
+    if look.gain != 1.0 or look.gamma != 1.0:
+        # bytes.translate is several times faster than indexing a table with an array.
+        exposed = image.tobytes().translate(_response(look.gain, look.gamma))
+        image[...] = np.frombuffer(exposed, np.uint8).reshape(image.shape)
+    if look.noise > 0.0:
+        height, width = image.shape[:2]
+        top, left = np.random.default_rng((look.seed, key)).integers(0, _NOISE_SIZE, 2)
+        rows = (np.arange(height) + top) % _NOISE_SIZE
+        table = _noise_table(round(look.noise, 1))
+        grain = np.concatenate([table[rows, left:], table[rows, :left]], axis=1)[:, :width]
+        np.clip(image + grain, 0, 255, out=image, casting="unsafe")
+
+
+def pattern_texture(pattern: Pattern) -> NDArray[np.uint8]:
+    """(128, 128, 3) grey texture that repeats without a seam; it is multiplied with a look's colour."""
+    y, x = np.mgrid[0:_PATTERN_SIZE, 0:_PATTERN_SIZE]
+    rng = np.random.default_rng(PATTERNS.index(pattern))
+    grey = np.ones((_PATTERN_SIZE, _PATTERN_SIZE))
+    if pattern == "checker":
+        grey -= 0.35 * ((x // 64 + y // 64) % 2)
+    elif pattern == "tiles":
+        grey -= 0.4 * ((x % 64 < 3) | (y % 64 < 3))
+    elif pattern == "planks":
+        grey = 0.75 + 0.25 * np.repeat(rng.uniform(size=8), 16)[y]
+        grey -= 0.3 * (y % 16 == 0)
+        grey -= 0.1 * _waves(rng, x, y, along=(1, 3), across=(10, 24))
+    elif pattern == "bricks":
+        shifted = x + 16 * (y // 16 % 2)
+        grey = 0.8 + 0.2 * rng.uniform(size=(8, 4))[y // 16, shifted // 32 % 4]
+        grey += (0.95 - grey) * ((y % 16 < 2) | (shifted % 32 < 2))
+    elif pattern == "speckle":
+        grey -= 0.5 * rng.uniform(size=grey.shape) ** 3
+    elif pattern == "clouds":
+        grey -= 0.45 * _waves(rng, x, y, along=(1, 6), across=(1, 6))
+    return np.repeat((255 * np.clip(grey, 0.0, 1.0)).astype(np.uint8)[..., None], 3, axis=-1)
+
+
+def _waves(
+    rng: np.random.Generator,
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    along: tuple[int, int],
+    across: tuple[int, int],
+) -> NDArray[np.float64]:
+    """A seamless sum of twelve plane waves with whole frequencies in the given ranges, scaled to 0 to 1."""
+    total = np.zeros(x.shape)
+    for _ in range(12):
+        fx, fy = rng.integers(along[0], along[1] + 1), rng.integers(across[0], across[1] + 1)
+        sign = rng.choice([-1, 1])
+        total += np.sin(2 * np.pi * (fx * x + sign * fy * y) / _PATTERN_SIZE + rng.uniform(0, 2 * np.pi))
+    scaled: NDArray[np.float64] = (total - total.min()) / np.ptp(total)
+    return scaled
+
+
+@lru_cache(maxsize=64)
+def _response(gain: float, gamma: float) -> bytes:
+    """256 bytes: the table from perfect to exposed pixel values."""
+    curve = 255.0 * gain * (np.arange(256) / 255.0) ** gamma
+    return np.clip(np.round(curve), 0, 255).astype(np.uint8).tobytes()
+
+
+@lru_cache(maxsize=16)
+def _noise_table(noise: float) -> NDArray[np.int8]:
+    """(512, 512, 3) normal noise with a standard deviation of `noise` steps; offsets into it stand for draws."""
+    return np.clip(np.round(_unit_noise() * noise), -128, 127).astype(np.int8)
+
+
+@lru_cache(maxsize=1)
+def _unit_noise() -> NDArray[np.float32]:
+    return np.random.default_rng(0).standard_normal((_NOISE_SIZE, _NOISE_SIZE, 3), dtype=np.float32)

@@ -1,0 +1,159 @@
+"""A stage as MuJoCo draws it: a list of placed meshes and a light, written straight into an `mjvScene`.
+
+Each slot keeps a scene of its own, filled once a stage; drawing a frame then only sets the camera. That is what makes
+rendering fast, and pictures independent of what was drawn before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from cognitivedrone.frames import FloatArray, quaternion_from_yaw, rotate_yaw, rotation_matrix
+from cognitivedrone.types import COLORS, DroneState, Stage
+from cognitivedrone.world import geometry
+from cognitivedrone.world.assets import BOARD, Assets, Placed
+from cognitivedrone.world.look import RGB, Look
+
+_MAX_GEOMS = 32
+_GATE_GLOW = 0.4  # keeps the faces that light misses nameable
+_ARM = 0.11  # m, hub to rotor along x and along y: a 5-inch racing quadrotor
+_ROTOR_RADIUS = 0.065
+_BODY_COLOR: RGB = (0.15, 0.15, 0.17)
+_FRONT_COLOR: RGB = (1.0, 0.55, 0.0)
+_REAR_COLOR: RGB = (0.35, 0.35, 0.4)
+
+
+def new_scene(assets: Assets) -> Any:
+    """An empty `mujoco.MjvScene`: no shadows, reflections, sky or fog."""
+    scene = mujoco.MjvScene(assets.model, maxgeom=_MAX_GEOMS)
+    scene.flags[:] = 0
+    scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = 1
+    return scene
+
+
+def fill_scene(
+    scene: Any,
+    assets: Assets,
+    slot: int,
+    stage: Stage,
+    aspects: Sequence[float],
+    board_aspect: float | None,
+    look: Look,
+) -> None:
+    """Replace what is in `scene` by a stage whose pictures are in the textures of `slot`.
+
+    `aspects` are the labels' widths over heights; `board_aspect` is the board's, or none where no board hangs. Room
+    and light belong to the stage: they move and turn with it.
+    """
+    scene.ngeom = 0
+    home = np.array([*stage.origin, 0.0])
+    level = rotation_matrix(quaternion_from_yaw(stage.yaw))
+    centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
+    for gate, center, yaw in zip(stage.gates, centers, yaws, strict=True):
+        color = look.gate_colors[COLORS.index(gate.color)]
+        mesh = assets.gates[gate.size, gate.shape]
+        _add_mesh(scene, mesh, center, rotation_matrix(quaternion_from_yaw(yaw)), color, _GATE_GLOW)
+    pictures = assets.pictures[slot]
+    paper: RGB = (look.panel_brightness,) * 3
+    for index, (center, yaw, aspect) in enumerate(zip(centers, yaws, aspects, strict=True)):
+        raised = np.array([center[0], center[1], geometry.PANEL_CENTER_HEIGHT])
+        size = np.array([1.0, aspect * geometry.PANEL_HEIGHT, geometry.PANEL_HEIGHT])
+        axes = rotation_matrix(quaternion_from_yaw(yaw)) * size
+        _add_mesh(scene, assets.panel, raised, axes, paper, 1.0, int(pictures[index]))
+    if board_aspect is not None:
+        size = np.array([1.0, board_aspect * geometry.BOARD_HEIGHT, geometry.BOARD_HEIGHT])
+        place = home + rotate_yaw(geometry.BOARD_CENTER, stage.yaw)
+        _add_mesh(scene, assets.panel, place, level * size, paper, 1.0, int(pictures[BOARD]))
+    _add_mesh(scene, assets.floor, home, level, look.floor, 0.0, _pattern(assets, look.floor_pattern))
+    _add_mesh(
+        scene,
+        assets.room,
+        home,
+        level,
+        look.surroundings,
+        look.surroundings_glow,
+        _pattern(assets, look.surroundings_pattern),
+    )
+    _set_light(scene, level, look)
+
+
+def add_drone(scene: Any, state: DroneState, scale: float = 1.0) -> None:
+    """Put a quadrotor into the scene, for views that show it; taken out again by resetting `scene.ngeom`.
+
+    The front rotors are orange. `scale` enlarges it for views from afar.
+    """
+    axes = rotation_matrix(np.asarray(state.quaternion, dtype=np.float64))
+    position = np.asarray(state.position, dtype=np.float64)
+    box, cylinder = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
+    _add_shape(scene, box, position, axes, scale * np.array([0.06, 0.03, 0.02]), _BODY_COLOR)
+    half_arm = scale * np.array([_ARM * np.sqrt(2.0), 0.008, 0.005])
+    for quarter in (1, -1):
+        diagonal = axes @ rotation_matrix(quaternion_from_yaw(quarter * np.pi / 4))
+        _add_shape(scene, box, position, diagonal, half_arm, _BODY_COLOR)
+    rotor = scale * np.array([_ROTOR_RADIUS, 0.004, 0.0])
+    for x, y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        hub = position + axes @ (scale * np.array([_ARM * x, _ARM * y, 0.02]))
+        _add_shape(scene, cylinder, hub, axes, rotor, _FRONT_COLOR if x > 0 else _REAR_COLOR)
+
+
+def _pattern(assets: Assets, pattern: Any) -> int:
+    """Material of a pattern; -1, which is none and draws faster, where the pattern is plain."""
+    return -1 if pattern == "plain" else assets.patterns[pattern]
+
+
+def _add_mesh(
+    scene: Any, mesh: Placed, position: FloatArray, axes: FloatArray, color: RGB, glow: float, material: int = -1
+) -> None:
+    """Place a mesh. `axes` (3, 3) may stretch it: its columns are the mesh's own axes in the world."""
+    geom = _next_geom(
+        scene,
+        mujoco.mjtGeom.mjGEOM_MESH,
+        position + axes @ mesh.position,
+        axes @ mesh.rotation,
+        np.ones(3),
+        color,
+        glow,
+    )
+    geom.dataid = 2 * mesh.mesh  # even numbers are meshes, odd ones their convex hulls
+    geom.matid = material
+    geom.texcoord = int(material >= 0)
+
+
+def _add_shape(scene: Any, kind: Any, position: FloatArray, axes: FloatArray, size: FloatArray, color: RGB) -> None:
+    geom = _next_geom(scene, kind, position, axes, size, color, 0.2)
+    geom.dataid = geom.matid = -1
+
+
+def _next_geom(
+    scene: Any, kind: Any, position: FloatArray, axes: FloatArray, size: FloatArray, color: RGB, glow: float
+) -> Any:
+    """A geom that shows `glow` (0 to 1) of its colour whatever the light, and the rest of it as lit."""
+    geom = scene.geoms[scene.ngeom]
+    # OpenGL adds emission * colour to the lit colour, so the colour is dimmed by what the glow already shows.
+    lit = max(1.0 - glow, 1e-3)
+    rgba = np.array([*(lit * part for part in color), 1.0], dtype=np.float32)
+    mujoco.mjv_initGeom(geom, kind, size, position, axes.reshape(-1), rgba)
+    geom.category = mujoco.mjtCatBit.mjCAT_STATIC
+    geom.emission = glow / lit
+    geom.specular = geom.shininess = geom.reflectance = 0.0
+    scene.ngeom += 1
+    return geom
+
+
+def _set_light(scene: Any, level: FloatArray, look: Look) -> None:
+    """One directional light without a shadow."""
+    direction = level @ np.array(look.light_direction)
+    scene.nlight = 1
+    light = scene.lights[0]
+    light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    light.headlight = light.castshadow = 0
+    light.pos[:] = (0.0, 0.0, 10.0)
+    light.dir[:] = direction / np.linalg.norm(direction)
+    light.attenuation[:] = (1.0, 0.0, 0.0)
+    light.ambient[:] = look.ambient
+    light.diffuse[:] = look.diffuse
+    light.specular[:] = 0.0
