@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Sequence
 from concurrent.futures import wait
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import mujoco
 import numpy as np
@@ -23,9 +23,15 @@ from cognitivedrone.frames import FloatArray, rotate_yaw, rotation_matrix, yaw_o
 from cognitivedrone.sim.gl import GLThread
 from cognitivedrone.types import DroneState, Image, Stage
 from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture
-from cognitivedrone.world.camera_facts import CAMERA_ABOVE_M, CAMERA_AHEAD_M, FIELD_OF_VIEW, IMAGE_SIZE
 from cognitivedrone.world.look import PLAIN, Look, expose
 from cognitivedrone.world.scene import add_drone, fill_scene, new_scene
+
+IMAGE_SIZE: Final = 256
+"""Pixels a side of the published first-person images."""
+FIELD_OF_VIEW: Final = 1.85
+"""Of the first-person camera, horizontal and, as images are square, vertical, rad."""
+MOUNT: Final = (0.1, 0.0, 0.3)
+"""The camera's place on the vehicle, body FLU, m. It looks along the body's x axis and tilts with the body."""
 
 _NEAR, _FAR = 0.03, 200.0
 _VIEW_FIELD_OF_VIEW = 1.1  # of the views for people, vertical, rad
@@ -104,7 +110,7 @@ class Cameras:
         elif out.shape != shape or out.dtype != np.uint8:
             raise ValueError(f"out must be uint8 {shape}, not {out.dtype} {out.shape}")
         forward, up = axes[..., 0], axes[..., 2]
-        eye = position + CAMERA_AHEAD_M * forward + CAMERA_ABOVE_M * up
+        eye = position + MOUNT[0] * forward + MOUNT[1] * axes[..., 1] + MOUNT[2] * up
         jobs: list[list[tuple[int, int]]] = [[] for _ in self._threads]
         for index, slot in enumerate(shown):
             self._check(slot)
