@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from rich.console import Console
 
 from cognitivedrone.benchmark.run_types import RunConfig
-from cognitivedrone.errors import CognitiveDroneError, TaskError
+from cognitivedrone.errors import CognitiveDroneError
 
 app = tyro.extras.SubcommandApp()
 
@@ -27,9 +28,9 @@ def bench(config: Annotated[RunConfig, tyro.conf.arg(name="")]) -> None:
       cognitivedrone bench --tasks my_tasks.json --labels my_pictures/
     """
     from cognitivedrone.benchmark.runner import run
-    from cognitivedrone.benchmark.tables import print_results
+    from cognitivedrone.benchmark.tables import results_table
 
-    print_results(run(config, progress=True))
+    Console().print(results_table(run(config, progress=True)))
 
 
 @app.command
@@ -44,9 +45,9 @@ def compare(
         b: Folder or results.json of the second run.
     """
     from cognitivedrone.benchmark.compare import compare as compare_runs
-    from cognitivedrone.benchmark.tables import print_comparison
+    from cognitivedrone.benchmark.tables import comparison_table
 
-    print_comparison(compare_runs(a, b))
+    Console().print(comparison_table(compare_runs(a, b)))
 
 
 @app.command
@@ -78,9 +79,9 @@ def view(
 @app.command(name="list")
 def list_names() -> None:
     """List the suites, task families, policies and reasoners that come with the package."""
-    from cognitivedrone.benchmark.tables import print_names
+    from cognitivedrone.benchmark.catalogue import catalogue
 
-    print_names()
+    Console().print(catalogue())
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -93,8 +94,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt:
         sys.exit(130)
 
-
-__all__ = ["TaskError", "app", "main"]
 
 if __name__ == "__main__":
     main()

@@ -39,6 +39,6 @@ def triptych(simulator: Simulator, course: Course) -> Image:
     side = SCALE * IMAGE_SIZE
     state = simulator.state(course.world)
     own = simulator.frames(worlds=[course.world])[0].repeat(SCALE, axis=0).repeat(SCALE, axis=1)
-    chase = simulator.cameras.chase(course.world, state.position, state.quaternion, size=(side, side))
-    top = simulator.cameras.top(course.world, state.position, state.quaternion, size=(side, side))
+    chase = simulator.cameras.chase(course.world, state, (side, side))
+    top = simulator.cameras.top(course.world, state, (side, side))
     return np.concatenate([own, chase, top], axis=1)

@@ -13,11 +13,12 @@ import numpy as np
 from scipy import ndimage
 
 from cognitivedrone.policies.guidance import Pursuit, pursue
+from cognitivedrone.sim.camera import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.tasks.directives import parse_directive
-from cognitivedrone.types import COLORS, ActionChunk, Color, FloatArray, Image, Observation, Shape, Size
-from cognitivedrone.world.camera_facts import CAMERA_AHEAD_M, FOCAL_PX
+from cognitivedrone.types import COLORS, IMAGE_SIZE, ActionChunk, Color, FloatArray, Image, Observation, Shape, Size
 from cognitivedrone.world.geometry import BAR_WIDTH, GATE_HEIGHT
 
+FOCAL_PX = IMAGE_SIZE / 2 / np.tan(FIELD_OF_VIEW / 2)
 CONTRAST = 40
 """A pixel has a gate's colour where that channel exceeds both others by this much."""
 MIN_PIXELS = 12
@@ -151,7 +152,7 @@ class ColourSeeker:
         if size is None:
             size = "big" if sighting.ratio < 1.31 else "small"
         depth = FOCAL_PX * ring_height(size, shape or "square") / sighting.height_px
-        seen = np.array([depth + CAMERA_AHEAD_M, -sighting.u * depth / FOCAL_PX])
+        seen = np.array([depth + MOUNT[0], -sighting.u * depth / FOCAL_PX])
         if self._gate is None:
             self._gate = seen
             self._normal = np.array([*(seen / np.linalg.norm(seen)), 0.0])

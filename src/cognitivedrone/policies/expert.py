@@ -7,7 +7,7 @@ import numpy as np
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.policies.guidance import Pursuit, pursue
-from cognitivedrone.types import ActionChunk, Observation, Truth
+from cognitivedrone.types import Action, ActionChunk, Observation, Truth
 from cognitivedrone.world.geometry import gate_centers, gate_yaws
 
 
@@ -27,7 +27,11 @@ class Expert:
         self._truth = truth
 
     def act(self, observation: Observation) -> ActionChunk:
-        """One command for where the drone is now."""
+        """One command; the truth is better than any picture."""
+        return self.command()[None]
+
+    def command(self) -> Action:
+        """The command for where the drone is now, (4,), heading frame, m/s and rad/s."""
         if self._truth is None:
             raise PolicyError("the oracle policy needs the simulator's truth, which this flight does not have")
         stage, target = self._truth.stage, self._truth.task.target
@@ -37,4 +41,4 @@ class Expert:
         gate = world_to_heading(gate_centers(stage)[target] - state.position, yaw)
         normal = world_to_heading(np.array([np.cos(gate_yaw), np.sin(gate_yaw), 0.0]), yaw)
         command = pursue(gate, normal, world_to_heading(state.velocity, yaw), self.config)
-        return command[None].astype(np.float32)
+        return command.astype(np.float32)

@@ -1,0 +1,29 @@
+"""Collect expert flights from eight worlds at once: images, instructions and the expert's actions.
+
+Run: python examples/expert_data.py
+"""
+
+import gymnasium
+import numpy as np
+
+from cognitivedrone.policies.expert import Expert
+
+
+def main(worlds: int = 8, steps: int = 30) -> None:
+    env = gymnasium.make_vec("CognitiveDrone-v1", num_envs=worlds)
+    observation, _ = env.reset(seed=0)
+    expert = Expert()
+    actions = np.zeros((worlds, 4), dtype=np.float32)
+    frames = 0
+    for _ in range(steps):
+        for world, truth in enumerate(env.unwrapped.truths()):
+            expert.brief(truth)
+            actions[world] = expert.command()
+        frames += len(observation["image"])
+        observation, *_ = env.step(actions)
+    print(f"{frames} frames; the first world is asked: {observation['instruction'][0]}")
+    env.close()
+
+
+if __name__ == "__main__":
+    main()

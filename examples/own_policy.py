@@ -1,0 +1,19 @@
+"""Score a policy of your own: any class with `reset` and `act`.
+
+Run: PYTHONPATH=examples cognitivedrone bench --policy own_policy:Straight --suite open-v1:smoke --out results/straight
+"""
+
+import numpy as np
+
+from cognitivedrone.types import ActionChunk, Observation
+
+
+class Straight:
+    """Flies straight ahead at the gates' height: through the middle gate, whatever it is asked."""
+
+    def reset(self, instruction: str) -> None:
+        """Called at the start of every stage."""
+
+    def act(self, observation: Observation) -> ActionChunk:
+        """vx, vy, vz in m/s and yaw rate in rad/s, in the heading frame; one row a control step of 0.1 s."""
+        return np.array([[1.2, 0.0, 0.9 - observation.height, 0.0]], dtype=np.float32)
