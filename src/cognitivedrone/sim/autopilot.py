@@ -18,6 +18,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cognitivedrone.sim.airframe import GRAVITY, Airframe
 from cognitivedrone.types import FloatArray
@@ -236,7 +237,9 @@ class Autopilot:
         self._setpoint *= self._age < self.gains.timeout
         acceleration = self._velocity_loop(position, velocity)
         up = 1 - 2 * (quaternion[1] * quaternion[1] + quaternion[2] * quaternion[2])
-        self._climb_loop(acceleration[2], velocity[2], up)
+        standing = self._climb_loop(acceleration[2], velocity[2], up)
+        if standing.any():
+            self._rest(standing, position)
         self._turn_target(acceleration)
         self._measure_attitude(quaternion)
 
@@ -262,20 +265,32 @@ class Autopilot:
         wanted[:2] = _within(wanted[:2], limit)
         return wanted
 
-    def _climb_loop(self, wanted: FloatArray, climb: FloatArray, up: FloatArray) -> None:
-        """Vertical acceleration PI around hover thrust, which grows with tilt; `up` is the cosine of the tilt."""
+    def _climb_loop(self, wanted: FloatArray, climb: FloatArray, up: FloatArray) -> NDArray[np.bool_]:
+        """Vertical acceleration PI around hover thrust, which grows with tilt; `up` is the cosine of the tilt.
+
+        Tells which drones ask for less than the least thrust, which only those do that stand on the floor.
+        """
         g = self.gains
         error = wanted - (climb - self._last_climb) / GUIDE_S
         self._last_climb[:] = climb
         self._climb_error += (error - self._climb_error) * _filter(g.climb_filter_hz, GUIDE_S)
         thrust = GRAVITY + g.climb_p * self._climb_error + self._climb_integral
         most = 4 * self._airframe.max_thrust / self._airframe.mass
-        # Rotors keep turning so that attitude stays controllable. Standing on the floor the integral stops here, too.
-        least = 0.1 * GRAVITY
+        least = 0.1 * GRAVITY  # rotors keep turning, so that attitude stays controllable
         free = (thrust > least) & (thrust < most)
         self._climb_integral += (g.climb_i * GUIDE_S) * self._climb_error * free
-        thrust = np.minimum(np.maximum(thrust, least), most)
-        self._thrust[:] = thrust * (self._airframe.mass / 4) / np.maximum(up, 0.5)
+        lift = np.minimum(np.maximum(thrust, least), most)
+        self._thrust[:] = lift * (self._airframe.mass / 4) / np.maximum(up, 0.5)
+        standing: NDArray[np.bool_] = thrust <= least
+        return standing
+
+    def _rest(self, standing: NDArray[np.bool_], position: FloatArray) -> None:
+        """Neither slide nor turn on the floor, and wind up nothing against it that would break out at take-off."""
+        self._setpoint[:2, standing] = 0.0
+        self._setpoint[3, standing] = 0.0
+        self._position_target[:, standing] = position[:, standing]
+        self._velocity_integral[:, standing] = 0.0
+        self._rate_integral[:, standing] = 0.0
 
     def _turn_target(self, acceleration: FloatArray) -> None:
         """Turn the attitude target towards the thrust vector, and about it at the commanded yaw rate."""

@@ -1,0 +1,52 @@
+"""Print how long one 10 Hz control step of flight takes (40 ticks of 2.5 ms): python benchmarks/dynamics.py.
+
+Medians over batches of different size, as a multiple of real time, and as a ratio to MuJoCo's bare physics without an
+autopilot.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+
+import numpy as np
+from mujoco.batch import Batch
+
+from cognitivedrone.sim.airframe import RACER, build_model
+from cognitivedrone.sim.dynamics import Flight
+
+TICKS = 40
+REPEATS = 60
+
+
+def median_ms(work: Callable[[], object]) -> float:
+    """Of `REPEATS` calls, after a few that warm up."""
+    times = []
+    for k in range(REPEATS + 5):
+        start = time.perf_counter()
+        work()
+        if k >= 5:
+            times.append(time.perf_counter() - start)
+    return 1e3 * statistics.median(times)
+
+
+def main() -> None:
+    print("| worlds | threads | control step ms | times real time, all worlds | over bare physics |")
+    print("|---|---|---|---|---|")
+    for worlds, threads in ((1, 1), (4, 1), (16, 1), (16, 2), (64, 1), (64, 2)):
+        flight = Flight(worlds, threads=threads)
+        actions = np.random.default_rng(0).uniform(-1, 1, (worlds, 4)) * [1, 1, 0.1, 1]
+
+        def step(flight: Flight = flight, actions: np.ndarray = actions) -> None:
+            flight.command(actions)
+            flight.advance(TICKS)
+
+        bare = Batch(build_model(RACER, Flight.TICK_S), worlds, threads)
+        ours, physics = median_ms(step), median_ms(lambda bare=bare: bare.step(nstep=TICKS))
+        real_time = worlds * TICKS * Flight.TICK_S * 1e3 / ours
+        print(f"| {worlds} | {threads} | {ours:.2f} | {real_time:,.0f} | {ours / physics:.1f} |")
+
+
+if __name__ == "__main__":
+    main()
