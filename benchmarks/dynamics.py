@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from mujoco.batch import Batch
 
-from cognitivedrone.sim.airframe import RACER, build_model
+from cognitivedrone.sim.airframe import GRAVITY, RACER, build_model
 from cognitivedrone.sim.dynamics import Flight
 
 TICKS = 40
@@ -43,6 +43,7 @@ def main() -> None:
             flight.advance(TICKS)
 
         bare = Batch(build_model(RACER, Flight.TICK_S), worlds, threads)
+        bare.act = bare.ctrl = RACER.mass * GRAVITY / 4  # hovering clear of the floor, as ours
         ours, physics = median_ms(step), median_ms(lambda bare=bare: bare.step(nstep=TICKS))
         real_time = worlds * TICKS * Flight.TICK_S * 1e3 / ours
         print(f"| {worlds} | {threads} | {ours:.2f} | {real_time:,.0f} | {ours / physics:.1f} |")

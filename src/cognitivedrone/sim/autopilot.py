@@ -25,6 +25,8 @@ from cognitivedrone.types import FloatArray
 
 GUIDE_S = 0.01
 """Period of `Autopilot.guide`, s."""
+_REMEMBERED = 52
+"""Numbers the autopilot remembers of a drone."""
 _TINY = 1e-12
 
 
@@ -160,7 +162,7 @@ class Autopilot:
     def __init__(self, airframe: Airframe, drones: int, tick_s: float, gains: AutopilotGains | None = None) -> None:
         self.gains = g = gains or AutopilotGains()
         self._airframe = airframe
-        self._table = np.zeros((52, drones))
+        self._table = np.zeros((_REMEMBERED, drones))
         self._taken = 0
         self._setpoint = self._rows(4)  # world vx, vy, vz, yaw rate
         self._age = self._rows(1)[0]  # s since the last command
@@ -193,8 +195,8 @@ class Autopilot:
         self._target_share = self._derivative_share = constant((share,) * 3)
         self._error_share = constant((1.0, 1.0, _filter(g.yaw_error_filter_hz, tick_s)))
         self._attitude_p = constant((g.attitude_p,) * 3)
-        half = [min(a / 2, b) for a, b in zip(g.angular_acceleration, (12.6, 12.6, 2.1), strict=True)]
-        self._attitude_limit = constant(tuple(a / g.attitude_p**2 for a in half))
+        # Beyond the error at which half the angular acceleration could still stop the turn, it turns no faster.
+        self._attitude_limit = constant(tuple(a / 2 / g.attitude_p**2 for a in g.angular_acceleration))
         self._rate_p = constant(g.rate_p)
         self._rate_i = constant(tuple(i * tick_s for i in g.rate_i))
         self._rate_i_max = constant(g.rate_i_max)
@@ -223,8 +225,8 @@ class Autopilot:
         self._attitude_target[:, drone] = trimmed.quaternion
         self._thrust[drone] = trimmed.rotor_thrust
 
-    def command(self, drones: slice | int, setpoint: FloatArray) -> None:
-        """Latch world-axes velocities and yaw rates, (4, n) or (4,), within the speed limits."""
+    def command(self, drones: slice, setpoint: FloatArray) -> None:
+        """Latch world-axes velocities and yaw rates, (4, n), m/s and rad/s, within the speed limits."""
         g = self.gains
         self._setpoint[:2, drones] = _within(setpoint[:2], g.max_speed)
         self._setpoint[2, drones] = np.clip(setpoint[2], -g.max_descent, g.max_climb)
@@ -295,9 +297,9 @@ class Autopilot:
     def _turn_target(self, acceleration: FloatArray) -> None:
         """Turn the attitude target towards the thrust vector, and about it at the commanded yaw rate."""
         g = self.gains
-        w, x, y, z = q = self._attitude_target
+        w, x, y, z = self._attitude_target
         rx, ry, rz = self._turn * (GUIDE_S / 2)
-        q = np.stack(
+        turned = np.stack(
             (
                 w - x * rx - y * ry - z * rz,
                 x + w * rx + y * rz - z * ry,
@@ -305,8 +307,8 @@ class Autopilot:
                 z + w * rz + x * ry - y * rx,
             )
         )
-        q *= 1 / _length(q)
-        self._attitude_target[:] = w, x, y, z = q
+        self._attitude_target[:] = turned / _length(turned)
+        w, x, y, z = self._attitude_target
 
         ax, ay, az = acceleration[0], acceleration[1], GRAVITY
         size = np.sqrt(ax * ax + ay * ay + az * az)
