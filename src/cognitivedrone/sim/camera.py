@@ -81,7 +81,7 @@ class Cameras:
         if len(images) != 3:
             raise ValueError(f"a stage has three labels, not {len(images)}")
         thread, renderer, own = self._owner(slot)
-        thread.call(lambda: renderer.set_stage(own, stage, images, board, look)).result()
+        thread.call(partial(renderer.set_stage, own, stage, images, board, look)).result()
 
     def first_person(
         self,
@@ -131,7 +131,7 @@ class Cameras:
         eye, target = (state.position + rotate_yaw(np.array(point), heading) for point in (_CHASE_EYE, _CHASE_TARGET))
         eye[2] = max(eye[2], 0.1)
         thread, renderer, own = self._owner(slot)
-        return thread.call(lambda: renderer.overlook(own, state, 1.0, size, eye, target)).result()
+        return thread.call(partial(renderer.overlook, own, state, 1.0, size, eye, target)).result()
 
     def top(self, slot: int, state: DroneState, size: tuple[int, int] = (640, 480)) -> Image:
         """The whole stage from high above its start, the drone drawn three times its size: (h, w, 3)."""
@@ -146,6 +146,8 @@ class Cameras:
         return thread.call(draw).result()
 
     def _check(self, slot: int) -> None:
+        if not self._finalizer.alive:
+            raise RenderError("these cameras are closed; make new ones.")
         if not 0 <= slot < self.slots:
             raise ValueError(f"slot must be 0 to {self.slots - 1}, not {slot}")
 

@@ -104,7 +104,7 @@ class GLThread:
     def call(self, job: Callable[[], T]) -> Future[T]:
         """Have the thread run `job`, after those it was given before."""
         if self._stopped:
-            raise RenderError("this camera is closed; make a new one.")
+            raise RenderError("this OpenGL thread is closed; make a new one.")
         if os.getpid() != self._process:
             raise RenderError("OpenGL does not survive a fork; make a camera in each process.")
         future: Future[T] = Future()

@@ -1,0 +1,282 @@
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from cognitivedrone.errors import RenderError
+from cognitivedrone.frames import FloatArray, quaternion_from_yaw, rotate_yaw, rotation_matrix
+from cognitivedrone.sim.camera import FIELD_OF_VIEW, IMAGE_SIZE, MOUNT, Cameras
+from cognitivedrone.types import DroneState, Gate, Image, Stage
+from cognitivedrone.world import geometry
+from cognitivedrone.world.look import varied_look
+
+STAGE = Stage(
+    gates=(Gate("big", "round", "red"), Gate("small", "square", "green"), Gate("big", "triangle", "blue")),
+    labels=("number/1@inter", "number/2@inter", "number/3@inter"),
+)
+OTHER = Stage(
+    gates=(Gate("small", "triangle", "blue"), Gate("big", "round", "red"), Gate("big", "square", "green")),
+    labels=("number/4@inter", "number/5@inter", "number/6@inter"),
+)
+TURNED = Stage(STAGE.gates, STAGE.labels, origin=(12.0, -7.0), yaw=2.0)
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+START = geometry.START
+CHANNELS = {"red": 0, "green": 1, "blue": 2}
+
+
+def flag(width: int = 256, height: int = 256) -> Image:
+    """A picture whose four quarters differ: yellow and cyan above, magenta and black below."""
+    picture = np.zeros((height, width, 3), np.uint8)
+    top, left = height // 2, width // 2
+    picture[:top, :left] = (255, 255, 0)
+    picture[:top, left:] = (0, 255, 255)
+    picture[top:, :left] = (255, 0, 255)
+    return picture
+
+
+QUARTERS = {(-1, 1): (255, 255, 0), (1, 1): (0, 255, 255), (-1, -1): (255, 0, 255), (1, -1): (0, 0, 0)}
+"""Colours of the flag, by (right, up) as its reader sees it."""
+GREY = np.full((64, 64, 3), 128, np.uint8)
+FLAGS = [flag(), flag(200, 150), flag(100, 300)]
+
+
+@pytest.fixture(scope="module")
+def cameras() -> Iterator[Cameras]:
+    with Cameras(3) as made:
+        yield made
+
+
+def project(points: FloatArray, position: FloatArray, quaternion: FloatArray) -> FloatArray:
+    """Where a pinhole camera on the drone sees world points (n, 3): columns and rows, pixels."""
+    axes = rotation_matrix(quaternion)
+    ahead, left, up = np.moveaxis((points - position) @ axes - MOUNT, -1, 0)
+    focal = IMAGE_SIZE / 2 / math.tan(FIELD_OF_VIEW / 2)
+    return IMAGE_SIZE / 2 - 0.5 + focal * np.column_stack([-left / ahead, -up / ahead])
+
+
+def tilted(yaw: float, pitch: float, roll: float) -> FloatArray:
+    (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a / 2), math.sin(a / 2)) for a in (yaw, pitch, roll))
+    return np.array(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ]
+    )
+
+
+def see(cameras: Cameras, position: FloatArray, quaternion: FloatArray = LEVEL, slot: int = 0) -> Image:
+    return cameras.first_person(np.asarray(position)[None], quaternion[None], slots=[slot])[0]
+
+
+@pytest.mark.parametrize(
+    ("position", "quaternion"),
+    [
+        (START, LEVEL),
+        (np.array([-0.5, 0.8, 1.65]), LEVEL),
+        (START, tilted(0.3, 0.0, 0.0)),
+        (START, tilted(0.0, 0.35, 0.0)),
+        (np.array([-1.0, 0.0, 1.25]), tilted(-0.2, 0.2, 0.4)),
+    ],
+    ids=["start", "aside", "yaw", "pitch", "all"],
+)
+@pytest.mark.parametrize("stage", [STAGE, TURNED], ids=["home", "turned"])
+def test_gates_are_seen_where_a_pinhole_camera_sees_them(
+    cameras: Cameras, stage: Stage, position: FloatArray, quaternion: FloatArray
+) -> None:
+    cameras.set_stage(0, stage, [GREY] * 3)
+    world = rotate_yaw(position, stage.yaw) + np.array([*stage.origin, 0.0])
+    w, z = np.cos(stage.yaw / 2), np.sin(stage.yaw / 2)
+    qw, qx, qy, qz = quaternion
+    attitude = np.array([w * qw - z * qz, w * qx - z * qy, w * qy + z * qx, w * qz + z * qw])
+    image = see(cameras, world, attitude).astype(int)
+    centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
+    whole = 0
+    for gate, center, yaw in zip(stage.gates, centers, yaws, strict=True):
+        outline = geometry.opening_outline(gate, geometry.BAR_WIDTH)
+        local = np.column_stack([np.zeros(len(outline)), outline])
+        expected = project(center + rotate_yaw(local, yaw), world, attitude)
+        if expected.min() < 0 or expected.max() > IMAGE_SIZE - 1:
+            continue
+        whole += 1
+        channel = CHANNELS[gate.color]
+        others = [image[..., c] for c in range(3) if c != channel]
+        rows, columns = np.nonzero(image[..., channel] - np.maximum(*others) > 100)
+        seen = [columns.min(), rows.min(), columns.max(), rows.max()]
+        np.testing.assert_allclose(seen, [*expected.min(axis=0), *expected.max(axis=0)], atol=1.5)
+    assert whole >= 2
+
+
+def test_the_opening_is_open(cameras: Cameras) -> None:
+    cameras.set_stage(0, STAGE, [GREY] * 3)
+    column, row = project(geometry.gate_centers(STAGE)[1:2], START, LEVEL)[0].round().astype(int)
+    red, green, blue = see(cameras, START)[row, column]
+    assert red == green == blue
+
+
+@pytest.mark.parametrize("gate", [0, 1, 2])
+@pytest.mark.parametrize("side", [-1, 1], ids=["front", "back"])
+def test_labels_are_upright_and_not_mirrored(cameras: Cameras, gate: int, side: int) -> None:
+    cameras.set_stage(0, STAGE, FLAGS)
+    center = np.array([*geometry.gate_centers(STAGE)[gate, :2], geometry.PANEL_CENTER_HEIGHT])
+    yaw = geometry.gate_yaws(STAGE)[gate]
+    reader = quaternion_from_yaw(yaw if side < 0 else yaw + np.pi)
+    position = center + rotate_yaw(np.array([side * 3.0, 0.0, 0.0]), yaw)
+    image = see(cameras, position, reader)
+    half_height = geometry.PANEL_HEIGHT / 2
+    half_width = half_height * FLAGS[gate].shape[1] / FLAGS[gate].shape[0]
+    for (right, up), color in QUARTERS.items():
+        for inset in (0.15, 0.9):
+            local = np.array([0.0, side * right * inset * half_width, up * inset * half_height])
+            pixel = project((center + rotate_yaw(local, yaw))[None], position, reader)[0].round().astype(int)
+            np.testing.assert_allclose(image[pixel[1], pixel[0]], color, atol=8)
+
+
+@pytest.mark.parametrize("dx", [-1.0, 1.0])
+@pytest.mark.parametrize("dy", [-1.0, 1.0])
+@pytest.mark.parametrize("height", [0.2, 1.75])
+def test_the_board_is_read_from_every_start(cameras: Cameras, dx: float, dy: float, height: float) -> None:
+    board = flag(512, 256)
+    cameras.set_stage(0, STAGE, [GREY] * 3, board)
+    position = np.array([START[0] + dx, dy, height])
+    image = see(cameras, position)
+    for (right, up), color in QUARTERS.items():
+        half = 0.85 * geometry.BOARD_HEIGHT / 2
+        corner = geometry.BOARD_CENTER + np.array([0.0, -right * 2 * half, up * half])
+        column, row = project(corner[None], position, LEVEL)[0].round().astype(int)
+        assert 0 <= column < IMAGE_SIZE
+        assert 0 <= row < IMAGE_SIZE
+        np.testing.assert_allclose(image[row, column], color, atol=8)
+    cameras.set_stage(0, STAGE, [GREY] * 3)
+    assert not np.array_equal(see(cameras, position), image)
+
+
+def test_plain_look_is_the_published_one(cameras: Cameras) -> None:
+    cameras.set_stage(0, STAGE, [GREY] * 3)
+    image = see(cameras, START)
+    assert (image[200:] == 255).all()
+    assert (image[:30] == image[0, 0]).all()
+    assert image[0, 0].max() == image[0, 0].min()
+    coloured = image[np.ptp(image, axis=-1) > 100].astype(int)
+    pure = np.array([(255, 0, 0), (0, 255, 0), (0, 31, 255)])
+    away = np.abs(coloured[:, None] - pure).max(axis=-1)
+    assert (away.min(axis=1) <= 12).mean() > 0.9, "but for the inner sides of the bars"
+    assert set(away.argmin(axis=1).tolist()) == {0, 1, 2}
+
+
+def test_a_picture_depends_on_nothing_but_its_own_slot_and_pose() -> None:
+    """Bit for bit the same: any slot, any number of threads and images, whatever was there before."""
+    rng = np.random.default_rng(5)
+    look = varied_look(rng)
+    positions = START + rng.uniform(-0.5, 0.5, (5, 3))
+    quaternions = np.stack([tilted(*rng.uniform(-0.3, 0.3, 3)) for _ in range(5)])
+    with Cameras(1) as alone:
+        alone.set_stage(0, STAGE, FLAGS, flag(), look)
+        expected = np.concatenate(
+            [alone.first_person(p[None], q[None]) for p, q in zip(positions, quaternions, strict=True)]
+        )
+    with Cameras(5, threads=2) as many:
+        for slot in range(5):
+            many.set_stage(slot, OTHER, [GREY] * 3)
+        out = np.empty_like(expected)
+        many.first_person(positions, quaternions, out)
+        assert not np.array_equal(out, expected)
+        for slot in range(5):
+            many.set_stage(slot, STAGE, FLAGS, flag(), look)
+        assert many.first_person(positions, quaternions, out) is out
+        np.testing.assert_array_equal(out, expected)
+        for size in [(90, 70), (700, 500)]:
+            many.chase(3, state(START), size)
+        order = [3, 0, 4, 4, 1]
+        np.testing.assert_array_equal(many.first_person(positions[order], quaternions[order], slots=order), out[order])
+        np.testing.assert_array_equal(many.first_person(positions, quaternions, slots=[2] * 5), expected)
+
+
+def test_stages_leave_nothing_behind(cameras: Cameras) -> None:
+    cameras.set_stage(0, STAGE, FLAGS)
+    before = see(cameras, START)
+    cameras.set_stage(1, OTHER, [GREY] * 3, flag(512, 128), varied_look(np.random.default_rng(1)))
+    cameras.set_stage(0, OTHER, [GREY] * 3, flag(512, 128), varied_look(np.random.default_rng(1)))
+    there = see(cameras, START)
+    np.testing.assert_array_equal(there, see(cameras, START, slot=1))
+    assert (there != before).mean() > 0.5
+    cameras.set_stage(0, STAGE, FLAGS)
+    np.testing.assert_array_equal(see(cameras, START), before)
+
+
+def test_pixel_noise_differs_from_frame_to_frame(cameras: Cameras) -> None:
+    look = varied_look(np.random.default_rng(3))
+    assert look.noise > 1
+    cameras.set_stage(0, STAGE, FLAGS, look=look)
+    here, there = see(cameras, START), see(cameras, START + np.array([1e-9, 0.0, 0.0]))
+    assert (here != there).mean() > 0.3
+    np.testing.assert_array_equal(here, see(cameras, START))
+
+
+def state(position: FloatArray) -> DroneState:
+    return DroneState(np.asarray(position), np.zeros(3), tilted(0.1, 0.2, 0.0), np.zeros(3))
+
+
+def test_views_for_people_show_the_drone_and_the_first_person_view_does_not(cameras: Cameras) -> None:
+    cameras.set_stage(0, STAGE, [GREY] * 3)
+    before = see(cameras, START)
+
+    def orange(image: Image) -> int:
+        red, green, blue = np.moveaxis(image.astype(int), -1, 0)
+        return int(((red > 180) & (green > 80) & (green < 220) & (blue < 60) & (red - green > 50)).sum())
+
+    assert orange(before) == 0
+    chase = cameras.chase(0, state(START), (320, 240))
+    top = cameras.top(0, state(START), (400, 300))
+    assert chase.shape == (240, 320, 3)
+    assert top.shape == (300, 400, 3)
+    assert orange(chase) > 50
+    assert orange(top) > 10
+    np.testing.assert_array_equal(see(cameras, START), before)
+
+
+def test_the_chase_view_is_upright(cameras: Cameras) -> None:
+    cameras.set_stage(0, STAGE, FLAGS)
+    chase = cameras.chase(0, state(START), (320, 240))
+    assert (chase[-1] == 255).all(), "the white floor is below"
+    assert chase[0].mean() < 200, "the grey surroundings and the labels are above"
+
+
+@pytest.mark.parametrize("size", [16, 64])
+def test_other_image_sizes(size: int) -> None:
+    with Cameras(1, size) as small:
+        small.set_stage(0, STAGE, FLAGS)
+        image = see(small, START)
+        assert image.shape == (size, size, 3)
+        assert (image[-1] == 255).all()
+
+
+def test_what_is_refused(cameras: Cameras) -> None:
+    with pytest.raises(RenderError, match="no stage yet; call set_stage"):
+        see(cameras, START, slot=2)
+    with pytest.raises(RenderError, match="no stage yet"):
+        cameras.top(2, state(START))
+    with pytest.raises(ValueError, match="slot must be 0 to 2, not 3"):
+        see(cameras, START, slot=3)
+    with pytest.raises(ValueError, match="three labels, not 2"):
+        cameras.set_stage(0, STAGE, [GREY] * 2)
+    with pytest.raises(ValueError, match="expected positions"):
+        cameras.first_person(START, LEVEL)
+    with pytest.raises(ValueError, match="1 positions but 2 slots"):
+        cameras.first_person(START[None], LEVEL[None], slots=[0, 0])
+    with pytest.raises(ValueError, match="out must be uint8"):
+        cameras.first_person(START[None], LEVEL[None], np.empty((1, 8, 8, 3), np.uint8))
+    with pytest.raises(ValueError, match="threads must be"):
+        Cameras(1, threads=2)
+    with pytest.raises(ValueError, match="too many"):
+        Cameras(1000)
+
+
+def test_closed_cameras_say_so() -> None:
+    made = Cameras(1, 16)
+    made.close()
+    made.close()
+    with pytest.raises(RenderError, match="closed"):
+        made.set_stage(0, STAGE, FLAGS)

@@ -1,0 +1,93 @@
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from cognitivedrone.errors import RenderError
+from cognitivedrone.sim import gl
+
+
+@pytest.fixture
+def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
+    """A process that knows of no backend yet."""
+    monkeypatch.setattr(gl, "_chosen", None)
+    for name in (gl._REMEMBERED, "MUJOCO_GL"):
+        monkeypatch.setenv(name, "")
+    return monkeypatch
+
+
+def test_the_probe_finds_what_really_works() -> None:
+    name = gl.backend().name
+    assert gl._probe(name) == gl.renderer_name()
+    assert gl._probe("nonsense") is None
+
+
+def test_egl_first_then_osmesa(fresh: pytest.MonkeyPatch) -> None:
+    tried = []
+
+    def probe(name: str) -> str | None:
+        tried.append(name)
+        return "softpipe" if name == "osmesa" else None
+
+    fresh.setattr(gl, "_probe", probe)
+    assert gl.backend() == gl.Backend("osmesa", "softpipe")
+    assert tried == ["egl", "osmesa"]
+    assert gl.renderer_name() == "softpipe"
+    assert tried == ["egl", "osmesa"]
+
+
+def test_children_learn_from_the_environment(fresh: pytest.MonkeyPatch) -> None:
+    fresh.setattr(gl, "_probe", lambda name: f"a {name}: fast")
+    found = gl.backend()
+    assert os.environ[gl._REMEMBERED]
+    fresh.setattr(gl, "_chosen", None)
+    fresh.setattr(gl, "_probe", lambda name: pytest.fail("probed again"))
+    assert gl.backend() == found
+
+
+def test_the_users_choice_counts(fresh: pytest.MonkeyPatch) -> None:
+    fresh.setattr(gl, "_probe", lambda name: "any")
+    assert gl.backend().name == "egl"
+    fresh.setenv("MUJOCO_GL", "OSMesa")
+    assert gl.backend().name == "osmesa"
+    fresh.setenv("MUJOCO_GL", "glfw")
+    with pytest.raises(RenderError, match="MUJOCO_GL=glfw cannot render without a screen; unset it"):
+        gl.backend()
+
+
+def test_no_opengl_is_one_sentence_with_the_line_to_type(fresh: pytest.MonkeyPatch) -> None:
+    fresh.setattr(gl, "_probe", lambda name: None)
+    with pytest.raises(
+        RenderError, match=r"tried egl and osmesa.*apt-get install -y libegl1 libgl1-mesa-dri"
+    ) as caught:
+        gl.backend()
+    assert "\n" not in str(caught.value)
+
+
+def test_a_backend_that_fails_late_is_one_sentence_too() -> None:
+    with pytest.raises(RenderError, match=r"OpenGL by nonsense does not start.*apt-get install"):
+        gl.create_context("nonsense", 16, 16)
+
+
+def test_a_context_lives_in_a_thread_of_its_own() -> None:
+    thread = gl.GLThread(16, 16)
+    try:
+        assert thread.call(threading.get_ident).result() == thread.call(threading.get_ident).result()
+        assert thread.call(threading.get_ident).result() != threading.get_ident()
+        with pytest.raises(ZeroDivisionError):
+            thread.call(lambda: 1 // 0).result()
+        assert thread.call(lambda: "goes on").result() == "goes on"
+    finally:
+        thread.stop()
+    thread.stop()
+    with pytest.raises(RenderError, match="closed"):
+        thread.call(threading.get_ident)
+
+
+def test_quitting_without_closing_prints_nothing() -> None:
+    program = "from cognitivedrone.sim.camera import Cameras; c = Cameras(2, 32, threads=2); print(c.size)"
+    child = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert (child.returncode, child.stdout, child.stderr) == (0, "32\n", "")

@@ -1,0 +1,89 @@
+import colorsys
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cognitivedrone.world.look import PATTERNS, PLAIN, Pattern, expose, pattern_texture, varied_look
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@given(seed=seeds)
+def test_varied_gates_keep_their_names(seed: int) -> None:
+    look = varied_look(np.random.default_rng(seed))
+    for color, hue in zip(look.gate_colors, (0.0, 1 / 3, 2 / 3), strict=True):
+        seen, saturation, value = colorsys.rgb_to_hsv(*color)
+        assert abs((seen - hue + 0.5) % 1 - 0.5) < 1 / 12
+        assert saturation >= 0.75
+        assert value >= 0.65
+    for color in (look.floor, look.surroundings):
+        assert colorsys.rgb_to_hsv(*color)[1] <= 0.4, "no wall passes for a gate"
+    assert look.light_direction[2] < 0
+
+
+@given(seed=seeds)
+def test_looks_are_drawn_from_the_generator_alone(seed: int) -> None:
+    assert varied_look(np.random.default_rng(seed)) == varied_look(np.random.default_rng(seed))
+    assert varied_look(np.random.default_rng(seed)) != varied_look(np.random.default_rng(seed + 1))
+
+
+def test_looks_reach_every_pattern() -> None:
+    rng = np.random.default_rng(0)
+    looks = [varied_look(rng) for _ in range(200)]
+    assert {look.floor_pattern for look in looks} == set(PATTERNS)
+    assert {look.surroundings_pattern for look in looks} == set(PATTERNS)
+
+
+def test_the_perfect_camera_changes_nothing() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (64, 48, 3), dtype=np.uint8)
+    before = image.copy()
+    expose(image, PLAIN, 7)
+    np.testing.assert_array_equal(image, before)
+
+
+def test_noise_has_the_spread_it_says_and_follows_its_key() -> None:
+    look = dataclasses.replace(PLAIN, noise=4.0, seed=3)
+    images = []
+    for key in (0, 0, 1):
+        image = np.full((256, 256, 3), 128, np.uint8)
+        expose(image, look, key)
+        images.append(image)
+    noise = images[0].astype(float) - 128
+    assert abs(noise.mean()) < 0.1
+    assert noise.std() == pytest.approx(4.0, rel=0.05)
+    np.testing.assert_array_equal(images[0], images[1])
+    assert abs(np.corrcoef(noise.ravel(), images[2].ravel())[0, 1]) < 0.05
+
+
+def test_noise_saturates_instead_of_wrapping() -> None:
+    image = np.zeros((32, 32, 3), np.uint8)
+    image[16:] = 255
+    expose(image, dataclasses.replace(PLAIN, noise=6.0), 0)
+    assert image[:16].max() < 60
+    assert image[16:].min() > 195
+
+
+def test_exposure() -> None:
+    image = np.array([[[0, 100, 255]]], np.uint8)
+    expose(image, dataclasses.replace(PLAIN, gain=0.9, gamma=1.2), 0)
+    np.testing.assert_array_equal(image, [[[0, round(0.9 * 255 * (100 / 255) ** 1.2), round(0.9 * 255)]]])
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_patterns_repeat_without_a_seam_of_their_own(pattern: Pattern) -> None:
+    texture = pattern_texture(pattern)[..., 0].astype(int)
+    assert texture.max() > 180, "colours keep their brightness"
+    if pattern == "plain":
+        assert (texture == 255).all()
+        return
+    assert texture.std() > 5
+    for axis in (0, 1):
+        steps = np.abs(np.diff(texture, axis=axis, append=np.take(texture, [0], axis=axis))).mean(axis=1 - axis)
+        assert steps[-1] <= steps[:-1].max() + 8
+
+
+def test_patterns_differ() -> None:
+    assert len({pattern_texture(pattern).tobytes() for pattern in PATTERNS}) == len(PATTERNS)
