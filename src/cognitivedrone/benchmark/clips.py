@@ -1,0 +1,110 @@
+"""Films for the report: which episodes are worth watching, and their frames as small MP4 files."""
+
+from __future__ import annotations
+
+import io
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import av
+import numpy as np
+import PIL.Image
+
+from cognitivedrone.benchmark.run_types import Flown, Trace
+from cognitivedrone.types import CONTROL_HZ, EpisodeResult, Image, Outcome, Track
+
+FAILURES: Final = 6
+"""At most so many of the clips show failures, as long as there are passes to show."""
+QUALITY: Final = "30"
+"""x264's constant rate factor: about 10 kB a second at 256x256 and 10 frames/s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clip:
+    """The film of one episode."""
+
+    result: EpisodeResult
+    """Of the filmed flight."""
+    track: Track
+    trace: Trace
+    video: bytes
+    """MP4; empty where there was no frame."""
+    poster: bytes
+    """JPEG of the first frame; empty where there was none."""
+    repeats: bool
+    """Whether the filmed flight ended as the scored one did; a policy that is not deterministic may fly differently."""
+
+
+def choose_clips(results: Sequence[EpisodeResult], limit: int) -> list[int]:
+    """Episodes to film, in order: failures of every kind first, then a pass of every family, up to `limit`.
+
+    Depends on the results alone.
+    """
+    results = sorted(results, key=lambda result: result.episode)
+    failures = [result for result in results if _failure(result) is not None]
+    passes = [result for result in results if _failure(result) is None]
+    first_of_family: dict[str, int] = {}
+    for result in passes:
+        first_of_family.setdefault(result.stages[0].family, result.episode)
+    shown_passes = list(first_of_family.values())
+    room = max(min(FAILURES, limit), limit - len(shown_passes))
+    chosen = _varied(failures, room)
+    return chosen + shown_passes[: limit - len(chosen)]
+
+
+def make_clip(flown: Flown, track: Track, scored: EpisodeResult) -> Clip:
+    """A clip of a filmed flight; `scored` is the result of the same episode that entered the score."""
+    same = [stage.outcome for stage in flown.result.stages] == [stage.outcome for stage in scored.stages]
+    film = flown.film or []
+    return Clip(flown.result, track, flown.trace, encode_mp4(film), encode_jpeg(film[0]) if film else b"", same)
+
+
+def encode_mp4(frames: Sequence[Image], fps: int = CONTROL_HZ) -> bytes:
+    """H.264 in MP4, as every browser plays it; empty for no frames. Frames are (H, W, 3) uint8 RGB, H and W even."""
+    if not frames:
+        return b""
+    buffer = io.BytesIO()
+    with av.open(buffer, "w", format="mp4") as container:
+        # One thread, because x264's output depends on their number.
+        stream = container.add_stream("libx264", rate=fps, options={"crf": QUALITY, "preset": "slow", "threads": "1"})
+        stream.height, stream.width = frames[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        for frame in frames:
+            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode())
+    return buffer.getvalue()
+
+
+def encode_jpeg(frame: Image) -> bytes:
+    """A small still picture."""
+    buffer = io.BytesIO()
+    PIL.Image.fromarray(frame).save(buffer, "JPEG", quality=60)
+    return buffer.getvalue()
+
+
+def _failure(result: EpisodeResult) -> tuple[Outcome, str] | None:
+    """Outcome and family of the first stage that was not passed."""
+    return next(((stage.outcome, stage.family) for stage in result.stages if stage.outcome != "passed"), None)
+
+
+def _varied(failures: Sequence[EpisodeResult], room: int) -> list[int]:
+    """Up to `room` episodes, each time one whose outcome and then family was shown least so far."""
+    left = {result.episode: _failure(result) for result in failures}
+    outcomes: Counter[str] = Counter()
+    families: Counter[str] = Counter()
+    chosen: list[int] = []
+    while left and len(chosen) < room:
+
+        def shown(episode: int) -> tuple[int, int, int]:
+            outcome, family = left[episode] or ("", "")
+            return outcomes[outcome], families[family], episode
+
+        episode = min(left, key=shown)
+        outcome, family = left.pop(episode) or ("", "")
+        outcomes[outcome] += 1
+        families[family] += 1
+        chosen.append(episode)
+    return chosen

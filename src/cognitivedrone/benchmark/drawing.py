@@ -1,0 +1,151 @@
+"""Flight paths from above, as coordinates for SVG: pure geometry, no markup.
+
+A map is drawn in the frame of a stage, in metres: the drone starts at the bottom looking up the page, left is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cognitivedrone.benchmark.run_types import Trace
+from cognitivedrone.frames import FloatArray, rotate_yaw, world_to_heading
+from cognitivedrone.types import Color, EpisodeResult, Gate, Outcome, Stage, StageResult
+from cognitivedrone.world import geometry
+
+Points = NDArray[np.floating[Any]]
+STEP_M: Final = 0.08
+"""Points of a path closer than this to the last one are left out of the drawing."""
+MARGIN_M: Final = 1.2
+"""Around what a map of an episode must show."""
+STAGE_BOX: Final = (-5.6, -6.4, 11.2, 9.0)
+"""x, y, width and height of a map of one stage, m: start box, gates and a metre beyond."""
+
+
+@dataclass(frozen=True, slots=True)
+class GateMark:
+    """A gate seen from above: the line of its frame."""
+
+    number: int
+    x1: float
+    y1: float
+    x2: float
+    y2: float
+    label_x: float
+    label_y: float
+    """Where its number stands, behind it."""
+    color: Color
+    is_target: bool
+
+
+@dataclass(frozen=True, slots=True)
+class PathMark:
+    """The way flown in one stage."""
+
+    d: str
+    """Data of an SVG path."""
+    end_x: float
+    end_y: float
+    outcome: Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Map:
+    """A drawing and its view box."""
+
+    view_box: str
+    gates: tuple[GateMark, ...]
+    paths: tuple[PathMark, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class StageFlight:
+    """One stage as it was flown."""
+
+    result: StageResult
+    stage: Stage
+    points: Points
+    """(k, 3) world, m."""
+
+
+def overlay(flights: Sequence[StageFlight]) -> Map:
+    """Many flights of one stage each, laid over each other in the frame of their stage. The gates are big ones."""
+    big = Gate("big", "round", "red")
+    nominal = Stage(gates=(big, big, big), labels=("", "", ""))
+    paths = tuple(_path_mark(_to_page(flight.points, flight.stage), flight.result.outcome) for flight in flights)
+    return Map(_box(*STAGE_BOX), _gate_marks(nominal, nominal, None), tuple(path for path in paths if path))
+
+
+def episode_map(result: EpisodeResult, trace: Trace) -> Map:
+    """One episode with all its stages, in the frame of the first."""
+    base = trace.stages[0]
+    flights = list(stage_flights(result, trace))
+    gates = tuple(mark for flight in flights for mark in _gate_marks(flight.stage, base, flight.result.target))
+    marks = (_path_mark(_to_page(flight.points, base), flight.result.outcome) for flight in flights)
+    corners = [_to_page(geometry.gate_centers(stage), base) for stage in trace.stages]
+    corners.append(_to_page(_start_corners(base), base))
+    every = np.concatenate([*corners, _to_page(trace.path, base)])
+    every = every[np.isfinite(every).all(axis=1)]
+    low, high = every.min(axis=0) - MARGIN_M, every.max(axis=0) + MARGIN_M
+    return Map(_box(*low, *(high - low)), gates, tuple(mark for mark in marks if mark))
+
+
+def stage_flights(result: EpisodeResult, trace: Trace) -> Iterator[StageFlight]:
+    """The stages of an episode that were begun."""
+    ends = (*trace.stage_start[1:], len(trace.path))
+    for outcome, stage, start, end in zip(result.stages, trace.stages, trace.stage_start, ends, strict=False):
+        yield StageFlight(outcome, stage, trace.path[start : end + 1])
+
+
+def _to_page(points: Points, stage: Stage) -> FloatArray:
+    """World points (n, 3) as page coordinates (n, 2): the stage's x axis up, its y axis to the left."""
+    local = world_to_heading(np.asarray(points, dtype=np.float64)[:, :2] - np.asarray(stage.origin), stage.yaw)
+    return -local[:, ::-1]
+
+
+def _gate_marks(stage: Stage, base: Stage, target: int | None) -> tuple[GateMark, ...]:
+    """The gates of `stage` on the page of `base`."""
+    marks = []
+    centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
+    for index, gate in enumerate(stage.gates):
+        half = float(np.abs(geometry.opening_outline(gate, grow=geometry.BAR_WIDTH)[:, 0]).max())
+        offsets = np.array([[0.0, half, 0.0], [0.0, -half, 0.0], [0.7, 0.0, 0.0]])
+        world = centers[index] + rotate_yaw(offsets, float(yaws[index]))
+        (x1, y1), (x2, y2), (label_x, label_y) = _to_page(world, base).round(2).tolist()
+        marks.append(GateMark(index + 1, x1, y1, x2, y2, label_x, label_y, gate.color, index == target))
+    return tuple(marks)
+
+
+def _path_mark(page: FloatArray, outcome: Outcome) -> PathMark | None:
+    """None where nothing was flown, or nothing finite."""
+    page = page[np.isfinite(page).all(axis=1)]
+    if len(page) < 2:
+        return None
+    kept = [page[0]]
+    for point in page[1:-1]:
+        if np.hypot(*(point - kept[-1])) >= STEP_M:
+            kept.append(point)
+    kept.append(page[-1])
+    text = "L".join(f"{_short(x)} {_short(y)}" for x, y in kept)
+    return PathMark("M" + text, round(float(page[-1, 0]), 2), round(float(page[-1, 1]), 2), outcome)
+
+
+def _start_corners(stage: Stage) -> FloatArray:
+    """(2, 3) world: two corners of the start box, m."""
+    reach = np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]]) * geometry.START_HALF_EXTENT
+    corners: FloatArray = rotate_yaw(geometry.START + reach, stage.yaw) + np.array([*stage.origin, 0.0])
+    return corners
+
+
+def _box(x: float, y: float, width: float, height: float) -> str:
+    return f"{_short(x)} {_short(y)} {_short(width)} {_short(height)}"
+
+
+def _short(value: float) -> str:
+    """Two decimals without trailing zeros."""
+    text = f"{value:.2f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text

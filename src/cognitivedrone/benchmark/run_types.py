@@ -1,0 +1,96 @@
+"""The values of a benchmark run: what to fly, and what one flight gives back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cognitivedrone.types import EpisodeResult, Image, Stage
+
+Rule = Literal["through", "within_1m"]
+"""`through`: the drone's centre crosses the right gate's plane inside its opening. `within_1m`: the published rule, the
+drone comes within 1 m of the right gate's centre."""
+LookName = Literal["plain", "varied"]
+
+
+@dataclass(frozen=True, slots=True)
+class RunConfig:
+    """Fly a policy through a suite of tasks and score it."""
+
+    policy: str = "colour_seeker"
+    """Name of a policy, or your own as module:attribute."""
+    reasoner: str = "none"
+    """Name of a reasoner, or your own as module:attribute."""
+    suite: str = "open-v1:test"
+    """Name of a suite of tasks."""
+    tasks: Path | None = None
+    """Task file, or folder of them, flown instead of a suite."""
+    labels: Path | None = None
+    """Folder of label images that come before the shipped ones."""
+    workers: int | None = None
+    """Processes that fly; as many as there are cores by default. Results do not depend on it."""
+    track: bool = False
+    """Chain single tasks into tracks of five, flown in one go."""
+    seed: int = 0
+    """Seed of the run. Same seed, same results."""
+    episodes: int | None = None
+    """Fly only so many episodes, from the first."""
+    look: LookName = "plain"
+    """How the room looks: as published, or varied from episode to episode."""
+    airframe: str = "racer"
+    """The drone that is flown."""
+    rule: Rule = "through"
+    """The rule that the table and the report show first; results.json always holds both."""
+    out: Path | None = None
+    """Folder for the results; results/<suite>-<policy>-<reasoner> by default."""
+    resume: bool = False
+    """Go on with the run in that folder."""
+    overwrite: bool = False
+    """Throw away the run in that folder and start anew."""
+    clips: int = 12
+    """At most so many films in the report."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """Where one flight went, for the report."""
+
+    path: NDArray[np.float32]
+    """(n, 3) world, m, at 10 Hz."""
+    stages: tuple[Stage, ...]
+    """The stages that were flown, as they stood in the world."""
+    stage_start: tuple[int, ...]
+    """Index into `path` where each of `stages` begins."""
+    decision_s: float
+    """Mean wall time of a policy's decision, s; the only field that differs between two equal runs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """One flown episode."""
+
+    result: EpisodeResult
+    trace: Trace
+    film: list[Image] | None = None
+    """First-person frames at 10 Hz, where they were asked for."""
+
+
+class Flyer(Protocol):
+    """Flies single episodes of a suite; every worker process makes one and keeps it."""
+
+    @property
+    def renderer(self) -> str:
+        """Name of what draws the frames, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
+        ...
+
+    def fly(self, episode: int, *, film: bool) -> Flown:
+        """Fly the suite's track number `episode`; the same flight every time, in any order, in any process."""
+        ...
+
+    def close(self) -> None:
+        """Free the simulator."""
+        ...

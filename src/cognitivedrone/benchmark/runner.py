@@ -1,0 +1,222 @@
+"""Flies a policy through a suite and writes what it found: records, results.json, report.html."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import math
+import os
+import re
+import shlex
+import statistics
+import time
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from cognitivedrone.benchmark.clips import Clip, choose_clips, make_clip
+from cognitivedrone.benchmark.crew import FLYER, Alone, Crew, Team, WorkerCrash
+from cognitivedrone.benchmark.records import Record, RunFolder
+from cognitivedrone.benchmark.report import REPORT_FILE, render_report
+from cognitivedrone.benchmark.results import (
+    RESULTS_FILE,
+    Options,
+    Results,
+    RunFacts,
+    SuiteFacts,
+    Timing,
+    platform_facts,
+    read_results,
+    versions,
+    write_results,
+    write_whole,
+)
+from cognitivedrone.benchmark.run_types import RunConfig
+from cognitivedrone.benchmark.scoring import counts, passes
+from cognitivedrone.benchmark.suites import suite_of
+from cognitivedrone.errors import RunError
+from cognitivedrone.tasks import Suite
+from cognitivedrone.types import EpisodeResult
+
+ERROR_FILE = "error.txt"
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C in the middle of a run; the message says how to go on. A command line prints it and exits with 130."""
+
+
+def run(config: RunConfig, *, progress: bool = True, flyer: str = FLYER) -> Results:
+    """Fly, score and report; the folder's content is told in docs/results.md.
+
+    `flyer` is the module:attribute of what makes a `Flyer` from (RunConfig, Suite). Raises `RunError` where the run
+    cannot start, go on or be read, and `Interrupted` on Ctrl-C; all finished episodes are kept in either case.
+    """
+    began = time.perf_counter()
+    suite = suite_of(config)
+    facts = facts_of(config, suite)
+    path = out_of(config)
+    episodes = range(len(suite.tracks) if config.episodes is None else min(config.episodes, len(suite.tracks)))
+    with RunFolder(path, facts, resume=config.resume, overwrite=config.overwrite) as folder:
+        missing = [episode for episode in episodes if episode not in folder.records]
+        if not missing and (path / RESULTS_FILE).exists() and (path / REPORT_FILE).exists():
+            finished = read_results(path)
+            if finished.rule == config.rule:
+                return finished
+        workers = min(_workers(config), max(len(missing), 1))
+        try:
+            with _crew(config, suite, workers, flyer) as crew:
+                _fly_missing(crew, folder, missing, len(episodes), config, show=progress)
+                records = [folder.records[episode] for episode in episodes]
+                clips = _film(crew, suite, records, config)
+        except KeyboardInterrupt:
+            raise Interrupted(
+                f"stopped after {len(folder.records)} of {len(episodes)} episodes, all kept in {path}; "
+                "the same command with --resume goes on from there"
+            ) from None
+        except WorkerCrash as crash:
+            write_whole(path / ERROR_FILE, crash.trace)
+            raise RunError(f"{crash}; its traceback is in {path / ERROR_FILE}") from None
+        results = Results(
+            run=facts,
+            renderer=" and ".join(sorted({record.renderer for record in records})),
+            rule=config.rule,
+            episodes=tuple(record.result for record in records),
+            platform=platform_facts(command_of(config)),
+            timing=_timing(records, workers, len(missing), time.perf_counter() - began),
+        )
+        report = render_report(results, [record.trace for record in records], clips)
+        write_whole(path / REPORT_FILE, report)
+        # Last, because with it the run is complete.
+        write_results(path / RESULTS_FILE, results)
+    return results
+
+
+def facts_of(config: RunConfig, suite: Suite) -> RunFacts:
+    """The identity of a run. Raises `RunError` for options that cannot be."""
+    for name, value in (("episodes", config.episodes), ("workers", config.workers)):
+        if value is not None and value < 1:
+            raise RunError(f"--{name} is {value}; it must be at least 1")
+    if config.labels is not None and not config.labels.is_dir():
+        raise RunError(f"--labels {config.labels} is not a folder of images")
+    return RunFacts(
+        suite=SuiteFacts(suite.name, suite.digest, suite.n_tasks),
+        policy=config.policy,
+        reasoner=config.reasoner,
+        options=Options(
+            seed=config.seed,
+            track=config.track,
+            episodes=config.episodes,
+            look=config.look,
+            airframe=config.airframe,
+            labels=None if config.labels is None else _folder_digest(config.labels),
+        ),
+        versions=versions(),
+    )
+
+
+def out_of(config: RunConfig) -> Path:
+    """The run's folder: the one asked for, or one named after suite, policy and reasoner."""
+    if config.out is not None:
+        return config.out
+    what = config.suite if config.tasks is None else config.tasks.stem
+    names = [what, config.policy, config.reasoner] + (["track"] if config.track else [])
+    return Path("results", "-".join(re.sub(r"[^\w.]+", "-", name).strip("-") for name in names))
+
+
+def command_of(config: RunConfig) -> str:
+    """The command line that repeats the run anywhere: without what does not change its results."""
+    words = ["cognitivedrone", "bench", "--policy", config.policy, "--reasoner", config.reasoner]
+    words += ["--suite", config.suite] if config.tasks is None else ["--tasks", str(config.tasks)]
+    words += ["--labels", str(config.labels)] if config.labels is not None else []
+    words += ["--seed", str(config.seed)]
+    words += ["--episodes", str(config.episodes)] if config.episodes is not None else []
+    words += ["--track"] if config.track else []
+    default = RunConfig()
+    for name in ("look", "airframe", "rule"):
+        if getattr(config, name) != getattr(default, name):
+            words += [f"--{name}", str(getattr(config, name))]
+    return shlex.join(words)
+
+
+def _workers(config: RunConfig) -> int:
+    if config.workers is not None:
+        return config.workers
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _crew(config: RunConfig, suite: Suite, workers: int, flyer: str) -> Alone | Team:
+    if workers == 1:
+        return Alone(config, suite, flyer)
+    return Team(config, suite, workers, flyer, name_of=lambda episode: suite.tracks[episode][0].id)
+
+
+def _fly_missing(
+    crew: Crew, folder: RunFolder, missing: Sequence[int], total: int, config: RunConfig, *, show: bool
+) -> None:
+    """Fly what is not on record yet, each episode onto the disk as it ends."""
+    stages = [stage for record in folder.records.values() for stage in record.result.stages if counts(stage)]
+    passed, counted = sum(passes(stage, config.rule) for stage in stages), len(stages)
+    with _progress_bar(show) as bar:
+        task = bar.add_task("flying", total=total, completed=total - len(missing), speed="", rate="")
+        began = time.perf_counter()
+        for flown_now, (flown, renderer) in enumerate(crew.fly(missing), start=1):
+            folder.append(flown, renderer)
+            new = [stage for stage in flown.result.stages if counts(stage)]
+            passed, counted = passed + sum(passes(stage, config.rule) for stage in new), counted + len(new)
+            bar.update(
+                task,
+                advance=1,
+                speed=f"{flown_now / (time.perf_counter() - began):.1f} episodes/s",
+                rate=f"{passed / counted:.1%} passed" if counted else "",
+            )
+
+
+def _film(crew: Crew, suite: Suite, records: Sequence[Record], config: RunConfig) -> list[Clip]:
+    """Fly the most telling episodes once more, with a film: the same seed gives the same flight."""
+    results: dict[int, EpisodeResult] = {record.result.episode: record.result for record in records}
+    chosen = choose_clips(list(results.values()), config.clips)
+    clips = {
+        flown.result.episode: make_clip(flown, suite.tracks[flown.result.episode], results[flown.result.episode])
+        for flown, _ in crew.fly(chosen, film=True)
+    }
+    return [clips[episode] for episode in chosen]
+
+
+@contextlib.contextmanager
+def _progress_bar(show: bool) -> Iterator[Progress]:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=None),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[speed]}"),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), disable=not show) as bar:
+        yield bar
+
+
+def _timing(records: Sequence[Record], workers: int, flown: int, wall_s: float) -> Timing:
+    decisions = [record.trace.decision_s for record in records if math.isfinite(record.trace.decision_s)]
+    return Timing(
+        finished=datetime.now(UTC).isoformat(timespec="seconds"),
+        wall_s=round(wall_s, 3),
+        workers=workers,
+        episodes_flown=flown,
+        mean_decision_ms=round(statistics.fmean(decisions) * 1e3, 3) if decisions else None,
+    )
+
+
+def _folder_digest(folder: Path) -> str:
+    """SHA-256 over the names and contents of a folder's files."""
+    digest = hashlib.sha256()
+    for file in sorted(path for path in folder.rglob("*") if path.is_file()):
+        content = file.read_bytes()
+        digest.update(f"{file.relative_to(folder).as_posix()}\0{len(content)}\0".encode())
+        digest.update(content)
+    return digest.hexdigest()

@@ -1,0 +1,232 @@
+"""From episode results to scores. Pure arithmetic.
+
+Every stage is worth one point. `invalid` stages (the physics diverged) are not counted and reported apart; every other
+stage counts, also those of a failed policy and the later stages of a track that ended early.
+
+Sources: E. B. Wilson, Probable inference (1927), for intervals of rates; R. G. Newcombe, Interval estimation for the
+difference between independent / paired proportions (Statistics in Medicine 17, 1998), for means and differences of
+rates from Wilson limits; Q. McNemar (1947), exact form, for paired comparison.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, get_args
+
+from cognitivedrone.benchmark.run_types import Rule
+from cognitivedrone.types import CATEGORIES, Category, EpisodeResult, Outcome, StageResult
+
+OUTCOMES: Final[tuple[Outcome, ...]] = get_args(Outcome)
+RULES: Final[tuple[Rule, ...]] = get_args(Rule)
+PUBLISHED_REACH_M: Final = 1.0
+"""The published benchmark gives the point to a drone that comes this close to the right gate's centre, m."""
+Z_95: Final = statistics.NormalDist().inv_cdf(0.975)
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """The score of a set of stages. Rates and means are none where nothing was there to count."""
+
+    n: int
+    """Stages counted: all but the invalid ones."""
+    passed: int
+    rate: float | None
+    """passed / n"""
+    ci95: Interval | None
+    """Wilson 95 % interval of the rate."""
+    outcomes: Mapping[Outcome, int]
+    """How the stages ended, the invalid ones too; by the rule `through`, whatever rule gives the points."""
+    chosen_right: int
+    """Stages whose flight went for the right gate."""
+    choice_accuracy: float | None
+    """chosen_right / n"""
+    pass_given_choice: float | None
+    """Share of the stages that went for the right gate which also passed it: flying apart from thinking."""
+    mean_time_s: float | None
+    """Of the passed stages, as all that follow."""
+    median_time_s: float | None
+    mean_path_ratio: float | None
+    mean_clearance_m: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class CategoryMean:
+    """Unweighted mean of the categories' rates."""
+
+    categories: int
+    """How many categories have counted stages and so enter the mean."""
+    rate: float | None
+    ci95: Interval | None
+    """95 % interval, from the Wilson limits of the categories."""
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """All scores of a run by one rule."""
+
+    overall: Score
+    mean_of_categories: CategoryMean
+    categories: Mapping[Category, Score]
+    families: Mapping[str, Score]
+    """In the order of the categories, then by name."""
+    episodes: int
+    episodes_completed: int
+    """Episodes whose every stage was passed."""
+
+
+def passes(stage: StageResult, rule: Rule) -> bool:
+    """Whether a stage earns its point."""
+    if rule == "through":
+        return stage.outcome == "passed"
+    if stage.gate_distance_m is None or stage.outcome in ("invalid", "policy_error"):
+        return False
+    return stage.gate_distance_m <= PUBLISHED_REACH_M
+
+
+def counts(stage: StageResult) -> bool:
+    """Whether a stage enters the score at all."""
+    return stage.outcome != "invalid"
+
+
+def score(stages: Iterable[StageResult], rule: Rule = "through") -> Score:
+    """The score of any set of stages."""
+    stages = list(stages)
+    counted = [stage for stage in stages if counts(stage)]
+    passed = [stage for stage in counted if passes(stage, rule)]
+    right = [stage for stage in counted if stage.chosen == stage.target]
+    tally = Counter(stage.outcome for stage in stages)
+    return Score(
+        n=len(counted),
+        passed=len(passed),
+        rate=_ratio(len(passed), len(counted)),
+        ci95=wilson(len(passed), len(counted)),
+        outcomes={outcome: tally[outcome] for outcome in OUTCOMES},
+        chosen_right=len(right),
+        choice_accuracy=_ratio(len(right), len(counted)),
+        pass_given_choice=_ratio(sum(passes(stage, rule) for stage in right), len(right)),
+        mean_time_s=_mean([stage.time_s for stage in passed]),
+        median_time_s=statistics.median([stage.time_s for stage in passed]) if passed else None,
+        mean_path_ratio=_mean([stage.path_ratio for stage in passed if stage.path_ratio is not None]),
+        mean_clearance_m=_mean([stage.clearance_m for stage in passed if stage.clearance_m is not None]),
+    )
+
+
+def summarize(episodes: Sequence[EpisodeResult], rule: Rule = "through") -> Summary:
+    """Overall, mean of the categories, each category and each family."""
+    stages = [stage for episode in episodes for stage in episode.stages]
+    by_category = {category: [s for s in stages if s.category == category] for category in CATEGORIES}
+    categories = {category: score(part, rule) for category, part in by_category.items() if part}
+    families = sorted({(CATEGORIES.index(s.category), s.family) for s in stages})
+    return Summary(
+        overall=score(stages, rule),
+        mean_of_categories=mean_of(list(categories.values())),
+        categories=categories,
+        families={family: score([s for s in stages if s.family == family], rule) for _, family in families},
+        episodes=len(episodes),
+        episodes_completed=sum(all(passes(stage, rule) for stage in episode.stages) for episode in episodes),
+    )
+
+
+def mean_of(scores: Sequence[Score]) -> CategoryMean:
+    """Unweighted mean of the rates. Its interval adds the Wilson half widths in squares (Newcombe 1998)."""
+    parts = [(s.rate, s.ci95) for s in scores if s.rate is not None and s.ci95 is not None]
+    if not parts:
+        return CategoryMean(0, None, None)
+    rate = statistics.fmean(rate for rate, _ in parts)
+    below = math.hypot(*(rate - low for rate, (low, _) in parts)) / len(parts)
+    above = math.hypot(*(high - rate for rate, (_, high) in parts)) / len(parts)
+    return CategoryMean(len(parts), rate, (rate - below, rate + above))
+
+
+def wilson(passed: int, n: int) -> Interval | None:
+    """Wilson's 95 % interval of a rate; none where n is 0."""
+    if n == 0:
+        return None
+    rate, z2 = passed / n, Z_95**2
+    center = (rate + z2 / (2 * n)) / (1 + z2 / n)
+    half = Z_95 / (1 + z2 / n) * math.sqrt(rate * (1 - rate) / n + z2 / (4 * n * n))
+    # At the ends the limit is exactly 0 or 1; rounding must not push it inside.
+    return (0.0 if passed == 0 else center - half, 1.0 if passed == n else center + half)
+
+
+@dataclass(frozen=True, slots=True)
+class Paired:
+    """Two runs over the same stages: how often both, one or none passed."""
+
+    both: int
+    only_a: int
+    only_b: int
+    neither: int
+
+    @property
+    def n(self) -> int:
+        """Stages compared."""
+        return self.both + self.only_a + self.only_b + self.neither
+
+    @property
+    def difference(self) -> float | None:
+        """Rate of b less rate of a."""
+        return _ratio(self.only_b - self.only_a, self.n)
+
+
+def pair(passed: Iterable[tuple[bool, bool]]) -> Paired:
+    """The two-by-two table of (a passed, b passed)."""
+    table = Counter(passed)
+    return Paired(table[True, True], table[True, False], table[False, True], table[False, False])
+
+
+def mcnemar(a: int, b: int) -> float:
+    """Two-sided exact p that the two discordant counts of a paired table come from one coin: 1 where both are 0."""
+    from scipy.stats import binomtest  # takes half a second to import, and workers never need it
+
+    return float(binomtest(a, a + b, 0.5).pvalue) if a + b else 1.0
+
+
+def difference_interval(table: Paired) -> Interval | None:
+    """95 % interval of `table.difference`; Newcombe's (1998) method 10 for paired rates. None where n is 0."""
+    n = table.n
+    rate_b, rate_a = table.both + table.only_b, table.both + table.only_a
+    limits_b, limits_a = wilson(rate_b, n), wilson(rate_a, n)
+    if limits_b is None or limits_a is None:
+        return None
+    b, a = rate_b / n, rate_a / n
+    phi = _phi(table)
+
+    def spread(x: float, y: float) -> float:
+        return math.sqrt(max(0.0, x * x - 2 * phi * x * y + y * y))
+
+    difference = (table.only_b - table.only_a) / n
+    return (
+        difference - spread(b - limits_b[0], limits_a[1] - a),
+        difference + spread(limits_b[1] - b, a - limits_a[0]),
+    )
+
+
+def _phi(table: Paired) -> float:
+    """Correlation of the two runs' points, with the continuity correction of Newcombe's method 10."""
+    product = (
+        (table.both + table.only_a)
+        * (table.only_b + table.neither)
+        * (table.both + table.only_b)
+        * (table.only_a + table.neither)
+    )
+    if product == 0:
+        return 0.0
+    determinant: float = table.both * table.neither - table.only_a * table.only_b
+    if determinant > 0:
+        determinant = max(determinant - table.n / 2, 0.0)
+    return determinant / math.sqrt(product)
+
+
+def _ratio(part: int, whole: int) -> float | None:
+    return part / whole if whole else None
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return statistics.fmean(values) if values else None

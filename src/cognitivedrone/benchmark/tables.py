@@ -1,0 +1,156 @@
+"""Results and comparisons as tables for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich import box
+from rich.console import Console, Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from cognitivedrone.benchmark.compare import Comparison, Difference
+from cognitivedrone.benchmark.results import Results
+from cognitivedrone.benchmark.run_types import Rule
+from cognitivedrone.benchmark.scoring import Interval, Score
+from cognitivedrone.policies import POLICIES
+from cognitivedrone.reasoners import NONE, REASONERS
+from cognitivedrone.tasks import SUITES, TASKS
+
+DASH = "–"
+
+
+def results_table(results: Results, rule: Rule | None = None) -> RenderableType:
+    """The scores of a run, the outcomes below; by the run's own rule where none is named."""
+    rule = rule or results.rule
+    summary = results.summary(rule)
+    run = results.run
+    title = f"{run.suite.name}: {run.policy}, reasoner {run.reasoner}"
+    table = _table(title, "", "n", "passed", "rate", "95 % CI", "choice", "pass|choice")
+    table.add_row("overall", *_score_cells(summary.overall), style="bold")
+    mean = summary.mean_of_categories
+    cells = ("", "", percent(mean.rate), interval(mean.ci95), "", "")
+    table.add_row(f"mean of {mean.categories} categories", *cells, end_section=True)
+    for position, (category, score) in enumerate(summary.categories.items(), start=1):
+        table.add_row(words(category), *_score_cells(score), end_section=position == len(summary.categories))
+    for family, score in summary.families.items():
+        table.add_row(f"  {words(family)}", *_score_cells(score), style="dim")
+    return Group(table, *_notes(results, rule))
+
+
+def comparison_table(comparison: Comparison) -> RenderableType:
+    """Rates side by side and their difference, then the two-by-two tables."""
+    title = f"{comparison.suite}: A = {comparison.name_a}, B = {comparison.name_b}"
+    rates = _table(title, "", "n", "A", "B", "B - A", "95 % CI", "p (McNemar)")
+    counts = _table("stages passed", "", "by both", "only A", "only B", "neither")
+    rows = {"overall": comparison.overall, **{words(name): part for name, part in comparison.categories.items()}}
+    for name, difference in rows.items():
+        style = "bold" if name == "overall" else ""
+        table = difference.table
+        rates.add_row(name, *_difference_cells(difference), style=style)
+        cells = (table.both, table.only_a, table.only_b, table.neither)
+        counts.add_row(name, *(str(cell) for cell in cells), style=style)
+    notes = [f"rule: {comparison.rule}"]
+    if comparison.left_out:
+        notes.append(f"left out, invalid in either run: {comparison.left_out}")
+    notes += [f"the runs also differ in {difference}" for difference in comparison.other_differences]
+    return Group(rates, counts, *(Text(note, style="dim") for note in notes))
+
+
+def names_table() -> RenderableType:
+    """Suites, task families, policies and reasoners that come with the package."""
+    table = _table("", "kind", "names")
+    table.columns[1].justify = "left"
+    table.columns[1].no_wrap = False
+    for kind, names in (
+        ("suites", SUITES),
+        ("task families", TASKS),
+        ("policies", POLICIES),
+        ("reasoners", (NONE, *REASONERS)),
+    ):
+        table.add_row(kind, ", ".join(names))
+    return table
+
+
+def print_results(results: Results) -> None:
+    """The table of a run on standard output."""
+    Console().print(results_table(results))
+
+
+def print_comparison(comparison: Comparison) -> None:
+    """The table of a comparison on standard output."""
+    Console().print(comparison_table(comparison))
+
+
+def print_names() -> None:
+    """The names that come with the package on standard output."""
+    Console().print(names_table())
+
+
+def words(name: str) -> str:
+    """A name of the code as one reads it: `human_recognition` as "human recognition"."""
+    return name.replace("_", " ")
+
+
+def percent(rate: float | None) -> str:
+    """0.596 as "59.6 %"."""
+    return DASH if rate is None else f"{100 * rate:.1f} %"
+
+
+def interval(limits: Interval | None) -> str:
+    """(0.5, 0.75) as "50.0 to 75.0"."""
+    return DASH if limits is None else f"{100 * limits[0]:.1f} to {100 * limits[1]:.1f}"
+
+
+def _table(title: str, *columns: str) -> Table:
+    """An empty table; the first column holds names."""
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", pad_edge=False)
+    for position, name in enumerate(columns):
+        table.add_column(name, justify="left" if position == 0 else "right", no_wrap=True)
+    return table
+
+
+def _score_cells(score: Score) -> Sequence[str]:
+    return (
+        str(score.n),
+        str(score.passed),
+        percent(score.rate),
+        interval(score.ci95),
+        percent(score.choice_accuracy),
+        percent(score.pass_given_choice),
+    )
+
+
+def _difference_cells(difference: Difference) -> Sequence[str]:
+    table = difference.table
+    points = DASH if difference.difference is None else f"{100 * difference.difference:+.1f}"
+    limits = DASH
+    if difference.ci95 is not None:
+        limits = f"{100 * difference.ci95[0]:+.1f} to {100 * difference.ci95[1]:+.1f}"
+    return (str(table.n), percent(difference.rate_a), percent(difference.rate_b), points, limits, f"{difference.p:.3g}")
+
+
+def _notes(results: Results, rule: Rule) -> list[Text]:
+    summary = results.summary(rule)
+    overall = summary.overall
+    ended = [f"{words(outcome)} {count}" for outcome, count in overall.outcomes.items() if count]
+    notes = [Text("outcomes: " + ", ".join(ended) if ended else "no stage was flown")]
+    if overall.mean_time_s is not None:
+        parts = [f"{overall.mean_time_s:.1f} s"]
+        if overall.mean_path_ratio is not None:
+            parts.append(f"{overall.mean_path_ratio:.2f} of the straight path")
+        if overall.mean_clearance_m is not None:
+            parts.append(f"{100 * overall.mean_clearance_m:.0f} cm clearance")
+        notes.append(Text("passed stages, on average: " + ", ".join(parts)))
+    if any(len(episode.stages) > 1 for episode in results.episodes):
+        notes.append(Text(f"tracks flown to the end: {summary.episodes_completed} of {summary.episodes}"))
+    if overall.outcomes["invalid"]:
+        notes.append(Text(f"not counted: {overall.outcomes['invalid']} invalid (the physics diverged)", style="yellow"))
+    if overall.outcomes["policy_error"]:
+        first = next(e for e in results.episodes if any(s.outcome == "policy_error" for s in e.stages))
+        count = overall.outcomes["policy_error"]
+        text = f"policy errors, counted as not passed: {count}; the first in episode {first.episode}: {first.message}"
+        notes.append(Text(text, style="yellow"))
+    flown, wall = results.timing.episodes_flown, results.timing.wall_s
+    notes.append(Text(f"{flown} episodes in {wall:.1f} s, {results.timing.workers} workers", style="dim"))
+    return notes

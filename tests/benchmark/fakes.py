@@ -1,0 +1,135 @@
+"""A flyer without a simulator: made-up flights that depend on suite, episode and seed alone, as real ones do."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+
+import numpy as np
+
+from cognitivedrone.benchmark.run_types import Flown, RunConfig, Trace
+from cognitivedrone.errors import LabelError
+from cognitivedrone.tasks import Suite
+from cognitivedrone.types import EpisodeResult, Outcome, Stage, StageResult, Task
+from cognitivedrone.world import geometry
+
+ENDINGS: tuple[Outcome, ...] = ("wrong_gate", "collision", "missed", "out_of_bounds", "timeout")
+
+
+class FakeFlyer:
+    """Passes about two thirds; goes on behind gates like the real one."""
+
+    renderer = "imagination"
+
+    def __init__(self, config: RunConfig, suite: Suite) -> None:
+        self.config = config
+        self.suite = suite
+
+    def fly(self, episode: int, *, film: bool) -> Flown:
+        digest = hashlib.sha256(f"{self.suite.digest} {self.config.policy}".encode()).digest()
+        rng = np.random.default_rng([int.from_bytes(digest[:8], "big"), episode, self.config.seed])
+        track = self.suite.tracks[episode]
+        results: list[StageResult] = []
+        stages: list[Stage] = []
+        starts: list[int] = []
+        path = np.array([[-1.0, 0.0, 0.75]]) + rng.uniform(-0.5, 0.5, (1, 3))
+        stage = Stage(gates=track[0].gates, labels=track[0].labels)
+        for task in track:
+            if results and results[-1].outcome not in ("passed", "wrong_gate"):
+                results.append(not_reached(task))
+                continue
+            outcome: Outcome = "passed" if rng.random() < 0.65 else ENDINGS[rng.integers(len(ENDINGS))]
+            gate = (task.target + 1) % 3 if outcome == "wrong_gate" else task.target
+            stages.append(stage)
+            starts.append(len(path) - 1)
+            path = np.concatenate([path, way(stage, gate, path[-1], outcome, rng)])
+            results.append(ended(task, outcome, gate, rng))
+            origin, yaw = geometry.next_stage_origin(stage, gate)
+            stage = Stage(gates=task.gates, labels=task.labels, origin=origin, yaw=yaw)
+        result = EpisodeResult(episode, self.config.seed, tuple(results), len(path))
+        trace = Trace(path.astype(np.float32), tuple(stages), tuple(starts), float(os.getpid()) * 1e-9)
+        frames = [np.full((64, 64, 3), 4 * k % 256, dtype=np.uint8) for k in range(20)] if film else None
+        return Flown(result, trace, frames)
+
+    def close(self) -> None:
+        """Nothing to free."""
+
+
+class DyingFlyer(FakeFlyer):
+    """Its process is killed in episode 5."""
+
+    def fly(self, episode: int, *, film: bool) -> Flown:
+        if episode == 5:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().fly(episode, film=film)
+
+
+class BuggyFlyer(FakeFlyer):
+    """Raises something unforeseen in episode 5."""
+
+    def fly(self, episode: int, *, film: bool) -> Flown:
+        if episode == 5:
+            raise ZeroDivisionError("a bug in a policy")
+        return super().fly(episode, film=film)
+
+
+class UnlabelledFlyer(FakeFlyer):
+    """Cannot be made."""
+
+    def __init__(self, config: RunConfig, suite: Suite) -> None:
+        raise LabelError("label 'zebr' is not in the pack; did you mean 'zebra'?")
+
+
+class InterruptedFlyer(FakeFlyer):
+    """Somebody presses Ctrl-C in episode 5."""
+
+    def fly(self, episode: int, *, film: bool) -> Flown:
+        if episode == 5:
+            raise KeyboardInterrupt
+        return super().fly(episode, film=film)
+
+
+class FickleFlyer(FakeFlyer):
+    """Never flies twice the same."""
+
+    flights = 0
+
+    def fly(self, episode: int, *, film: bool) -> Flown:
+        self.suite = Suite(self.suite.name, f"{self.suite.digest}{self.flights}", self.suite.tracks)
+        self.flights += 1
+        return super().fly(episode, film=film)
+
+
+def ended(task: Task, outcome: Outcome, gate: int, rng: np.random.Generator) -> StageResult:
+    flown_through = outcome in ("passed", "wrong_gate")
+    return StageResult(
+        task_id=task.id,
+        category=task.category,
+        family=task.family,
+        target=task.target,
+        outcome=outcome,
+        chosen=gate if outcome not in ("timeout", "out_of_bounds") else None,
+        time_s=4 + float(rng.random()),
+        path_m=6 + float(rng.random()),
+        path_ratio=1 + float(rng.random()) / 10 if flown_through else None,
+        clearance_m=float(rng.random()) / 2 if flown_through else None,
+        gate_distance_m=float(rng.random()) * (0.5 if outcome == "passed" else 3.0),
+        directive=task.directive,
+    )
+
+
+def not_reached(task: Task) -> StageResult:
+    return StageResult(
+        task.id, task.category, task.family, task.target, "not_reached", None, 0.0, 0.0, None, None, None
+    )
+
+
+def way(stage: Stage, gate: int, start: np.ndarray, outcome: Outcome, rng: np.random.Generator) -> np.ndarray:
+    """A curve from start to a gate, cut short or gone astray where the outcome says so."""
+    goal = geometry.gate_centers(stage)[gate] + [0, 0, rng.normal(0, 0.1)]
+    if outcome in ("missed", "out_of_bounds"):
+        goal = goal + np.array([1.3 * np.cos(stage.yaw), 1.3 * np.sin(stage.yaw), 0.3])
+    part = np.linspace(0, 1 if outcome in ("passed", "wrong_gate") else 0.9, 45)[1:, None]
+    ahead = start + np.array([3 * np.cos(stage.yaw), 3 * np.sin(stage.yaw), rng.normal(0, 0.2)])
+    return (1 - part) ** 2 * start + 2 * part * (1 - part) * ahead + part**2 * goal
