@@ -34,7 +34,7 @@ def median_ms(work: Callable[[], object]) -> float:
 def main() -> None:
     print("| worlds | threads | control step ms | times real time, all worlds | over bare physics |")
     print("|---|---|---|---|---|")
-    for worlds, threads in ((1, 1), (4, 1), (16, 1), (16, 2), (64, 1), (64, 2)):
+    for worlds, threads in ((1, 1), (4, 1), (16, 1), (64, 1), (64, 2), (256, 2)):
         flight = Flight(worlds, threads=threads)
         actions = np.random.default_rng(0).uniform(-1, 1, (worlds, 4)) * [1, 1, 0.1, 1]
 

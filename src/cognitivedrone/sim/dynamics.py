@@ -16,9 +16,12 @@ from cognitivedrone.types import DroneState, FloatArray
 _LIMITS = np.array([1e4] * 3 + [2.0] * 4 + [100.0] * 3 + [300.0] * 3)[:, None]
 """What no sane flight exceeds: m, quaternion, m/s, rad/s."""
 
+_WORLDS_PER_THREAD = 32
+"""Fewer are stepped sooner than a sleeping thread is woken; on a busy machine much sooner."""
+
 
 class Flight:
-    """n drones, each in a world of its own, flown by velocity setpoints.
+    """n drones, each in a world of its own, flown by velocity setpoints, on up to `threads` threads.
 
     What happens in a world depends on its `reset` and its commands alone, to the last bit: not on the other worlds,
     not on threads, not on earlier flights.
@@ -39,6 +42,7 @@ class Flight:
     ) -> None:
         self.worlds = worlds
         self.airframe = airframe
+        threads = max(1, min(threads, worlds // _WORLDS_PER_THREAD))
         self._batch = Batch(build_model(airframe, self.TICK_S), worlds, threads)
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._ctrl, self._act = self._batch.bind("ctrl"), self._batch.bind("act")
