@@ -1,1 +1,26 @@
 """What is asked: families, vocabulary, facts, suites and task files. Pure data, no pixels."""
+
+from cognitivedrone.tasks.directives import parse_directive, write_directive
+from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, TASKS
+from cognitivedrone.tasks.format import read_tasks, task_from_json, task_to_json, write_tasks
+from cognitivedrone.tasks.suites import SUITES, Suite, load_suite, suite_from_files, train_task
+from cognitivedrone.tasks.validate import validate_task
+
+__all__ = [
+    "BASE_FAMILIES",
+    "FAMILIES",
+    "HARD_FAMILIES",
+    "SUITES",
+    "TASKS",
+    "Suite",
+    "load_suite",
+    "parse_directive",
+    "read_tasks",
+    "suite_from_files",
+    "task_from_json",
+    "task_to_json",
+    "train_task",
+    "validate_task",
+    "write_directive",
+    "write_tasks",
+]

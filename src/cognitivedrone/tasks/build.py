@@ -1,0 +1,165 @@
+"""Builds the fixed suites: `python -m cognitivedrone.tasks.build [FOLDER]` writes the same files every time.
+
+Where the right answer stands and what the gates look like is dealt out, not drawn: over a suite, and over every family
+in it, positions, colours, shapes and sizes are as equally frequent as their number allows.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, generator
+from cognitivedrone.tasks.format import task_to_json
+from cognitivedrone.tasks.generate import HELD_OUT, TRAIN, Draw, Pools, Puzzle
+from cognitivedrone.tasks.memory import memory_track
+from cognitivedrone.tasks.suites import FIXED, VERSION, digest_of, finish
+from cognitivedrone.types import CATEGORIES, COLORS, SHAPES, SIZES, Gate, Task, Track
+
+T = TypeVar("T")
+
+HARD_SHARES: dict[str, int] = {
+    "conjunction": 25,
+    "exclusion": 25,
+    "relations": 13,
+    "negation": 13,
+    "counting": 12,
+    "distraction": 12,
+    "comparison": 15,
+    "two_step": 15,
+    "memory": 20,
+}
+"""Tasks of each family in `hard`, 50 a category."""
+MEMORY_TRACKS: tuple[int, ...] = (3, 4, 4, 4, 5)
+"""Stages of the memory tracks."""
+STAGES_A_TRACK = 5
+
+
+def equal_shares(total: int) -> dict[str, int]:
+    """Tasks for each base family: equal shares for the categories, and within each for its families, to within one."""
+    shares: dict[str, int] = {}
+    for category, of_category in zip(CATEGORIES, _split(total, len(CATEGORIES)), strict=True):
+        families = [family for family in BASE_FAMILIES if FAMILIES[family] == category]
+        shares |= dict(zip(families, _split(of_category, len(families)), strict=True))
+    return shares
+
+
+def _split(total: int, parts: int) -> list[int]:
+    return [total // parts + (i < total % parts) for i in range(parts)]
+
+
+class Dealer:
+    """Hands out targets and gates so that everything comes equally often: cycles, cut into shuffled hands."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._dealt: dict[str, int] = {}
+
+    def hand(self, name: str, values: Sequence[T], count: int) -> list[T]:
+        """The next `count` of an endless cycle through the values, shuffled."""
+        start = self._dealt.get(name, 0)
+        self._dealt[name] = start + count
+        cards = [values[i % len(values)] for i in range(start, start + count)]
+        return [cards[i] for i in self._rng.permutation(count)]
+
+    def stages(self, count: int) -> list[tuple[int, tuple[Gate, Gate, Gate]]]:
+        """Target and gates of `count` tasks."""
+        targets = self.hand("target", (0, 1, 2), count)
+        colors = self.hand("color", COLORS, count)
+        right = list(zip(self.hand("size", SIZES, count), self.hand("shape", SHAPES, count), strict=True))
+        sizes = self.hand("other size", SIZES, 2 * count)
+        # The other gates go through the shapes backwards, so that a remainder of the one fills up that of the other.
+        shapes = self.hand("other shape", SHAPES[::-1], 2 * count)
+        dealt = []
+        for i, (target, color) in enumerate(zip(targets, colors, strict=True)):
+            rest = [COLORS[k] for k in self._rng.permutation(len(COLORS)) if COLORS[k] != color]
+            gates = [Gate(sizes[2 * i + k], shapes[2 * i + k], rest[k]) for k in range(2)]
+            gates.insert(target, Gate(*right[i], color))
+            dealt.append((target, (gates[0], gates[1], gates[2])))
+        return dealt
+
+
+def build_suite(name: str) -> list[Track]:
+    """The tracks of a fixed suite."""
+    number = FIXED.index(name)
+    rng = np.random.default_rng([2, number])
+    pools = HELD_OUT if name == "unseen" else TRAIN
+    if name == "hard":
+        shares = {family: count for family, count in HARD_SHARES.items() if family != "memory"}
+    else:
+        shares = equal_shares({"test": 300, "unseen": 150, "smoke": 30, "track": 100}[name])
+    dealer = Dealer(rng)
+    tasks = [task for family, count in shares.items() for task in _family(rng, dealer, pools, family, count)]
+    if name == "track":
+        n_tracks = len(tasks) // STAGES_A_TRACK
+        tracks = [_shuffled(rng, tasks[i::n_tracks]) for i in range(n_tracks)]
+    else:
+        tracks = [[task] for task in _shuffled(rng, tasks)]
+    if name == "hard":
+        tracks += _memory(rng, dealer)
+    ids = iter(range(sum(map(len, tracks))))
+    return [tuple(replace(task, id=f"{VERSION}:{name}/{next(ids):04d}") for task in track) for track in tracks]
+
+
+def _family(rng: np.random.Generator, dealer: Dealer, pools: Pools, family: str, count: int) -> list[Task]:
+    """Tasks of one family, no two with the same question and the same options."""
+    asked: set[tuple[str, frozenset[str]]] = set()
+    tasks = []
+    for target, gates in dealer.stages(count):
+        while True:
+            puzzle = generator(family)(Draw(rng, pools, target))
+            question = _question(puzzle)
+            if question not in asked:
+                break
+        asked.add(question)
+        tasks.append(finish(puzzle, task_id="?", family=family, target=target, gates=gates))
+    return tasks
+
+
+def _question(puzzle: Puzzle) -> tuple[str, frozenset[str]]:
+    board = "" if puzzle.board is None else puzzle.board.partition("@")[0]
+    return f"{puzzle.instruction} {board}", frozenset(panel.option for panel in puzzle.panels)
+
+
+def _memory(rng: np.random.Generator, dealer: Dealer) -> list[list[Task]]:
+    dealt = iter(dealer.stages(sum(MEMORY_TRACKS)))
+    tracks = []
+    for length in MEMORY_TRACKS:
+        stages = [next(dealt) for _ in range(length)]
+        puzzles = memory_track(Draw(rng, TRAIN, 0), [target for target, _ in stages])
+        tracks.append(
+            [
+                finish(puzzle, task_id="?", family="memory", target=target, gates=gates)
+                for puzzle, (target, gates) in zip(puzzles, stages, strict=True)
+            ]
+        )
+    return tracks
+
+
+def _shuffled(rng: np.random.Generator, items: list[T]) -> list[T]:
+    return [items[i] for i in rng.permutation(len(items))]
+
+
+def suite_text(name: str) -> str:
+    """The file of a fixed suite: its digest, and one task a line."""
+    tracks = [[task_to_json(task) for task in track] for track in build_suite(name)]
+    lines = ",\n".join("[" + ",\n".join(json.dumps(task, separators=(",", ":")) for task in t) + "]" for t in tracks)
+    return f'{{"name":"{VERSION}:{name}","digest":"{digest_of(tracks)}","tracks":[\n{lines}\n]}}\n'
+
+
+def main(folder: Path) -> None:
+    """Writes every fixed suite into a folder."""
+    for name in FIXED:
+        path = folder / f"{name}.json"
+        path.write_text(suite_text(name), encoding="utf-8")
+        sys.stdout.write(f"{path}\n")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "suites")

@@ -1,0 +1,42 @@
+"""Directives: the plain sentence that names a gate by size, colour and shape."""
+
+from __future__ import annotations
+
+import re
+
+from cognitivedrone.types import Color, Gate, Shape, Size
+
+_SIZES: dict[str, Size] = {
+    **dict.fromkeys(("big", "large", "bigger", "larger", "biggest", "largest"), "big"),
+    **dict.fromkeys(("small", "little", "smaller", "smallest", "tiny"), "small"),
+}
+_SHAPES: dict[str, Shape] = {
+    **dict.fromkeys(("round", "circle", "circular", "ring"), "round"),
+    **dict.fromkeys(("square", "rectangle", "rectangular", "quadratic"), "square"),
+    **dict.fromkeys(("triangle", "triangular"), "triangle"),
+}
+_COLORS: dict[str, Color] = {"red": "red", "green": "green", "blue": "blue"}
+
+
+def write_directive(gate: Gate) -> str:
+    """The canonical directive, "Fly through the small red round gate"."""
+    return f"Fly through the {gate.size} {gate.color} {gate.shape} gate"
+
+
+def parse_directive(text: str) -> tuple[Size | None, Color | None, Shape | None]:
+    """Size, colour and shape of the gate that a sentence names, in whatever order; none where it does not say.
+
+    Only words before the first "gate" or "with" count, so that what a panel shows ("... gate with a red hat") does
+    not matter; among them the last word of a sort wins. Published directives, such as "Fly through the big triangle
+    red gate with 9", are read as well.
+    """
+    words = re.findall(r"[a-z]+", text.lower())
+    stop = next((i for i, word in enumerate(words) if word in ("gate", "gates", "with")), len(words))
+    size: Size | None = None
+    color: Color | None = None
+    shape: Shape | None = None
+    for word in words[:stop]:
+        size = _SIZES.get(word, size)
+        color = _COLORS.get(word, color)
+        shape = _SHAPES.get(word, shape)
+    return size, color, shape

@@ -1,0 +1,189 @@
+"""Task files: the published JSON layout, read and written exactly, with keys of our own beside it.
+
+Published keys are `prompt`, `prompt_simpler`, `options`, `correct` (1 to 3), `gates` (a dict keyed "1" to "3", or a
+list of `{"gate": "1", ...}`), `background`, and for sums on the board `task: {d1, operator, d2}`. Ours, optional when
+read, are `id`, `category`, `family`, `labels` and `board`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, cast
+
+from cognitivedrone.errors import TaskError
+from cognitivedrone.tasks.families import FAMILIES
+from cognitivedrone.tasks.validate import check_text, validate_task
+from cognitivedrone.types import CATEGORIES, Category, Gate, Task
+
+MAX_FILE_BYTES = 64 * 2**20
+MAX_TASKS = 200_000
+
+PUBLISHED_TYPES: dict[str, tuple[Category, str]] = {
+    "Celebrities": ("human_recognition", "people"),
+    "Patterns": ("human_recognition", "attributes"),
+    "Animals": ("symbol_understanding", "animals"),
+    "Digits": ("symbol_understanding", "digits"),
+    "Letters": ("symbol_understanding", "letters"),
+    "Logos": ("symbol_understanding", "logos"),
+    "Food": ("reasoning", "food"),
+    "Math_desk": ("reasoning", "math_board"),
+}
+"""Category and family of published files, by the file's stem."""
+
+_BOARD = re.compile(r"sum/(\d+)([-+*])(\d+)@")
+_SUM_IN_PROMPT = re.compile(r"\d\s*[-+*]\s*\d")
+_KEYS = ("prompt", "prompt_simpler", "options", "correct", "gates", "background")
+
+
+def task_to_json(task: Task) -> dict[str, Any]:
+    """The published layout of a task, and our keys beside it; `task_from_json` gives the same task back."""
+    obj: dict[str, Any] = {
+        "prompt": task.instruction,
+        "prompt_simpler": task.directive,
+        "options": list(task.options),
+        "correct": task.target + 1,
+        "gates": {
+            str(number): {"size": gate.size, "shape": gate.shape, "color": gate.color}
+            for number, gate in enumerate(task.gates, 1)
+        },
+        "background": task.background,
+    }
+    simple_sum = _BOARD.match(task.board or "")
+    if simple_sum:
+        obj["task"] = dict(zip(("d1", "operator", "d2"), simple_sum.groups(), strict=True))
+    obj |= {"id": task.id, "category": task.category, "family": task.family, "labels": list(task.labels)}
+    if task.board is not None:
+        obj["board"] = task.board
+    return obj
+
+
+def task_from_json(obj: object, *, where: str, kind: str | None = None, default_id: str | None = None) -> Task:
+    """The task that a JSON object describes, validated.
+
+    `where` names the place in error messages. `kind` is the published type, the file's stem: it names the folder of the
+    labels and tells category and family where the object does not. Raises `TaskError` for anything malformed.
+    """
+    if not isinstance(obj, dict):
+        raise TaskError(f"{where}: a task must be a JSON object, not {type(obj).__name__}")
+    for key in _KEYS:
+        if key not in obj:
+            raise TaskError(f"{where}: key {key!r} is missing; a task has {', '.join(_KEYS)}")
+    correct = obj["correct"]
+    if type(correct) is not int or not 1 <= correct <= 3:
+        raise TaskError(f"{where}: correct is {correct!r}; it must be 1, 2 or 3, the number of the right gate")
+    options = _three(obj["options"], "options", where)
+    category, family = _category_and_family(obj, kind, where)
+    labels = obj.get("labels")
+    if labels is None:
+        if kind is None:
+            raise TaskError(f"{where}: key 'labels' is missing; add three label references such as 'animal/cat@noto'")
+        labels = [f"{kind}/{option.removesuffix('.dae')}" for option in options]
+    task = Task(
+        id=obj.get("id", default_id or where),
+        category=category,
+        family=family,
+        instruction=obj["prompt"],
+        directive=obj["prompt_simpler"],
+        options=options,
+        labels=_three(labels, "labels", where),
+        target=correct - 1,
+        gates=_gates(obj["gates"], where),
+        board=_board(obj, where),
+        background=obj["background"],
+    )
+    validate_task(task, where)
+    return task
+
+
+def _three(value: object, what: str, where: str) -> tuple[str, str, str]:
+    if not isinstance(value, list) or len(value) != 3:
+        size = f"{len(value)} entries" if isinstance(value, list) else type(value).__name__
+        raise TaskError(f"{where}: {what} must be a list of 3 names, one a gate, not {size}")
+    for name in value:
+        check_text(name, f"an entry of {what}", where)
+    return value[0], value[1], value[2]
+
+
+def _gates(value: object, where: str) -> tuple[Gate, Gate, Gate]:
+    """Both published shapes: a dict by gate number, or a list whose entries carry theirs."""
+    if isinstance(value, list):
+        entries = {str(entry.get("gate")): entry for entry in value if isinstance(entry, dict)}
+        complete = len(value) == 3
+    else:
+        entries = value if isinstance(value, dict) else {}
+        complete = len(entries) == 3
+    if not complete or set(entries) != {"1", "2", "3"}:
+        raise TaskError(f"{where}: gates must describe gate 1, 2 and 3, each once")
+    gates = []
+    for number in "123":
+        entry = entries[number]
+        for key in ("size", "shape", "color"):
+            if not isinstance(entry, dict) or not isinstance(entry.get(key), str):
+                raise TaskError(f"{where}: gate {number} needs {key!r}, a word such as 'small', 'round' or 'red'")
+        gates.append(Gate(entry["size"], entry["shape"], entry["color"]))
+    return gates[0], gates[1], gates[2]
+
+
+def _board(obj: Mapping[str, Any], where: str) -> str | None:
+    board = obj.get("board")
+    if board is not None or obj.get("task") is None:
+        check_text(board, "board", where) if board is not None else None
+        return board
+    operation = obj["task"]
+    if not isinstance(operation, dict) or not all(key in operation for key in ("d1", "operator", "d2")):
+        raise TaskError(f"{where}: task must have d1, operator and d2, the sum on the board")
+    board = f"sum/{operation['d1']}{operation['operator']}{operation['d2']}@inter"
+    if not _BOARD.match(board):
+        raise TaskError(f"{where}: the sum on the board reads {board[4:-6][:40]!r}; use two numbers and +, - or *")
+    return board
+
+
+def _category_and_family(obj: Mapping[str, Any], kind: str | None, where: str) -> tuple[Category, str]:
+    category, family = PUBLISHED_TYPES.get(kind or "", (None, None))
+    if family is None and obj.get("task") is not None:
+        category, family = "reasoning", "math_board"
+    if family is None and isinstance(obj["prompt"], str) and _SUM_IN_PROMPT.search(obj["prompt"]):
+        category, family = "reasoning", "math"
+    family = obj.get("family", family or (kind or "").lower() or None)
+    category = obj.get("category", category or (FAMILIES.get(family) if isinstance(family, str) else None))
+    if category is None:
+        raise TaskError(f'{where}: no category; add "category", one of {", ".join(CATEGORIES)}')
+    return cast(Category, category), cast(str, family)
+
+
+def read_json(path: Path, max_bytes: int = MAX_FILE_BYTES) -> object:
+    """What a JSON file holds; `TaskError` where it cannot be read, is too large or is not JSON."""
+    try:
+        size = path.stat().st_size
+        if size > max_bytes:
+            raise TaskError(f"{path}: {size / 2**20:.0f} MB is too much for a task file; split it")
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise TaskError(f"{path}: cannot be read ({error.strerror}); give a task file or a folder of them") from None
+    except (ValueError, RecursionError) as error:
+        raise TaskError(f"{path}: not JSON ({str(error)[:80]}); a task file is a list of tasks") from None
+
+
+def read_tasks(path: Path) -> list[Task]:
+    """The tasks of a file, in order; its stem is the published type. Raises `TaskError` naming file and index."""
+    content = read_json(path)
+    if not isinstance(content, list):
+        raise TaskError(f"{path}: a task file is a JSON list of tasks, not {type(content).__name__}")
+    if not content:
+        raise TaskError(f"{path}: holds no task")
+    if len(content) > MAX_TASKS:
+        raise TaskError(f"{path}: {len(content)} tasks are too many for one file; split it at {MAX_TASKS}")
+    kind = path.stem
+    return [
+        task_from_json(obj, where=f"{path}[{index}]", kind=kind, default_id=f"{kind}/{index:04d}")
+        for index, obj in enumerate(content)
+    ]
+
+
+def write_tasks(path: Path, tasks: Iterable[Task]) -> None:
+    """A task file in the published layout, one task a line."""
+    lines = ",\n".join(json.dumps(task_to_json(task), ensure_ascii=False) for task in tasks)
+    path.write_text(f"[\n{lines}\n]\n", encoding="utf-8")

@@ -1,0 +1,169 @@
+"""What every family's generator works with: a random draw, the ingredients it may use, and the puzzle it makes.
+
+A family is a function from a `Draw` to a `Puzzle`. It never chooses where the right answer stands nor what the gates
+look like: both come from outside, balanced, so nothing about them can give the answer away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias, TypeVar
+
+import numpy as np
+
+from cognitivedrone.tasks import people, vocabulary, wording
+
+T = TypeVar("T")
+
+
+def held_out_pair(a: int, b: int) -> bool:
+    """Whether two operands are kept for `unseen`: about one pair in seven, in either order."""
+    return (3 * min(a, b) + 5 * max(a, b)) % 7 == 2
+
+
+@dataclass(frozen=True, slots=True)
+class Pools:
+    """The ingredients that a suite may use."""
+
+    held_out: bool
+    """Whether these are the ingredients that `train` never shows."""
+    fonts: tuple[str, ...]
+    styles: tuple[str, ...]
+    backgrounds: tuple[str, ...]
+    frames: tuple[str, ...]
+    cast: tuple[str, ...]
+    """Whom the instruction may ask for."""
+
+    def wordings(self, phrases: Sequence[str]) -> Sequence[str]:
+        """Of phrases that mean the same, those allowed here: the last one is held out."""
+        return phrases[-1:] if self.held_out else phrases[:-1]
+
+    def pair_allowed(self, a: int, b: int) -> bool:
+        """Whether two operands may occur together in an expression."""
+        return held_out_pair(a, b) == self.held_out
+
+
+TRAIN = Pools(
+    held_out=False,
+    fonts=vocabulary.TRAIN_FONTS,
+    styles=vocabulary.TRAIN_STYLES,
+    backgrounds=vocabulary.TRAIN_BACKGROUNDS,
+    frames=wording.FRAMES,
+    cast=people.TRAIN_CAST,
+)
+HELD_OUT = Pools(
+    held_out=True,
+    fonts=vocabulary.HELD_OUT_FONTS,
+    styles=vocabulary.HELD_OUT_STYLES,
+    backgrounds=vocabulary.HELD_OUT_BACKGROUNDS,
+    frames=wording.HELD_OUT_FRAMES,
+    cast=people.HELD_OUT_CAST,
+)
+
+
+class Panel(NamedTuple):
+    """What stands above one gate."""
+
+    option: str
+    """As task files name it."""
+    label: str
+    """Label reference."""
+
+
+@dataclass(frozen=True, slots=True)
+class Puzzle:
+    """An instruction and three panels, of which the one at the draw's target is right."""
+
+    instruction: str
+    panels: tuple[Panel, Panel, Panel]
+    board: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """Random choices for one task."""
+
+    rng: np.random.Generator
+    pools: Pools
+    target: int
+    """Where the right answer must stand, 0 to 2 from left to right."""
+
+    def below(self, n: int) -> int:
+        """A whole number from 0 to n - 1."""
+        return int(self.rng.integers(n))
+
+    def between(self, low: int, high: int) -> int:
+        """A whole number from low to high, both included."""
+        return low + self.below(high - low + 1)
+
+    def chance(self, probability: float) -> bool:
+        """True with the given probability."""
+        return bool(self.rng.random() < probability)
+
+    def pick(self, items: Sequence[T]) -> T:
+        """One of the items."""
+        return items[self.below(len(items))]
+
+    def sample(self, items: Sequence[T], n: int) -> list[T]:
+        """`n` different items, in random order."""
+        rest = list(items)
+        return [rest.pop(self.below(len(rest))) for _ in range(n)]
+
+    def weighted(self, weights: dict[str, float]) -> str:
+        """One of the keys, by weight; the weights sum to one."""
+        left = self.rng.random()
+        for key, weight in weights.items():
+            left -= weight
+            if left < 0:
+                return key
+        return next(reversed(weights))
+
+    def frame(self, noun: str) -> str:
+        """A whole sentence around a noun phrase."""
+        return self.pick(self.pools.frames).format(x=noun)
+
+    def noun(self, phrases: Sequence[str], **words: str) -> str:
+        """One of several noun phrases of the same meaning, filled in."""
+        return self.pick(self.pools.wordings(phrases)).format(**words)
+
+    def glyph(self, kind: str, concept: str | int) -> Panel:
+        """A letter, a number or a sum in some font."""
+        return Panel(str(concept), f"{kind}/{concept}@{self.pick(self.pools.fonts)}")
+
+    def drawing(self, kind: str, concept: str) -> Panel:
+        """An animal, a food, an object or several things in some drawing style."""
+        return Panel(concept, f"{kind}/{concept}@{self.pick(self.pools.styles)}")
+
+    def portrait(self, person: Mapping[str, str], name: str | None = None) -> Panel:
+        """A person before some background, named by what is drawn or by `name`."""
+        label = people.person_label(person, self.pick(self.pools.backgrounds))
+        return Panel(name or label[len("person/") : label.rindex("@")], label)
+
+    def puzzle(self, instruction: str, right: Panel, wrong: Sequence[Panel], board: str | None = None) -> Puzzle:
+        """The right panel at the target, the wrong ones around it in random order."""
+        first, second = self.sample(wrong, 2)
+        panels = [first, second]
+        panels.insert(self.target, right)
+        return Puzzle(instruction, (panels[0], panels[1], panels[2]), board)
+
+
+Generator: TypeAlias = Callable[[Draw], Puzzle]
+
+
+def article(noun: str) -> str:
+    """The indefinite article of a noun."""
+    return "an" if noun[0] in "aeiou" else "a"
+
+
+def words(concept: str) -> str:
+    """A concept as one says it."""
+    return concept.replace("_", " ")
+
+
+def plural(concept: str) -> str:
+    """The plural of a concept whose plural is regular."""
+    noun = words(concept)
+    if noun.endswith(("s", "x", "ch", "sh", "tomato", "potato")):
+        return noun + "es"
+    return noun[:-1] + "ies" if noun.endswith("y") and noun[-2] not in "aeiou" else noun + "s"

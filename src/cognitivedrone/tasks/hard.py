@@ -1,0 +1,299 @@
+"""The families of the `hard` suite that a single stage can hold: ingredients of `train`, but more to think about."""
+
+from __future__ import annotations
+
+from cognitivedrone.tasks import wording
+from cognitivedrone.tasks.facts import KIND_OF
+from cognitivedrone.tasks.generate import Draw, Panel, Puzzle, plural, words
+from cognitivedrone.tasks.human import by_features, person_lacking, person_with, random_features
+from cognitivedrone.tasks.reasoning import OPERATORS, binary, nested, other_numbers
+from cognitivedrone.tasks.vocabulary import LETTERS
+
+PLAIN_THINGS: tuple[str, ...] = (
+    "dog", "cat", "lion", "horse", "zebra", "elephant", "giraffe", "penguin", "owl", "frog", "turtle", "snake",
+    "butterfly", "snail", "apple", "banana", "carrot", "pizza", "cookie", "strawberry", "pineapple", "croissant",
+    "hammer", "key", "umbrella", "chair", "guitar", "bicycle", "airplane", "book", "camera", "car", "balloon",
+)  # fmt: skip
+"""Animals, foods and objects that nobody takes for one another, for families that are hard for another reason."""
+_COUNTABLE: tuple[str, ...] = (
+    "cat", "dog", "frog", "turtle", "bee", "butterfly", "apple", "banana", "lemon", "carrot", "cookie", "donut",
+    "star", "key", "car", "balloon", "bell", "cactus",
+)  # fmt: skip
+_PURE_ANIMALS: tuple[str, ...] = (
+    "dog", "cat", "lion", "horse", "zebra", "elephant", "giraffe", "penguin", "owl", "frog", "snake", "butterfly",
+    "koala", "monkey", "bear", "bat", "parrot",
+)  # fmt: skip
+"""Animals that nobody would also call food."""
+
+
+def conjunction(draw: Draw) -> Puzzle:
+    """Three or four things about a person at once."""
+    described, right, wrong = by_features(draw, 3 + draw.below(2))
+    return draw.puzzle(f"Fly through the gate with the person with {described}", right, wrong)
+
+
+def exclusion(draw: Draw) -> Puzzle:
+    """Somebody with one thing and without another."""
+    absent, present = random_features(draw, 2)
+    while True:
+        right = person_with(draw, [present])
+        if absent.holds(right) is False:
+            break
+    with_both = person_with(draw, [absent, present])
+    without_either = person_lacking(draw, [], present)
+    sentence = draw.pick(
+        (
+            "Fly through the gate with the person who has {present} but not {absent}",
+            "Fly to the gate with the person with {present} and without {absent}",
+            "Look for somebody without {absent} who has {present}, and fly through that gate",
+        )
+    )
+    panels = [draw.portrait(person) for person in (right, with_both, without_either)]
+    return draw.puzzle(sentence.format(present=present.phrase, absent=absent.phrase), panels[0], panels[1:])
+
+
+_RELATIONS: dict[int, tuple[tuple[int, str], ...]] = {
+    0: (
+        (1, "Fly through the gate to the left of the {x}"),
+        (2, "Fly through the gate farthest from the {x}"),
+        (2, "Fly through the gate two places to the left of the {x}"),
+    ),
+    1: (
+        (0, "Fly through the gate directly to the right of the {x}"),
+        (2, "Fly through the gate directly to the left of the {x}"),
+        (0, "Fly through the gate between the {x} and the {y}"),
+    ),
+    2: (
+        (1, "Fly through the gate to the right of the {x}"),
+        (0, "Fly through the gate farthest from the {x}"),
+        (0, "Fly through the gate two places to the right of the {x}"),
+    ),
+}
+"""By target, where the thing stands that the sentence names, and the sentence; `y` is the third thing."""
+
+
+def relations(draw: Draw) -> Puzzle:
+    """A gate by its place beside something else."""
+    names = draw.sample(PLAIN_THINGS, 3)
+    anchor, sentence = draw.pick(_RELATIONS[draw.target])
+    (rest,) = {0, 1, 2} - {draw.target, anchor}
+    a, b, c = (draw.drawing(KIND_OF[name], name) for name in names)
+    return Puzzle(sentence.format(x=words(names[anchor]), y=words(names[rest])), (a, b, c))
+
+
+_KINDS = ("an animal", "a letter", "a number", "something to eat", "a musical instrument")
+
+
+def _member(draw: Draw, kind: str) -> Panel:
+    """Something that is of one of the kinds and of no other."""
+    if kind == "a letter":
+        return draw.glyph("letter", draw.pick([letter for letter in LETTERS if letter not in "IO"]))
+    if kind == "a number":
+        return draw.glyph("number", draw.between(2, 20))
+    if kind == "an animal":
+        return draw.drawing("animal", draw.pick(_PURE_ANIMALS))
+    if kind == "something to eat":
+        return draw.drawing("food", draw.pick(("apple", "banana", "pizza", "cookie", "burger", "carrot", "cupcake")))
+    return draw.drawing("object", draw.pick(("guitar", "violin", "trumpet", "drum", "saxophone")))
+
+
+def negation(draw: Draw) -> Puzzle:
+    """What something is not: neither of two kinds, or not of the kind of both others."""
+    right, first, second = draw.sample(_KINDS, 3)
+    if draw.chance(0.5):
+        sentence = draw.pick(
+            (
+                "Fly through the gate with neither {first} nor {second}",
+                "Fly to the gate that shows neither {first} nor {second}",
+                "Avoid {first} and avoid {second}; take the remaining gate",
+            )
+        )
+        wrong = [_member(draw, first), _member(draw, second)]
+        return draw.puzzle(sentence.format(first=first, second=second), _member(draw, right), wrong)
+    wrong = [_member(draw, first)]
+    while len(wrong) < 2:
+        other = _member(draw, first)
+        if other.option != wrong[0].option:
+            wrong.append(other)
+    sentence = draw.pick(
+        (
+            "Fly through the gate that does not show {first}",
+            "Fly to the only gate without {first}",
+            "Take any gate, as long as it is not the one with {first}",
+        )
+    )
+    return draw.puzzle(sentence.format(first=first), _member(draw, right), wrong)
+
+
+def counting(draw: Draw) -> Puzzle:
+    """Panels with several things: how many, the most, the fewest, or more of one than of another."""
+    name, other = draw.sample(_COUNTABLE, 2)
+    if draw.chance(1 / 3):
+        more, fewer = sorted(draw.sample(range(1, 5), 2), reverse=True)
+        same = draw.between(1, 3)
+        low, high = sorted(draw.sample(range(1, 5), 2))
+        panels = [_several(draw, {name: n, other: m}) for n, m in ((more, fewer), (low, high), (same, same))]
+        sentence = f"Fly through the gate with more {plural(name)} than {plural(other)}"
+        return draw.puzzle(sentence, panels[0], panels[1:])
+    counts = draw.sample(range(1, 7), 3)
+    if draw.chance(0.5):
+        right = counts[0]
+        noun = plural(name) if right > 1 else words(name)
+        sentence = f"Fly through the gate with exactly {wording.NUMBER_WORDS[right]} {noun}"
+    else:
+        right, superlative = draw.pick(((max(counts), "most"), (min(counts), "fewest")))
+        sentence = f"Fly through the gate with the {superlative} {plural(name)}"
+    panel = {count: _several(draw, {name: count}) for count in counts}
+    return draw.puzzle(sentence, panel.pop(right), list(panel.values()))
+
+
+def _several(draw: Draw, counts: dict[str, int]) -> Panel:
+    return draw.drawing("several", "+".join(f"{KIND_OF[name]}/{name}={count}" for name, count in counts.items()))
+
+
+def distraction(draw: Draw) -> Puzzle:
+    """A clear request among words that are about the wrong gates."""
+    right, other, third = draw.sample(PLAIN_THINGS, 3)
+    sentence = draw.pick(
+        (
+            "My sister would choose the {other}, but today fly through the gate with the {right}",
+            "Yesterday we flew to the {other} and then to the {third}; now fly through the gate with the {right}",
+            "Forget what I said about the {other}: fly to the gate with the {right}",
+            "The {other} looks inviting and the {third} is nearer, but take the gate with the {right}",
+            "Fly through the gate with the {right}, and do not let the {other} tempt you",
+            "The other drone flies to the {other}. You fly through the gate with the {right}. Leave the {third} alone",
+        )
+    )
+    panels = [draw.drawing(KIND_OF[name], name) for name in (right, other, third)]
+    return draw.puzzle(
+        sentence.format(right=words(right), other=words(other), third=words(third)), panels[0], panels[1:]
+    )
+
+
+_BY_WEIGHT = (
+    ("ant", "bee", "mosquito", "ladybug"),
+    ("mouse", "frog", "dove", "bat"),
+    ("cat", "chicken", "rabbit", "fox", "eagle"),
+    ("pig", "lion", "gorilla", "deer", "kangaroo"),
+    ("elephant", "rhinoceros", "hippopotamus"),
+    ("whale",),
+)
+"""Animals in classes of weight; every adult of one class is heavier than any of the class before."""
+_BY_LEGS = (
+    ("snake", "dolphin", "worm"),
+    ("dove", "owl", "penguin", "duck", "flamingo"),
+    ("cat", "horse", "cow", "lion", "elephant", "rabbit"),
+    ("ant", "bee", "beetle", "cricket"),
+    ("spider",),
+)
+"""Animals by their number of legs: 0, 2, 4, 6 and 8."""
+
+
+def comparison(draw: Draw) -> Puzzle:
+    """Three things in order, of which the first, the last or the middle one is meant."""
+    return draw.pick((_middle_number, _largest_sum, _alphabet, _by_class))(draw)
+
+
+def _ordered(draw: Draw, panels: list[Panel], sentences: tuple[str, str, str]) -> Puzzle:
+    """Panels from low to high, and what to say for each."""
+    rank = draw.below(3)
+    return draw.puzzle(sentences[rank], panels[rank], [p for i, p in enumerate(panels) if i != rank])
+
+
+def _middle_number(draw: Draw) -> Puzzle:
+    numbers = sorted(draw.sample(range(21), 3))
+    return _ordered(
+        draw,
+        [draw.glyph("number", n) for n in numbers],
+        (
+            f"Fly through the gate with the only number below {numbers[1]}",
+            "Fly through the gate with the number that is neither the largest nor the smallest",
+            f"Fly through the gate with the only number above {numbers[1]}",
+        ),
+    )
+
+
+def _largest_sum(draw: Draw) -> Puzzle:
+    by_value: dict[int, str] = {}
+    while len(by_value) < 3:
+        text, value = binary(draw)
+        by_value[value] = text
+    return _ordered(
+        draw,
+        [draw.glyph("sum", by_value[value]) for value in sorted(by_value)],
+        (
+            "Fly through the gate whose sum has the smallest result",
+            "Fly through the gate whose sum has neither the largest nor the smallest result",
+            "Fly through the gate whose sum has the largest result",
+        ),
+    )
+
+
+def _alphabet(draw: Draw) -> Puzzle:
+    letters = sorted(draw.sample(LETTERS, 3))
+    return _ordered(
+        draw,
+        [draw.glyph("letter", letter) for letter in letters],
+        (
+            "Fly through the gate with the letter that comes first in the alphabet",
+            "Fly through the gate with the letter that is second of the three in the alphabet",
+            "Fly through the gate with the letter that comes last in the alphabet",
+        ),
+    )
+
+
+def _by_class(draw: Draw) -> Puzzle:
+    classes, low, high, what = draw.pick(
+        ((_BY_WEIGHT, "lightest", "heaviest", "weight"), (_BY_LEGS, "fewest", "most", "legs"))
+    )
+    chosen = sorted(draw.sample(range(len(classes)), 3))
+    panels = [draw.drawing("animal", draw.pick(classes[i])) for i in chosen]
+    if what == "legs":
+        low, high = f"animal with the {low} legs", f"animal with the {high} legs"
+        middle = "animal that has neither the fewest nor the most legs"
+    else:
+        low, high = f"{low} animal", f"{high} animal"
+        middle = "animal that is neither the lightest nor the heaviest"
+    start = "Fly through the gate with the"
+    return _ordered(draw, panels, (f"{start} {low}", f"{start} {middle}", f"{start} {high}"))
+
+
+def two_step(draw: Draw) -> Puzzle:
+    """Two calculations one after the other: in words, in brackets, or on the board and then in the head."""
+    return draw.pick((_in_words, _in_brackets, _from_board))(draw)
+
+
+def _in_words(draw: Draw) -> Puzzle:
+    while True:
+        a, b = draw.between(1, 12), draw.between(1, 12)
+        c = draw.between(1, 5)
+        first, second = draw.pick("+-*"), draw.pick("+-*")
+        inner = OPERATORS[first](a, b)
+        answer = OPERATORS[second](inner, c)
+        pairs_allowed = all(draw.pools.pair_allowed(*pair) for pair in ((a, b), (a, c), (b, c)))
+        if inner >= 0 and 0 <= answer <= 20 and pairs_allowed:
+            break
+    begin = {"+": f"Add {a} and {b}", "-": f"Subtract {b} from {a}", "*": f"Multiply {a} by {b}"}[first]
+    then = {"+": f"add {c}", "-": f"take away {c}", "*": f"multiply the result by {c}"}[second]
+    sentence = f"{begin}, then {then}, and fly through the gate with the number you get"
+    return draw.puzzle(sentence, draw.glyph("number", answer), other_numbers(draw, answer))
+
+
+def _in_brackets(draw: Draw) -> Puzzle:
+    text, answer = nested(draw)
+    return draw.puzzle(
+        f"Fly through the gate with the result of {text}", draw.glyph("number", answer), other_numbers(draw, answer)
+    )
+
+
+def _from_board(draw: Draw) -> Puzzle:
+    text, on_board = binary(draw)
+    step = draw.between(1, 5)
+    more = on_board + step <= 20 and (on_board < step or draw.chance(0.5))
+    answer = on_board + step if more else on_board - step
+    if answer < 0:
+        return _from_board(draw)
+    than = f"{step} {'more' if more else 'less'} than the sum on the board"
+    sentence = f"Fly through the gate with the number that is {than}"
+    wrong = other_numbers(draw, answer)
+    return draw.puzzle(sentence, draw.glyph("number", answer), wrong, draw.glyph("sum", text).label)

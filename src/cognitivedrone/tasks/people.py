@@ -1,0 +1,206 @@
+"""Drawn people: the attribute schema, what can be said of somebody, and a cast of invented names.
+
+A person is a mapping from attribute to value; what is left out has the first value of its row. Nothing is ever asked
+about skin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+Person = dict[str, str]
+
+SCHEMA: dict[str, tuple[str, ...]] = {
+    "skin": ("light", "tan", "brown", "dark"),
+    "hair": ("short", "curly", "long", "bob", "bun", "afro", "dreadlocks", "shaved_sides", "bald"),
+    "hair_color": ("brown", "black", "blond", "red", "gray", "pink"),
+    "hat": ("none", "hat", "beanie", "turban", "hijab"),
+    "hat_color": ("red", "blue", "green", "yellow", "black", "white"),
+    "glasses": ("none", "glasses", "round", "sunglasses", "eyepatch"),
+    "beard": ("none", "full", "stubble", "moustache"),
+    "clothes": ("tshirt", "hoodie", "blazer", "overall", "sweater", "vneck"),
+    "clothes_color": ("blue", "red", "green", "yellow", "black", "white", "gray", "pink"),
+    "expression": ("smile", "serious", "sad", "surprised", "laughing", "wink"),
+}
+"""Attributes of a person in canonical order, the default first."""
+
+IDENTITY: tuple[str, ...] = ("skin", "hair", "hair_color", "hat", "hat_color", "glasses", "beard")
+"""What stays the same in every picture of a member of the cast; the rest varies."""
+
+
+def person_label(person: Mapping[str, str], background: str) -> str:
+    """The label reference of a person, canonical: schema order, defaults left out, skin always written."""
+    words = [
+        f"{name}={person[name]}"
+        for name, values in SCHEMA.items()
+        if name in person and (name == "skin" or person[name] != values[0])
+    ]
+    if "skin" not in person:
+        words.insert(0, f"skin={SCHEMA['skin'][0]}")
+    return f"person/{','.join(words)}@{background}"
+
+
+def parse_person(concept: str) -> Person:
+    """The attributes that the concept of a person label writes, defaults not filled in."""
+    return dict(word.split("=", 1) for word in concept.split(","))
+
+
+def seen(person: Mapping[str, str]) -> Person:
+    """Every attribute as a viewer sees it; what a hat or dark glasses hide is `hidden`."""
+    full = {name: person.get(name, values[0]) for name, values in SCHEMA.items()}
+    if full["hat"] == "none":
+        full["hat_color"] = "hidden"
+        if full["hair"] == "bald":
+            full["hair_color"] = "hidden"
+    else:
+        full["hair"] = full["hair_color"] = "hidden"
+    if full["glasses"] in ("sunglasses", "eyepatch") and full["expression"] == "wink":
+        full["expression"] = "hidden"
+    if full["clothes"] == "blazer":
+        full["clothes_color"] = "hidden"
+    return full
+
+
+@dataclass(frozen=True, slots=True)
+class Feature:
+    """Something that can be said of a person, after "with"."""
+
+    phrase: str
+    wanted: Mapping[str, tuple[str, ...]]
+    """Values that make it true, by attribute; all attributes must agree."""
+    doubtful: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Further values for which one could argue; whoever has them is never an option."""
+
+    def holds(self, person: Mapping[str, str]) -> bool | None:
+        """Whether it is true of a person; none where one could argue."""
+        look = seen(person)
+        doubt = False
+        for name, values in self.wanted.items():
+            if look[name] in values:
+                continue
+            if look[name] not in (*self.doubtful.get(name, ()), "hidden"):
+                return False
+            doubt = True
+        return None if doubt else True
+
+
+def _hat(phrase: str, kind: str, *, doubtful: tuple[str, ...] = ()) -> list[Feature]:
+    plain = Feature(f"a {phrase}", {"hat": (kind,)}, {"hat": doubtful})
+    colored = [
+        Feature(f"a {color} {phrase}", {"hat": (kind,), "hat_color": (color,)}, {"hat": doubtful})
+        for color in SCHEMA["hat_color"]
+    ]
+    return [plain, *colored]
+
+
+def _hair(phrase: str, kind: str, *doubtful: str) -> Feature:
+    return Feature(phrase, {"hair": (kind,)}, {"hair": doubtful})
+
+
+def _clothes(phrase: str, kind: str, doubtful: tuple[str, ...]) -> list[Feature]:
+    return [
+        Feature(f"a {color} {phrase}", {"clothes": (kind,), "clothes_color": (color,)}, {"clothes": doubtful})
+        for color in SCHEMA["clothes_color"]
+    ]
+
+
+FEATURES: tuple[Feature, ...] = (
+    *_hat("hat", "hat", doubtful=("beanie", "turban", "hijab")),
+    *_hat("beanie", "beanie"),
+    *_hat("turban", "turban", doubtful=("hijab",)),
+    *_hat("headscarf", "hijab", doubtful=("turban",)),
+    _hair("curly hair", "curly", "afro", "dreadlocks"),
+    _hair("long hair", "long", "bob", "dreadlocks"),
+    _hair("a bun", "bun"),
+    _hair("an afro", "afro", "curly"),
+    _hair("dreadlocks", "dreadlocks"),
+    _hair("shaved sides", "shaved_sides", "bald"),
+    # A hat may hide a bald head, but only a head without a hat shows it: hats are doubtful through `hidden`.
+    _hair("a bald head", "bald", "shaved_sides"),
+    *(
+        Feature(f"{word} hair", {"hair_color": (color,)}, {"hair_color": doubtful})
+        for word, color, doubtful in (
+            ("brown", "brown", ("black", "red")),
+            ("black", "black", ("brown",)),
+            ("blond", "blond", ("gray",)),
+            ("red", "red", ("brown", "pink")),
+            ("gray", "gray", ("blond",)),
+            ("pink", "pink", ("red",)),
+        )
+    ),
+    Feature("glasses", {"glasses": ("glasses", "round")}, {"glasses": ("sunglasses",)}),
+    Feature("round glasses", {"glasses": ("round",)}, {"glasses": ("sunglasses",)}),
+    Feature("sunglasses", {"glasses": ("sunglasses",)}),
+    Feature("an eyepatch", {"glasses": ("eyepatch",)}),
+    Feature("a full beard", {"beard": ("full",)}, {"beard": ("stubble",)}),
+    Feature("a moustache", {"beard": ("moustache",)}, {"beard": ("full", "stubble")}),
+    Feature("stubble", {"beard": ("stubble",)}, {"beard": ("full", "moustache")}),
+    Feature("a blazer", {"clothes": ("blazer",)}),
+    Feature("overalls", {"clothes": ("overall",)}),
+    *_clothes("hoodie", "hoodie", ("sweater",)),
+    *_clothes("sweater", "sweater", ("hoodie",)),
+    *_clothes("T-shirt", "tshirt", ("vneck", "overall")),
+    Feature("a sad face", {"expression": ("sad",)}, {"expression": ("serious",)}),
+    Feature("a surprised look", {"expression": ("surprised",)}),
+    Feature("a laughing face", {"expression": ("laughing",)}, {"expression": ("smile", "wink")}),
+    Feature("a winking eye", {"expression": ("wink",)}),
+)
+
+_CAST = {
+    "Amara": "skin=dark,hair=bun,hair_color=gray",
+    "Anton": "skin=light,hair=afro,glasses=sunglasses,beard=moustache",
+    "Bella": "skin=light,hair=bob,hair_color=black",
+    "Boris": "skin=dark,hair=dreadlocks,hair_color=blond,glasses=eyepatch,beard=moustache",
+    "Chiara": "skin=dark,hat=hijab,hat_color=yellow,glasses=glasses",
+    "Carlos": "skin=dark,hair=dreadlocks,hair_color=red,glasses=glasses,beard=full",
+    "Dalia": "skin=tan,hat=hijab,hat_color=blue,glasses=round",
+    "Diego": "skin=dark,hair=curly,glasses=sunglasses",
+    "Esra": "skin=brown,hair=bun,glasses=glasses",
+    "Emil": "skin=brown,hair=dreadlocks,hair_color=black,glasses=glasses",
+    "Freya": "skin=tan,hair=long,hair_color=blond,glasses=round",
+    "Farid": "skin=tan,hair=bald",
+    "Greta": "skin=light,hat=hijab,hat_color=green",
+    "Gustav": "skin=dark,hair=shaved_sides,hair_color=gray,glasses=glasses",
+    "Hana": "skin=brown,hair=curly,hair_color=blond",
+    "Hugo": "skin=tan,hair=long,hair_color=blond,beard=full",
+    "Ines": "skin=light,hair=bun,hair_color=blond,glasses=sunglasses",
+    "Ivan": "skin=brown,hair=afro,hair_color=red,beard=full",
+    "Jasmin": "skin=brown,hair=afro,glasses=eyepatch",
+    "Jonas": "skin=tan,hair_color=gray,beard=full",
+    "Kaya": "skin=dark,hat=beanie,hat_color=green,glasses=eyepatch",
+    "Kofi": "skin=dark,hair=bald,glasses=eyepatch,beard=full",
+    "Leila": "skin=tan,hair=long",
+    "Luca": "skin=light,hair=dreadlocks,hair_color=black,glasses=sunglasses,beard=stubble",
+    "Mira": "skin=tan,hair=afro,hair_color=pink",
+    "Marco": "skin=brown,hat=beanie,hat_color=green,beard=moustache",
+    "Nadia": "skin=light,hair=bun,hair_color=black,glasses=eyepatch",
+    "Niko": "skin=dark,hair=dreadlocks,hair_color=red",
+    "Olga": "skin=dark,hair_color=gray,glasses=sunglasses",
+    "Omar": "skin=tan,hat=hat,hat_color=blue,glasses=glasses",
+    "Priya": "skin=tan,hat=beanie,hat_color=yellow",
+    "Pavel": "skin=tan,hair=afro,hair_color=blond,glasses=sunglasses,beard=stubble",
+    "Rosa": "skin=light,hair=afro,hair_color=gray,glasses=round",
+    "Quinn": "skin=dark,hair=shaved_sides,hair_color=black,glasses=round,beard=moustache",
+    "Sanna": "skin=tan,hat=beanie,hat_color=white,glasses=round",
+    "Rafael": "skin=brown,hair=shaved_sides,hair_color=gray,glasses=round,beard=full",
+    "Tara": "skin=dark,hat=beanie,glasses=glasses",
+    "Samir": "skin=dark,hair_color=pink,hat=hat,hat_color=white,beard=full",
+    "Uma": "skin=dark,hair=bun,hair_color=red,glasses=round",
+    "Tomas": "skin=brown,hair=shaved_sides,hair_color=red,glasses=eyepatch,beard=full",
+    "Vera": "skin=dark,hair=bob,hair_color=red,glasses=glasses",
+    "Ugo": "skin=dark,hair_color=blond,hat=turban,hat_color=black,glasses=glasses,beard=moustache",
+    "Wanda": "skin=light,hair=long,hair_color=black,glasses=sunglasses",
+    "Viktor": "skin=light,hair=dreadlocks,hair_color=black,beard=full",
+    "Yuki": "skin=dark,hat=hijab,hat_color=black,glasses=sunglasses",
+    "Wei": "skin=tan,hair_color=red,hat=turban,hat_color=green,beard=full",
+    "Zara": "skin=brown,hat=hat,glasses=round",
+    "Yusuf": "skin=brown,hair=shaved_sides,hair_color=red,beard=stubble",
+}
+
+CAST: dict[str, Person] = {name: parse_person(identity) for name, identity in _CAST.items()}
+"""The identity of every named person: invented, and unlike any other in at least two things one can see."""
+
+HELD_OUT_CAST: tuple[str, ...] = ("Uma", "Ugo", "Wanda", "Viktor", "Yuki", "Wei", "Zara", "Yusuf")
+"""Strangers: only `unseen` asks for them, beside two people whom `train` introduces."""
+TRAIN_CAST: tuple[str, ...] = tuple(name for name in CAST if name not in HELD_OUT_CAST)

@@ -1,0 +1,169 @@
+"""Suites: named, hashed lists of tracks. `train` is made on demand, the others are committed files."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+
+from cognitivedrone.errors import TaskError, did_you_mean
+from cognitivedrone.tasks.directives import write_directive
+from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, generator
+from cognitivedrone.tasks.format import read_tasks, task_from_json, task_to_json
+from cognitivedrone.tasks.generate import TRAIN, Draw, Puzzle
+from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task, Track
+
+VERSION = "open-v1"
+TRAIN_NAME = f"{VERSION}:train"
+FIXED: tuple[str, ...] = ("test", "unseen", "smoke", "track", "hard")
+SUITES: tuple[str, ...] = tuple(f"{VERSION}:{name}" for name in ("train", *FIXED))
+DEFAULT_TRAIN_SIZE = 300
+
+_GATE_LOOKS = tuple((size, shape) for size in SIZES for shape in SHAPES)
+_COLOR_ORDERS = tuple((a, b, c) for a in COLORS for b in COLORS for c in COLORS if len({a, b, c}) == 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Suite:
+    """Tracks to fly, in order."""
+
+    name: str
+    digest: str
+    """SHA-256 of the content as canonical JSON, hexadecimal."""
+    tracks: Sequence[Track]
+
+    @property
+    def n_tasks(self) -> int:
+        """Tasks in all tracks together."""
+        if isinstance(self.tracks, TrainTracks):
+            return len(self.tracks)
+        return sum(len(track) for track in self.tracks)
+
+
+def digest_of(tracks: Iterable[Iterable[dict[str, Any]]]) -> str:
+    """SHA-256 of tracks of JSON tasks, independent of white space and key order."""
+    content = [list(track) for track in tracks]
+    canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    return hashlib.sha256(canonical.encode("ascii")).hexdigest()
+
+
+def finish(puzzle: Puzzle, *, task_id: str, family: str, target: int, gates: tuple[Gate, Gate, Gate]) -> Task:
+    """A puzzle before its gates, with its directive."""
+    a, b, c = puzzle.panels
+    return Task(
+        id=task_id,
+        category=FAMILIES[family],
+        family=family,
+        instruction=puzzle.instruction,
+        directive=write_directive(gates[target]),
+        options=(a.option, b.option, c.option),
+        labels=(a.label, b.label, c.label),
+        target=target,
+        gates=gates,
+        board=puzzle.board,
+    )
+
+
+def train_task(index: int, seed: int = 0) -> Task:
+    """Task `index` of the training suite of a seed: families in rotation, everything else drawn from (seed, index)."""
+    if index < 0 or seed < 0:
+        raise TaskError(f"{TRAIN_NAME}: index {index} and seed {seed} must not be negative")
+    rng = np.random.default_rng([1, seed, index])
+    draw = Draw(rng, TRAIN, target=int(rng.integers(3)))
+    family = BASE_FAMILIES[index % len(BASE_FAMILIES)]
+    colors = draw.pick(_COLOR_ORDERS)
+    looks = [draw.pick(_GATE_LOOKS) for _ in colors]
+    a, b, c = (Gate(size, shape, color) for (size, shape), color in zip(looks, colors, strict=True))
+    return finish(
+        generator(family)(draw),
+        task_id=f"{TRAIN_NAME}/{seed}-{index}",
+        family=family,
+        target=draw.target,
+        gates=(a, b, c),
+    )
+
+
+class TrainTracks(Sequence[Track]):
+    """The first `size` training tasks of a seed as tracks of one, each made when it is asked for."""
+
+    def __init__(self, size: int, seed: int) -> None:
+        self._indices = range(size)
+        self._seed = seed
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    @overload
+    def __getitem__(self, index: int) -> Track: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Track]: ...
+    def __getitem__(self, index: int | slice) -> Track | list[Track]:
+        if isinstance(index, slice):
+            return [(train_task(i, self._seed),) for i in self._indices[index]]
+        return (train_task(self._indices[index], self._seed),)
+
+
+def load_suite(name: str, *, size: int | None = None, seed: int = 0) -> Suite:
+    """A suite by its name, such as "open-v1:test".
+
+    `open-v1:train` has `size` tasks (300 by default), of which task i depends on (seed, i) alone; its digest covers
+    name, seed, size and the first tasks. Of a fixed suite, `size` keeps the first tracks and `seed` says nothing.
+    Raises `TaskError` for an unknown name, a bad size, or a suite file whose content does not match its hash.
+    """
+    if name not in SUITES:
+        raise TaskError(f"unknown suite {name!r}; {did_you_mean(name, SUITES)}")
+    if size is not None and size < 1:
+        raise TaskError(f"suite {name!r}: size {size} must be at least 1")
+    if name == TRAIN_NAME:
+        tracks = TrainTracks(DEFAULT_TRAIN_SIZE if size is None else size, seed)
+        head = [task_to_json(task) for (task,) in tracks[: 2 * len(BASE_FAMILIES)]]
+        return Suite(name, digest_of([[{"name": name, "seed": seed, "size": len(tracks)}], head]), tracks)
+    suite = _fixed_suite(name)
+    if size is None or size >= len(suite.tracks):
+        return suite
+    kept = suite.tracks[:size]
+    return Suite(f"{name}[:{size}]", digest_of([task_to_json(t) for t in track] for track in kept), kept)
+
+
+@functools.cache
+def _fixed_suite(name: str) -> Suite:
+    file_name = f"{name.partition(':')[2]}.json"
+    text = resources.files("cognitivedrone.tasks").joinpath("suites", file_name).read_text(encoding="utf-8")
+    content = json.loads(text)
+    digest = digest_of(content["tracks"])
+    if digest != content["digest"]:
+        raise TaskError(f"suite {name!r}: the content of suites/{file_name} does not match its hash; reinstall")
+    tracks = tuple(
+        tuple(task_from_json(obj, where=f"{name}[{index}]") for obj in track)
+        for index, track in enumerate(content["tracks"])
+    )
+    return Suite(name, digest, tracks)
+
+
+def suite_from_files(path: Path) -> Suite:
+    """A suite of the user's own: a task file, or a folder of them, in the published layout.
+
+    Of a folder its `*.json` are taken, or where it has none the `<Type>/<Type>.json` of published folders below it.
+    Every task is a track of one. Raises `TaskError` naming file, index and fix.
+    """
+    path = Path(path)
+    files = [path]
+    if path.is_dir():
+        files = sorted(path.glob("*.json")) or sorted(p for p in path.rglob("*.json") if p.stem == p.parent.name)
+        if not files:
+            raise TaskError(f"{path}: holds no task file; put *.json task files there")
+    tasks: dict[str, Task] = {}
+    for file in files:
+        for index, task in enumerate(read_tasks(file)):
+            if task.id in tasks:
+                raise TaskError(f"{file}[{index}]: the id {task.id!r} is taken by an earlier task; give it another")
+            tasks[task.id] = task
+    tracks = tuple((task,) for task in tasks.values())
+    return Suite(path.name or str(path), digest_of([task_to_json(task)] for (task,) in tracks), tracks)

@@ -1,0 +1,75 @@
+"""What makes a task well formed. Every fault is one sentence that names the place and the fix."""
+
+from __future__ import annotations
+
+from cognitivedrone.errors import TaskError, did_you_mean
+from cognitivedrone.tasks.directives import parse_directive
+from cognitivedrone.types import CATEGORIES, COLORS, SHAPES, SIZES, Gate, Task
+
+MAX_TEXT = 1000
+"""Longest instruction, directive or name, in characters."""
+
+
+def check_word(value: object, known: tuple[str, ...], what: str, where: str) -> None:
+    """Raises `TaskError` unless `value` is one of `known`."""
+    if not isinstance(value, str) or value not in known:
+        raise TaskError(f"{where}: unknown {what} {str(value)[:40]!r}; {did_you_mean(str(value)[:40], known)}")
+
+
+def check_text(value: object, what: str, where: str) -> None:
+    """Raises `TaskError` unless `value` is a sentence or name of reasonable length."""
+    if not isinstance(value, str):
+        raise TaskError(f"{where}: {what} must be a string, not {type(value).__name__}")
+    if not value.strip():
+        raise TaskError(f"{where}: {what} is empty; write it down")
+    if len(value) > MAX_TEXT:
+        raise TaskError(f"{where}: {what} has {len(value)} characters; shorten it to {MAX_TEXT} at most")
+
+
+def check_gates(gates: tuple[Gate, Gate, Gate], where: str) -> None:
+    """Raises `TaskError` unless the gates are of known looks and three different colours."""
+    for number, gate in enumerate(gates, 1):
+        check_word(gate.size, SIZES, f"size of gate {number}", where)
+        check_word(gate.shape, SHAPES, f"shape of gate {number}", where)
+        check_word(gate.color, COLORS, f"color of gate {number}", where)
+    for first, second in ((0, 1), (0, 2), (1, 2)):
+        if gates[first].color == gates[second].color:
+            raise TaskError(
+                f"{where}: gates {first + 1} and {second + 1} are both {gates[first].color}; "
+                "give the three gates three different colors"
+            )
+
+
+def validate_task(task: Task, where: str) -> None:
+    """Raises `TaskError` at the first fault of a task; `where` names it, for example "Animals.json[12]"."""
+    for what, text in (("id", task.id), ("prompt", task.instruction), ("prompt_simpler", task.directive)):
+        check_text(text, what, where)
+    for what, text in (("family", task.family), ("background", task.background)):
+        check_text(text, what, where)
+    check_word(task.category, CATEGORIES, "category", where)
+    if type(task.target) is not int or task.target not in (0, 1, 2):
+        shown = task.target + 1 if isinstance(task.target, int) else task.target
+        raise TaskError(f"{where}: correct is {shown!r}; it must be 1, 2 or 3, the number of the right gate")
+    check_gates(task.gates, where)
+    for names, what in ((task.options, "options"), (task.labels, "labels")):
+        if len(names) != 3:
+            raise TaskError(f"{where}: {what} has {len(names)} entries; a task has one for each of its 3 gates")
+        for name in names:
+            check_text(name, f"an entry of {what}", where)
+    shown_as = tuple(label.rpartition("@")[0] or label for label in task.labels)
+    for entries in (task.options, shown_as):
+        for first, second in ((0, 1), (0, 2), (1, 2)):
+            if entries[first] == entries[second]:
+                right = ", so there are two right answers" if task.target in (first, second) else ""
+                raise TaskError(
+                    f"{where}: options {first + 1} and {second + 1} are both {entries[first]!r}{right}; "
+                    "give each gate an option of its own"
+                )
+    if task.board is not None:
+        check_text(task.board, "board", where)
+    _, color, _ = parse_directive(task.directive)
+    if color is not None and color != task.gates[task.target].color:
+        raise TaskError(
+            f"{where}: prompt_simpler names the {color} gate, but the right gate {task.target + 1} is "
+            f"{task.gates[task.target].color}; correct one of them"
+        )
