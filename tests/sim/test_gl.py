@@ -61,7 +61,7 @@ def test_the_users_choice_counts(fresh: pytest.MonkeyPatch) -> None:
 def test_no_opengl_is_one_sentence_with_the_line_to_type(fresh: pytest.MonkeyPatch) -> None:
     fresh.setattr(gl, "_probe", lambda name: None)
     with pytest.raises(
-        RenderError, match=r"tried egl and osmesa.*apt-get install -y libegl1 libgl1-mesa-dri"
+        RenderError, match=r"tried egl and osmesa.*apt-get install -y libegl1 libgl1-mesa-dri libopengl0"
     ) as caught:
         gl.backend()
     assert "\n" not in str(caught.value)
@@ -91,3 +91,12 @@ def test_quitting_without_closing_prints_nothing() -> None:
     program = "from cognitivedrone.sim.camera import Cameras; c = Cameras(2, 32, threads=2); print(c.size)"
     child = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     assert (child.returncode, child.stdout, child.stderr) == (0, "32\n", "")
+
+
+def test_a_broken_choice_of_the_users_is_one_sentence_even_on_import() -> None:
+    program = "import cognitivedrone.sim.camera"
+    environment = {**os.environ, "MUJOCO_GL": "nonsense"}
+    child = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment, timeout=60)
+    last = child.stderr.splitlines()[-1]
+    assert "RenderError: MuJoCo does not start with MUJOCO_GL=nonsense" in last
+    assert "Unset MUJOCO_GL" in last

@@ -14,15 +14,16 @@ from concurrent.futures import wait
 from functools import partial
 from typing import Any, Final
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from PIL import Image as PillowImage
 
 from cognitivedrone.errors import RenderError
 from cognitivedrone.frames import FloatArray, rotate_yaw, rotation_matrix, yaw_of
 from cognitivedrone.sim.gl import GLThread
 from cognitivedrone.types import DroneState, Image, Stage
 from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture
+from cognitivedrone.world.engine import mujoco
 from cognitivedrone.world.look import PLAIN, Look, expose
 from cognitivedrone.world.scene import add_drone, fill_scene, new_scene
 
@@ -38,6 +39,7 @@ _VIEW_FIELD_OF_VIEW = 1.1  # of the views for people, vertical, rad
 _CHASE_EYE, _CHASE_TARGET = (-2.0, 0.0, 0.8), (2.0, 0.0, 0.5)  # from the drone, heading frame, m
 _TOP_EYE, _TOP_TARGET = (-6.0, 0.0, 9.0), (2.2, 0.0, 1.0)  # stage frame, m
 _TOP_DRONE_SCALE = 3.0
+_SUPERSAMPLE = 2  # views for people are drawn this many times larger and reduced, for smooth edges
 
 
 class Cameras:
@@ -209,7 +211,7 @@ class _Renderer:
         """A view for people, from `eye` to `target`, with the drone in it: (h, w, 3)."""
         self.stage(slot)
         scene = self._scenes[slot]
-        width, height = size
+        width, height = (_SUPERSAMPLE * side for side in size)
         stage_geoms = scene.ngeom
         pixels = np.empty((height, width, 3), np.uint8)
         forward = (target - eye) / np.linalg.norm(target - eye)
@@ -224,7 +226,7 @@ class _Renderer:
             mujoco.mjr_resizeOffscreen(self._size, self._size, self._context)
             scene.ngeom = stage_geoms
             _set_lens(scene, FIELD_OF_VIEW)
-        return np.ascontiguousarray(pixels[::-1])
+        return np.array(PillowImage.fromarray(pixels[::-1]).reduce(_SUPERSAMPLE))
 
     def free(self) -> None:
         self._context.free()

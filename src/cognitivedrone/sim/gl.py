@@ -23,7 +23,7 @@ from cognitivedrone.errors import RenderError
 
 BACKENDS: Final = ("egl", "osmesa")
 _REMEMBERED: Final = "COGNITIVEDRONE_GL"
-_INSTALL: Final = "apt-get install -y libegl1 libgl1-mesa-dri"
+_INSTALL: Final = "apt-get install -y libegl1 libgl1-mesa-dri libopengl0"
 _PROBE: Final = """
 import sys
 from cognitivedrone.sim import gl

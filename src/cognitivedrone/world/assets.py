@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
@@ -17,6 +16,7 @@ from PIL import Image as PillowImage
 from cognitivedrone.frames import FloatArray, rotation_matrix
 from cognitivedrone.types import SHAPES, SIZES, Gate, Image, Shape, Size
 from cognitivedrone.world import geometry
+from cognitivedrone.world.engine import mujoco
 from cognitivedrone.world.look import PATTERNS, Pattern, pattern_texture
 
 TEXTURE_SIZE: Final = 256
@@ -100,6 +100,8 @@ def build_assets(slots: int, image_size: int) -> Assets:
 
 def write_picture(assets: Assets, slot: int, picture: int, image: Image) -> int:
     """Write an RGB image (h, w, 3) of any size into a slot's texture in memory; the texture's number, for uploading."""
+    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
+        raise ValueError(f"a picture is uint8 (h, w, 3), not {image.dtype} {image.shape}")
     size = (TEXTURE_SIZE, TEXTURE_SIZE)
     if image.shape[:2] != size:
         image = np.asarray(PillowImage.fromarray(image).resize(size, PillowImage.Resampling.BILINEAR))

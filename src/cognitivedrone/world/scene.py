@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from cognitivedrone.frames import FloatArray, quaternion_from_yaw, rotate_yaw, rotation_matrix
 from cognitivedrone.types import COLORS, DroneState, Stage
 from cognitivedrone.world import geometry
 from cognitivedrone.world.assets import BOARD, Assets, Placed
+from cognitivedrone.world.engine import mujoco
 from cognitivedrone.world.look import RGB, Look
 
 _MAX_GEOMS = 32
