@@ -17,5 +17,5 @@ except ImportError:
 except Exception as error:
     raise RenderError(
         f"MuJoCo does not start with MUJOCO_GL={os.environ.get('MUJOCO_GL', '')} ({error}). "
-        "Unset MUJOCO_GL, or install what it names: apt-get install -y libegl1 libgl1-mesa-dri libopengl0, or libosmesa6"
+        "Unset it, or install what it names: apt-get install -y libegl1 libgl1-mesa-dri libopengl0, or libosmesa6"
     ) from None

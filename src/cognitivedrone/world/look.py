@@ -71,6 +71,9 @@ def varied_look(rng: np.random.Generator) -> Look:
     def hsv(hue: float, saturation: tuple[float, float], value: tuple[float, float]) -> RGB:
         return colorsys.hsv_to_rgb(hue % 1.0, rng.uniform(*saturation), rng.uniform(*value))
 
+    def pattern(plain: float) -> Pattern:
+        return "plain" if rng.uniform() < plain else PATTERNS[rng.integers(1, len(PATTERNS))]
+
     azimuth = rng.uniform(0.0, 2 * np.pi)
     slant = rng.uniform(0.2, 0.8)
     red, green, blue = (
@@ -79,9 +82,9 @@ def varied_look(rng: np.random.Generator) -> Look:
     )
     return Look(
         floor=hsv(rng.uniform(), (0.0, 0.3), (0.35, 1.0)),
-        floor_pattern=PATTERNS[rng.integers(len(PATTERNS))],
+        floor_pattern=pattern(plain=0.25),
         surroundings=hsv(rng.uniform(), (0.0, 0.35), (0.3, 0.95)),
-        surroundings_pattern=PATTERNS[rng.integers(len(PATTERNS))],
+        surroundings_pattern=pattern(plain=0.5),
         surroundings_glow=float(rng.uniform(0.0, 0.6)),
         gate_colors=(red, green, blue),
         ambient=float(rng.uniform(0.4, 0.7)),
