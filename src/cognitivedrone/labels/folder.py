@@ -1,0 +1,123 @@
+"""A folder of images as a label pack: `<kind>/<concept>.png` or `<concept>@<style>.png`.
+
+This is also the layout of published label folders (`Animals/cat.jpg`, `Food/Healthy/healthy_13.jpg`). Their names
+vary in case, and some files carry the `dae` of the panel's model in their name (`cheetahdae.jpg`); both are overlooked.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cognitivedrone import types
+from cognitivedrone.errors import LabelError, did_you_mean
+from cognitivedrone.labels.images import SUFFIXES, draw_several, frozen_array, read_image
+from cognitivedrone.labels.reference import Reference, parse_reference
+
+if TYPE_CHECKING:
+    from cognitivedrone.labels.pack import ShippedPack
+
+MAX_FILES = 50_000
+_CACHED_IMAGES = 128
+
+
+class FolderPack:
+    """Panels from the images of a folder; kinds that it lacks (sums, numbers, ...) come from the shipped pack."""
+
+    def __init__(self, folder: Path, fallback: ShippedPack) -> None:
+        self.name = str(folder)
+        self._folder = folder
+        self._fallback = fallback
+        self._files = _scan(folder)
+        self._kinds = {kind.casefold(): kind for kind in self._files}
+        self._cached = lru_cache(maxsize=_CACHED_IMAGES)(self._draw)
+
+    def __reduce__(self) -> tuple[type[FolderPack], tuple[Path, ShippedPack]]:
+        return FolderPack, (self._folder, self._fallback)
+
+    def image(self, reference: str) -> types.Image:
+        """(H, W, 3) uint8 RGB, read-only, the image's own aspect, at most 256 px a side.
+
+        An image without a style stands for every style. Raises `LabelError` naming the file that was looked for.
+        """
+        return self._cached(reference)
+
+    def kinds(self) -> tuple[str, ...]:
+        """Own kinds as the folder spells them, then those of the shipped pack."""
+        own = tuple(self._files)
+        return own + tuple(kind for kind in self._fallback.kinds() if kind not in self._kinds)
+
+    def concepts(self, kind: str) -> tuple[str, ...]:
+        """Concepts of a kind, casefolded; empty where the kind is open, such as sums."""
+        if kind.casefold() in self._kinds:
+            return tuple(self._files[self._kinds[kind.casefold()]])
+        return self._fallback.concepts(kind)
+
+    def styles(self, kind: str) -> tuple[str, ...]:
+        """Styles of a kind; empty where its images have none."""
+        if kind.casefold() in self._kinds:
+            concepts = self._files[self._kinds[kind.casefold()]].values()
+            return tuple(sorted({style for files in concepts for style in files if style}))
+        return self._fallback.styles(kind)
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of the names and contents of all images, and of the shipped pack behind them."""
+        digest = hashlib.sha256(self._fallback.digest.encode())
+        paths = (path for concepts in self._files.values() for files in concepts.values() for path in files.values())
+        for path in sorted(paths):
+            digest.update(f"{path.relative_to(self._folder).as_posix()}\0{path.stat().st_size}\0".encode())
+            digest.update(path.read_bytes())
+        return digest.hexdigest()
+
+    def _draw(self, text: str) -> types.Image:
+        reference = parse_reference(text)
+        if reference.kind.casefold() in self._kinds:
+            return frozen_array(read_image(self._path(reference)))
+        if reference.kind == "several":
+            return frozen_array(draw_several(reference.concept, reference.style, self.image))
+        if reference.kind not in self._fallback.kinds():
+            hint = did_you_mean(reference.kind, self.kinds())
+            raise LabelError(f"label {text!r}: pack {self.name!r} has no kind {reference.kind!r}; {hint}")
+        return self._fallback.image(text)
+
+    def _path(self, reference: Reference) -> Path:
+        kind = self._kinds[reference.kind.casefold()]
+        concepts = self._files[kind]
+        concept = reference.concept.casefold().removesuffix(".dae")
+        files = concepts.get(concept) or concepts.get(f"{concept}dae")
+        if files is None:
+            wanted = f"{kind}/{reference.concept.removesuffix('.dae')}.png (or .jpg, .jpeg, .webp)"
+            hint = did_you_mean(concept, concepts)
+            raise LabelError(f"label '{reference}' is not in pack {self.name!r}: no file {wanted} there; {hint}")
+        style = reference.style or min(files)
+        path = files.get(style) or files.get("")
+        if path is None:
+            hint = did_you_mean(style, files)
+            raise LabelError(f"label '{reference}' is not in pack {self.name!r} in style {style!r}; {hint}")
+        return path
+
+
+def _scan(folder: Path) -> dict[str, dict[str, dict[str, Path]]]:
+    """Kind to concept (casefolded) to style ("" for none) to file. Links that lead out of the folder are left out."""
+    root = folder.resolve()
+    found: dict[str, dict[str, dict[str, Path]]] = {}
+    count = 0
+    for parent, folders, names in os.walk(folder):
+        folders.sort()
+        for name in sorted(names):
+            path = Path(parent) / name
+            kind, _, rest = path.relative_to(folder).as_posix().partition("/")
+            if not rest or path.suffix.lower() not in SUFFIXES or not path.resolve().is_relative_to(root):
+                continue
+            count += 1
+            if count > MAX_FILES:
+                raise LabelError(f"label folder {folder} holds more than {MAX_FILES} images")
+            concept, _, style = rest[: -len(path.suffix)].partition("@")
+            found.setdefault(kind, {}).setdefault(concept.casefold(), {}).setdefault(style, path)
+    if not found:
+        raise LabelError(f"label folder {folder} holds no images; expected files such as animal/cat.png in it")
+    return found

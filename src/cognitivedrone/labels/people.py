@@ -1,0 +1,93 @@
+"""Drawn people: attributes in a reference to layers, painted one over the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from PIL import Image
+
+from cognitivedrone.errors import LabelError, did_you_mean
+
+SIDE = 256
+"""Of a panel, px."""
+
+ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
+    "skin": ("light", "tan", "brown", "dark"),
+    "hair": ("short", "curly", "long", "bob", "bun", "afro", "dreadlocks", "shaved_sides", "bald"),
+    "hair_color": ("brown", "black", "blond", "red", "gray", "pink"),
+    "hat": ("none", "hat", "beanie", "turban", "hijab"),
+    "hat_color": ("red", "blue", "green", "yellow", "black", "white"),
+    "glasses": ("none", "glasses", "round", "sunglasses", "eyepatch"),
+    "beard": ("none", "full", "stubble", "moustache"),
+    "clothes": ("tshirt", "hoodie", "blazer", "overall", "sweater", "vneck"),
+    "clothes_color": ("blue", "red", "green", "yellow", "black", "white", "gray", "pink"),
+    "expression": ("smile", "serious", "sad", "surprised", "laughing", "wink"),
+}
+"""Attribute to its values; the first is what a reference that leaves it out means. Beards are of the hair's colour."""
+
+BACKGROUNDS: Mapping[str, tuple[int, int, int]] = {
+    "white": (255, 255, 255),
+    "sky": (176, 217, 255),
+    "sand": (240, 216, 168),
+    "mint": (182, 236, 205),
+    "rose": (252, 200, 208),
+    "lilac": (214, 198, 246),
+    "slate": (142, 155, 174),
+    "cream": (255, 243, 196),
+}
+"""The style of a person is the colour behind; the first is the default."""
+
+_HAT_COVERS_TO = {"hat": 88, "beanie": 66, "turban": 88, "hijab": SIDE}
+"""Row of the panel above which a hat hides the hair, px."""
+
+LayerSource = Callable[[str], tuple[Image.Image, tuple[int, int]]]
+"""Name of a layer to its RGBA image and where its upper left corner belongs, px."""
+
+
+def parse_person(concept: str) -> dict[str, str]:
+    """All attributes of a person given as `attribute=value,attribute=value`; left-out ones at their first value.
+
+    Raises `LabelError` with near names for an attribute or a value that is not in `ATTRIBUTES`.
+    """
+    chosen: dict[str, str] = {}
+    for item in filter(None, concept.split(",")):
+        attribute, equals, value = item.partition("=")
+        if not equals:
+            raise LabelError(f"label 'person/{concept}': {item!r} is not of the form attribute=value")
+        if attribute not in ATTRIBUTES:
+            hint = did_you_mean(attribute, ATTRIBUTES)
+            raise LabelError(f"label 'person/{concept}': people have no attribute {attribute!r}; {hint}")
+        if value not in ATTRIBUTES[attribute]:
+            hint = did_you_mean(value, ATTRIBUTES[attribute])
+            raise LabelError(f"label 'person/{concept}': {attribute} cannot be {value!r}; {hint}")
+        if attribute in chosen:
+            raise LabelError(f"label 'person/{concept}' gives {attribute} twice")
+        chosen[attribute] = value
+    return {attribute: chosen.get(attribute, values[0]) for attribute, values in ATTRIBUTES.items()}
+
+
+def layer_names(person: Mapping[str, str]) -> list[str]:
+    """The layers of a person with all attributes, from the back to the front."""
+    hair_color = person["hair_color"]
+    return [
+        f"skin/{person['skin']}",
+        f"clothes/{person['clothes']}-{person['clothes_color']}",
+        f"expression/{person['expression']}",
+        *([f"hair/{person['hair']}-{hair_color}"] if person["hair"] != "bald" else []),
+        *([f"beard/{person['beard']}-{hair_color}"] if person["beard"] != "none" else []),
+        *([f"glasses/{person['glasses']}"] if person["glasses"] != "none" else []),
+        *([f"hat/{person['hat']}-{person['hat_color']}"] if person["hat"] != "none" else []),
+    ]
+
+
+def draw_person(concept: str, background: str, layer: LayerSource) -> Image.Image:
+    """(SIDE, SIDE) RGB portrait. Raises `LabelError` as `parse_person` does; `background` is one of BACKGROUNDS."""
+    person = parse_person(concept)
+    hidden_rows = _HAT_COVERS_TO.get(person["hat"], 0)
+    image = Image.new("RGBA", (SIDE, SIDE), (*BACKGROUNDS[background], 255))
+    for name in layer_names(person):
+        part, (x, y) = layer(name)
+        cut = max(0, hidden_rows - y) if name.startswith("hair/") else 0
+        if cut < part.height:
+            image.alpha_composite(part, (x, y + cut), (0, cut))
+    return image.convert("RGB")
