@@ -128,11 +128,13 @@ def _gates(value: object, where: str) -> tuple[Gate, Gate, Gate]:
 
 
 def _board(obj: Mapping[str, Any], where: str) -> str | None:
-    board = obj.get("board")
-    if board is not None or obj.get("task") is None:
-        check_text(board, "board", where) if board is not None else None
-        return board
-    operation = obj["task"]
+    board: object = obj.get("board")
+    if board is not None:
+        check_text(board, "board", where)
+        return cast(str, board)
+    operation = obj.get("task")
+    if operation is None:
+        return None
     if not isinstance(operation, dict) or not all(key in operation for key in ("d1", "operator", "d2")):
         raise TaskError(f"{where}: task must have d1, operator and d2, the sum on the board")
     board = f"sum/{operation['d1']}{operation['operator']}{operation['d2']}@inter"

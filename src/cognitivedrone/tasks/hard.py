@@ -119,7 +119,7 @@ def negation(draw: Draw) -> Puzzle:
         (
             "Fly through the gate that does not show {first}",
             "Fly to the only gate without {first}",
-            "Take any gate, as long as it is not the one with {first}",
+            "Take a gate, but not one that shows {first}",
         )
     )
     return draw.puzzle(sentence.format(first=first), _member(draw, right), wrong)

@@ -31,7 +31,7 @@ def random_person(draw: Draw) -> Person:
     person = {name: draw.pick(values) for name, values in SCHEMA.items()}
     person["hat"] = draw.weighted(_HATS)
     person["glasses"] = draw.weighted(_GLASSES)
-    person["beard"] = draw.weighted(_BEARDS)
+    person["beard"] = "none" if person["hat"] == "hijab" else draw.weighted(_BEARDS)
     return tidy(person)
 
 
@@ -50,6 +50,9 @@ def impose(draw: Draw, person: Person, feature: Feature) -> Person:
             changed["hair"] = draw.pick(SCHEMA["hair"][:-1])
     if feature.wanted.get("expression") == ("wink",):
         changed["glasses"] = "none"
+    if changed.get("hat") == "hijab":
+        # Nobody is drawn with both: the newer of the two stays.
+        changed |= {"hat": "none"} if "beard" in feature.wanted else {"beard": "none"}
     return tidy(changed)
 
 
@@ -65,7 +68,11 @@ def random_features(draw: Draw, count: int) -> list[Feature]:
 def _parts(feature: Feature) -> set[str]:
     parts = {"top" if name in ("hat", "hat_color", "hair", "hair_color") else name for name in feature.wanted}
     parts = {"clothes" if name == "clothes_color" else name for name in parts}
-    return parts | {"glasses"} if feature.wanted.get("expression") == ("wink",) else parts
+    if feature.wanted.get("expression") == ("wink",):
+        parts.add("glasses")
+    if feature.wanted.get("hat") == ("hijab",):
+        parts.add("beard")
+    return parts
 
 
 def person_with(draw: Draw, features: list[Feature]) -> Person:

@@ -1,0 +1,161 @@
+"""The committed suites: hashes, balance, and that they can be built again."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+from cognitivedrone.errors import TaskError
+from cognitivedrone.tasks import (
+    BASE_FAMILIES,
+    HARD_FAMILIES,
+    SUITES,
+    Suite,
+    load_suite,
+    suite_from_files,
+    suites,
+    train_task,
+    validate_task,
+    write_tasks,
+)
+from cognitivedrone.tasks.build import main
+from cognitivedrone.types import CATEGORIES, COLORS, SHAPES, SIZES, Task
+
+FIXED = [name for name in SUITES if not name.endswith(":train")]
+
+
+def tasks_of(suite: Suite) -> list[Task]:
+    return [task for track in suite.tracks for task in track]
+
+
+def spread(values: Iterable[object], known: Iterable[object]) -> int:
+    counts = Counter(values)
+    return max(counts[value] for value in known) - min(counts[value] for value in known)
+
+
+def test_suite_sizes() -> None:
+    sizes = {name.split(":")[1]: load_suite(name).n_tasks for name in FIXED}
+    assert sizes == {"test": 300, "unseen": 150, "smoke": 30, "track": 100, "hard": 150}
+    assert [len(track) for track in load_suite("open-v1:track").tracks] == [5] * 20
+    assert max(len(track) for track in load_suite("open-v1:hard").tracks) == 5
+
+
+def test_committed_files_are_what_build_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(tmp_path)
+    assert len(capsys.readouterr().out.splitlines()) == len(FIXED)
+    committed = resources.files("cognitivedrone.tasks").joinpath("suites")
+    for path in sorted(tmp_path.iterdir()):
+        assert committed.joinpath(path.name).read_text(encoding="utf-8") == path.read_text(encoding="utf-8"), path.name
+
+
+@pytest.mark.parametrize("name", FIXED)
+def test_tasks_are_well_formed_with_ids_of_their_own(name: str) -> None:
+    tasks = tasks_of(load_suite(name))
+    for task in tasks:
+        validate_task(task, task.id)
+        assert task.id.startswith(f"{name}/")
+    assert len({task.id for task in tasks}) == len(tasks)
+
+
+@pytest.mark.parametrize("name", FIXED)
+def test_positions_colours_shapes_and_sizes_are_balanced(name: str) -> None:
+    tasks = tasks_of(load_suite(name))
+    right = [task.gates[task.target] for task in tasks]
+    every = [gate for task in tasks for gate in task.gates]
+    assert spread((task.target for task in tasks), range(3)) <= 1
+    for gates in (right, every):
+        assert spread((gate.color for gate in gates), COLORS) <= 1
+        assert spread((gate.shape for gate in gates), SHAPES) <= 1
+        assert spread((gate.size for gate in gates), SIZES) <= 1
+    assert spread((task.category for task in tasks), CATEGORIES) <= 1
+
+
+@pytest.mark.parametrize("name", ["open-v1:test", "open-v1:unseen", "open-v1:hard"])
+def test_positions_are_balanced_in_every_family(name: str) -> None:
+    tasks = tasks_of(load_suite(name))
+    for family in {task.family for task in tasks}:
+        assert spread((task.target for task in tasks if task.family == family), range(3)) <= 1
+
+
+def test_shares_of_the_families() -> None:
+    test = Counter(task.family for task in tasks_of(load_suite("open-v1:test")))
+    assert test == {family: 50 if family in ("attributes", "people") else 25 for family in BASE_FAMILIES}
+    assert set(HARD_FAMILIES) == {task.family for task in tasks_of(load_suite("open-v1:hard"))}
+
+
+def test_memory_tasks_fly_on_tracks() -> None:
+    for track in load_suite("open-v1:hard").tracks:
+        assert (len(track) >= 3) == (track[0].family == "memory")
+
+
+def test_train_grows_to_any_size_and_each_task_stays_what_it_is() -> None:
+    suite = load_suite("open-v1:train", size=10**9, seed=3)
+    assert suite.n_tasks == len(suite.tracks) == 10**9
+    assert suite.tracks[-1][0] == train_task(10**9 - 1, seed=3)
+    assert suite.tracks[5:7] == [(train_task(5, 3),), (train_task(6, 3),)]
+    assert suite.digest != load_suite("open-v1:train", size=10**9, seed=4).digest
+    assert suite.digest == load_suite("open-v1:train", size=10**9, seed=3).digest
+    assert load_suite("open-v1:train").n_tasks == 300
+
+
+def test_the_beginning_of_a_fixed_suite_has_a_name_and_digest_of_its_own() -> None:
+    part = load_suite("open-v1:smoke", size=7)
+    assert part.n_tasks == 7
+    assert part.name == "open-v1:smoke[:7]"
+    assert part.digest != load_suite("open-v1:smoke").digest
+    assert load_suite("open-v1:smoke", size=30) == load_suite("open-v1:smoke")
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "message"),
+    [("open-v1:tset", None, "did you mean 'open-v1:test'"), ("open-v1:test", 0, "at least 1")],
+)
+def test_unknown_suites_and_sizes(name: str, size: int | None, message: str) -> None:
+    with pytest.raises(TaskError, match=message):
+        load_suite(name, size=size)
+
+
+def test_a_changed_suite_file_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = resources.files("cognitivedrone.tasks").joinpath("suites", "smoke.json").read_text(encoding="utf-8")
+    (tmp_path / "suites").mkdir()
+    (tmp_path / "suites" / "smoke.json").write_text(text.replace('"correct":1', '"correct":2', 1), encoding="utf-8")
+    monkeypatch.setattr(suites.resources, "files", lambda package: tmp_path)
+    suites._fixed_suite.cache_clear()
+    with pytest.raises(TaskError, match="does not match its hash"):
+        load_suite("open-v1:smoke")
+
+
+# ---- the user's own files
+
+
+def test_a_file_and_a_folder_become_suites(tmp_path: Path) -> None:
+    tasks = [train_task(i) for i in range(4)]
+    write_tasks(tmp_path / "a.json", tasks[:2])
+    write_tasks(tmp_path / "b.json", tasks[2:])
+    assert tasks_of(suite_from_files(tmp_path / "b.json")) == tasks[2:]
+    both = suite_from_files(tmp_path)
+    assert tasks_of(both) == tasks
+    assert both.name == tmp_path.name
+    assert len(both.digest) == 64
+
+
+def test_published_folders_are_read(tmp_path: Path) -> None:
+    (tmp_path / "Reasoning" / "Food").mkdir(parents=True)
+    write_tasks(tmp_path / "Reasoning" / "Food" / "Food.json", [train_task(8)])
+    (tmp_path / "Reasoning" / "Food" / "setup.json").write_text(json.dumps({"not": "tasks"}))
+    assert suite_from_files(tmp_path).n_tasks == 1
+
+
+def test_files_that_make_no_suite(tmp_path: Path) -> None:
+    with pytest.raises(TaskError, match="holds no task file"):
+        suite_from_files(tmp_path)
+    with pytest.raises(TaskError, match="cannot be read"):
+        suite_from_files(tmp_path / "none.json")
+    write_tasks(tmp_path / "a.json", [train_task(0), train_task(0)])
+    with pytest.raises(TaskError, match=r"a\.json\[1\].*is taken"):
+        suite_from_files(tmp_path)
