@@ -11,6 +11,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Protocol
@@ -107,7 +108,8 @@ class Team:
         context = multiprocessing.get_context("spawn")
         self._workers: list[_Worker] = []
         # Ctrl-C reaches the whole process group. Workers inherit this mask from their first instant, so that only
-        # this process hears it and ends them in good order.
+        # this process hears it and ends them in good order. Starting the tracker would lift the mask, so it goes first.
+        resource_tracker.ensure_running()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
             for _ in range(workers):

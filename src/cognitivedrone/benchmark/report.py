@@ -69,7 +69,8 @@ class FilmView:
     """Base64, as the poster."""
     poster: str
     map: drawing.Map
-    passed: bool
+    not_reached: int
+    """Stages after the one that ended the flight."""
 
 
 def render_report(results: Results, traces: Sequence[Trace], clips: Sequence[Clip]) -> str:
@@ -185,7 +186,7 @@ def _film_view(clip: Clip) -> FilmView:
         video=base64.b64encode(clip.video).decode("ascii"),
         poster=base64.b64encode(clip.poster).decode("ascii"),
         map=drawing.episode_map(clip.result, clip.trace),
-        passed=all(stage.outcome == "passed" for stage in clip.result.stages),
+        not_reached=sum(stage.outcome == "not_reached" for stage in clip.result.stages),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from rich import box
 from rich.console import Console, Group, RenderableType
@@ -13,9 +14,6 @@ from cognitivedrone.benchmark.compare import Comparison, Difference
 from cognitivedrone.benchmark.results import Results
 from cognitivedrone.benchmark.run_types import Rule
 from cognitivedrone.benchmark.scoring import Interval, Score
-from cognitivedrone.policies import POLICIES
-from cognitivedrone.reasoners import NONE, REASONERS
-from cognitivedrone.tasks import SUITES, TASKS
 
 DASH = "–"
 
@@ -34,8 +32,8 @@ def results_table(results: Results, rule: Rule | None = None) -> RenderableType:
     for position, (category, score) in enumerate(summary.categories.items(), start=1):
         table.add_row(words(category), *_score_cells(score), end_section=position == len(summary.categories))
     for family, score in summary.families.items():
-        table.add_row(f"  {words(family)}", *_score_cells(score), style="dim")
-    return Group(table, *_notes(results, rule))
+        table.add_row(Text(f"  {words(family)}"), *_score_cells(score), style="dim")
+    return Group(table, "", *_notes(results, rule))
 
 
 def comparison_table(comparison: Comparison) -> RenderableType:
@@ -54,37 +52,20 @@ def comparison_table(comparison: Comparison) -> RenderableType:
     if comparison.left_out:
         notes.append(f"left out, invalid in either run: {comparison.left_out}")
     notes += [f"the runs also differ in {difference}" for difference in comparison.other_differences]
-    return Group(rates, counts, *(Text(note, style="dim") for note in notes))
+    return Group(rates, "", counts, "", *(Text(note, style="dim") for note in notes))
 
 
-def names_table() -> RenderableType:
-    """Suites, task families, policies and reasoners that come with the package."""
-    table = _table("", "kind", "names")
-    table.columns[1].justify = "left"
-    table.columns[1].no_wrap = False
-    for kind, names in (
-        ("suites", SUITES),
-        ("task families", TASKS),
-        ("policies", POLICIES),
-        ("reasoners", (NONE, *REASONERS)),
-    ):
-        table.add_row(kind, ", ".join(names))
-    return table
-
-
-def print_results(results: Results) -> None:
-    """The table of a run on standard output."""
-    Console().print(results_table(results))
+def print_results(results: Results, folder: Path | None = None) -> None:
+    """The table of a run on standard output, and where its report is."""
+    console = Console(highlight=False)
+    console.print(results_table(results))
+    if folder is not None:
+        console.print(Text(f"report: {folder / 'report.html'}"), soft_wrap=True)
 
 
 def print_comparison(comparison: Comparison) -> None:
     """The table of a comparison on standard output."""
-    Console().print(comparison_table(comparison))
-
-
-def print_names() -> None:
-    """The names that come with the package on standard output."""
-    Console().print(names_table())
+    Console(highlight=False).print(comparison_table(comparison))
 
 
 def words(name: str) -> str:
@@ -103,8 +84,15 @@ def interval(limits: Interval | None) -> str:
 
 
 def _table(title: str, *columns: str) -> Table:
-    """An empty table; the first column holds names."""
-    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", pad_edge=False)
+    """An empty table that fits into 80 columns; the first one holds names."""
+    table = Table(
+        box=box.SIMPLE_HEAD,
+        title=Text(title),
+        title_justify="left",
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        show_edge=False,
+    )
     for position, name in enumerate(columns):
         table.add_column(name, justify="left" if position == 0 else "right", no_wrap=True)
     return table

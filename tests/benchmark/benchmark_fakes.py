@@ -90,6 +90,23 @@ class InterruptedFlyer(FakeFlyer):
         return super().fly(episode, film=film)
 
 
+class GroupInterruptedFlyer(FakeFlyer):
+    """Somebody presses Ctrl-C in episode 5; the terminal tells the whole process group."""
+
+    def fly(self, episode: int, *, film: bool) -> Flown:
+        if episode == 5:
+            os.killpg(os.getpgrp(), signal.SIGINT)
+        return super().fly(episode, film=film)
+
+
+class NamedFlyer(FakeFlyer):
+    """Says which process it is in."""
+
+    @property
+    def renderer(self) -> str:
+        return f"process {os.getpid()}"
+
+
 class FickleFlyer(FakeFlyer):
     """Never flies twice the same."""
 

@@ -1,0 +1,116 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from cognitivedrone.benchmark.compare import compare
+from cognitivedrone.benchmark.results import read_results, write_results
+from cognitivedrone.benchmark.runner import run
+from cognitivedrone.benchmark.tables import comparison_table, results_table
+from cognitivedrone.errors import RunError
+
+FLYER = "benchmark_fakes:FakeFlyer"
+
+
+@pytest.fixture
+def config(config):
+    return replace(config, suite="open-v1:smoke")
+
+
+@pytest.fixture
+def two(config, tmp_path):
+    a = replace(config, out=tmp_path / "a")
+    b = replace(config, out=tmp_path / "b", policy="other")
+    return run(a, progress=False, flyer=FLYER), run(b, progress=False, flyer=FLYER), tmp_path / "a", tmp_path / "b"
+
+
+def text_of(renderable) -> str:
+    console = Console(width=80, record=True, quiet=False, file=open("/dev/null", "w"))  # noqa: SIM115, PTH123
+    with console.file:
+        console.print(renderable)
+        return console.export_text()
+
+
+def test_tasks_are_paired_one_by_one(two):
+    a, b, path_a, path_b = two
+    comparison = compare(path_a, path_b)
+    passed_a = {s.task_id: s.outcome == "passed" for e in a.episodes for s in e.stages}
+    passed_b = {s.task_id: s.outcome == "passed" for e in b.episodes for s in e.stages}
+    table = comparison.overall.table
+    assert table.only_a == sum(passed_a[task] and not passed_b[task] for task in passed_a)
+    assert table.only_b == sum(passed_b[task] and not passed_a[task] for task in passed_a)
+    assert table.only_a != table.only_b
+    assert comparison.overall.difference == pytest.approx(b.summary().overall.rate - a.summary().overall.rate)
+    assert sum(part.table.n for part in comparison.categories.values()) == table.n == 20
+    mirrored = compare(path_b, path_a)
+    assert mirrored.overall.difference == -comparison.overall.difference
+    assert mirrored.overall.p == comparison.overall.p
+
+
+def test_a_run_does_not_differ_from_itself(two):
+    comparison = compare(two[2], two[2])
+    assert comparison.overall.difference == 0
+    assert comparison.overall.p == 1
+    assert comparison.other_differences == ()
+
+
+def test_invalid_stages_are_left_out_of_both(two):
+    a, _, path_a, path_b = two
+    first = a.episodes[0]
+    broken = replace(first, stages=(replace(first.stages[0], outcome="invalid"),))
+    write_results(path_a / "results.json", replace(a, episodes=(broken, *a.episodes[1:])))
+    comparison = compare(path_a, path_b)
+    assert comparison.left_out == 1
+    assert comparison.overall.table.n == 19
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ({"seed": 1}, "seed differs, 0 and 1"),
+        ({"suite": "open-v1:test"}, "suite differs"),
+        ({"track": True}, "track option differs, False and True"),
+    ],
+)
+def test_unlike_runs_are_not_paired(two, config, tmp_path, option, message):
+    run(replace(config, out=tmp_path / "c", **option), progress=False, flyer=FLYER)
+    with pytest.raises(RunError, match=message):
+        compare(two[2], tmp_path / "c")
+
+
+def test_runs_over_different_numbers_of_tasks_are_not_paired(two):
+    results = read_results(two[3])
+    write_results(two[3] / "results.json", replace(results, episodes=results.episodes[:15]))
+    with pytest.raises(RunError, match="5 tasks were flown in only one of them"):
+        compare(two[2], two[3])
+
+
+def test_other_differences_are_told(two):
+    results = read_results(two[3])
+    write_results(two[3] / "results.json", replace(results, renderer="another"))
+    assert compare(two[2], two[3]).other_differences == ("renderer: imagination and another",)
+
+
+def test_tables_fit_a_terminal_and_say_the_scores(two):
+    a, _, path_a, path_b = two
+    text = text_of(results_table(a))
+    assert f"{100 * a.summary().overall.rate:.1f} %" in text
+    assert "open-v1:smoke" in text
+    for family in a.summary().families:
+        assert family.replace("_", " ") in text
+    assert "…" not in text
+    text = text_of(comparison_table(compare(path_a, path_b)))
+    assert "p (McNemar)" in text
+    assert "…" not in text
+
+
+def test_errors_of_the_policy_and_of_the_physics_stand_below_the_table(two):
+    a = two[0]
+    first, second, *rest = a.episodes
+    bad = replace(first, stages=(replace(first.stages[0], outcome="policy_error"),), message="not a finite number")
+    lost = replace(second, stages=(replace(second.stages[0], outcome="invalid"),))
+    text = text_of(results_table(replace(a, episodes=(bad, lost, *rest))))
+    assert "not counted: 1 invalid" in text
+    assert "not a finite number" in " ".join(text.split())

@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+from benchmark_fakes import FakeFlyer
+
+from cognitivedrone.benchmark.records import EPISODES_FILE, RunFolder, read_records
+from cognitivedrone.benchmark.runner import facts_of
+from cognitivedrone.benchmark.suites import suite_of
+from cognitivedrone.errors import RunError
+
+
+@pytest.fixture
+def facts(config):
+    return facts_of(config, suite_of(config))
+
+
+@pytest.fixture
+def flown(config):
+    flyer = FakeFlyer(config, suite_of(config))
+    return [flyer.fly(episode, film=False) for episode in range(4)]
+
+
+@pytest.fixture
+def folder(tmp_path, facts, flown):
+    """A run folder with four episodes."""
+    path = tmp_path / "records"
+    with RunFolder(path, facts) as opened:
+        for one in flown:
+            opened.append(one, "imagination")
+    return path
+
+
+def test_what_is_read_is_what_was_flown(folder, flown):
+    records = read_records(folder)
+    assert [records[k].result for k in range(4)] == [one.result for one in flown]
+    for k, one in enumerate(flown):
+        assert records[k].trace.stages == one.trace.stages
+        assert records[k].trace.path == pytest.approx(one.trace.path, abs=6e-4)
+        assert records[k].trace.path.shape == one.trace.path.shape
+
+
+@pytest.mark.parametrize("cut", [1, 20, 400])
+def test_a_line_cut_short_by_a_kill_is_dropped_and_the_file_goes_on_soundly(folder, facts, flown, cut):
+    file = folder / EPISODES_FILE
+    file.write_bytes(file.read_bytes()[:-cut])
+    assert sorted(read_records(folder)) == [0, 1, 2]
+    with RunFolder(folder, facts, resume=True) as opened:
+        assert sorted(opened.records) == [0, 1, 2]
+        opened.append(flown[3], "imagination")
+    assert sorted(read_records(folder)) == [0, 1, 2, 3]
+
+
+def test_a_changed_line_is_found_by_its_checksum(folder, facts):
+    file = folder / EPISODES_FILE
+    lines = file.read_text().splitlines(keepends=True)
+    record = json.loads(lines[1])
+    record["record"]["result"]["stages"][0]["time_s"] = 1.0
+    lines[1] = json.dumps(record) + "\n"
+    file.write_text("".join(lines))
+    with pytest.raises(RunError, match=r"episodes\.jsonl line 2 does not match its checksum"):
+        RunFolder(folder, facts, resume=True)
+
+
+def test_a_folder_that_holds_a_run_is_not_overwritten_unasked(folder, facts):
+    before = (folder / EPISODES_FILE).read_bytes()
+    with pytest.raises(RunError, match="already holds a run; give --resume"):
+        RunFolder(folder, facts)
+    assert (folder / EPISODES_FILE).read_bytes() == before
+
+
+def test_resume_refuses_another_run_and_says_what_differs(folder, facts):
+    before = (folder / EPISODES_FILE).read_bytes()
+    with pytest.raises(RunError, match="policy is 'fake' there and 'other' here"):
+        RunFolder(folder, replace(facts, policy="other"), resume=True)
+    with pytest.raises(RunError, match=r"options\.seed is 0 there and 1 here"):
+        RunFolder(folder, replace(facts, options=replace(facts.options, seed=1)), resume=True)
+    assert (folder / EPISODES_FILE).read_bytes() == before
+
+
+def test_overwrite_starts_anew(folder, facts):
+    (folder / "results.json").write_text("old")
+    with RunFolder(folder, replace(facts, policy="other"), overwrite=True) as opened:
+        assert opened.records == {}
+    assert not (folder / "results.json").exists()
+    assert json.loads((folder / "run.json").read_text())["policy"] == "other"
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_folder_of_other_things_is_left_alone(tmp_path, facts, overwrite):
+    (tmp_path / "report.html").write_text("my own report")
+    with pytest.raises(RunError, match="is not empty and holds no run"):
+        RunFolder(tmp_path, facts, overwrite=overwrite)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_a_file_is_no_folder(tmp_path, facts):
+    (tmp_path / "out").write_text("")
+    with pytest.raises(RunError, match="is a file; give a folder"):
+        RunFolder(tmp_path / "out", facts)
+
+
+def test_two_runs_do_not_write_to_one_folder(folder, facts):
+    with RunFolder(folder, facts, resume=True), pytest.raises(RunError, match="another run is writing"):
+        RunFolder(folder, facts, resume=True)
+
+
+def test_resume_and_overwrite_contradict(tmp_path, facts):
+    with pytest.raises(RunError, match="contradict"):
+        RunFolder(tmp_path / "new", facts, resume=True, overwrite=True)
+    assert not (tmp_path / "new").exists()

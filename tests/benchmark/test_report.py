@@ -1,0 +1,197 @@
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import av
+import numpy as np
+import pytest
+from benchmark_fakes import FakeFlyer
+
+from cognitivedrone.benchmark import report
+from cognitivedrone.benchmark.clips import choose_clips, encode_mp4, make_clip
+from cognitivedrone.benchmark.drawing import episode_map, overlay, stage_flights
+from cognitivedrone.benchmark.report import render_report
+from cognitivedrone.benchmark.runner import run
+from cognitivedrone.benchmark.suites import suite_of
+
+FLYER = "benchmark_fakes:FakeFlyer"
+
+
+class Page(HTMLParser):
+    """Checks nesting, and collects what a browser would load."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.sources: list[str] = []
+        self.tags: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.sources += [value for name, value in attrs if name in ("src", "href", "poster", "data") and value]
+        if tag != "meta":
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+@pytest.fixture
+def flown(config):
+    flyer = FakeFlyer(config, suite_of(config))
+    return [flyer.fly(episode, film=True) for episode in range(20)]
+
+
+@pytest.fixture
+def pieces(config, flown):
+    """Results, traces and three clips."""
+    results = run(config, progress=False, flyer=FLYER)
+    tracks = suite_of(config).tracks
+    clips = [make_clip(one, tracks[one.result.episode], one.result) for one in flown[:3]]
+    return results, [one.trace for one in flown], clips
+
+
+def test_the_page_is_whole_and_loads_nothing(pieces):
+    results, traces, clips = pieces
+    text = render_report(results, traces, clips)
+    page = Page(text)
+    assert all(source.startswith("data:") for source in page.sources)
+    assert "http" not in re.sub(r"data:[\w/]+;base64,[\w+/=]+", "", text)
+    assert page.tags.count("video") == 3
+    assert "script" not in page.tags
+    assert f"{100 * results.summary().overall.rate:.1f} %" in text
+    assert results.run.suite.digest in text
+    assert "77.2 %" in text
+
+
+def test_the_page_is_the_same_for_the_same_run(pieces):
+    results, traces, clips = pieces
+    assert render_report(results, traces, clips) == render_report(results, traces, clips)
+
+
+def test_every_text_of_a_task_or_a_user_is_escaped(pieces):
+    results, traces, clips = pieces
+    bad = "<script>alert('x')</script>"
+    stage = replace(clips[0].result.stages[0], directive=bad, task_id=bad, family=bad)
+    task = replace(clips[0].track[0], instruction=bad, options=(bad, bad, bad), family=bad)
+    clip = replace(clips[0], track=(task,), result=replace(clips[0].result, stages=(stage,)))
+    first = replace(results.episodes[0], stages=(stage,), message=bad)
+    results = replace(
+        results,
+        run=replace(results.run, policy=bad, reasoner=bad, suite=replace(results.run.suite, name=bad)),
+        renderer=bad,
+        platform=dict.fromkeys(results.platform, bad),
+        episodes=(first, *results.episodes[1:]),
+    )
+    text = render_report(results, traces, [clip])
+    assert "<script" not in text
+    assert "&lt;script&gt;" in text
+    Page(text)
+
+
+def test_a_run_of_nothing_but_invalid_stages_has_a_page(pieces):
+    results, traces, _ = pieces
+    episodes = tuple(
+        replace(e, stages=tuple(replace(s, outcome="invalid", path_m=float("nan")) for s in e.stages))
+        for e in results.episodes
+    )
+    traces = [replace(trace, path=np.full_like(trace.path, np.nan)) for trace in traces]
+    text = render_report(replace(results, episodes=episodes), traces, [])
+    Page(text)
+    assert "nan" not in re.sub(r"<style>.*?</style>", "", text, flags=re.DOTALL).lower().replace("json", "")
+
+
+def test_films_that_do_not_fit_are_left_out_and_told(pieces, monkeypatch):
+    results, traces, clips = pieces
+    monkeypatch.setattr(report, "CLIP_BUDGET", len(clips[0].video) + len(clips[0].poster) + 1)
+    text = render_report(results, traces, clips)
+    assert Page(text).tags.count("video") == 1
+    assert "2 more would not fit" in text
+
+
+def test_a_pilot_that_flies_differently_the_second_time_is_told(config):
+    run(replace(config, clips=12), progress=False, flyer="benchmark_fakes:FickleFlyer")
+    assert "the pilot is not deterministic" in (config.out / "report.html").read_text()
+    run(replace(config, clips=12, overwrite=True), progress=False, flyer=FLYER)
+    assert "the pilot is not deterministic" not in (config.out / "report.html").read_text()
+
+
+def test_a_page_of_tracks_draws_every_stage(config):
+    run(replace(config, track=True, clips=4), progress=False, flyer=FLYER)
+    text = (config.out / "report.html").read_text()
+    Page(text)
+    assert "tracks flown to the end" in text
+    assert "not reached" in text
+
+
+def test_clips_show_failures_of_every_kind_then_passes_of_every_family(flown):
+    results = [one.result for one in flown]
+    chosen = choose_clips(results, 12)
+    by_index = {result.episode: result.stages[0] for result in results}
+    failed = [episode for episode in chosen if by_index[episode].outcome != "passed"]
+    passed = [episode for episode in chosen if by_index[episode].outcome == "passed"]
+    assert chosen == failed + passed
+    assert len(chosen) == len(set(chosen)) <= 12
+    every_ending = {stage.outcome for stage in by_index.values()} - {"passed"}
+    assert {by_index[episode].outcome for episode in failed} == every_ending
+    families = [by_index[episode].family for episode in passed]
+    assert len(families) == len(set(families))
+    assert choose_clips(list(reversed(results)), 12) == chosen
+    assert choose_clips(results, 0) == []
+    assert len(choose_clips(results, 1)) == 1
+
+
+def test_failures_fill_the_clips_where_nothing_was_passed(flown):
+    results = [replace(one.result, stages=(replace(one.result.stages[0], outcome="timeout"),)) for one in flown]
+    assert len(choose_clips(results, 12)) == 12
+
+
+def test_a_film_plays_as_it_was_taken():
+    frames = [np.full((64, 96, 3), (10 * k, 100, 200 - 10 * k), dtype=np.uint8) for k in range(12)]
+    video = encode_mp4(frames)
+    assert video == encode_mp4(frames)
+    with av.open(io.BytesIO(video)) as container:
+        stream = container.streams.video[0]
+        assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
+        assert float(stream.average_rate) == 10
+        decoded = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
+    assert len(decoded) == 12
+    for before, after in zip(frames, decoded, strict=True):
+        assert np.abs(before.astype(int) - after.astype(int)).mean() < 8
+    assert encode_mp4([]) == b""
+
+
+def test_a_map_shows_each_flight_in_the_frame_of_its_stage(config):
+    config = replace(config, track=True)
+    flyer = FakeFlyer(config, suite_of(config))
+    flown = max((flyer.fly(e, film=False) for e in range(4)), key=lambda one: len(one.trace.stages))
+    flights = list(stage_flights(flown.result, flown.trace))
+    assert len(flights) > 1
+    drawn = overlay(flights)
+    assert len(drawn.paths) == len(flights)
+    assert [gate.number for gate in drawn.gates] == [1, 2, 3]
+    # Gate 1 is to the left, and the drone flies up the page.
+    assert drawn.gates[0].x1 < drawn.gates[1].x1 < drawn.gates[2].x1
+    marks = {gate.number - 1: (gate.label_x, gate.label_y) for gate in drawn.gates}
+    for flight, path in zip(flights, drawn.paths, strict=True):
+        assert path.end_y < -2
+        if flight.result.outcome in ("passed", "wrong_gate"):
+            assert (
+                np.hypot(path.end_x - marks[flight.result.chosen][0], path.end_y - marks[flight.result.chosen][1]) < 1.5
+            )
+    whole = episode_map(flown.result, flown.trace)
+    assert len(whole.gates) == 3 * len(flights)
+    assert sum(gate.is_target for gate in whole.gates) == len(flights)
+    x, y, width, height = (float(number) for number in whole.view_box.split())
+    for path in whole.paths:
+        assert x < path.end_x < x + width
+        assert y < path.end_y < y + height

@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from cognitivedrone.benchmark.results import read_results, results_from_json, results_to_json
+from cognitivedrone.benchmark.runner import run
+from cognitivedrone.errors import RunError
+
+DOCS = Path(__file__).parents[2] / "docs" / "results.md"
+
+
+@pytest.fixture
+def results(config):
+    return run(config, progress=False, flyer="benchmark_fakes:FakeFlyer")
+
+
+@pytest.fixture
+def document(results, config):
+    return json.loads((config.out / "results.json").read_text())
+
+
+def test_the_file_reads_back_as_it_was(results, config):
+    assert read_results(config.out) == results
+    assert read_results(config.out / "results.json") == results
+
+
+def test_the_file_holds_the_scores_of_both_rules(results, document):
+    for rule in ("through", "within_1m"):
+        overall = document["scores"][rule]["overall"]
+        assert overall["passed"] == results.summary(rule).overall.passed
+        assert overall["n"] == 20
+    assert document["scores"]["within_1m"]["overall"]["passed"] > document["scores"]["through"]["overall"]["passed"]
+
+
+def test_the_schema_page_names_every_key_and_no_other(document):
+    keys = set()
+
+    def collect(value, path):
+        if isinstance(value, dict):
+            for key, item in value.items():
+                name = "*" if path in OPEN else key
+                keys.add(f"{path}{name}")
+                collect(item, f"{path}{name}.")
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            for item in value:
+                collect(item, path[:-1] + "[].")
+
+    collect(document, "")
+    told = set(re.findall(r"^\| `([^`]+)` \|", DOCS.read_text(), flags=re.MULTILINE))
+    # A table of the page that begins with a dot goes on for every score.
+    score_keys = {key.removeprefix(".") for key in told if key.startswith(".")}
+    prefixes = ("scores.*.overall.", "scores.*.categories.*.", "scores.*.families.*.")
+    told = {key for key in told if not key.startswith(".")}
+    told |= {prefix + key for prefix in prefixes for key in score_keys}
+    assert keys == told
+
+
+OPEN = ("versions.", "scores.", "scores.*.categories.", "scores.*.families.")
+"""Objects whose keys are names of things."""
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d.pop("suite"), "lacks 'suite'"),
+        (lambda d: d.pop("renderer"), "lacks 'renderer'"),
+        (lambda d: d.update(extra=1), "has 'extra', which this version does not know"),
+        (lambda d: d.update(schema="cognitivedrone.results/9"), "not a results file of this version"),
+        (lambda d: d["options"].update(seed="0"), r"options.seed must be a whole number, not '0'"),
+        (lambda d: d["episodes"][3]["stages"][0].update(outcome="won"), r"episodes\[3\].stages\[0\].outcome is 'won'"),
+        (lambda d: d["episodes"][3].update(stages={}), r"episodes\[3\].stages must be a list"),
+        (lambda d: d["scores"]["through"]["overall"].update(passed=20), "scores.through does not follow"),
+        (lambda d: d["episodes"].pop(), "scores.through does not follow"),
+        (lambda d: d.pop("scores"), "scores.through does not follow"),
+    ],
+)
+def test_a_malformed_file_is_refused_with_the_place(document, change, message):
+    change(document)
+    with pytest.raises(RunError, match=message):
+        results_from_json(document, "results.json")
+
+
+def test_a_missing_or_broken_file_is_told(tmp_path):
+    with pytest.raises(RunError, match="give the --out folder of a finished run"):
+        read_results(tmp_path)
+    (tmp_path / "results.json").write_text("{")
+    with pytest.raises(RunError, match="cannot be read"):
+        read_results(tmp_path)
+    (tmp_path / "results.json").write_text("[]")
+    with pytest.raises(RunError, match="not a results file"):
+        read_results(tmp_path)
+
+
+def test_writing_and_reading_is_stable(document):
+    assert results_to_json(results_from_json(document, "here")) == document

@@ -1,0 +1,211 @@
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cognitivedrone.benchmark.records import read_records
+from cognitivedrone.benchmark.run_types import RunConfig
+from cognitivedrone.benchmark.runner import Interrupted, out_of, run
+from cognitivedrone.benchmark.suites import chain, open_suite, suite_of
+from cognitivedrone.errors import CognitiveDroneError, RunError
+from cognitivedrone.tasks import load_suite, write_tasks
+
+FLYER = "benchmark_fakes:FakeFlyer"
+
+
+def lasting(folder: Path) -> dict:
+    """What must be the same on every repetition."""
+    document = json.loads((folder / "results.json").read_text())
+    return {key: value for key, value in document.items() if key not in ("timing", "platform")}
+
+
+def in_new_process(config: RunConfig, flyer: str, workers: int) -> subprocess.CompletedProcess:
+    """A run in a process, and a process group, of its own."""
+    script = f"""
+import sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from pathlib import Path
+from cognitivedrone.benchmark.run_types import RunConfig
+from cognitivedrone.benchmark.runner import run
+if __name__ == "__main__":
+    config = RunConfig(policy="fake", suite="open-v1:train", episodes=20, clips=0, workers={workers},
+                       out=Path({str(config.out)!r}))
+    try:
+        run(config, progress=False, flyer={flyer!r})
+    except KeyboardInterrupt as stop:
+        print(stop)
+        sys.exit(130)
+"""
+    file = config.out.parent / "script.py"
+    file.write_text(script)
+    return subprocess.run(
+        [sys.executable, str(file)], capture_output=True, text=True, start_new_session=True, timeout=60
+    )
+
+
+def test_the_number_of_workers_changes_nothing(config, tmp_path):
+    alone = replace(config, out=tmp_path / "alone", clips=3)
+    team = replace(config, out=tmp_path / "team", clips=3, workers=3)
+    run(alone, progress=False, flyer=FLYER)
+    results = run(team, progress=False, flyer=FLYER)
+    assert [episode.episode for episode in results.episodes] == list(range(20))
+    assert results.timing.workers == 3
+    assert lasting(tmp_path / "alone") == lasting(tmp_path / "team")
+
+
+def test_the_seed_changes_the_flights(config, tmp_path):
+    run(config, progress=False, flyer=FLYER)
+    run(replace(config, out=tmp_path / "other", seed=1), progress=False, flyer=FLYER)
+    assert lasting(config.out)["episodes"] != lasting(tmp_path / "other")["episodes"]
+
+
+def test_a_killed_run_goes_on_and_ends_as_if_nothing_had_happened(config, tmp_path):
+    killed = in_new_process(config, "benchmark_fakes:DyingFlyer", workers=1)
+    assert killed.returncode == -signal.SIGKILL
+    assert sorted(read_records(config.out)) == [0, 1, 2, 3, 4]
+    assert not (config.out / "results.json").exists()
+    results = run(replace(config, resume=True), progress=False, flyer=FLYER)
+    assert results.timing.episodes_flown == 15
+    run(replace(config, out=tmp_path / "whole"), progress=False, flyer=FLYER)
+    assert lasting(config.out) == lasting(tmp_path / "whole")
+
+
+def test_a_finished_run_is_not_flown_again(config):
+    first = run(config, progress=False, flyer=FLYER)
+    assert run(replace(config, resume=True), progress=False, flyer="benchmark_fakes:UnlabelledFlyer") == first
+
+
+def test_another_rule_on_resume_gives_its_own_report_without_flying(config):
+    through = run(config, progress=False, flyer=FLYER)
+    within = run(replace(config, resume=True, rule="within_1m"), progress=False, flyer=FLYER)
+    assert within.timing.episodes_flown == 0
+    assert within.episodes == through.episodes
+    assert within.summary().overall.passed > through.summary().overall.passed
+    assert "the published rule" in (config.out / "report.html").read_text()
+
+
+def test_ctrl_c_keeps_what_is_flown_and_says_how_to_go_on(config):
+    with pytest.raises(Interrupted, match=r"stopped after 5 of 20 episodes.*--resume") as stop:
+        run(config, progress=False, flyer="benchmark_fakes:InterruptedFlyer")
+    assert isinstance(stop.value, KeyboardInterrupt)
+    assert sorted(read_records(config.out)) == [0, 1, 2, 3, 4]
+
+
+def test_ctrl_c_with_workers_ends_them_quietly(config):
+    stopped = in_new_process(config, "benchmark_fakes:GroupInterruptedFlyer", workers=2)
+    assert stopped.returncode == 130
+    assert "--resume" in stopped.stdout
+    assert stopped.stderr == ""
+    results = run(replace(config, resume=True), progress=False, flyer=FLYER)
+    assert results.summary().overall.n == 20
+
+
+def test_a_worker_that_dies_is_told_with_its_episode_and_the_rest_is_kept(config):
+    with pytest.raises(RunError, match=r"episode 5 \(open-v1:train/0-5\) was killed by SIGKILL.*--resume"):
+        run(replace(config, workers=2), progress=False, flyer="benchmark_fakes:DyingFlyer")
+    assert set(read_records(config.out)) >= {0, 1, 2, 3}
+    assert run(replace(config, resume=True), progress=False, flyer=FLYER).summary().overall.n == 20
+
+
+def test_a_bug_in_a_worker_is_told_with_its_episode_and_its_traceback_is_kept(config):
+    with pytest.raises(RunError, match=r"episode 5 .* failed: ZeroDivisionError: a bug in a policy.*error\.txt"):
+        run(replace(config, workers=2), progress=False, flyer="benchmark_fakes:BuggyFlyer")
+    assert "benchmark_fakes.py" in (config.out / "error.txt").read_text()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_error_of_ours_arrives_as_its_own_sentence(config, workers):
+    with pytest.raises(CognitiveDroneError, match=r"^label 'zebr' is not in the pack; did you mean 'zebra'\?$"):
+        run(replace(config, workers=workers), progress=False, flyer="benchmark_fakes:UnlabelledFlyer")
+
+
+def test_no_more_workers_than_episodes(config):
+    assert run(replace(config, episodes=1, workers=8), progress=False, flyer=FLYER).timing.workers == 1
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"workers": 0}, "--workers is 0"),
+        ({"episodes": 0}, "--episodes is 0|size 0"),
+        ({"labels": Path("nowhere")}, "--labels nowhere is not a folder"),
+    ],
+)
+def test_impossible_options_are_refused_before_anything_is_written(config, wrong, message):
+    with pytest.raises(CognitiveDroneError, match=message):
+        run(replace(config, **wrong), progress=False, flyer=FLYER)
+    assert not config.out.exists()
+
+
+def test_other_labels_are_another_run(config, tmp_path):
+    labels = tmp_path / "labels"
+    labels.mkdir()
+    (labels / "cat.png").write_bytes(b"a cat")
+    run(replace(config, labels=labels), progress=False, flyer=FLYER)
+    (labels / "cat.png").write_bytes(b"a dog")
+    with pytest.raises(RunError, match=r"options\.labels is"):
+        run(replace(config, labels=labels, resume=True), progress=False, flyer=FLYER)
+
+
+def test_the_progress_bar_counts_to_the_end(config, capsys):
+    run(config, progress=True, flyer=FLYER)
+    shown = capsys.readouterr().err
+    assert "20/20" in shown
+    assert "passed" in shown
+
+
+def test_single_tasks_are_chained_in_order():
+    suite = load_suite("open-v1:train", size=12)
+    chained = chain(suite)
+    assert [len(track) for track in chained.tracks] == [5, 5, 2]
+    assert [task for track in chained.tracks for task in track] == [task for track in suite.tracks for task in track]
+    assert chain(chained) == replace(chained, tracks=chained.tracks)
+
+
+def test_a_run_on_tracks_counts_the_stages_that_were_not_reached(config):
+    results = run(replace(config, track=True), progress=False, flyer=FLYER)
+    assert len(results.episodes) == 4
+    summary = results.summary()
+    assert summary.overall.n == 20
+    assert summary.overall.outcomes["not_reached"] > 0
+    assert summary.episodes == 4
+
+
+def test_the_first_episodes_are_the_same_however_many_follow(config, tmp_path):
+    config = replace(config, suite="open-v1:smoke")
+    run(replace(config, episodes=None), progress=False, flyer=FLYER)
+    run(replace(config, episodes=3, out=tmp_path / "short"), progress=False, flyer=FLYER)
+    assert lasting(config.out)["episodes"][:3] == lasting(tmp_path / "short")["episodes"]
+
+
+def test_tasks_of_a_file_are_flown(config, tmp_path):
+    tasks = [task for track in load_suite("open-v1:train", size=3).tracks for task in track]
+    write_tasks(tmp_path / "mine.json", tasks)
+    assert [t.instruction for (t,) in open_suite(str(tmp_path / "mine.json")).tracks] == [t.instruction for t in tasks]
+    given = replace(config, tasks=tmp_path / "mine.json", episodes=None)
+    assert suite_of(given).n_tasks == 3
+    assert run(given, progress=False, flyer=FLYER).summary().overall.n == 3
+
+
+def test_the_folder_is_named_after_suite_and_pilot():
+    assert out_of(RunConfig(suite="open-v1:test", policy="my.module:Mine", reasoner="oracle")) == Path(
+        "results/open-v1-test-my.module-Mine-oracle"
+    )
+
+
+def test_workers_do_not_outlive_a_run(config):
+    run(replace(config, workers=2), progress=False, flyer="benchmark_fakes:NamedFlyer")
+    renderer = json.loads((config.out / "results.json").read_text())["renderer"]
+    pids = [int(name.split()[-1]) for name in renderer.split(" and ")]
+    assert pids
+    assert os.getpid() not in pids
+    for pid in pids:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)

@@ -1,0 +1,177 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import binomtest
+
+from cognitivedrone.benchmark.scoring import (
+    OUTCOMES,
+    Paired,
+    difference_interval,
+    mcnemar,
+    mean_of,
+    pair,
+    score,
+    summarize,
+    wilson,
+)
+from cognitivedrone.types import CATEGORIES, EpisodeResult, StageResult
+
+FAMILIES = {
+    "human_recognition": ("attributes", "people"),
+    "symbol_understanding": ("letters", "digits"),
+    "reasoning": ("math", "food"),
+}
+
+
+def stage(outcome="passed", *, category="reasoning", family="math", target=0, chosen=0, distance=0.1, time_s=5.0):
+    return StageResult(
+        task_id="t",
+        category=category,
+        family=family,
+        target=target,
+        outcome=outcome,
+        chosen=chosen,
+        time_s=time_s,
+        path_m=6.0,
+        path_ratio=1.1 if outcome in ("passed", "wrong_gate") else None,
+        clearance_m=0.2 if outcome in ("passed", "wrong_gate") else None,
+        gate_distance_m=distance,
+    )
+
+
+@st.composite
+def stages(draw):
+    category = draw(st.sampled_from(CATEGORIES))
+    target = draw(st.integers(0, 2))
+    outcome = draw(st.sampled_from(OUTCOMES))
+    chosen = target if outcome == "passed" else draw(st.sampled_from([None, 0, 1, 2]))
+    distance = draw(st.none() | st.floats(0, 10))
+    family = draw(st.sampled_from(FAMILIES[category]))
+    return stage(outcome, category=category, family=family, target=target, chosen=chosen, distance=distance)
+
+
+@st.composite
+def episodes(draw):
+    tracks = draw(st.lists(st.lists(stages(), min_size=1, max_size=5), max_size=20))
+    return [EpisodeResult(index, 0, tuple(track), 50) for index, track in enumerate(tracks)]
+
+
+def test_a_stage_is_one_point_and_only_invalid_physics_is_not_counted():
+    ended = [stage(), stage("wrong_gate", chosen=1), stage("policy_error", chosen=None), stage("invalid", chosen=None)]
+    result = score([*ended, stage("not_reached", chosen=None, distance=None)])
+    assert (result.n, result.passed, result.rate) == (4, 1, 0.25)
+    assert result.outcomes["invalid"] == 1
+    assert result.outcomes["policy_error"] == 1
+    assert result.outcomes["not_reached"] == 1
+
+
+def test_choice_is_told_apart_from_flying():
+    ended = [stage(), stage("collision", chosen=0), stage("wrong_gate", chosen=2), stage("timeout", chosen=None)]
+    result = score(ended)
+    assert result.choice_accuracy == 0.5
+    assert result.pass_given_choice == 0.5
+
+
+def test_times_and_clearances_are_those_of_passed_stages():
+    result = score([stage(time_s=4.0), stage(time_s=5.0), stage(time_s=9.0), stage("timeout", time_s=30.0)])
+    assert result.mean_time_s == 6.0
+    assert result.median_time_s == 5.0
+    assert result.mean_path_ratio == pytest.approx(1.1)
+    assert result.mean_clearance_m == pytest.approx(0.2)
+
+
+def test_the_published_rule_asks_for_one_metre_whatever_ended_the_flight():
+    ended = [
+        stage("collision", distance=1.0),
+        stage("wrong_gate", chosen=1, distance=1.01),
+        stage("policy_error", distance=0.2),
+        stage("not_reached", chosen=None, distance=None),
+    ]
+    assert score(ended, "within_1m").passed == 1
+    assert score(ended, "through").passed == 0
+
+
+def test_the_mean_of_categories_weighs_them_equally():
+    results = [stage(category="reasoning")] * 9 + [stage("timeout", category="human_recognition", family="people")]
+    summary = summarize([EpisodeResult(0, 0, tuple(results), 1)])
+    assert summary.overall.rate == 0.9
+    assert summary.mean_of_categories.rate == 0.5
+    assert summary.mean_of_categories.categories == 2
+
+
+def test_nothing_to_count_gives_no_rate():
+    result = score([stage("invalid")])
+    assert (result.n, result.rate, result.ci95, result.choice_accuracy, result.mean_time_s) == (
+        0,
+        None,
+        None,
+        None,
+        None,
+    )
+    assert mean_of([result]).rate is None
+    assert summarize([]).overall.n == 0
+
+
+@given(episodes())
+def test_parts_add_up(flown):
+    for rule in ("through", "within_1m"):
+        summary = summarize(flown, rule)
+        for parts in (summary.categories, summary.families):
+            assert sum(part.n for part in parts.values()) == summary.overall.n
+            assert sum(part.passed for part in parts.values()) == summary.overall.passed
+        assert sum(summary.overall.outcomes.values()) == sum(len(episode.stages) for episode in flown)
+        assert summary.overall.n == sum(s.outcome != "invalid" for episode in flown for s in episode.stages)
+
+
+@given(episodes(), st.randoms())
+def test_the_order_of_stages_does_not_matter(flown, random):
+    shuffled = [s for episode in flown for s in episode.stages]
+    ordered = score(shuffled)
+    random.shuffle(shuffled)
+    assert score(shuffled).passed == ordered.passed
+    assert score(shuffled).ci95 == ordered.ci95
+
+
+@given(st.integers(1, 2000), st.data())
+def test_wilson_is_that_of_scipy(n, data):
+    passed = data.draw(st.integers(0, n))
+    expected = binomtest(passed, n).proportion_ci(0.95, method="wilson")
+    assert wilson(passed, n) == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+def test_mcnemar_is_the_exact_binomial():
+    # Both tails of a fair coin thrown ten times that shows two heads or fewer.
+    assert mcnemar(2, 8) == pytest.approx(2 * sum(math.comb(10, k) for k in range(3)) / 2**10)
+    assert mcnemar(8, 2) == mcnemar(2, 8)
+    assert mcnemar(0, 0) == 1.0
+    assert mcnemar(5, 5) == pytest.approx(1.0)
+
+
+def test_the_table_of_pairs():
+    table = pair([(True, True), (True, False), (False, True), (False, True), (False, False)])
+    assert table == Paired(both=1, only_a=1, only_b=2, neither=1)
+    assert table.difference == pytest.approx(0.2)
+
+
+@given(*[st.integers(0, 200)] * 4)
+def test_the_interval_of_a_difference_holds_it_and_mirrors(both, only_a, only_b, neither):
+    table = Paired(both, only_a, only_b, neither)
+    if table.n == 0:
+        assert difference_interval(table) is None
+        return
+    low, high = difference_interval(table)
+    assert -1 - 1e-12 <= low <= table.difference + 1e-12
+    assert table.difference - 1e-12 <= high <= 1 + 1e-12
+    mirrored = difference_interval(Paired(both, only_b, only_a, neither))
+    assert mirrored == pytest.approx((-high, -low), abs=1e-12)
+
+
+def test_the_interval_of_a_difference_is_the_usual_one_for_many_pairs():
+    table = Paired(both=40_000, only_a=10_000, only_b=20_000, neither=30_000)
+    n = table.n
+    spread = 1.959964 * math.sqrt((table.only_a + table.only_b) / n - table.difference**2) / math.sqrt(n)
+    assert difference_interval(table) == pytest.approx((0.1 - spread, 0.1 + spread), abs=1e-4)
