@@ -87,6 +87,27 @@ def test_a_context_lives_in_a_thread_of_its_own() -> None:
         thread.call(threading.get_ident)
 
 
+def test_without_a_second_display_threads_share_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(renderer: str) -> None:
+        raise RuntimeError(f"no second display for {renderer}")
+
+    monkeypatch.setattr(gl, "SecondDisplay", missing)
+    thread = gl.GLThread(16, 16, display=1)
+    try:
+        assert type(thread._context).__module__ == f"mujoco.{gl.backend().name}"
+    finally:
+        thread.stop()
+
+
+def test_a_second_display_has_the_same_renderer_or_is_none() -> None:
+    thread = gl.GLThread(16, 16)
+    try:
+        refused = thread.call(lambda: gl.SecondDisplay("another renderer")).exception()
+        assert isinstance(refused, Exception)
+    finally:
+        thread.stop()
+
+
 def test_quitting_without_closing_prints_nothing() -> None:
     program = "from cognitivedrone.sim.camera import Cameras; c = Cameras(2, 32, threads=2); print(c.size)"
     child = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)

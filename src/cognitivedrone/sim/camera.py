@@ -61,7 +61,7 @@ class Cameras:
         self._finalizer = weakref.finalize(self, _close, self._threads, self._renderers)
         self._finalizer.atexit = False  # GLThread sees to that, in the right order
         for index in range(threads):
-            thread = GLThread(size, size)
+            thread = GLThread(size, size, display=index % 2)
             self._threads.append(thread)
             owned = len(range(index, slots, threads))
             self._renderers.append(thread.call(partial(_Renderer, owned, size)).result())

@@ -15,7 +15,9 @@ import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from queue import SimpleQueue
 from typing import Any, Final, TypeVar
 
@@ -24,6 +26,7 @@ from cognitivedrone.errors import RenderError
 BACKENDS: Final = ("egl", "osmesa")
 _REMEMBERED: Final = "COGNITIVEDRONE_GL"
 _INSTALL: Final = "apt-get install -y libegl1 libgl1-mesa-dri libopengl0"
+_EGL_PLATFORM_SURFACELESS_MESA: Final = 0x31DD  # EGL_MESA_platform_surfaceless
 _PROBE: Final = """
 import sys
 from cognitivedrone.sim import gl
@@ -52,9 +55,11 @@ _chosen: Backend | None = None
 def backend() -> Backend:
     """The backend to render with: `MUJOCO_GL` where the user set it, else the first of EGL and OSMesa that works.
 
-    Raises `RenderError` with the line to type where there is none.
+    llvmpipe is told to render in the calling thread, which is faster for small images, unless the user's
+    `LP_NUM_THREADS` says otherwise. Raises `RenderError` with the line to type where nothing works.
     """
     global _chosen
+    os.environ.setdefault("LP_NUM_THREADS", "0")  # read by the library as it loads
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted and wanted not in BACKENDS:
         raise RenderError(f"MUJOCO_GL={wanted} cannot render without a screen; unset it, or set it to egl or osmesa.")
@@ -70,12 +75,7 @@ def renderer_name() -> str:
 
 
 def create_context(name: str, width: int, height: int) -> Any:
-    """A current OpenGL context of backend `name` for the calling thread, with `make_current()` and `free()`.
-
-    llvmpipe is told to render in the calling thread, which is faster for small images, unless the user's
-    `LP_NUM_THREADS` says otherwise.
-    """
-    os.environ.setdefault("LP_NUM_THREADS", "0")
+    """A current OpenGL context of backend `name` for the calling thread, with `make_current()` and `free()`."""
     try:
         context = importlib.import_module(f"mujoco.{name}").GLContext(width, height)
         context.make_current()
@@ -84,20 +84,61 @@ def create_context(name: str, width: int, height: int) -> Any:
     return context
 
 
+class SecondDisplay:
+    """An EGL context of the calling thread on a display other than MuJoCo's.
+
+    llvmpipe draws for one context of a display at a time, so two threads are twice as fast on two displays
+    (`benchmarks/rendering.py`). Raises where there is no such display or it is drawn by something else.
+    """
+
+    def __init__(self, renderer: str) -> None:
+        from mujoco.egl import EGL_ATTRIBUTES
+        from mujoco.egl import egl_ext as egl
+        from OpenGL import GL
+
+        self._egl = egl
+        self._context = None
+        self._display = egl.eglGetPlatformDisplayEXT(_EGL_PLATFORM_SURFACELESS_MESA, None, None)
+        if not egl.eglInitialize(self._display, None, None):
+            raise RuntimeError("no surfaceless display")
+        config, count = (egl.EGLConfig * 1)(), egl.EGLint()
+        egl.eglChooseConfig(self._display, EGL_ATTRIBUTES, config, 1, count)
+        egl.eglBindAPI(egl.EGL_OPENGL_API)
+        self._context = egl.eglCreateContext(self._display, config[0], egl.EGL_NO_CONTEXT, None)
+        self.make_current()
+        if GL.glGetString(GL.GL_RENDERER).decode() != renderer:
+            self.free()
+            raise RuntimeError("the surfaceless display has another renderer")
+
+    def make_current(self) -> None:
+        """Bind the context to the calling thread."""
+        surface = self._egl.EGL_NO_SURFACE
+        self._egl.eglMakeCurrent(self._display, surface, surface, self._context)
+
+    def free(self) -> None:
+        """Unbind and destroy the context; the display stays for the next one."""
+        if self._context is not None:
+            surface = self._egl.EGL_NO_SURFACE
+            self._egl.eglMakeCurrent(self._display, surface, surface, self._egl.EGL_NO_CONTEXT)
+            self._egl.eglDestroyContext(self._display, self._context)
+            self._context = None
+
+
 class GLThread:
     """A thread with an OpenGL context that no other thread ever touches.
 
     Rendering from one thread may go on while another computes or renders: MuJoCo lets go of the interpreter meanwhile.
+    Threads that are to render at the same time ask for different displays (0 or 1).
     """
 
-    def __init__(self, width: int, height: int) -> None:
-        name = backend().name
+    def __init__(self, width: int, height: int, display: int = 0) -> None:
+        chosen = backend()
         self._jobs: SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None] = SimpleQueue()
         self._process = os.getpid()
         self._stopped = False
         self._thread = threading.Thread(target=_serve, args=(self._jobs,), name="cognitivedrone-gl", daemon=True)
         self._thread.start()
-        self._context = self.call(lambda: create_context(name, width, height)).result()
+        self._context = self.call(partial(_thread_context, chosen, width, height, display)).result()
         # Registered after MuJoCo's own handler, so run before it: contexts go first, then the display.
         atexit.register(self.stop)
 
@@ -121,6 +162,14 @@ class GLThread:
         self._thread.join()
         atexit.unregister(self.stop)
         freed.result()
+
+
+def _thread_context(chosen: Backend, width: int, height: int, display: int) -> Any:
+    """A context on the display asked for or, with an older Mesa, on the one display there is."""
+    if display > 0 and chosen.name == "egl" and "llvmpipe" in chosen.renderer:
+        with suppress(Exception):
+            return SecondDisplay(chosen.renderer)
+    return create_context(chosen.name, width, height)
 
 
 def _serve(jobs: SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None]) -> None:
