@@ -45,7 +45,7 @@ SIZES: tuple[Size, ...] = ("big", "small")
 SHAPES: tuple[Shape, ...] = ("round", "square", "triangle")
 COLORS: tuple[Color, ...] = ("red", "green", "blue")
 
-ACTION_LIMITS = (3.0, 3.0, 1.5, 1.5)
+ACTION_LIMITS = (3.0, 3.0, 1.5, 1.0)
 """Largest magnitude of each action component that is flown, m/s and rad/s; what lies beyond is clipped."""
 CONTROL_HZ = 10
 """Rate of the policy's commands."""
