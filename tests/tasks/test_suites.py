@@ -159,3 +159,11 @@ def test_files_that_make_no_suite(tmp_path: Path) -> None:
     write_tasks(tmp_path / "a.json", [train_task(0), train_task(0)])
     with pytest.raises(TaskError, match=r"a\.json\[1\].*is taken"):
         suite_from_files(tmp_path)
+
+
+def test_the_documentation_names_the_digests() -> None:
+    text = (Path(__file__).resolve().parents[2] / "docs" / "tasks.md").read_text(encoding="utf-8")
+    for name in FIXED:
+        suite = load_suite(name)
+        assert f"| `{name}` | {suite.n_tasks} |" in text
+        assert f"`{suite.digest}`" in text

@@ -9,11 +9,13 @@ from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.generate import Draw, Puzzle, words
 from cognitivedrone.tasks.hard import PLAIN_THINGS
 
+_NAMED = 2
+"""Stages at the beginning of a track that name their thing."""
 _ORDINALS = ("first", "second", "third", "fourth", "fifth")
 
 
 def memory_track(draw: Draw, targets: Sequence[int]) -> list[Puzzle]:
-    """Puzzles of one track, a target each: the first name a thing, the others refer to gates already flown through.
+    """Puzzles of one track, a target each: the first two name a thing, the others refer to gates already flown through.
 
     Wrong panels of the latter come from what earlier stages have shown wherever possible, so to recognise is not
     enough: one must know which gate was flown through, and when.
@@ -22,19 +24,18 @@ def memory_track(draw: Draw, targets: Sequence[int]) -> list[Puzzle]:
     right: list[str] = []
     shown: list[str] = []
     puzzles: list[Puzzle] = []
-    named = 1 if len(targets) < 4 else 2
     for stage, target in enumerate(targets):
-        if stage < named:
+        if stage < _NAMED:
             answer = fresh.pop()
             sentence = f"Fly through the gate with the {words(answer)}"
             options = [answer, fresh.pop(), fresh.pop()]
-        elif stage > named and draw.chance(0.25):
+        elif stage > _NAMED and draw.chance(0.4):
             answer = fresh.pop()
             sentence = "Fly through the gate with the thing that no gate has shown before"
             options = [answer, *draw.sample(shown, 2)]
         else:
-            back = draw.below(stage)
-            answer = right[back]
+            answer = draw.pick(sorted(set(right)))
+            back = draw.pick([earlier for earlier, name in enumerate(right) if name == answer])
             sentence = _recall(draw, back, stage)
             options = [answer, *draw.sample([name for name in shown if name != answer], 2)]
         puzzles.append(_puzzle(draw, target, sentence, options))
