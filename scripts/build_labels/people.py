@@ -21,7 +21,7 @@ HAIR_COLOR = {
 }  # fmt: skip
 CLOTH_COLOR = {
     "blue": "#2f6fe0", "red": "#d62839", "green": "#2e9e4f", "yellow": "#f6c90e", "black": "#23272b",
-    "white": "#f4f4f4", "gray": "#929598", "pink": "#ff7eb0",
+    "white": "#e9ebef", "gray": "#929598", "pink": "#ff7eb0",
 }  # fmt: skip
 HAT_COLOR = {name: CLOTH_COLOR[name] for name in ("red", "blue", "green", "yellow", "black", "white")}
 

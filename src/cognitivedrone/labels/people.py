@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 
-from PIL import Image
+from PIL import Image, ImageChops, ImageDraw
 
 from cognitivedrone.errors import LabelError, did_you_mean
 
@@ -37,8 +38,12 @@ BACKGROUNDS: Mapping[str, tuple[int, int, int]] = {
 }
 """The style of a person is the colour behind; the first is the default."""
 
-_HAT_COVERS_TO = {"hat": 88, "beanie": 66, "turban": 88, "hijab": SIDE}
+_HAT_BRIM = {"hat": 88, "beanie": 66, "turban": 80, "hijab": SIDE}
 """Row of the panel above which a hat hides the hair, px."""
+_DOME = (30, 60, 228, 258)
+"""Left, top, right, bottom of the circle into which a hat presses the hair above its middle, px."""
+_SHOULDERS = 185
+"""Row of the panel below which hair falls as it likes, px."""
 
 LayerSource = Callable[[str], tuple[Image.Image, tuple[int, int]]]
 """Name of a layer to its RGBA image and where its upper left corner belongs, px."""
@@ -83,11 +88,26 @@ def layer_names(person: Mapping[str, str]) -> list[str]:
 def draw_person(concept: str, background: str, layer: LayerSource) -> Image.Image:
     """(SIDE, SIDE) RGB portrait. Raises `LabelError` as `parse_person` does; `background` is one of BACKGROUNDS."""
     person = parse_person(concept)
-    hidden_rows = _HAT_COVERS_TO.get(person["hat"], 0)
     image = Image.new("RGBA", (SIDE, SIDE), (*BACKGROUNDS[background], 255))
     for name in layer_names(person):
         part, (x, y) = layer(name)
-        cut = max(0, hidden_rows - y) if name.startswith("hair/") else 0
-        if cut < part.height:
-            image.alpha_composite(part, (x, y + cut), (0, cut))
+        if name.startswith("hair/") and person["hat"] != "none":
+            room = _room_for_hair(person["hat"]).crop((x, y, x + part.width, y + part.height))
+            part = part.copy()
+            part.putalpha(ImageChops.multiply(part.getchannel("A"), room))
+        image.alpha_composite(part, (x, y))
     return image.convert("RGB")
+
+
+@cache
+def _room_for_hair(hat: str) -> Image.Image:
+    """(SIDE, SIDE) mask of where hair can be under a hat: below the brim, pressed down to a dome at the sides."""
+    scale = 4
+    mask = Image.new("L", (SIDE * scale, SIDE * scale))
+    draw = ImageDraw.Draw(mask)
+    left, top, right, bottom = (scale * edge for edge in _DOME)
+    draw.ellipse((left, top, right, bottom), fill=255)
+    draw.rectangle((left, (top + bottom) // 2, right, SIDE * scale), fill=255)
+    draw.rectangle((0, scale * _SHOULDERS, SIDE * scale, SIDE * scale), fill=255)
+    draw.rectangle((0, 0, SIDE * scale, scale * _HAT_BRIM[hat] - 1), fill=0)
+    return mask.resize((SIDE, SIDE), Image.Resampling.BOX)

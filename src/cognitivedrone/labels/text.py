@@ -19,6 +19,8 @@ _SIGNS = {"*": "×", "/": "÷", "-": "−"}
 _SUM = re.compile(r"[0-9(][0-9+\-*/() ]*")
 _WORTH_A_BREAK = 1.25
 """A sum goes on two lines where that makes its type larger by this factor."""
+_LINE_DISTANCE = 1.15
+"""Between baselines, in heights of a bracket."""
 
 
 def is_sum(expression: str) -> bool:
@@ -64,8 +66,9 @@ def text_panel(text: str, font: Path) -> Image.Image:
     draw = ImageDraw.Draw(image)
     face = _face(font, _fitting_size(text, font))
     left, top, right, bottom = _ink_box(text, face)
-    corner = ((SIDE - left - right) / 2, (SIDE - top - bottom) / 2)
-    draw.multiline_text(corner, text, fill=INK, font=face, align="center", spacing=_leading(face))
+    x, y = (SIDE - left - right) / 2, (SIDE - top - bottom) / 2
+    for line, baseline in _lines(text, face):
+        draw.text((x, y + baseline), line, fill=INK, font=face, anchor="ms")
     return image
 
 
@@ -76,14 +79,21 @@ def _fitting_size(text: str, font: Path) -> int:
     return int(reference * ROOM / max(right - left, bottom - top))
 
 
+def _lines(text: str, face: ImageFont.FreeTypeFont) -> list[tuple[str, float]]:
+    """Lines and their baselines. The distance comes from the ink: what fonts say of their line height varies wildly."""
+    _, top, _, bottom = face.getbbox("(0)", anchor="ms")
+    return [(line, index * _LINE_DISTANCE * (bottom - top)) for index, line in enumerate(text.split("\n"))]
+
+
 def _ink_box(text: str, face: ImageFont.FreeTypeFont) -> tuple[float, float, float, float]:
-    canvas = ImageDraw.Draw(Image.new("1", (1, 1)))
-    return canvas.multiline_textbbox((0, 0), text, font=face, align="center", spacing=_leading(face))
-
-
-def _leading(face: ImageFont.FreeTypeFont) -> float:
-    """Extra space between lines, px: a little less than the fonts' own."""
-    return -0.1 * face.size
+    """Left, top, right, bottom of the ink, around the middle of the first baseline, px."""
+    boxes = [(face.getbbox(line, anchor="ms"), baseline) for line, baseline in _lines(text, face)]
+    return (
+        min(box[0] for box, _ in boxes),
+        min(box[1] + baseline for box, baseline in boxes),
+        max(box[2] for box, _ in boxes),
+        max(box[3] + baseline for box, baseline in boxes),
+    )
 
 
 @lru_cache(maxsize=64)
