@@ -14,13 +14,13 @@ _BY_PHRASE = {feature.phrase: feature for feature in FEATURES}
 
 # Colours of one thing must not crowd out the rest: first a thing, then one way of saying it.
 _THINGS: tuple[tuple[str, ...], ...] = tuple(
-    tuple(f.phrase for f in FEATURES if f.phrase.endswith(ending))
+    tuple(f.phrase for f in FEATURES if f" {f.phrase}".endswith(f" {ending}"))
     for ending in (
-        *("hat", "beanie", "turban", "headscarf", "hoodie", "sweater", "T-shirt", "blazer", "overalls"),
+        *("hat", "beanie", "turban", "headscarf", "hoodie", "T-shirt", "blazer", "overalls"),
         *("curly hair", "long hair", "bun", "afro", "dreadlocks", "shaved sides", "bald head"),
         *("brown hair", "black hair", "blond hair", "red hair", "gray hair", "pink hair"),
-        *(" glasses", "sunglasses", "eyepatch", "full beard", "moustache", "stubble"),
-        *("sad face", "surprised look", "laughing face", "winking eye"),
+        *("glasses", "sunglasses", "eyepatch", "full beard", "moustache"),
+        *("surprised look", "laughing face"),
     )
 )
 """Groups of phrases, drawn with equal shares."""
@@ -48,11 +48,9 @@ def impose(draw: Draw, person: Person, feature: Feature) -> Person:
         changed["hat"] = "none"
         if changed.get("hair", "bald") == "bald" and "hair" not in feature.wanted:
             changed["hair"] = draw.pick(SCHEMA["hair"][:-1])
-    if feature.wanted.get("expression") == ("wink",):
-        changed["glasses"] = "none"
     if changed.get("hat") == "hijab":
-        # Nobody is drawn with both: the newer of the two stays.
-        changed |= {"hat": "none"} if "beard" in feature.wanted else {"beard": "none"}
+        # A headscarf covers chin and collar: the newer of the two stays.
+        changed |= {"hat": "none"} if {"beard", "clothes"} & set(feature.wanted) else {"beard": "none"}
     return tidy(changed)
 
 
@@ -68,10 +66,8 @@ def random_features(draw: Draw, count: int) -> list[Feature]:
 def _parts(feature: Feature) -> set[str]:
     parts = {"top" if name in ("hat", "hat_color", "hair", "hair_color") else name for name in feature.wanted}
     parts = {"clothes" if name == "clothes_color" else name for name in parts}
-    if feature.wanted.get("expression") == ("wink",):
-        parts.add("glasses")
     if feature.wanted.get("hat") == ("hijab",):
-        parts.add("beard")
+        parts |= {"beard", "clothes"}
     return parts
 
 

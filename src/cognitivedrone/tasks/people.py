@@ -47,7 +47,7 @@ def parse_person(concept: str) -> Person:
 
 
 def seen(person: Mapping[str, str]) -> Person:
-    """Every attribute as a viewer sees it; what a hat or dark glasses hide is `hidden`."""
+    """Every attribute as a viewer sees it; what a hat or a headscarf covers is `hidden`."""
     full = {name: person.get(name, values[0]) for name, values in SCHEMA.items()}
     if full["hat"] == "none":
         full["hat_color"] = "hidden"
@@ -55,10 +55,8 @@ def seen(person: Mapping[str, str]) -> Person:
             full["hair_color"] = "hidden"
     else:
         full["hair"] = full["hair_color"] = "hidden"
-    if full["glasses"] in ("sunglasses", "eyepatch") and full["expression"] == "wink":
-        full["expression"] = "hidden"
-    if full["clothes"] == "blazer":
-        full["clothes_color"] = "hidden"
+    if full["hat"] == "hijab":
+        full["clothes"] = "hidden"
     return full
 
 
@@ -105,17 +103,18 @@ def _clothes(phrase: str, kind: str, doubtful: tuple[str, ...]) -> list[Feature]
     ]
 
 
+# Nothing is asked that a panel seen from the start, some forty pixels high, does not show: no stubble, no wink.
 FEATURES: tuple[Feature, ...] = (
     *_hat("hat", "hat", doubtful=("beanie", "turban", "hijab")),
     *_hat("beanie", "beanie"),
     *_hat("turban", "turban", doubtful=("hijab",)),
     *_hat("headscarf", "hijab", doubtful=("turban",)),
     _hair("curly hair", "curly", "afro", "dreadlocks"),
-    _hair("long hair", "long", "bob", "dreadlocks"),
+    _hair("long hair", "long", "bob", "dreadlocks", "shaved_sides"),
     _hair("a bun", "bun"),
     _hair("an afro", "afro", "curly"),
     _hair("dreadlocks", "dreadlocks"),
-    _hair("shaved sides", "shaved_sides", "bald"),
+    _hair("shaved sides", "shaved_sides", "bald", "long"),
     # A hat may hide a bald head, but only a head without a hat shows it: hats are doubtful through `hidden`.
     _hair("a bald head", "bald", "shaved_sides"),
     *(
@@ -130,21 +129,17 @@ FEATURES: tuple[Feature, ...] = (
         )
     ),
     Feature("glasses", {"glasses": ("glasses", "round")}, {"glasses": ("sunglasses",)}),
-    Feature("round glasses", {"glasses": ("round",)}, {"glasses": ("sunglasses",)}),
+    Feature("round glasses", {"glasses": ("round",)}, {"glasses": ("glasses", "sunglasses")}),
     Feature("sunglasses", {"glasses": ("sunglasses",)}),
     Feature("an eyepatch", {"glasses": ("eyepatch",)}),
     Feature("a full beard", {"beard": ("full",)}, {"beard": ("stubble",)}),
     Feature("a moustache", {"beard": ("moustache",)}, {"beard": ("full", "stubble")}),
-    Feature("stubble", {"beard": ("stubble",)}, {"beard": ("full", "moustache")}),
     Feature("a blazer", {"clothes": ("blazer",)}),
     Feature("overalls", {"clothes": ("overall",)}),
     *_clothes("hoodie", "hoodie", ("sweater",)),
-    *_clothes("sweater", "sweater", ("hoodie",)),
-    *_clothes("T-shirt", "tshirt", ("vneck", "overall")),
-    Feature("a sad face", {"expression": ("sad",)}, {"expression": ("serious",)}),
+    *_clothes("T-shirt", "tshirt", ("vneck", "sweater", "overall")),
     Feature("a surprised look", {"expression": ("surprised",)}),
     Feature("a laughing face", {"expression": ("laughing",)}, {"expression": ("smile", "wink")}),
-    Feature("a winking eye", {"expression": ("wink",)}),
 )
 
 _CAST = {
@@ -153,49 +148,49 @@ _CAST = {
     "Bella": "skin=light,hair=bob,hair_color=black",
     "Boris": "skin=dark,hair=dreadlocks,hair_color=blond,glasses=eyepatch,beard=moustache",
     "Chiara": "skin=dark,hat=hijab,hat_color=yellow,glasses=glasses",
-    "Carlos": "skin=dark,hair=dreadlocks,hair_color=red,glasses=glasses,beard=full",
-    "Dalia": "skin=tan,hat=hijab,hat_color=blue,glasses=round",
-    "Diego": "skin=dark,hair=curly,glasses=sunglasses",
-    "Esra": "skin=brown,hair=bun,glasses=glasses",
-    "Emil": "skin=brown,hair=dreadlocks,hair_color=black,glasses=glasses",
-    "Freya": "skin=tan,hair=long,hair_color=blond,glasses=round",
-    "Farid": "skin=tan,hair=bald",
-    "Greta": "skin=light,hat=hijab,hat_color=green",
-    "Gustav": "skin=dark,hair=shaved_sides,hair_color=gray,glasses=glasses",
-    "Hana": "skin=brown,hair=curly,hair_color=blond",
-    "Hugo": "skin=tan,hair=long,hair_color=blond,beard=full",
-    "Ines": "skin=light,hair=bun,hair_color=blond,glasses=sunglasses",
-    "Ivan": "skin=brown,hair=afro,hair_color=red,beard=full",
-    "Jasmin": "skin=brown,hair=afro,glasses=eyepatch",
-    "Jonas": "skin=tan,hair_color=gray,beard=full",
-    "Kaya": "skin=dark,hat=beanie,hat_color=green,glasses=eyepatch",
-    "Kofi": "skin=dark,hair=bald,glasses=eyepatch,beard=full",
-    "Leila": "skin=tan,hair=long",
-    "Luca": "skin=light,hair=dreadlocks,hair_color=black,glasses=sunglasses,beard=stubble",
-    "Mira": "skin=tan,hair=afro,hair_color=pink",
-    "Marco": "skin=brown,hat=beanie,hat_color=green,beard=moustache",
-    "Nadia": "skin=light,hair=bun,hair_color=black,glasses=eyepatch",
-    "Niko": "skin=dark,hair=dreadlocks,hair_color=red",
-    "Olga": "skin=dark,hair_color=gray,glasses=sunglasses",
-    "Omar": "skin=tan,hat=hat,hat_color=blue,glasses=glasses",
-    "Priya": "skin=tan,hat=beanie,hat_color=yellow",
-    "Pavel": "skin=tan,hair=afro,hair_color=blond,glasses=sunglasses,beard=stubble",
-    "Rosa": "skin=light,hair=afro,hair_color=gray,glasses=round",
-    "Quinn": "skin=dark,hair=shaved_sides,hair_color=black,glasses=round,beard=moustache",
-    "Sanna": "skin=tan,hat=beanie,hat_color=white,glasses=round",
-    "Rafael": "skin=brown,hair=shaved_sides,hair_color=gray,glasses=round,beard=full",
-    "Tara": "skin=dark,hat=beanie,glasses=glasses",
-    "Samir": "skin=dark,hair_color=pink,hat=hat,hat_color=white,beard=full",
-    "Uma": "skin=dark,hair=bun,hair_color=red,glasses=round",
-    "Tomas": "skin=brown,hair=shaved_sides,hair_color=red,glasses=eyepatch,beard=full",
-    "Vera": "skin=dark,hair=bob,hair_color=red,glasses=glasses",
-    "Ugo": "skin=dark,hair_color=blond,hat=turban,hat_color=black,glasses=glasses,beard=moustache",
-    "Wanda": "skin=light,hair=long,hair_color=black,glasses=sunglasses",
-    "Viktor": "skin=light,hair=dreadlocks,hair_color=black,beard=full",
-    "Yuki": "skin=dark,hat=hijab,hat_color=black,glasses=sunglasses",
-    "Wei": "skin=tan,hair_color=red,hat=turban,hat_color=green,beard=full",
-    "Zara": "skin=brown,hat=hat,glasses=round",
-    "Yusuf": "skin=brown,hair=shaved_sides,hair_color=red,beard=stubble",
+    "Carlos": "skin=dark,hair=dreadlocks,hair_color=blond,glasses=glasses,beard=full",
+    "Dalia": "skin=brown,hat=hat,glasses=glasses",
+    "Diego": "skin=dark,hair=shaved_sides,hair_color=red,beard=full",
+    "Esra": "skin=tan,hair=afro,hair_color=pink,glasses=glasses",
+    "Emil": "skin=tan,hair=bald,beard=full",
+    "Freya": "skin=tan,hair=curly,glasses=eyepatch",
+    "Farid": "skin=dark,hair=curly,hair_color=black,glasses=sunglasses,beard=full",
+    "Greta": "skin=brown,hair_color=pink,glasses=sunglasses",
+    "Gustav": "skin=dark,hat=beanie,hat_color=yellow,glasses=eyepatch,beard=full",
+    "Hana": "skin=dark,hair=dreadlocks,hair_color=blond",
+    "Hugo": "skin=tan,hat=turban,hat_color=black",
+    "Ines": "skin=dark,hair=long,hair_color=gray,glasses=sunglasses",
+    "Ivan": "skin=dark,hair_color=gray,hat=hat,hat_color=green,beard=moustache",
+    "Jasmin": "skin=light,hair=bob,hair_color=gray,glasses=round",
+    "Jonas": "skin=light,hair_color=blond,glasses=eyepatch",
+    "Kaya": "skin=light,hat=beanie,glasses=sunglasses",
+    "Kofi": "skin=brown,hair_color=black,glasses=glasses,beard=full",
+    "Leila": "skin=tan,hair=long,hair_color=blond,glasses=round",
+    "Luca": "skin=tan,hat=beanie,hat_color=yellow,beard=moustache",
+    "Mira": "skin=brown,hair=afro,hair_color=blond,glasses=sunglasses",
+    "Marco": "skin=light,hair_color=black,hat=turban,hat_color=black,glasses=eyepatch,beard=full",
+    "Nadia": "skin=brown,hair=afro,hair_color=red",
+    "Niko": "skin=dark,hair_color=red,hat=turban,hat_color=yellow,glasses=eyepatch,beard=moustache",
+    "Olga": "skin=tan,hair=bun,hair_color=black,glasses=sunglasses",
+    "Omar": "skin=tan,hair=shaved_sides,hair_color=black,beard=moustache",
+    "Priya": "skin=brown,hat=hat,hat_color=white,glasses=sunglasses",
+    "Pavel": "skin=tan,hair_color=red,hat=turban,hat_color=black,glasses=round,beard=moustache",
+    "Rosa": "skin=dark,hair=bun,glasses=glasses",
+    "Quinn": "skin=brown,hat=beanie,hat_color=white,glasses=round,beard=full",
+    "Sanna": "skin=dark,hair=long,hair_color=pink",
+    "Rafael": "skin=dark,hair_color=gray,beard=full",
+    "Tara": "skin=dark,hair=bob,glasses=sunglasses",
+    "Samir": "skin=brown,hat=beanie,hat_color=blue,glasses=glasses",
+    "Uma": "skin=brown,hair_color=red,glasses=glasses",
+    "Tomas": "skin=dark,beard=moustache",
+    "Vera": "skin=tan,hat=hat,hat_color=blue,glasses=eyepatch",
+    "Ugo": "skin=brown,hair=afro,hair_color=black,glasses=glasses,beard=moustache",
+    "Wanda": "skin=light,hat=hijab,hat_color=white",
+    "Viktor": "skin=dark,hair=shaved_sides,hair_color=gray,glasses=round,beard=full",
+    "Yuki": "skin=tan,hat=beanie,hat_color=green,glasses=eyepatch",
+    "Wei": "skin=dark,hair_color=black,hat=beanie,hat_color=blue,beard=full",
+    "Zara": "skin=light,hair=dreadlocks,hair_color=black,glasses=round",
+    "Yusuf": "skin=tan,hair=long,hair_color=black,glasses=eyepatch,beard=full",
 }
 
 CAST: dict[str, Person] = {name: parse_person(identity) for name, identity in _CAST.items()}

@@ -82,7 +82,7 @@ HELD_OUT_STYLES: tuple[str, ...] = ("openmoji",)
 
 LOGO_STYLE = "color"
 
-TRAIN_BACKGROUNDS: tuple[str, ...] = ("sky", "sand", "mint", "rose", "lilac", "white")
+TRAIN_BACKGROUNDS: tuple[str, ...] = ("sky", "sand", "mint", "rose", "lilac")
 """Colours behind a drawn person."""
 HELD_OUT_BACKGROUNDS: tuple[str, ...] = ("slate", "cream")
 
