@@ -81,6 +81,13 @@ class UnlabelledFlyer(FakeFlyer):
         raise LabelError("label 'zebr' is not in the pack; did you mean 'zebra'?")
 
 
+class StillbornFlyer(FakeFlyer):
+    """Takes its process down while it is made."""
+
+    def __init__(self, config: RunConfig, suite: Suite) -> None:
+        os._exit(3)
+
+
 class InterruptedFlyer(FakeFlyer):
     """Somebody presses Ctrl-C in episode 5."""
 

@@ -120,6 +120,11 @@ def test_a_bug_in_a_worker_is_told_with_its_episode_and_its_traceback_is_kept(co
     assert "benchmark_fakes.py" in (config.out / "error.txt").read_text()
 
 
+def test_a_worker_that_cannot_start_is_told(config):
+    with pytest.raises(RunError, match="a worker ended with exit code 3 before it was ready; --workers 1"):
+        run(replace(config, workers=2), progress=False, flyer="benchmark_fakes:StillbornFlyer")
+
+
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_error_of_ours_arrives_as_its_own_sentence(config, workers):
     with pytest.raises(CognitiveDroneError, match=r"^label 'zebr' is not in the pack; did you mean 'zebra'\?$"):

@@ -168,24 +168,25 @@ class Team:
         raise WorkerCrash(f"{self._doing(worker)} failed: {answer.message}", answer.trace)
 
     def _death(self, worker: _Worker) -> RunError:
+        """What to say of a worker that is gone without a word."""
         worker.process.join(PATIENCE_S)
         code = worker.process.exitcode
+        how = f"ended with exit code {code}"
         if code is not None and code < 0:
-            how = f"was killed by {signal.Signals(-code).name}" + (
-                " (out of memory?)" if code == -signal.SIGKILL else ""
+            how = f"was killed by {signal.Signals(-code).name}"
+        if worker.episode is None:
+            return RunError(
+                f"a worker {how} before it was ready; --workers 1 flies without any, and a script that calls run() "
+                'with more must do so under if __name__ == "__main__":'
             )
-        else:
-            how = f"ended with exit code {code}"
         return RunError(
             f"the worker of {self._doing(worker)} {how}; give --resume to go on, perhaps with fewer --workers"
         )
 
     def _doing(self, worker: _Worker) -> str:
-        return (
-            "no episode yet"
-            if worker.episode is None
-            else f"episode {worker.episode} ({self._name_of(worker.episode)})"
-        )
+        if worker.episode is None:
+            return "making the simulator"
+        return f"episode {worker.episode} ({self._name_of(worker.episode)})"
 
     def close(self) -> None:
         """Let every worker free its simulator and leave."""

@@ -7,6 +7,7 @@ lays it out.
 from __future__ import annotations
 
 import base64
+import textwrap
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -84,7 +85,13 @@ def render_report(results: Results, traces: Sequence[Trace], clips: Sequence[Cli
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"words": words, "percent": percent, "interval": interval, "number": _number}
+    environment.filters |= {
+        "words": words,
+        "option": _option,
+        "percent": percent,
+        "interval": interval,
+        "number": _number,
+    }
     return environment.get_template("report.html.j2").render(
         results=results,
         run=results.run,
@@ -196,6 +203,11 @@ def _failures(episodes: Sequence[EpisodeResult]) -> Iterator[tuple[int, StageRes
         for stage in episode.stages:
             if stage.outcome not in ("passed", "not_reached"):
                 yield episode.episode, stage
+
+
+def _option(option: str) -> str:
+    """An option as one reads it: people are described at length, in places where a line can break."""
+    return textwrap.shorten(words(option).replace(",", ", ").replace("=", " "), width=70, placeholder=" ...")
 
 
 def _hundred(rate: float | None) -> float | None:

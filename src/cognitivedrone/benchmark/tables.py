@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from rich import box
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -53,19 +52,6 @@ def comparison_table(comparison: Comparison) -> RenderableType:
         notes.append(f"left out, invalid in either run: {comparison.left_out}")
     notes += [f"the runs also differ in {difference}" for difference in comparison.other_differences]
     return Group(rates, "", counts, "", *(Text(note, style="dim") for note in notes))
-
-
-def print_results(results: Results, folder: Path | None = None) -> None:
-    """The table of a run on standard output, and where its report is."""
-    console = Console(highlight=False)
-    console.print(results_table(results))
-    if folder is not None:
-        console.print(Text(f"report: {folder / 'report.html'}"), soft_wrap=True)
-
-
-def print_comparison(comparison: Comparison) -> None:
-    """The table of a comparison on standard output."""
-    Console(highlight=False).print(comparison_table(comparison))
 
 
 def words(name: str) -> str:
