@@ -20,8 +20,10 @@ from cognitivedrone.world import geometry
 Points = NDArray[np.floating[Any]]
 STEP_M: Final = 0.08
 """Points of a path closer than this to the last one are left out of the drawing."""
-MARGIN_M: Final = 1.2
-"""Around what a map of an episode must show."""
+TEXT_SHARE: Final = 0.05
+"""Height of a gate's number over the larger side of its map."""
+MARGIN_M: Final = 0.8
+"""Around the gates and the path of an episode's map, beside room for the numbers."""
 STAGE_BOX: Final = (-5.6, -6.4, 11.2, 9.0)
 """x, y, width and height of a map of one stage, m: start box, gates and a metre beyond."""
 
@@ -58,6 +60,8 @@ class Map:
     """A drawing and its view box."""
 
     view_box: str
+    text: float
+    """Height of the gates' numbers, m."""
     gates: tuple[GateMark, ...]
     paths: tuple[PathMark, ...]
 
@@ -77,21 +81,26 @@ def overlay(flights: Sequence[StageFlight]) -> Map:
     big = Gate("big", "round", "red")
     nominal = Stage(gates=(big, big, big), labels=("", "", ""))
     paths = tuple(_path_mark(_to_page(flight.points, flight.stage), flight.result.outcome) for flight in flights)
-    return Map(_box(*STAGE_BOX), _gate_marks(nominal, nominal, None), tuple(path for path in paths if path))
+    text = TEXT_SHARE * STAGE_BOX[2]
+    gates = _gate_marks(nominal, nominal, None, text)
+    return Map(_box(*STAGE_BOX), text, gates, tuple(path for path in paths if path))
 
 
 def episode_map(result: EpisodeResult, trace: Trace) -> Map:
     """One episode with all its stages, in the frame of the first."""
     base = trace.stages[0]
     flights = list(stage_flights(result, trace))
-    gates = tuple(mark for flight in flights for mark in _gate_marks(flight.stage, base, flight.result.target))
     marks = (_path_mark(_to_page(flight.points, base), flight.result.outcome) for flight in flights)
     corners = [_to_page(geometry.gate_centers(stage), base) for stage in trace.stages]
     corners.append(_to_page(_start_corners(base), base))
     every = np.concatenate([*corners, _to_page(trace.path, base)])
     every = every[np.isfinite(every).all(axis=1)]
-    low, high = every.min(axis=0) - MARGIN_M, every.max(axis=0) + MARGIN_M
-    return Map(_box(*low, *(high - low)), gates, tuple(mark for mark in marks if mark))
+    low, high = every.min(axis=0), every.max(axis=0)
+    text = round(TEXT_SHARE * float((high - low).max()), 2)
+    margin = MARGIN_M + 2 * text
+    low, high = low - margin, high + margin
+    gates = tuple(mark for flight in flights for mark in _gate_marks(flight.stage, base, flight.result.target, text))
+    return Map(_box(*low, *(high - low)), text, gates, tuple(mark for mark in marks if mark))
 
 
 def stage_flights(result: EpisodeResult, trace: Trace) -> Iterator[StageFlight]:
@@ -107,13 +116,13 @@ def _to_page(points: Points, stage: Stage) -> FloatArray:
     return -local[:, ::-1]
 
 
-def _gate_marks(stage: Stage, base: Stage, target: int | None) -> tuple[GateMark, ...]:
-    """The gates of `stage` on the page of `base`."""
+def _gate_marks(stage: Stage, base: Stage, target: int | None, text: float) -> tuple[GateMark, ...]:
+    """The gates of `stage` on the page of `base`, with numbers of height `text`, m."""
     marks = []
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
     for index, gate in enumerate(stage.gates):
         half = float(np.abs(geometry.opening_outline(gate, grow=geometry.BAR_WIDTH)[:, 0]).max())
-        offsets = np.array([[0.0, half, 0.0], [0.0, -half, 0.0], [0.7, 0.0, 0.0]])
+        offsets = np.array([[0.0, half, 0.0], [0.0, -half, 0.0], [1.25 * text, 0.0, 0.0]])
         world = centers[index] + rotate_yaw(offsets, float(yaws[index]))
         (x1, y1), (x2, y2), (label_x, label_y) = _to_page(world, base).round(2).tolist()
         marks.append(GateMark(index + 1, x1, y1, x2, y2, label_x, label_y, gate.color, index == target))
