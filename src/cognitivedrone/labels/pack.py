@@ -16,7 +16,7 @@ from cognitivedrone.labels.folder import FolderPack
 from cognitivedrone.labels.images import SIDE, draw_several, frozen_array
 from cognitivedrone.labels.people import BACKGROUNDS, draw_person
 from cognitivedrone.labels.reference import Reference, parse_reference
-from cognitivedrone.labels.text import is_sum, sum_panel, text_panel
+from cognitivedrone.labels.text import LONGEST_SUM, is_sum, sum_panel, text_panel
 
 PACKS: tuple[str, ...] = ("open-v1",)
 """Names of the shipped packs."""
@@ -108,7 +108,9 @@ class ShippedPack:
         concept = reference.concept
         if reference.kind == "sum":
             if not is_sum(concept):
-                raise LabelError(f"label '{reference}' is no sum; expected digits, + - * / and brackets, as in 7*(9-2)")
+                raise LabelError(
+                    f"label '{reference}' is no sum; expected numbers, + - * / and brackets, as in 7*(9-2)"
+                )
             return sum_panel(concept, font)
         if reference.kind == "letter" and concept not in _LETTERS:
             raise LabelError(f"label '{reference}' is not in pack {self.name!r}; letters are A to Z, in upper case")

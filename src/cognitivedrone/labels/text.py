@@ -16,7 +16,9 @@ INK = (22, 22, 22)
 PAPER = (255, 255, 255)
 
 _SIGNS = {"*": "×", "/": "÷", "-": "−"}
-_SUM = re.compile(r"[0-9(][0-9+\-*/() ]*")
+_SUM = re.compile(r"\(*[0-9]+\)*([+\-*/]\(*[0-9]+\)*)*")
+LONGEST_SUM = 24
+"""Characters; more would be too small to read."""
 _WORTH_A_BREAK = 1.25
 """A sum goes on two lines where that makes its type larger by this factor."""
 _LINE_DISTANCE = 1.15
@@ -24,18 +26,18 @@ _LINE_DISTANCE = 1.15
 
 
 def is_sum(expression: str) -> bool:
-    """Whether it is an expression of digits, + - * / and matched brackets."""
+    """Whether it is an expression of whole numbers, + - * / and matched brackets, and not too long to show."""
     depth = 0
     for character in expression:
         depth += (character == "(") - (character == ")")
         if depth < 0:
             return False
-    return depth == 0 and _SUM.fullmatch(expression) is not None
+    return depth == 0 and len(expression) <= LONGEST_SUM and _SUM.fullmatch(expression) is not None
 
 
 def typeset_sum(expression: str) -> str:
     """The sum as people write it: 7*9-2 is 7×9−2."""
-    return "".join(_SIGNS.get(character, character) for character in expression if character != " ")
+    return "".join(_SIGNS.get(character, character) for character in expression)
 
 
 def sum_panel(expression: str, font: Path) -> Image.Image:

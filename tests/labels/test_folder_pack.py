@@ -1,0 +1,168 @@
+"""Folders of images as label packs, tidy ones, odd ones and hostile ones."""
+
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cognitivedrone.errors import LabelError
+from cognitivedrone.labels import images, load_pack
+
+PUBLISHED = Path(__file__).resolve().parents[3] / "shared" / "upstream"
+MISSING = {"Elvis_Persley", "Ludwig_Van_Beethoven", "taylor_swift", "leopard", "rat", "sparrow"}
+"""Images that the published folder lacks."""
+
+
+def save(path: Path, color: str = "red", size: tuple[int, int] = (64, 64), mode: str = "RGB") -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.new(mode, size, color).save(path)
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path):
+    save(tmp_path / "animal" / "cat.png", "red")
+    save(tmp_path / "animal" / "dog@photo.jpg", "blue", (600, 300))
+    save(tmp_path / "animal" / "dog@sketch.webp", "green")
+    save(tmp_path / "Food" / "Healthy" / "healthy_1.png", "yellow")
+    save(tmp_path / "Animals" / "cheetahdae.jpg", "orange")
+    return tmp_path
+
+
+def mean_color(pack, reference: str) -> list[int]:
+    return [round(value) for value in pack.image(reference).mean(axis=(0, 1))]
+
+
+def test_images_are_found_by_kind_concept_and_style(folder):
+    pack = load_pack(str(folder))
+    assert mean_color(pack, "animal/cat") == [255, 0, 0]
+    assert mean_color(pack, "animal/dog@sketch") == pytest.approx([0, 128, 0], abs=4)
+    assert mean_color(pack, "animal/dog@photo") == pytest.approx([0, 0, 255], abs=4)
+    assert mean_color(pack, "Food/Healthy/healthy_1") == [255, 255, 0]
+    assert pack.concepts("animal") == ("cat", "dog")
+    assert pack.styles("animal") == ("photo", "sketch")
+
+
+def test_aspect_is_kept_and_large_images_are_scaled_down(folder):
+    image = load_pack(str(folder)).image("animal/dog@photo")
+    assert image.shape == (128, 256, 3)
+    assert not image.flags.writeable
+
+
+def test_an_image_without_style_stands_for_every_style(folder):
+    assert mean_color(load_pack(str(folder)), "animal/cat@noto") == [255, 0, 0]
+
+
+def test_case_and_the_suffix_of_models_are_overlooked(folder):
+    pack = load_pack(str(folder))
+    assert (pack.image("animals/Cheetah.dae") == pack.image("Animals/cheetah")).all()
+
+
+def test_kinds_that_the_folder_lacks_come_from_the_shipped_pack(folder):
+    pack, shipped = load_pack(str(folder)), load_pack()
+    for reference in ("sum/7*9@lora", "letter/Q", "person/hat=hat@sky", "object/key@noto"):
+        assert (pack.image(reference) == shipped.image(reference)).all()
+    assert {"animal", "Animals", "Food", "letter", "sum", "person"} <= set(pack.kinds())
+
+
+def test_panels_of_several_show_the_folders_own_images(folder):
+    image = load_pack(str(folder)).image("several/animal/cat=4")
+    assert image.shape == (256, 256, 3)
+    assert (image == (255, 0, 0)).all(axis=2).mean() > 0.9
+
+
+def test_transparent_images_are_laid_on_white(tmp_path):
+    save(tmp_path / "shape" / "nothing.png", (0, 0, 0, 0), mode="RGBA")
+    assert (load_pack(str(tmp_path)).image("shape/nothing") == 255).all()
+
+
+@pytest.mark.parametrize(
+    ("reference", "message"),
+    [
+        ("animal/cot", "no file animal/cot.png (or .jpg, .jpeg, .webp) there; did you mean 'cat'"),
+        ("animal/dog@oil", "in style 'oil'; known: photo, sketch"),
+        ("anymal/cat", "has no kind 'anymal'; did you mean 'animal'"),
+        ("animal/../../secret", "no file"),
+        ("sum/1+", "is no sum"),
+    ],
+)
+def test_what_is_not_there_is_named_with_a_way_out(folder, reference, message):
+    with pytest.raises(LabelError) as error:
+        load_pack(str(folder)).image(reference)
+    assert message in str(error.value)
+
+
+def test_an_empty_folder_is_refused(tmp_path):
+    (tmp_path / "top.png").write_bytes(b"")
+    with pytest.raises(LabelError, match=r"holds no images; expected files such as animal/cat\.png"):
+        load_pack(str(tmp_path))
+
+
+def test_files_that_are_no_images_are_named(tmp_path):
+    (tmp_path / "animal").mkdir()
+    (tmp_path / "animal" / "cat.png").write_text("print('hello')")
+    save(tmp_path / "animal" / "whole.png", size=(200, 200))
+    whole = (tmp_path / "animal" / "whole.png").read_bytes()
+    (tmp_path / "animal" / "torn.png").write_bytes(whole[: len(whole) // 2])
+    Image.new("RGB", (8, 8)).save(tmp_path / "animal" / "disguised.png", format="GIF")
+    pack = load_pack(str(tmp_path))
+    for concept in ("cat", "torn", "disguised"):
+        with pytest.raises(LabelError, match=rf"{concept}\.png cannot be read as PNG, JPEG or WebP"):
+            pack.image(f"animal/{concept}")
+
+
+def test_images_beyond_the_limits_are_not_decoded(tmp_path, monkeypatch):
+    save(tmp_path / "animal" / "wide.png", size=(300, 200))
+    pack = load_pack(str(tmp_path))
+    monkeypatch.setattr(images, "MAX_PIXELS", 50_000)
+    with pytest.raises(LabelError, match="300x200 pixels"):
+        pack.image("animal/wide")
+    monkeypatch.setattr(images, "MAX_FILE_BYTES", 10)
+    with pytest.raises(LabelError, match=r"wide\.png has"):
+        pack.image("animal/wide")
+
+
+def test_links_out_of_the_folder_are_not_followed(tmp_path):
+    outside = save(tmp_path / "outside" / "secret.png")
+    save(tmp_path / "labels" / "animal" / "cat.png", "red")
+    (tmp_path / "labels" / "animal" / "dog.png").symlink_to(outside)
+    (tmp_path / "labels" / "more").symlink_to(tmp_path / "outside")
+    pack = load_pack(str(tmp_path / "labels"))
+    assert pack.concepts("animal") == ("cat",)
+    assert "more" not in pack.kinds()
+
+
+def test_the_digest_follows_the_content(folder):
+    before = load_pack(str(folder)).digest
+    assert load_pack(str(folder)).digest == before
+    save(folder / "animal" / "cat.png", "pink")
+    assert load_pack(str(folder)).digest != before
+
+
+def test_a_folder_pack_travels_to_worker_processes(folder):
+    pack = load_pack(str(folder))
+    copy = pickle.loads(pickle.dumps(pack))  # noqa: S301
+    assert (copy.image("animal/cat") == pack.image("animal/cat")).all()
+
+
+@pytest.mark.skipif(not PUBLISHED.is_dir(), reason="the published labels are not here")
+def test_published_folder_shows_every_option_but_the_six_missing_images():
+    pack = load_pack(str(PUBLISHED / "labels"))
+    options = {
+        f"{file.stem}/{option.removesuffix('.dae')}"
+        for file in (PUBLISHED / "tasks").glob("*.json")
+        for task in json.loads(file.read_text())
+        for option in task["options"]
+    }
+    assert len(options) > 250
+    for reference in options:
+        if reference.partition("/")[2] in MISSING:
+            with pytest.raises(LabelError, match=f"no file {reference}\\.png"):
+                pack.image(reference)
+        else:
+            image = pack.image(reference)
+            assert max(image.shape) <= 256
+            assert np.ptp(image) > 0
