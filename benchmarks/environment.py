@@ -35,7 +35,7 @@ def median_seconds(work: Callable[[], object], repetitions: int = REPETITIONS) -
 
 def vector_steps(worlds: int) -> float:
     """Control steps a second of `worlds` worlds together."""
-    env = gymnasium.make_vec("CognitiveDrone-v1", num_envs=worlds, copy=False)
+    env = gymnasium.make_vec("cognitivedrone.envs:CognitiveDrone-v1", num_envs=worlds, copy=False)
     env.reset(seed=0)
     action = np.tile(np.array([0.4, 0.0, 0.0, 0.1], np.float32), (worlds, 1))
 
@@ -50,7 +50,7 @@ def vector_steps(worlds: int) -> float:
 
 
 def single_steps() -> float:
-    env = gymnasium.make("CognitiveDrone-v1", disable_env_checker=True).unwrapped
+    env = gymnasium.make("cognitivedrone.envs:CognitiveDrone-v1", disable_env_checker=True).unwrapped
     env.reset(seed=0)
     action = np.array([0.4, 0.0, 0.0, 0.1], np.float32)
 
@@ -66,7 +66,7 @@ def single_steps() -> float:
 
 def reset_seconds() -> float:
     """Task change: from reset to the first frame."""
-    env = gymnasium.make("CognitiveDrone-v1", disable_env_checker=True).unwrapped
+    env = gymnasium.make("cognitivedrone.envs:CognitiveDrone-v1", disable_env_checker=True).unwrapped
     seconds = [median_seconds(lambda seed=seed: env.reset(seed=seed), 1) for seed in range(60)]
     env.close()
     return statistics.median(seconds)

@@ -10,7 +10,7 @@ from cognitivedrone.policies.expert import Expert
 
 
 def main(worlds: int = 8, steps: int = 30) -> None:
-    env = gymnasium.make_vec("CognitiveDrone-v1", num_envs=worlds)
+    env = gymnasium.make_vec("cognitivedrone.envs:CognitiveDrone-v1", num_envs=worlds)
     observation, _ = env.reset(seed=0)
     expert = Expert()
     actions = np.zeros((worlds, 4), dtype=np.float32)

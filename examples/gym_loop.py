@@ -7,7 +7,7 @@ import gymnasium
 
 
 def main() -> None:
-    env = gymnasium.make("CognitiveDrone-v1", suite="open-v1:smoke")
+    env = gymnasium.make("cognitivedrone.envs:CognitiveDrone-v1", suite="open-v1:smoke")
     env.action_space.seed(0)
     observation, info = env.reset(seed=0)
     print(observation["instruction"], observation["image"].shape)

@@ -27,10 +27,12 @@ def bench(config: Annotated[RunConfig, tyro.conf.arg(name="")]) -> None:
       cognitivedrone bench --policy my_package.my_module:MyPolicy --suite open-v1:test
       cognitivedrone bench --tasks my_tasks.json --labels my_pictures/
     """
-    from cognitivedrone.benchmark.runner import run
+    from cognitivedrone.benchmark.runner import out_of, run
     from cognitivedrone.benchmark.tables import results_table
 
-    Console().print(results_table(run(config, progress=True)))
+    console = Console()
+    console.print(results_table(run(config, progress=True)))
+    console.print(f"report: {out_of(config) / 'report.html'}", highlight=False)
 
 
 @app.command
@@ -91,7 +93,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except CognitiveDroneError as error:
         print(f"cognitivedrone: {error}", file=sys.stderr)  # noqa: T201
         sys.exit(2)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
+        print(f"cognitivedrone: {stop or 'stopped'}", file=sys.stderr)  # noqa: T201
         sys.exit(130)
 
 

@@ -26,7 +26,10 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
     `StageResult`s so far as `results`. `reset(options={"episode": i})` flies one chosen episode of the suite.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
+        "render_modes": ["rgb_array"],
+        "render_fps": CONTROL_HZ,
+    }
 
     def __init__(
         self,
@@ -41,7 +44,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
     ) -> None:
         self.suite = load_suite(suite) if isinstance(suite, str) else suite
         self.observation_space = observation_space()
-        self.action_space = action_space()
+        self.action_space = action_space()  # type: ignore[assignment]
         self.render_mode = render_mode
         self.simulator = Simulator(1, airframe=AIRFRAMES[airframe])
         config = CourseConfig(look=look, time_limit_s=time_limit_s, wind_m_s=wind_m_s)

@@ -7,9 +7,12 @@ above ground, and the camera's field of view and place.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from cognitivedrone.policies.guidance import Pursuit, pursue
@@ -18,30 +21,43 @@ from cognitivedrone.tasks.directives import parse_directive
 from cognitivedrone.types import COLORS, IMAGE_SIZE, ActionChunk, Color, FloatArray, Image, Observation, Shape, Size
 from cognitivedrone.world.geometry import BAR_WIDTH, GATE_HEIGHT
 
-FOCAL_PX = IMAGE_SIZE / 2 / np.tan(FIELD_OF_VIEW / 2)
+FOCAL_PX = IMAGE_SIZE / 2 / math.tan(FIELD_OF_VIEW / 2)
 CONTRAST = 40
 """A pixel has a gate's colour where that channel exceeds both others by this much."""
+RATIO_BETWEEN_SIZES = 1.31
+"""Height of a ring over its hole: below, the gate is big."""
+PITCH_ALLOWANCE_PX = 20
+"""How far above the image's middle a gate's lower edge may come when the nose is down."""
+TILT_ALLOWANCE = 0.2
+"""Metres of height a metre of depth that a tilted camera may be wrong by."""
 MIN_PIXELS = 12
 SMALLEST_HEIGHT_PX = 7
 SEARCH_RATE = 0.7
 """rad/s."""
+
+Mask: TypeAlias = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """The gate to look for, as far as the directive names it."""
+
+    size: Size | None
+    color: Color
+    shape: Shape | None
 
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
     """A gate's ring in the image."""
 
-    u: float
-    """Column of the opening's centre, pixels from the image's middle, right is positive."""
-    height_px: float
-    """Of the whole ring."""
-    ratio: float
-    """Height of the ring over the height of its hole."""
-    whole: bool
-    """Whether it lies inside the image on all sides."""
+    bearing: float
+    """Of the opening's centre, left is positive, as a slope: metres aside a metre of depth."""
+    depth_m: float | None
+    """Along the camera's axis; none where the ring is cut by the image's edge."""
 
 
-def segment(image: Image, color: Color) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
+def segment(image: Image, color: Color) -> Mask:
     """(H, W) mask of the pixels of one gate colour."""
     pixels = image.astype(np.int16)
     channel = COLORS.index(color)
@@ -49,33 +65,44 @@ def segment(image: Image, color: Color) -> np.ndarray[tuple[int, int], np.dtype[
     return np.asarray(pixels[..., channel] - np.maximum(*others) > CONTRAST)
 
 
-def find_gate(image: Image, color: Color, shape: Shape | None) -> Sighting | None:
-    """The ring of one colour: hollow, and lower in the image than the panels that may show the same colour."""
-    mask = segment(image, color)
+def find_gate(image: Image, wanted: Wanted, camera_height_m: float) -> Sighting | None:
+    """The ring of one colour, hollow and at the height of a gate: the panels above may show that colour, too."""
+    mask = segment(image, wanted.color)
     labelled, _ = ndimage.label(mask, structure=np.ones((3, 3)))
     best: Sighting | None = None
-    lowest = -1.0
+    lowest = mask.shape[0] / 2 - PITCH_ALLOWANCE_PX
     for index, box in enumerate(ndimage.find_objects(labelled), start=1):
-        rows, columns = box
-        height, width = rows.stop - rows.start, columns.stop - columns.start
-        if height < SMALLEST_HEIGHT_PX:
-            continue
-        part = labelled[box] == index
-        if int(part.sum()) < MIN_PIXELS:
-            continue
-        whole = rows.start > 0 and columns.start > 0 and rows.stop < mask.shape[0] and columns.stop < mask.shape[1]
-        middle = int(height * (2 / 3 if shape == "triangle" else 1 / 2))
-        hole = _hole_height(part[:, width // 2], middle)
-        if whole and (hole is None or not 0.4 < width / height < 1.6):
-            continue
-        if rows.stop > lowest:
-            lowest = rows.stop
-            u = (columns.start + columns.stop) / 2 - mask.shape[1] / 2
-            best = Sighting(u, float(height), height / hole if hole else 1.0, whole)
+        if box[0].stop > lowest and box[0].stop - box[0].start >= SMALLEST_HEIGHT_PX:
+            sighting = _read_ring(labelled[box] == index, box, mask.shape, wanted, camera_height_m)
+            if sighting is not None:
+                best, lowest = sighting, box[0].stop
     return best
 
 
-def _hole_height(column: np.ndarray[tuple[int], np.dtype[np.bool_]], middle: int) -> int | None:
+def _read_ring(
+    ring: Mask, box: tuple[slice, slice], shape: tuple[int, int], wanted: Wanted, camera_height_m: float
+) -> Sighting | None:
+    """What a connected patch of colour tells, if it can be the wanted gate."""
+    if int(ring.sum()) < MIN_PIXELS:
+        return None
+    rows, columns = box
+    height, width = ring.shape
+    bearing = (shape[1] - columns.start - columns.stop) / 2 / FOCAL_PX
+    if rows.start == 0 or columns.start == 0 or rows.stop == shape[0] or columns.stop == shape[1]:
+        return Sighting(bearing, None)
+    part = 2 / 3 if wanted.shape == "triangle" else 1 / 2
+    hole = _hole_height(ring[:, width // 2], int(height * part))
+    if hole is None or not 0.4 < width / height < 1.6:
+        return None
+    size = wanted.size or ("big" if height / hole < RATIO_BETWEEN_SIZES else "small")
+    depth = FOCAL_PX * ring_height(size, wanted.shape or "square") / height
+    drop = (rows.start + part * height - shape[0] / 2) / FOCAL_PX * depth
+    if abs(camera_height_m - drop - GATE_HEIGHT) > 0.35 + TILT_ALLOWANCE * depth:
+        return None
+    return Sighting(bearing, depth)
+
+
+def _hole_height(column: Mask, middle: int) -> int | None:
     """Free pixels around `middle` of the ring's middle column; none where the ring is filled or open there."""
     if column[middle]:
         return None
@@ -89,7 +116,7 @@ def ring_height(size: Size, shape: Shape) -> float:
     """Height of a gate's frame from edge to edge, m."""
     opening = 1.5 if size == "big" else 0.75
     if shape == "triangle":
-        return opening * np.sqrt(3) / 2 + 3 * BAR_WIDTH
+        return opening * math.sqrt(3) / 2 + 3 * BAR_WIDTH
     return opening + 2 * BAR_WIDTH
 
 
@@ -108,7 +135,7 @@ class ColourSeeker:
     def reset(self, instruction: str) -> None:
         """Forget the last gate."""
         self._text = instruction
-        self._choice: tuple[Size | None, Color, Shape | None] | None = None
+        self._choice: Wanted | None = None
         self._gate: FloatArray | None = None
         self._normal = np.array([1.0, 0.0, 0.0])
         self._time: float | None = None
@@ -119,22 +146,21 @@ class ColourSeeker:
         """Look, correct the estimate, steer."""
         if self._choice is None or observation.instruction != self._text:
             self._choice = self._choose(observation.instruction)
-        size, color, shape = self._choice
         self._carry_on(observation)
-        sighting = find_gate(observation.image, color, shape)
-        if sighting is not None and sighting.whole:
-            self._correct(sighting, size, shape)
+        sighting = find_gate(observation.image, self._choice, observation.height + MOUNT[2])
+        if sighting is not None and sighting.depth_m is not None:
+            self._correct(sighting.bearing, sighting.depth_m)
         if self._gate is None:
             return self._search(observation, sighting)
         gate = np.array([*self._gate, GATE_HEIGHT - observation.height])
         command = pursue(gate, self._normal, np.asarray(observation.velocity, dtype=np.float64), self.config)
         return command[None].astype(np.float32)
 
-    def _choose(self, text: str) -> tuple[Size | None, Color, Shape | None]:
+    def _choose(self, text: str) -> Wanted:
         """The gate that the text names; a colour by chance where it names none."""
         self._text, self._gate = text, None
         size, color, shape = parse_directive(text)
-        return size, color or COLORS[int(self._rng.integers(3))], shape
+        return Wanted(size, color or COLORS[int(self._rng.integers(3))], shape)
 
     def _carry_on(self, observation: Observation) -> None:
         """Move the estimate by the drone's own motion since the last look."""
@@ -147,12 +173,9 @@ class ColourSeeker:
             self._gate = back @ (self._gate - np.asarray(observation.velocity[:2], dtype=np.float64) * elapsed)
         self._normal[:2] = back @ self._normal[:2]
 
-    def _correct(self, sighting: Sighting, size: Size | None, shape: Shape | None) -> None:
+    def _correct(self, slope: float, depth_m: float) -> None:
         """Blend a sighting in: bearings are sharp, ranges are not."""
-        if size is None:
-            size = "big" if sighting.ratio < 1.31 else "small"
-        depth = FOCAL_PX * ring_height(size, shape or "square") / sighting.height_px
-        seen = np.array([depth + MOUNT[0], -sighting.u * depth / FOCAL_PX])
+        seen = np.array([depth_m + MOUNT[0], slope * depth_m])
         if self._gate is None:
             self._gate = seen
             self._normal = np.array([*(seen / np.linalg.norm(seen)), 0.0])
@@ -168,7 +191,7 @@ class ColourSeeker:
     def _search(self, observation: Observation, sighting: Sighting | None) -> ActionChunk:
         """Turn toward what is half in sight, or sweep."""
         if sighting is not None:
-            self._direction = -1.0 if sighting.u > 0 else 1.0
+            self._direction = 1.0 if sighting.bearing > 0 else -1.0
         elif abs(self._turned) > 1.2 and self._turned * self._direction > 0:
             self._direction = -self._direction
         rise = 1.0 * (GATE_HEIGHT - observation.height)

@@ -73,9 +73,9 @@ class Simulator:
         """Set the stage of one world; the drone flies on."""
         if self.cameras is not None:
             self.cameras.set_stage(world, stage, scenery.panels, scenery.board, scenery.look)
-        aspects = tuple(image.shape[1] / image.shape[0] for image in scenery.panels)
+        left, middle, right = (image.shape[1] / image.shape[0] for image in scenery.panels)
         start = self.flight.position[world]
-        self._referees[world] = Referee(stage, start, self.airframe.hull_radius, aspects)  # type: ignore[arg-type]
+        self._referees[world] = Referee(stage, start, self.airframe.hull_radius, (left, middle, right))
 
     def command(self, world: int, action: FloatArray) -> None:
         """Set one world's velocity setpoint: (4,) heading frame, m/s and rad/s."""
