@@ -22,8 +22,9 @@ from cognitivedrone.types import COLORS, IMAGE_SIZE, ActionChunk, Color, FloatAr
 from cognitivedrone.world.geometry import BAR_WIDTH, GATE_HEIGHT
 
 FOCAL_PX = IMAGE_SIZE / 2 / math.tan(FIELD_OF_VIEW / 2)
-CONTRAST = 40
-"""A pixel has a gate's colour where that channel exceeds both others by this much."""
+CONTRASTS = (180, 40)
+"""A pixel has a gate's colour where that channel exceeds both others by this much. The first is asked for first: it
+parts a gate in good light from what shows a paler shade of its colour on the panel behind."""
 RATIO_BETWEEN_SIZES = 1.31
 """Height of a ring over its hole: below, the gate is big."""
 PITCH_ALLOWANCE_PX = 20
@@ -57,17 +58,27 @@ class Sighting:
     """Along the camera's axis; none where the ring is cut by the image's edge."""
 
 
-def segment(image: Image, color: Color) -> Mask:
+def segment(image: Image, color: Color, contrast: int) -> Mask:
     """(H, W) mask of the pixels of one gate colour."""
     pixels = image.astype(np.int16)
     channel = COLORS.index(color)
     others = [pixels[..., c] for c in range(3) if c != channel]
-    return np.asarray(pixels[..., channel] - np.maximum(*others) > CONTRAST)
+    return np.asarray(pixels[..., channel] - np.maximum(*others) > contrast)
 
 
 def find_gate(image: Image, wanted: Wanted, camera_height_m: float) -> Sighting | None:
     """The ring of one colour, hollow and at the height of a gate: the panels above may show that colour, too."""
-    mask = segment(image, wanted.color)
+    best: Sighting | None = None
+    for contrast in CONTRASTS:
+        sighting = _lowest_ring(segment(image, wanted.color, contrast), wanted, camera_height_m)
+        if sighting is not None and sighting.depth_m is not None:
+            return sighting
+        best = best or sighting
+    return best
+
+
+def _lowest_ring(mask: Mask, wanted: Wanted, camera_height_m: float) -> Sighting | None:
+    """Of all patches of the mask that can be the wanted gate, the lowest in the image."""
     labelled, _ = ndimage.label(mask, structure=np.ones((3, 3)))
     best: Sighting | None = None
     lowest = mask.shape[0] / 2 - PITCH_ALLOWANCE_PX
