@@ -12,7 +12,7 @@ from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import SimulatedDrone
 from cognitivedrone.errors import PolicyError, did_you_mean
 from cognitivedrone.flight.loop import Leg, NonFiniteAction, fly
-from cognitivedrone.interfaces import Policy, Privileged, Seeded
+from cognitivedrone.interfaces import LabelPack, Policy, Privileged, Seeded
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
@@ -33,19 +33,34 @@ from cognitivedrone.types import (
 )
 
 
+def preflight(config: RunConfig, suite: Suite) -> None:
+    """Find what would stop a run, before anything is written: raises `PolicyError` or `LabelError`."""
+    if config.airframe not in AIRFRAMES:
+        raise PolicyError(f"unknown airframe {config.airframe!r}; {did_you_mean(config.airframe, AIRFRAMES)}")
+    make_policy(config.policy)
+    make_reasoner(config.reasoner)
+    if config.tasks is None and config.labels is None:
+        return  # the shipped pack draws every shipped suite
+    pack = _labels(config)
+    tasks = [task for track in suite.tracks[: config.episodes] for task in track]
+    for reference in sorted({reference for task in tasks for reference in (*task.labels, task.board) if reference}):
+        pack.image(reference)
+
+
+def _labels(config: RunConfig) -> LabelPack:
+    return load_pack(str(config.labels) if config.labels else "open-v1")
+
+
 class EpisodeFlyer:
     """A simulator, a policy and a reasoner, made once and used for any number of episodes in any order."""
 
     def __init__(self, config: RunConfig, suite: Suite) -> None:
-        if config.airframe not in AIRFRAMES:
-            raise PolicyError(f"unknown airframe {config.airframe!r}; {did_you_mean(config.airframe, AIRFRAMES)}")
         self.config = config
         self.suite = suite
         self.policy = make_policy(config.policy)
         self.reasoner = make_reasoner(config.reasoner)
         self.simulator = Simulator(1, airframe=AIRFRAMES[config.airframe])
-        labels = load_pack(str(config.labels) if config.labels else "open-v1")
-        self.course = Course(self.simulator, 0, labels, CourseConfig(look=config.look))
+        self.course = Course(self.simulator, 0, _labels(config), CourseConfig(look=config.look))
         self.drone = SimulatedDrone(self.simulator, self.course)
 
     @property

@@ -19,6 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from cognitivedrone.benchmark.clips import Clip, choose_clips, make_clip
 from cognitivedrone.benchmark.crew import FLYER, Alone, Crew, Team, WorkerCrash
+from cognitivedrone.benchmark.episode import preflight
 from cognitivedrone.benchmark.records import Record, RunFolder
 from cognitivedrone.benchmark.report import REPORT_FILE, render_report
 from cognitivedrone.benchmark.results import (
@@ -58,6 +59,8 @@ def run(config: RunConfig, *, progress: bool = True, flyer: str = FLYER) -> Resu
     suite = suite_of(config)
     facts = facts_of(config, suite)
     path = out_of(config)
+    if flyer == FLYER:
+        preflight(config, suite)
     episodes = range(len(suite.tracks) if config.episodes is None else min(config.episodes, len(suite.tracks)))
     with RunFolder(path, facts, resume=config.resume, overwrite=config.overwrite) as folder:
         missing = [episode for episode in episodes if episode not in folder.records]
