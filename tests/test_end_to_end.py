@@ -1,4 +1,4 @@
-"""The whole benchmark through its command: flights through rendered frames, scores, resume, and what is said of mistakes."""
+"""The whole benchmark through its command: rendered flights, scores, resume, and what is said of mistakes."""
 
 from __future__ import annotations
 

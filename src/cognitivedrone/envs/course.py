@@ -18,6 +18,8 @@ from cognitivedrone.world import geometry
 from cognitivedrone.world.look import PLAIN, Look, varied_look
 
 LOOKS = ("plain", "varied")
+FLOOR_ROOM_M = 0.05
+"""Between hull and floor at the lowest start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +51,16 @@ def scenery_of(stage: Stage, labels: LabelPack, look: Look) -> Scenery:
     return Scenery((first, second, third), labels.image(stage.board) if stage.board else None, look)
 
 
-def draw_start(rng: np.random.Generator, wind_m_s: float = 0.0) -> Start:
-    """The published start: (-1, 0, 0.75) m plus up to 1 m on each axis, never below 0.2 m, looking along x."""
+def draw_start(rng: np.random.Generator, hull_radius: float, wind_m_s: float = 0.0) -> Start:
+    """The published start: (-1, 0, 0.75) m plus up to 1 m on each axis, looking along x.
+
+    Never below 0.2 m, nor closer to the floor than a large hull allows.
+    """
     x, y, z = geometry.START + rng.uniform(-geometry.START_HALF_EXTENT, geometry.START_HALF_EXTENT, 3)
     direction = rng.uniform(-np.pi, np.pi)
     wind = (wind_m_s * float(np.cos(direction)), wind_m_s * float(np.sin(direction)), 0.0)
-    return Start((float(x), float(y), max(float(z), geometry.START_MIN_HEIGHT)), 0.0, wind)
+    lowest = max(geometry.START_MIN_HEIGHT, hull_radius + FLOOR_ROOM_M)
+    return Start((float(x), float(y), max(float(z), lowest)), 0.0, wind)
 
 
 class Course:
@@ -82,7 +88,7 @@ class Course:
         self.results = []
         self.stages = [stage_of(track[0])]
         self.look = varied_look(rng) if self.config.look == "varied" else PLAIN
-        start = draw_start(rng, self.config.wind_m_s)
+        start = draw_start(rng, self.simulator.airframe.hull_radius, self.config.wind_m_s)
         self.simulator.begin(self.world, self.stages[0], scenery_of(self.stages[0], self.labels, self.look), start)
         self._stage_start_s = 0.0
 
