@@ -39,6 +39,10 @@ class RunError(CognitiveDroneError):
     """A benchmark run that cannot start, go on or be read."""
 
 
+class DataError(CognitiveDroneError):
+    """A data set that cannot be written, read or trusted."""
+
+
 class MissingExtra(CognitiveDroneError):
     """An optional dependency is not installed."""
 

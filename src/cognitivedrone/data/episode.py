@@ -1,0 +1,92 @@
+"""One recorded flight in memory. Every store, export and import speaks through this."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+
+from cognitivedrone.types import Image, Task
+
+Encoding = Literal["jpeg", "png", "webp"]
+"""`jpeg` is lossy; `png` and `webp` (lossless) give back every bit."""
+Split = Literal["train", "val"]
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What a flight began with: enough, with the actions that were sent, to fly it again to the bit."""
+
+    seed: int
+    """Seed of the collection it belongs to."""
+    airframe: str
+    look: str
+    """`plain` or `varied`."""
+    start_position: tuple[float, float, float]
+    """World, m."""
+    start_yaw: float
+    """rad."""
+    wind: tuple[float, float, float]
+    """Steady, world, m/s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """T control steps of one stage, 0.1 s apart. Row t is what was seen and done at time t."""
+
+    index: int
+    """Of the task in its suite; unique in a store."""
+    suite: str
+    """Name of the suite, such as "open-v1:train"."""
+    task: Task
+    conditions: Conditions
+    encoding: Encoding
+    images: tuple[bytes, ...]
+    """T encoded first-person frames, 256x256 RGB."""
+    action: NDArray[np.float32]
+    """(T, 4) the label: the clean expert action, heading frame, vx, vy, vz m/s and yaw rate rad/s."""
+    sent: NDArray[np.float32]
+    """(T, 4) what was really commanded; differs from `action` where the flight was perturbed."""
+    velocity: NDArray[np.float32]
+    """(T, 3) heading frame, m/s."""
+    height: NDArray[np.float32]
+    """(T,) above ground, m."""
+    yaw_rate: NDArray[np.float32]
+    """(T,) rad/s."""
+    position: NDArray[np.float64]
+    """(T, 3) true, world, m. For scoring and conversion, never for a policy."""
+    quaternion: NDArray[np.float64]
+    """(T, 4) true, w, x, y, z, body to world."""
+    final_position: NDArray[np.float64]
+    """(3,) world, m, after the last action."""
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    @property
+    def state(self) -> NDArray[np.float32]:
+        """(T, 5) what a policy may know of itself: heading-frame velocity, height, yaw rate."""
+        return np.column_stack([self.velocity, self.height, self.yaw_rate]).astype(np.float32)
+
+
+def encode_image(image: Image, encoding: Encoding, quality: int = 95) -> bytes:
+    """The frame as JPEG of that quality, or losslessly as PNG or WebP."""
+    buffer = BytesIO()
+    picture = PillowImage.fromarray(image)
+    if encoding == "jpeg":
+        picture.save(buffer, "JPEG", quality=quality, subsampling=0 if quality >= 90 else 2)
+    elif encoding == "png":
+        picture.save(buffer, "PNG", compress_level=1)
+    else:
+        picture.save(buffer, "WEBP", lossless=True, quality=0, method=0)
+    return buffer.getvalue()
+
+
+def decode_image(data: bytes) -> Image:
+    """(H, W, 3) uint8 RGB of an encoded frame."""
+    with PillowImage.open(BytesIO(data)) as picture:
+        return np.asarray(picture.convert("RGB"))
