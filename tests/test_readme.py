@@ -1,0 +1,60 @@
+"""What the README tells people to type exists and runs."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text()
+
+
+def shell_lines() -> list[str]:
+    blocks = re.findall(r"```sh\n(.*?)```", README, flags=re.DOTALL)
+    return [line.split("#")[0].strip() for block in blocks for line in block.splitlines() if line.strip()]
+
+
+@pytest.mark.parametrize("target", ["bench", "test"])
+def test_both_commands_of_the_first_screen_are_targets_of_make(target):
+    assert f"make {target}" in "\n".join(README.splitlines()[:20])
+    assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)
+
+
+def test_its_commands_run(tmp_path):
+    """In the README's order, in a folder of their own; `make` itself is what runs this test."""
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    bench = next(line for line in (ROOT / "Makefile").read_text().splitlines() if "cognitivedrone bench" in line)
+    lines = [bench.split("/", 1)[1], *(line for line in shell_lines() if not line.startswith("make"))]
+    assert len(lines) >= 5
+    for line in lines:
+        words = shlex.split(line.replace(".venv/bin/cognitivedrone", "cognitivedrone"))
+        environment = dict(word.split("=", 1) for word in words if "=" in word and not word.startswith("-"))
+        arguments = words[words.index("cognitivedrone") + 1 :]
+        done = subprocess.run(
+            [sys.executable, "-m", "cognitivedrone.cli", *arguments],
+            cwd=tmp_path,
+            env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), **environment},
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
+        assert done.returncode == 0, f"{line}\n{done.stderr}"
+    assert (tmp_path / "view.png").exists()
+
+
+@pytest.mark.parametrize("page", sorted(set(re.findall(r"\]\(((?:docs|examples)/[^)#]+)\)", README))))
+def test_what_it_links_to_exists(page):
+    assert (ROOT / page).is_file()
+
+
+def test_its_python_runs():
+    """The Gymnasium lines, as they stand."""
+    code = next(b for b in re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL) if "gymnasium.make" in b)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
