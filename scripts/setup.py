@@ -8,7 +8,6 @@ there is none, it installs one as root, or prints the line to type.
 
 from __future__ import annotations
 
-import ctypes.util
 import hashlib
 import os
 import shutil
@@ -71,8 +70,17 @@ def install(extras: list[str]) -> None:
 
 
 def ensure_opengl() -> None:
-    if not (ctypes.util.find_library("EGL") or ctypes.util.find_library("OSMesa")):
-        apt_install(GL_PACKAGES, "off-screen rendering")
+    """Try to render; where that fails, install what is missing. The answer is kept until the environment changes."""
+    stamp = VENV / "renders"
+    if stamp.exists():
+        return
+    probe = [str(PYTHON), "-c", "from cognitivedrone.sim.gl import backend; backend()"]
+    for attempt in range(2):
+        if subprocess.run(probe, check=False, capture_output=True).returncode == 0:
+            stamp.touch()
+            return
+        if attempt or not apt_install(GL_PACKAGES, "off-screen rendering"):
+            return  # what needs no pictures works all the same; what does says what is missing
 
 
 def main() -> None:
