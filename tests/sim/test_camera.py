@@ -6,8 +6,8 @@ import pytest
 
 from cognitivedrone.errors import RenderError
 from cognitivedrone.frames import FloatArray, quaternion_from_yaw, rotate_yaw, rotation_matrix
-from cognitivedrone.sim.camera import FIELD_OF_VIEW, IMAGE_SIZE, MOUNT, Cameras
-from cognitivedrone.types import DroneState, Gate, Image, Stage
+from cognitivedrone.sim.camera import FIELD_OF_VIEW, MOUNT, Cameras
+from cognitivedrone.types import IMAGE_SIZE, DroneState, Gate, Image, Stage
 from cognitivedrone.world import geometry
 from cognitivedrone.world.look import varied_look
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import mujoco
+from cognitivedrone.world.engine import mujoco
 
 GRAVITY = 9.81
 """m/s2, downwards."""

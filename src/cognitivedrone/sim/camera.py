@@ -21,14 +21,12 @@ from PIL import Image as PillowImage
 from cognitivedrone.errors import RenderError
 from cognitivedrone.frames import FloatArray, rotate_yaw, rotation_matrix, yaw_of
 from cognitivedrone.sim.gl import GLThread
-from cognitivedrone.types import DroneState, Image, Stage
+from cognitivedrone.types import IMAGE_SIZE, DroneState, Image, Stage
 from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture
 from cognitivedrone.world.engine import mujoco
 from cognitivedrone.world.look import PLAIN, Look, expose
 from cognitivedrone.world.scene import add_drone, fill_scene, new_scene
 
-IMAGE_SIZE: Final = 256
-"""Pixels a side of the published first-person images."""
 FIELD_OF_VIEW: Final = 1.85
 """Of the first-person camera, horizontal and, as images are square, vertical, rad."""
 MOUNT: Final = (0.1, 0.0, 0.3)

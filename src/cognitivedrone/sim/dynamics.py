@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from mujoco import mjtStage
-from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from cognitivedrone.errors import PolicyError
@@ -12,6 +10,7 @@ from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.sim.airframe import RACER, Airframe, build_model
 from cognitivedrone.sim.autopilot import GUIDE_S, Autopilot, AutopilotGains, trim
 from cognitivedrone.types import DroneState, FloatArray
+from cognitivedrone.world.engine import Batch, mujoco
 
 _LIMITS = np.array([1e4] * 3 + [2.0] * 4 + [100.0] * 3 + [300.0] * 3)[:, None]
 """What no sane flight exceeds: m, quaternion, m/s, rad/s."""
@@ -73,7 +72,7 @@ class Flight:
         velocity = np.zeros(3) if velocity is None else np.asarray(velocity, dtype=np.float64)
         wind = np.zeros(3) if wind is None else np.asarray(wind, dtype=np.float64)
         trimmed = trim(self.airframe, yaw, velocity, wind)
-        self._batch.reset(ids=[world], stage=mjtStage.mjSTAGE_NONE)
+        self._batch.reset(ids=[world], stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._qpos[world, :3] = position
         self._qpos[world, 3:] = trimmed.quaternion
         self._qvel[world, :3] = velocity

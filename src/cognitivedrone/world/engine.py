@@ -12,6 +12,7 @@ from cognitivedrone.errors import RenderError
 
 try:
     import mujoco as mujoco
+    from mujoco.batch import Batch as Batch
 except ImportError:
     raise  # not installed, or built for another machine: the message says so
 except Exception as error:
