@@ -12,12 +12,13 @@ from cognitivedrone.policies.expert import Expert
 def main(worlds: int = 8, steps: int = 30) -> None:
     env = gymnasium.make_vec("cognitivedrone.envs:CognitiveDrone-v1", num_envs=worlds)
     observation, _ = env.reset(seed=0)
-    expert = Expert()
+    experts = [Expert() for _ in range(worlds)]
+    for expert, truth in zip(experts, env.unwrapped.truths(), strict=True):
+        expert.brief(truth)
     actions = np.zeros((worlds, 4), dtype=np.float32)
     frames = 0
     for _ in range(steps):
-        for world, truth in enumerate(env.unwrapped.truths()):
-            expert.brief(truth)
+        for world, expert in enumerate(experts):
             actions[world] = expert.command()
         frames += len(observation["image"])
         observation, *_ = env.step(actions)

@@ -1,0 +1,87 @@
+"""The expert passes gates at every speed, and its commands are smooth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
+from cognitivedrone.errors import PolicyError
+from cognitivedrone.frames import rotate_yaw, yaw_of
+from cognitivedrone.labels import load_pack
+from cognitivedrone.policies.expert import Expert, ExpertConfig, plan
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.tasks import load_suite
+
+
+def fly(suite_name, size, speed):
+    """Outcomes, and each flight's commands in world axes (T, 4) with its true velocities (T, 3)."""
+    suite = load_suite(suite_name, size=size)
+    simulator = Simulator(size, render=False)
+    pack = load_pack("open-v1")
+    courses = [Course(simulator, world, pack, CourseConfig()) for world in range(size)]
+    experts = [Expert(ExpertConfig(speed_m_s=speed)) for _ in range(size)]
+    commands = [[] for _ in range(size)]
+    legs = [-1] * size
+    for world, course in enumerate(courses):
+        course.begin(suite.tracks[world], episode_rng(suite.digest, world, 3))
+    while not all(course.finished for course in courses):
+        for world, (course, expert) in enumerate(zip(courses, experts, strict=True)):
+            if course.finished:
+                continue
+            if course.index != legs[world]:
+                legs[world] = course.index
+                expert.reset(course.task.instruction)
+                expert.brief(course.truth())
+            command = expert.command()
+            yaw = yaw_of(simulator.state(world).quaternion)
+            commands[world].append([*rotate_yaw(command[:3].astype(float), yaw), command[3]])
+            simulator.command(world, command)
+        verdicts = simulator.advance()
+        for course, verdict in zip(courses, verdicts, strict=True):
+            if not course.finished:
+                course.update(verdict)
+    outcomes = [result.outcome for course in courses for result in course.results]
+    return outcomes, [np.array(each) for each in commands]
+
+
+@pytest.mark.parametrize("speed", [1.0, 1.75, 2.5])
+def test_it_passes_at_every_speed_within_its_bounds(speed):
+    outcomes, flights = fly("open-v1:test", 48, speed)
+    assert set(outcomes) == {"passed"}
+    config = ExpertConfig()
+    for commands in flights:
+        acceleration = np.diff(commands, axis=0) * 10
+        jerk = np.diff(acceleration[:, :3], axis=0) * 10
+        assert np.linalg.norm(acceleration[:, :3], axis=1).max() <= config.acceleration_m_s2 + 1e-3
+        assert np.linalg.norm(jerk, axis=1).max() <= config.jerk_m_s3 + 1e-2
+        assert np.abs(acceleration[:, 3]).max() <= config.yaw_acceleration + 1e-3
+        assert np.linalg.norm(commands[:, :3], axis=1).max() <= 1.03 * speed
+
+
+def test_on_a_track_the_commands_stay_smooth_from_stage_to_stage():
+    outcomes, flights = fly("open-v1:track", 3, 2.0)
+    assert set(outcomes) == {"passed"}
+    for commands in flights:
+        acceleration = np.diff(commands[:, :3], axis=0) * 10
+        assert np.linalg.norm(acceleration, axis=1).max() <= ExpertConfig().acceleration_m_s2 + 1e-3
+
+
+def test_faster_is_sooner():
+    slow, fast = (sum(map(len, fly("open-v1:test", 8, speed)[1])) for speed in (1.0, 2.5))
+    assert fast < 0.65 * slow
+
+
+def test_the_path_leads_through_the_gate_along_its_axis():
+    gate, normal = np.array([4.0, 4.0, 0.9]), np.array([np.sqrt(0.5), np.sqrt(0.5), 0.0])
+    path, _ = plan(np.array([-1.0, 0.5, 1.4]), gate, normal, ExpertConfig())
+    points = path(np.linspace(0, path.x[-1], 2000))
+    nearest = int(np.argmin(np.linalg.norm(points - gate, axis=1)))
+    assert np.linalg.norm(points[nearest] - gate) < 0.01
+    direction = np.diff(points, axis=0)[nearest]
+    assert direction / np.linalg.norm(direction) == pytest.approx(normal, abs=1e-6)
+
+
+def test_without_the_truth_it_says_so():
+    with pytest.raises(PolicyError, match="truth"):
+        Expert().command()
