@@ -81,15 +81,20 @@ class Course:
         self.results: list[StageResult] = []
         self.stages: list[Stage] = []
         self.look = PLAIN
+        self.start = Start((0.0, 0.0, 0.0))
 
-    def begin(self, track: Track, rng: np.random.Generator) -> None:
-        """Start a new flight at the first stage; every random thing about it is drawn from `rng`."""
+    def begin(self, track: Track, rng: np.random.Generator, start: Start | None = None) -> None:
+        """Start a new flight at the first stage; every random thing about it is drawn from `rng`.
+
+        It begins at `start` where that is given, and is drawn as published where not.
+        """
         self.track = track
         self.results = []
         self.stages = [stage_of(track[0])]
         self.look = varied_look(rng) if self.config.look == "varied" else PLAIN
-        start = draw_start(rng, self.simulator.airframe.hull_radius, self.config.wind_m_s)
-        self.simulator.begin(self.world, self.stages[0], scenery_of(self.stages[0], self.labels, self.look), start)
+        self.start = start or draw_start(rng, self.simulator.airframe.hull_radius, self.config.wind_m_s)
+        scenery = scenery_of(self.stages[0], self.labels, self.look)
+        self.simulator.begin(self.world, self.stages[0], scenery, self.start)
         self._stage_start_s = 0.0
 
     @property

@@ -1,0 +1,202 @@
+"""Flies and records episodes, many worlds together in one simulator."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cognitivedrone.collect.perturbation import Disturbance, disturb, draw_beginning, draw_disturbances
+from cognitivedrone.collect.recipe import Recipe
+from cognitivedrone.data.episode import Conditions, Episode, encode_image
+from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
+from cognitivedrone.envs.drone import clip_action, proprioception
+from cognitivedrone.errors import DataError
+from cognitivedrone.flight.loop import check_chunk
+from cognitivedrone.interfaces import Policy, Privileged, Seeded
+from cognitivedrone.labels import load_pack
+from cognitivedrone.policies.expert import Expert, ExpertConfig
+from cognitivedrone.sim.airframe import AIRFRAMES
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.tasks import Suite
+from cognitivedrone.types import IMAGE_SIZE, Action, FloatArray, Image, Observation
+
+AIRFRAME = "racer"
+WORLDS = 16
+"""Flown together by one process."""
+MAX_ATTEMPTS = 20
+"""A task that the expert fails this often cannot be flown."""
+
+Learner = Callable[[], Policy]
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """What came of some tasks of a suite."""
+
+    episodes: tuple[Episode, ...]
+    """One for each task, in the order of their indices."""
+    dropped: Mapping[str, int]
+    """Flights that were flown again, by outcome."""
+
+
+@dataclass(slots=True)
+class _Flight:
+    """One flight in the air, and its record so far."""
+
+    index: int
+    attempt: int
+    expert: Expert
+    disturbances: tuple[Disturbance, ...]
+    learner: Policy | None
+    pending: list[Action] = field(default_factory=list)
+    images: list[bytes] = field(default_factory=list)
+    action: list[Action] = field(default_factory=list)
+    sent: list[Action] = field(default_factory=list)
+    proprioception: list[tuple[FloatArray, float, float]] = field(default_factory=list)
+    position: list[FloatArray] = field(default_factory=list)
+    quaternion: list[FloatArray] = field(default_factory=list)
+
+
+def attempt_rng(suite_digest: str, index: int, seed: int, attempt: int) -> np.random.Generator:
+    """The generator of one attempt at an episode; the first is the episode's own, the others are its children."""
+    rng = episode_rng(suite_digest, index, seed)
+    return rng if attempt == 0 else rng.spawn(attempt)[-1]
+
+
+class Fleet:
+    """Flies tasks of a suite: with the expert, or with a learner whose flights the expert relabels.
+
+    An episode depends on suite, index, seed and recipe alone, to the last bit: not on the other worlds. A flight of the
+    expert that fails is dropped and its task flown again from new conditions, until it is passed: a set has exactly the
+    episodes that were asked for. A learner's flights are kept however they end.
+    """
+
+    def __init__(
+        self, suite: Suite, recipe: Recipe, seed: int, *, worlds: int = WORLDS, learner: Learner | None = None
+    ) -> None:
+        self.suite = suite
+        self.recipe = recipe
+        self.seed = seed
+        self._simulator = Simulator(worlds, airframe=AIRFRAMES[AIRFRAME])
+        pack = load_pack("open-v1")
+        config = CourseConfig(look=recipe.look, time_limit_s=recipe.time_limit_s)
+        self._courses = [Course(self._simulator, world, pack, config) for world in range(worlds)]
+        self._learners = [learner() for _ in range(worlds)] if learner else None
+        self._frames = np.empty((worlds, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._simulator.close()
+
+    def fly(self, indices: Iterable[int]) -> Flown:
+        """Fly these tasks; raises `DataError` for one that cannot be flown."""
+        waiting = deque((index, 0) for index in indices)
+        flights: dict[int, _Flight] = {}
+        episodes: list[Episode] = []
+        dropped: Counter[str] = Counter()
+        while waiting or flights:
+            for world in range(self._simulator.worlds):
+                if world not in flights and waiting:
+                    flights[world] = self._begin(world, *waiting.popleft())
+            for world, flight, outcome in self._step(flights):
+                del flights[world]
+                if outcome == "passed" or (flight.learner is not None and outcome != "invalid"):
+                    episodes.append(self._episode(world, flight))
+                else:
+                    dropped[outcome] += 1
+                    waiting.appendleft((flight.index, flight.attempt + 1))
+        return Flown(tuple(sorted(episodes, key=lambda episode: episode.index)), dict(dropped))
+
+    def _begin(self, world: int, index: int, attempt: int) -> _Flight:
+        if attempt == MAX_ATTEMPTS:
+            task = self.suite.tracks[index][0]
+            raise DataError(f"task {task.id}: no flight out of {attempt} was passed; make the recipe gentler")
+        rng = attempt_rng(self.suite.digest, index, self.seed, attempt)
+        course = self._courses[world]
+        start = draw_beginning(rng, self.recipe, self._simulator.airframe.hull_radius)
+        speed = float(rng.uniform(*self.recipe.speed_m_s))
+        disturbances = draw_disturbances(rng, self.recipe)
+        learner = self._learners[world] if self._learners else None
+        course.begin(self.suite.tracks[index], rng, start)
+        if isinstance(learner, Seeded):
+            learner.seed(int(rng.integers(2**31)))
+        expert = Expert(ExpertConfig(speed_m_s=speed))
+        for pilot in (expert, learner):
+            if pilot is not None:
+                pilot.reset(course.task.instruction)
+            if isinstance(pilot, Privileged):
+                pilot.brief(course.truth())
+        return _Flight(index, attempt, expert, disturbances, learner)
+
+    def _step(self, flights: Mapping[int, _Flight]) -> Iterator[tuple[int, _Flight, str]]:
+        """One control step of all worlds; yields those that ended, with their outcome."""
+        worlds = list(flights)
+        frames = self._simulator.frames(self._frames[: len(worlds)], worlds)
+        for world, frame in zip(worlds, frames, strict=True):
+            self._decide(world, flights[world], frame)
+        verdicts = self._simulator.advance()
+        for world in worlds:
+            result = self._courses[world].update(verdicts[world])
+            if result is not None:
+                yield world, flights[world], result.outcome
+
+    def _decide(self, world: int, flight: _Flight, frame: Image) -> None:
+        """Record the moment, and command."""
+        simulator = self._simulator
+        state = simulator.state(world)
+        velocity, height, yaw_rate = proprioception(simulator, world)
+        action = sent = clip_action(flight.expert.command())
+        if flight.learner is not None:
+            if not flight.pending:
+                instruction = self._courses[world].task.instruction
+                seen = Observation(frame, instruction, velocity, height, yaw_rate, simulator.time(world))
+                flight.pending = list(check_chunk(flight.learner.act(seen)))
+            sent = clip_action(flight.pending.pop(0))
+        sent = clip_action(disturb(sent, len(flight.sent), flight.disturbances))
+        simulator.command(world, sent)
+        flight.images.append(encode_image(frame, self.recipe.encoding, self.recipe.quality))
+        flight.action.append(action)
+        flight.sent.append(sent)
+        flight.proprioception.append((velocity, height, yaw_rate))
+        flight.position.append(state.position)
+        flight.quaternion.append(state.quaternion)
+
+    def _episode(self, world: int, flight: _Flight) -> Episode:
+        start = self._courses[world].start
+        velocity, height, yaw_rate = zip(*flight.proprioception, strict=True)
+        return Episode(
+            index=flight.index,
+            suite=self.suite.name,
+            task=self.suite.tracks[flight.index][0],
+            conditions=Conditions(self.seed, AIRFRAME, self.recipe.look, start.position, start.yaw, start.wind),
+            encoding=self.recipe.encoding,
+            images=tuple(flight.images),
+            action=np.array(flight.action, dtype=np.float32),
+            sent=np.array(flight.sent, dtype=np.float32),
+            velocity=np.array(velocity, dtype=np.float32),
+            height=np.array(height, dtype=np.float32),
+            yaw_rate=np.array(yaw_rate, dtype=np.float32),
+            position=np.array(flight.position),
+            quaternion=np.array(flight.quaternion),
+            final_position=np.array(self._simulator.state(world).position, dtype=np.float64),
+        )
+
+
+def relabel(
+    learner: Learner, suite: Suite, recipe: Recipe, seed: int, indices: Iterable[int], *, worlds: int = WORLDS
+) -> Iterator[Episode]:
+    """Fly a learner and record what the expert would have done in its place (DAgger; Ross et al., AISTATS 2011).
+
+    `learner` makes one policy for each world. Of the episodes, `sent` is the learner's command and `action` the
+    expert's; flights are kept however they end, and come in the order of `indices`, some at a time.
+    """
+    fleet = Fleet(suite, recipe, seed, worlds=worlds, learner=learner)
+    try:
+        waiting = list(indices)
+        for begin in range(0, len(waiting), 4 * worlds):
+            yield from fleet.fly(waiting[begin : begin + 4 * worlds]).episodes
+    finally:
+        fleet.close()

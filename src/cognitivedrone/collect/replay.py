@@ -1,0 +1,57 @@
+"""Flies a recorded episode again: what was sent, from where it began."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cognitivedrone.data.episode import Episode
+from cognitivedrone.errors import DataError, did_you_mean
+from cognitivedrone.sim.airframe import AIRFRAMES
+from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.simulator import TICKS_PER_CONTROL
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayReport:
+    """How near a replay came to its record."""
+
+    index: int
+    steps: int
+    end_error_m: float
+    """Between the ends of replay and record."""
+    path_error_m: float
+    """Largest distance between replay and record at any step."""
+    same_bits: bool
+    """Whether every recorded position and attitude, and the end, came out to the last bit."""
+
+
+def replay(episode: Episode) -> ReplayReport:
+    """Fly the commands that were sent, from the recorded conditions, in fresh physics.
+
+    Raises `DataError` for an airframe that this version does not have.
+    """
+    name, start = episode.conditions.airframe, episode.conditions
+    if name not in AIRFRAMES:
+        raise DataError(
+            f"episode {episode.index} was flown by airframe {name!r}, unknown here; {did_you_mean(name, AIRFRAMES)}"
+        )
+    flight = Flight(1, AIRFRAMES[name])
+    flight.reset(0, np.array(start.start_position), start.start_yaw, wind=np.array(start.wind))
+    positions, quaternions = [], []
+    for action in episode.sent:
+        positions.append(flight.position[0])
+        quaternions.append(flight.quaternion[0])
+        flight.command_one(0, action)
+        flight.advance(TICKS_PER_CONTROL)
+    end = flight.position[0]
+    path = np.array(positions)
+    same = (path, np.array(quaternions), end), (episode.position, episode.quaternion, episode.final_position)
+    return ReplayReport(
+        index=episode.index,
+        steps=len(episode),
+        end_error_m=float(np.linalg.norm(end - episode.final_position)),
+        path_error_m=float(np.linalg.norm(path - episode.position, axis=1).max()),
+        same_bits=all(np.array_equal(ours, theirs) for ours, theirs in zip(*same, strict=True)),
+    )

@@ -1,0 +1,167 @@
+"""Recorded flights: alone or in company the same bits, replayed to the bit, labelled clean."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from cognitivedrone.collect import fleet as fleet_module
+from cognitivedrone.collect.fleet import Fleet, attempt_rng, relabel
+from cognitivedrone.collect.perturbation import disturb, draw_beginning, draw_disturbances
+from cognitivedrone.collect.recipe import RECIPES, find_recipe
+from cognitivedrone.collect.replay import replay
+from cognitivedrone.data.episode import decode_image
+from cognitivedrone.errors import DataError
+from cognitivedrone.policies.blind import Hover
+from cognitivedrone.tasks import BASE_FAMILIES, load_suite
+
+SUITE = load_suite("open-v1:train", size=40)
+ROBUST = replace(RECIPES["robust"], kicks_per_s=0.6, wrongs_per_s=0.6, speed_m_s=(2.0, 2.5))
+
+
+def fly(recipe, indices, worlds):
+    fleet = Fleet(SUITE, recipe, seed=5, worlds=worlds)
+    try:
+        return fleet.fly(indices)
+    finally:
+        fleet.close()
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return fly(RECIPES["paper"], range(20), 16)
+
+
+@pytest.fixture(scope="module")
+def disturbed():
+    return fly(ROBUST, range(8), 5)
+
+
+def assert_same(a, b):
+    for each in fields(a):
+        ours, theirs = getattr(a, each.name), getattr(b, each.name)
+        same = np.array_equal(ours, theirs) if isinstance(ours, np.ndarray) else ours == theirs
+        assert same, each.name
+
+
+def test_every_task_is_passed_once_in_order_and_all_families_alike(clean):
+    assert [episode.index for episode in clean.episodes] == list(range(20))
+    families = [episode.task.family for episode in clean.episodes]
+    assert {families.count(family) for family in BASE_FAMILIES} == {2}
+
+
+def test_an_episode_does_not_depend_on_its_company(clean):
+    (alone,) = fly(RECIPES["paper"], [7], 1).episodes
+    assert_same(alone, clean.episodes[7])
+
+
+def test_a_disturbed_episode_does_not_depend_on_its_company(disturbed):
+    (alone,) = fly(ROBUST, [3], 1).episodes
+    assert_same(alone, disturbed.episodes[3])
+
+
+def test_another_seed_is_another_flight(clean):
+    fleet = Fleet(SUITE, RECIPES["paper"], seed=6, worlds=1)
+    (other,) = fleet.fly([0]).episodes
+    fleet.close()
+    assert other.conditions.start_position != clean.episodes[0].conditions.start_position
+
+
+def test_replays_are_the_same_bits(clean, disturbed):
+    for episode in (*clean.episodes[:4], *disturbed.episodes[:4]):
+        report = replay(episode)
+        assert report.same_bits
+        assert (report.end_error_m, report.path_error_m, report.steps) == (0.0, 0.0, len(episode))
+
+
+def test_a_replay_tells_of_altered_actions(clean):
+    sent = clean.episodes[0].sent.copy()
+    sent[-10:, 0] += 0.5
+    report = replay(replace(clean.episodes[0], sent=sent))
+    assert not report.same_bits
+    assert report.end_error_m > 0.001
+
+
+def test_a_replay_of_an_unknown_airframe_says_so(clean):
+    episode = clean.episodes[0]
+    with pytest.raises(DataError, match=r"racr.*did you mean 'racer'"):
+        replay(replace(episode, conditions=replace(episode.conditions, airframe="racr")))
+
+
+def test_clean_flights_send_the_label_and_disturbed_ones_keep_it(clean, disturbed):
+    for episode in clean.episodes:
+        assert np.array_equal(episode.action, episode.sent)
+    pushed = np.concatenate([np.any(episode.action != episode.sent, axis=1) for episode in disturbed.episodes])
+    assert 0.1 < pushed.mean() < 0.9
+    labels = np.concatenate([episode.action for episode in disturbed.episodes])
+    assert np.linalg.norm(labels[:, :3], axis=1).max() < 2.6  # never a kick
+
+
+def test_records_are_whole(clean):
+    for episode in clean.episodes[:3]:
+        count = len(episode)
+        assert count == len(episode.action) == len(episode.position) == len(episode.quaternion)
+        assert episode.state.shape == (count, 5)
+        assert episode.position[0] == pytest.approx(episode.conditions.start_position)
+        assert decode_image(episode.images[0]).shape == (256, 256, 3)
+        assert np.abs(np.diff(episode.position, axis=0)).max() < 0.3
+        assert episode.velocity[0] == pytest.approx(np.zeros(3), abs=1e-9)
+    speeds = [np.linalg.norm(episode.velocity, axis=1).max() for episode in clean.episodes]
+    assert max(speeds) - min(speeds) > 0.5
+
+
+def test_relabelling_records_the_learner_and_what_the_expert_would_do():
+    recipe = replace(RECIPES["debug"], kicks_per_s=0.0, time_limit_s=1.0)
+    episodes = list(relabel(Hover, SUITE, recipe, 0, [2, 0, 1], worlds=2))
+    assert sorted(episode.index for episode in episodes) == [0, 1, 2]
+    for episode in episodes:
+        assert len(episode) == 10
+        assert not episode.sent.any()
+        assert np.linalg.norm(episode.action[-1, :3]) > 0.5
+        assert replay(episode).same_bits
+
+
+def test_a_task_that_cannot_be_flown_is_an_error(monkeypatch):
+    monkeypatch.setattr(fleet_module, "MAX_ATTEMPTS", 2)
+    recipe = replace(RECIPES["debug"], time_limit_s=0.2)
+    with pytest.raises(DataError, match=r"train/0-4.*no flight out of 2"):
+        fly(recipe, [4], 1)
+
+
+def test_attempts_draw_from_generators_of_their_own():
+    draws = [attempt_rng(SUITE.digest, 1, 2, attempt).random() for attempt in range(4)]
+    assert len(set(draws)) == 4
+    assert draws[2] == attempt_rng(SUITE.digest, 1, 2, 2).random()
+
+
+def test_disturbances_come_at_their_rates():
+    recipe = RECIPES["robust"]
+    rng = np.random.default_rng(0)
+    drawn = [draw_disturbances(rng, recipe) for _ in range(300)]
+    per_flight = np.mean([len(each) for each in drawn])
+    assert per_flight == pytest.approx(30 * (recipe.kicks_per_s + recipe.wrongs_per_s), rel=0.15)
+    assert draw_disturbances(rng, RECIPES["paper"]) == ()
+    one = drawn[0][0]
+    own = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
+    assert disturb(own, one.first, (one,)) == pytest.approx(one.action)
+    assert disturb(own, one.last + 1, (one,)) is own
+
+
+def test_starts_are_published_or_off_track_and_windy_by_recipe():
+    rng = np.random.default_rng(0)
+    published = [draw_beginning(rng, RECIPES["paper"], 0.13) for _ in range(200)]
+    assert all(abs(s.position[0] + 1) <= 1 and abs(s.position[1]) <= 1 and s.yaw == 0 for s in published)
+    assert {s.wind for s in published} == {(0.0, 0.0, 0.0)}
+    robust = [draw_beginning(rng, RECIPES["robust"], 0.13) for _ in range(400)]
+    share = np.mean([s.yaw != 0 for s in robust])
+    assert share == pytest.approx(RECIPES["robust"].off_track_share, abs=0.08)
+    winds = np.linalg.norm([s.wind for s in robust], axis=1)
+    assert winds.max() <= RECIPES["robust"].wind_m_s + 1e-9
+    assert winds.mean() == pytest.approx(RECIPES["robust"].wind_m_s / 2, rel=0.15)
+
+
+def test_an_unknown_recipe_is_an_error_with_near_names():
+    with pytest.raises(DataError, match="did you mean 'robust'"):
+        find_recipe("robst")
