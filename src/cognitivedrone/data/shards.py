@@ -1,0 +1,239 @@
+"""One shard of a store: a Parquet file that explains itself.
+
+One row a control step, one row group an episode, so that a single frame is read without touching its neighbours.
+Numbers are compressed with zstd; frames are compressed already and lie in the file as they are. What belongs to an
+episode as a whole (task, conditions, encoding, end) stands as JSON in the file's footer, in the row groups' order.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from cognitivedrone.data.episode import Conditions, Episode
+from cognitivedrone.errors import CognitiveDroneError, DataError
+from cognitivedrone.tasks.format import task_from_json, task_to_json
+from cognitivedrone.types import Task
+
+FOOTER_KEY: Final = "cognitivedrone"
+WIDTHS: Final[dict[str, tuple[str, int]]] = {
+    "action": ("float32", 4),
+    "sent": ("float32", 4),
+    "velocity": ("float32", 3),
+    "height": ("float32", 1),
+    "yaw_rate": ("float32", 1),
+    "position": ("float64", 3),
+    "quaternion": ("float64", 4),
+}
+"""Type and numbers a step of every array of an episode; a width of one is a plain column."""
+
+
+def _arrow_type(dtype: str, width: int) -> Any:
+    scalar = pa.float32() if dtype == "float32" else pa.float64()
+    return scalar if width == 1 else pa.list_(pa.field("element", scalar, nullable=False), width)
+
+
+SCHEMA: Final = pa.schema(
+    [pa.field("episode", pa.int64(), nullable=False), pa.field("step", pa.int32(), nullable=False)]
+    + [pa.field("image", pa.binary(), nullable=False)]
+    + [pa.field(name, _arrow_type(*WIDTHS[name]), nullable=False) for name in WIDTHS]
+)
+COMPRESSION: Final = {"episode": "zstd", "step": "zstd", "image": "none"} | {
+    name if width == 1 else f"{name}.list.element": "zstd" for name, (_, width) in WIDTHS.items()
+}
+"""By Parquet's own column paths."""
+
+
+@contextlib.contextmanager
+def clear_errors(path: Path, doing: str) -> Iterator[None]:
+    """Turn what the operating system or Parquet complains of into one `DataError` that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise DataError(f"{path}: cannot be {doing} ({error.strerror or error}); {_way_out(doing)}") from None
+    except (pa.ArrowException, ValueError, KeyError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise DataError(f"{path}: cannot be {doing} ({reason}); {_way_out(doing)}") from None
+
+
+def _way_out(doing: str) -> str:
+    if doing == "written":
+        return "make room or give another folder, then go on with --resume"
+    return "run `cognitivedrone data verify` on the store"
+
+
+def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+    """`write` fills a temporary neighbour of `path`, which takes its place once it is safe on disk.
+
+    Whatever happens on the way, `path` is either as it was or whole. Raises `DataError` naming the file.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with clear_errors(path, "written"):
+        try:
+            write(temporary)
+            with temporary.open("rb") as file:
+                os.fsync(file.fileno())
+            temporary.replace(path)
+            folder = os.open(path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)  # the new name must outlive a power cut as well
+            finally:
+                os.close(folder)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def write_json(path: Path, content: object) -> None:
+    """JSON for people and diffs: indented, stable order, no NaN. Raises `DataError`."""
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    write_atomically(path, lambda temporary: _write_text(temporary, text))
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def read_json(path: Path) -> Any:
+    """What a JSON file of the store holds; raises `DataError`."""
+    with clear_errors(path, "read"):
+        return json.loads(path.read_text(encoding="utf-8"))
+
+
+def sha256_of(path: Path) -> str:
+    """Hexadecimal content hash of a file; raises `DataError`."""
+    with clear_errors(path, "read"), path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def write_shard_file(path: Path, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> None:
+    """A shard of whole episodes: the same bytes for the same episodes. Raises `DataError`; then `path` is as it was."""
+    for episode in episodes:
+        check_episode(episode)
+    footer = {"episodes": [_facts(episode) for episode in episodes], "dropped": dict(sorted(dropped.items()))}
+
+    def write(temporary: Path) -> None:
+        with pq.ParquetWriter(
+            temporary, SCHEMA, compression=COMPRESSION, use_dictionary=False, write_statistics=False
+        ) as writer:
+            writer.add_key_value_metadata({FOOTER_KEY: json.dumps(footer, ensure_ascii=False, allow_nan=False)})
+            for episode in episodes:
+                writer.write_table(_table(episode), row_group_size=len(episode))
+
+    write_atomically(path, write)
+
+
+def check_episode(episode: Episode) -> None:
+    """Raise `DataError` unless every array has the type and shape that an episode of this length has."""
+    where = f"episode {episode.index}"
+    if len(episode) == 0:
+        raise DataError(f"{where}: has no step; a recorded flight has at least one")
+    for name, (dtype, width) in WIDTHS.items():
+        array = getattr(episode, name)
+        shape = (len(episode),) if width == 1 else (len(episode), width)
+        if array.shape != shape or array.dtype != dtype:
+            raise DataError(f"{where}: {name} is {array.dtype} {array.shape}; it must be {dtype} {shape}")
+    if episode.final_position.shape != (3,):
+        raise DataError(f"{where}: final_position has shape {episode.final_position.shape}; it must be (3,)")
+    unfit = [name for name in ("action", "sent") if not np.isfinite(getattr(episode, name)).all()]
+    if unfit:
+        raise DataError(f"{where}: {unfit[0]} holds a number that is not finite; such a flight cannot be learned from")
+
+
+def _table(episode: Episode) -> Any:
+    length = len(episode)
+    columns = [
+        pa.array(np.full(length, episode.index, np.int64)),
+        pa.array(np.arange(length, dtype=np.int32)),
+        pa.array(episode.images, pa.binary()),
+    ]
+    for name, (_, width) in WIDTHS.items():
+        flat = pa.array(np.ascontiguousarray(getattr(episode, name)).reshape(-1))
+        columns.append(flat if width == 1 else pa.FixedSizeListArray.from_arrays(flat, type=SCHEMA.field(name).type))
+    return pa.Table.from_arrays(columns, schema=SCHEMA)
+
+
+def _facts(episode: Episode) -> dict[str, Any]:
+    """What the footer says of an episode."""
+    return {
+        "index": episode.index,
+        "length": len(episode),
+        "suite": episode.suite,
+        "encoding": episode.encoding,
+        "conditions": asdict(episode.conditions),
+        "final_position": episode.final_position.tolist(),
+        "task": task_to_json(episode.task),
+    }
+
+
+class ShardFile:
+    """A shard opened for reading, memory-mapped. Not safe to share between threads."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with clear_errors(path, "read"):
+            self._file = pq.ParquetFile(path, memory_map=True)
+            footer = json.loads(self._file.metadata.metadata[FOOTER_KEY.encode()])
+            self.facts: list[dict[str, Any]] = footer["episodes"]
+            self.dropped: dict[str, int] = footer["dropped"]
+            self._row_groups = {facts["index"]: number for number, facts in enumerate(self.facts)}
+        if self._file.num_row_groups != len(self.facts):
+            raise DataError(f"{path}: tells of {len(self.facts)} episodes but holds {self._file.num_row_groups}")
+
+    def images(self, index: int) -> Any:
+        """The encoded frames of an episode as an Arrow binary array, in order of time."""
+        with clear_errors(self.path, f"read at episode {index}"):
+            table = self._file.read_row_group(self._row_groups[index], columns=["image"], use_threads=False)
+            return table["image"].combine_chunks()
+
+    def numbers(self, names: Iterable[str]) -> dict[str, NDArray[Any]]:
+        """Whole columns of the shard, (steps,) or (steps, width), its episodes one after the other."""
+        with clear_errors(self.path, "read"):
+            table = self._file.read(columns=list(names), use_threads=False)
+            return {name: _to_numpy(table[name], name) for name in names}
+
+    def episode(self, index: int) -> Episode:
+        """A whole episode; raises `DataError`."""
+        number = self._row_groups[index]
+        facts = self.facts[number]
+        with clear_errors(self.path, f"read at episode {index}"):
+            table = self._file.read_row_group(number, use_threads=False)
+            arrays: dict[str, Any] = {name: _to_numpy(table[name], name) for name in WIDTHS}
+            conditions = facts["conditions"]
+            return Episode(
+                index=index,
+                suite=facts["suite"],
+                task=self.task(facts),
+                conditions=Conditions(
+                    **conditions | {name: tuple(conditions[name]) for name in ("start_position", "wind")}
+                ),
+                encoding=facts["encoding"],
+                images=tuple(table["image"].to_pylist()),
+                final_position=np.array(facts["final_position"], np.float64),
+                **arrays,
+            )
+
+    def task(self, facts: Mapping[str, Any]) -> Task:
+        """The task of an episode of this shard, from its entry in `facts`; raises `DataError`."""
+        try:
+            return task_from_json(facts["task"], where=f"{self.path}, episode {facts['index']}")
+        except CognitiveDroneError as error:
+            raise DataError(str(error)) from None
+
+
+def _to_numpy(column: Any, name: str) -> NDArray[Any]:
+    _, width = WIDTHS[name]
+    whole = column.combine_chunks()
+    if width == 1:
+        return np.array(whole.to_numpy(zero_copy_only=False))
+    return np.array(whole.flatten().to_numpy(zero_copy_only=False)).reshape(-1, width)

@@ -1,0 +1,419 @@
+"""The store: the one canonical form of a data set on disk. Written shard by shard, read whole or frame by frame.
+
+```
+DIR/
+  manifest.json              format version, recipe, suite, seed, versions; once finished: splits, shards, hashes
+  statistics.json            by split: counts, lengths, the spread of actions and states
+  tasks.json                 the task of every episode, in order of index, in the published layout
+  shards/shard-00012.parquet 64 episodes, see `shards.py`
+  shards/shard-00012.json    its receipt, written after it: hash, size, which episodes
+```
+
+A shard counts from the moment its receipt is there. Every file appears whole under its name or not at all, so a
+collection that dies at any moment is finished by writing the shards that have no receipt.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from threading import Lock
+from typing import Any, Final, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cognitivedrone.data.episode import Episode, Split, decode_image
+from cognitivedrone.data.shards import ShardFile, read_json, sha256_of, write_atomically, write_json, write_shard_file
+from cognitivedrone.data.statistics import SPLITS, Flown, statistics, validation_indices
+from cognitivedrone.errors import DataError, did_you_mean
+from cognitivedrone.tasks.format import write_tasks
+from cognitivedrone.types import Action, FloatArray, Image
+
+FORMAT: Final = "cognitivedrone-store"
+FORMAT_VERSION: Final = 1
+MANIFEST: Final = "manifest.json"
+STATISTICS: Final = "statistics.json"
+TASKS: Final = "tasks.json"
+EPISODES_PER_SHARD: Final = 64
+PACKAGES: Final = ("cognitivedrone", "mujoco", "numpy", "pillow", "pyarrow")
+"""Whose version can change a bit of the data."""
+
+
+class StoreWriter:
+    """Writes a store in whole shards, in any order and from any process: it holds nothing open and can be pickled."""
+
+    def __init__(
+        self,
+        path: Path | str,
+        recipe: Mapping[str, Any],
+        suite_name: str,
+        suite_digest: str,
+        seed: int,
+        *,
+        episodes_per_shard: int = EPISODES_PER_SHARD,
+        resume: bool = False,
+    ) -> None:
+        """Start a store in a folder that is new or empty or, with `resume`, go on with one of the same making.
+
+        `recipe` is plain JSON. Raises `DataError` for a folder that holds anything else, or cannot be written.
+        """
+        self.path = Path(path)
+        self._suite_digest = suite_digest
+        self._head = {
+            "format": FORMAT,
+            "version": FORMAT_VERSION,
+            "recipe": dict(recipe),
+            "suite": {"name": suite_name, "digest": suite_digest},
+            "seed": seed,
+            "episodes_per_shard": episodes_per_shard,
+            "versions": {package: version(package) for package in PACKAGES},
+        }
+        manifest = self.path / MANIFEST
+        if manifest.exists():
+            if not resume:
+                raise DataError(f"{self.path}: holds a data set already; go on with --resume or give another folder")
+            self._check_same_making(read_json(manifest))
+            for left_over in self.path.rglob(".*.tmp"):
+                left_over.unlink(missing_ok=True)
+            return
+        if self.path.is_dir() and any(self.path.iterdir()) and not self._only_leftovers():
+            raise DataError(f"{self.path}: is not empty and no data set of ours; give a new folder")
+        try:
+            (self.path / "shards").mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise DataError(f"{self.path}: cannot be written ({error.strerror}); give a folder of yours") from None
+        write_json(manifest, self._head | {"complete": False})
+
+    def _only_leftovers(self) -> bool:
+        """Whether the folder is of a collection that died before its manifest was there."""
+        return all(
+            entry.name.startswith(f".{MANIFEST}.") or (entry.name == "shards" and not any(entry.iterdir()))
+            for entry in self.path.iterdir()
+        )
+
+    def _check_same_making(self, manifest: Any) -> None:
+        _check_format(self.path, manifest)
+        for key, ours in self._head.items():
+            theirs = manifest.get(key)
+            if theirs != ours:
+                raise DataError(
+                    f"{self.path}: holds a data set of another {key.replace('_', ' ')} ({_difference(theirs, ours)}); "
+                    "give another folder, or the same settings as before"
+                )
+
+    def missing_shards(self, total: int) -> list[int]:
+        """Of the shards 0 to total - 1, those that are not on disk whole: what is left to fly."""
+        return [number for number in range(total) if not self._is_there(number)]
+
+    def _is_there(self, number: int) -> bool:
+        receipt = self._receipt_path(number)
+        if not receipt.exists():
+            return False
+        shard = self.path / _shard_name(number)
+        return shard.exists() and shard.stat().st_size == read_json(receipt)["bytes"]
+
+    def _receipt_path(self, number: int) -> Path:
+        return (self.path / _shard_name(number)).with_suffix(".json")
+
+    def write_shard(self, number: int, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> None:
+        """Store the episodes of shard `number`; `dropped` counts flights that were not kept, by outcome.
+
+        The same episodes give the same bytes, in whatever order they come. Raises `DataError`; then there is no shard.
+        """
+        ordered = sorted(episodes, key=lambda episode: episode.index)
+        indices = [episode.index for episode in ordered]
+        if len(set(indices)) < len(indices):
+            twice = Counter(indices).most_common(1)[0][0]
+            raise DataError(f"shard {number}: episode {twice} comes twice; give every index once")
+        path = self.path / _shard_name(number)
+        self._receipt_path(number).unlink(missing_ok=True)
+        write_shard_file(path, ordered, dropped)
+        receipt = {
+            "file": _shard_name(number),
+            "sha256": sha256_of(path),
+            "bytes": path.stat().st_size,
+            "episodes": indices,
+            "lengths": [len(episode) for episode in ordered],
+            "dropped": dict(sorted(dropped.items())),
+        }
+        write_json(self._receipt_path(number), receipt)
+
+    def finish(self) -> None:
+        """Write statistics, task list and the manifest that makes the store readable.
+
+        Raises `DataError` where a shard is missing between the first and the last, or an episode is in two of them.
+        """
+        numbers = sorted(int(path.stem[-5:]) for path in self.path.glob("shards/shard-*.json"))
+        total = numbers[-1] + 1 if numbers else 0
+        missing = self.missing_shards(total)
+        if missing or not total:
+            raise DataError(f"{self.path}: shard {missing[0] if missing else 0} is missing; go on with --resume")
+        receipts = [read_json(self._receipt_path(number)) for number in range(total)]
+        shards = [ShardFile(self.path / receipt["file"]) for receipt in receipts]
+        homes: dict[int, str] = {}
+        for receipt in receipts:
+            for index in receipt["episodes"]:
+                if index in homes:
+                    raise DataError(f"{self.path}: episode {index} is in {homes[index]} and in {receipt['file']}")
+                homes[index] = receipt["file"]
+        flown = flown_in(shards)
+        val = validation_indices(self._suite_digest, {episode.index: episode.family for episode in flown})
+        facts = sorted(((fact, shard) for shard in shards for fact in shard.facts), key=lambda pair: pair[0]["index"])
+        tasks = [shard.task(fact) for fact, shard in facts]
+        dropped = sum((Counter(receipt["dropped"]) for receipt in receipts), Counter[str]())
+        write_json(self.path / STATISTICS, statistics(flown, val))
+        write_atomically(self.path / TASKS, lambda temporary: write_tasks(temporary, tasks))
+        content = {
+            "complete": True,
+            "episodes": len(flown),
+            "steps": sum(len(episode.action) for episode in flown),
+            "dropped": dict(sorted(dropped.items())),
+            "splits": {"train": len(flown) - len(val), "val": val},
+            "shards": receipts,
+        }
+        write_json(self.path / MANIFEST, self._head | content)
+
+
+class Batch(TypedDict):
+    """B steps drawn from a store."""
+
+    image: Image
+    """(B, 256, 256, 3)."""
+    state: FloatArray
+    """(B, 5) float32: heading-frame velocity m/s, height m, yaw rate rad/s."""
+    action: Action
+    """(B, 4): the label."""
+    instruction: list[str]
+    directive: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where an episode lies."""
+
+    shard: int
+    first_step: int
+    """Its first step's number in the store."""
+    length: int
+
+
+class Store:
+    """A finished store, opened for reading. Steps are numbered through the whole store, episode after episode.
+
+    May be pickled and shared between threads: frames are read under a lock and decoded outside it.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        """Open `path`. Raises `DataError` for anything but a finished store of this version with all its bytes."""
+        self.path = Path(path)
+        self.manifest = read_manifest(self.path)
+        self._files: dict[int, ShardFile] = {}
+        self._lock = Lock()
+        where: dict[int, tuple[int, int]] = {}
+        for number, receipt in enumerate(self.manifest["shards"]):
+            self._check_size(receipt)
+            for index, length in zip(receipt["episodes"], receipt["lengths"], strict=True):
+                where[index] = number, length
+        self._places: dict[int, _Place] = {}
+        first = 0
+        for index in sorted(where):
+            number, length = where[index]
+            self._places[index] = _Place(number, first, length)
+            first += length
+        self.n_steps = first
+        self._val = frozenset(self.manifest["splits"]["val"])
+
+    @classmethod
+    def open(cls, path: Path | str) -> Store:
+        """The store at `path`; see the constructor."""
+        return cls(path)
+
+    def __reduce__(self) -> tuple[type[Store], tuple[Path]]:
+        return Store, (self.path,)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def _check_size(self, receipt: Mapping[str, Any]) -> None:
+        path = self.path / receipt["file"]
+        if not path.exists():
+            raise DataError(f"{path}: is missing; collect it again with --resume")
+        size = path.stat().st_size
+        if size != receipt["bytes"]:
+            raise DataError(f"{path}: has {size} bytes instead of {receipt['bytes']}; collect it again with --resume")
+
+    def _file(self, number: int) -> ShardFile:
+        """Called under the lock."""
+        if number not in self._files:
+            self._files[number] = ShardFile(self.path / self.manifest["shards"][number]["file"])
+        return self._files[number]
+
+    def indices(self, split: Split | None = None) -> list[int]:
+        """The indices of the episodes of a split, or of all, in order."""
+        return [index for index in self._places if split is None or self.split_of(index) == split]
+
+    def split_of(self, index: int) -> Split:
+        """The split that an episode belongs to."""
+        return "val" if index in self._val else "train"
+
+    def statistics(self) -> dict[str, Any]:
+        """What statistics.json says, by split and for `all`."""
+        content: dict[str, Any] = read_json(self.path / STATISTICS)
+        return content
+
+    def episode(self, index: int) -> Episode:
+        """The episode of that index; raises `DataError` where the store has none, or its shard is broken."""
+        place = self._places.get(index)
+        if place is None:
+            raise DataError(f"{self.path}: has no episode {index}; its {len(self)} episodes are {self._range()}")
+        with self._lock:
+            return self._file(place.shard).episode(index)
+
+    def _range(self) -> str:
+        return f"{min(self._places)} to {max(self._places)}" if self._places else "none"
+
+    def episodes(self, split: Split | None = None) -> Iterator[Episode]:
+        """All episodes of a split, or all, in order of index, one in memory at a time."""
+        return (self.episode(index) for index in self.indices(split))
+
+    def labelled(self) -> Iterator[tuple[Split, Episode]]:
+        """All episodes with their split, in order of index, one in memory at a time: what exports take."""
+        return ((self.split_of(index), self.episode(index)) for index in self._places)
+
+    def step_numbers(self, split: Split | None = None) -> NDArray[np.int64]:
+        """The numbers of the steps of a split, or of all: what `steps` takes."""
+        if split not in (None, *SPLITS):
+            raise DataError(f"unknown split {split!r}; {did_you_mean(str(split), SPLITS)}")
+        places = [self._places[index] for index in self.indices(split)]
+        ranges = [np.arange(place.first_step, place.first_step + place.length) for place in places]
+        return np.concatenate([np.empty(0, np.int64), *ranges])
+
+    @cached_property
+    def _numbers(self) -> _Numbers:
+        with self._lock:
+            shards = [self._file(number) for number in range(len(self.manifest["shards"]))]
+            flown = flown_in(shards)
+        texts = {fact["index"]: fact["task"] for shard in shards for fact in shard.facts}
+        return _Numbers(
+            first_steps=np.array([place.first_step for place in self._places.values()]),
+            indices=list(self._places),
+            action=np.concatenate([episode.action for episode in flown]),
+            state=np.concatenate([episode.state for episode in flown]),
+            instructions=[texts[index]["prompt"] for index in self._places],
+            directives=[texts[index]["prompt_simpler"] for index in self._places],
+        )
+
+    def steps(self, numbers: Sequence[int] | NDArray[np.integer[Any]], threads: int = 1) -> Batch:
+        """The steps of these numbers, 0 to `n_steps` - 1, in any order, their frames decoded by `threads` threads.
+
+        The first call reads all actions, states and instructions of the store (some tens of bytes a step) and keeps
+        them. Raises `DataError` for a number out of range, and for a broken frame naming file, episode and step.
+        """
+        wanted = np.asarray(numbers, np.int64)
+        if wanted.size and not 0 <= wanted.min() <= wanted.max() < self.n_steps:
+            raise DataError(f"{self.path}: a step number lies outside of 0 to {self.n_steps - 1}")
+        table = self._numbers
+        rows = np.searchsorted(table.first_steps, wanted, side="right") - 1
+        encoded = self._encoded([table.indices[row] for row in rows], wanted - table.first_steps[rows])
+        if threads > 1:
+            with ThreadPoolExecutor(threads) as pool:
+                images = list(pool.map(self._decode, encoded))
+        else:
+            images = list(map(self._decode, encoded))
+        return Batch(
+            image=np.stack(images) if images else np.empty((0, 0, 0, 3), np.uint8),
+            state=table.state[wanted],
+            action=table.action[wanted],
+            instruction=[table.instructions[row] for row in rows],
+            directive=[table.directives[row] for row in rows],
+        )
+
+    def _encoded(self, indices: Sequence[int], steps: NDArray[np.int64]) -> Iterator[_Frame]:
+        columns: dict[int, Any] = {}
+        for index, step in zip(indices, steps.tolist(), strict=True):
+            if index not in columns:
+                with self._lock:
+                    columns[index] = self._file(self._places[index].shard).images(index)
+            yield _Frame(index, step, columns[index][step].as_py())
+
+    def _decode(self, frame: _Frame) -> Image:
+        try:
+            return decode_image(frame.data)
+        except (OSError, ValueError, SyntaxError) as error:  # Pillow tells of broken PNG chunks by SyntaxError
+            file = self.manifest["shards"][self._places[frame.index].shard]["file"]
+            raise DataError(
+                f"{self.path / file}: the frame of episode {frame.index}, step {frame.step}, is broken ({error}); "
+                "collect the shard again with --resume"
+            ) from None
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    index: int
+    step: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class _Numbers:
+    """What `steps` keeps in memory; rows of episodes are in order of index."""
+
+    first_steps: NDArray[np.int64]
+    indices: list[int]
+    action: NDArray[np.float32]
+    state: NDArray[np.float32]
+    instructions: list[str]
+    directives: list[str]
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """The manifest of a finished store of this version; raises `DataError`."""
+    if not (path / MANIFEST).exists():
+        raise DataError(f"{path}: is no data set, it has no {MANIFEST}; make one with `cognitivedrone collect`")
+    manifest: dict[str, Any] = read_json(path / MANIFEST)
+    _check_format(path, manifest)
+    if not manifest.get("complete"):
+        raise DataError(f"{path}: is not finished; go on with `cognitivedrone collect ... --resume`")
+    return manifest
+
+
+def flown_in(shards: Sequence[ShardFile]) -> list[Flown]:
+    """Actions, states and families of all episodes, in order of index."""
+    flown = []
+    for shard in shards:
+        columns = shard.numbers(["action", "velocity", "height", "yaw_rate"])
+        state = np.column_stack([columns["velocity"], columns["height"], columns["yaw_rate"]])
+        first = 0
+        for facts in shard.facts:
+            rows = slice(first, first + facts["length"])
+            first += facts["length"]
+            task = facts["task"]
+            flown.append(Flown(facts["index"], task["family"], task["category"], columns["action"][rows], state[rows]))
+    return sorted(flown, key=lambda episode: episode.index)
+
+
+def _shard_name(number: int) -> str:
+    return f"shards/shard-{number:05d}.parquet"
+
+
+def _check_format(path: Path, manifest: Any) -> None:
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        raise DataError(f"{path / MANIFEST}: is not the manifest of a data set of ours; give another folder")
+    if manifest.get("version") != FORMAT_VERSION:
+        raise DataError(
+            f"{path / MANIFEST}: the store has version {manifest.get('version')!r}, this release reads "
+            f"{FORMAT_VERSION}; collect it again or use the release that made it"
+        )
+
+
+def _difference(theirs: Any, ours: Any) -> str:
+    if isinstance(theirs, dict) and isinstance(ours, dict):
+        keys = sorted(key for key in theirs.keys() | ours.keys() if theirs.get(key) != ours.get(key))
+        return ", ".join(f"{key}: {theirs.get(key)!r} there, {ours.get(key)!r} here" for key in keys[:3])
+    return f"{theirs!r} there, {ours!r} here"
