@@ -1,0 +1,155 @@
+"""A collection is the same bytes whoever flies it, whatever interrupts it, and has exactly what was asked for."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from cognitivedrone.collect import executors
+from cognitivedrone.collect.collector import CollectConfig, collect
+from cognitivedrone.collect.executors import Job, fly_local, fly_ray, fly_shard
+from cognitivedrone.collect.recipe import RECIPES
+from cognitivedrone.data.store import Store
+from cognitivedrone.errors import CognitiveDroneError, DataError, MissingExtra, TaskError
+
+
+def config(out, **changes):
+    return CollectConfig(out=out, **({"recipe": "debug", "episodes": 10, "episodes_per_shard": 3} | changes))
+
+
+def digests(folder):
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def fly_here(job, shards, workers):
+    """An executor in this process, backwards."""
+    yield from (fly_shard(job, number) for number in reversed(list(shards)))
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    out = tmp_path_factory.mktemp("collect") / "set"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(executors, "fly_local", fly_here)
+        return collect(config(out), progress=False)
+
+
+def test_it_has_exactly_what_was_asked_for(flown):
+    store = Store.open(flown.out)
+    assert flown.episodes == flown.flown == len(store) == 10
+    assert [episode.index for episode in store.episodes()] == list(range(10))
+    assert len({episode.task.family for episode in store.episodes()}) == 10
+    assert flown.success_rate == 10 / (10 + sum(flown.dropped.values()))
+    assert store.manifest["dropped"] == flown.dropped
+    assert flown.episodes_per_s > 0
+
+
+def test_worker_processes_make_the_same_bytes(flown, tmp_path):
+    report = collect(config(tmp_path / "set", workers=2), progress=False)
+    assert report.dropped == flown.dropped
+    assert digests(tmp_path / "set") == digests(flown.out)
+
+
+def test_a_killed_collection_is_resumed_to_the_same_bytes(flown, tmp_path):
+    out = tmp_path / "set"
+    script = f"""
+import os, signal
+from pathlib import Path
+from cognitivedrone.collect import collector, executors
+def fly(job, shards, workers):
+    for count, number in enumerate(shards):
+        if count == 2:
+            os.kill(os.getpid(), signal.SIGKILL)
+        yield executors.fly_shard(job, number)
+executors.fly_local = fly
+collector.collect(collector.CollectConfig(Path({str(out)!r}), "debug", 10, episodes_per_shard=3), progress=False)
+"""
+    killed = subprocess.run([sys.executable, "-c", script], env=os.environ, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    with pytest.raises(DataError, match="not finished"):
+        Store.open(out)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(executors, "fly_local", fly_here)
+        report = collect(config(out, resume=True), progress=False)
+    assert (report.flown, report.episodes) == (4, 10)
+    assert digests(out) == digests(flown.out)
+
+
+def test_resuming_a_finished_set_flies_nothing_and_changes_nothing(flown):
+    before = digests(flown.out)
+    report = collect(config(flown.out, resume=True), progress=False)
+    assert (report.flown, report.episodes, report.success_rate) == (0, 10, 1.0)
+    assert digests(flown.out) == before
+
+
+@pytest.mark.parametrize("changes", [{"seed": 1}, {"episodes": 11}, {"recipe": "paper"}, {"suite": "open-v1:test"}])
+def test_a_folder_of_another_making_is_refused(flown, changes):
+    with pytest.raises(DataError, match="another"):
+        collect(config(flown.out, resume=True, **changes), progress=False)
+
+
+def test_ctrl_c_says_how_to_go_on(tmp_path, monkeypatch):
+    def stopped(job, shards, workers):
+        yield fly_shard(job, 0)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(executors, "fly_local", stopped)
+    with pytest.raises(KeyboardInterrupt, match=r"3 of 10 episodes .* --resume"):
+        collect(config(tmp_path / "set"), progress=False)
+
+
+def test_progress_goes_to_the_error_stream(tmp_path, monkeypatch, capfd):
+    monkeypatch.setattr(executors, "fly_local", fly_here)
+    collect(config(tmp_path / "set", episodes=1))
+    output = capfd.readouterr()
+    assert "1/1" in output.err
+    assert "episodes/s" in output.err
+    assert not output.out
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "message"),
+    [
+        ({"recipe": "papr"}, DataError, "did you mean 'paper'"),
+        ({"episodes": 0}, DataError, "--episodes 0"),
+        ({"workers": 0}, DataError, "--workers 0"),
+        ({"seed": -1}, DataError, "--seed -1"),
+        ({"episodes_per_shard": 0}, DataError, "--episodes-per-shard 0"),
+        ({"executor": "rai"}, DataError, "unknown executor"),
+        ({"suite": "open-v1:smok"}, TaskError, "did you mean 'open-v1:smoke'"),
+        ({"suite": "open-v1:test", "episodes": 5000}, DataError, "has 300 tasks"),
+        ({"suite": "open-v1:track", "episodes": 2}, DataError, "tracks"),
+    ],
+)
+def test_mistakes_are_told_before_anything_is_written(tmp_path, changes, error, message):
+    with pytest.raises(error, match=message):
+        collect(config(tmp_path / "set", **changes), progress=False)
+    assert not (tmp_path / "set").exists()
+
+
+def test_a_mistake_in_a_worker_comes_through(tmp_path):
+    job = Job("open-v1:nowhere", RECIPES["debug"], 0, 5)
+    with pytest.raises(CognitiveDroneError, match="nowhere"):
+        list(fly_local(job, [0], 1))
+
+
+def test_without_ray_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(MissingExtra, match=r"cognitivedrone\[ray\]"):
+        list(fly_ray(Job("open-v1:train", RECIPES["debug"], 0, 5), [0], 1))
+
+
+def test_shards_share_out_all_indices():
+    job = Job("open-v1:train", RECIPES["paper"], 0, 64)
+    indices = np.concatenate([job.indices(number) for number in range(job.shards)])
+    assert np.array_equal(indices, np.arange(8062))
+    families = Counter(index % 10 for index in indices)
+    assert max(families.values()) - min(families.values()) <= 1
