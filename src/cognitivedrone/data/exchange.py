@@ -1,0 +1,156 @@
+"""What all exchange formats share: the facts that travel beside the steps, and folders that are whole or absent."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict
+from io import BytesIO
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+
+from cognitivedrone.data.episode import Conditions, Encoding, Episode, Split
+from cognitivedrone.errors import DataError, TaskError
+from cognitivedrone.tasks import task_from_json, task_to_json
+
+STEP_ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
+    "action": (np.float32, (4,)),
+    "sent": (np.float32, (4,)),
+    "velocity": (np.float32, (3,)),
+    "height": (np.float32, ()),
+    "yaw_rate": (np.float32, ()),
+    "position": (np.float64, (3,)),
+    "quaternion": (np.float64, (4,)),
+}
+"""The numbers of a step: name in `Episode`, dtype, shape without the step axis."""
+
+
+@contextmanager
+def new_folder(out: Path) -> Iterator[Path]:
+    """A folder to write into that becomes `out` when all went well, and vanishes when not.
+
+    Raises `DataError` where `out` holds something already or cannot be written.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise DataError(f"{out}: exists already; give a new or an empty folder, nothing is overwritten")
+    partial = out.parent / f".{out.name}.{os.getpid()}.partial"
+    try:
+        partial.mkdir(parents=True)
+        yield partial
+        partial.rename(out)
+    except OSError as error:
+        place = error.filename or out
+        raise DataError(f"{place}: cannot be written ({error.strerror}); nothing was left at {out}") from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def record_of(split: Split, episode: Episode) -> dict[str, Any]:
+    """Plain JSON facts of an episode that no step carries; `episode_from` reads them back exactly."""
+    return {
+        "split": split,
+        "suite": episode.suite,
+        "index": episode.index,
+        "task": task_to_json(episode.task),
+        "conditions": asdict(episode.conditions),
+        "final_position": episode.final_position.tolist(),
+    }
+
+
+def plain_facts(episode: Episode) -> dict[str, str | int]:
+    """The facts people filter by, flat: `correct_gate` counts from 1 as published task files do."""
+    task = episode.task
+    return {
+        "directive": task.directive,
+        "category": task.category,
+        "family": task.family,
+        "correct_gate": task.target + 1,
+        "seed": episode.conditions.seed,
+        "suite": episode.suite,
+        "index": episode.index,
+    }
+
+
+def episode_from(
+    record: object, images: tuple[bytes, ...], arrays: Mapping[str, NDArray[Any]], where: str
+) -> tuple[Split, Episode]:
+    """The episode of facts, frames and step arrays (T, ...); `DataError` names the place where they do not fit."""
+    try:
+        facts = cast(dict[str, Any], record)
+        conditions = dict(facts["conditions"])
+        for name in ("start_position", "wind"):
+            conditions[name] = tuple(float(value) for value in conditions[name])
+        shaped = {
+            name: np.ascontiguousarray(arrays[name], dtype).reshape(len(images), *shape)
+            for name, (dtype, shape) in STEP_ARRAYS.items()
+        }
+        episode = Episode(
+            index=int(facts["index"]),
+            suite=str(facts["suite"]),
+            task=task_from_json(facts["task"], where=where),
+            conditions=Conditions(**conditions),
+            encoding=encoding_of(images, where),
+            images=images,
+            final_position=np.array(facts["final_position"], np.float64).reshape(3),
+            **cast(dict[str, Any], shaped),
+        )
+    except TaskError as error:
+        raise DataError(str(error)) from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(f"{where}: not an episode of this format ({type(error).__name__}: {error})") from None
+    if facts.get("split") not in ("train", "val"):
+        raise DataError(f"{where}: split is {facts.get('split')!r}; it must be train or val")
+    return facts["split"], episode
+
+
+def encoding_of(images: tuple[bytes, ...], where: str) -> Encoding:
+    """How the frames are encoded, by their first bytes; all alike."""
+    if not images:
+        raise DataError(f"{where}: holds no frame")
+    found = {_magic(image) for image in images}
+    if len(found) > 1 or None in found:
+        first = _magic(images[0])
+        number = next(i for i, image in enumerate(images) if first is None or _magic(image) != first)
+        raise DataError(f"{where}: frame {number} is broken or encoded unlike the first; export the episode again")
+    return cast(Encoding, found.pop())
+
+
+def check_image(data: bytes, where: str) -> None:
+    """Raises `DataError` where a frame cannot be decoded in full."""
+    try:
+        with PillowImage.open(BytesIO(data)) as picture:
+            picture.load()
+    except (OSError, SyntaxError, ValueError) as error:
+        raise DataError(f"{where}: not a whole image ({error})") from None
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file; `DataError` where it is missing or malformed."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror}); is this the folder of a whole data set?") from None
+    except ValueError as error:
+        raise DataError(f"{path}: not JSON ({str(error)[:80]})") from None
+
+
+def write_json(path: Path, content: Any) -> None:
+    """A JSON file, indented, UTF-8."""
+    path.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def _magic(data: bytes) -> Encoding | None:
+    if data.startswith(b"\xff\xd8\xff"):
+        return "jpeg"
+    if data.startswith(b"\x89PNG\r\n\x1a\n"):
+        return "png"
+    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+        return "webp"
+    return None

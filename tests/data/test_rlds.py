@@ -1,0 +1,213 @@
+import json
+import shutil
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cognitivedrone.data import rlds, tfrecord
+from cognitivedrone.data.episode import decode_image
+from cognitivedrone.data.formats import export, import_
+from cognitivedrone.errors import DataError
+
+sys.path.insert(0, str(Path(__file__).parent))
+from factory import assert_same_episode, make_episode
+
+TENSORFLOW_RECORD = "090000000000000037f97139636f676e69746976651bbcacaf"
+TENSORFLOW_EXAMPLE = (
+    "0a380a0c0a016112070a050a01780a000a110a0162120c120a0a080000"
+    "c03f000000c00a150a016312101a0e0a0cffffffffffffffffff01ac02"
+)
+
+FLIGHTS = [("val" if index == 1 else "train", make_episode(index, 3 + index, encoding="jpeg")) for index in range(4)]
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    out = tmp_path_factory.mktemp("rlds") / "set"
+    assert export(iter(FLIGHTS), "rlds", out) == len(FLIGHTS)
+    return out
+
+
+@pytest.fixture
+def copied(exported, tmp_path):
+    return Path(shutil.copytree(exported, tmp_path / "copy"))
+
+
+def shard(out, split="train"):
+    return out / f"cognitivedrone/1.0.0/cognitivedrone-{split}.tfrecord-00000-of-00001"
+
+
+def test_an_export_comes_back_to_the_bit(exported):
+    back = list(import_(exported, "rlds"))
+    assert [split for split, _ in back] == ["train", "train", "train", "val"]
+    by_index = {episode.index: episode for _, episode in back}
+    for _, episode in FLIGHTS:
+        assert_same_episode(by_index[episode.index], episode)
+
+
+def test_the_inner_folder_opens_too(exported):
+    assert len(list(import_(exported / "cognitivedrone/1.0.0", "rlds"))) == len(FLIGHTS)
+
+
+def test_info_tells_what_the_shards_hold(exported):
+    info = json.loads((exported / "cognitivedrone/1.0.0/dataset_info.json").read_text())
+    assert {split["name"]: split["shardLengths"] for split in info["splits"]} == {"train": ["3"], "val": ["1"]}
+    size = shard(exported, "val").stat().st_size
+    assert int(info["splits"][1]["numBytes"]) == size - tfrecord.FRAME_BYTES
+
+
+def test_the_facts_travel_as_plain_features(exported):
+    (payload,) = tfrecord.read_records(shard(exported, "val"))
+    features = tfrecord.decode_example(payload)
+    episode = FLIGHTS[1][1]
+    assert features["steps/language_instruction"] == [episode.task.instruction.encode()] * len(episode)
+    assert features["episode_metadata/directive"] == [episode.task.directive.encode()]
+    assert features["episode_metadata/category"] == [episode.task.category.encode()]
+    assert features["episode_metadata/family"] == [episode.task.family.encode()]
+    assert features["episode_metadata/correct_gate"].tolist() == [episode.task.target + 1]
+    assert features["episode_metadata/seed"].tolist() == [episode.conditions.seed]
+    assert features["steps/is_first"].tolist() == [1, 0, 0, 0]
+    assert features["steps/is_last"].tolist() == features["steps/is_terminal"].tolist() == [0, 0, 0, 1]
+    assert features["steps/reward"].tolist() == [0, 0, 0, 1]
+
+
+def test_every_feature_is_declared(exported):
+    (payload,) = tfrecord.read_records(shard(exported, "val"))
+
+    def names(spec, prefix=""):
+        if "featuresDict" in spec:
+            for name, inner in spec["featuresDict"]["features"].items():
+                yield from names(inner, f"{prefix}/{name}" if prefix else name)
+        elif "sequence" in spec:
+            yield from names(spec["sequence"]["feature"], prefix)
+        else:
+            yield prefix
+
+    declared = json.loads((exported / "cognitivedrone/1.0.0/features.json").read_text())
+    assert set(names(declared)) == set(tfrecord.decode_example(payload))
+
+
+@pytest.mark.parametrize(("encoding", "declared"), [("jpeg", "jpeg"), ("png", "png"), ("webp", "png")])
+def test_pictures_keep_every_pixel(tmp_path, encoding, declared):
+    episode = make_episode(5, 2, encoding=encoding)
+    export([("train", episode)], "rlds", tmp_path / "set")
+    features = (tmp_path / "set/cognitivedrone/1.0.0/features.json").read_text()
+    assert f'"encodingFormat": "{declared}"' in features
+    ((_, back),) = import_(tmp_path / "set", "rlds")
+    for before, after in zip(episode.images, back.images, strict=True):
+        np.testing.assert_array_equal(decode_image(before), decode_image(after))
+
+
+def test_large_sets_are_cut_into_shards(tmp_path, monkeypatch):
+    monkeypatch.setattr(rlds, "SHARD_BYTES", 1)
+    export(FLIGHTS, "rlds", tmp_path / "set")
+    names = sorted(path.name for path in (tmp_path / "set/cognitivedrone/1.0.0").glob("*train*"))
+    assert names == [f"cognitivedrone-train.tfrecord-0000{i}-of-00003" for i in range(3)]
+    assert [episode.index for _, episode in import_(tmp_path / "set", "rlds")] == [0, 2, 3, 1]
+
+
+@pytest.mark.parametrize("cut", [4, 20, -1, -1000])
+def test_a_truncated_shard_is_named(copied, cut):
+    path = shard(copied)
+    path.write_bytes(path.read_bytes()[:cut])
+    with pytest.raises(DataError, match=r"cognitivedrone-train\.tfrecord-00000-of-00001: .*again"):
+        list(import_(copied, "rlds"))
+
+
+def test_a_shard_cut_between_records_is_named(copied):
+    path = shard(copied)
+    (length,) = struct.unpack("<Q", path.read_bytes()[:8])
+    path.write_bytes(path.read_bytes()[: length + tfrecord.FRAME_BYTES])
+    with pytest.raises(DataError, match="00000-of-00001: holds 1 of 3 episodes"):
+        list(import_(copied, "rlds"))
+
+
+def test_an_altered_byte_is_found(copied):
+    data = bytearray(shard(copied).read_bytes())
+    data[len(data) // 2] ^= 1
+    shard(copied).write_bytes(data)
+    with pytest.raises(DataError, match="fails its checksum"):
+        list(import_(copied, "rlds"))
+
+
+def test_a_missing_shard_is_named(copied):
+    shard(copied, "val").unlink()
+    with pytest.raises(DataError, match="cognitivedrone-val"):
+        list(import_(copied, "rlds"))
+
+
+def test_data_of_others_is_told_apart(copied):
+    with shard(copied).open("wb") as file:
+        tfrecord.write_record(file, tfrecord.encode_example({"steps/action": np.zeros(7, np.float32)}))
+    with pytest.raises(DataError, match="record 0: not an episode that this package exported"):
+        list(import_(copied, "rlds"))
+
+
+def test_nothing_is_overwritten(copied):
+    before = shard(copied).read_bytes()
+    with pytest.raises(DataError, match="exists already"):
+        export(FLIGHTS, "rlds", copied)
+    assert shard(copied).read_bytes() == before
+
+
+@pytest.mark.parametrize("to", ["rlds", "lerobot", "lerobot-video", "published"])
+def test_a_failed_export_leaves_nothing(tmp_path, to):
+    def broken():
+        yield "train", make_episode(0, 2)
+        raise DataError("the store is broken")
+
+    with pytest.raises(DataError, match="the store is broken"):
+        export(broken(), to, tmp_path / "set")
+    with pytest.raises(DataError, match="no episode to export"):
+        export([], to, tmp_path / "set")
+    assert not list(tmp_path.iterdir())
+
+
+def test_unwritable_folders_are_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DataError, match="cannot be written"):
+        export(FLIGHTS, "rlds", tmp_path / "file" / "set")
+
+
+def test_unknown_formats_have_near_names(tmp_path):
+    with pytest.raises(DataError, match="unknown export format 'rlsd'; did you mean 'rlds'"):
+        export(FLIGHTS, "rlsd", tmp_path / "set")
+    with pytest.raises(DataError, match="unknown import format 'lerobt'; did you mean 'lerobot'"):
+        import_(tmp_path, "lerobt")
+
+
+def test_framing_matches_a_record_that_tensorflow_wrote(tmp_path):
+    """`tf.io.TFRecordWriter` wrote b"cognitive" so."""
+    written = bytes.fromhex(TENSORFLOW_RECORD)
+    (tmp_path / "theirs").write_bytes(written)
+    assert list(tfrecord.read_records(tmp_path / "theirs")) == [b"cognitive"]
+    with (tmp_path / "ours").open("wb") as file:
+        tfrecord.write_record(file, b"cognitive")
+    assert (tmp_path / "ours").read_bytes() == written
+
+
+def test_examples_match_what_tensorflow_serialises():
+    """`tf.train.Example` with a bytes, a float and an int64 list, `SerializeToString(deterministic=True)`."""
+    features = {"a": [b"x", b""], "b": np.array([1.5, -2], np.float32), "c": np.array([-1, 300], np.int64)}
+    assert tfrecord.encode_example(features).hex() == TENSORFLOW_EXAMPLE
+
+
+@given(
+    st.dictionaries(
+        st.text(max_size=8),
+        st.lists(st.binary(max_size=300), min_size=1, max_size=4)
+        | st.lists(st.integers(-(2**63), 2**63 - 1), min_size=1).map(lambda v: np.array(v, np.int64))
+        | st.lists(st.floats(width=32, allow_nan=False), min_size=1).map(lambda v: np.array(v, np.float32)),
+        max_size=5,
+    )
+)
+def test_examples_come_back(features):
+    back = tfrecord.decode_example(tfrecord.encode_example(features))
+    assert back.keys() == features.keys()
+    for name, values in features.items():
+        np.testing.assert_array_equal(np.array(back[name]), np.array(values))
