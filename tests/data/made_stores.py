@@ -1,0 +1,26 @@
+"""Stores of synthetic flights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from cognitivedrone.data.episode import Episode
+from cognitivedrone.data.store import StoreWriter
+
+RECIPE = {"name": "test", "kick_rate": 0.1}
+PER_SHARD = 8
+
+
+def writer_at(path: Path, *, resume: bool = False, seed: int = 3) -> StoreWriter:
+    """The writer of the tests' stores: eight episodes a shard."""
+    return StoreWriter(path, RECIPE, "open-v1:train", "d1" * 32, seed, episodes_per_shard=PER_SHARD, resume=resume)
+
+
+def write_store(path: Path, episodes: Sequence[Episode]) -> Path:
+    """A finished store of these episodes, whose indices count from 0."""
+    writer = writer_at(path)
+    for number in range(-(-len(episodes) // PER_SHARD)):
+        writer.write_shard(number, episodes[PER_SHARD * number : PER_SHARD * (number + 1)], {"collision": number})
+    writer.finish()
+    return path

@@ -1,0 +1,297 @@
+"""The store gives back every bit, is the same whoever wrote it, and says what is wrong in one sentence."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from conftest import RECIPE, write_store, writer_at
+from factory import assert_same_episode, make_episode
+
+from cognitivedrone.data.episode import Encoding, Episode, decode_image
+from cognitivedrone.data.store import Store, StoreWriter
+from cognitivedrone.data.verify import verify
+from cognitivedrone.errors import DataError
+from cognitivedrone.tasks.format import read_tasks
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def test_every_bit_comes_back(sound_store: Path, flights: list[Episode]) -> None:
+    store = Store.open(sound_store)
+    assert len(store) == len(flights)
+    assert store.n_steps == sum(len(flight) for flight in flights)
+    for flight, stored in zip(flights, store.episodes(), strict=True):
+        assert_same_episode(flight, stored)
+
+
+@pytest.mark.parametrize("encoding", ["jpeg", "png", "webp"])
+def test_frames_are_stored_as_encoded(tmp_path: Path, encoding: Encoding) -> None:
+    flight = make_episode(0, length=3, encoding=encoding)
+    store = Store.open(write_store(tmp_path / "store", [flight]))
+    assert store.episode(0).images == flight.images
+    shard = pq.ParquetFile(tmp_path / "store/shards/shard-00000.parquet")
+    codecs = {
+        shard.metadata.row_group(0).column(k).path_in_schema: shard.metadata.row_group(0).column(k).compression
+        for k in range(shard.metadata.num_columns)
+    }
+    assert codecs.pop("image") == "UNCOMPRESSED"
+    assert set(codecs.values()) == {"ZSTD"}
+
+
+def test_shards_may_be_written_in_any_order_by_any_process(
+    tmp_path: Path, sound_store: Path, flights: list[Episode]
+) -> None:
+    other = tmp_path / "other"
+    writer = pickle.loads(pickle.dumps(writer_at(other)))  # noqa: S301
+    for number in (3, 0, 4, 1, 2):
+        writer.write_shard(number, flights[8 * number : 8 * number + 8][::-1], {"collision": number})
+    writer_at(other, resume=True).finish()
+    assert files_of(other) == files_of(sound_store)
+
+
+def test_steps_are_the_frames_actions_and_words_of_their_flights(sound_store: Path, flights: list[Episode]) -> None:
+    store = Store.open(sound_store)
+    where = [(flight, t) for flight in flights for t in range(len(flight))]
+    numbers = np.random.default_rng(0).integers(0, store.n_steps, 50)
+    for threads in (1, 2):
+        batch = pickle.loads(pickle.dumps(store)).steps(numbers, threads)  # noqa: S301
+        for row, number in enumerate(numbers):
+            flight, t = where[number]
+            np.testing.assert_array_equal(batch["image"][row], decode_image(flight.images[t]))
+            np.testing.assert_array_equal(batch["action"][row], flight.action[t])
+            np.testing.assert_array_equal(batch["state"][row], flight.state[t])
+            assert batch["instruction"][row] == flight.task.instruction
+            assert batch["directive"][row] == flight.task.directive
+
+
+def test_splits_part_the_episodes(sound_store: Path) -> None:
+    store = Store.open(sound_store)
+    train, val = store.indices("train"), store.indices("val")
+    assert sorted(train + val) == store.indices()
+    assert {store.episode(i).task.family for i in val} == {store.episode(i).task.family for i in train}
+    steps = np.concatenate([store.step_numbers("train"), store.step_numbers("val")])
+    np.testing.assert_array_equal(np.sort(steps), np.arange(store.n_steps))
+    assert [(split, episode.index) for split, episode in store.labelled()] == [
+        (store.split_of(index), index) for index in store.indices()
+    ]
+
+
+def test_the_task_list_is_a_task_file(sound_store: Path, flights: list[Episode]) -> None:
+    assert read_tasks(sound_store / "tasks.json") == [flight.task for flight in flights]
+
+
+def test_dropped_flights_are_counted(sound_store: Path) -> None:
+    assert Store.open(sound_store).manifest["dropped"] == {"collision": 0 + 1 + 2 + 3 + 4}
+
+
+def test_resume_writes_what_is_missing(tmp_path: Path, sound_store: Path, flights: list[Episode]) -> None:
+    path = tmp_path / "store"
+    writer_at(path).write_shard(1, flights[8:16], {"collision": 1})
+    writer = writer_at(path, resume=True)
+    assert writer.missing_shards(5) == [0, 2, 3, 4]
+    for number in writer.missing_shards(5):
+        writer.write_shard(number, flights[8 * number : 8 * number + 8], {"collision": number})
+    writer.finish()
+    assert files_of(path) == files_of(sound_store)
+
+
+def test_a_damaged_shard_is_missing_again(tmp_path: Path, flights: list[Episode]) -> None:
+    path = write_store(tmp_path / "store", flights[:24])
+    shard = path / "shards/shard-00001.parquet"
+    shard.write_bytes(shard.read_bytes()[:-100])
+    writer = writer_at(path, resume=True)
+    assert writer.missing_shards(3) == [1]
+    writer.write_shard(1, flights[8:16], {"collision": 1})
+    writer.finish()
+    assert verify(path) == []
+
+
+WRITER_SCRIPT = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+import factory, made_stores
+flights = [factory.make_episode(i, length=2 + i % 4, encoding="png") for i in range(40)]
+writer = made_stores.writer_at(Path(sys.argv[2]), resume=True)
+print("ready", flush=True)
+for number in writer.missing_shards(5):
+    writer.write_shard(number, flights[8 * number : 8 * number + 8], {"collision": number})
+    print(number, flush=True)
+writer.finish()
+"""
+
+
+def test_kill_9_at_any_moment_loses_nothing(tmp_path: Path, sound_store: Path) -> None:
+    path = tmp_path / "store"
+    command = [sys.executable, "-c", WRITER_SCRIPT, str(Path(__file__).parent), str(path)]
+    deaths = 0
+    while deaths < 3:  # each time a little later, in the middle of whatever it does then
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            for line in process.stdout:
+                if line.strip() == ("ready" if deaths == 0 else str(deaths - 1)):
+                    os.kill(process.pid, signal.SIGKILL)
+                    break
+            else:
+                pytest.fail("the writer finished before it was killed")
+        deaths += 1
+    subprocess.run(command, check=True, capture_output=True)
+    assert files_of(path) == files_of(sound_store)
+    assert verify(path) == []
+
+
+def test_a_full_disk_leaves_no_shard(tmp_path: Path, flights: list[Episode], monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "store"
+    writer = writer_at(path)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pq.ParquetWriter, "write_table", full)
+        with pytest.raises(DataError, match=r"shard-00000\.parquet: cannot be written \(No space left on device\)"):
+            writer.write_shard(0, flights[:8], {})
+    assert sorted(files_of(path)) == ["manifest.json"]
+    assert writer.missing_shards(1) == [0]
+    with pytest.raises(DataError, match="shard 0 is missing"):
+        writer.finish()
+
+
+def test_a_really_full_disk(tmp_path: Path, flights: list[Episode]) -> None:
+    """The same without a fake: the process may not write files beyond 8 KB."""
+    script = (
+        "import resource, signal, sys; from pathlib import Path\n"
+        "sys.path.insert(0, sys.argv[1]); import factory, made_stores\n"
+        "w = made_stores.writer_at(Path(sys.argv[2])); e = [factory.make_episode(0)]\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN); resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))\n"
+        "try: w.write_shard(0, e, {})\n"
+        "except Exception as error: print(type(error).__name__, error)\n"
+    )
+    command = [sys.executable, "-c", script, str(Path(__file__).parent), str(tmp_path / "store")]
+    result = subprocess.run(command, check=True, capture_output=True, text=True)
+    assert result.stdout.startswith("DataError")
+    assert "shard-00000.parquet: cannot be written" in result.stdout
+    assert sorted(files_of(tmp_path / "store")) == ["manifest.json"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"recipe": {**RECIPE, "kick_rate": 0.2}}, r"another recipe \(kick_rate: 0.1 there, 0.2 here\)"),
+        ({"suite_name": "open-v1:test"}, "another suite .*name: 'open-v1:train' there, 'open-v1:test' here"),
+        ({"suite_digest": "ff"}, "another suite .*digest"),
+        ({"seed": 4}, r"another seed \(3 there, 4 here\)"),
+        ({"episodes_per_shard": 16}, "another episodes per shard"),
+    ],
+)
+def test_another_making_is_refused(sound_store: Path, change: dict[str, object], message: str) -> None:
+    before = files_of(sound_store)
+    making = {"recipe": RECIPE, "suite_name": "open-v1:train", "suite_digest": "d1" * 32, "seed": 3}
+    making |= {"episodes_per_shard": 8} | change
+    with pytest.raises(DataError, match=message):
+        StoreWriter(sound_store, resume=True, **making)  # type: ignore[arg-type]
+    assert files_of(sound_store) == before
+
+
+def test_a_folder_in_use_is_refused(tmp_path: Path, sound_store: Path) -> None:
+    with pytest.raises(DataError, match="holds a data set already; go on with --resume"):
+        writer_at(sound_store)
+    (tmp_path / "thesis.txt").write_text("mine")
+    with pytest.raises(DataError, match="is not empty"):
+        writer_at(tmp_path, resume=True)
+    assert sorted(files_of(tmp_path)) == ["thesis.txt"]
+
+
+def test_a_place_that_cannot_be_a_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DataError, match=r"file/store: cannot be written \(Not a directory\)"):
+        writer_at(tmp_path / "file" / "store")
+
+
+def test_unfinished_and_foreign_folders_do_not_open(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="is no data set"):
+        Store.open(tmp_path)
+    writer_at(tmp_path / "store")
+    with pytest.raises(DataError, match=r"is not finished; go on with .*--resume"):
+        Store.open(tmp_path / "store")
+
+
+def test_another_version_does_not_open(tmp_path: Path, flights: list[Episode]) -> None:
+    path = write_store(tmp_path / "store", flights[:8])
+    manifest = path / "manifest.json"
+    manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"version": 7}))
+    with pytest.raises(DataError, match=r"manifest\.json: the store has version 7, this release reads 1"):
+        Store.open(path)
+    with pytest.raises(DataError, match="version 7"):
+        writer_at(path, resume=True)
+
+
+def test_a_shard_cut_off_or_gone_is_named(tmp_path: Path, flights: list[Episode]) -> None:
+    path = write_store(tmp_path / "store", flights[:16])
+    shard = path / "shards/shard-00001.parquet"
+    whole = shard.read_bytes()
+    shard.write_bytes(whole[:5000])
+    with pytest.raises(DataError, match=r"shard-00001\.parquet: has 5000 bytes instead of"):
+        Store.open(path)
+    shard.write_bytes(whole[: len(whole) // 2] + bytes(len(whole) - len(whole) // 2))
+    with pytest.raises(DataError, match=r"shard-00001\.parquet: cannot be read"):
+        Store.open(path).episode(8)
+    shard.unlink()
+    with pytest.raises(DataError, match=r"shard-00001\.parquet: is missing"):
+        Store.open(path)
+
+
+@pytest.mark.parametrize("encoding", ["jpeg", "png", "webp"])
+def test_a_broken_frame_is_named(tmp_path: Path, encoding: Encoding) -> None:
+    good = make_episode(0, length=3, encoding=encoding)
+    cut = good.images[1][: len(good.images[1]) // 2]
+    store = Store.open(write_store(tmp_path / "store", [replace(good, images=(good.images[0], cut, good.images[2]))]))
+    assert len(store.steps([0, 2])["image"]) == 2
+    with pytest.raises(DataError, match=r"shard-00000\.parquet: the frame of episode 0, step 1, is broken"):
+        store.steps([0, 1], threads=2)
+
+
+def test_what_is_not_there_cannot_be_read(sound_store: Path) -> None:
+    store = Store.open(sound_store)
+    with pytest.raises(DataError, match="has no episode 40; its 40 episodes are 0 to 39"):
+        store.episode(40)
+    for number in (-1, store.n_steps):
+        with pytest.raises(DataError, match="a step number lies outside"):
+            store.steps([0, number])
+    with pytest.raises(DataError, match="unknown split 'vall'; did you mean 'val'"):
+        store.step_numbers("vall")  # type: ignore[arg-type]
+
+
+def test_flights_that_do_not_fit_are_refused(tmp_path: Path, flights: list[Episode]) -> None:
+    writer = writer_at(tmp_path / "store")
+    flight = flights[0]
+    nan = flight.action.copy()
+    nan[0, 0] = np.nan
+    for bad, message in [
+        (replace(flight, action=flight.action[1:]), "episode 0: action is float32"),
+        (replace(flight, position=flight.position.astype(np.float32)), "episode 0: position is float32"),
+        (replace(flight, images=()), "episode 0: has no step"),
+        (replace(flight, action=nan), "episode 0: action holds a number that is not finite"),
+    ]:
+        with pytest.raises(DataError, match=message):
+            writer.write_shard(0, [bad], {})
+    with pytest.raises(DataError, match="shard 0: episode 0 comes twice"):
+        writer.write_shard(0, [flight, flight], {})
+    writer.write_shard(0, [flight], {})
+    writer.write_shard(1, [flight], {})
+    with pytest.raises(DataError, match=r"episode 0 is in shards/shard-00000\.parquet and in shards/shard-00001"):
+        writer.finish()
+    assert writer.missing_shards(3) == [2]
