@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from conftest import RECIPE, write_store, writer_at
 from factory import assert_same_episode, make_episode
+from made_stores import RECIPE, write_store, writer_at
 
 from cognitivedrone.data.episode import Encoding, Episode, decode_image
 from cognitivedrone.data.store import Store, StoreWriter
