@@ -1,11 +1,11 @@
 import json
 import shutil
 import struct
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from factory import assert_same_episode, make_episode
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -13,9 +13,6 @@ from cognitivedrone.data import rlds, tfrecord
 from cognitivedrone.data.episode import decode_image
 from cognitivedrone.data.formats import export, import_
 from cognitivedrone.errors import DataError
-
-sys.path.insert(0, str(Path(__file__).parent))
-from factory import assert_same_episode, make_episode
 
 TENSORFLOW_RECORD = "090000000000000037f97139636f676e69746976651bbcacaf"
 TENSORFLOW_EXAMPLE = (

@@ -3,13 +3,13 @@
 An environment of its own, because lerobot's pins conflict with ours, and a data set to open:
 
     python3.11 -m venv /tmp/lerobot && /tmp/lerobot/bin/pip install torch torchvision accelerate "datasets<5" \\
-        "huggingface_hub<0.36" "packaging<26" pandas einops jsonlines draccus av
+        "huggingface_hub<0.36" "packaging<26" pandas einops jsonlines draccus av torchcodec
     /tmp/lerobot/bin/pip install --no-deps lerobot==0.4.4
     cognitivedrone data export STORE --to lerobot --out OUT
     /tmp/lerobot/bin/python tests/external/check_lerobot.py OUT
 
-(plain `pip install lerobot` does as well, and takes more space.) It exits with an error at the first thing that is not as
-it should be.
+Plain `pip install lerobot` does too, and takes more space. With video, torchcodec needs the libraries of FFmpeg.
+It exits with an error at the first thing that is not as it should be.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def check_item(item: dict, record: dict) -> None:
 
 
 def main(root: Path) -> None:
-    data = LeRobotDataset("local/cognitivedrone", root=root, video_backend="pyav")
+    data = LeRobotDataset("local/cognitivedrone", root=root)
     episodes = data.meta.episodes
     assert data.num_episodes == len(episodes) == data.meta.total_episodes
     assert len(data) == sum(episodes["length"]) == data.meta.total_frames
@@ -71,9 +71,7 @@ def main(root: Path) -> None:
             assert item["frame_index"] == at - row["dataset_from_index"]
             check_item(item, record)
 
-    chunks = LeRobotDataset(
-        "local/cognitivedrone", root=root, video_backend="pyav", delta_timestamps={"action": [0, 0.1, 0.2]}
-    )
+    chunks = LeRobotDataset("local/cognitivedrone", root=root, delta_timestamps={"action": [0, 0.1, 0.2]})
     loader = torch.utils.data.DataLoader(chunks, batch_size=16, shuffle=True)
     start = time.perf_counter()
     batch = next(iter(loader))

@@ -1,0 +1,180 @@
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from factory import assert_same_episode, make_episode
+
+from cognitivedrone.data import lerobot
+from cognitivedrone.data.episode import decode_image
+from cognitivedrone.data.formats import export, import_
+from cognitivedrone.data.lerobot_stats import image_stats, number_stats
+from cognitivedrone.errors import DataError
+
+FLIGHTS = [("val" if index == 1 else "train", make_episode(index, 3 + index)) for index in range(4)]
+DATA = "data/chunk-000/file-000.parquet"
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    out = tmp_path_factory.mktemp("lerobot") / "set"
+    assert export(iter(FLIGHTS), "lerobot", out) == len(FLIGHTS)
+    return out
+
+
+@pytest.fixture(scope="module")
+def exported_video(tmp_path_factory):
+    out = tmp_path_factory.mktemp("lerobot_video") / "set"
+    assert export(iter(FLIGHTS), "lerobot-video", out) == len(FLIGHTS)
+    return out
+
+
+@pytest.fixture
+def copied(exported, tmp_path):
+    return Path(shutil.copytree(exported, tmp_path / "copy"))
+
+
+def test_an_export_comes_back_to_the_bit(exported):
+    back = list(import_(exported, "lerobot"))
+    assert [split for split, _ in back] == ["train", "train", "train", "val"]
+    by_index = {episode.index: episode for _, episode in back}
+    for _, episode in FLIGHTS:
+        assert_same_episode(by_index[episode.index], episode)
+
+
+def test_the_folder_holds_the_layout_and_nothing_else(exported):
+    files = {str(path.relative_to(exported)) for path in exported.rglob("*") if path.is_file()}
+    meta = {"meta/info.json", "meta/stats.json", "meta/tasks.parquet", "meta/episodes/chunk-000/file-000.parquet"}
+    assert files == meta | {DATA}
+
+
+def test_info_counts_and_declares_every_column(exported):
+    info = json.loads((exported / "meta/info.json").read_text())
+    frames = sum(len(episode) for _, episode in FLIGHTS)
+    assert (info["codebase_version"], info["fps"]) == ("v3.0", 10)
+    assert (info["total_episodes"], info["total_frames"]) == (4, frames)
+    assert info["splits"] == {"train": "0:3", "val": "3:4"}
+    schema = pq.read_schema(exported / DATA)
+    assert schema.names == list(info["features"])
+    assert {"directive", "category", "family", "correct_gate", "seed"} <= set(schema.names)
+
+
+def test_rows_count_frames_episodes_and_tasks(exported):
+    table = pq.read_table(exported / DATA)
+    assert table["index"].to_pylist() == list(range(len(table)))
+    tasks = pq.read_table(exported / "meta/tasks.parquet")
+    sentences = tasks["__index_level_0__"].to_pylist()
+    assert sentences[table["task_index"][0].as_py()] == FLIGHTS[0][1].task.instruction
+    pandas = json.loads(tasks.schema.metadata[b"pandas"])
+    assert pandas["index_columns"] == ["__index_level_0__"]
+    for row in pq.read_table(exported / "meta/episodes/chunk-000/file-000.parquet").to_pylist():
+        part = table.slice(row["dataset_from_index"], row["length"])
+        assert set(part["episode_index"].to_pylist()) == {row["episode_index"]}
+        assert part["frame_index"].to_pylist() == list(range(row["length"]))
+        np.testing.assert_allclose(part["timestamp"].to_numpy(), np.arange(row["length"]) / 10, rtol=1e-6)
+
+
+def test_statistics_follow_from_the_steps(exported):
+    stats = json.loads((exported / "meta/stats.json").read_text())
+    actions = np.concatenate([episode.action for _, episode in FLIGHTS]).astype(np.float64)
+    np.testing.assert_allclose(stats["action"]["mean"], actions.mean(0))
+    np.testing.assert_allclose(stats["action"]["q99"], np.quantile(actions, 0.99, axis=0))
+    assert stats["action"]["count"] == [len(actions)]
+    assert np.shape(stats[lerobot.IMAGE_KEY]["mean"]) == (3, 1, 1)
+    assert "directive" not in stats
+
+
+def test_picture_statistics_are_those_of_the_pixels():
+    rng = np.random.default_rng(0)
+    pixels = rng.integers(3, 200, (3, 10_000))
+    stats = image_stats(np.stack([np.bincount(channel, minlength=256) for channel in pixels]), 7)
+    numbers = number_stats(pixels.T / 255)
+    for name in ("min", "max", "mean", "std"):
+        np.testing.assert_allclose(np.ravel(stats[name]), numbers[name])
+    for name in ("q01", "q50", "q99"):
+        np.testing.assert_allclose(np.ravel(stats[name]), numbers[name], atol=1 / 255)
+    assert stats["count"] == [7]
+
+
+def test_files_are_cut_where_they_grow(tmp_path, monkeypatch):
+    monkeypatch.setattr(lerobot, "FILE_MB", 0)
+    monkeypatch.setattr(lerobot, "CHUNK_SIZE", 3)
+    export(FLIGHTS, "lerobot", tmp_path / "set")
+    names = sorted(str(path.relative_to(tmp_path / "set/data")) for path in (tmp_path / "set/data").rglob("*.parquet"))
+    assert names == [*(f"chunk-000/file-00{i}.parquet" for i in range(3)), "chunk-001/file-000.parquet"]
+    assert [episode.index for _, episode in import_(tmp_path / "set", "lerobot")] == [0, 2, 3, 1]
+
+
+def test_video_keeps_every_number_and_what_is_seen(exported_video):
+    assert lerobot.IMAGE_KEY not in pq.read_schema(exported_video / DATA).names
+    for _, episode in import_(exported_video, "lerobot"):
+        original = FLIGHTS[episode.index][1]
+        np.testing.assert_array_equal(episode.action, original.action)
+        np.testing.assert_array_equal(episode.position, original.position)
+        for before, after in zip(original.images, episode.images, strict=True):
+            difference = decode_image(before).astype(int) - decode_image(after)
+            assert np.abs(difference).mean() < 4
+
+
+def test_a_truncated_video_is_named(exported_video, tmp_path):
+    copy = Path(shutil.copytree(exported_video, tmp_path / "copy"))
+    path = copy / "videos/observation.images.front/chunk-000/file-000.mp4"
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(DataError, match=r"file-000\.mp4: not a whole video"):
+        list(import_(copy, "lerobot"))
+
+
+@pytest.mark.parametrize("name", [DATA, "meta/episodes/chunk-000/file-000.parquet"])
+@pytest.mark.parametrize("damage", ["truncate", "remove"])
+def test_broken_parquet_is_named(copied, name, damage):
+    path = copied / name
+    if damage == "truncate":
+        path.write_bytes(path.read_bytes()[:-100])
+    else:
+        path.unlink()
+    with pytest.raises(DataError, match=r"file-000\.parquet: not a whole parquet file"):
+        list(import_(copied, "lerobot"))
+
+
+def test_missing_steps_are_counted(copied):
+    table = pq.read_table(copied / DATA)
+    pq.write_table(table.slice(1), copied / DATA)
+    with pytest.raises(DataError, match="episode 0: holds 2 of 3 steps"):
+        list(import_(copied, "lerobot"))
+
+
+def test_a_broken_picture_is_named(copied):
+    table = pq.read_table(copied / DATA)
+    images = table[lerobot.IMAGE_KEY].to_pylist()
+    images[1]["bytes"] = b"no picture"
+    column = pa.array(images, table.schema.field(lerobot.IMAGE_KEY).type)
+    pq.write_table(table.set_column(0, lerobot.IMAGE_KEY, column), copied / DATA)
+    with pytest.raises(DataError, match="episode 0: frame 1 is broken"):
+        list(import_(copied, "lerobot"))
+
+
+def test_other_versions_are_refused(copied):
+    info = json.loads((copied / "meta/info.json").read_text()) | {"codebase_version": "v2.1"}
+    (copied / "meta/info.json").write_text(json.dumps(info))
+    with pytest.raises(DataError, match=r"info\.json: layout v2\.1 cannot be read"):
+        list(import_(copied, "lerobot"))
+
+
+def test_no_data_set_is_told(tmp_path):
+    with pytest.raises(DataError, match=r"info\.json: cannot be read"):
+        list(import_(tmp_path, "lerobot"))
+
+
+def test_data_of_others_is_told_apart(copied):
+    path = copied / "meta/episodes/chunk-000/file-000.parquet"
+    pq.write_table(pq.read_table(path).drop_columns(["record"]), path)
+    with pytest.raises(DataError, match="only own exports can be imported"):
+        list(import_(copied, "lerobot"))
+
+
+def test_nothing_is_overwritten(copied):
+    with pytest.raises(DataError, match="exists already"):
+        export(FLIGHTS, "lerobot", copied)
