@@ -1,0 +1,36 @@
+"""Takes data sets of other formats into a store of ours."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from itertools import count, islice
+from pathlib import Path
+
+from cognitivedrone.data.formats import import_
+from cognitivedrone.data.store import EPISODES_PER_SHARD, StoreWriter
+from cognitivedrone.errors import DataError
+
+
+def import_set(source: Path, form: str, out: Path) -> int:
+    """Read the data set `source` of the format `form` into a new store `out`; returns the number of episodes.
+
+    Episodes are numbered anew in the order they come, and splits are drawn anew. Raises `DataError` naming the file
+    that is missing or broken; the store is then not readable.
+    """
+    if not source.exists():
+        raise DataError(f"{source}: there is no such file or folder")
+    name = f"{form}:{source.resolve().name}"
+    recipe = {"name": "imported", "format": form, "source": source.resolve().name}
+    writer = StoreWriter(out, recipe, name, hashlib.sha256(name.encode()).hexdigest(), seed=0)
+    flights = import_(source, form)
+    taken = 0
+    for number in count():
+        read = [episode for _, episode in islice(flights, EPISODES_PER_SHARD)]
+        shard = [replace(episode, index=taken + offset) for offset, episode in enumerate(read)]
+        if not shard:
+            break
+        writer.write_shard(number, shard, {})
+        taken += len(shard)
+    writer.finish()
+    return taken
