@@ -29,17 +29,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.data.episode import Episode, Split, decode_image
+from cognitivedrone.data.layout import (
+    FORMAT,
+    FORMAT_VERSION,
+    MANIFEST,
+    STATISTICS,
+    TASKS,
+    check_format,
+    flown_in,
+    read_manifest,
+    shard_name,
+)
 from cognitivedrone.data.shards import ShardFile, read_json, sha256_of, write_atomically, write_json, write_shard_file
-from cognitivedrone.data.statistics import SPLITS, Flown, statistics, validation_indices
+from cognitivedrone.data.statistics import SPLITS, statistics, validation_indices
 from cognitivedrone.errors import DataError, did_you_mean
 from cognitivedrone.tasks.format import write_tasks
 from cognitivedrone.types import Action, FloatArray, Image
 
-FORMAT: Final = "cognitivedrone-store"
-FORMAT_VERSION: Final = 1
-MANIFEST: Final = "manifest.json"
-STATISTICS: Final = "statistics.json"
-TASKS: Final = "tasks.json"
 EPISODES_PER_SHARD: Final = 64
 PACKAGES: Final = ("cognitivedrone", "mujoco", "numpy", "pillow", "pyarrow")
 """Whose version can change a bit of the data."""
@@ -98,7 +104,7 @@ class StoreWriter:
         )
 
     def _check_same_making(self, manifest: Any) -> None:
-        _check_format(self.path, manifest)
+        check_format(self.path, manifest)
         for key, ours in self._head.items():
             theirs = manifest.get(key)
             if theirs != ours:
@@ -115,11 +121,11 @@ class StoreWriter:
         receipt = self._receipt_path(number)
         if not receipt.exists():
             return False
-        shard = self.path / _shard_name(number)
+        shard = self.path / shard_name(number)
         return shard.exists() and shard.stat().st_size == read_json(receipt)["bytes"]
 
     def _receipt_path(self, number: int) -> Path:
-        return (self.path / _shard_name(number)).with_suffix(".json")
+        return (self.path / shard_name(number)).with_suffix(".json")
 
     def write_shard(self, number: int, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> None:
         """Store the episodes of shard `number`; `dropped` counts flights that were not kept, by outcome.
@@ -131,11 +137,11 @@ class StoreWriter:
         if len(set(indices)) < len(indices):
             twice = Counter(indices).most_common(1)[0][0]
             raise DataError(f"shard {number}: episode {twice} comes twice; give every index once")
-        path = self.path / _shard_name(number)
+        path = self.path / shard_name(number)
         self._receipt_path(number).unlink(missing_ok=True)
         write_shard_file(path, ordered, dropped)
         receipt = {
-            "file": _shard_name(number),
+            "file": shard_name(number),
             "sha256": sha256_of(path),
             "bytes": path.stat().st_size,
             "episodes": indices,
@@ -286,6 +292,19 @@ class Store:
         """All episodes with their split, in order of index, one in memory at a time: what exports take."""
         return ((self.split_of(index), self.episode(index)) for index in self._places)
 
+    def facts(self) -> list[dict[str, Any]]:
+        """What is known of every episode as a whole, as plain JSON, in order of index.
+
+        Keys: index, length, suite, encoding, conditions, final_position, and task in the published layout.
+        """
+        with self._lock:
+            shards = [self._file(number) for number in range(len(self.manifest["shards"]))]
+        return sorted((facts for shard in shards for facts in shard.facts), key=lambda facts: int(facts["index"]))
+
+    def actions(self, split: Split | None = None) -> NDArray[np.float32]:
+        """(N, 4) the labels of all steps of a split, or of all."""
+        return self._numbers.action[self.step_numbers(split)]
+
     def step_numbers(self, split: Split | None = None) -> NDArray[np.int64]:
         """The numbers of the steps of a split, or of all: what `steps` takes."""
         if split not in (None, *SPLITS):
@@ -296,17 +315,16 @@ class Store:
 
     @cached_property
     def _numbers(self) -> _Numbers:
+        tasks = [facts["task"] for facts in self.facts()]
         with self._lock:
-            shards = [self._file(number) for number in range(len(self.manifest["shards"]))]
-            flown = flown_in(shards)
-        texts = {fact["index"]: fact["task"] for shard in shards for fact in shard.facts}
+            flown = flown_in([self._file(number) for number in range(len(self.manifest["shards"]))])
         return _Numbers(
             first_steps=np.array([place.first_step for place in self._places.values()]),
             indices=list(self._places),
-            action=np.concatenate([episode.action for episode in flown]),
-            state=np.concatenate([episode.state for episode in flown]),
-            instructions=[texts[index]["prompt"] for index in self._places],
-            directives=[texts[index]["prompt_simpler"] for index in self._places],
+            action=np.concatenate([np.empty((0, 4), np.float32), *(episode.action for episode in flown)]),
+            state=np.concatenate([np.empty((0, 5), np.float32), *(episode.state for episode in flown)]),
+            instructions=[task["prompt"] for task in tasks],
+            directives=[task["prompt_simpler"] for task in tasks],
         )
 
     def steps(self, numbers: Sequence[int] | NDArray[np.integer[Any]], threads: int = 1) -> Batch:
@@ -370,46 +388,6 @@ class _Numbers:
     state: NDArray[np.float32]
     instructions: list[str]
     directives: list[str]
-
-
-def read_manifest(path: Path) -> dict[str, Any]:
-    """The manifest of a finished store of this version; raises `DataError`."""
-    if not (path / MANIFEST).exists():
-        raise DataError(f"{path}: is no data set, it has no {MANIFEST}; make one with `cognitivedrone collect`")
-    manifest: dict[str, Any] = read_json(path / MANIFEST)
-    _check_format(path, manifest)
-    if not manifest.get("complete"):
-        raise DataError(f"{path}: is not finished; go on with `cognitivedrone collect ... --resume`")
-    return manifest
-
-
-def flown_in(shards: Sequence[ShardFile]) -> list[Flown]:
-    """Actions, states and families of all episodes, in order of index."""
-    flown = []
-    for shard in shards:
-        columns = shard.numbers(["action", "velocity", "height", "yaw_rate"])
-        state = np.column_stack([columns["velocity"], columns["height"], columns["yaw_rate"]])
-        first = 0
-        for facts in shard.facts:
-            rows = slice(first, first + facts["length"])
-            first += facts["length"]
-            task = facts["task"]
-            flown.append(Flown(facts["index"], task["family"], task["category"], columns["action"][rows], state[rows]))
-    return sorted(flown, key=lambda episode: episode.index)
-
-
-def _shard_name(number: int) -> str:
-    return f"shards/shard-{number:05d}.parquet"
-
-
-def _check_format(path: Path, manifest: Any) -> None:
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
-        raise DataError(f"{path / MANIFEST}: is not the manifest of a data set of ours; give another folder")
-    if manifest.get("version") != FORMAT_VERSION:
-        raise DataError(
-            f"{path / MANIFEST}: the store has version {manifest.get('version')!r}, this release reads "
-            f"{FORMAT_VERSION}; collect it again or use the release that made it"
-        )
 
 
 def _difference(theirs: Any, ours: Any) -> str:

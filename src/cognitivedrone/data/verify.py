@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cognitivedrone.data.layout import MANIFEST, STATISTICS, TASKS, flown_in, read_manifest
 from cognitivedrone.data.shards import ShardFile, read_json, sha256_of
 from cognitivedrone.data.statistics import statistics, validation_indices
-from cognitivedrone.data.store import MANIFEST, STATISTICS, TASKS, flown_in, read_manifest
 from cognitivedrone.errors import CognitiveDroneError, DataError
 from cognitivedrone.tasks.format import read_tasks
 

@@ -1,0 +1,82 @@
+"""A store at a glance, in the terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from cognitivedrone.data.overview import Histogram, Overview, megabytes, overview
+from cognitivedrone.data.store import Store
+from cognitivedrone.types import CONTROL_HZ
+
+LEVELS: Final = " ▁▂▃▄▅▆▇█"
+
+
+def summary(path: Path | str) -> RenderableType:
+    """Counts by family, lengths, action histograms, size on disk and encoding. Raises `DataError`."""
+    seen = overview(Store.open(path))
+    return Group(_headline(Path(path), seen), "", _families(seen), _actions(seen), *_dropped(seen))
+
+
+def _headline(path: Path, seen: Overview) -> RenderableType:
+    manifest = seen.manifest
+    recipe = manifest["recipe"].get("name", "unnamed")
+    encodings = ", ".join(f"{name} ({count:,} episodes)" for name, count in seen.encodings.items())
+    grid = Table.grid(padding=(0, 2))
+    grid.add_row("data set", Text(str(path), style="bold"))
+    grid.add_row("made by", f"recipe {recipe}, suite {manifest['suite']['name']}, seed {manifest['seed']}")
+    grid.add_row(
+        "holds", f"{manifest['episodes']:,} episodes, {manifest['steps']:,} steps, {seen.hours:.1f} h of flight"
+    )
+    grid.add_row(
+        "on disk", f"{megabytes(seen.bytes_on_disk)}; {megabytes(seen.frame_bytes)} a step, frames as {encodings}"
+    )
+    return grid
+
+
+def _families(seen: Overview) -> Table:
+    table = Table("category", "family", box=box.SIMPLE_HEAD)
+    for name in ("train", "val", "all"):
+        table.add_column(name, justify="right")
+    for row in seen.families:
+        table.add_row(
+            row.category.replace("_", " "), row.family.replace("_", " "), str(row.train), str(row.val), str(row.total)
+        )
+    table.add_section()
+    table.add_row("all", "", *(f"{seen.statistics[name]['episodes']:,}" for name in ("train", "val", "all")))
+    return table
+
+
+def _actions(seen: Overview) -> Table:
+    table = Table("", "unit", box=box.SIMPLE_HEAD)
+    for name in ("min", "q01", "mean", "std", "q99", "max"):
+        table.add_column(name, justify="right")
+    table.add_column("histogram, min to max")
+    for k, shape in enumerate(seen.actions):
+        spread: dict[str, Any] = seen.statistics["all"]["action"]
+        numbers = [f"{spread[name][k]:.2f}" for name in ("min", "q01", "mean", "std", "q99", "max")]
+        table.add_row(shape.name, shape.unit, *numbers, bars(shape))
+    lengths = seen.lengths
+    mean = seen.statistics["all"]["length"]["mean"] / CONTROL_HZ
+    table.add_row("length", "s", f"{lengths.low:.2f}", "", f"{mean:.2f}", "", "", f"{lengths.high:.2f}", bars(lengths))
+    return table
+
+
+def bars(shape: Histogram) -> str:
+    """A histogram as one line of block characters; a bin that is not empty always shows."""
+    top = max(shape.counts, default=0) or 1
+    full = len(LEVELS) - 1
+    return "".join(LEVELS[0 if count == 0 else max(1, round(full * count / top))] for count in shape.counts)
+
+
+def _dropped(seen: Overview) -> list[RenderableType]:
+    dropped = seen.manifest["dropped"]
+    if not dropped:
+        return ["No flight was dropped."]
+    text = ", ".join(f"{count} {outcome.replace('_', ' ')}" for outcome, count in dropped.items())
+    return [f"Flights flown but not kept: {text}."]
