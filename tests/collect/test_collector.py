@@ -14,7 +14,7 @@ import pytest
 
 from cognitivedrone.collect import executors
 from cognitivedrone.collect.collector import CollectConfig, collect
-from cognitivedrone.collect.executors import Job, fly_local, fly_ray, fly_shard
+from cognitivedrone.collect.executors import Job, fly_local, fly_shard
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import CognitiveDroneError, DataError, MissingExtra, TaskError
@@ -141,10 +141,11 @@ def test_a_mistake_in_a_worker_comes_through(tmp_path):
         list(fly_local(job, [0], 1))
 
 
-def test_without_ray_the_extra_is_named(monkeypatch):
+def test_without_ray_the_extra_is_named_before_anything_is_written(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MissingExtra, match=r"cognitivedrone\[ray\]"):
-        list(fly_ray(Job("open-v1:train", RECIPES["debug"], 0, 5), [0], 1))
+        collect(config(tmp_path / "set", executor="ray"), progress=False)
+    assert not (tmp_path / "set").exists()
 
 
 def test_shards_share_out_all_indices():

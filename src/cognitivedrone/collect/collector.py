@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from cognitivedrone import plugins
-from cognitivedrone.collect.executors import EXECUTORS, Executor, Job, open_suite
+from cognitivedrone.collect.executors import EXECUTORS, Executor, Job, import_ray, open_suite
 from cognitivedrone.collect.recipe import find_recipe
 from cognitivedrone.data.store import EPISODES_PER_SHARD, StoreWriter
 from cognitivedrone.errors import DataError, did_you_mean
@@ -125,6 +125,8 @@ def _prepare(config: CollectConfig) -> tuple[Job, Executor, int]:
             raise DataError(f"{name} {value}: must be at least {least}")
     if config.executor not in EXECUTORS:
         raise DataError(f"unknown executor {config.executor!r}; {did_you_mean(config.executor, EXECUTORS)}")
+    if config.executor == "ray":
+        import_ray()
     executor = plugins.load("executor", config.executor, EXECUTORS)
     job = Job(config.suite, replace(recipe, episodes=episodes), config.seed, config.episodes_per_shard)
     return job, executor, workers

@@ -114,6 +114,7 @@ def fly_local(job: Job, shards: Iterable[int], workers: int) -> Iterator[FlownSh
             "a worker was killed, perhaps for want of memory; go on with --resume, or fewer --workers"
         ) from None
     finally:
+        # Whoever is in the middle of a shard is not waited for: Ctrl-C answers at once.
         for process in list((pool._processes or {}).values()):
             process.terminate()
         pool.shutdown(wait=True, cancel_futures=True)
@@ -132,16 +133,22 @@ def _follow(parent: Any) -> None:
     os._exit(1)
 
 
+def import_ray() -> Any:
+    """The module; raises `MissingExtra` where it is not installed."""
+    try:
+        import ray
+    except ImportError:
+        raise MissingExtra("ray", "ray") from None
+    return ray
+
+
 def fly_ray(job: Job, shards: Iterable[int], workers: int) -> Iterator[FlownShard]:
     """As tasks of a Ray cluster: the one that `RAY_ADDRESS` names, or one of this machine.
 
     `workers` shards are under way at a time, one CPU each; the package must be installed on every node. Raises
     `MissingExtra` where Ray is not installed here.
     """
-    try:
-        import ray
-    except ImportError:
-        raise MissingExtra("ray", "ray") from None
+    ray = import_ray()
     started = not ray.is_initialized()
     if started:
         ray.init(log_to_driver=False)

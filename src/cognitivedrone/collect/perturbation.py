@@ -18,7 +18,7 @@ from cognitivedrone.types import CONTROL_HZ, Action
 from cognitivedrone.world import geometry
 
 OFF_TRACK_X_M = (-2.0, 2.0)
-"""Off-track starts: how far in the stage's direction, m. The nearest gate's plane is 2.8 m beyond."""
+"""Off-track starts: how far in the stage's direction, m. Every gate's plane is at least 2.4 m further."""
 OFF_TRACK_Y_M = 2.5
 """Off-track starts: how far aside at most, m."""
 OFF_TRACK_Z_M = (0.4, 2.2)
