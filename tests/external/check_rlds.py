@@ -60,6 +60,17 @@ def check_episode(episode: dict) -> int:
     return len(steps)
 
 
+def check_undecoded(builder: tfds.core.DatasetBuilder, split: str) -> None:
+    """Loaders such as OpenVLA's take the steps as one batch and decode pictures themselves."""
+    decoders = {"steps": tfds.decode.SkipDecoding()}
+    for episode in builder.as_dataset(split=split, decoders=decoders).take(3):
+        steps = episode["steps"]
+        length = steps["action"].shape[0]
+        assert steps["action"].shape == (length, 4)
+        assert steps["observation"]["image"].shape == (length,)
+        assert steps["language_instruction"].shape == (length,)
+
+
 def main(out: Path) -> None:
     folder = out / "cognitivedrone" / "1.0.0"
     check_features(folder)
@@ -75,6 +86,7 @@ def main(out: Path) -> None:
             families.add(episode["episode_metadata"]["family"].numpy().decode())
             seen.add(int(episode["episode_metadata"]["index"]))
         assert len(lengths) == info.num_examples
+        check_undecoded(by_name, split)
         seconds = time.perf_counter() - start
         print(f"{split}: {len(lengths)} episodes, {sum(lengths)} steps, {len(families)} families, {seconds:.1f} s")
     total = sum(info.num_examples for info in by_name.info.splits.values())
