@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -139,6 +140,16 @@ def test_a_mistake_in_a_worker_comes_through(tmp_path):
     job = Job("open-v1:nowhere", RECIPES["debug"], 0, 5)
     with pytest.raises(CognitiveDroneError, match="nowhere"):
         list(fly_local(job, [0], 1))
+
+
+def test_a_killed_worker_is_told_of():
+    flying = fly_local(Job("open-v1:train", RECIPES["debug"], 0, 1), range(20), 1)
+    assert next(flying).number == 0
+    (worker,) = multiprocessing.active_children()
+    worker.kill()
+    with pytest.raises(DataError, match=r"worker was killed.*--resume"):
+        list(flying)
+    assert not multiprocessing.active_children()
 
 
 def test_without_ray_the_extra_is_named_before_anything_is_written(tmp_path, monkeypatch):

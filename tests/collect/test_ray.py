@@ -7,6 +7,9 @@ import hashlib
 import pytest
 
 from cognitivedrone.collect.collector import CollectConfig, collect
+from cognitivedrone.collect.executors import Job, fly_ray
+from cognitivedrone.collect.recipe import RECIPES
+from cognitivedrone.errors import TaskError
 
 ray = pytest.importorskip("ray", reason="the extra 'ray' is not installed")
 
@@ -23,6 +26,8 @@ def test_a_cluster_makes_the_same_bytes_as_local_workers(tmp_path):
         folders = {name: tmp_path / name for name in ("ray", "local")}
         for executor, out in folders.items():
             collect(CollectConfig(out, "debug", 8, workers=2, episodes_per_shard=2, executor=executor), progress=False)
+        with pytest.raises(TaskError, match="nowhere"):
+            list(fly_ray(Job("open-v1:nowhere", RECIPES["debug"], 0, 5), [0], 1))
     finally:
         ray.shutdown()
         cluster.shutdown()

@@ -159,7 +159,11 @@ def fly_ray(job: Job, shards: Iterable[int], workers: int) -> Iterator[FlownShar
         while pending:
             (done,), pending = ray.wait(pending, num_returns=1)
             pending += [fly.remote(job, number) for number in islice(remaining, 1)]
-            yield ray.get(done)
+            try:
+                shard: FlownShard = ray.get(done)
+            except ray.exceptions.RayTaskError as error:
+                raise error.cause from None
+            yield shard
     finally:
         if started:
             ray.shutdown()
