@@ -189,7 +189,7 @@ def _own_flight(
 def _foreign_flight(
     setup: object, rows: NDArray[np.float64], images: tuple[bytes, ...], index: int, folder: Path, frame_lag: int
 ) -> Episode:
-    kind = folder.parent.name
+    kind = folder.resolve().parent.name
     try:
         task = task_from_json(setup, where=str(folder / "setup.json"), kind=kind, default_id=f"{kind}/{folder.name}")
     except TaskError as error:
