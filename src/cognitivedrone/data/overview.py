@@ -13,7 +13,7 @@ from cognitivedrone.data.store import Store
 from cognitivedrone.types import CONTROL_HZ
 
 ACTION_NAMES: Final = (("vx", "m/s"), ("vy", "m/s"), ("vz", "m/s"), ("yaw rate", "rad/s"))
-BINS: Final = 32
+BINS: Final = 24
 
 
 @dataclass(frozen=True, slots=True)

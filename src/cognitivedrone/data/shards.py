@@ -69,7 +69,7 @@ def clear_errors(path: Path, doing: str) -> Iterator[None]:
 
 def _way_out(doing: str) -> str:
     if doing == "written":
-        return "make room or give another folder, then go on with --resume"
+        return "make room there or give another place"
     return "run `cognitivedrone data verify` on the store"
 
 

@@ -53,18 +53,22 @@ def _families(seen: Overview) -> Table:
 
 
 def _actions(seen: Overview) -> Table:
-    table = Table("", "unit", box=box.SIMPLE_HEAD)
-    for name in ("min", "q01", "mean", "std", "q99", "max"):
-        table.add_column(name, justify="right")
-    table.add_column("histogram, min to max")
+    table = Table("", box=box.SIMPLE_HEAD, padding=(0, 1))
+    table.add_column("min", justify="right")
+    table.add_column("histogram", no_wrap=True)
+    table.add_column("max")
+    table.add_column("mean", justify="right")
+    table.add_column("std", justify="right")
+    described: dict[str, Any] = seen.statistics["all"]
     for k, shape in enumerate(seen.actions):
-        spread: dict[str, Any] = seen.statistics["all"]["action"]
-        numbers = [f"{spread[name][k]:.2f}" for name in ("min", "q01", "mean", "std", "q99", "max")]
-        table.add_row(shape.name, shape.unit, *numbers, bars(shape))
-    lengths = seen.lengths
-    mean = seen.statistics["all"]["length"]["mean"] / CONTROL_HZ
-    table.add_row("length", "s", f"{lengths.low:.2f}", "", f"{mean:.2f}", "", "", f"{lengths.high:.2f}", bars(lengths))
+        spread = described["action"]
+        _add_histogram(table, shape, f"{spread['mean'][k]:.2f}", f"{spread['std'][k]:.2f}")
+    _add_histogram(table, seen.lengths, f"{described['length']['mean'] / CONTROL_HZ:.2f}", "")
     return table
+
+
+def _add_histogram(table: Table, shape: Histogram, mean: str, std: str) -> None:
+    table.add_row(f"{shape.name} {shape.unit}", f"{shape.low:.2f}", bars(shape), f"{shape.high:.2f}", mean, std)
 
 
 def bars(shape: Histogram) -> str:

@@ -1,0 +1,125 @@
+"""The data set's card: one self-contained HTML page. It loads nothing, and every text in it is escaped.
+
+The page is the same for the same store. Everything shown is computed here; the template only lays it out.
+"""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Final
+
+import jinja2
+import numpy as np
+from PIL import Image
+
+from cognitivedrone.data import drawing
+from cognitivedrone.data.episode import Episode, decode_image
+from cognitivedrone.data.overview import ACTION_NAMES, FamilyCount, Histogram, megabytes, overview
+from cognitivedrone.data.shards import write_atomically
+from cognitivedrone.data.store import Store
+from cognitivedrone.errors import DataError
+
+STRIP_FRAMES: Final = 6
+FRAME_PIXELS: Final = 160
+FRAME_QUALITY: Final = 78
+PATHS_DRAWN: Final = 240
+ROWS: Final = ("min", "q01", "mean", "std", "q99", "max")
+
+
+@dataclass(frozen=True, slots=True)
+class Strip:
+    """One flight: frames from start to end, and its actions."""
+
+    episode: Episode
+    frames: tuple[str, ...]
+    """Base64 JPEG."""
+    traces: tuple[drawing.Trace, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """A histogram with its bars."""
+
+    shape: Histogram
+    columns: tuple[drawing.Column, ...]
+
+
+def card(path: Path | str, out: Path | str) -> None:
+    """Write the card of the store at `path` to `out`, an HTML file.
+
+    Raises `DataError` where the store cannot be read, a frame is broken, or `out` cannot be written.
+    """
+    target = Path(out)
+    if target.is_dir():
+        raise DataError(f"{target}: is a folder; name the page to write, such as {target / 'card.html'}")
+    page = render_card(Store.open(path))
+    if not target.parent.is_dir():
+        raise DataError(f"{target}: its folder does not exist; make it first")
+    write_atomically(target, lambda temporary: _write(temporary, page))
+
+
+def _write(path: Path, page: str) -> None:
+    path.write_text(page, encoding="utf-8")
+
+
+def render_card(store: Store) -> str:
+    """The page; raises `DataError` where the store is broken or empty."""
+    if not len(store):
+        raise DataError(f"{store.path}: holds no episode; there is nothing to show")
+    seen = overview(store)
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("cognitivedrone.data"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"words": lambda name: str(name).replace("_", " "), "megabytes": megabytes}
+    return environment.get_template("card.html.j2").render(
+        seen=seen,
+        manifest=seen.manifest,
+        charts=[_chart(shape) for shape in seen.actions],
+        lengths=_chart(seen.lengths),
+        largest=max(family.total for family in seen.families),
+        action_names=ACTION_NAMES,
+        rows=ROWS,
+        map=drawing.flight_map([store.episode(index) for index in _spread_out(store.indices(), PATHS_DRAWN)]),
+        strips=[_strip(store, family) for family in seen.families],
+        box=(drawing.WIDTH, drawing.HEIGHT),
+    )
+
+
+def _chart(shape: Histogram) -> Chart:
+    return Chart(shape, tuple(drawing.columns(shape)))
+
+
+def _spread_out(indices: list[int], most: int) -> list[int]:
+    """At most so many of them, evenly from the first to the last."""
+    if len(indices) <= most:
+        return indices
+    return [indices[k] for k in np.linspace(0, len(indices) - 1, most).round().astype(int)]
+
+
+def _strip(store: Store, family: FamilyCount) -> Strip:
+    """The first flight of a family."""
+    index = next(facts["index"] for facts in store.facts() if facts["task"]["family"] == family.family)
+    episode = store.episode(index)
+    steps = _spread_out(list(range(len(episode))), STRIP_FRAMES)
+    frames = tuple(_thumbnail(store, episode, step) for step in steps)
+    return Strip(episode, frames, tuple(drawing.traces(episode, ACTION_NAMES)))
+
+
+def _thumbnail(store: Store, episode: Episode, step: int) -> str:
+    try:
+        image = decode_image(episode.images[step])
+    except (OSError, ValueError, SyntaxError) as error:  # Pillow tells of broken PNG chunks by SyntaxError
+        raise DataError(
+            f"{store.path}: the frame of episode {episode.index}, step {step}, is broken ({error})"
+        ) from None
+    buffer = BytesIO()
+    small = Image.fromarray(image).resize((FRAME_PIXELS, FRAME_PIXELS), Image.Resampling.LANCZOS)
+    small.save(buffer, "JPEG", quality=FRAME_QUALITY)
+    return base64.b64encode(buffer.getvalue()).decode("ascii")
