@@ -1,0 +1,133 @@
+"""The data engine through its command: collect, kill, resume, verify, convert, replay, and what is said of mistakes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from cognitivedrone.data.store import Store
+
+
+def command(*arguments: object) -> list[str]:
+    return [sys.executable, "-m", "cognitivedrone.cli", *map(str, arguments)]
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=300, check=False)
+
+
+def ok(*arguments: object) -> str:
+    done = run(*arguments)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def same_shards(a: Path, b: Path) -> bool:
+    names = sorted(path.name for path in (a / "shards").iterdir())
+    return names == sorted(path.name for path in (b / "shards").iterdir()) and all(
+        (a / "shards" / name).read_bytes() == (b / "shards" / name).read_bytes() for name in names
+    )
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    path = tmp_path_factory.mktemp("data") / "set"
+    ok("collect", "--recipe", "debug", "--episodes", 8, "--episodes-per-shard", 4, "--workers", 1, "--out", path)
+    return path
+
+
+def test_a_collected_set_is_whole_and_shown(store, tmp_path):
+    assert "whole" in ok("data", "verify", store)
+    shown = ok("data", "show", store)
+    assert "math_board" in shown.replace(" ", "_")
+    ok("data", "report", store, "--out", tmp_path / "card.html")
+    page = (tmp_path / "card.html").read_text()
+    assert "data:image/" in page
+    assert "http://" not in page.replace("http://www.w3.org", "")
+
+
+def test_two_workers_and_a_killed_run_give_the_same_bytes(store, tmp_path):
+    arguments = ("--recipe", "debug", "--episodes", 8, "--episodes-per-shard", 4)
+    ok("collect", *arguments, "--workers", 2, "--out", tmp_path / "two")
+    assert same_shards(store, tmp_path / "two")
+    killed = tmp_path / "killed"
+    with subprocess.Popen(
+        command("collect", *arguments, "--workers", 1, "--out", killed),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    ) as process:
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline and not list(killed.glob("shards/*.json")):
+            os.sched_yield()
+        os.killpg(process.pid, signal.SIGKILL)
+    assert run("data", "verify", killed).returncode != 0
+    ok("collect", *arguments, "--workers", 1, "--out", killed, "--resume")
+    assert same_shards(store, killed)
+
+
+@pytest.mark.parametrize("form", ["rlds", "lerobot", "published"])
+def test_every_format_there_and_back_flies_the_same_flights(store, tmp_path, form):
+    ok("data", "export", store, "--to", form, "--out", tmp_path / form)
+    ok("data", "import", tmp_path / form, "--from", form, "--out", tmp_path / "back")
+    before = {episode.task.id: episode for episode in Store.open(store).episodes()}
+    after = {episode.task.id: episode for episode in Store.open(tmp_path / "back").episodes()}
+    assert before.keys() == after.keys()
+    for name, episode in before.items():
+        assert after[name].task == episode.task
+        assert after[name].images == episode.images
+        assert after[name].action.tobytes() == episode.action.tobytes()
+    assert "the same bits" in ok("data", "replay", tmp_path / "back", 2)
+
+
+def test_an_altered_shard_is_named(store, tmp_path):
+    copy = tmp_path / "copy"
+    subprocess.run(["cp", "-r", store, copy], check=True)
+    shard = sorted(copy.glob("shards/*.parquet"))[1]
+    content = bytearray(shard.read_bytes())
+    content[len(content) // 2] ^= 1
+    shard.write_bytes(content)
+    done = run("data", "verify", copy)
+    assert done.returncode == 1
+    assert shard.name in done.stdout
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("collect", "--recipe", "papper"), "did you mean 'paper'"),
+        (("collect", "--suite", "open-v1:trian"), "did you mean 'open-v1:train'"),
+        (("collect", "--episodes", 0), "at least 1"),
+        (("data", "export", "STORE", "--to", "rlsd"), "did you mean 'rlds'"),
+        (("data", "import", "STORE", "--from", "lerobto"), "did you mean 'lerobot'"),
+        (("data", "import", "no/such", "--from", "rlds"), "no/such"),
+    ],
+)
+def test_a_mistake_is_one_sentence_and_exit_code_2(store, tmp_path, arguments, says):
+    done = run(*(store if word == "STORE" else word for word in arguments), "--out", tmp_path / "out")
+    assert done.returncode == 2, done.stdout
+    assert says in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_folder_with_another_set_is_left_alone(store):
+    before = (store / "manifest.json").read_bytes()
+    assert run("collect", "--recipe", "debug", "--episodes", 8, "--out", store).returncode == 2
+    done = run("collect", "--recipe", "paper", "--episodes", 8, "--out", store, "--resume")
+    assert done.returncode == 2
+    assert "another" in done.stderr
+    assert (store / "manifest.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("what", ["show", "verify", "report"])
+def test_a_folder_that_is_no_set_is_said_to_be_none(tmp_path, what):
+    done = run("data", what, tmp_path)
+    assert done.returncode == 2, done.stdout
+    assert "no data set" in done.stderr
