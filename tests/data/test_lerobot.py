@@ -173,8 +173,3 @@ def test_data_of_others_is_told_apart(copied):
     pq.write_table(pq.read_table(path).drop_columns(["record"]), path)
     with pytest.raises(DataError, match="only own exports can be imported"):
         list(import_(copied, "lerobot"))
-
-
-def test_nothing_is_overwritten(copied):
-    with pytest.raises(DataError, match="exists already"):
-        export(FLIGHTS, "lerobot", copied)

@@ -189,11 +189,6 @@ def test_no_data_set_is_told(tmp_path):
         list(import_(tmp_path, "published"))
 
 
-def test_nothing_is_overwritten(exported):
-    with pytest.raises(DataError, match="exists already"):
-        export(FLIGHTS, "published", exported)
-
-
 @pytest.mark.skipif(not UPSTREAM.is_dir(), reason="the published tasks are not at hand")
 def test_published_tasks_serve_as_setups(foreign):
     tasks = json.loads((UPSTREAM / "Animals.json").read_text())

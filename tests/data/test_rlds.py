@@ -145,37 +145,11 @@ def test_data_of_others_is_told_apart(copied):
         list(import_(copied, "rlds"))
 
 
-def test_nothing_is_overwritten(copied):
-    before = shard(copied).read_bytes()
-    with pytest.raises(DataError, match="exists already"):
-        export(FLIGHTS, "rlds", copied)
-    assert shard(copied).read_bytes() == before
-
-
-@pytest.mark.parametrize("to", ["rlds", "lerobot", "lerobot-video", "published"])
-def test_a_failed_export_leaves_nothing(tmp_path, to):
-    def broken():
-        yield "train", make_episode(0, 2)
-        raise DataError("the store is broken")
-
-    with pytest.raises(DataError, match="the store is broken"):
-        export(broken(), to, tmp_path / "set")
-    with pytest.raises(DataError, match="no episode to export"):
-        export([], to, tmp_path / "set")
-    assert not list(tmp_path.iterdir())
-
-
-def test_unwritable_folders_are_named(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(DataError, match="cannot be written"):
-        export(FLIGHTS, "rlds", tmp_path / "file" / "set")
-
-
-def test_unknown_formats_have_near_names(tmp_path):
-    with pytest.raises(DataError, match="unknown export format 'rlsd'; did you mean 'rlds'"):
-        export(FLIGHTS, "rlsd", tmp_path / "set")
-    with pytest.raises(DataError, match="unknown import format 'lerobt'; did you mean 'lerobot'"):
-        import_(tmp_path, "lerobt")
+def test_data_sets_of_other_names_are_told_apart(copied):
+    path = copied / "cognitivedrone/1.0.0/dataset_info.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"name": "bridge"}))
+    with pytest.raises(DataError, match="is data set 'bridge'; only own exports"):
+        list(import_(copied, "rlds"))
 
 
 def test_framing_matches_a_record_that_tensorflow_wrote(tmp_path):

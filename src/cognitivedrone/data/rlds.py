@@ -67,7 +67,11 @@ def read(path: Path) -> Iterator[tuple[Split, Episode]]:
     """
     folder = path if (path / "dataset_info.json").exists() else path / NAME / VERSION
     info = read_json(folder / "dataset_info.json")
-    for split in info.get("splits", []):
+    if info.get("name") != NAME:
+        raise DataError(
+            f"{folder}: is data set {info.get('name')!r}; only own exports, named {NAME!r}, can be imported"
+        )
+    for split in info["splits"]:
         lengths = [int(length) for length in split["shardLengths"]]
         for number, length in enumerate(lengths):
             shard = folder / _shard_name(split["name"], number, len(lengths))

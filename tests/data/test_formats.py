@@ -1,0 +1,134 @@
+"""What holds for every format: each is whole or absent, streams, and carries the facts."""
+
+import errno
+import weakref
+from pathlib import Path
+
+import numpy as np
+import pytest
+from factory import make_episode
+
+from cognitivedrone.data.episode import decode_image
+from cognitivedrone.data.formats import EXPORTS, IMPORTS, export, import_
+from cognitivedrone.errors import DataError
+
+FLIGHTS = [("val" if index % 3 == 1 else "train", make_episode(index, 2, encoding="jpeg")) for index in range(10)]
+
+
+class Tracked(np.ndarray):
+    """An array that a weak set can hold."""
+
+    __hash__ = object.__hash__
+
+
+def reader_of(to):
+    return to.removesuffix("-video")
+
+
+def test_every_export_has_an_import():
+    assert {reader_of(to) for to in EXPORTS} == set(IMPORTS)
+
+
+@pytest.mark.parametrize("to", EXPORTS)
+def test_splits_tasks_conditions_and_numbers_travel(tmp_path, to):
+    assert export(FLIGHTS, to, tmp_path / "set") == len(FLIGHTS)
+    back = {episode.index: (split, episode) for split, episode in import_(tmp_path / "set", reader_of(to))}
+    assert len(back) == len(FLIGHTS)
+    for split, before in FLIGHTS:
+        assert back[before.index][0] == split
+        after = back[before.index][1]
+        assert (after.task, after.conditions, after.suite) == (before.task, before.conditions, before.suite)
+        for name in ("action", "sent", "state", "position", "quaternion", "final_position"):
+            np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
+        for one, other in zip(before.images, after.images, strict=True):
+            assert np.abs(decode_image(one).astype(int) - decode_image(other)).mean() < 4
+
+
+@pytest.mark.parametrize("to", EXPORTS)
+def test_the_same_episodes_give_the_same_bytes(tmp_path, to):
+    written = []
+    for name in ("a", "b"):
+        export(FLIGHTS, to, tmp_path / name)
+        files = (path for path in sorted((tmp_path / name).rglob("*")) if path.is_file())
+        written.append({path.relative_to(tmp_path / name): path.read_bytes() for path in files})
+    assert written[0] == written[1]
+
+
+@pytest.mark.parametrize("to", EXPORTS)
+def test_one_episode_is_in_memory_at_a_time(tmp_path, to):
+    alive = weakref.WeakSet()
+
+    def flights():
+        for index in range(8):
+            episode = make_episode(index, 2)
+            object.__setattr__(episode, "final_position", episode.final_position.view(Tracked))
+            alive.add(episode.final_position)
+            assert len(alive) <= 3, "the writer hoards episodes"
+            yield "train" if index % 2 else "val", episode
+            del episode
+
+    export(flights(), to, tmp_path / "set")
+
+
+@pytest.mark.parametrize("to", EXPORTS)
+def test_nothing_is_overwritten(tmp_path, to):
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "precious").write_text("mine")
+    with pytest.raises(DataError, match="set: exists already; give a new or an empty folder"):
+        export(FLIGHTS, to, tmp_path / "set")
+    with pytest.raises(DataError, match="precious: exists already"):
+        export(FLIGHTS, to, tmp_path / "set" / "precious")
+    assert [path.name for path in tmp_path.rglob("*")] == ["set", "precious"]
+    assert (tmp_path / "set" / "precious").read_text() == "mine"
+
+
+@pytest.mark.parametrize("to", EXPORTS)
+def test_an_empty_folder_is_taken(tmp_path, to):
+    assert export(FLIGHTS[:1], to, tmp_path) == 1
+    assert any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("to", EXPORTS)
+@pytest.mark.parametrize("failure", [DataError("shard-3 is broken"), KeyboardInterrupt()])
+def test_an_export_that_fails_leaves_nothing(tmp_path, to, failure):
+    def broken():
+        yield from FLIGHTS[:3]
+        raise failure
+
+    with pytest.raises(type(failure)):
+        export(broken(), to, tmp_path / "set")
+    with pytest.raises(DataError, match="no episode to export"):
+        export([], to, tmp_path / "set")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, monkeypatch):
+    def full(*_args):
+        raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "shard"))
+
+    monkeypatch.setattr("cognitivedrone.data.rlds.write_record", full)
+    with pytest.raises(DataError, match=r"shard: cannot be written \(No space left on device\)"):
+        export(FLIGHTS, "rlds", tmp_path / "set")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("to", EXPORTS)
+def test_unwritable_folders_are_named(tmp_path, to):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DataError, match=r"file.*: cannot be written"):
+        export(FLIGHTS, to, tmp_path / "file" / "set")
+
+
+def test_unknown_formats_have_near_names(tmp_path):
+    with pytest.raises(DataError, match="unknown export format 'rlsd'; did you mean 'rlds'"):
+        export(FLIGHTS, "rlsd", tmp_path / "set")
+    with pytest.raises(DataError, match="unknown import format 'lerobt'; did you mean 'lerobot'"):
+        import_(tmp_path, "lerobt")
+
+
+def test_a_writer_of_ones_own_is_named_by_its_module(tmp_path):
+    assert export(FLIGHTS, f"{__name__}:count_only", tmp_path / "set") == len(FLIGHTS)
+
+
+def count_only(episodes, out: Path):
+    return len(list(episodes))
