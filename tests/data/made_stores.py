@@ -8,7 +8,7 @@ from pathlib import Path
 from cognitivedrone.data.episode import Episode
 from cognitivedrone.data.store import StoreWriter
 
-RECIPE = {"name": "test", "kick_rate": 0.1}
+RECIPE = {"name": "test", "kick_rate": 0.1, "speed_m_s": (1.0, 2.5)}
 PER_SHARD = 8
 
 

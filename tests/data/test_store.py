@@ -11,6 +11,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -18,7 +19,7 @@ import pytest
 from factory import assert_same_episode, make_episode
 from made_stores import RECIPE, write_store, writer_at
 
-from cognitivedrone.data.episode import Encoding, Episode, decode_image
+from cognitivedrone.data.episode import Encoding, Episode, decode_image, encode_image
 from cognitivedrone.data.store import Store, StoreWriter
 from cognitivedrone.data.verify import verify
 from cognitivedrone.errors import DataError
@@ -262,6 +263,23 @@ def test_a_broken_frame_is_named(tmp_path: Path, encoding: Encoding) -> None:
     assert len(store.steps([0, 2])["image"]) == 2
     with pytest.raises(DataError, match=r"shard-00000\.parquet: the frame of episode 0, step 1, is broken"):
         store.steps([0, 1], threads=2)
+
+
+def test_a_frame_of_another_size_is_named(tmp_path: Path) -> None:
+    flight = make_episode(0, length=2)
+    small = encode_image(np.zeros((64, 80, 3), np.uint8), "png")
+    store = Store.open(write_store(tmp_path / "store", [replace(flight, images=(flight.images[0], small))]))
+    with pytest.raises(DataError, match=r"step 1, is broken \(it is 80x64, not 256x256\)"):
+        store.steps([1])
+
+
+def test_the_example_of_the_documentation_runs(sound_store: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "store.md").read_text(encoding="utf-8")
+    example = page.partition("```python\n")[2].partition("```")[0].replace("data/paper", str(sound_store))
+    scope: dict[str, Any] = {}
+    exec(example, scope)  # noqa: S102
+    assert scope["batch"]["image"].shape == (64, 256, 256, 3)
+    assert scope["episode"].index == 17
 
 
 def test_what_is_not_there_cannot_be_read(sound_store: Path) -> None:

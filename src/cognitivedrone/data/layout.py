@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -59,3 +59,22 @@ def flown_in(shards: Sequence[ShardFile]) -> list[Flown]:
 def shard_name(number: int) -> str:
     """Of shard `number`, relative to the store."""
     return f"shards/shard-{number:05d}.parquet"
+
+
+def check_same_making(path: Path, manifest: Any, head: Mapping[str, Any]) -> None:
+    """Raise `DataError` unless the store at `path` was begun with this head of a manifest."""
+    check_format(path, manifest)
+    for key, ours in head.items():
+        theirs = manifest.get(key)
+        if theirs != ours:
+            raise DataError(
+                f"{path}: holds a data set of another {key.replace('_', ' ')} ({_difference(theirs, ours)}); "
+                "give another folder, or the same settings as before"
+            )
+
+
+def _difference(theirs: Any, ours: Any) -> str:
+    if isinstance(theirs, dict) and isinstance(ours, dict):
+        keys = sorted(key for key in theirs.keys() | ours.keys() if theirs.get(key) != ours.get(key))
+        return ", ".join(f"{key}: {theirs.get(key)!r} there, {ours.get(key)!r} here" for key in keys[:3])
+    return f"{theirs!r} there, {ours!r} here"

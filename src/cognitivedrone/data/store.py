@@ -15,6 +15,7 @@ collection that dies at any moment is finished by writing the shards that have n
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -35,16 +36,24 @@ from cognitivedrone.data.layout import (
     MANIFEST,
     STATISTICS,
     TASKS,
-    check_format,
+    check_same_making,
     flown_in,
     read_manifest,
     shard_name,
 )
-from cognitivedrone.data.shards import ShardFile, read_json, sha256_of, write_atomically, write_json, write_shard_file
+from cognitivedrone.data.shards import (
+    ShardFile,
+    clear_errors,
+    read_json,
+    sha256_of,
+    write_atomically,
+    write_json,
+    write_shard_file,
+)
 from cognitivedrone.data.statistics import SPLITS, statistics, validation_indices
 from cognitivedrone.errors import DataError, did_you_mean
 from cognitivedrone.tasks.format import write_tasks
-from cognitivedrone.types import Action, FloatArray, Image
+from cognitivedrone.types import IMAGE_SIZE, Action, FloatArray, Image
 
 EPISODES_PER_SHARD: Final = 64
 PACKAGES: Final = ("cognitivedrone", "mujoco", "numpy", "pillow", "pyarrow")
@@ -74,26 +83,27 @@ class StoreWriter:
         self._head = {
             "format": FORMAT,
             "version": FORMAT_VERSION,
-            "recipe": dict(recipe),
+            "recipe": json.loads(json.dumps(dict(recipe))),  # as it comes back: tuples are lists
             "suite": {"name": suite_name, "digest": suite_digest},
             "seed": seed,
             "episodes_per_shard": episodes_per_shard,
             "versions": {package: version(package) for package in PACKAGES},
         }
+        with clear_errors(self.path, "written"):
+            self._start(resume)
+
+    def _start(self, resume: bool) -> None:
         manifest = self.path / MANIFEST
         if manifest.exists():
             if not resume:
                 raise DataError(f"{self.path}: holds a data set already; go on with --resume or give another folder")
-            self._check_same_making(read_json(manifest))
+            check_same_making(self.path, read_json(manifest), self._head)
             for left_over in self.path.rglob(".*.tmp"):
                 left_over.unlink(missing_ok=True)
             return
         if self.path.is_dir() and any(self.path.iterdir()) and not self._only_leftovers():
             raise DataError(f"{self.path}: is not empty and no data set of ours; give a new folder")
-        try:
-            (self.path / "shards").mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise DataError(f"{self.path}: cannot be written ({error.strerror}); give a folder of yours") from None
+        (self.path / "shards").mkdir(parents=True, exist_ok=True)
         write_json(manifest, self._head | {"complete": False})
 
     def _only_leftovers(self) -> bool:
@@ -102,16 +112,6 @@ class StoreWriter:
             entry.name.startswith(f".{MANIFEST}.") or (entry.name == "shards" and not any(entry.iterdir()))
             for entry in self.path.iterdir()
         )
-
-    def _check_same_making(self, manifest: Any) -> None:
-        check_format(self.path, manifest)
-        for key, ours in self._head.items():
-            theirs = manifest.get(key)
-            if theirs != ours:
-                raise DataError(
-                    f"{self.path}: holds a data set of another {key.replace('_', ' ')} ({_difference(theirs, ours)}); "
-                    "give another folder, or the same settings as before"
-                )
 
     def missing_shards(self, total: int) -> list[int]:
         """Of the shards 0 to total - 1, those that are not on disk whole: what is left to fly."""
@@ -138,7 +138,8 @@ class StoreWriter:
             twice = Counter(indices).most_common(1)[0][0]
             raise DataError(f"shard {number}: episode {twice} comes twice; give every index once")
         path = self.path / shard_name(number)
-        self._receipt_path(number).unlink(missing_ok=True)
+        with clear_errors(path, "written"):
+            self._receipt_path(number).unlink(missing_ok=True)
         write_shard_file(path, ordered, dropped)
         receipt = {
             "file": shard_name(number),
@@ -237,7 +238,7 @@ class Store:
 
     @classmethod
     def open(cls, path: Path | str) -> Store:
-        """The store at `path`; see the constructor."""
+        """Same as the constructor."""
         return cls(path)
 
     def __reduce__(self) -> tuple[type[Store], tuple[Path]]:
@@ -277,12 +278,10 @@ class Store:
         """The episode of that index; raises `DataError` where the store has none, or its shard is broken."""
         place = self._places.get(index)
         if place is None:
-            raise DataError(f"{self.path}: has no episode {index}; its {len(self)} episodes are {self._range()}")
+            known = f"{min(self._places)} to {max(self._places)}" if self._places else "none"
+            raise DataError(f"{self.path}: has no episode {index}; its {len(self)} episodes are {known}")
         with self._lock:
             return self._file(place.shard).episode(index)
-
-    def _range(self) -> str:
-        return f"{min(self._places)} to {max(self._places)}" if self._places else "none"
 
     def episodes(self, split: Split | None = None) -> Iterator[Episode]:
         """All episodes of a split, or all, in order of index, one in memory at a time."""
@@ -339,13 +338,14 @@ class Store:
         table = self._numbers
         rows = np.searchsorted(table.first_steps, wanted, side="right") - 1
         encoded = self._encoded([table.indices[row] for row in rows], wanted - table.first_steps[rows])
+        images = np.empty((len(wanted), IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
         if threads > 1:
             with ThreadPoolExecutor(threads) as pool:
-                images = list(pool.map(self._decode, encoded))
+                list(pool.map(self._decode_into, images, encoded))  # the list passes errors on
         else:
-            images = list(map(self._decode, encoded))
+            list(map(self._decode_into, images, encoded))
         return Batch(
-            image=np.stack(images) if images else np.empty((0, 0, 0, 3), np.uint8),
+            image=images,
             state=table.state[wanted],
             action=table.action[wanted],
             instruction=[table.instructions[row] for row in rows],
@@ -360,9 +360,12 @@ class Store:
                     columns[index] = self._file(self._places[index].shard).images(index)
             yield _Frame(index, step, columns[index][step].as_py())
 
-    def _decode(self, frame: _Frame) -> Image:
+    def _decode_into(self, image: Image, frame: _Frame) -> None:
         try:
-            return decode_image(frame.data)
+            decoded = decode_image(frame.data)
+            if decoded.shape != image.shape:
+                raise ValueError(f"it is {decoded.shape[1]}x{decoded.shape[0]}, not {IMAGE_SIZE}x{IMAGE_SIZE}")
+            image[:] = decoded
         except (OSError, ValueError, SyntaxError) as error:  # Pillow tells of broken PNG chunks by SyntaxError
             file = self.manifest["shards"][self._places[frame.index].shard]["file"]
             raise DataError(
@@ -388,10 +391,3 @@ class _Numbers:
     state: NDArray[np.float32]
     instructions: list[str]
     directives: list[str]
-
-
-def _difference(theirs: Any, ours: Any) -> str:
-    if isinstance(theirs, dict) and isinstance(ours, dict):
-        keys = sorted(key for key in theirs.keys() | ours.keys() if theirs.get(key) != ours.get(key))
-        return ", ".join(f"{key}: {theirs.get(key)!r} there, {ours.get(key)!r} here" for key in keys[:3])
-    return f"{theirs!r} there, {ours!r} here"
