@@ -1,6 +1,6 @@
 """What holds for every format: each is whole or absent, streams, and carries the facts."""
 
-import errno
+import resource
 import weakref
 from pathlib import Path
 
@@ -102,13 +102,16 @@ def test_an_export_that_fails_leaves_nothing(tmp_path, to, failure):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, monkeypatch):
-    def full(*_args):
-        raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "shard"))
-
-    monkeypatch.setattr("cognitivedrone.data.rlds.write_record", full)
-    with pytest.raises(DataError, match=r"shard: cannot be written \(No space left on device\)"):
-        export(FLIGHTS, "rlds", tmp_path / "set")
+@pytest.mark.parametrize("to", EXPORTS)
+def test_what_cannot_be_written_is_told_and_leaves_nothing(tmp_path, to):
+    """A limit on the size of files fails in the midst of one, as a full disk does."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, hard))
+    try:
+        with pytest.raises(DataError, match=r"cannot be written \(.*File too large.*\); nothing was left at .*set"):
+            export(FLIGHTS, to, tmp_path / "set")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert not list(tmp_path.iterdir())
 
 
