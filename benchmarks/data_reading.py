@@ -1,7 +1,8 @@
 """Random frames a second from a store, as training reads them: python benchmarks/data_reading.py [STORE].
 
 Without a store, a small one of rendered-looking frames is made for each encoding. Prints medians over repetitions of
-batches of 64 random steps (frame decoded, action, state, instruction), and the ratio to decoding alone from memory.
+batches of 64 random steps (frame decoded, action, state, instruction), processor time a frame, and the ratio to decoding
+alone, from memory and in one thread.
 """
 
 from __future__ import annotations
@@ -88,16 +89,20 @@ def measure(store: Store) -> None:
     bare = rate(lambda: [decode_image(image) for image in one_frame])
     for threads in (1, 2):
         store.steps([0], threads)  # reads the numbers once
+        before = time.process_time()
         got = rate(lambda threads=threads: store.steps(rng.integers(0, store.n_steps, BATCH), threads))
-        print(f"| {first.encoding} | {kilobytes:.1f} | {len(store)} | {threads} | {got:,.0f} | {got / bare:.2f} |")
+        cpu = 1e3 * (time.process_time() - before) / (REPEATS * BATCH)
+        print(
+            f"| {first.encoding} | {kilobytes:.1f} | {len(store):,} | {threads} | {got:,.0f} | {cpu:.2f} | {got / bare:.2f} |"
+        )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("store", nargs="?", type=Path)
     path = parser.parse_args().store
-    print("| encoding | KB a frame | episodes | threads | random frames/s | over one thread of bare decoding |")
-    print("|---|---|---|---|---|---|")
+    print("| encoding | KB a frame | episodes | threads | random frames/s | CPU ms a frame | over bare decoding |")
+    print("|---|---|---|---|---|---|---|")
     if path is not None:
         measure(Store.open(path))
         return

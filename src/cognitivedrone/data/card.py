@@ -6,6 +6,7 @@ The page is the same for the same store. Everything shown is computed here; the 
 from __future__ import annotations
 
 import base64
+import math
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -23,6 +24,8 @@ from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
 
 STRIP_FRAMES: Final = 6
+SHOWN_SHARE: Final = 0.87
+"""Of a flight; in its last steps the gate has left the view."""
 FRAME_PIXELS: Final = 160
 FRAME_QUALITY: Final = 78
 PATHS_DRAWN: Final = 240
@@ -107,7 +110,7 @@ def _strip(store: Store, family: FamilyCount) -> Strip:
     """The first flight of a family."""
     index = next(facts["index"] for facts in store.facts() if facts["task"]["family"] == family.family)
     episode = store.episode(index)
-    steps = _spread_out(list(range(len(episode))), STRIP_FRAMES)
+    steps = _spread_out(list(range(math.ceil(SHOWN_SHARE * len(episode)))), STRIP_FRAMES)
     frames = tuple(_thumbnail(store, episode, step) for step in steps)
     return Strip(episode, frames, tuple(drawing.traces(episode, ACTION_NAMES)))
 
