@@ -1,8 +1,8 @@
 """Random frames a second from a store, as training reads them: python benchmarks/data_reading.py [STORE].
 
 Without a store, a small one of rendered-looking frames is made for each encoding. Prints medians over repetitions of
-batches of 64 random steps (frame decoded, action, state, instruction), processor time a frame, and the ratio to decoding
-alone, from memory and in one thread.
+batches of 64 random steps (frame decoded, action, state, instruction), processor time a frame, and the ratio to
+decoding alone, from memory and in one thread.
 """
 
 from __future__ import annotations
@@ -92,9 +92,8 @@ def measure(store: Store) -> None:
         before = time.process_time()
         got = rate(lambda threads=threads: store.steps(rng.integers(0, store.n_steps, BATCH), threads))
         cpu = 1e3 * (time.process_time() - before) / (REPEATS * BATCH)
-        print(
-            f"| {first.encoding} | {kilobytes:.1f} | {len(store):,} | {threads} | {got:,.0f} | {cpu:.2f} | {got / bare:.2f} |"
-        )
+        of_store = f"| {first.encoding} | {kilobytes:.1f} | {len(store):,} | {threads} "
+        print(f"{of_store}| {got:,.0f} | {cpu:.2f} | {got / bare:.2f} |")
 
 
 def main() -> None:
