@@ -1,8 +1,8 @@
 """Random frames a second from a store, as training reads them: python benchmarks/data_reading.py [STORE].
 
-Without a store, a small one of rendered-looking frames is made for each encoding. Prints medians over repetitions of
-batches of 64 random steps (frame decoded, action, state, instruction), processor time a frame, and the ratio to
-decoding alone, from memory and in one thread.
+Prints medians over repetitions of batches of 64 random steps (frame decoded, action, state, instruction), processor
+time a frame, and the ratio to decoding alone, from memory and in one thread; of a given store, also the rate of two
+processes at once. Without a store, a small one of rendered-looking frames is made for each encoding.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -96,6 +98,25 @@ def measure(store: Store) -> None:
         print(f"{of_store}| {got:,.0f} | {cpu:.2f} | {got / bare:.2f} |")
 
 
+def read_batches(path: Path, seed: int) -> tuple[float, float]:
+    """When a process that has the store open began and ended to read `2 * REPEATS` batches, on the machine's clock."""
+    store = Store.open(path)
+    store.steps([0])
+    rng = np.random.default_rng(seed)
+    start = time.perf_counter()
+    for _ in range(2 * REPEATS):
+        store.steps(rng.integers(0, store.n_steps, BATCH))
+    return start, time.perf_counter()
+
+
+def measure_processes(path: Path, processes: int = 2) -> None:
+    """As data loaders of training frameworks read: each process for itself."""
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        times = list(pool.map(read_batches, [path] * processes, range(processes)))
+    seconds = max(end for _, end in times) - min(start for start, _ in times)
+    print(f"{processes} processes of one thread: {processes * 2 * REPEATS * BATCH / seconds:,.0f} random frames/s")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("store", nargs="?", type=Path)
@@ -104,6 +125,7 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|")
     if path is not None:
         measure(Store.open(path))
+        measure_processes(path)
         return
     for encoding in ENCODINGS:
         with tempfile.TemporaryDirectory() as folder:
