@@ -9,7 +9,7 @@ from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.frames import rotate_yaw, yaw_of
 from cognitivedrone.labels import load_pack
-from cognitivedrone.policies.expert import Expert, ExpertConfig, plan
+from cognitivedrone.policies.expert import Expert, ExpertConfig, intent, plan
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import load_suite
 
@@ -74,8 +74,8 @@ def test_faster_is_sooner():
 
 def test_the_path_leads_through_the_gate_along_its_axis():
     gate, normal = np.array([4.0, 4.0, 0.9]), np.array([np.sqrt(0.5), np.sqrt(0.5), 0.0])
-    path, _ = plan(np.array([-1.0, 0.5, 1.4]), gate, normal, ExpertConfig())
-    points = path(np.linspace(0, path.x[-1], 2000))
+    way = plan(np.array([-1.0, 0.5, 1.4]), gate, normal, ExpertConfig())
+    points = np.array([way.at(metres) for metres in np.linspace(0, 8, 2000)])
     nearest = int(np.argmin(np.linalg.norm(points - gate, axis=1)))
     assert np.linalg.norm(points[nearest] - gate) < 0.01
     direction = np.diff(points, axis=0)[nearest]
@@ -85,3 +85,15 @@ def test_the_path_leads_through_the_gate_along_its_axis():
 def test_without_the_truth_it_says_so():
     with pytest.raises(PolicyError, match="truth"):
         Expert().command()
+
+
+def test_many_intents_at_once_are_those_of_each_alone():
+    rng = np.random.default_rng(0)
+    position, velocity = rng.uniform((-3, -3, 0.3), (3, 3, 2), (40, 3)), rng.uniform(-1, 1, (40, 3))
+    yaw, gate_yaw = rng.uniform(-1, 1, 40), rng.uniform(-0.8, 0.8, 40)
+    gate = np.array([4.5, 0.0, 0.9]) + rng.uniform(-1, 1, (40, 3))
+    together = intent(position, velocity, yaw, gate, gate_yaw, ExpertConfig())
+    rows = zip(position, velocity, yaw, gate, gate_yaw, strict=True)
+    alone = np.array([intent(p, v, np.asarray(y), g, np.asarray(h), ExpertConfig()) for p, v, y, g, h in rows])
+    np.testing.assert_allclose(together, alone, atol=1e-12)
+    assert np.linalg.norm(together[:, :3], axis=1).max() <= ExpertConfig().speed_m_s + 1e-9

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -46,32 +45,75 @@ class ExpertConfig:
     """Bound on the change of the commanded yaw rate, rad/s2."""
 
 
-def plan(start: FloatArray, gate: FloatArray, normal: FloatArray, config: ExpertConfig) -> tuple[Any, float]:
-    """The way from `start` onto the gate's axis and along it: a spline of metres, and how long its curved part is.
+@dataclass(frozen=True, slots=True)
+class Way:
+    """Ways onto gates' axes and along them, any number at once."""
 
-    `start` and `gate` are (3,), world, m; `normal` is the unit direction (3,) to cross the gate in. The spline (a
-    `CubicHermiteSpline` giving (3,)) leaves toward the axis, meets it with the axis' direction, and is straight from
-    there, through the gate's centre where the drone is still before it.
+    curve: CubicHermiteSpline
+    """Of (..., 3), world, m: the curved part, from 0 to 1."""
+    length: FloatArray
+    """(...,) of the curved part, m."""
+    normal: FloatArray
+    """(..., 3) direction of the straight part."""
+
+    def at(self, metres: float) -> FloatArray:
+        """The points (..., 3) so far along the ways, world, m."""
+        share = np.minimum(metres / self.length, 1.0)[..., None]
+        beyond = np.maximum(metres - self.length, 0.0)[..., None]
+        a, b, c, d = self.curve.c[:, 0]
+        point: FloatArray = ((a * share + b) * share + c) * share + d + beyond * self.normal
+        return point
+
+
+def plan(start: FloatArray, gate: FloatArray, normal: FloatArray, config: ExpertConfig) -> Way:
+    """The ways from `start` (..., 3) onto the axis of the gate at `gate` (..., 3) and along it, world, m.
+
+    `normal` (..., 3) is the unit direction to cross the gate in. The curve leaves toward the axis, meets it with the
+    axis' direction, and is straight from there, through the gate's centre where the drone is still before it.
     """
-    along = float((gate - start) @ normal)
-    join = gate - min(config.straight_m, along - config.lookahead_m) * normal
+    along = ((gate - start) * normal).sum(axis=-1, keepdims=True)
+    join = gate - np.minimum(config.straight_m, along - config.lookahead_m) * normal
     chord = join - start
-    length = float(np.sqrt(chord @ chord))
-    knots = np.array([0.0, length, length + 3.0])
-    points = np.array([start, join, join + 3.0 * normal])
-    return CubicHermiteSpline(knots, points, np.array([chord / length, normal, normal])), length
+    length = np.maximum(np.sqrt((chord * chord).sum(axis=-1)), 1e-6)
+    curve = CubicHermiteSpline([0.0, 1.0], np.stack([start, join]), np.stack([chord, normal * length[..., None]]))
+    return Way(curve, length, normal)
 
 
 def wish(start: FloatArray, gate: FloatArray, normal: FloatArray, config: ExpertConfig) -> FloatArray:
-    """Velocity (3,) that follows the path of `plan` from its start, world, m/s."""
-    path, length = plan(start, gate, normal, config)
-    first, second = path(_GRID * length, 1), path(_GRID * length, 2)
-    bend = np.sqrt((second * second).sum(axis=1)) / np.maximum((first * first).sum(axis=1), 1e-6)
-    corner = np.sqrt(config.lateral_m_s2 / max(float(bend.max()), 1e-6))
-    speed = min(config.speed_m_s, max(config.slow_m_s, corner))
-    aim: FloatArray = path(config.lookahead_m) - start
-    velocity: FloatArray = aim * (speed / max(float(np.sqrt(aim @ aim)), 1e-6))
+    """Velocities (..., 3) that follow the way of `plan` from its start, world, m/s."""
+    way = plan(start, gate, normal, config)
+    first, second = way.curve(_GRID, 1), way.curve(_GRID, 2)
+    bend = np.sqrt((second * second).sum(axis=-1)) / np.maximum((first * first).sum(axis=-1), 1e-6)
+    corner = np.sqrt(config.lateral_m_s2 / np.maximum(bend.max(axis=0), 1e-6))
+    speed = np.minimum(config.speed_m_s, np.maximum(config.slow_m_s, corner))
+    aim = way.at(config.lookahead_m) - start
+    velocity: FloatArray = aim * (speed / np.maximum(np.sqrt((aim * aim).sum(axis=-1)), 1e-6))[..., None]
     return velocity
+
+
+def turn_rate(wanted: FloatArray, yaw: FloatArray, config: ExpertConfig) -> FloatArray:
+    """Yaw rates (...,), rad/s, that turn the nose from `yaw` (...,) to where `wanted` (..., 3), world, leads."""
+    turn = wrap_angle(np.arctan2(wanted[..., 1], wanted[..., 0]) - yaw)
+    rate: FloatArray = np.clip(config.yaw_gain * turn, -config.yaw_rate_max, config.yaw_rate_max)
+    return rate
+
+
+def intent(
+    position: FloatArray,
+    velocity: FloatArray,
+    yaw: FloatArray,
+    gate: FloatArray,
+    gate_yaw: FloatArray,
+    config: ExpertConfig,
+) -> FloatArray:
+    """What the expert wants right now, before it is smoothed: (..., 4), heading frame, m/s and rad/s.
+
+    It follows from the moment alone, so it is what a policy without memory learns: position, velocity and gate centre
+    (..., 3), world, m and m/s; yaw of the drone and of the gate's outward normal (...,), rad.
+    """
+    normal = np.stack([np.cos(gate_yaw), np.sin(gate_yaw), np.zeros_like(gate_yaw)], axis=-1)
+    wanted = wish(position + velocity * config.lag_s, gate, normal, config)
+    return np.concatenate([world_to_heading(wanted, yaw), turn_rate(wanted, yaw, config)[..., None]], axis=-1)
 
 
 def within(vector: FloatArray, limit: float) -> FloatArray:
@@ -128,8 +170,7 @@ class Expert:
         wanted = wish(start, gate_centers(stage)[target], normal, config)
         velocity = self._shaped(wanted)
         yaw = float(yaw_of(state.quaternion))
-        turn = float(wrap_angle(np.arctan2(wanted[1], wanted[0]) - yaw))  # nose where it flies
-        rate = float(np.clip(config.yaw_gain * turn, -config.yaw_rate_max, config.yaw_rate_max))
+        rate = float(turn_rate(wanted, np.asarray(yaw), config))
         step = config.yaw_acceleration * _PERIOD_S
         self._yaw_rate += float(np.clip(rate - self._yaw_rate, -step, step))
         return np.array([*world_to_heading(velocity, yaw), self._yaw_rate], dtype=np.float32)
