@@ -1,0 +1,100 @@
+"""Sentences to numbers: a small closed vocabulary, with a fall-back for words it does not hold."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cognitivedrone.errors import PolicyError
+
+PAD, UNKNOWN = "<pad>", "<unknown>"
+"""The first two words of every vocabulary: what fills a sentence up, and what stands for a word it does not hold."""
+
+_POSSESSIVE = re.compile(r"(?<=[a-z])'s\b")
+_TOKEN = re.compile(r"[0-9]+|[a-z]+|[^\sa-z0-9]")
+_ONES = (
+    "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen seventeen"
+    " eighteen nineteen twenty"
+)
+_TENS = "thirty forty fifty sixty seventy eighty ninety hundred"
+NUMBER_WORDS: dict[str, str] = {
+    **{word: str(number) for number, word in enumerate(_ONES.split())},
+    **{word: str(10 * ten) for ten, word in enumerate(_TENS.split(), start=3)},
+}
+_PLURALS = (("ies", "y"), ("es", ""), ("s", ""))
+"""Endings of plurals, and what the singular has in their place."""
+
+
+def words_of(text: str) -> list[str]:
+    """The words of a sentence: runs of letters in lower case without accents, runs of digits, every other sign alone.
+
+    The possessive 's is left out: "McDonald's" is read as "mcdonald".
+    """
+    text = text.lower()
+    if not text.isascii():
+        folded = unicodedata.normalize("NFKD", text.replace("\u2019", "'"))
+        text = "".join(sign for sign in folded if not unicodedata.combining(sign)).lower()
+    return _TOKEN.findall(_POSSESSIVE.sub("", text) if "'" in text else text)
+
+
+@dataclass(frozen=True, slots=True)
+class Vocabulary:
+    """The words a model knows; a word's number is its place."""
+
+    words: tuple[str, ...]
+    """`PAD`, `UNKNOWN`, then the words."""
+    _numbers: dict[str, tuple[int, ...]] = field(init=False, repr=False, compare=False)
+    """Of every known word."""
+
+    def __post_init__(self) -> None:
+        """Raises `PolicyError` where the first two words are not `PAD` and `UNKNOWN`, or a word comes twice."""
+        if self.words[:2] != (PAD, UNKNOWN):
+            raise PolicyError(f"a vocabulary begins with {PAD!r} and {UNKNOWN!r}, not with {self.words[:2]!r}")
+        numbers = {word: (number,) for number, word in enumerate(self.words)}
+        if len(numbers) != len(self.words):
+            twice = next(word for number, word in enumerate(self.words) if numbers[word] != (number,))
+            raise PolicyError(f"a vocabulary holds every word once; {twice!r} comes twice")
+        object.__setattr__(self, "_numbers", numbers)
+
+    @classmethod
+    def of(cls, sentences: Iterable[str]) -> Vocabulary:
+        """All words of the sentences, sorted: the same for the same sentences in any order."""
+        return cls((PAD, UNKNOWN, *sorted({word for sentence in sentences for word in words_of(sentence)})))
+
+    def encode(self, text: str, length: int) -> NDArray[np.int64]:
+        """The sentence as (length,) numbers of words, filled up with `PAD`, cut where it is longer.
+
+        A word that is not known is read as its singular, as the number that it names, or digit by digit, whichever of
+        these is known first; otherwise it is `UNKNOWN`.
+        """
+        known = self._numbers
+        numbers: list[int] = []
+        for word in words_of(text):
+            numbers += known.get(word) or self._guess(word) or (1,)
+        padded = np.zeros(length, dtype=np.int64)
+        padded[: len(numbers)] = numbers[:length]
+        return padded
+
+    def unknown(self, text: str) -> list[str]:
+        """The words of the sentence that stay unknown, each once, in their order."""
+        return [word for word in dict.fromkeys(words_of(text)) if not (word in self._numbers or self._guess(word))]
+
+    def _guess(self, word: str) -> tuple[int, ...]:
+        """The numbers of what an unknown word can be read as; none where there is nothing."""
+        for ending, singular in _PLURALS:
+            if word.endswith(ending):
+                found = self._numbers.get(word[: -len(ending)] + singular)
+                if found:
+                    return found
+        number = NUMBER_WORDS.get(word, word)
+        if number.isdigit():
+            if number in self._numbers:
+                return self._numbers[number]
+            if all(digit in self._numbers for digit in number):
+                return tuple(self._numbers[digit][0] for digit in number)
+        return ()
