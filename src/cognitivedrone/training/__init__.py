@@ -1,0 +1,1 @@
+"""Trains policies and reasoners: recipes, the stream of examples, the trainer."""

@@ -1,0 +1,122 @@
+"""What can be seen in a scene, as one flat list: everything that a panel, a board or a gate can show.
+
+The list falls into groups of which at most one facet is true at a time ("hair/curly" or "hair/long"), so a network that
+holds one prototype vector a facet can name what it sees group by group. A trained network knows facets by their index:
+whatever is added goes to the end of its group only together with new training.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from itertools import accumulate
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cognitivedrone.labels.reference import parse_reference
+from cognitivedrone.tasks.facts import KIND_OF
+from cognitivedrone.tasks.people import SCHEMA, Person, parse_person, seen
+from cognitivedrone.tasks.reasoning import LARGEST_ANSWER, OPERATORS
+from cognitivedrone.tasks.vocabulary import LETTERS, LOGOS
+from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
+
+Indices: TypeAlias = NDArray[np.int64]
+
+ABSENT = -1
+"""Stands in place of a facet where a group does not apply or its value has no facet."""
+
+_NUMBERS = tuple(str(number) for number in range(LARGEST_ANSWER + 1))
+# Nothing is ever asked about skin, so nothing has to see it.
+_ATTRIBUTES = tuple(name for name in SCHEMA if name != "skin")
+
+_VALUES: dict[str, tuple[str, ...]] = {
+    "concept": (
+        *(f"thing:{name}" for name in KIND_OF),
+        *(f"logo:{name}" for name in LOGOS),
+        *(f"letter:{letter}" for letter in LETTERS),
+        *(f"number:{number}" for number in _NUMBERS),
+        "person",
+    ),
+    **{name: SCHEMA[name] for name in _ATTRIBUTES},
+    "first": _NUMBERS,
+    "sign": tuple(OPERATORS),
+    "second": _NUMBERS,
+    "color": COLORS,
+    "shape": SHAPES,
+    "size": SIZES,
+}
+
+FACETS: tuple[str, ...] = tuple(f"{group}/{value}" for group, values in _VALUES.items() for value in values)
+"""Names of all facets, "group/value"; animals, foods and objects share one space of names, as in "thing:cat"."""
+_ENDS = tuple(accumulate(len(values) for values in _VALUES.values()))
+GROUPS: dict[str, slice] = {
+    group: slice(end - len(_VALUES[group]), end) for group, end in zip(_VALUES, _ENDS, strict=True)
+}
+"""Where the facets of each group stand in `FACETS`; the groups follow each other without gaps."""
+PANEL_GROUPS: tuple[str, ...] = ("concept", *_ATTRIBUTES)
+"""What a panel shows: its concept and, of a person, every attribute but skin."""
+BOARD_GROUPS: tuple[str, ...] = ("first", "sign", "second")
+GATE_GROUPS: tuple[str, ...] = ("color", "shape", "size")
+
+_INDEX = {facet: index for index, facet in enumerate(FACETS)}
+_SUM = re.compile(r"(\d+)([-+*])(\d+)")
+
+
+def known_person(concept: str) -> Person | None:
+    """The attributes that the concept of a person label writes; none where it is no description by the schema."""
+    if not all("=" in word for word in concept.split(",")):
+        return None
+    person = parse_person(concept)
+    return person if all(value in SCHEMA.get(name, ()) for name, value in person.items()) else None
+
+
+def parse_sum(label: str) -> tuple[int, str, int] | None:
+    """First operand, sign and second operand of a sum's label, "sum/20-12@inter"; none for anything else."""
+    reference = parse_reference(label)
+    match = _SUM.fullmatch(reference.concept) if reference.kind == "sum" else None
+    return (int(match[1]), match[2], int(match[3])) if match else None
+
+
+@functools.lru_cache(maxsize=8192)
+def panel_facets(label: str) -> Indices:
+    """What a panel shows, by group.
+
+    Returns read-only int64 (len(PANEL_GROUPS),): indices into `FACETS`, -1 for what has no facet: concepts that are
+    not in the list, attributes of what is no person, and what a hat or a headscarf covers.
+    Raises `LabelError` where the label is not of the form kind/concept@style.
+    """
+    reference = parse_reference(label)
+    if reference.kind == "person":
+        person = known_person(reference.concept)
+        look = {} if person is None else seen(person)
+        return _indices("concept/person", *(f"{name}/{look.get(name)}" for name in _ATTRIBUTES))
+    kind = "thing" if KIND_OF.get(reference.concept) == reference.kind else reference.kind
+    return _indices(f"concept/{kind}:{reference.concept}", *("" for _ in _ATTRIBUTES))
+
+
+@functools.lru_cache(maxsize=2048)
+def board_facets(label: str) -> Indices:
+    """What a board shows: read-only int64 (3,), first operand, sign and second operand as indices into `FACETS`.
+
+    -1 for a number that has no facet, and throughout where the label is not a sum of two numbers. Raises `LabelError`
+    where it is not of the form kind/concept@style.
+    """
+    parsed = parse_sum(label)
+    if parsed is None:
+        return _indices("", "", "")
+    return _indices(*(f"{group}/{value}" for group, value in zip(BOARD_GROUPS, parsed, strict=True)))
+
+
+@functools.cache
+def gate_facets(gate: Gate) -> Indices:
+    """What a gate looks like: read-only int64 (3,), colour, shape and size as indices into `FACETS`."""
+    return _indices(*(f"{group}/{getattr(gate, group)}" for group in GATE_GROUPS))
+
+
+def _indices(*names: str) -> Indices:
+    """Indices of facets by name, -1 where there is none of that name."""
+    indices = np.array([_INDEX.get(name, ABSENT) for name in names], dtype=np.int64)
+    indices.flags.writeable = False
+    return indices
