@@ -58,12 +58,13 @@ def random_features(draw: Draw, count: int) -> list[Feature]:
     """Features that one person can show together: never a hat and hair, or two things about the same attribute."""
     while True:
         features = [_BY_PHRASE[draw.pick(thing)] for thing in draw.sample(_THINGS, count)]
-        touched = [name for feature in features for name in _parts(feature)]
+        touched = [name for feature in features for name in touched_parts(feature)]
         if len(touched) == len(set(touched)):
             return features
 
 
-def _parts(feature: Feature) -> set[str]:
+def touched_parts(feature: Feature) -> set[str]:
+    """Parts of a person that a feature speaks of; features of disjoint parts can be named together."""
     parts = {"top" if name in ("hat", "hat_color", "hair", "hair_color") else name for name in feature.wanted}
     parts = {"clothes" if name == "clothes_color" else name for name in parts}
     if feature.wanted.get("hat") == ("hijab",):

@@ -72,7 +72,10 @@ class Feature:
 
     def holds(self, person: Mapping[str, str]) -> bool | None:
         """Whether it is true of a person; none where one could argue."""
-        look = seen(person)
+        return self.shows(seen(person))
+
+    def shows(self, look: Mapping[str, str]) -> bool | None:
+        """The same of a person as a viewer sees it, as `seen` tells."""
         doubt = False
         for name, values in self.wanted.items():
             if look[name] in values:

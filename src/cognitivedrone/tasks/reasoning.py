@@ -6,11 +6,17 @@ import functools
 import operator
 from collections.abc import Callable
 
-from cognitivedrone.tasks import vocabulary, wording
+from cognitivedrone.tasks import wording
 from cognitivedrone.tasks.facts import FACTS, HEALTHY, KIND_OF, UNHEALTHY
 from cognitivedrone.tasks.generate import Draw, Panel, Pools, Puzzle
 
 LARGEST_ANSWER = 20
+VOWELS = "AEIOU"
+CONSONANTS = "BCDFGHJKLMNPQRSTVXZ"
+"""Y and W are neither: one could argue."""
+ODD = range(1, LARGEST_ANSWER + 1, 2)
+EVEN = range(2, LARGEST_ANSWER + 1, 2)
+"""Zero is even, but not everybody would bet on it."""
 OPERATORS: dict[str, Callable[[int, int], int]] = {"+": operator.add, "-": operator.sub, "*": operator.mul}
 
 
@@ -35,10 +41,15 @@ def binary_expressions(pools: Pools) -> dict[int, dict[str, tuple[tuple[int, int
 def binary(draw: Draw) -> tuple[str, int]:
     """An expression of two operands such as "7*2", and its value, every answer equally often."""
     answer = draw.below(LARGEST_ANSWER + 1)
+    return binary_equal_to(draw, answer), answer
+
+
+def binary_equal_to(draw: Draw, answer: int) -> str:
+    """An expression of two operands whose value is `answer`, 0 to 20."""
     by_operator = binary_expressions(draw.pools)[answer]
     sign = draw.pick(sorted(by_operator))
     a, b = draw.pick(by_operator[sign])
-    return f"{a}{sign}{b}", answer
+    return f"{a}{sign}{b}"
 
 
 def nested(draw: Draw) -> tuple[str, int]:
@@ -49,22 +60,34 @@ def nested(draw: Draw) -> tuple[str, int]:
     while True:
         answer = draw.below(LARGEST_ANSWER + 1)
         inner_text, inner = binary(draw)
-        sign = inner_text.lstrip("0123456789")[0]
-        a, b = (int(part) for part in inner_text.split(sign))
-        ways = [
-            (f"({inner_text}){outer}{c}", c)
-            for outer, apply in OPERATORS.items()
-            for c in range(LARGEST_ANSWER + 1)
-            if apply(inner, c) == answer
-        ] + [
-            (f"{c}{outer}({inner_text})", c)
-            for outer, apply in OPERATORS.items()
-            for c in range(LARGEST_ANSWER + 1)
-            if apply(c, inner) == answer
-        ]
-        allowed = [text for text, c in ways if draw.pools.held_out or _all_allowed(draw.pools, a, b, c)]
-        if allowed:
-            return draw.pick(allowed), answer
+        if ways := _nested_around(draw.pools, inner_text, inner, answer):
+            return draw.pick(ways), answer
+
+
+def nested_equal_to(draw: Draw, answer: int) -> str:
+    """An expression of three operands whose value is `answer`, 0 to 20, of the operands that `nested` may take."""
+    while True:
+        if ways := _nested_around(draw.pools, *binary(draw), answer):
+            return draw.pick(ways)
+
+
+@functools.cache
+def _nested_around(pools: Pools, inner_text: str, inner: int, answer: int) -> tuple[str, ...]:
+    """Expressions equal to `answer` that put an expression of value `inner` in brackets and add a third operand."""
+    sign = inner_text.lstrip("0123456789")[0]
+    a, b = (int(part) for part in inner_text.split(sign))
+    ways = [
+        (f"({inner_text}){outer}{c}", c)
+        for outer, apply in OPERATORS.items()
+        for c in range(LARGEST_ANSWER + 1)
+        if apply(inner, c) == answer
+    ] + [
+        (f"{c}{outer}({inner_text})", c)
+        for outer, apply in OPERATORS.items()
+        for c in range(LARGEST_ANSWER + 1)
+        if apply(c, inner) == answer
+    ]
+    return tuple(text for text, c in ways if pools.held_out or _all_allowed(pools, a, b, c))
 
 
 def _all_allowed(pools: Pools, *operands: int) -> bool:
@@ -120,15 +143,12 @@ def _extreme(draw: Draw) -> Puzzle:
 
 def _parity(draw: Draw) -> Puzzle:
     odd = draw.below(2)
-    # Zero is even, but not everybody would bet on it.
-    right, wrong = (range(2 - (parity % 2), LARGEST_ANSWER + 1, 2) for parity in (odd, 1 - odd))
+    right, wrong = (ODD, EVEN) if odd else (EVEN, ODD)
     panels = [draw.glyph("number", n) for n in (draw.pick(right), *draw.sample(wrong, 2))]
     return draw.puzzle(draw.frame(draw.noun(wording.ODD if odd else wording.EVEN)), panels[0], panels[1:])
 
 
 def _vowel(draw: Draw) -> Puzzle:
-    vowels = "AEIOU"
-    consonants = [letter for letter in vocabulary.LETTERS if letter not in "AEIOUYW"]
-    right, wrong, nouns = draw.pick(((vowels, consonants, wording.VOWEL), (consonants, vowels, wording.CONSONANT)))
+    right, wrong, nouns = draw.pick(((VOWELS, CONSONANTS, wording.VOWEL), (CONSONANTS, VOWELS, wording.CONSONANT)))
     panels = [draw.glyph("letter", letter) for letter in (draw.pick(right), *draw.sample(wrong, 2))]
     return draw.puzzle(draw.frame(draw.noun(nouns)), panels[0], panels[1:])

@@ -36,7 +36,15 @@ _LOGO_NAMES = {
 }
 """Logos whose name is not just capitalised."""
 
-_RIVALS = {name: frozenset().union(*(g for g in vocabulary.LOOKALIKES if name in g)) for name in vocabulary.ANIMALS}
+RIVALS: dict[str, frozenset[str]] = {
+    name: frozenset().union(*(g for g in vocabulary.LOOKALIKES if name in g)) for name in vocabulary.ANIMALS
+}
+"""Animals that are easily taken for an animal, itself among them where there are any."""
+
+
+def logo_name(logo: str) -> str:
+    """A logo's name as one writes it."""
+    return _LOGO_NAMES.get(logo, logo.capitalize())
 
 
 def distinct_animals(draw: Draw, count: int, among: tuple[str, ...] = vocabulary.ANIMALS) -> list[str]:
@@ -44,7 +52,7 @@ def distinct_animals(draw: Draw, count: int, among: tuple[str, ...] = vocabulary
     chosen: list[str] = []
     while len(chosen) < count:
         name = draw.pick(among)
-        if name not in chosen and not _RIVALS[name].intersection(chosen):
+        if name not in chosen and not RIVALS[name].intersection(chosen):
             chosen.append(name)
     return chosen
 
@@ -66,7 +74,7 @@ def logos(draw: Draw) -> Puzzle:
     """A brand or a technology."""
     names = draw.sample(vocabulary.LOGOS, 3)
     panels = [Panel(name, f"logo/{name}@{vocabulary.LOGO_STYLE}") for name in names]
-    return _named(draw, panels, wording.LOGOS, x=_LOGO_NAMES.get(names[0], names[0].capitalize()))
+    return _named(draw, panels, wording.LOGOS, x=logo_name(names[0]))
 
 
 def animals(draw: Draw) -> Puzzle:
