@@ -4,8 +4,10 @@ CognitiveDroneError
 ├── TaskError        a malformed task or task file, an unknown family or suite
 ├── LabelError       an unknown label, pack or style, an unreadable image
 ├── RenderError      no OpenGL to render with
-├── PolicyError      an unknown policy or reasoner, or an action that cannot be flown
+├── PolicyError      an unknown policy or reasoner, a model that cannot be loaded, or an action that cannot be flown
+│   └── NonFiniteAction
 ├── RunError         a benchmark run that cannot start, go on or be read
+├── DataError        a data set that cannot be written, read or trusted
 └── MissingExtra     an optional dependency is not installed
 """
 
@@ -33,6 +35,10 @@ class RenderError(CognitiveDroneError):
 
 class PolicyError(CognitiveDroneError):
     """An unknown policy or reasoner, or an action that cannot be flown."""
+
+
+class NonFiniteAction(PolicyError):
+    """The policy asked for a NaN or an infinite velocity: the flight ends, a run of many goes on."""
 
 
 class RunError(CognitiveDroneError):

@@ -1,10 +1,14 @@
-"""Names to objects: a family of plug-ins is one literal dict from a name to "module:attribute"."""
+"""Names to objects: a family of plug-ins is one literal dict from a name to "module:attribute".
+
+A name of the family may carry an argument, as in "small:runs/a/model.onnx", where what it names takes a text.
+"""
 
 from __future__ import annotations
 
 import importlib
+import inspect
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 from cognitivedrone.errors import PolicyError, did_you_mean
 
@@ -33,12 +37,37 @@ def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
 
 
 def make(kind: str, name: str, table: Mapping[str, str], methods: tuple[str, ...]) -> Any:
-    """A new object of the plug-in `name`; raises `PolicyError` where it lacks one of the interface's methods."""
-    try:
-        made = load(kind, name, table)()
-    except TypeError as error:
-        raise PolicyError(f"{kind} {name!r} cannot be made without arguments: {error}") from None
+    """A new object of the plug-in `name`: a key of `table`, such a key with ":argument", or "module:attribute".
+
+    Raises `PolicyError` where it cannot be made, or lacks one of the interface's methods.
+    """
+    key, colon, argument = name.partition(":")
+    if colon and key in table:
+        made = _made_with(kind, key, argument, table)
+    else:
+        try:
+            made = load(kind, name, table)()
+        except TypeError as error:
+            raise PolicyError(f"{kind} {name!r} cannot be made without arguments: {error}") from None
     missing = [method for method in methods if not callable(getattr(made, method, None))]
     if missing:
         raise PolicyError(f"{kind} {name!r} has no method {missing[0]}(); see cognitivedrone.interfaces")
     return made
+
+
+def _made_with(kind: str, key: str, argument: str, table: Mapping[str, str]) -> Any:
+    """A new object of the family's plug-in `key`, told `argument`."""
+    factory = load(kind, key, table)
+    if not _takes_text(factory):
+        raise PolicyError(f"{kind} {key!r} takes no argument, {argument!r} was given; write {key!r} alone")
+    if not argument:
+        raise PolicyError(f"{kind} '{key}:' ends at its colon; write {key!r}, or {key}: and its argument")
+    return factory(argument)
+
+
+def _takes_text(factory: Callable[..., Any]) -> bool:
+    """Whether the first parameter of a factory may be a text, by its annotation."""
+    first = next(iter(inspect.signature(factory).parameters), None)
+    hints = get_type_hints(factory.__init__ if inspect.isclass(factory) else factory)
+    hint = hints.get(first) if first else None
+    return str in (hint, *get_args(hint))

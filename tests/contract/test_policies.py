@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib import resources
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from cognitivedrone.errors import PolicyError
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.interfaces import Privileged, Seeded
 from cognitivedrone.policies import POLICIES, make_policy
+from cognitivedrone.policies.small import Race, Small
 from cognitivedrone.reasoners import REASONERS, make_reasoner
 from cognitivedrone.types import ACTION_LIMITS, DroneState, Gate, Guidance, Observation, Stage, Task, Truth
 
@@ -47,7 +50,15 @@ def prepared(name):
     return policy
 
 
-@pytest.mark.parametrize("name", POLICIES)
+@pytest.fixture(params=[*POLICIES, "small:FILE"])
+def name(request, tiny_model_file):
+    """Every policy of the package, and a model file of one's own."""
+    weights = {"small": Small.weights, "race": Race.weights}.get(request.param)
+    if weights and not (resources.files("cognitivedrone.models") / "weights" / weights).is_file():
+        pytest.skip(f"{weights} is not part of this installation")
+    return request.param.replace("FILE", str(tiny_model_file))
+
+
 class TestPolicy:
     @pytest.mark.parametrize("image", [np.zeros((256, 256, 3), np.uint8), noise()], ids=["black", "noise"])
     def test_it_answers_with_finite_commands_whatever_it_sees(self, name, image):

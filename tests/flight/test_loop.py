@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cognitivedrone.errors import PolicyError
-from cognitivedrone.flight.loop import Leg, NonFiniteAction, Rates, fly
+from cognitivedrone.errors import NonFiniteAction, PolicyError
+from cognitivedrone.flight.loop import Leg, Rates, fly
 from cognitivedrone.types import Guidance, Observation
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from cognitivedrone.benchmark.run_types import Flown, RunConfig, Trace
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import SimulatedDrone
-from cognitivedrone.errors import PolicyError, did_you_mean
-from cognitivedrone.flight.loop import Leg, NonFiniteAction, fly
+from cognitivedrone.errors import NonFiniteAction, PolicyError, did_you_mean
+from cognitivedrone.flight.loop import Leg, fly
 from cognitivedrone.interfaces import LabelPack, Policy, Privileged, Seeded
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import NonFiniteAction, PolicyError
 from cognitivedrone.interfaces import Clock, Drone, Policy, Privileged, Reasoner, Recorder
 from cognitivedrone.types import CONTROL_HZ, Action, ActionChunk, Guidance, Truth
 
@@ -42,10 +42,6 @@ class Rates:
     def reason_every(self) -> int:
         """Control steps between two answers of the reasoner."""
         return self.control_hz // self.reasoner_hz
-
-
-class NonFiniteAction(PolicyError):
-    """The policy asked for a NaN or an infinite velocity: the flight ends, the run goes on."""
 
 
 def check_chunk(chunk: ActionChunk) -> ActionChunk:

@@ -1,6 +1,7 @@
 """Policies: image and text in, velocity commands out.
 
-`POLICIES` names those that come with the package; `make_policy` also takes a user's own "module:attribute".
+`POLICIES` names those that come with the package; `make_policy` also takes a user's own "module:attribute", and
+"small:PATH" for a model file.
 """
 
 from __future__ import annotations
@@ -11,12 +12,14 @@ from cognitivedrone.interfaces import Policy
 POLICIES: dict[str, str] = {
     "oracle": "cognitivedrone.policies.expert:Expert",
     "colour_seeker": "cognitivedrone.policies.colour_seeker:ColourSeeker",
+    "small": "cognitivedrone.policies.small:Small",
+    "race": "cognitivedrone.policies.small:Race",
     "hover": "cognitivedrone.policies.blind:Hover",
     "random": "cognitivedrone.policies.blind:Random",
 }
 
 
 def make_policy(name: str) -> Policy:
-    """A new policy by name or "module:attribute"; raises `PolicyError`."""
+    """A new policy by name, "name:argument" or "module:attribute"; raises `PolicyError`."""
     policy: Policy = plugins.make("policy", name, POLICIES, ("reset", "act"))
     return policy

@@ -1,0 +1,108 @@
+"""The small VLA: pixels, the drone's own motion and a sentence in, velocities out; ONNX Runtime runs it on one core."""
+
+from __future__ import annotations
+
+import warnings
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from cognitivedrone.errors import NonFiniteAction, PolicyError
+from cognitivedrone.models.small_file import Output, SmallModel
+from cognitivedrone.types import IMAGE_SIZE, ActionChunk, FloatArray, Image, Observation
+
+LONGEST_INSTRUCTION = 1000
+"""Characters."""
+_SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
+
+
+class Small:
+    """Flies a small model: the packaged one, or the file at `path`.
+
+    Every decision depends on its observation alone. Raises `PolicyError` where the file cannot be flown.
+    """
+
+    weights = "small.onnx"
+    """The packaged file, in `cognitivedrone/models/weights`."""
+
+    def __init__(self, path: str | None = None) -> None:
+        self.model = SmallModel.load(_packaged(self.weights) if path is None else path)
+        self.last: Output | None = None
+        """What the network said of the last frame, for viewers: n is 1; none before the first."""
+        self._text = ""
+
+    def reset(self, instruction: str) -> None:
+        """Take a new instruction.
+
+        Raises `PolicyError` for one that is empty or longer than `LONGEST_INSTRUCTION`; warns once of words that the
+        model has never seen.
+        """
+        self.last = None
+        self._listen(instruction)
+
+    def act(self, observation: Observation) -> ActionChunk:
+        """Commands (k, 4) for the next k control steps by the observation's own instruction.
+
+        Raises `PolicyError` for an instruction as in `reset`, or an image that is not uint8 (256, 256, 3), and
+        `NonFiniteAction` where the network's answer is not finite.
+        """
+        if observation.instruction != self._text:
+            self._listen(observation.instruction)
+        state = state_of(observation)
+        self.last = self.model.run(_checked(observation.image)[None], state[None], (self._text,))
+        action: ActionChunk = self.last.action[0]
+        if not np.isfinite(action).all():
+            raise NonFiniteAction(f"the model answered {action[0].tolist()} to the state {state.tolist()}")
+        return action
+
+    def _listen(self, text: str) -> None:
+        if not text.strip():
+            raise PolicyError("the instruction is empty; say which gate to fly through")
+        if len(text) > LONGEST_INSTRUCTION:
+            raise PolicyError(
+                f"the instruction has {len(text)} characters; the small model reads at most {LONGEST_INSTRUCTION}"
+            )
+        unknown = self.model.description.vocabulary.unknown(text)
+        if unknown:
+            _warn_of(frozenset(unknown))
+        self._text = text
+
+
+class Race(Small):
+    """The racing model: flies gates well, whichever they are."""
+
+    weights = "race.onnx"
+
+
+def state_of(observation: Observation) -> FloatArray:
+    """What the network is told of the drone's motion, (5,) float32.
+
+    Velocity x, y, z in the heading frame, m/s, height, m, and yaw rate, rad/s.
+    """
+    return np.array([*observation.velocity, observation.height, observation.yaw_rate], dtype=np.float32)
+
+
+def _checked(image: Image) -> Image:
+    if image.dtype != np.uint8 or image.shape != _SHAPE:
+        raise PolicyError(f"the small model needs an image of uint8 {_SHAPE}; what came is {image.dtype} {image.shape}")
+    return image
+
+
+def _packaged(name: str) -> Path:
+    path = Path(str(resources.files("cognitivedrone.models") / "weights" / name))
+    if not path.is_file():
+        raise PolicyError(
+            f"this installation has no model {name}: reinstall cognitivedrone, or train one with"
+            " `cognitivedrone train` and give its file, as in --policy small:model.onnx"
+        )
+    return path
+
+
+@lru_cache(maxsize=4096)  # once a process for each set of words
+def _warn_of(words: frozenset[str]) -> None:
+    warnings.warn(
+        f"the small model has never seen {', '.join(map(repr, sorted(words)))}; it flies by the other words",
+        stacklevel=4,
+    )

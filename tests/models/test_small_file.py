@@ -1,0 +1,203 @@
+"""A model file explains itself, and one that does not keep to the contract is refused in one sentence."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto
+from tiny import DESCRIPTION, INPUTS, OUTPUTS, graph, tiny_model
+
+from cognitivedrone.errors import MissingExtra, PolicyError
+from cognitivedrone.models import small_file
+from cognitivedrone.models.small_file import KEY, SmallModel, describe, read_description
+
+
+def images(*brightness: int):
+    return np.stack([np.full((256, 256, 3), value, np.uint8) for value in brightness])
+
+
+def states(n: int):
+    return np.tile(np.array([0.1, 0.2, 0.3, 0.9, -0.5], np.float32), (n, 1))
+
+
+def with_metadata(path, metadata: str):
+    model = graph()
+    onnx.helper.set_model_props(model, {KEY: metadata})
+    onnx.save(model, str(path))
+    return path
+
+
+def changed(**fields):
+    return json.dumps({**json.loads(DESCRIPTION.to_json()), **fields})
+
+
+def changed_action(**fields):
+    return changed(action={**json.loads(DESCRIPTION.to_json())["action"], **fields})
+
+
+def refused(path) -> str:
+    """Why a file is refused, by both ways to read it where both can tell."""
+    with pytest.raises(PolicyError) as error:
+        SmallModel.load(path)
+    message = str(error.value)
+    assert "\n" not in message
+    assert str(path) in message
+    return message
+
+
+def test_a_file_says_of_itself_what_was_written(tiny_model_file):
+    assert read_description(tiny_model_file) == DESCRIPTION
+    assert SmallModel.load(tiny_model_file).description == DESCRIPTION
+
+
+def test_describing_again_replaces_and_keeps_what_others_wrote(tmp_path):
+    path = tmp_path / "model.onnx"
+    model = graph()
+    onnx.helper.set_model_props(model, {"exporter": "someone", KEY: "old"})
+    onnx.save(model, str(path))
+    describe(path, DESCRIPTION)
+    describe(path, DESCRIPTION)
+    assert read_description(path) == DESCRIPTION
+    assert {entry.key: entry.value for entry in onnx.load(str(path)).metadata_props}["exporter"] == "someone"
+    assert [file.name for file in tmp_path.iterdir()] == ["model.onnx"]
+
+
+def test_describing_without_onnx_says_what_to_install(tiny_model_file, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(MissingExtra, match=r"cognitivedrone\[train\]"):
+        describe(tiny_model_file, DESCRIPTION)
+
+
+def test_it_runs_frames_with_a_sentence_each(tiny_model_file):
+    model = SmallModel.load(tiny_model_file)
+    texts = ["fly", "through the red gate", "zebra"]
+    output = model.run(images(0, 51, 255), states(3), texts)
+    assert output.action.shape == (3, 2, 4)
+    assert output.choice.shape == (3, 4)
+    assert output.gates.shape == (3, 3, 4)
+    assert np.allclose(output.action[:, 0, 0], [0, 0.2, 1])
+    assert np.allclose(output.action[:, 1, 1], 0.9)
+    tokens = [DESCRIPTION.vocabulary.encode(text, 8).mean() / 10 for text in texts]
+    assert np.allclose(output.action[:, 0, 2], tokens)
+    assert np.allclose(output.action[:, 0, 3], -0.5)
+
+
+def test_the_same_input_gives_the_same_bits_alone_and_in_another_session(tiny_model_file):
+    first, second = (SmallModel.load(tiny_model_file, threads=threads) for threads in (1, 2))
+    one, other = (model.run(images(77), states(1), ["fly"]) for model in (first, second))
+    assert np.array_equal(one.action, other.action)
+
+
+@pytest.mark.parametrize(
+    ("frames", "motion", "says"),
+    [
+        (np.zeros((1, 128, 128, 3), np.uint8), states(1), r"images must be uint8 \(1, 256, 256, 3\)"),
+        (np.zeros((1, 256, 256, 3), np.float32), states(1), "not float32"),
+        (images(0, 0), states(2), r"not uint8 \(2, 256"),
+        (images(0), np.zeros((1, 4), np.float32), r"states must be float32 \(1, 5\)"),
+        (images(0), np.zeros((1, 5)), "not float64"),
+    ],
+)
+def test_inputs_of_other_shapes_are_refused(tiny_model_file, frames, motion, says):
+    with pytest.raises(PolicyError, match=says):
+        SmallModel.load(tiny_model_file).run(frames, motion, ["fly"])
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    assert "no model file" in refused(tmp_path / "none.onnx")
+    assert "no model file" in refused(tmp_path)
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.01, 0.5, 0.95])
+def test_a_file_that_was_cut_short(tmp_path, tiny_model_file, kept):
+    content = tiny_model_file.read_bytes()
+    path = tmp_path / "cut.onnx"
+    path.write_bytes(content[: int(len(content) * kept)])
+    assert "cut short" in refused(path)
+    with pytest.raises(PolicyError, match="cut short"):
+        read_description(path)
+
+
+def test_a_file_of_another_kind(tmp_path):
+    path = tmp_path / "model.onnx"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
+    assert "not an ONNX file" in refused(path)
+
+
+def test_an_operator_that_the_runtime_does_not_have(tmp_path):
+    model = graph()
+    model.graph.node[0].op_type = "Imagine"
+    onnx.save(model, str(tmp_path / "model.onnx"))
+    assert "cannot load" in refused(tmp_path / "model.onnx")
+
+
+def test_a_file_that_is_too_large_is_not_read(tmp_path):
+    path = tmp_path / "huge.onnx"
+    with path.open("wb") as file:
+        file.truncate(small_file.LARGEST_BYTES + 1)  # sparse: takes no space
+    assert "at most 256 MB" in refused(path)
+
+
+def test_a_file_that_does_not_describe_itself(tmp_path):
+    path = tmp_path / "bare.onnx"
+    onnx.save(graph(), str(path))
+    assert "lacks the metadata" in refused(path)
+
+
+@pytest.mark.parametrize(
+    ("metadata", "says"),
+    [
+        ("{", "is not JSON"),
+        ("[]", "format None"),
+        (changed(format=2), "format 2 and this version reads format 1"),
+        (changed(kind="reasoner"), "kind 'reasoner'"),
+        (changed(vocabulary=["fly"]), "begins with"),
+        (changed(vocabulary=["<pad>", 1]), "no word"),
+        (changed(text_length=0), "'text_length'"),
+        (changed(text_length="8"), "'text_length'"),
+        (changed(chunk=True), "'chunk'"),
+        (changed(image_size=128), "128 pixels"),
+        (changed(action=None), "'action'"),
+        (changed(action={}), "lacks 'low'"),
+        (changed_action(mean=[0, 0, 0]), "'mean'"),
+        (changed_action(std=[0, 0, 0, float("nan")]), "'std'"),
+        (changed_action(q01=[0, 0, 0, "1"]), "'q01'"),
+        (changed_action(high=[2, 2, -1.5, 1]), "below its high"),
+        (changed(provenance={}), "lacks 'recipe'"),
+    ],
+)
+def test_a_description_that_cannot_be_trusted(tmp_path, metadata, says):
+    path = with_metadata(tmp_path / "model.onnx", metadata)
+    assert says in refused(path)
+    with pytest.raises(PolicyError):
+        read_description(path)
+
+
+@pytest.mark.parametrize(
+    ("interface", "says"),
+    [
+        ({"inputs": {**INPUTS, "image": (TensorProto.FLOAT, ["batch", 256, 256, 3])}}, "input 'image'"),
+        ({"inputs": {**INPUTS, "image": (TensorProto.UINT8, ["batch", 128, 128, 3])}}, "128"),
+        ({"inputs": {**INPUTS, "tokens": (TensorProto.INT64, ["batch", 16])}}, "input 'tokens'"),
+        ({"inputs": {**INPUTS, "state": (TensorProto.FLOAT, [1, 5])}}, "input 'state'"),
+        (
+            {"inputs": {"frame": INPUTS["image"], "state": INPUTS["state"], "tokens": INPUTS["tokens"]}},
+            "inputs frame, state, tokens; expected image, state, tokens",
+        ),
+        (
+            {"outputs": {"action": OUTPUTS["action"], "choice": OUTPUTS["choice"], "boxes": OUTPUTS["gates"]}},
+            "outputs action, choice, boxes",
+        ),
+    ],
+)
+def test_a_graph_of_another_interface(tmp_path, interface, says):
+    assert says in refused(tiny_model(tmp_path / "model.onnx", **interface))
+
+
+def test_a_chunk_other_than_described(tmp_path):
+    path = with_metadata(tmp_path / "model.onnx", changed(chunk=3))
+    assert "output 'action'" in refused(path)

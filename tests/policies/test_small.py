@@ -1,0 +1,141 @@
+"""The small policy: what it passes to the network, and what it says to bad input."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tiny import DESCRIPTION
+
+from cognitivedrone.errors import NonFiniteAction, PolicyError
+from cognitivedrone.policies import make_policy
+from cognitivedrone.policies.small import Race, Small
+from cognitivedrone.types import Observation
+
+TEXT = "Fly through the red gate"
+OBSERVATION = Observation(
+    image=np.full((256, 256, 3), 51, np.uint8),
+    instruction=TEXT,
+    velocity=np.array([0.1, 0.2, 0.3], np.float32),
+    height=0.8,
+    yaw_rate=-0.25,
+    time=0.0,
+)
+
+
+@pytest.fixture
+def policy(tiny_model_file):
+    made = Small(str(tiny_model_file))
+    made.reset(TEXT)
+    return made
+
+
+def test_the_network_sees_frame_motion_and_sentence(policy):
+    chunk = policy.act(OBSERVATION)
+    assert chunk.shape == (2, 4)
+    assert chunk.dtype == np.float32
+    mean = DESCRIPTION.vocabulary.encode(TEXT, DESCRIPTION.text_length).mean() / 10
+    assert np.allclose(chunk, [[0.2, 0.8, mean, -0.25]] * 2)
+
+
+def test_it_keeps_what_the_network_said_for_viewers(policy):
+    assert policy.last is None
+    chunk = policy.act(OBSERVATION)
+    assert np.array_equal(policy.last.action[0], chunk)
+    assert policy.last.choice.shape == (1, 4)
+    assert policy.last.gates.shape == (1, 3, 4)
+    policy.reset(TEXT)
+    assert policy.last is None
+
+
+def test_a_directive_that_changes_in_flight_is_followed(policy):
+    before = policy.act(OBSERVATION)
+    after = policy.act(replace(OBSERVATION, instruction="Fly through the small round gate"))
+    assert before[0, 2] != after[0, 2]
+    assert np.array_equal(policy.act(OBSERVATION), before)
+
+
+@pytest.mark.parametrize(("text", "says"), [("", "empty"), (" \n\t", "empty"), ("gate " * 2000, "10000 characters")])
+def test_an_instruction_that_says_nothing_or_too_much(policy, text, says):
+    with pytest.raises(PolicyError, match=says):
+        policy.reset(text)
+    with pytest.raises(PolicyError, match=says):
+        policy.act(replace(OBSERVATION, instruction=text))
+    assert np.isfinite(policy.act(OBSERVATION)).all()
+
+
+@pytest.mark.parametrize(
+    ("image", "says"),
+    [
+        (np.zeros((128, 128, 3), np.uint8), r"uint8 \(128, 128, 3\)"),
+        (np.zeros((256, 256, 3), np.float32), "float32"),
+        (np.zeros((256, 256), np.uint8), r"\(256, 256\)"),
+        (np.zeros((256, 256, 4), np.uint8), r"\(256, 256, 4\)"),
+    ],
+)
+def test_an_image_of_the_wrong_size_or_type(policy, image, says):
+    with pytest.raises(PolicyError, match=says):
+        policy.act(replace(OBSERVATION, image=image))
+
+
+def test_unknown_words_are_named_once_and_flown_all_the_same(policy):
+    text = "Fly through the gate with the quokka or the axolotl"
+    with pytest.warns(UserWarning, match="'axolotl', 'or', 'quokka'") as caught:
+        policy.reset(text)
+    assert len(caught) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        policy.reset(text)
+        chunk = policy.act(replace(OBSERVATION, instruction=text))
+    assert np.isfinite(chunk).all()
+    with pytest.warns(UserWarning, match="'numbat'"):
+        policy.act(replace(OBSERVATION, instruction="numbat"))
+
+
+def test_an_answer_that_is_not_finite_is_not_flown(policy):
+    with pytest.raises(NonFiniteAction, match="nan"):
+        policy.act(replace(OBSERVATION, yaw_rate=float("nan")))
+
+
+def test_a_model_file_is_given_behind_the_name(tiny_model_file):
+    policy = make_policy(f"small:{tiny_model_file}")
+    assert isinstance(policy, Small)
+    assert policy.model.description.name == "tiny"
+    assert isinstance(make_policy(f"race:{tiny_model_file}"), Race)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("small:no/such/model.onnx", "there is no model file no/such/model.onnx"),
+        ("small:", "ends at its colon"),
+        ("hover:fast", "'hover' takes no argument"),
+        ("oracle:fast", "'oracle' takes no argument"),
+        ("smal:model.onnx", "no module 'smal'"),
+        ("cognitivedrone.policies.small:Smal", "has no 'Smal'"),
+    ],
+)
+def test_a_name_with_a_wrong_argument_is_said_in_one_sentence(name, says):
+    with pytest.raises(PolicyError, match=says) as error:
+        make_policy(name)
+    assert "\n" not in str(error.value)
+
+
+def test_a_class_is_still_given_as_module_and_attribute():
+    assert type(make_policy("cognitivedrone.policies.blind:Hover")).__name__ == "Hover"
+
+
+def test_a_package_without_weights_says_what_to_do(monkeypatch):
+    monkeypatch.setattr(Small, "weights", "none.onnx")
+    with pytest.raises(PolicyError, match=r"no model none.onnx: reinstall cognitivedrone, or train one"):
+        Small()
+
+
+def test_the_runtime_is_loaded_with_the_first_model_alone():
+    code = "import sys, cognitivedrone.policies.small as _; print([name for name in sys.modules if 'onnx' in name])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
