@@ -6,6 +6,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from cognitivedrone import plugins
 from cognitivedrone.interfaces import Policy
 
@@ -17,6 +19,19 @@ POLICIES: dict[str, str] = {
     "hover": "cognitivedrone.policies.blind:Hover",
     "random": "cognitivedrone.policies.blind:Random",
 }
+
+
+def model_file(name: str) -> Path | None:
+    """The model file that a policy of the package by this name flies; none where it flies none.
+
+    Raises `PolicyError` where the file is missing.
+    """
+    key, colon, path = name.partition(":")
+    if key not in POLICIES or (colon and not path):
+        return None
+    file_of = getattr(plugins.load("policy", key, POLICIES), "file_of", None)
+    found: Path | None = file_of(path or None) if file_of else None
+    return found
 
 
 def make_policy(name: str) -> Policy:

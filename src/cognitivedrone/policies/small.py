@@ -28,10 +28,24 @@ class Small:
     """The packaged file, in `cognitivedrone/models/weights`."""
 
     def __init__(self, path: str | None = None) -> None:
-        self.model = SmallModel.load(_packaged(self.weights) if path is None else path)
+        self.model = SmallModel.load(self.file_of(path))
         self.last: Output | None = None
         """What the network said of the last frame, for viewers: n is 1; none before the first."""
         self._text = ""
+
+    @classmethod
+    def file_of(cls, path: str | None = None) -> Path:
+        """The file that a policy made with `path` flies; raises `PolicyError` where there is none."""
+        packaged = Path(str(resources.files("cognitivedrone.models") / "weights" / cls.weights))
+        if path is None and not packaged.is_file():
+            raise PolicyError(
+                f"this installation has no model {cls.weights}: reinstall cognitivedrone, or train one with"
+                " `cognitivedrone train` and give its file, as in --policy small:model.onnx"
+            )
+        found = packaged if path is None else Path(path)
+        if not found.is_file():
+            raise PolicyError(f"there is no model file {found}")
+        return found
 
     def reset(self, instruction: str) -> None:
         """Take a new instruction.
@@ -88,16 +102,6 @@ def _checked(image: Image) -> Image:
     if image.dtype != np.uint8 or image.shape != _SHAPE:
         raise PolicyError(f"the small model needs an image of uint8 {_SHAPE}; what came is {image.dtype} {image.shape}")
     return image
-
-
-def _packaged(name: str) -> Path:
-    path = Path(str(resources.files("cognitivedrone.models") / "weights" / name))
-    if not path.is_file():
-        raise PolicyError(
-            f"this installation has no model {name}: reinstall cognitivedrone, or train one with"
-            " `cognitivedrone train` and give its file, as in --policy small:model.onnx"
-        )
-    return path
 
 
 @lru_cache(maxsize=4096)  # once a process for each set of words
