@@ -10,7 +10,7 @@ Frames and units (converted in `frames.py` alone):
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -24,7 +24,7 @@ Action: TypeAlias = NDArray[np.float32]
 ActionChunk: TypeAlias = NDArray[np.float32]
 """(k, 4) actions for the next k control steps, k >= 1."""
 
-Category = Literal["human_recognition", "symbol_understanding", "reasoning"]
+Category = Literal["human_recognition", "symbol_understanding", "reasoning", "racing"]
 Size = Literal["big", "small"]
 Shape = Literal["round", "square", "triangle"]
 Color = Literal["red", "green", "blue"]
@@ -41,6 +41,9 @@ Outcome = Literal[
 ]
 
 CATEGORIES: tuple[Category, ...] = ("human_recognition", "symbol_understanding", "reasoning")
+"""The three of the paper, which ask for a choice."""
+ALL_CATEGORIES: tuple[Category, ...] = (*CATEGORIES, "racing")
+"""And that of gates that stand alone, where there is nothing to choose."""
 SIZES: tuple[Size, ...] = ("big", "small")
 SHAPES: tuple[Shape, ...] = ("round", "square", "triangle")
 COLORS: tuple[Color, ...] = ("red", "green", "blue")
@@ -84,6 +87,9 @@ class Task:
     board: str | None = None
     """Label reference of the sum that hangs in the scene, where the family has one."""
     background: str = "room"
+    only: int | None = None
+    """Index of the gate that stands alone, 0 to 2, always the target; none where all three stand. Without panels: those
+    of `labels` are not shown."""
 
 
 Track: TypeAlias = tuple[Task, ...]
@@ -103,6 +109,8 @@ class Stage:
     """World x, y of the stage origin, m."""
     yaw: float = 0.0
     """Heading of the stage's x axis in the world, rad."""
+    only: int | None = field(default=None, metadata={"json": "where set"})
+    """Index of the only gate that stands, 0 to 2, without a panel; none where all three stand with theirs."""
 
 
 @dataclass(frozen=True, slots=True)

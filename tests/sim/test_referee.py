@@ -49,13 +49,14 @@ def test_the_centre_of_every_gate_can_be_flown_through(gate, yaw, x):
 def test_a_straight_flight_ends_as_the_geometry_of_its_plane_says(gate, side, rise):
     stage = stage_with(gate)
     margin = float(geometry.opening_margin(gate, np.float64(side), np.float64(rise)))
+    room = float(geometry.frame_distance(gate, 0.0, side, rise))
     verdict = judge(stage, straight(stage, 0, side, rise), HULL, SQUARE)
     assert verdict is not None
     if margin > HULL + 0.01:
         assert verdict.kind == "gate"
-    elif margin > -geometry.BAR_WIDTH - HULL + 0.01 and margin < HULL - 0.01:
+    elif room < HULL - 0.01:
         assert verdict.kind == "collision"
-    elif margin < -geometry.BAR_WIDTH - HULL - 0.01 and rise < 0.4:
+    elif margin < 0 and room > HULL + 0.01 and rise < 0.4:
         assert verdict.kind == "missed"
 
 
@@ -101,6 +102,62 @@ def test_following_in_pieces_finds_what_judging_at_once_finds(pieces):
     assert found is not None
     assert (found.kind, found.gate, found.clearance_m) == (whole.kind, whole.gate, whole.clearance_m)
     assert referee.closest_m[0] < 0.02
+
+
+def alone(gate: Gate, index: int, yaw: float = 0.0) -> Stage:
+    """A stage on which only gate `index` stands, with the looks of `gate`; the places of the others are empty."""
+    first, *rest = stage_with(gate).gates
+    looks = [*rest[:index], first, *rest[index:]]
+    return Stage((looks[0], looks[1], looks[2]), ("number/1@inter",) * 3, yaw=yaw, only=index)
+
+
+@given(gate=gates, index=st.integers(0, 2), other=st.integers(1, 2), yaw=st.floats(-3, 3))
+@settings(max_examples=60, deadline=None)
+def test_of_gates_that_are_not_there_nothing_is_seen_but_that_the_only_one_was_passed_by(gate, index, other, yaw):
+    stage = alone(gate, index, yaw)
+    through = judge(stage, straight(stage, index, 0.0, 0.0), HULL, SQUARE)
+    assert through is not None
+    assert (through.kind, through.gate) == ("gate", index)
+    absent = (index + other) % 3
+    # Along the bar of the absent gate, where a frame would be hit, and on beyond the plane of the only gate.
+    path = straight(stage, absent, 0.8, 0.0, length=4.0)
+    verdict = judge(stage, path, HULL, SQUARE)
+    crosses = (to_only(stage, path)[[0, -1], 0] > 0).tolist() == [False, True]
+    assert crosses == (verdict is not None)
+    if verdict is not None:
+        assert (verdict.kind, verdict.gate) == ("missed", index)
+
+
+def to_only(stage: Stage, path: np.ndarray) -> np.ndarray:
+    center, yaw = geometry.gate_centers(stage)[stage.only], float(geometry.gate_yaws(stage)[stage.only])
+    return geometry.to_gate_frame(path, center, yaw)
+
+
+def test_a_gate_alone_has_a_frame_to_touch_but_no_panel():
+    stage = alone(Gate("big", "square", "red"), 1)
+    hit = judge(stage, straight(stage, 1, 0.8, 0.0), HULL, SQUARE)
+    assert hit is not None
+    assert (hit.kind, hit.gate) == ("collision", 1)
+    above = judge(stage, straight(stage, 1, 0.0, 1.85), HULL, SQUARE)
+    assert above is not None
+    assert (above.kind, above.gate) == ("missed", 1)
+
+
+def test_flying_straight_past_a_gate_that_stands_alone_is_a_miss_however_far_beside():
+    path = np.column_stack([np.linspace(-1, 8.9, 200), np.zeros(200), np.ones(200)])
+    for index in (0, 2):
+        referee = Referee(alone(Gate("big", "round", "red"), index), path[0], HULL, SQUARE)
+        verdicts = [verdict for piece in np.array_split(path[1:], 50) if (verdict := referee.follow(piece))]
+        assert (verdicts[0].kind, verdicts[0].gate) == ("missed", index)
+        assert referee.favoured() is None
+
+
+def test_only_the_gate_that_stands_can_be_favoured():
+    for index in range(3):
+        stage = alone(Gate("big", "round", "red"), index)
+        for near, center in enumerate(geometry.gate_centers(stage)):
+            referee = Referee(stage, center - [0.5, 0.0, 0.0], HULL, SQUARE)
+            assert referee.favoured() == (index if near == index else None)
 
 
 def test_the_referee_measures_the_way():

@@ -40,8 +40,9 @@ def spread(values: Iterable[object], known: Iterable[object]) -> int:
 
 def test_suite_sizes() -> None:
     sizes = {name.split(":")[1]: load_suite(name).n_tasks for name in FIXED}
-    assert sizes == {"test": 300, "unseen": 150, "smoke": 30, "track": 100, "hard": 150}
+    assert sizes == {"test": 300, "unseen": 150, "smoke": 30, "track": 100, "hard": 150, "race": 100}
     assert [len(track) for track in load_suite("open-v1:track").tracks] == [5] * 20
+    assert [len(track) for track in load_suite("open-v1:race").tracks] == [5] * 20
     assert max(len(track) for track in load_suite("open-v1:hard").tracks) == 5
 
 

@@ -1,7 +1,8 @@
 """Dataclasses to JSON and back, checked field by field.
 
 `decode` takes its schema from the type hints, so a wrong file is refused with the place of the first wrong value.
-Numbers that are not finite are written as null, and null is read as NaN where a float is asked for.
+Numbers that are not finite are written as null, and null is read as NaN where a float is asked for. A field with the
+metadata `{"json": "where set"}` is left out where it has its default.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ T = TypeVar("T")
 def encode(value: Any) -> Any:
     """Plain JSON values for dataclasses, mappings, sequences, numbers and arrays; arrays are rounded to 3 decimals."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {field.name: encode(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        members = ((field, getattr(value, field.name)) for field in dataclasses.fields(value))
+        return {field.name: encode(member) for field, member in members if not _left_out(field, member)}
     if isinstance(value, np.ndarray):
         return np.round(value.astype(np.float64), 3).tolist()
     if isinstance(value, Mapping):
@@ -43,6 +45,10 @@ def dumps(value: Any, *, indent: int | None = None) -> str:
     """JSON text of `encode(value)`, the same for the same value."""
     separators = (",", ":") if indent is None else (",", ": ")
     return json.dumps(encode(value), ensure_ascii=False, allow_nan=False, indent=indent, separators=separators)
+
+
+def _left_out(field: dataclasses.Field[Any], member: Any) -> bool:
+    return field.metadata.get("json") == "where set" and bool(member == field.default)
 
 
 def decode(kind: type[T], value: Any, where: str) -> T:

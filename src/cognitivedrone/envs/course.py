@@ -42,7 +42,7 @@ def episode_rng(suite_digest: str, episode: int, seed: int) -> np.random.Generat
 
 def stage_of(task: Task, origin: tuple[float, float] = (0.0, 0.0), yaw: float = 0.0) -> Stage:
     """The task's gates and panels, placed in the world."""
-    return Stage(gates=task.gates, labels=task.labels, board=task.board, origin=origin, yaw=yaw)
+    return Stage(gates=task.gates, labels=task.labels, board=task.board, origin=origin, yaw=yaw, only=task.only)
 
 
 def scenery_of(stage: Stage, labels: LabelPack, look: Look) -> Scenery:

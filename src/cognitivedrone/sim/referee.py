@@ -1,7 +1,8 @@
 """Sees what the drone does at the gates: flown through, missed, hit, or gone astray. Knows no right or wrong.
 
 A gate is flown through when the drone's centre crosses its plane, outward, inside the opening. Contact is a hull sphere
-touching a frame, a panel or the floor. A crossing of the nearest gate's plane outside its opening is a miss.
+touching a frame, a panel or the floor. A crossing of the nearest gate's plane outside its opening is a miss. Where one
+gate stands alone, without a panel, it is always the nearest: to fly past it, however far beside, is a miss.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ BOUNDS_HIGH = np.array([9.0, 8.0, 5.0])
 NEAR_M = 1.5
 """Only closer to a gate's plane than this can anything happen at it."""
 REACH_M = 2.0
-"""A plane counts up to this far beside its gate's centre: about half way to the next gate."""
+"""A plane counts up to this far beside its gate's centre: about half way to the next gate, where there is one."""
 NEAR_GATE_M = 3.5
 """Nothing can be touched further from every gate's centre than this, by a path of one control period."""
 ASTRAY_M = 4.0
@@ -64,15 +65,16 @@ def judge(stage: Stage, path: FloatArray, hull_radius: float, aspects: tuple[flo
     grounded = path[:, 2] < hull_radius
     if grounded.any():
         consider(Verdict("collision", None, int(np.argmax(grounded))))
-    for index, gate in enumerate(stage.gates):
+    alone = stage.only is not None
+    for index in geometry.standing(stage):
+        gate = stage.gates[index]
         points = geometry.to_gate_frame(path, centers[index], float(yaws[index]))
         along, lateral, vertical = points[:, 0], points[:, 1], points[:, 2]
         if np.abs(along).min() > NEAR_M:
             continue
-        room = np.minimum(
-            geometry.frame_distance(gate, along, lateral, vertical),
-            geometry.panel_distance(aspects[index], along, lateral, vertical),
-        )
+        room = geometry.frame_distance(gate, along, lateral, vertical)
+        if index in geometry.panelled(stage):
+            room = np.minimum(room, geometry.panel_distance(aspects[index], along, lateral, vertical))
         touching = room < hull_radius
         if touching.any():
             consider(Verdict("collision", index, int(np.argmax(touching))))
@@ -80,7 +82,7 @@ def judge(stage: Stage, path: FloatArray, hull_radius: float, aspects: tuple[flo
         for before in crossings:
             part = along[before] / (along[before] - along[before + 1])
             side, rise = (float(v[before] + part * (v[before + 1] - v[before])) for v in (lateral, vertical))
-            if abs(side) > REACH_M:
+            if abs(side) > REACH_M and not alone:
                 continue
             margin = float(geometry.opening_margin(gate, np.float64(side), np.float64(rise)))
             if margin > 0:
@@ -129,7 +131,7 @@ class Referee:
     def favoured(self) -> int | None:
         """The gate nearest to where the drone is now, if one is near enough to call it a choice."""
         distances = np.linalg.norm(self.centers - self._last, axis=1)
-        nearest = int(np.argmin(distances))
+        nearest = min(geometry.standing(self.stage), key=lambda index: float(distances[index]))
         return nearest if distances[nearest] < FAVOUR_M else None
 
     def _near(self, path: FloatArray) -> bool:

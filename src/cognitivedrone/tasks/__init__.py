@@ -3,6 +3,7 @@
 from cognitivedrone.tasks.directives import parse_directive, write_directive
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, TASKS
 from cognitivedrone.tasks.format import read_tasks, task_from_json, task_to_json, write_tasks
+from cognitivedrone.tasks.racing import race_task
 from cognitivedrone.tasks.suites import SUITES, Suite, load_suite, suite_from_files, train_task
 from cognitivedrone.tasks.validate import validate_task
 
@@ -15,6 +16,7 @@ __all__ = [
     "Suite",
     "load_suite",
     "parse_directive",
+    "race_task",
     "read_tasks",
     "suite_from_files",
     "task_from_json",

@@ -6,6 +6,7 @@ in it, positions, colours, shapes and sizes are as equally frequent as their num
 
 from __future__ import annotations
 
+import itertools
 import json
 import sys
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, generator
 from cognitivedrone.tasks.format import task_to_json
 from cognitivedrone.tasks.generate import HELD_OUT, TRAIN, Draw, Pools, Puzzle
 from cognitivedrone.tasks.memory import memory_track
+from cognitivedrone.tasks.racing import INSTRUCTIONS, single_gate
 from cognitivedrone.tasks.suites import FIXED, VERSION, digest_of, finish
 from cognitivedrone.types import CATEGORIES, COLORS, SHAPES, SIZES, Gate, Task, Track
 
@@ -39,6 +41,8 @@ HARD_SHARES: dict[str, int] = {
 MEMORY_TRACKS: tuple[int, ...] = (3, 4, 4, 4, 5)
 """Stages of the memory tracks."""
 STAGES_A_TRACK = 5
+RACES = 20
+"""Tracks of `race`, each of `STAGES_A_TRACK` stages."""
 
 
 def equal_shares(total: int) -> dict[str, int]:
@@ -87,14 +91,20 @@ class Dealer:
 
 def build_suite(name: str) -> list[Track]:
     """The tracks of a fixed suite."""
-    number = FIXED.index(name)
-    rng = np.random.default_rng([2, number])
+    rng = np.random.default_rng([2, FIXED.index(name)])
+    dealer = Dealer(rng)
+    tracks = _races(dealer) if name == "race" else _choices(name, rng, dealer)
+    ids = iter(range(sum(map(len, tracks))))
+    return [tuple(replace(task, id=f"{VERSION}:{name}/{next(ids):04d}") for task in track) for track in tracks]
+
+
+def _choices(name: str, rng: np.random.Generator, dealer: Dealer) -> list[list[Task]]:
+    """The tracks of a suite whose tasks ask for one of three gates."""
     pools = HELD_OUT if name == "unseen" else TRAIN
     if name == "hard":
         shares = {family: count for family, count in HARD_SHARES.items() if family != "memory"}
     else:
         shares = equal_shares({"test": 300, "unseen": 150, "smoke": 30, "track": 100}[name])
-    dealer = Dealer(rng)
     tasks = [task for family, count in shares.items() for task in _family(rng, dealer, pools, family, count)]
     if name == "track":
         n_tracks = len(tasks) // STAGES_A_TRACK
@@ -103,8 +113,19 @@ def build_suite(name: str) -> list[Track]:
         tracks = [[task] for task in _shuffled(rng, tasks)]
     if name == "hard":
         tracks += _memory(rng, dealer)
-    ids = iter(range(sum(map(len, tracks))))
-    return [tuple(replace(task, id=f"{VERSION}:{name}/{next(ids):04d}") for task in track) for track in tracks]
+    return tracks
+
+
+def _races(dealer: Dealer) -> list[list[Task]]:
+    """Tracks of single gates. One instruction holds for a whole track."""
+    dealt = iter(dealer.stages(RACES * STAGES_A_TRACK))
+    return [
+        [
+            finish(single_gate(instruction), task_id="?", family="race", target=target, gates=gates)
+            for target, gates in itertools.islice(dealt, STAGES_A_TRACK)
+        ]
+        for instruction in dealer.hand("instruction", INSTRUCTIONS, RACES)
+    ]
 
 
 def _family(rng: np.random.Generator, dealer: Dealer, pools: Pools, family: str, count: int) -> list[Task]:

@@ -28,6 +28,7 @@ TASKS: dict[str, str] = {
     "distraction": "cognitivedrone.tasks.hard:distraction",
     "comparison": "cognitivedrone.tasks.hard:comparison",
     "two_step": "cognitivedrone.tasks.hard:two_step",
+    "race": "cognitivedrone.tasks.racing:race",
 }
 """Generators by family, `Draw -> Puzzle`. Tasks of `memory` only make sense on a track: `tasks.memory` makes those."""
 
@@ -51,12 +52,14 @@ FAMILIES: dict[str, Category] = {
     "comparison": "reasoning",
     "two_step": "reasoning",
     "memory": "reasoning",
+    "race": "racing",
 }
 """Category of every family."""
 
 BASE_FAMILIES: tuple[str, ...] = tuple(FAMILIES)[:10]
-"""The families of every suite but `hard`."""
-HARD_FAMILIES: tuple[str, ...] = tuple(FAMILIES)[10:]
+"""The families of `train`, `test`, `unseen`, `smoke` and `track`."""
+HARD_FAMILIES: tuple[str, ...] = tuple(FAMILIES)[10:-1]
+"""The families of `hard`. `race` alone makes up the suite of that name."""
 
 
 @functools.cache

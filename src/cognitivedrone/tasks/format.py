@@ -2,7 +2,7 @@
 
 Published keys are `prompt`, `prompt_simpler`, `options`, `correct` (1 to 3), `gates` (a dict keyed "1" to "3", or a
 list of `{"gate": "1", ...}`), `background`, and for sums on the board `task: {d1, operator, d2}`. Ours, optional when
-read, are `id`, `category`, `family`, `labels` and `board`.
+read, are `id`, `category`, `family`, `labels`, `board` and, where one gate stands alone, its number `only`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any, cast
 from cognitivedrone.errors import TaskError
 from cognitivedrone.tasks.families import FAMILIES
 from cognitivedrone.tasks.validate import check_text, validate_task
-from cognitivedrone.types import CATEGORIES, Category, Gate, Task
+from cognitivedrone.types import ALL_CATEGORIES, Category, Gate, Task
 
 MAX_FILE_BYTES = 64 * 2**20
 MAX_TASKS = 200_000
@@ -57,6 +57,8 @@ def task_to_json(task: Task) -> dict[str, Any]:
     obj |= {"id": task.id, "category": task.category, "family": task.family, "labels": list(task.labels)}
     if task.board is not None:
         obj["board"] = task.board
+    if task.only is not None:
+        obj["only"] = task.only + 1
     return obj
 
 
@@ -93,6 +95,7 @@ def task_from_json(obj: object, *, where: str, kind: str | None = None, default_
         gates=_gates(obj["gates"], where),
         board=_board(obj, where),
         background=obj["background"],
+        only=_only(obj, where),
     )
     validate_task(task, where)
     return task
@@ -127,6 +130,15 @@ def _gates(value: object, where: str) -> tuple[Gate, Gate, Gate]:
     return gates[0], gates[1], gates[2]
 
 
+def _only(obj: Mapping[str, Any], where: str) -> int | None:
+    number = obj.get("only")
+    if number is None:
+        return None
+    if type(number) is not int or not 1 <= number <= 3:
+        raise TaskError(f"{where}: only is {number!r}; it must be 1, 2 or 3, the number of the gate that stands alone")
+    return number - 1
+
+
 def _board(obj: Mapping[str, Any], where: str) -> str | None:
     board: object = obj.get("board")
     if board is not None:
@@ -152,7 +164,7 @@ def _category_and_family(obj: Mapping[str, Any], kind: str | None, where: str) -
     family = obj.get("family", family or (kind or "").lower() or None)
     category = obj.get("category", category or (FAMILIES.get(family) if isinstance(family, str) else None))
     if category is None:
-        raise TaskError(f'{where}: no category; add "category", one of {", ".join(CATEGORIES)}')
+        raise TaskError(f'{where}: no category; add "category", one of {", ".join(ALL_CATEGORIES)}')
     return cast(Category, category), cast(str, family)
 
 

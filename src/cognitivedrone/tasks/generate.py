@@ -78,6 +78,8 @@ class Puzzle:
     instruction: str
     panels: tuple[Panel, Panel, Panel]
     board: str | None = None
+    alone: bool = False
+    """Whether the right gate stands alone and without a panel."""
 
 
 @dataclass(frozen=True, slots=True)

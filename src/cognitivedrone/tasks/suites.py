@@ -22,7 +22,7 @@ from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task, Track
 
 VERSION = "open-v1"
 TRAIN_NAME = f"{VERSION}:train"
-FIXED: tuple[str, ...] = ("test", "unseen", "smoke", "track", "hard")
+FIXED: tuple[str, ...] = ("test", "unseen", "smoke", "track", "hard", "race")
 SUITES: tuple[str, ...] = tuple(f"{VERSION}:{name}" for name in ("train", *FIXED))
 DEFAULT_TRAIN_SIZE = 300
 
@@ -68,6 +68,7 @@ def finish(puzzle: Puzzle, *, task_id: str, family: str, target: int, gates: tup
         target=target,
         gates=gates,
         board=puzzle.board,
+        only=target if puzzle.alone else None,
     )
 
 
@@ -75,19 +76,17 @@ def train_task(index: int, seed: int = 0) -> Task:
     """Task `index` of the training suite of a seed: families in rotation, everything else drawn from (seed, index)."""
     if index < 0 or seed < 0:
         raise TaskError(f"{TRAIN_NAME}: index {index} and seed {seed} must not be negative")
-    rng = np.random.default_rng([1, seed, index])
-    draw = Draw(rng, TRAIN, target=int(rng.integers(3)))
     family = BASE_FAMILIES[index % len(BASE_FAMILIES)]
+    return drawn_task(family, np.random.default_rng([1, seed, index]), f"{TRAIN_NAME}/{seed}-{index}")
+
+
+def drawn_task(family: str, rng: np.random.Generator, task_id: str) -> Task:
+    """A task of a family with everything about it drawn, from the ingredients of training."""
+    draw = Draw(rng, TRAIN, target=int(rng.integers(3)))
     colors = draw.pick(_COLOR_ORDERS)
     looks = [draw.pick(_GATE_LOOKS) for _ in colors]
     a, b, c = (Gate(size, shape, color) for (size, shape), color in zip(looks, colors, strict=True))
-    return finish(
-        generator(family)(draw),
-        task_id=f"{TRAIN_NAME}/{seed}-{index}",
-        family=family,
-        target=draw.target,
-        gates=(a, b, c),
-    )
+    return finish(generator(family)(draw), task_id=task_id, family=family, target=draw.target, gates=(a, b, c))
 
 
 class TrainTracks(Sequence[Track]):

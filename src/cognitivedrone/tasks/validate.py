@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.tasks.directives import parse_directive
-from cognitivedrone.types import CATEGORIES, COLORS, SHAPES, SIZES, Gate, Task
+from cognitivedrone.types import ALL_CATEGORIES, COLORS, SHAPES, SIZES, Gate, Task
 
 MAX_TEXT = 1000
 """Longest instruction, directive or name, in characters."""
@@ -46,10 +46,16 @@ def validate_task(task: Task, where: str) -> None:
         check_text(text, what, where)
     for what, text in (("family", task.family), ("background", task.background)):
         check_text(text, what, where)
-    check_word(task.category, CATEGORIES, "category", where)
+    check_word(task.category, ALL_CATEGORIES, "category", where)
     if type(task.target) is not int or task.target not in (0, 1, 2):
         shown = task.target + 1 if isinstance(task.target, int) else task.target
         raise TaskError(f"{where}: correct is {shown!r}; it must be 1, 2 or 3, the number of the right gate")
+    if task.only is not None and (type(task.only) is not int or task.only != task.target):
+        shown = task.only + 1 if isinstance(task.only, int) else task.only
+        raise TaskError(
+            f"{where}: only gate {shown!r} stands, but the right gate is {task.target + 1}; make only equal to "
+            "correct, or leave it out"
+        )
     check_gates(task.gates, where)
     for names, what in ((task.options, "options"), (task.labels, "labels")):
         if len(names) != 3:

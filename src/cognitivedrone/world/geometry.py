@@ -74,6 +74,16 @@ def gate_yaws(stage: Stage) -> FloatArray:
     return yaws
 
 
+def standing(stage: Stage) -> tuple[int, ...]:
+    """Indices of the gates that stand: all three, or the only one."""
+    return (0, 1, 2) if stage.only is None else (stage.only,)
+
+
+def panelled(stage: Stage) -> tuple[int, ...]:
+    """Indices of the gates that have a panel: all three, or none where one stands alone."""
+    return (0, 1, 2) if stage.only is None else ()
+
+
 def next_stage_origin(stage: Stage, gate_index: int) -> tuple[tuple[float, float], float]:
     """Origin (x, y) in m and yaw in rad of the stage that follows once gate `gate_index` (0 to 2) is flown through.
 

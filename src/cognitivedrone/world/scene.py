@@ -46,20 +46,22 @@ def fill_scene(
 ) -> None:
     """Replace what is in `scene` by a stage whose pictures are in the textures of `slot`.
 
-    `aspects` are the labels' widths over heights; `board_aspect` is the board's, or none where no board hangs. Room
-    and light belong to the stage: they move and turn with it.
+    `aspects` are the labels' widths over heights; `board_aspect` is the board's, or none where no board hangs. A gate
+    that stands alone has no panel. Room and light belong to the stage: they move and turn with it.
     """
     scene.ngeom = 0
     home = np.array([*stage.origin, 0.0])
     level = rotation_matrix(quaternion_from_yaw(stage.yaw))
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
-    for gate, center, yaw in zip(stage.gates, centers, yaws, strict=True):
+    for index in geometry.standing(stage):
+        gate = stage.gates[index]
         color = look.gate_colors[COLORS.index(gate.color)]
         mesh = assets.gates[gate.size, gate.shape]
-        _add_mesh(scene, mesh, center, rotation_matrix(quaternion_from_yaw(yaw)), color, _GATE_GLOW)
+        _add_mesh(scene, mesh, centers[index], rotation_matrix(quaternion_from_yaw(yaws[index])), color, _GATE_GLOW)
     pictures = assets.pictures[slot]
     paper: RGB = (look.panel_brightness,) * 3
-    for index, (center, yaw, aspect) in enumerate(zip(centers, yaws, aspects, strict=True)):
+    for index in geometry.panelled(stage):
+        center, yaw, aspect = centers[index], yaws[index], aspects[index]
         raised = np.array([center[0], center[1], geometry.PANEL_CENTER_HEIGHT])
         size = np.array([1.0, aspect * geometry.PANEL_HEIGHT, geometry.PANEL_HEIGHT])
         axes = rotation_matrix(quaternion_from_yaw(yaw)) * size

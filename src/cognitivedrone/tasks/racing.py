@@ -1,0 +1,44 @@
+"""Racing: gates that stand alone, one a stage, with nothing to choose. The task of the RaceVLA baseline.
+
+Source: RaceVLA (arXiv 2503.02572), a drone that flies through one gate after the other as it is told in a sentence.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cognitivedrone.errors import TaskError
+from cognitivedrone.tasks.generate import Draw, Panel, Puzzle
+from cognitivedrone.tasks.suites import VERSION, drawn_task
+from cognitivedrone.types import Task
+
+STREAM_NAME = f"{VERSION}:race-train"
+"""In the ids of `race_task`; not a suite that can be loaded."""
+INSTRUCTIONS: tuple[str, ...] = (
+    "Fly through the gates",
+    "Fly through the gate",
+    "Race through the gates",
+    "Go through all the gates",
+)
+_NUMBERS = (Panel("1", "number/1@inter"), Panel("2", "number/2@inter"), Panel("3", "number/3@inter"))
+"""Every task has options, even where no panel hangs: here the numbers of the gates."""
+
+
+def race(draw: Draw) -> Puzzle:
+    """The next gate of a race."""
+    return single_gate(draw.pick(INSTRUCTIONS))
+
+
+def single_gate(instruction: str) -> Puzzle:
+    """A gate that stands alone."""
+    return Puzzle(instruction, _NUMBERS, alone=True)
+
+
+def race_task(index: int, seed: int = 0) -> Task:
+    """Stage `index` of an endless stream for training, a track of one: everything about it is drawn from (seed, index).
+
+    Raises `TaskError` for a negative index or seed.
+    """
+    if index < 0 or seed < 0:
+        raise TaskError(f"{STREAM_NAME}: index {index} and seed {seed} must not be negative")
+    return drawn_task("race", np.random.default_rng([3, seed, index]), f"{STREAM_NAME}/{seed}-{index}")
