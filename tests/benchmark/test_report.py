@@ -9,6 +9,7 @@ import av
 import numpy as np
 import pytest
 from benchmark_fakes import FakeFlyer
+from rich.console import Console
 
 from cognitivedrone.benchmark import report
 from cognitivedrone.benchmark.clips import choose_clips, encode_mp4, make_clip
@@ -16,6 +17,7 @@ from cognitivedrone.benchmark.drawing import episode_map, overlay, stage_flights
 from cognitivedrone.benchmark.report import render_report
 from cognitivedrone.benchmark.runner import run
 from cognitivedrone.benchmark.suites import suite_of
+from cognitivedrone.benchmark.tables import results_table, words
 
 FLYER = "benchmark_fakes:FakeFlyer"
 
@@ -76,6 +78,37 @@ def test_the_page_is_whole_and_loads_nothing(pieces):
 def test_the_page_is_the_same_for_the_same_run(pieces):
     results, traces, clips = pieces
     assert render_report(results, traces, clips) == render_report(results, traces, clips)
+
+
+def test_confusions_are_shown_where_something_failed(pieces):
+    results, traces, clips = pieces
+    summary = results.summary()
+    text = render_report(results, traces, clips)
+    console = Console(width=100, record=True, file=io.StringIO())
+    console.print(results_table(results))
+    table = console.export_text()
+    for family, score in summary.families.items():
+        counts = [str(count) for count in score.outcomes.values() if count]
+        row = next(line for line in table.partition("how the stages ended")[2].splitlines() if words(family) in line)
+        assert row.replace(words(family), "").split() == counts
+        shown = re.search(rf"<tr><td>{words(family)}</td>(.*?)</tr>", text).group(1)
+        assert re.findall(r">(\d+)<", shown) == counts
+    for gate, row in enumerate(summary.choices, start=1):
+        line = next(line for line in table.splitlines() if line.startswith(f"gate {gate}"))
+        assert line.split()[2:] == [str(count) for count in row]
+        shown = re.search(rf"<tr><td>gate {gate}</td>(.*?)</tr>", text).group(1)
+        assert re.findall(r">(\d+)<", shown) == [str(count) for count in row if count]
+
+
+def test_a_run_without_failures_prints_no_confusion(pieces):
+    results, _, _ = pieces
+    passed = tuple(
+        replace(e, stages=tuple(replace(s, outcome="passed", chosen=s.target) for s in e.stages))
+        for e in results.episodes
+    )
+    console = Console(width=100, record=True, file=io.StringIO())
+    console.print(results_table(replace(results, episodes=passed)))
+    assert "how the stages ended" not in console.export_text()
 
 
 def test_every_text_of_a_task_or_a_user_is_escaped(pieces):

@@ -12,7 +12,7 @@ import pytest
 
 from cognitivedrone.benchmark.records import read_records
 from cognitivedrone.benchmark.run_types import RunConfig
-from cognitivedrone.benchmark.runner import Interrupted, out_of, run
+from cognitivedrone.benchmark.runner import Interrupted, command_of, out_of, run
 from cognitivedrone.benchmark.suites import chain, open_suite, suite_of
 from cognitivedrone.errors import CognitiveDroneError, RunError
 from cognitivedrone.tasks import load_suite, write_tasks
@@ -140,6 +140,8 @@ def test_no_more_workers_than_episodes(config):
     [
         ({"workers": 0}, "--workers is 0"),
         ({"episodes": 0}, "--episodes is 0|size 0"),
+        ({"wind": -0.5}, "--wind is -0.5"),
+        ({"wind": float("inf")}, "--wind is inf"),
         ({"labels": Path("nowhere")}, "--labels nowhere is not a folder"),
     ],
 )
@@ -157,6 +159,25 @@ def test_other_labels_are_another_run(config, tmp_path):
     (labels / "cat.png").write_bytes(b"a dog")
     with pytest.raises(RunError, match=r"options\.labels is"):
         run(replace(config, labels=labels, resume=True), progress=False, flyer=FLYER)
+
+
+def test_another_wind_is_another_run(config):
+    windy = replace(config, wind=0.5)
+    assert run(windy, progress=False, flyer=FLYER).run.options.wind_m_s == 0.5
+    assert "--wind 0.5" in command_of(windy)
+    assert "--wind" not in command_of(config)
+    with pytest.raises(RunError, match=r"options\.wind_m_s is 0\.5 there and 0\.0 here"):
+        run(replace(config, resume=True), progress=False, flyer=FLYER)
+
+
+def test_another_model_in_the_same_file_is_another_run(config, tmp_path):
+    file = tmp_path / "model.onnx"
+    file.write_bytes(b"first")
+    flown = replace(config, policy=f"small:{file}")
+    run(flown, progress=False, flyer=FLYER)
+    file.write_bytes(b"second")
+    with pytest.raises(RunError, match=r"options\.model is"):
+        run(replace(flown, resume=True), progress=False, flyer=FLYER)
 
 
 def test_the_progress_bar_counts_to_the_end(config, capsys):

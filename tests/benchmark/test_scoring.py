@@ -10,6 +10,7 @@ from scipy.stats import binomtest
 from cognitivedrone.benchmark.scoring import (
     OUTCOMES,
     Paired,
+    choices_of,
     difference_interval,
     mcnemar,
     mean_of,
@@ -101,6 +102,13 @@ def test_the_mean_of_categories_weighs_them_equally():
     assert summary.overall.rate == 0.9
     assert summary.mean_of_categories.rate == 0.5
     assert summary.mean_of_categories.categories == 2
+
+
+def test_choices_stand_by_right_gate_and_gate_flown_at():
+    ended = [stage(), stage("wrong_gate", target=2, chosen=0), stage("collision", target=2, chosen=0)]
+    ended += [stage("timeout", target=1, chosen=None), stage("policy_error", target=1, chosen=1)]
+    uncounted = [stage("invalid", chosen=None), stage("not_reached", chosen=None, distance=None)]
+    assert choices_of(ended + uncounted) == ((1, 0, 0, 0), (0, 1, 0, 1), (2, 0, 0, 0))
 
 
 def test_nothing_to_count_gives_no_rate():

@@ -18,7 +18,7 @@ from cognitivedrone.benchmark.scoring import (
     passes,
 )
 from cognitivedrone.errors import RunError
-from cognitivedrone.types import CATEGORIES, Category, StageResult
+from cognitivedrone.types import ALL_CATEGORIES, Category, StageResult
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ def compare_results(
         )
     pairs = [(stages_a[task], stages_b[task]) for task in stages_a]
     valid = [(x, y) for x, y in pairs if counts(x) and counts(y)]
-    present = [category for category in CATEGORIES if any(x.category == category for x, _ in valid)]
+    present = [category for category in ALL_CATEGORIES if any(x.category == category for x, _ in valid)]
     return Comparison(
         name_a=_pilot(a),
         name_b=_pilot(b),
@@ -120,8 +120,10 @@ def _pilot(results: Results) -> str:
 
 
 def _other_differences(a: Results, b: Results) -> tuple[str, ...]:
-    of_a = {"look": a.run.options.look, "airframe": a.run.options.airframe, "labels": a.run.options.labels}
-    of_b = {"look": b.run.options.look, "airframe": b.run.options.airframe, "labels": b.run.options.labels}
-    of_a |= dict(a.run.versions) | {"renderer": a.renderer}
-    of_b |= dict(b.run.versions) | {"renderer": b.renderer}
+    of_a, of_b = (
+        {name: getattr(run.run.options, name) for name in ("look", "airframe", "labels", "wind_m_s")}
+        | dict(run.run.versions)
+        | {"renderer": run.renderer}
+        for run in (a, b)
+    )
     return tuple(f"{key}: {of_a[key]} and {of_b.get(key)}" for key in of_a if of_a[key] != of_b.get(key))

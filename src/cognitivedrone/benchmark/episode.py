@@ -60,7 +60,7 @@ class EpisodeFlyer:
         self.policy = make_policy(config.policy)
         self.reasoner = make_reasoner(config.reasoner)
         self.simulator = Simulator(1, airframe=AIRFRAMES[config.airframe])
-        self.course = Course(self.simulator, 0, _labels(config), CourseConfig(look=config.look))
+        self.course = Course(self.simulator, 0, _labels(config), CourseConfig(look=config.look, wind_m_s=config.wind))
         self.drone = SimulatedDrone(self.simulator, self.course)
 
     @property

@@ -20,12 +20,10 @@ from cognitivedrone.benchmark.clips import Clip
 from cognitivedrone.benchmark.results import Results
 from cognitivedrone.benchmark.run_types import Trace
 from cognitivedrone.benchmark.scoring import OUTCOMES, PUBLISHED_REACH_M, RULES, Score, Summary
-from cognitivedrone.benchmark.tables import DASH, interval, percent, words
+from cognitivedrone.benchmark.tables import DASH, PUBLISHED, interval, percent, words
 from cognitivedrone.types import EpisodeResult, Outcome, StageResult
 
 REPORT_FILE: Final = "report.html"
-PUBLISHED: Final = (("CognitiveDrone-R1", 0.772), ("CognitiveDrone", 0.596), ("RaceVLA", 0.313))
-"""Overall success rates that arXiv 2503.01378 reports in its abstract."""
 CLIP_BUDGET: Final = 3_500_000
 """Bytes of film in one report; in base64 they take a third more."""
 PATHS_PER_MAP: Final = 60
@@ -102,7 +100,7 @@ def render_report(results: Results, traces: Sequence[Trace], clips: Sequence[Cli
         scores=list(_score_bars(summary, results.episodes)),
         published=list(_published_bars(summary.overall)),
         rules=[(rule, results.summary(rule).overall) for rule in RULES],
-        outcomes=[(name, _segments(score)) for name, score in _outcome_rows(summary)],
+        outcomes=[(name, level, score.outcomes, _segments(score)) for name, level, score in _outcome_rows(summary)],
         outcomes_seen=[outcome for outcome in OUTCOMES if summary.overall.outcomes[outcome]],
         maps=list(_family_maps(results.episodes, traces, summary)),
         films=[_film_view(clip) for clip in films],
@@ -144,10 +142,12 @@ def _published_bars(overall: Score) -> Iterator[Bar]:
         yield Bar(name, "published", _hundred(rate), None, None, percent(rate), DASH, "")
 
 
-def _outcome_rows(summary: Summary) -> Iterator[tuple[str, Score]]:
-    yield "overall", summary.overall
-    for category, score in summary.categories.items():
-        yield words(category), score
+def _outcome_rows(summary: Summary) -> Iterator[tuple[str, str, Score]]:
+    """Name, level and score of every row of the outcomes."""
+    yield "overall", "overall", summary.overall
+    for level, scores in (("category", summary.categories), ("family", summary.families)):
+        for name, score in scores.items():
+            yield words(name), level, score
 
 
 def _segments(score: Score) -> list[Segment]:

@@ -47,6 +47,10 @@ class Options:
     airframe: str
     labels: str | None
     """SHA-256 of the user's folder of label images, if one was given."""
+    wind_m_s: float
+    """Speed of a steady wind."""
+    model: str | None
+    """SHA-256 of the model file that the policy flies, if it flies one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +99,7 @@ class Results:
 
 def versions() -> dict[str, str]:
     """Versions of what decides a result."""
-    packages = {name: importlib.metadata.version(name) for name in ("mujoco", "numpy")}
+    packages = {name: importlib.metadata.version(name) for name in ("mujoco", "numpy", "onnxruntime")}
     return {"cognitivedrone": cognitivedrone.__version__, "python": platform.python_version(), **packages}
 
 

@@ -22,7 +22,7 @@ class RunConfig:
     """Fly a policy through a suite of tasks and score it."""
 
     policy: str = "colour_seeker"
-    """Name of a policy, or your own as module:attribute."""
+    """Name of a policy, small:MODEL.onnx for a model file, or your own as module:attribute."""
     reasoner: str = "none"
     """Name of a reasoner, or your own as module:attribute."""
     suite: str = "open-v1:test"
@@ -43,6 +43,8 @@ class RunConfig:
     """How the room looks: as published, or varied from episode to episode."""
     airframe: str = "racer"
     """The drone that is flown."""
+    wind: float = 0.0
+    """Speed of a steady wind, m/s; every episode draws its direction."""
     rule: Rule = "through"
     """The rule that the table and the report show first; results.json always holds both."""
     out: Path | None = None

@@ -39,6 +39,7 @@ from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.scoring import counts, passes
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.errors import RunError
+from cognitivedrone.policies import model_file
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import EpisodeResult
 
@@ -104,6 +105,9 @@ def facts_of(config: RunConfig, suite: Suite) -> RunFacts:
             raise RunError(f"--{name} is {value}; it must be at least 1")
     if config.labels is not None and not config.labels.is_dir():
         raise RunError(f"--labels {config.labels} is not a folder of images")
+    if not 0 <= config.wind < math.inf:
+        raise RunError(f"--wind is {config.wind}; it is a speed in m/s, 0 or more")
+    model = model_file(config.policy)
     return RunFacts(
         suite=SuiteFacts(suite.name, suite.digest, suite.n_tasks),
         policy=config.policy,
@@ -115,6 +119,8 @@ def facts_of(config: RunConfig, suite: Suite) -> RunFacts:
             look=config.look,
             airframe=config.airframe,
             labels=None if config.labels is None else _folder_digest(config.labels),
+            wind_m_s=config.wind,
+            model=None if model is None else _file_digest(model),
         ),
         versions=versions(),
     )
@@ -138,7 +144,7 @@ def command_of(config: RunConfig) -> str:
     words += ["--episodes", str(config.episodes)] if config.episodes is not None else []
     words += ["--track"] if config.track else []
     default = RunConfig()
-    for name in ("look", "airframe", "rule"):
+    for name in ("look", "airframe", "wind", "rule"):
         if getattr(config, name) != getattr(default, name):
             words += [f"--{name}", str(getattr(config, name))]
     return shlex.join(words)
@@ -213,6 +219,11 @@ def _timing(records: Sequence[Record], workers: int, flown: int, wall_s: float) 
         episodes_flown=flown,
         mean_decision_ms=round(statistics.fmean(decisions) * 1e3, 3) if decisions else None,
     )
+
+
+def _file_digest(file: Path) -> str:
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _folder_digest(folder: Path) -> str:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Final, get_args
 
 from cognitivedrone.benchmark.run_types import Rule
-from cognitivedrone.types import CATEGORIES, Category, EpisodeResult, Outcome, StageResult
+from cognitivedrone.types import ALL_CATEGORIES, CATEGORIES, Category, EpisodeResult, Outcome, StageResult
 
 OUTCOMES: Final[tuple[Outcome, ...]] = get_args(Outcome)
 RULES: Final[tuple[Rule, ...]] = get_args(Rule)
@@ -47,7 +47,8 @@ class Score:
     choice_accuracy: float | None
     """chosen_right / n"""
     pass_given_choice: float | None
-    """Share of the stages that went for the right gate which also passed it: flying apart from thinking."""
+    """Share of the stages that went for the right gate which also passed it: flying apart from thinking. Where gates
+    stand alone, that gate is the only one that can be gone for."""
     mean_time_s: float | None
     """Of the passed stages, as all that follow."""
     median_time_s: float | None
@@ -57,7 +58,7 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class CategoryMean:
-    """Unweighted mean of the categories' rates."""
+    """Unweighted mean of the rates of the paper's categories: `racing`, which asks for no choice, is not among them."""
 
     categories: int
     """How many categories have counted stages and so enter the mean."""
@@ -78,6 +79,9 @@ class Summary:
     episodes: int
     episodes_completed: int
     """Episodes whose every stage was passed."""
+    choices: tuple[tuple[int, int, int, int], ...]
+    """Stages by right gate, 1 to 3 as rows, and gate flown at, 1 to 3 and last none, as columns; those counted and
+    reached. Off its diagonal stand the mistakes, and what a policy prefers whatever it is told."""
 
 
 def passes(stage: StageResult, rule: Rule) -> bool:
@@ -120,17 +124,24 @@ def score(stages: Iterable[StageResult], rule: Rule = "through") -> Score:
 def summarize(episodes: Sequence[EpisodeResult], rule: Rule = "through") -> Summary:
     """Overall, mean of the categories, each category and each family."""
     stages = [stage for episode in episodes for stage in episode.stages]
-    by_category = {category: [s for s in stages if s.category == category] for category in CATEGORIES}
+    by_category = {category: [s for s in stages if s.category == category] for category in ALL_CATEGORIES}
     categories = {category: score(part, rule) for category, part in by_category.items() if part}
-    families = sorted({(CATEGORIES.index(s.category), s.family) for s in stages})
+    families = sorted({(ALL_CATEGORIES.index(s.category), s.family) for s in stages})
     return Summary(
         overall=score(stages, rule),
-        mean_of_categories=mean_of(list(categories.values())),
+        mean_of_categories=mean_of([categories[category] for category in CATEGORIES if category in categories]),
         categories=categories,
         families={family: score([s for s in stages if s.family == family], rule) for _, family in families},
         episodes=len(episodes),
         episodes_completed=sum(all(passes(stage, rule) for stage in episode.stages) for episode in episodes),
+        choices=choices_of(stages),
     )
+
+
+def choices_of(stages: Iterable[StageResult]) -> tuple[tuple[int, int, int, int], ...]:
+    """Stages by right gate (rows) and gate flown at, or none (columns)."""
+    tally = Counter((stage.target, stage.chosen) for stage in stages if stage.outcome not in ("invalid", "not_reached"))
+    return tuple((tally[gate, 0], tally[gate, 1], tally[gate, 2], tally[gate, None]) for gate in range(3))
 
 
 def mean_of(scores: Sequence[Score]) -> CategoryMean:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Final
 
 from rich import box
 from rich.console import Group, RenderableType
@@ -12,9 +13,11 @@ from rich.text import Text
 from cognitivedrone.benchmark.compare import Comparison, Difference
 from cognitivedrone.benchmark.results import Results
 from cognitivedrone.benchmark.run_types import Rule
-from cognitivedrone.benchmark.scoring import Interval, Score
+from cognitivedrone.benchmark.scoring import Interval, Score, Summary
 
 DASH = "–"
+PUBLISHED: Final = (("CognitiveDrone-R1", 0.772), ("CognitiveDrone", 0.596), ("RaceVLA", 0.313))
+"""Overall success rates that arXiv 2503.01378 reports in its abstract."""
 
 
 def results_table(results: Results, rule: Rule | None = None) -> RenderableType:
@@ -24,15 +27,33 @@ def results_table(results: Results, rule: Rule | None = None) -> RenderableType:
     run = results.run
     title = f"{run.suite.name}: {run.policy}, reasoner {run.reasoner}"
     table = _table(title, "", "n", "passed", "rate", "95 % CI", "choice", "pass|choice")
-    table.add_row("overall", *_score_cells(summary.overall), style="bold")
     mean = summary.mean_of_categories
-    cells = ("", "", percent(mean.rate), interval(mean.ci95), "", "")
-    table.add_row(f"mean of {mean.categories} categories", *cells, end_section=True)
+    table.add_row("overall", *_score_cells(summary.overall), style="bold", end_section=not mean.categories)
+    if mean.categories:
+        cells = ("", "", percent(mean.rate), interval(mean.ci95), "", "")
+        table.add_row(f"mean of {mean.categories} categories", *cells, end_section=True)
     for position, (category, score) in enumerate(summary.categories.items(), start=1):
         table.add_row(words(category), *_score_cells(score), end_section=position == len(summary.categories))
     for family, score in summary.families.items():
         table.add_row(Text(f"  {words(family)}"), *_score_cells(score), style="dim")
-    return Group(table, "", *_notes(results, rule))
+    return Group(table, "", *_confusions(summary), *_notes(results, rule))
+
+
+def _confusions(summary: Summary) -> Iterator[RenderableType]:
+    """Where something failed: how the stages of each family ended, and which gates were flown at instead."""
+    seen = [outcome for outcome, count in summary.overall.outcomes.items() if count]
+    if seen in ([], ["passed"]):
+        return
+    endings = _table("how the stages ended", "", *(words(outcome) for outcome in seen))
+    for family, score in summary.families.items():
+        endings.add_row(words(family), *(str(score.outcomes[outcome] or "") for outcome in seen))
+    yield endings
+    yield ""
+    choices = _table("gates flown at", "right", "1", "2", "3", "none")
+    for gate, row in enumerate(summary.choices, start=1):
+        choices.add_row(f"gate {gate}", *(str(count) for count in row))
+    yield choices
+    yield ""
 
 
 def comparison_table(comparison: Comparison) -> RenderableType:
@@ -125,6 +146,8 @@ def _notes(results: Results, rule: Rule) -> list[Text]:
         count = overall.outcomes["policy_error"]
         text = f"policy errors, counted as not passed: {count}; the first in episode {first.episode}: {first.message}"
         notes.append(Text(text, style="yellow"))
+    published = ", ".join(f"{name} {percent(rate)}" for name, rate in PUBLISHED)
+    notes.append(Text(f"the paper (arXiv 2503.01378), on its own tasks and simulator: {published}"))
     flown, wall = results.timing.episodes_flown, results.timing.wall_s
     notes.append(Text(f"{flown} episodes in {wall:.1f} s, {results.timing.workers} workers", style="dim"))
     return notes
