@@ -91,7 +91,7 @@ def episode_map(result: EpisodeResult, trace: Trace) -> Map:
     base = trace.stages[0]
     flights = list(stage_flights(result, trace))
     marks = (_path_mark(_to_page(flight.points, base), flight.result.outcome) for flight in flights)
-    corners = [_to_page(geometry.gate_centers(stage), base) for stage in trace.stages]
+    corners = [_to_page(geometry.gate_centers(stage)[list(geometry.standing(stage))], base) for stage in trace.stages]
     corners.append(_to_page(_start_corners(base), base))
     every = np.concatenate([*corners, _to_page(trace.path, base)])
     every = every[np.isfinite(every).all(axis=1)]
@@ -117,10 +117,11 @@ def _to_page(points: Points, stage: Stage) -> FloatArray:
 
 
 def _gate_marks(stage: Stage, base: Stage, target: int | None, text: float) -> tuple[GateMark, ...]:
-    """The gates of `stage` on the page of `base`, with numbers of height `text`, m."""
+    """The gates that stand on `stage` on the page of `base`, with numbers of height `text`, m."""
     marks = []
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
-    for index, gate in enumerate(stage.gates):
+    for index in geometry.standing(stage):
+        gate = stage.gates[index]
         half = float(np.abs(geometry.opening_outline(gate, grow=geometry.BAR_WIDTH)[:, 0]).max())
         offsets = np.array([[0.0, half, 0.0], [0.0, -half, 0.0], [1.25 * text, 0.0, 0.0]])
         world = centers[index] + rotate_yaw(offsets, float(yaws[index]))

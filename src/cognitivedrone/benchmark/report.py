@@ -29,7 +29,7 @@ CLIP_BUDGET: Final = 3_500_000
 PATHS_PER_MAP: Final = 60
 FAILURES_LISTED: Final = 200
 CHANCE: Final = 1 / 3
-"""A guess among three gates."""
+"""A guess among three gates; where single gates alone were flown, there is nothing to guess."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ def render_report(results: Results, traces: Sequence[Trace], clips: Sequence[Cli
         rule=results.rule,
         reach=PUBLISHED_REACH_M,
         summary=summary,
-        chance=100 * CHANCE,
+        chance=100 * CHANCE if summary.mean_of_categories.categories else None,
         scores=list(_score_bars(summary, results.episodes)),
         published=list(_published_bars(summary.overall)),
         rules=[(rule, results.summary(rule).overall) for rule in RULES],

@@ -1,0 +1,88 @@
+"""Runs of the racing suite: scored and shown without a word of choosing."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from cognitivedrone.benchmark.codec import decode, encode
+from cognitivedrone.benchmark.drawing import episode_map
+from cognitivedrone.benchmark.records import read_records
+from cognitivedrone.benchmark.report import render_report
+from cognitivedrone.benchmark.run_types import RunConfig, Trace
+from cognitivedrone.benchmark.runner import run
+from cognitivedrone.benchmark.scoring import summarize
+from cognitivedrone.benchmark.tables import results_table
+from cognitivedrone.tasks import load_suite
+from cognitivedrone.types import CATEGORIES, EpisodeResult, Gate, Stage, StageResult
+
+BIG = Gate("big", "round", "red")
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    """Results and records of two races that the oracle flew."""
+    out = tmp_path_factory.mktemp("race") / "run"
+    config = RunConfig(policy="oracle", suite="open-v1:race", episodes=2, workers=1, out=out, clips=1)
+    return run(config, progress=False), read_records(out)
+
+
+def test_the_oracle_passes_and_the_stages_are_recorded_as_they_stood(flown):
+    results, records = flown
+    assert results.summary().overall.passed == 10
+    for episode, track in enumerate(load_suite("open-v1:race").tracks[:2]):
+        assert [stage.only for stage in records[episode].trace.stages] == [task.target for task in track]
+
+
+def test_table_and_report_have_the_race_and_no_chance_of_guessing_right(flown):
+    results, records = flown
+    console = Console(width=100, record=True, file=io.StringIO())
+    console.print(results_table(results))
+    table = console.export_text()
+    page = render_report(results, [records[k].trace for k in range(2)], [])
+    assert "pass|choice" in table
+    for text in (table, page):
+        assert "racing" in text
+        assert "100.0 %" in text
+        for word in ("mean of", "a guess"):
+            assert word not in text
+    assert 'class="chance"' not in page
+    assert "Beside the published scores" not in page
+
+
+def test_the_map_of_a_race_has_one_gate_a_stage(flown):
+    results, records = flown
+    drawn = episode_map(results.episodes[0], records[0].trace)
+    targets = [task.target for task in load_suite("open-v1:race").tracks[0]]
+    assert [gate.number - 1 for gate in drawn.gates] == targets
+    assert all(gate.is_target for gate in drawn.gates)
+
+
+def test_only_a_stage_with_a_gate_alone_says_so_in_its_record():
+    stage = Stage(gates=(BIG, BIG, BIG), labels=("a", "b", "c"))
+    assert "only" not in encode(stage)
+    alone = replace(stage, only=0)
+    assert encode(alone)["only"] == 0
+    for each in (stage, alone):
+        trace = Trace(np.zeros((2, 3), np.float32), (each,), (0,), 0.0)
+        assert decode(Trace, encode(trace), "here").stages == (each,)
+
+
+def result(category, outcome="passed", chosen=1):
+    return StageResult("x", category, category, 1, outcome, chosen, 5.0, 6.0, 1.0, 0.1, 0.1)
+
+
+def test_races_stand_behind_the_papers_categories_and_outside_their_mean():
+    stages = [result("racing")] * 3 + [result("racing", "collision"), result("racing", "timeout", None)]
+    stages += [result(category, "wrong_gate", 0) for category in CATEGORIES]
+    summary = summarize([EpisodeResult(0, 0, tuple(stages), 1)])
+    assert list(summary.categories) == [*CATEGORIES, "racing"]
+    assert list(summary.families) == [*CATEGORIES, "racing"]
+    assert summary.overall.n == 8
+    assert (summary.mean_of_categories.categories, summary.mean_of_categories.rate) == (3, 0.0)
+    assert summary.categories["racing"].rate == 0.6
+    assert summary.categories["racing"].pass_given_choice == 0.75

@@ -1,0 +1,110 @@
+"""A race as it is flown: one gate in sight at a time, on the way from one to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cognitivedrone.envs.course import Course, CourseConfig, stage_of
+from cognitivedrone.labels import load_pack
+from cognitivedrone.policies.expert import Expert
+from cognitivedrone.sim.simulator import Simulator, Start
+from cognitivedrone.tasks import load_suite, race_task
+from cognitivedrone.types import Color, Gate, Image, Task, Track
+from cognitivedrone.world import geometry
+
+START = Start((-1.0, 0.0, 0.75))
+CHANNELS: dict[Color, int] = {"red": 0, "green": 1, "blue": 2}
+GATES = (Gate("big", "square", "red"), Gate("big", "square", "green"), Gate("big", "square", "blue"))
+
+
+@pytest.fixture(scope="module")
+def course() -> Iterator[Course]:
+    simulator = Simulator(1)
+    yield Course(simulator, 0, load_pack("open-v1"), CourseConfig())
+    simulator.close()
+
+
+def race_through(*targets: int) -> Track:
+    return tuple(replace(race_task(i), target=target, only=target, gates=GATES) for i, target in enumerate(targets))
+
+
+def begin(course: Course, *track: Task) -> Image:
+    course.begin(track, np.random.default_rng(0), START)
+    return course.simulator.frames()[0]
+
+
+def colored(frame: Image) -> dict[Color, int]:
+    """Pixels of each gate colour."""
+    spread = frame.max(axis=2).astype(int) - frame.min(axis=2)
+    return {
+        color: int(((frame.argmax(axis=2) == channel) & (spread > 60)).sum()) for color, channel in CHANNELS.items()
+    }
+
+
+@pytest.mark.parametrize("only", range(3))
+def test_the_only_gate_is_drawn_where_it_always_stands_and_nothing_else_is(course, only):
+    (task,) = race_through(only)
+    alone = begin(course, task)
+    everything = begin(course, replace(task, only=None))
+    counts = colored(alone)
+    color = GATES[only].color
+    assert counts[color] == colored(everything)[color] > 50
+    assert sum(counts.values()) == counts[color]
+    # Above the gates hang the panels: with all of them there is paper on the grey of the walls, without there is none.
+    assert (alone[:100] == alone[0, 0]).all()
+    assert not (everything[:100] == everything[0, 0]).all()
+
+
+def test_the_stage_knows_which_gate_stands():
+    task = race_task(0)
+    assert stage_of(task).only == task.target
+    assert stage_of(replace(task, only=None)).only is None
+
+
+def test_the_expert_flies_from_gate_to_gate(course):
+    track = race_through(0, 2, 1, 0)
+    begin(course, *track)
+    expert = Expert()
+    stage = None
+    while not course.finished:
+        if course.stage is not stage:
+            stage = course.stage
+            expert.reset(course.task.instruction)
+            expert.brief(course.truth())
+        course.simulator.command(0, expert.command())
+        course.update(course.simulator.advance()[0])
+    assert [(result.outcome, result.chosen) for result in course.results] == [("passed", t.target) for t in track]
+    assert [stage.only for stage in course.stages] == [task.target for task in track]
+    for before, after in zip(course.stages, course.stages[1:], strict=False):
+        assert (after.origin, after.yaw) == geometry.next_stage_origin(before, before.only)
+
+
+def test_flying_by_ends_the_race(course):
+    begin(course, *race_through(0, 1))
+    result = None
+    while result is None:
+        course.simulator.command(0, np.array([2.0, 0.0, 0.0, 0.0]))
+        result = course.update(course.simulator.advance()[0])
+    assert (result.outcome, result.chosen) == ("missed", 0)
+    assert [result.outcome for result in course.results] == ["missed", "not_reached"]
+
+
+def test_the_races_of_the_suite_can_be_flown():
+    simulator = Simulator(1, render=False)
+    course = Course(simulator, 0, load_pack("open-v1"), CourseConfig())
+    expert = Expert()
+    for episode, track in enumerate(load_suite("open-v1:race").tracks[::4]):
+        course.begin(track, np.random.default_rng(episode))
+        stage = None
+        while not course.finished:
+            if course.stage is not stage:
+                stage = course.stage
+                expert.brief(course.truth())
+            simulator.command(0, expert.command())
+            course.update(simulator.advance()[0])
+        assert {result.outcome for result in course.results} == {"passed"}, episode
+    simulator.close()
