@@ -5,6 +5,7 @@ A name of the family may carry an argument, as in "small:runs/a/model.onnx", whe
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import inspect
 from collections.abc import Callable, Mapping
@@ -27,7 +28,9 @@ def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
     try:
         factory = getattr(importlib.import_module(module_name), attribute)
     except ModuleNotFoundError as error:
-        raise PolicyError(f"{kind} {name!r}: no module {error.name!r}; is its folder on PYTHONPATH?") from None
+        near = difflib.get_close_matches(module_name, table, n=1)
+        hint = f"did you mean '{near[0]}:{attribute}'?" if near else "is its folder on PYTHONPATH?"
+        raise PolicyError(f"{kind} {name!r}: no module {error.name!r}; {hint}") from None
     except AttributeError:
         raise PolicyError(f"{kind} {name!r}: module {module_name!r} has no {attribute!r}") from None
     if not callable(factory):

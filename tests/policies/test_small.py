@@ -115,7 +115,8 @@ def test_a_model_file_is_given_behind_the_name(tiny_model_file):
         ("small:", "ends at its colon"),
         ("hover:fast", "'hover' takes no argument"),
         ("oracle:fast", "'oracle' takes no argument"),
-        ("smal:model.onnx", "no module 'smal'"),
+        ("smal:model.onnx", "no module 'smal'; did you mean 'small:model.onnx'?"),
+        ("runs/a/model.onnx", "write small:runs/a/model.onnx"),
         ("cognitivedrone.policies.small:Smal", "has no 'Smal'"),
     ],
 )

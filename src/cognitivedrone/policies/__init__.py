@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cognitivedrone import plugins
+from cognitivedrone.errors import PolicyError
 from cognitivedrone.interfaces import Policy
 
 POLICIES: dict[str, str] = {
@@ -36,5 +37,7 @@ def model_file(name: str) -> Path | None:
 
 def make_policy(name: str) -> Policy:
     """A new policy by name, "name:argument" or "module:attribute"; raises `PolicyError`."""
+    if name.endswith(".onnx") and ":" not in name:
+        raise PolicyError(f"policy {name!r} is a model file; write small:{name}")
     policy: Policy = plugins.make("policy", name, POLICIES, ("reset", "act"))
     return policy
