@@ -89,7 +89,7 @@ def test_confusions_are_shown_where_something_failed(pieces):
     table = console.export_text()
     for family, score in summary.families.items():
         counts = [str(count) for count in score.outcomes.values() if count]
-        row = next(line for line in table.partition("how the stages ended")[2].splitlines() if words(family) in line)
+        row = next(line for line in table.partition("endings")[2].splitlines() if words(family) in line)
         assert row.replace(words(family), "").split() == counts
         shown = re.search(rf"<tr><td>{words(family)}</td>(.*?)</tr>", text).group(1)
         assert re.findall(r">(\d+)<", shown) == counts
@@ -108,7 +108,7 @@ def test_a_run_without_failures_prints_no_confusion(pieces):
     )
     console = Console(width=100, record=True, file=io.StringIO())
     console.print(results_table(replace(results, episodes=passed)))
-    assert "how the stages ended" not in console.export_text()
+    assert "endings" not in console.export_text()
 
 
 def test_every_text_of_a_task_or_a_user_is_escaped(pieces):

@@ -44,7 +44,7 @@ def _confusions(summary: Summary) -> Iterator[RenderableType]:
     seen = [outcome for outcome, count in summary.overall.outcomes.items() if count]
     if seen in ([], ["passed"]):
         return
-    endings = _table("how the stages ended", "", *(words(outcome) for outcome in seen))
+    endings = _table("endings", "", *(words(outcome) for outcome in seen))
     for family, score in summary.families.items():
         endings.add_row(words(family), *(str(score.outcomes[outcome] or "") for outcome in seen))
     yield endings
