@@ -49,6 +49,10 @@ class DataError(CognitiveDroneError):
     """A data set that cannot be written, read or trusted."""
 
 
+class TrainingError(CognitiveDroneError):
+    """A training that cannot start or go on, or a checkpoint that cannot be read."""
+
+
 class MissingExtra(CognitiveDroneError):
     """An optional dependency is not installed."""
 

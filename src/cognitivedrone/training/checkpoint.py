@@ -1,0 +1,65 @@
+"""Training state on disk, without pickle: tensors as safetensors, the rest as JSON in the same file's header."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from cognitivedrone.errors import TrainingError
+
+FORMAT = 1
+_KEY = "cognitivedrone"
+
+
+def save_checkpoint(
+    path: Path, network: nn.Module, optimizer: torch.optim.Optimizer | None, facts: dict[str, Any]
+) -> None:
+    """Write the network, the optimiser's state where given, and `facts` (JSON values): whole, or not at all."""
+    tensors = {f"network.{name}": tensor for name, tensor in network.state_dict().items()}
+    if optimizer is not None:
+        for number, state in optimizer.state_dict()["state"].items():
+            tensors |= {f"optimizer.{number}.{name}": value for name, value in state.items()}
+    whole = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
+    beside = path.with_suffix(".part")
+    save_file(whole, beside, metadata={_KEY: json.dumps({"format": FORMAT, **facts})})
+    beside.replace(path)
+
+
+def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """All tensors by name, and the facts; raises `TrainingError` for what is no whole checkpoint of this format."""
+    try:
+        with safe_open(path, "pt") as file:
+            facts = json.loads((file.metadata() or {})[_KEY])
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
+    except FileNotFoundError:
+        raise TrainingError(f"{path}: no such checkpoint") from None
+    except (SafetensorError, OSError) as error:
+        raise TrainingError(f"{path}: not a whole checkpoint ({error}); delete it or take an earlier one") from None
+    except (KeyError, ValueError):
+        raise TrainingError(f"{path}: a safetensors file, but not a checkpoint of this project") from None
+    if facts.get("format") != FORMAT:
+        raise TrainingError(f"{path}: checkpoint of format {facts.get('format')}; this version reads {FORMAT}")
+    return tensors, facts
+
+
+def restore(tensors: dict[str, Tensor], network: nn.Module, optimizer: torch.optim.Optimizer | None) -> None:
+    """Put what `read_checkpoint` gave into a network, and an optimiser, of the same shapes."""
+    own = {name.removeprefix("network."): value for name, value in tensors.items() if name.startswith("network.")}
+    try:
+        network.load_state_dict(own)
+    except RuntimeError as error:
+        raise TrainingError(f"the checkpoint is of another network: {str(error).splitlines()[-1].strip()}") from None
+    if optimizer is None:
+        return
+    state: dict[int, dict[str, Tensor]] = {}
+    for name, value in tensors.items():
+        if name.startswith("optimizer."):
+            _, number, key = name.split(".", 2)
+            state.setdefault(int(number), {})[key] = value
+    optimizer.load_state_dict({**optimizer.state_dict(), "state": state})

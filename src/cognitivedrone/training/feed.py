@@ -1,0 +1,106 @@
+"""Batches from processes of their own, so that flying and rendering do not hold up the training."""
+
+from __future__ import annotations
+
+import multiprocessing
+import queue
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.models.small_vla import SmallVLA
+from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.training.checkpoint import read_checkpoint, restore
+from cognitivedrone.training.pilot import NetworkPilot
+from cognitivedrone.training.recipes import TrainRecipe
+from cognitivedrone.training.stream import Batch, Rehearsal
+
+_AHEAD = 6  # batches made ahead of their use
+_PATIENCE_S = 600.0
+
+
+def learner_path(out: Path, round_: int) -> Path:
+    """Where the weights at the end of a round lie. They fly along in the next round but one, so that nobody waits."""
+    return out / "learners" / f"{round_:05d}.safetensors"
+
+
+def share(recipe: TrainRecipe, processes: int) -> TrainRecipe:
+    """The recipe of one of several processes, which together make its batches."""
+    stream = recipe.stream
+    if stream.batch % processes:
+        raise TrainingError(f"a batch of {stream.batch} frames cannot be shared by {processes} processes")
+    part = replace(stream, batch=stream.batch // processes, texts=max(1, stream.texts // processes))
+    return replace(recipe, stream=part)
+
+
+class Feed:
+    """The batches of one training process, round by round, made by one generating process beside it.
+
+    What comes is a function of recipe, seed, rank and the weights of earlier rounds, so a training that goes on after
+    a kill sees what it would have seen.
+    """
+
+    def __init__(
+        self, recipe: TrainRecipe, vocabulary: Vocabulary, out: Path, *, seed: int, rank: int, first_round: int
+    ) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._queue = context.Queue(_AHEAD)
+        arguments = (self._queue, recipe, vocabulary.words, out, seed, rank, first_round)
+        self._process = context.Process(target=_generate, args=arguments, daemon=True)
+
+    def __enter__(self) -> Feed:
+        self._process.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.terminate()
+        self._process.join(10)
+
+    def __iter__(self) -> Iterator[Batch]:
+        """All further batches; raises `TrainingError` where the generating process has died."""
+        while True:
+            try:
+                item = self._queue.get(timeout=5)
+            except queue.Empty:
+                if not self._process.is_alive():
+                    raise TrainingError("the process that makes the data has ended; see its message above") from None
+                continue
+            yield item
+
+
+def _generate(
+    out_queue: multiprocessing.queues.Queue[Batch],
+    recipe: TrainRecipe,
+    words: tuple[str, ...],
+    out: Path,
+    seed: int,
+    rank: int,
+    first_round: int,
+) -> None:
+    """Fill the queue, round by round, until there is nothing left to train."""
+    torch.set_num_threads(1)
+    vocabulary = Vocabulary(words)
+    rehearsal = Rehearsal(recipe.stream, vocabulary, recipe.network.text_length)
+    network = SmallVLA(recipe.network)
+    for round_ in range(first_round, -(-recipe.steps // recipe.round_steps)):
+        learner = None
+        if round_ >= 2 and recipe.stream.learner > 0:
+            _load(network, learner_path(out, round_ - 2))
+            learner = NetworkPilot(network, vocabulary)
+        batches = rehearsal.batches((seed, rank, round_), learner)
+        for _ in range(min(recipe.round_steps, recipe.steps - round_ * recipe.round_steps)):
+            out_queue.put(next(batches))
+
+
+def _load(network: SmallVLA, path: Path) -> None:
+    """Wait for the weights, and take them."""
+    until = time.monotonic() + _PATIENCE_S
+    while not path.exists():
+        if time.monotonic() > until:
+            raise TrainingError(f"{path}: the weights that should fly along did not come")
+        time.sleep(0.2)
+    restore(read_checkpoint(path)[0], network, None)

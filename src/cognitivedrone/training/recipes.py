@@ -1,0 +1,89 @@
+"""How the small models are trained, as named frozen recipes."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from cognitivedrone.errors import TrainingError, did_you_mean
+from cognitivedrone.models.small_vla import SmallVLAConfig
+from cognitivedrone.training.losses import LossWeights
+from cognitivedrone.training.stream import StreamRecipe
+
+
+@dataclass(frozen=True, slots=True)
+class TrainRecipe:
+    """Everything that decides what comes out of a training, but the number of processes and the seed."""
+
+    name: str
+    steps: int
+    """Of the optimiser."""
+    network: SmallVLAConfig = field(default_factory=SmallVLAConfig)
+    stream: StreamRecipe = field(default_factory=StreamRecipe)
+    """Its batch is that of the whole training: processes share it."""
+    losses: LossWeights = field(default_factory=LossWeights)
+    learning_rate: float = 1.2e-3
+    warmup_steps: int = 200
+    decay_share: float = 0.6
+    """Share of the training, its end, over which the learning rate falls linearly to zero."""
+    weight_decay: float = 0.02
+    clip: float = 2.0
+    """Bound on the norm of the gradient."""
+    round_steps: int = 250
+    """Between checkpoints; also how often the network that flies along is renewed."""
+    validate_every: int = 500
+    """Steps between points of the learning curves; a multiple of `round_steps` or equal to it."""
+    validation_frames: int = 512
+    fly_every: int = 2000
+    """Steps between closed-loop trials; a multiple of `validate_every`."""
+    fly_tasks: int = 60
+    """Tasks of a trial."""
+
+    def facts(self) -> dict[str, Any]:
+        """As plain JSON values."""
+        return asdict(self)
+
+
+SMALL = TrainRecipe("small", steps=20_000, stream=StreamRecipe(batch=32))
+
+RECIPES: dict[str, TrainRecipe] = {
+    "small": SMALL,
+    "race": replace(
+        SMALL,
+        name="race",
+        steps=3_000,
+        stream=replace(SMALL.stream, suite="race", sentences=2, texts=1),
+        network=replace(SMALL.network, sight=(8, 16, 32, 32), text_layers=1),
+    ),
+    "base": replace(
+        SMALL,
+        name="base",
+        steps=30_000,
+        stream=StreamRecipe(batch=128, worlds=32),
+        network=replace(SMALL.network, backbone=(48, 96, 160), sight=(48, 96, 160, 256), text_layers=4),
+    ),
+    "debug": replace(
+        SMALL,
+        name="debug",
+        steps=6,
+        stream=StreamRecipe(batch=4, sentences=2, texts=4, worlds=4, sampled=0.5, pool=2, learner=0.5),
+        network=SmallVLAConfig(
+            backbone=(8, 8, 16), blocks=1, sight=(8, 8, 8, 8), embedding=16, text_width=16, text_layers=1, glimpse=32
+        ),
+        warmup_steps=1,
+        round_steps=2,
+        validate_every=2,
+        validation_frames=8,
+        fly_every=4,
+        fly_tasks=2,
+    ),
+}
+"""`small`: the shipped policy. `race`: the baseline without language. `base`: larger, for a GPU. `debug`: the whole
+path in seconds, of no use otherwise."""
+
+
+def find_recipe(name: str) -> TrainRecipe:
+    """The recipe of that name; raises `TrainingError` with near names."""
+    if name not in RECIPES:
+        raise TrainingError(f"unknown recipe {name!r}; {did_you_mean(name, RECIPES)}")
+    return RECIPES[name]
