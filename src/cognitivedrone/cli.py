@@ -13,7 +13,7 @@ from rich.progress import track
 
 from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.collect.collector import CollectConfig
-from cognitivedrone.errors import CognitiveDroneError
+from cognitivedrone.errors import CognitiveDroneError, MissingExtra
 
 app = tyro.extras.SubcommandApp()
 
@@ -99,6 +99,38 @@ def collect(config: Annotated[CollectConfig, tyro.conf.arg(name="")]) -> None:
         f" dropped: {dropped}",
         highlight=False,
     )
+
+
+@app.command
+def train(
+    out: Path,
+    recipe: str = "small",
+    seed: int = 0,
+    resume: bool = False,
+    processes: int = 1,
+    threads: int = 1,
+) -> None:
+    """Train a small model from flights that are made while it trains, and write it as one ONNX file.
+
+    Needs the extra `train`. A training that was stopped goes on with --resume. Examples:
+
+      cognitivedrone train --recipe small --out runs/small --processes 2
+      cognitivedrone bench --policy small:runs/small/model.onnx
+
+    Args:
+        out: Folder of the run: checkpoint, curves.png, TensorBoard logs and, at the end, model.onnx.
+        recipe: small, race, base or debug.
+        seed: Of everything random.
+        resume: Go on from the checkpoint in the folder.
+        processes: Processes that share each batch: the number of CPU cores, or of GPUs.
+        threads: CPU threads of each process's network.
+    """
+    try:
+        from cognitivedrone.training.launch import TrainOptions, run
+    except ModuleNotFoundError as error:
+        raise MissingExtra(str(error.name), "train") from None
+    model = run(TrainOptions(out, recipe, seed, resume, processes, threads))
+    print(f"{model}: fly it with --policy small:{model}")  # noqa: T201
 
 
 data = tyro.extras.SubcommandApp()

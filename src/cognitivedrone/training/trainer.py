@@ -20,6 +20,7 @@ from cognitivedrone.envs.course import CourseConfig
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.small_vla import SmallVLA, SmallVLAConfig
 from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.tasks import load_suite, train_task
 from cognitivedrone.tasks.racing import race_task
 from cognitivedrone.training.checkpoint import read_checkpoint, restore, save_checkpoint
@@ -29,7 +30,7 @@ from cognitivedrone.training.feed import Feed, learner_path, share
 from cognitivedrone.training.losses import Lesson, to_tensors
 from cognitivedrone.training.pilot import NetworkPilot, fly_suite
 from cognitivedrone.training.recipes import TrainRecipe
-from cognitivedrone.training.stream import Batch, Rehearsal
+from cognitivedrone.training.stream import Batch, Rehearsal, StreamRecipe
 
 CHECKPOINT = "checkpoint.safetensors"
 METRICS = "metrics.jsonl"
@@ -84,6 +85,8 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
     )
     step = _begin(config, recipe, network, optimizer, accelerator.is_main_process)
     accelerator.wait_for_everyone()
+    if step >= recipe.steps:
+        return out / CHECKPOINT
     lesson, optimizer = accelerator.prepare(Lesson(network, recipe.losses), optimizer)
     part = share(recipe, accelerator.num_processes)
     keeper = _Keeper(config, recipe, vocabulary, accelerator, report) if accelerator.is_main_process else None
@@ -120,6 +123,12 @@ def load_trained(path: Path) -> tuple[SmallVLA, Vocabulary, dict[str, Any]]:
     restore(tensors, network, None)
     network.eval()
     return network, Vocabulary(tuple(facts["vocabulary"])), facts
+
+
+def stream_of(facts: dict[str, Any]) -> StreamRecipe:
+    """The stream that a checkpoint was trained from."""
+    told = facts["recipe"]["stream"]
+    return StreamRecipe(**{**told, "expert": ExpertConfig(**told["expert"])})
 
 
 def _sized(recipe: TrainRecipe, vocabulary: Vocabulary) -> TrainRecipe:

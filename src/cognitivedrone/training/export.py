@@ -1,0 +1,140 @@
+"""From a checkpoint to the one file that flies: an ONNX graph with half-precision weights that explains itself."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import subprocess
+import warnings
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import torch
+
+from cognitivedrone.models.small_file import ActionStatistics, Description, Provenance, SmallModel, describe
+from cognitivedrone.models.small_vla import STATE, SmallVLA
+from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.training.stream import Rehearsal, StreamRecipe
+from cognitivedrone.training.trainer import load_trained, stream_of
+
+_STATISTICS_FRAMES = 2_000
+_HALVED_FROM = 256  # elements; smaller tensors are biases, scales and shapes
+_STATISTICS_SEED = (0, 10**6 + 1)
+
+
+def export(checkpoint: Path, out: Path, *, scores: Mapping[str, Any] | None = None) -> Description:
+    """Write the network of a checkpoint as a self-describing ONNX file; what it says of itself.
+
+    `scores` go into the file as they are. Raises `TrainingError` for a bad checkpoint.
+    """
+    network, vocabulary, facts = load_trained(checkpoint)
+    recipe = facts["recipe"]
+    stream = stream_of(facts)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    beside = out.with_suffix(".part.onnx")
+    write_graph(network, beside)
+    description = Description(
+        name=recipe["name"],
+        vocabulary=vocabulary,
+        text_length=network.config.text_length,
+        chunk=network.config.chunk,
+        action=action_statistics(network, vocabulary, stream),
+        config=network.config.facts(),
+        provenance=Provenance(
+            recipe=recipe["name"],
+            data="stream sha256:" + hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest(),
+            commit=_commit(),
+            trained=datetime.now(UTC).isoformat(timespec="seconds"),
+            steps=int(facts["step"]),
+            scores=dict(scores or {}),
+        ),
+    )
+    describe(beside, description)
+    SmallModel.load(beside)  # what cannot be loaded never lies in its place
+    beside.replace(out)
+    return description
+
+
+def write_graph(network: SmallVLA, path: Path) -> None:
+    """The network as an ONNX graph with a dynamic batch, large weights stored in half precision."""
+    network = network.to("cpu").eval()
+    size, length = 256, network.config.text_length
+    example = (
+        torch.zeros(2, size, size, 3, dtype=torch.uint8),
+        torch.zeros(2, STATE),
+        torch.zeros(2, length, dtype=torch.int64),
+    )
+    batch = torch.export.Dim("batch", min=1, max=1024)
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about the exporter's own insides
+        torch.onnx.export(
+            network,
+            example,
+            str(path),
+            dynamo=True,
+            dynamic_shapes=({0: batch}, {0: batch}, {0: batch}),
+            external_data=False,
+            input_names=["image", "state", "tokens"],
+            output_names=["action", "choice", "gates"],
+            verbose=False,
+        )
+    model = onnx.load(str(path))
+    _halve(model)
+    onnx.save(model, str(path))
+
+
+def action_statistics(network: SmallVLA, vocabulary: Vocabulary, stream: StreamRecipe) -> ActionStatistics:
+    """The spread of the actions that a stream teaches, and the range that the network can ask for."""
+    recipe = replace(stream, batch=100, texts=1, sentences=1, learner=0.0)
+    rehearsal = Rehearsal(recipe, vocabulary, network.config.text_length)
+    made = rehearsal.batches(_STATISTICS_SEED)
+    taken = [next(made) for _ in range(_STATISTICS_FRAMES // recipe.batch)]
+    rehearsal.close()
+    actions = np.concatenate([batch["action"][batch["valid"]][:, 0] for batch in taken]).astype(np.float64)
+
+    def four(values: Any) -> tuple[float, float, float, float]:
+        a, b, c, d = (round(float(value), 5) for value in values)
+        return a, b, c, d
+
+    return ActionStatistics(
+        low=four(network.low),
+        high=four(network.high),
+        mean=four(actions.mean(axis=0)),
+        std=four(actions.std(axis=0)),
+        q01=four(np.quantile(actions, 0.01, axis=0)),
+        q99=four(np.quantile(actions, 0.99, axis=0)),
+    )
+
+
+def _halve(model: Any) -> None:
+    """Store large single-precision weights in half precision; the runtime widens them once, as it loads the file."""
+    graph = model.graph
+    casts = []
+    for tensor in graph.initializer:
+        if tensor.data_type != onnx.TensorProto.FLOAT or np.prod(tensor.dims) < _HALVED_FROM:
+            continue
+        name = tensor.name
+        half = onnx.numpy_helper.from_array(onnx.numpy_helper.to_array(tensor).astype(np.float16), f"{name}.half")
+        tensor.CopyFrom(half)
+        casts.append(onnx.helper.make_node("Cast", [f"{name}.half"], [name], to=onnx.TensorProto.FLOAT))
+    for cast in reversed(casts):
+        graph.node.insert(0, cast)
+
+
+def _commit() -> str:
+    """Of the checkout this code lies in; "unknown" where it is none."""
+    here = Path(__file__).resolve().parent
+    done = subprocess.run(  # noqa: S603
+        ["git", "-C", str(here), "rev-parse", "HEAD"],  # noqa: S607
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.stdout.strip() or "unknown"
