@@ -63,3 +63,8 @@ def restore(tensors: dict[str, Tensor], network: nn.Module, optimizer: torch.opt
             _, number, key = name.split(".", 2)
             state.setdefault(int(number), {})[key] = value
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
+    # Fused optimisers go through memory, so moments have to lie there as their weights do: channels last, for some.
+    for parameter, moments in optimizer.state.items():
+        for key, value in moments.items():
+            if value.shape == parameter.shape:
+                moments[key] = torch.empty_like(parameter, requires_grad=False).copy_(value)

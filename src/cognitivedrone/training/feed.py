@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import queue
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -82,6 +84,7 @@ def _generate(
     first_round: int,
 ) -> None:
     """Fill the queue, round by round, until there is nothing left to train."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     torch.set_num_threads(1)
     vocabulary = Vocabulary(words)
     rehearsal = Rehearsal(recipe.stream, vocabulary, recipe.network.text_length)
@@ -94,6 +97,14 @@ def _generate(
         batches = rehearsal.batches((seed, rank, round_), learner)
         for _ in range(min(recipe.round_steps, recipe.steps - round_ * recipe.round_steps)):
             out_queue.put(next(batches))
+
+
+def _end_with_parent() -> None:
+    """A training that is killed cannot end its generating process, which would wait at the full queue for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _load(network: SmallVLA, path: Path) -> None:

@@ -29,7 +29,7 @@ from cognitivedrone.sim.simulator import Simulator, Start
 from cognitivedrone.tasks import BASE_FAMILIES, train_task
 from cognitivedrone.tasks.racing import race_task
 from cognitivedrone.training.facets import board_facets, gate_facets, panel_facets
-from cognitivedrone.training.questions import ask
+from cognitivedrone.training.questions import ask, families
 from cognitivedrone.training.truth import Poses, Truths, truths
 from cognitivedrone.types import CONTROL_HZ, FloatArray, Image, Stage, Task
 from cognitivedrone.world import geometry
@@ -159,7 +159,7 @@ class Rehearsal:
         self._simulator.flight.reset(
             world, np.array(start.position), start.yaw, rotate_yaw(velocity, start.yaw), wind=np.array(start.wind)
         )
-        others = [gate for gate in range(3) if gate != task.target and stage.only is None]
+        others = [gate for gate in self._askable(task) if gate != task.target and stage.only is None]
         learner = self._learner is not None and world < recipe.learner * recipe.worlds
         flown = task.target if learner or not others or rng.random() < 0.5 else int(rng.choice(others))
         wander = float(rng.uniform(0.3, 1.2)) if rng.random() < recipe.wander else 0.0
@@ -248,7 +248,7 @@ class Rehearsal:
     def _questions(self, row: int, each: _World, known: Truths) -> Iterator[tuple[str, int]]:
         """Sentences about a frame, each with the gate that is right; half of them about the gate that is flown at."""
         rng, task = self._rng, each.task
-        readable = [g for g in range(3) if known.in_view[row, g] and known.legible[row, g]]
+        readable = [g for g in self._askable(task) if known.in_view[row, g] and known.legible[row, g]]
         visible = [g for g in range(3) if known.in_view[row, g] and known.ahead[row, g]]
         for _ in range(self.recipe.sentences):
             if task.family == "race":
@@ -267,6 +267,13 @@ class Rehearsal:
                 # Nobody can know: ask for something that can be seen.
                 text = ask(rng, each.stage.labels, None, task.gates, target, None).text
             yield text, target
+
+    def _askable(self, task: Task) -> tuple[int, ...]:
+        """The gates that can be asked for; without directives not those about whose panels there is nothing to say."""
+        gates = (0, 1, 2)
+        if self.recipe.directives or task.family == "race":
+            return gates
+        return tuple(gate for gate in gates if families(task.labels, None, task.gates, gate))
 
     def _texts(self) -> Batch:
         """Sentences with what the panels and gates show, told instead of seen."""

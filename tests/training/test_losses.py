@@ -1,0 +1,244 @@
+"""Every part of the network is taught, by a loss that falls when it does better."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from cognitivedrone.models.small_vla import SLOTS, Head, Scene, SmallVLA
+from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.tasks import train_task
+from cognitivedrone.training import losses
+from cognitivedrone.training.facets import FACETS
+from cognitivedrone.training.losses import Lesson, LossWeights, action_loss, action_targets, to_tensors, true_slots
+from cognitivedrone.training.recipes import RECIPES
+from cognitivedrone.training.stream import Batch, Rehearsal
+
+DEBUG = RECIPES["debug"]
+VOCABULARY = Vocabulary.of(train_task(i, 0).instruction for i in range(500))
+VARIANTS = list(itertools.product(get_args(Head), (1, 3)))
+PARTS = ("heat", "place", "facets", "choice", "text", "action")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _one_thread() -> Iterator[None]:
+    """Networks this small only wait for each other's threads."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def batch() -> Batch:
+    """Frames of the debug recipe, with three actions each; boards are among them."""
+    recipe = replace(DEBUG.stream, batch=12, worlds=8, chunk=3, varied=0.0)
+    rehearsal = Rehearsal(recipe, VOCABULARY, DEBUG.network.text_length)
+    try:
+        for made in itertools.islice(rehearsal.batches((3,)), 200):
+            if made["legible"][:, SLOTS].any():
+                return made
+    finally:
+        rehearsal.close()
+    raise AssertionError("no board in view")
+
+
+def lesson(head: Head = "tokens", chunk: int = 1, weights: LossWeights | None = None) -> Lesson:
+    torch.manual_seed(0)
+    sized = replace(DEBUG.network, vocabulary=len(VOCABULARY.words), facets=len(FACETS), head=head, chunk=chunk)
+    return Lesson(SmallVLA(sized), weights)
+
+
+def tensors(batch: Batch, chunk: int = 1) -> dict[str, Tensor]:
+    return to_tensors({**batch, "action": batch["action"][:, :, :chunk]})
+
+
+def as_in_training(taught: Lesson, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+    with torch.autocast("cpu", torch.bfloat16):
+        total, measures = taught(batch)
+    return total, measures
+
+
+@pytest.mark.parametrize(("head", "chunk"), VARIANTS)
+def test_the_loss_is_finite_and_teaches_every_parameter(batch: Batch, head: Head, chunk: int) -> None:
+    taught = lesson(head, chunk)
+    total, measures = as_in_training(taught, tensors(batch, chunk))
+    weights = LossWeights()
+    assert set(measures) == {*PARTS, "choice accuracy"}
+    assert all(torch.isfinite(value) and not value.requires_grad for value in measures.values())
+    parts = sum(getattr(weights, part) * float(measures[part]) for part in PARTS)
+    assert float(total.detach()) == pytest.approx(parts, rel=1e-5)
+    total.backward()
+    for name, parameter in taught.named_parameters():
+        assert parameter.grad is not None, name
+        assert parameter.grad.isfinite().all(), name
+        assert parameter.grad.abs().max() > 0, name
+
+
+@pytest.mark.parametrize(("head", "chunk"), VARIANTS)
+def test_every_part_of_the_loss_falls_on_a_batch_that_is_learned_by_heart(batch: Batch, head: Head, chunk: int) -> None:
+    taught, fixed = lesson(head, chunk), tensors(batch, chunk)
+    optimizer = torch.optim.AdamW(taught.parameters(), 0.01)
+    torch.manual_seed(1)
+    history = []
+    for _ in range(30):
+        total, measures = as_in_training(taught, fixed)
+        history.append({part: float(measures[part]) for part in PARTS})
+        optimizer.zero_grad()
+        total.backward()
+        optimizer.step()
+    for part in PARTS:
+        early, late = (np.mean([row[part] for row in rows]) for rows in (history[:3], history[-3:]))
+        assert late < 0.9 * early, part
+
+
+def test_weights_count(batch: Batch) -> None:
+    alone = LossWeights(heat=0, place=0, facets=0, choice=0, text=3.0, action=0)
+    total, measures = lesson(weights=alone)(tensors(batch))
+    assert float(total.detach()) == pytest.approx(3 * float(measures["text"]))
+
+
+def test_bfloat16_gives_nearly_the_same_loss(batch: Batch) -> None:
+    taught = lesson().eval()
+    with torch.no_grad():
+        exact, _ = taught(tensors(batch))
+        with torch.autocast("cpu", torch.bfloat16):
+            rough, _ = taught(tensors(batch))
+    assert float(rough) == pytest.approx(float(exact), rel=0.05)
+
+
+def test_nothing_is_random_outside_training(batch: Batch) -> None:
+    taught = lesson()
+    with torch.no_grad():
+        torch.manual_seed(1)
+        first = taught(tensors(batch))[0]
+        assert taught(tensors(batch))[0] != first  # boxes and cells are shaken
+        taught.eval()
+        assert taught(tensors(batch))[0] == taught(tensors(batch))[0]
+
+
+def test_right_choices_are_counted_where_all_panels_are_clear(batch: Batch) -> None:
+    taught = lesson().eval()
+    clear = (batch["in_view"] & batch["legible"][:, :SLOTS]).all(axis=1)
+    assert clear.any()
+    truth = torch.nn.functional.one_hot(torch.from_numpy(batch["choice"]), SLOTS + 1).float() * 50
+    with torch.no_grad(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(taught.network, "choose", lambda *_: truth)
+        right = taught(tensors(batch))[1]
+        patch.setattr(taught.network, "choose", lambda *_: truth.roll(1, dims=-1))
+        wrong = taught(tensors(batch))[1]
+    assert right["choice accuracy"] == 1
+    assert right["choice"] < 1e-4 < wrong["choice"]
+    assert wrong["choice accuracy"] == 0
+
+
+# ---- heat
+
+
+def test_perfect_heat_has_the_lowest_loss(batch: Batch) -> None:
+    fixed, n = tensors(batch), 16
+    slots, board_known = true_slots(fixed, n, jitter=False)
+
+    def loss(gates: Tensor, boards: Tensor) -> float:
+        scene = Scene(torch.zeros(len(gates), 1, n, n), gates, boards)
+        return float(losses._heat_loss(scene, fixed, slots, board_known))
+
+    count = len(fixed["image"])
+    gates, boards = torch.full((count, n * n), -12.0), torch.full((count, n * n), -12.0)
+    nothing = loss(gates, boards)
+    for row in range(count):
+        gates[row, slots.cells[row][fixed["in_view"][row]]] = 12.0
+    boards[board_known, slots.board_cell[board_known]] = 12.0
+    perfect = loss(gates, boards)
+    assert perfect < 1e-4
+    assert nothing > 5
+    assert loss(gates.roll(3, dims=1), boards) > 5
+    assert loss(gates, boards.roll(3, dims=1)) > 1
+    # A cell beside a gate's own may be warm.
+    near = gates.clone()
+    inner = int(slots.cells[0][fixed["in_view"][0]][0])
+    near[0, inner + 1 if inner % n < n - 1 else inner - 1] = 0.0
+    assert loss(near, boards) == pytest.approx(perfect, abs=1e-4)
+
+
+def test_slots_are_the_cells_of_the_gates(batch: Batch) -> None:
+    fixed = tensors(batch)
+    exact, known = true_slots(fixed, 16, jitter=False)
+    for row, gate in zip(*np.nonzero(batch["in_view"]), strict=True):
+        u, v = batch["gate"][row, gate] // 16
+        assert int(exact.cells[row, gate]) == v * 16 + u
+    assert known.tolist() == batch["legible"][:, SLOTS].tolist()
+    torch.manual_seed(0)
+    shaken = torch.stack([true_slots(fixed, 16, jitter=True)[0].cells for _ in range(50)])
+    moved = (shaken != exact.cells).float().mean()
+    assert 0.05 < moved < 0.2
+    assert ((shaken // 16 - exact.cells // 16).abs() <= 1).all()
+    assert ((shaken % 16 - exact.cells % 16).abs() <= 1).all()
+    assert ((shaken >= 0) & (shaken < 256)).all()
+
+
+# ---- actions
+
+
+@pytest.mark.parametrize(("head", "chunk"), VARIANTS)
+def test_what_is_decoded_from_the_best_answer_is_the_action(head: Head, chunk: int) -> None:
+    network = lesson(head, chunk).network
+    torch.manual_seed(2)
+    share = torch.rand(6, chunk, 4) * 0.9 + 0.05  # bells are cut off at the ends
+    target = network.low + share * (network.high - network.low)
+    bins = network.config.bins if head == "tokens" else 1
+    raw = torch.zeros(6, chunk, 4, bins, requires_grad=True)
+    optimizer = torch.optim.LBFGS([raw], max_iter=300, line_search_fn="strong_wolfe")
+
+    def closure() -> Tensor:
+        optimizer.zero_grad()
+        loss = action_loss(network, raw, target)
+        assert loss.shape == (6, chunk, 4)
+        total = loss.sum()
+        total.backward()
+        return total
+
+    optimizer.step(closure)
+    half_a_bin = (network.high - network.low) / 255 / 2
+    assert ((network.decode(raw.detach()) - target).abs() <= half_a_bin).all()
+
+
+@pytest.mark.parametrize("head", get_args(Head))
+def test_worse_actions_cost_more_and_actions_out_of_range_are_the_nearest_in_it(head: Head) -> None:
+    network = lesson(head).network
+    bins = torch.arange(256)
+    places = [0.5, 0.55, 0.7]
+    raws = [
+        (-0.5 * ((bins - place * 255) / 2) ** 2).expand(1, 4, 256)
+        if head == "tokens"
+        else torch.full((1, 4, 1), 2 * place - 1)
+        for place in places
+    ]
+    target = (network.low + network.high)[None] / 2
+    good, fair, bad = (action_loss(network, raw, target) for raw in raws)
+    assert (good < fair).all()
+    assert (fair < bad).all()
+    torch.testing.assert_close(
+        action_loss(network, raws[0], network.high[None] + 5), action_loss(network, raws[0], network.high[None])
+    )
+
+
+def test_actions_are_taught_toward_gates_in_view_and_toward_the_flown_one_out_of_view(batch: Batch) -> None:
+    fixed = tensors(batch, 3)
+    fixed["flown"] = torch.arange(len(fixed["flown"])) % SLOTS
+    fixed["valid"] = torch.ones_like(fixed["valid"])
+    fixed["valid"][0, 1] = False
+    fixed["in_view"] = torch.ones_like(fixed["in_view"])
+    fixed["in_view"][2] = False
+    target, taught = action_targets(fixed)
+    assert target.shape == (len(fixed["flown"]), SLOTS + 1, 3, 4)
+    torch.testing.assert_close(target[:, :SLOTS], fixed["action"])
+    torch.testing.assert_close(target[2, SLOTS], fixed["action"][2, 2])
+    assert taught[:3].tolist() == [[True, False, True, False], [True, True, True, False], [False, False, False, True]]

@@ -1,0 +1,302 @@
+"""Batches of the stream: their layout, their truth, and that they follow from recipe and seed alone."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cognitivedrone.models.text import Vocabulary, words_of
+from cognitivedrone.tasks import train_task
+from cognitivedrone.tasks.racing import INSTRUCTIONS
+from cognitivedrone.training import stream
+from cognitivedrone.training.facets import FACETS, GROUPS, PANEL_GROUPS, gate_facets, panel_facets
+from cognitivedrone.training.questions import Question, ask
+from cognitivedrone.training.recipes import RECIPES
+from cognitivedrone.training.stream import NONE_IN_VIEW, Batch, Rehearsal, StreamRecipe
+from cognitivedrone.types import Gate, Task
+
+RECIPE = RECIPES["debug"].stream
+LENGTH = 32
+
+
+@pytest.fixture(scope="module")
+def vocabulary() -> Vocabulary:
+    plain = ["Fly to the big red round gate", "Go to the small green square gate", "Take the blue triangle gate"]
+    return Vocabulary.of([*plain, *INSTRUCTIONS, *(train_task(i, 0).instruction for i in range(1500))])
+
+
+def batches(
+    recipe: StreamRecipe, vocabulary: Vocabulary, count: int, seed: tuple[int, ...] = (1, 2), learner: object = None
+) -> list[Batch]:
+    rehearsal = Rehearsal(recipe, vocabulary, LENGTH)
+    try:
+        return list(itertools.islice(rehearsal.batches(seed, learner), count))  # type: ignore[arg-type]
+    finally:
+        rehearsal.close()
+
+
+class Notebook:
+    """Writes down every question and task that a stream is made from: which gate is right, by sentence and scene."""
+
+    def __init__(self, vocabulary: Vocabulary) -> None:
+        self._vocabulary = vocabulary
+        self.targets: dict[bytes, set[int]] = defaultdict(set)
+
+    def train_task(self, index: int, seed: int) -> Task:
+        task = train_task(index, seed)
+        for text in (task.instruction, task.directive):
+            self._write(text, task.labels, task.gates, task.target)
+        return task
+
+    def ask(self, rng: np.random.Generator, *scene: Any) -> Question:
+        question = ask(rng, *scene)
+        labels, _, gates, target, _ = scene
+        self._write(question.text, labels, gates, target)
+        return question
+
+    def _write(self, text: str, labels: tuple[str, ...], gates: tuple[Gate, ...], target: int) -> None:
+        tokens = self._vocabulary.encode(text, LENGTH)
+        panels = np.stack([panel_facets(label) for label in labels])
+        self.targets[self.key(tokens, panels, np.stack([gate_facets(gate) for gate in gates]))].add(target)
+
+    @staticmethod
+    def key(*arrays: NDArray[np.generic]) -> bytes:
+        return b"".join(array.astype(np.int64).tobytes() for array in arrays)
+
+
+@pytest.fixture(scope="module")
+def notebook(vocabulary: Vocabulary) -> Notebook:
+    return Notebook(vocabulary)
+
+
+@pytest.fixture(scope="module")
+def made(vocabulary: Vocabulary, notebook: Notebook) -> list[Batch]:
+    """Enough frames that everything occurs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stream, "ask", notebook.ask)
+        patch.setattr(stream, "train_task", notebook.train_task)
+        return batches(replace(RECIPE, batch=32, sentences=4, texts=64, worlds=16), vocabulary, 6)
+
+
+def sentences(batch: Batch, vocabulary: Vocabulary) -> Iterator[tuple[int, int, str]]:
+    """Row, column and words of every sentence about a frame."""
+    for row, column in np.ndindex(batch["asked"].shape):
+        yield row, column, read(batch["tokens"][row, column], vocabulary)
+
+
+def read(tokens: NDArray[np.generic], vocabulary: Vocabulary) -> str:
+    return " ".join(vocabulary.words[int(token)] for token in tokens if token)
+
+
+def test_a_batch_has_its_layout(vocabulary: Vocabulary) -> None:
+    b, k, t = RECIPE.batch, RECIPE.sentences, RECIPE.texts
+    (batch,) = batches(replace(RECIPE, chunk=3), vocabulary, 1)
+    expected = {
+        "image": (np.uint8, (b, 256, 256, 3)),
+        "state": (np.float32, (b, 5)),
+        "gate": (np.float32, (b, 3, 2)),
+        "in_view": (np.bool_, (b, 3)),
+        "place": (np.float32, (b, 3, 3)),
+        "panel": (np.float32, (b, 4, 3)),
+        "legible": (np.bool_, (b, 4)),
+        "action": (np.float32, (b, 3, 3, 4)),
+        "valid": (np.bool_, (b, 3)),
+        "ahead": (np.bool_, (b, 3)),
+        "panel_facets": (np.int64, (b, 3, len(PANEL_GROUPS))),
+        "gate_facets": (np.int64, (b, 3, 3)),
+        "board_facets": (np.int64, (b, 3)),
+        "flown": (np.int64, (b,)),
+        "tokens": (np.int64, (b, k, LENGTH)),
+        "asked": (np.int64, (b, k)),
+        "choice": (np.int64, (b, k)),
+        "text_tokens": (np.int64, (t, LENGTH)),
+        "text_panels": (np.int64, (t, 3, len(PANEL_GROUPS))),
+        "text_gates": (np.int64, (t, 3, 3)),
+        "text_board": (np.int64, (t, 3)),
+        "text_asked": (np.int64, (t,)),
+    }
+    assert {name: (values.dtype, values.shape) for name, values in batch.items()} == expected
+    assert all(np.isfinite(values).all() for values in batch.values())
+    assert batch["image"].std() > 10
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_does_not(vocabulary: Vocabulary) -> None:
+    rehearsal = Rehearsal(RECIPE, vocabulary, LENGTH)
+    try:
+        first, other, again = (list(itertools.islice(rehearsal.batches((seed,)), 3)) for seed in (5, 6, 5))
+    finally:
+        rehearsal.close()
+    # Neither a used rehearsal nor a new one makes a difference.
+    for repeated in (again, batches(RECIPE, vocabulary, 3, (5,))):
+        for one, two in zip(first, repeated, strict=True):
+            assert {name: values.tobytes() for name, values in one.items()} == {
+                name: values.tobytes() for name, values in two.items()
+            }
+    assert all((one["image"] != two["image"]).any() for one, two in zip(first, other, strict=True))
+    assert all((one["text_tokens"] != two["text_tokens"]).any() for one, two in zip(first, other, strict=True))
+
+
+def test_the_choice_is_the_gate_asked_for_where_it_is_in_view(made: list[Batch]) -> None:
+    unseen = 0
+    for batch in made:
+        seen = np.take_along_axis(batch["in_view"], batch["asked"], axis=1)
+        np.testing.assert_array_equal(batch["choice"][seen], batch["asked"][seen])
+        assert (batch["choice"][~seen] == NONE_IN_VIEW).all()
+        unseen += (~seen).sum()
+    assert unseen > 0
+
+
+def test_only_what_is_flown_at_is_asked_for_where_it_cannot_be_seen(made: list[Batch]) -> None:
+    for batch in made:
+        elsewhere = batch["asked"] != batch["flown"][:, None]
+        assert np.take_along_axis(batch["in_view"], batch["asked"], axis=1)[elsewhere].all()
+
+
+def test_what_is_flown_does_not_tell_what_is_asked(made: list[Batch]) -> None:
+    clear = [(batch["in_view"] & batch["legible"][:, :3]).all(axis=1) for batch in made]
+    flown = np.concatenate([batch["flown"][rows] for batch, rows in zip(made, clear, strict=True)])
+    asked = np.concatenate([batch["asked"][rows] for batch, rows in zip(made, clear, strict=True)])
+    assert len(flown) > 40
+    assert (asked == flown[:, None]).mean() < 0.75
+    pairs = {(one, other) for one, row in zip(flown, asked, strict=True) for other in row}
+    assert pairs == set(itertools.product(range(3), repeat=2))
+
+
+# ---- sentences are true
+
+
+def facet(index: int) -> str | None:
+    return None if index < 0 else FACETS[index].split("/", 1)[1]
+
+
+def test_directives_describe_the_gate_that_is_asked_for(made: list[Batch], vocabulary: Vocabulary) -> None:
+    count = 0
+    for batch in made:
+        for row, column, text in sentences(batch, vocabulary):
+            look = directive(text)
+            if look is None:
+                continue
+            count += 1
+            gates = [{facet(index) for index in gate} for gate in batch["gate_facets"][row]]
+            fits = [look <= gate for gate in gates]
+            assert fits == [gate == batch["asked"][row, column] for gate in range(3)], text
+    assert count > 50
+
+
+def directive(text: str) -> set[str] | None:
+    """The looks that a sentence names, where it describes the gate itself."""
+    found = re.fullmatch(r"[a-z ]+ the ((?:(?:big|small|red|green|blue|round|square|triangle) )+)gate", text)
+    return set(found[1].split()) if found else None
+
+
+def test_the_gate_asked_for_is_the_right_answer(made: list[Batch], notebook: Notebook, vocabulary: Vocabulary) -> None:
+    """What a question is the right answer to is checked where questions are tested; here, that nothing is mixed up."""
+    count = 0
+    for batch in made:
+        for row, column, text in sentences(batch, vocabulary):
+            key = notebook.key(batch["tokens"][row, column], batch["panel_facets"][row], batch["gate_facets"][row])
+            # A board can make the same sentence about the same panels right for another gate, in another flight.
+            if "board" not in text:
+                assert notebook.targets[key] == {batch["asked"][row, column]}, text
+                count += 1
+        for row, tokens in enumerate(batch["text_tokens"]):
+            key = notebook.key(tokens, batch["text_panels"][row], batch["text_gates"][row])
+            assert batch["text_asked"][row] in notebook.targets[key], read(tokens, vocabulary)
+    assert count > 500
+
+
+def test_sentences_without_a_frame_are_training_tasks(made: list[Batch], vocabulary: Vocabulary) -> None:
+    sums = 0
+    for batch in made:
+        for row, text in enumerate(read(tokens, vocabulary) for tokens in batch["text_tokens"]):
+            assert text
+            asked = batch["text_asked"][row]
+            board = [facet(index) for index in batch["text_board"][row]]
+            if board[0] is not None:
+                first, sign, second = board
+                answer = {"+": int.__add__, "-": int.__sub__, "*": int.__mul__}[str(sign)](int(first), int(second))
+                assert facet(batch["text_panels"][row, asked, 0]) == f"number:{answer}"
+                sums += 1
+            look = directive(text)
+            if look is not None:
+                assert look <= {facet(index) for index in batch["text_gates"][row, asked]}
+    assert sums > 10
+
+
+def test_facets_stand_in_the_columns_of_their_groups(made: list[Batch]) -> None:
+    for batch in made:
+        for column, group in enumerate(PANEL_GROUPS):
+            for name in ("panel_facets", "text_panels"):
+                values = batch[name][..., column]
+                span = GROUPS[group]
+                assert ((values == -1) | ((values >= span.start) & (values < span.stop))).all()
+
+
+def test_without_directives_nobody_is_told_what_a_gate_looks_like(vocabulary: Vocabulary) -> None:
+    plain = replace(RECIPE, batch=32, sentences=6, texts=64, worlds=16, directives=False)
+    count = 0
+    for batch in batches(plain, vocabulary, 6):
+        for text in [text for *_, text in sentences(batch, vocabulary)] + [
+            read(tokens, vocabulary) for tokens in batch["text_tokens"]
+        ]:
+            assert directive(text) is None, text
+            count += 1
+    assert count == 6 * (32 * 6 + 64)
+
+
+# ---- who flies
+
+
+class Recorder:
+    """A learner that climbs, and remembers what it was told."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[NDArray[np.uint8], NDArray[np.float32], list[str]]] = []
+
+    def act(self, images: NDArray[np.uint8], states: NDArray[np.float32], texts: list[str]) -> NDArray[np.float64]:
+        self.calls.append((images.copy(), states.copy(), list(texts)))
+        return np.tile((0.0, 0.0, 0.3, 0.0), (len(images), 1))
+
+
+def test_the_learner_flies_its_share_of_worlds(vocabulary: Vocabulary) -> None:
+    learner = Recorder()
+    calm = replace(RECIPE, learner=0.5, rolling=0.0, off_track=0.0, wind_m_s=0.0)
+    batches(calm, vocabulary, 8, learner=learner)
+    assert len(learner.calls) > 8
+    for images, states, texts in learner.calls:
+        assert images.shape == (2, 256, 256, 3)
+        assert states.shape == (2, 5)
+        assert all(texts)
+    # Both go where the learner says, straight up and nowhere else, until a new flight begins.
+    height = np.array([states[:, 3] for _, states, _ in learner.calls])
+    speed = np.array([states[:, :2] for _, states, _ in learner.calls])
+    assert np.abs(speed).max() < 0.1
+    assert (height[10] > height[0] + 0.1).all()
+
+
+def test_before_there_is_a_learner_the_expert_flies_all_worlds(vocabulary: Vocabulary) -> None:
+    learner = Recorder()
+    batches(replace(RECIPE, learner=0.0), vocabulary, 1, learner=learner)
+    assert not learner.calls
+    made = batches(replace(RECIPE, learner=1.0, rolling=0.0, off_track=0.0), vocabulary, 12)
+    assert max(batch["state"][:, 0].max() for batch in made) > 0.8
+
+
+# ---- racing
+
+
+def test_a_race_shows_one_gate_and_asks_for_it(vocabulary: Vocabulary) -> None:
+    for batch in batches(replace(RECIPE, suite="race", batch=8), vocabulary, 4):
+        assert (batch["in_view"].sum(axis=1) <= 1).all()
+        assert not batch["legible"][:, :3].any()
+        np.testing.assert_array_equal(batch["asked"], np.repeat(batch["flown"][:, None], RECIPE.sentences, axis=1))
+        told = {" ".join(words_of(text)) for text in INSTRUCTIONS}
+        assert {text for *_, text in sentences(batch, vocabulary)} <= told

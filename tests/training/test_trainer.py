@@ -1,0 +1,226 @@
+"""A whole training in small: kept, killed, gone on with, and the same in the end."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.training import trainer
+from cognitivedrone.training.checkpoint import read_checkpoint
+from cognitivedrone.training.curves import DIMENSIONS, read_rows
+from cognitivedrone.training.feed import learner_path, share
+from cognitivedrone.training.recipes import RECIPES, find_recipe
+from cognitivedrone.training.trainer import CHECKPOINT, METRICS, TrainConfig, learning_rate, load_trained, train
+
+# Trials once, at the end, and few words: the rest of the time goes into processes that start.
+RECIPE = replace(RECIPES["debug"], fly_every=6, fly_tasks=2)
+SENTENCES = 500
+
+KILLED = """
+import os, signal, sys
+from dataclasses import replace
+from pathlib import Path
+from cognitivedrone.training import trainer
+from cognitivedrone.training.recipes import RECIPES
+
+def report(line):
+    # The second round's row is written before its checkpoint: that is where the power goes.
+    if line.startswith("step 4"):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+if __name__ == "__main__":
+    trainer._SENTENCES = 500
+    recipe = replace(RECIPES["debug"], fly_every=6, fly_tasks=2)
+    trainer.train(trainer.TrainConfig(Path(sys.argv[1]), recipe, seed=3), report)
+"""
+
+
+@dataclass(frozen=True)
+class Runs:
+    """A training that was never stopped, and one that was."""
+
+    whole: Path
+    resumed: Path
+    steps_at_kill: tuple[int, int]
+    """Of the checkpoint and of the last row that the killed training left."""
+    reports: list[str]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_words() -> Iterator[None]:
+    threads = torch.get_num_threads()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trainer, "_SENTENCES", SENTENCES)
+        yield
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
+    folder = tmp_path_factory.mktemp("trainings")
+    whole, resumed = folder / "whole", folder / "resumed"
+    script = folder / "killed.py"
+    script.write_text(KILLED)
+    # Its end is the end of its output: were the generating process left behind, this would wait for that as well.
+    killed = subprocess.run([sys.executable, script, resumed], capture_output=True, text=True, timeout=120, check=False)
+    assert killed.returncode == -signal.SIGKILL, killed.stderr
+    at_kill = read_checkpoint(resumed / CHECKPOINT)[1]["step"], read_rows(resumed / METRICS)[-1]["step"]
+    reports: list[str] = []
+    train(TrainConfig(resumed, RECIPE, seed=3, resume=True), lambda _: None)
+    train(TrainConfig(whole, RECIPE, seed=3), reports.append)
+    return Runs(whole, resumed, at_kill, reports)
+
+
+def test_the_kill_came_between_a_row_and_its_checkpoint(runs: Runs) -> None:
+    assert runs.steps_at_kill == (2, 4)
+
+
+def test_a_killed_training_ends_with_the_same_weights(runs: Runs) -> None:
+    (whole, facts), (resumed, same_facts) = (read_checkpoint(run / CHECKPOINT) for run in (runs.whole, runs.resumed))
+    assert facts == same_facts
+    assert facts["step"] == RECIPE.steps
+    assert whole.keys() == resumed.keys()
+    for name, value in whole.items():
+        assert torch.equal(value, resumed[name]), name
+        assert value.isfinite().all(), name
+
+
+def test_a_killed_training_leaves_the_same_curves(runs: Runs) -> None:
+    whole, resumed = (
+        [{key: row[key] for key in row if key != "steps_per_s"} for row in read_rows(run / METRICS)]
+        for run in (runs.whole, runs.resumed)
+    )
+    assert [row["step"] for row in whole] == [2, 4, 6]
+    assert whole == resumed
+
+
+def test_a_training_changes_all_weights(runs: Runs) -> None:
+    first, last = (read_checkpoint(path)[0] for path in (learner_path(runs.whole, 0), runs.whole / CHECKPOINT))
+    moved = {name for name in first if (first[name] != last[name]).any()}
+    assert moved == set(first)
+
+
+def test_rows_have_the_measures_of_the_literature_and_the_baseline(runs: Runs) -> None:
+    rows = read_rows(runs.whole / METRICS)
+    wanted = {"step", "steps_per_s", "loss", "choice accuracy", "train loss", "train choice accuracy"}
+    for measure in ("l1", "accuracy", "cross-entropy", "baseline accuracy", "baseline l1"):
+        wanted |= {measure} | {f"{measure} {dimension}" for dimension in DIMENSIONS}
+    for part in ("heat", "place", "facets", "choice", "text", "action"):
+        wanted |= {part, f"train {part}"}
+    for row in rows:
+        assert wanted - {"loss"} <= row.keys()
+        assert all(value == value for value in row.values())  # no NaN
+        assert 0 <= row["accuracy"] <= 1
+        assert 0 < row["baseline accuracy"] <= 1
+        assert row["l1"] == pytest.approx(sum(row[f"l1 {name}"] for name in DIMENSIONS) / 4)
+    assert "success" in rows[-1]
+    assert 0 <= rows[-1]["success"] <= 1
+    assert not any("success" in row for row in rows[:-1])
+    assert len({row["baseline accuracy"] for row in rows}) == 1  # the validation frames stay the same
+
+
+def test_every_round_is_reported(runs: Runs) -> None:
+    assert [line.split("  ")[0] for line in runs.reports] == ["step 2", "step 4", "step 6"]
+    assert "success" in runs.reports[-1]
+
+
+def test_curves_are_a_picture_and_tensorboard_has_its_file(runs: Runs) -> None:
+    with Image.open(runs.whole / "curves.png") as picture:
+        picture.load()
+        assert picture.format == "PNG"
+        assert min(picture.size) > 500
+        assert len(picture.convert("RGB").getcolors(1 << 24)) > 10
+    assert list((runs.whole / "tensorboard").glob("events.*"))
+
+
+def test_the_folder_tells_its_recipe(runs: Runs) -> None:
+    told = json.loads((runs.whole / "recipe.json").read_text())
+    assert told["seed"] == 3
+    assert told["recipe"]["name"] == "debug"
+    assert told["recipe"]["network"]["vocabulary"] == len(trainer.training_vocabulary().words)
+
+
+def test_what_was_trained_can_be_loaded_and_flies(runs: Runs) -> None:
+    network, vocabulary, facts = load_trained(runs.whole / CHECKPOINT)
+    assert not network.training
+    assert len(vocabulary.words) == network.config.vocabulary
+    tokens = torch.from_numpy(vocabulary.encode("Fly through the gate with the letter A", network.config.text_length))
+    with torch.no_grad():
+        actions, _, _ = network(torch.zeros(1, 256, 256, 3, dtype=torch.uint8), torch.zeros(1, 5), tokens[None])
+    assert actions.isfinite().all()
+    assert facts["step"] == RECIPE.steps
+
+
+# ---- what is refused, and what there is nothing to do about
+
+
+def test_a_finished_training_has_nothing_left_to_do(runs: Runs) -> None:
+    before = {path: path.stat().st_mtime_ns for path in runs.whole.rglob("*")}
+    reports: list[str] = []
+    assert train(TrainConfig(runs.whole, RECIPE, seed=3, resume=True), reports.append) == runs.whole / CHECKPOINT
+    assert reports == []
+    assert before == {path: path.stat().st_mtime_ns for path in runs.whole.rglob("*")}
+
+
+def test_a_training_is_not_begun_over_another(runs: Runs) -> None:
+    with pytest.raises(TrainingError, match="holds a training already; go on with --resume or choose another folder"):
+        train(TrainConfig(runs.whole, RECIPE, seed=3))
+
+
+@pytest.mark.parametrize(
+    ("recipe", "seed"),
+    [(RECIPE, 4), (replace(RECIPE, learning_rate=1e-3), 3), (replace(RECIPE, steps=8), 3)],
+    ids=["seed", "rate", "steps"],
+)
+def test_a_training_does_not_go_on_by_another_recipe_or_seed(
+    runs: Runs, recipe: trainer.TrainRecipe, seed: int
+) -> None:
+    with pytest.raises(TrainingError, match="a training by another recipe or seed; choose another folder"):
+        train(TrainConfig(runs.whole, recipe, seed=seed, resume=True))
+
+
+# ---- recipes
+
+
+def test_unknown_recipes_are_named_with_near_ones() -> None:
+    assert find_recipe("debug") is RECIPES["debug"]
+    with pytest.raises(TrainingError, match="unknown recipe 'smal'; did you mean 'small'"):
+        find_recipe("smal")
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_recipes_are_whole(name: str) -> None:
+    recipe = RECIPES[name]
+    assert recipe.name == name
+    assert recipe.validate_every % recipe.round_steps == 0
+    assert recipe.fly_every % recipe.validate_every == 0
+    json.dumps(recipe.facts())
+
+
+def test_processes_share_a_batch() -> None:
+    part = share(RECIPES["small"], 4)
+    assert part.stream.batch * 4 == RECIPES["small"].stream.batch
+    assert part.stream.texts * 4 == RECIPES["small"].stream.texts
+    assert replace(part, stream=RECIPES["small"].stream) == RECIPES["small"]
+    with pytest.raises(TrainingError, match="a batch of 32 frames cannot be shared by 3 processes"):
+        share(RECIPES["small"], 3)
+
+
+def test_the_learning_rate_warms_up_stays_and_falls_to_nothing() -> None:
+    recipe = RECIPES["small"]
+    rates = [learning_rate(recipe, step) for step in range(recipe.steps + 1)]
+    assert rates[0] == pytest.approx(recipe.learning_rate / recipe.warmup_steps)
+    level = int(recipe.steps * (1 - recipe.decay_share))
+    assert rates[recipe.warmup_steps : level] == [recipe.learning_rate] * (level - recipe.warmup_steps)
+    assert all(earlier >= later for earlier, later in zip(rates[level:], rates[level + 1 :], strict=False))
+    assert rates[-1] == 0

@@ -1,0 +1,237 @@
+"""The truth of a frame agrees with the renderer and the expert, and knows what nobody could see."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cognitivedrone.frames import FloatArray, quaternion_from_yaw, rotate_yaw
+from cognitivedrone.policies.expert import ExpertConfig, intent
+from cognitivedrone.sim.camera import Cameras
+from cognitivedrone.training.truth import COMMITTED, LEGIBLE_HEIGHT, Poses, Truths, project, truths
+from cognitivedrone.types import ACTION_LIMITS, IMAGE_SIZE, Gate, Image, Stage
+from cognitivedrone.world import geometry
+
+STAGE = Stage(
+    gates=(Gate("small", "round", "red"), Gate("small", "square", "green"), Gate("small", "round", "blue")),
+    labels=("number/1@inter", "number/2@inter", "number/3@inter"),
+)
+TURNED = replace(STAGE, origin=(12.0, -7.0), yaw=2.0)
+BOARDED = replace(STAGE, board="sum/1+2@inter")
+ALONE = replace(STAGE, only=1)
+EXPERT = ExpertConfig()
+GREY = np.full((64, 64, 3), 128, np.uint8)
+PINK = np.full((64, 64, 3), (255, 0, 255), np.uint8)
+CHANNELS = (0, 1, 2)  # of the gates' colours, in their order
+
+
+def tilted(yaw: float, pitch: float, roll: float) -> FloatArray:
+    """Attitude w, x, y, z; a positive pitch looks down."""
+    (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a / 2), math.sin(a / 2)) for a in (yaw, pitch, roll))
+    return np.array(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ]
+    )
+
+
+def at(
+    *position: float, yaw: float = 0.0, attitude: FloatArray | None = None, velocity: tuple[float, ...] = (0, 0, 0)
+) -> Poses:
+    quaternion = quaternion_from_yaw(yaw) if attitude is None else attitude
+    return Poses(np.array([position]), quaternion[None], np.array([velocity], dtype=float), np.zeros(1))
+
+
+def known(poses: Poses, stage: Stage = STAGE, chunk: int = 1) -> Truths:
+    return truths(poses, [stage] * len(poses.position), chunk, EXPERT)
+
+
+@pytest.fixture(scope="module")
+def cameras() -> Iterator[Cameras]:
+    with Cameras(1) as made:
+        yield made
+
+
+def middle(mask: np.ndarray) -> FloatArray:
+    """Middle u, v, of the box around what is true of the pixels."""
+    rows, columns = np.nonzero(mask)
+    return np.array([(columns.min() + columns.max() + 1) / 2, (rows.min() + rows.max() + 1) / 2])
+
+
+def coloured(image: Image, channel: int) -> np.ndarray:
+    """Which pixels show clearly more of one colour than of the others."""
+    others = np.delete(image, channel, axis=2).max(axis=2)
+    return image[..., channel].astype(int) - others > 60
+
+
+# ---- where things are
+
+
+@pytest.mark.parametrize(
+    "attitude",
+    [tilted(0, 0, 0), tilted(0.1, 0, 0), tilted(0, 0.3, 0), tilted(-0.15, 0.15, 0.35)],
+    ids=["level", "yaw", "pitch", "all"],
+)
+@pytest.mark.parametrize("stage", [STAGE, TURNED], ids=["home", "turned"])
+def test_gates_are_where_the_renderer_draws_them(cameras: Cameras, stage: Stage, attitude: FloatArray) -> None:
+    cameras.set_stage(0, stage, [GREY] * 3)
+    position = rotate_yaw(np.array([-1.5, 0.2, 1.1]), stage.yaw) + np.array([*stage.origin, 0.0])
+    # The stage's yaw, then the attitude: the product of two quaternions of which the first only turns.
+    w, z = math.cos(stage.yaw / 2), math.sin(stage.yaw / 2)
+    a, b, c, d = attitude
+    quaternion = np.array([w * a - z * d, w * b - z * c, w * c + z * b, w * d + z * a])
+    poses = Poses(position[None], quaternion[None], np.zeros((1, 3)), np.zeros(1))
+    image = cameras.first_person(poses.position, poses.quaternion)[0]
+    found = known(poses, stage)
+    assert found.in_view.all()
+    for gate, channel in enumerate(CHANNELS):
+        # A ring seen at a slant is not quite centred on its centre's image; small ones nearly are.
+        assert middle(coloured(image, channel)) == pytest.approx(found.gate[0, gate], abs=2.0)
+
+
+def test_panels_are_as_high_and_as_far_up_as_the_renderer_draws_them(cameras: Cameras) -> None:
+    cameras.set_stage(0, STAGE, [GREY, PINK, GREY])
+    poses = at(-1.0, 0.0, 1.0)
+    image = cameras.first_person(poses.position, poses.quaternion)[0].astype(int)
+    pink = np.minimum(image[..., 0], image[..., 2]) - image[..., 1] > 60
+    u, v, height = known(poses).panel[0, 1]
+    assert middle(pink) == pytest.approx([u, v], abs=1.0)
+    assert np.ptp(np.nonzero(pink)[0]) + 1 == pytest.approx(height, abs=1.5)
+
+
+def test_what_is_further_left_or_higher_has_smaller_pixels() -> None:
+    points = np.array([[[5.0, 0.0, 1.3], [5.0, 1.0, 1.3], [5.0, 0.0, 2.3], [-5.0, 0.0, 1.3]]])
+    (ahead, left, up, behind) = project(points, np.array([[0.0, 0.0, 1.0]]), tilted(0, 0, 0)[None])[0]
+    assert ahead == pytest.approx([IMAGE_SIZE / 2, IMAGE_SIZE / 2, 4.9])
+    assert left[0] < ahead[0]
+    assert left[1] == pytest.approx(ahead[1])
+    assert up[1] < ahead[1]
+    assert behind[2] < 0
+
+
+def test_place_tells_distance_and_heading_of_every_gate() -> None:
+    found = known(at(1.0, 0.0, 0.9, yaw=0.4)).place[0]
+    assert found[1] == pytest.approx([4.0, math.sin(-0.4), math.cos(-0.4)], abs=1e-6)
+    assert found[0, 0] == found[2, 0] == pytest.approx(5.0)
+    assert math.atan2(found[0, 1], found[0, 2]) == pytest.approx(math.pi / 4 - 0.4, abs=1e-6)
+
+
+def test_the_state_is_told_in_the_heading_frame() -> None:
+    poses = at(0.0, 0.0, 1.3, yaw=math.pi / 2, velocity=(1.0, 0.0, 0.5))._replace(yaw_rate=np.array([0.2]))
+    state = poses.state()
+    assert state.dtype == np.float32
+    assert state[0] == pytest.approx([0.0, -1.0, 0.5, 1.3, 0.2], abs=1e-6)
+
+
+# ---- what is seen
+
+
+def test_from_the_start_everything_is_in_view_and_legible() -> None:
+    found = known(at(*geometry.START), BOARDED)
+    assert found.in_view.all()
+    assert found.legible.all()
+    assert found.valid.all()
+    assert found.ahead.all()
+
+
+def test_a_drone_that_looks_away_sees_nothing() -> None:
+    found = known(at(*geometry.START, yaw=math.pi), BOARDED)
+    assert not found.in_view.any()
+    assert not found.legible.any()
+    assert found.ahead.all()  # the gates are where they were
+
+
+def test_one_gate_can_leave_the_view_alone() -> None:
+    assert known(at(2.0, -3.0, 0.9)).in_view.tolist() == [[False, True, True]]
+
+
+def test_nobody_reads_a_board_that_does_not_hang() -> None:
+    assert known(at(*geometry.START)).legible.tolist() == [[True, True, True, False]]
+
+
+def test_far_panels_are_in_view_and_not_legible() -> None:
+    found = known(at(-25.0, 0.0, 1.0))
+    assert found.in_view.all()
+    assert (found.panel[0, :3, 2] < LEGIBLE_HEIGHT).all()
+    assert not found.legible.any()
+
+
+def test_a_panel_mostly_above_the_image_is_not_legible() -> None:
+    near = known(at(4.2, 0.0, 0.9))
+    assert near.in_view[0, 1]
+    assert near.panel[0, 1, 2] > LEGIBLE_HEIGHT
+    assert not near.legible[0, 1]
+
+
+def test_behind_a_gate_it_is_neither_seen_nor_taught() -> None:
+    found = known(at(5.5, 0.0, 0.9, yaw=math.pi))  # looks back at it
+    assert ((found.gate[0, 1] > 0) & (found.gate[0, 1] < IMAGE_SIZE)).all()
+    assert not found.in_view[0, 1]
+    assert not found.ahead[0, 1]
+    assert not found.valid[0, 1]
+    assert not found.legible[0, 1]
+
+
+def test_close_to_a_gate_only_that_one_is_taught() -> None:
+    before, beyond = 5.0 - COMMITTED - 0.1, 5.0 - COMMITTED + 0.1
+    assert known(at(before, 0.0, 0.9)).valid.all()
+    assert known(at(beyond, 0.0, 0.9)).valid.tolist() == [[False, True, False]]
+
+
+def test_a_gate_that_stands_alone_is_all_there_is() -> None:
+    found = known(at(*geometry.START), ALONE)
+    for seen in (found.in_view, found.valid, found.ahead):
+        assert seen.tolist() == [[False, True, False]]
+    assert not found.legible.any()
+    # The planes of gates that do not stand forbid nothing.
+    assert known(at(4.0, 3.9, 0.9), ALONE).valid.tolist() == [[False, True, False]]
+
+
+# ---- what is done
+
+
+def test_the_first_action_is_the_expert_s() -> None:
+    poses = at(0.3, -0.4, 1.2, yaw=0.2, velocity=(0.8, 0.1, -0.1))
+    action = known(poses).action
+    assert action.shape == (1, 3, 1, 4)
+    assert action.dtype == np.float32
+    for gate in range(3):
+        wanted = intent(
+            poses.position,
+            poses.velocity,
+            np.array([0.2]),
+            geometry.gate_centers(STAGE)[[gate]],
+            geometry.gate_yaws(STAGE)[[gate]],
+            EXPERT,
+        )
+        assert action[0, gate, 0] == pytest.approx(np.clip(wanted[0], *np.outer([-1, 1], ACTION_LIMITS)), abs=1e-6)
+    assert action[0, 0, 0, 1] > 0 > action[0, 2, 0, 1]  # to the left gate, to the right gate
+
+
+def test_a_chunk_moves_on_from_its_first_action() -> None:
+    poses = at(*geometry.START, velocity=(0.5, 0.0, 0.0))
+    one, four = known(poses).action, known(poses, chunk=4).action
+    assert four.shape == (1, 3, 4, 4)
+    assert four[:, :, :1] == pytest.approx(one)
+    # Toward the left gate the nose turns left, so that less and less is left to turn and to fly aside.
+    assert (np.diff(four[0, 0, :, 3]) < 0).all()
+    assert (np.diff(four[0, 0, :, 1]) < 0).all()
+    # The second action is what the expert wants a tenth of a second later, give or take the simple model.
+    heading = poses.velocity[0, :3] + (one[0, 1, 0, :3] - poses.velocity[0]) * (1 - math.exp(-0.1 / 0.45))
+    later = at(*(poses.position[0] + 0.1 * heading), velocity=tuple(heading), yaw=0.1 * float(one[0, 1, 0, 3]))
+    assert four[0, 1, 1] == pytest.approx(known(later).action[0, 1, 0], abs=1e-5)
+
+
+def test_frames_do_not_depend_on_what_else_is_asked_together() -> None:
+    poses = Poses(*(np.concatenate(both) for both in zip(at(0.0, 0.5, 1.0), at(2.0, -1.0, 0.7, yaw=0.5), strict=True)))
+    both = truths(poses, [BOARDED, TURNED], 2, EXPERT)
+    alone = truths(Poses(*(part[1:] for part in poses)), [TURNED], 2, EXPERT)
+    for together, single in zip(both, alone, strict=True):
+        np.testing.assert_array_equal(together[1:], single)
