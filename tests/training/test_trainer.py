@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import pytest
 import torch
 from PIL import Image
 
 from cognitivedrone.errors import TrainingError
+from cognitivedrone.models.small_vla import Head, SmallVLA
 from cognitivedrone.training import trainer
 from cognitivedrone.training.checkpoint import read_checkpoint
-from cognitivedrone.training.curves import DIMENSIONS, read_rows
+from cognitivedrone.training.curves import DIMENSIONS, action_measures, draw_curves, read_rows
 from cognitivedrone.training.feed import learner_path, share
 from cognitivedrone.training.recipes import RECIPES, find_recipe
 from cognitivedrone.training.trainer import CHECKPOINT, METRICS, TrainConfig, learning_rate, load_trained, train
@@ -112,14 +115,14 @@ def test_a_training_changes_all_weights(runs: Runs) -> None:
 
 def test_rows_have_the_measures_of_the_literature_and_the_baseline(runs: Runs) -> None:
     rows = read_rows(runs.whole / METRICS)
-    wanted = {"step", "steps_per_s", "loss", "choice accuracy", "train loss", "train choice accuracy"}
+    wanted = {"step", "steps_per_s", "choice accuracy", "train loss", "train choice accuracy"}
     for measure in ("l1", "accuracy", "cross-entropy", "baseline accuracy", "baseline l1"):
         wanted |= {measure} | {f"{measure} {dimension}" for dimension in DIMENSIONS}
     for part in ("heat", "place", "facets", "choice", "text", "action"):
         wanted |= {part, f"train {part}"}
     for row in rows:
-        assert wanted - {"loss"} <= row.keys()
-        assert all(value == value for value in row.values())  # no NaN
+        assert wanted <= row.keys()
+        assert all(math.isfinite(value) for value in row.values())
         assert 0 <= row["accuracy"] <= 1
         assert 0 < row["baseline accuracy"] <= 1
         assert row["l1"] == pytest.approx(sum(row[f"l1 {name}"] for name in DIMENSIONS) / 4)
@@ -187,6 +190,50 @@ def test_a_training_does_not_go_on_by_another_recipe_or_seed(
 ) -> None:
     with pytest.raises(TrainingError, match="a training by another recipe or seed; choose another folder"):
         train(TrainConfig(runs.whole, recipe, seed=seed, resume=True))
+
+
+# ---- curves
+
+
+@pytest.mark.parametrize("head", get_args(Head))
+def test_measures_of_actions_are_those_of_their_definitions(head: Head) -> None:
+    network = SmallVLA(replace(RECIPE.network, head=head))
+    bins = torch.tensor([[10, 100, 100, 100], [10, 120, 100, 100], [10, 140, 110, 100], [11, 160, 110, 100]])
+    span = network.high - network.low
+    target = (network.low + bins / 255 * span)[:, None]
+    right = bins.clone()
+    right[0, 1] += 30  # one mistake, of thirty bins
+    if head == "tokens":
+        raw = torch.nn.functional.one_hot(right, 256)[:, None].float() * 100
+    else:
+        raw = (2 * right / 255 - 1)[:, None, :, None]
+    row = action_measures(network, raw, target)
+    assert [row[f"accuracy {name}"] for name in DIMENSIONS] == [1, 0.75, 1, 1]
+    assert row["accuracy"] == pytest.approx(15 / 16)
+    wrong = float(30 / 255 * span[1] / 4)
+    assert [row[f"l1 {name}"] for name in DIMENSIONS] == pytest.approx([0, wrong, 0, 0], abs=1e-5)
+    assert row["l1"] == pytest.approx(wrong / 4, abs=1e-5)
+    # What the commonest token would give.
+    assert [row[f"baseline accuracy {name}"] for name in DIMENSIONS] == [0.75, 0.25, 0.5, 1]
+    assert row["baseline l1 vx"] == pytest.approx(float(span[0]) / 255 / 4, abs=1e-5)
+    assert math.isnan(row["cross-entropy"]) == (head == "regression")
+
+
+def test_a_row_cut_short_by_a_kill_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / METRICS
+    assert read_rows(path) == []
+    path.write_text('{"step": 2, "l1": 0.5}\n{"step": 4, "l')
+    assert read_rows(path) == [{"step": 2, "l1": 0.5}]
+
+
+def test_curves_are_drawn_of_whatever_there_is(tmp_path: Path) -> None:
+    rows = [
+        {"step": 2, "l1": 0.5, "cross-entropy": math.nan},
+        {"step": 4, "l1": 0.4, "success": 0.5, "success race": 1},
+    ]
+    draw_curves(rows, tmp_path / "curves.png")
+    with Image.open(tmp_path / "curves.png") as picture:
+        picture.load()
 
 
 # ---- recipes
