@@ -105,21 +105,24 @@ def collect(config: Annotated[CollectConfig, tyro.conf.arg(name="")]) -> None:
 def train(
     out: Path,
     recipe: str = "small",
+    data: Path | None = None,
     seed: int = 0,
     resume: bool = False,
     processes: int = 1,
     threads: int = 1,
 ) -> None:
-    """Train a small model from flights that are made while it trains, and write it as one ONNX file.
+    """Train a small model, from flights made while it trains or from a data set, and write it as one ONNX file.
 
     Needs the extra `train`. A training that was stopped goes on with --resume. Examples:
 
       cognitivedrone train --recipe small --out runs/small --processes 2
+      cognitivedrone train --recipe small --out runs/recorded --processes 2 --data flights
       cognitivedrone bench --policy small:runs/small/model.onnx
 
     Args:
         out: Folder of the run: checkpoint, curves.png, TensorBoard logs and, at the end, model.onnx.
         recipe: small, race, base or debug.
+        data: A data set made by `collect`, to learn from it instead of from flights made on the way.
         seed: Of everything random.
         resume: Go on from the checkpoint in the folder.
         processes: Processes that share each batch: the number of CPU cores, or of GPUs.
@@ -129,7 +132,7 @@ def train(
         from cognitivedrone.training.launch import TrainOptions, run
     except ModuleNotFoundError as error:
         raise MissingExtra(str(error.name), "train") from None
-    model = run(TrainOptions(out, recipe, seed, resume, processes, threads))
+    model = run(TrainOptions(out, recipe, data, seed, resume, processes, threads))
     print(f"{model}: fly it with --policy small:{model}")  # noqa: T201
 
 

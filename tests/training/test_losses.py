@@ -19,7 +19,8 @@ from cognitivedrone.training import losses
 from cognitivedrone.training.facets import FACETS
 from cognitivedrone.training.losses import Lesson, LossWeights, action_loss, action_targets, to_tensors, true_slots
 from cognitivedrone.training.recipes import RECIPES
-from cognitivedrone.training.stream import Batch, Rehearsal
+from cognitivedrone.training.sampling import Batch
+from cognitivedrone.training.stream import Rehearsal
 
 DEBUG = RECIPES["debug"]
 VOCABULARY = Vocabulary.of(train_task(i, 0).instruction for i in range(500))

@@ -20,7 +20,8 @@ from cognitivedrone.training import stream
 from cognitivedrone.training.facets import FACETS, GROUPS, PANEL_GROUPS, gate_facets, panel_facets
 from cognitivedrone.training.questions import Question, ask
 from cognitivedrone.training.recipes import RECIPES
-from cognitivedrone.training.stream import NONE_IN_VIEW, Batch, Rehearsal, StreamRecipe
+from cognitivedrone.training.sampling import NONE_IN_VIEW, Batch, StreamRecipe
+from cognitivedrone.training.stream import Rehearsal
 from cognitivedrone.types import Gate, Task
 
 RECIPE = RECIPES["debug"].stream

@@ -53,7 +53,7 @@ from cognitivedrone.data.shards import (
 from cognitivedrone.data.statistics import SPLITS, statistics, validation_indices
 from cognitivedrone.errors import DataError, did_you_mean
 from cognitivedrone.tasks.format import write_tasks
-from cognitivedrone.types import IMAGE_SIZE, Action, FloatArray, Image
+from cognitivedrone.types import IMAGE_SIZE, Action, FloatArray, Image, Task
 
 EPISODES_PER_SHARD: Final = 64
 PACKAGES: Final = ("cognitivedrone", "mujoco", "numpy", "pillow", "pyarrow")
@@ -311,6 +311,35 @@ class Store:
         places = [self._places[index] for index in self.indices(split)]
         ranges = [np.arange(place.first_step, place.first_step + place.length) for place in places]
         return np.concatenate([np.empty(0, np.int64), *ranges])
+
+    def columns(self, *names: str) -> dict[str, NDArray[Any]]:
+        """Columns of numbers, (n_steps,) or (n_steps, width), whole and in order of the steps' numbers."""
+        parts: dict[int, dict[str, NDArray[Any]]] = {}
+        for number in range(len(self.manifest["shards"])):
+            with self._lock:
+                shard = self._file(number)
+                columns = shard.numbers(list(names))
+            first = 0
+            for facts in shard.facts:
+                rows = slice(first, first + facts["length"])
+                first += facts["length"]
+                parts[facts["index"]] = {name: column[rows] for name, column in columns.items()}
+        return {name: np.concatenate([parts[index][name] for index in self._places]) for name in names}
+
+    def content_hash(self) -> str:
+        """Of the manifest, which names the hashes of all shards: the same for the same flights."""
+        return sha256_of(self.path / MANIFEST)
+
+    def tasks(self) -> list[Task]:
+        """The tasks of all episodes, in order of index."""
+        with self._lock:
+            shards = [self._file(number) for number in range(len(self.manifest["shards"]))]
+        found = {facts["index"]: shard.task(facts) for shard in shards for facts in shard.facts}
+        return [found[index] for index in self._places]
+
+    def episode_rows(self) -> NDArray[np.int64]:
+        """(n_steps,) the place in `tasks` of the episode that each step belongs to."""
+        return np.repeat(np.arange(len(self)), [place.length for place in self._places.values()])
 
     @cached_property
     def _numbers(self) -> _Numbers:

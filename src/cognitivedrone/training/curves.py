@@ -15,7 +15,7 @@ from torch import Tensor
 
 from cognitivedrone.models.small_vla import SmallVLA
 from cognitivedrone.training.losses import Lesson, action_loss, action_targets, to_tensors, true_slots
-from cognitivedrone.training.stream import Batch
+from cognitivedrone.training.sampling import Batch
 
 DIMENSIONS = ("vx", "vy", "vz", "yaw_rate")
 Row = dict[str, Any]
@@ -56,32 +56,32 @@ def _flown(network: SmallVLA, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]
 
 
 def action_measures(network: SmallVLA, raw: Tensor, target: Tensor) -> Row:
-    """L1 (m/s and rad/s), accuracy of the token and cross-entropy, by dimension and overall, and the baseline's."""
+    """L1 (m/s and rad/s), accuracy of the token and cross-entropy, by dimension and overall, and the baseline's.
+
+    A network that does not say tokens has no cross-entropy.
+    """
     config = network.config
     error = (network.decode(raw) - target).abs().mean(dim=(0, 1))
     row: Row = {f"l1 {name}": float(error[i]) for i, name in enumerate(DIMENSIONS)} | {"l1": float(error.mean())}
     span = network.high - network.low
     true = ((target - network.low) / span * (config.bins - 1)).round().clamp(0, config.bins - 1).long()
+    guess = ((network.decode(raw) - network.low) / span * (config.bins - 1)).round().long()
     if config.head == "tokens":
         guess = raw.argmax(-1)
-        entropy = action_loss(network, raw, target)
-    else:
-        value = network.decode(raw)
-        guess = ((value - network.low) / span * (config.bins - 1)).round().long()
-        entropy = torch.full_like(error, float("nan"))[None, None]
+        entropy = action_loss(network, raw, target).mean(dim=(0, 1))
+        row |= {f"cross-entropy {name}": float(entropy[i]) for i, name in enumerate(DIMENSIONS)}
+        row["cross-entropy"] = float(entropy.mean())
     hits = (guess == true).float().mean(dim=(0, 1))
-    entropy = entropy.mean(dim=(0, 1))
     for i, name in enumerate(DIMENSIONS):
         counts = torch.bincount(true[..., i].flatten(), minlength=config.bins).float()
         common = int(counts.argmax())
         place = float(network.low[i] + common / (config.bins - 1) * span[i])
         row |= {
             f"accuracy {name}": float(hits[i]),
-            f"cross-entropy {name}": float(entropy[i]),
             f"baseline accuracy {name}": float(counts[common] / counts.sum()),
             f"baseline l1 {name}": float((target[..., i] - place).abs().mean()),
         }
-    for measure in ("accuracy", "baseline accuracy", "baseline l1", "cross-entropy"):
+    for measure in ("accuracy", "baseline accuracy", "baseline l1"):
         row[measure] = float(np.mean([row[f"{measure} {name}"] for name in DIMENSIONS]))
     return row
 

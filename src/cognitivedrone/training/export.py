@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ import torch
 from cognitivedrone.models.small_file import ActionStatistics, Description, Provenance, SmallModel, describe
 from cognitivedrone.models.small_vla import STATE, SmallVLA
 from cognitivedrone.models.text import Vocabulary
-from cognitivedrone.training.stream import Rehearsal, StreamRecipe
+from cognitivedrone.training.feed import training_batches
+from cognitivedrone.training.sampling import StreamRecipe
 from cognitivedrone.training.trainer import load_trained, stream_of
 
 _STATISTICS_FRAMES = 2_000
@@ -28,10 +30,13 @@ _HALVED_FROM = 256  # elements; smaller tensors are biases, scales and shapes
 _STATISTICS_SEED = (0, 10**6 + 1)
 
 
-def export(checkpoint: Path, out: Path, *, scores: Mapping[str, Any] | None = None) -> Description:
+def export(
+    checkpoint: Path, out: Path, *, data: Path | None = None, scores: Mapping[str, Any] | None = None
+) -> Description:
     """Write the network of a checkpoint as a self-describing ONNX file; what it says of itself.
 
-    `scores` go into the file as they are. Raises `TrainingError` for a bad checkpoint.
+    `data` is the data set it was trained from, where it was; `scores` go into the file as they are. Raises
+    `TrainingError` for a bad checkpoint.
     """
     network, vocabulary, facts = load_trained(checkpoint)
     recipe = facts["recipe"]
@@ -44,11 +49,11 @@ def export(checkpoint: Path, out: Path, *, scores: Mapping[str, Any] | None = No
         vocabulary=vocabulary,
         text_length=network.config.text_length,
         chunk=network.config.chunk,
-        action=action_statistics(network, vocabulary, stream),
+        action=action_statistics(network, vocabulary, stream, data),
         config=network.config.facts(),
         provenance=Provenance(
             recipe=recipe["name"],
-            data="stream sha256:" + hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest(),
+            data=facts.get("data") or _stream_id(recipe),
             commit=_commit(),
             trained=datetime.now(UTC).isoformat(timespec="seconds"),
             steps=int(facts["step"]),
@@ -59,6 +64,10 @@ def export(checkpoint: Path, out: Path, *, scores: Mapping[str, Any] | None = No
     SmallModel.load(beside)  # what cannot be loaded never lies in its place
     beside.replace(out)
     return description
+
+
+def _stream_id(recipe: dict[str, Any]) -> str:
+    return "stream sha256:" + hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
 
 
 def write_graph(network: SmallVLA, path: Path) -> None:
@@ -90,13 +99,13 @@ def write_graph(network: SmallVLA, path: Path) -> None:
     onnx.save(model, str(path))
 
 
-def action_statistics(network: SmallVLA, vocabulary: Vocabulary, stream: StreamRecipe) -> ActionStatistics:
-    """The spread of the actions that a stream teaches, and the range that the network can ask for."""
+def action_statistics(
+    network: SmallVLA, vocabulary: Vocabulary, stream: StreamRecipe, data: Path | None = None
+) -> ActionStatistics:
+    """The spread of the actions that a stream or a data set teaches, and the range that the network can ask for."""
     recipe = replace(stream, batch=100, texts=1, sentences=1, learner=0.0)
-    rehearsal = Rehearsal(recipe, vocabulary, network.config.text_length)
-    made = rehearsal.batches(_STATISTICS_SEED)
-    taken = [next(made) for _ in range(_STATISTICS_FRAMES // recipe.batch)]
-    rehearsal.close()
+    made = training_batches(recipe, vocabulary, network.config.text_length, data)(_STATISTICS_SEED)
+    taken = list(islice(made, _STATISTICS_FRAMES // recipe.batch))
     actions = np.concatenate([batch["action"][batch["valid"]][:, 0] for batch in taken]).astype(np.float64)
 
     def four(values: Any) -> tuple[float, float, float, float]:

@@ -10,16 +10,20 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 import torch
 
+from cognitivedrone.data.episode import Split
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.small_vla import SmallVLA
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.training.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.pilot import NetworkPilot
 from cognitivedrone.training.recipes import TrainRecipe
-from cognitivedrone.training.stream import Batch, Rehearsal
+from cognitivedrone.training.recorded import Recorded
+from cognitivedrone.training.sampling import Batch, StreamRecipe
+from cognitivedrone.training.stream import Learner, Rehearsal
 
 _AHEAD = 6  # batches made ahead of their use
 _PATIENCE_S = 600.0
@@ -47,11 +51,19 @@ class Feed:
     """
 
     def __init__(
-        self, recipe: TrainRecipe, vocabulary: Vocabulary, out: Path, *, seed: int, rank: int, first_round: int
+        self,
+        recipe: TrainRecipe,
+        vocabulary: Vocabulary,
+        out: Path,
+        *,
+        data: Path | None = None,
+        seed: int,
+        rank: int,
+        first_round: int,
     ) -> None:
         context = multiprocessing.get_context("spawn")
         self._queue = context.Queue(_AHEAD)
-        arguments = (self._queue, recipe, vocabulary.words, out, seed, rank, first_round)
+        arguments = (self._queue, recipe, vocabulary.words, out, data, seed, rank, first_round)
         self._process = context.Process(target=_generate, args=arguments, daemon=True)
 
     def __enter__(self) -> Feed:
@@ -79,6 +91,7 @@ def _generate(
     recipe: TrainRecipe,
     words: tuple[str, ...],
     out: Path,
+    data: Path | None,
     seed: int,
     rank: int,
     first_round: int,
@@ -87,16 +100,33 @@ def _generate(
     threading.Thread(target=_end_with_parent, daemon=True).start()
     torch.set_num_threads(1)
     vocabulary = Vocabulary(words)
-    rehearsal = Rehearsal(recipe.stream, vocabulary, recipe.network.text_length)
+    batches_of = training_batches(recipe.stream, vocabulary, recipe.network.text_length, data)
     network = SmallVLA(recipe.network)
     for round_ in range(first_round, -(-recipe.steps // recipe.round_steps)):
         learner = None
-        if round_ >= 2 and recipe.stream.learner > 0:
+        if round_ >= 2 and recipe.stream.learner > 0 and data is None:
             _load(network, learner_path(out, round_ - 2))
             learner = NetworkPilot(network, vocabulary)
-        batches = rehearsal.batches((seed, rank, round_), learner)
+        batches = batches_of((seed, rank, round_), learner)
         for _ in range(min(recipe.round_steps, recipe.steps - round_ * recipe.round_steps)):
             out_queue.put(next(batches))
+
+
+class Batches(Protocol):
+    """Makes batches without end: the same for the same seed and learner."""
+
+    def __call__(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
+        """The batches of `Rehearsal` or `Recorded`; the latter knows no learner."""
+        ...
+
+
+def training_batches(
+    stream: StreamRecipe, vocabulary: Vocabulary, text_length: int, data: Path | None, split: Split = "train"
+) -> Batches:
+    """Batches from a split of a data set, or, without one, from flights made now, whose seeds are their splits."""
+    if data is None:
+        return Rehearsal(stream, vocabulary, text_length).batches
+    return Recorded(data, stream, vocabulary, text_length, split).batches
 
 
 def _end_with_parent() -> None:

@@ -25,6 +25,9 @@ class TrainOptions:
     """Folder of the run: checkpoint, curves, TensorBoard logs and, at the end, model.onnx."""
     recipe: str = "small"
     """small, race, base or debug."""
+    data: Path | None = None
+    """A data set made by `collect`, instead of flights made while training (which train better: the network flies
+    some of them, and no two frames are alike)."""
     seed: int = 0
     resume: bool = False
     """Go on from the checkpoint in the folder."""
@@ -43,6 +46,8 @@ def run(options: TrainOptions) -> Path:
         raise TrainingError(f"{options.processes} processes cannot train; give at least 1")
     launcher = ["torch.distributed.run", "--standalone", "--nproc-per-node", str(options.processes)]
     flags = ["--out", options.out, "--recipe", options.recipe, "--seed", options.seed, "--threads", options.threads]
+    if options.data:
+        flags += ["--data", options.data]
     resume = "--resume" if options.resume else "--no-resume"
     command = [sys.executable, "-m", *launcher, "-m", __name__, *map(str, flags), resume]
     done = subprocess.run(command, env={"OMP_NUM_THREADS": "1", **os.environ}, check=False)  # noqa: S603
@@ -57,12 +62,17 @@ def _work(options: TrainOptions) -> Path:
     from cognitivedrone.training.trainer import TrainConfig, train
 
     config = TrainConfig(
-        options.out, find_recipe(options.recipe), seed=options.seed, resume=options.resume, threads=options.threads
+        out=options.out,
+        recipe=find_recipe(options.recipe),
+        data=options.data,
+        seed=options.seed,
+        resume=options.resume,
+        threads=options.threads,
     )
     checkpoint = train(config)
     model = options.out / "model.onnx"
     if os.environ.get("RANK", "0") == "0":
-        export(checkpoint, model)
+        export(checkpoint, model, data=options.data)
     return model
 
 

@@ -15,7 +15,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.small_vla import SLOTS, STRIDE, Scene, Seen, Slots, SmallVLA
 from cognitivedrone.training.facets import BOARD_GROUPS, GATE_GROUPS, GROUPS, PANEL_GROUPS
-from cognitivedrone.training.stream import NONE_IN_VIEW, Batch
+from cognitivedrone.training.sampling import NONE_IN_VIEW, Batch
 
 _BLUR_BINS = 2.0  # labels are bells this wide, so that a neighbouring bin is nearly right
 _BOX_SHIFT, _BOX_SCALE = 0.06, 0.08  # spread of the boxes that panels are read in, in heights

@@ -8,7 +8,7 @@ from typing import Any
 from cognitivedrone.errors import TrainingError, did_you_mean
 from cognitivedrone.models.small_vla import SmallVLAConfig
 from cognitivedrone.training.losses import LossWeights
-from cognitivedrone.training.stream import StreamRecipe
+from cognitivedrone.training.sampling import StreamRecipe
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,6 @@ RECIPES: dict[str, TrainRecipe] = {
         name="race",
         steps=3_000,
         stream=replace(SMALL.stream, suite="race", sentences=2, texts=1),
-        network=replace(SMALL.network, sight=(8, 16, 32, 32), text_layers=1),
     ),
     "base": replace(
         SMALL,

@@ -8,6 +8,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from accelerate import Accelerator
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from torch.utils.tensorboard import SummaryWriter
 
+from cognitivedrone.data.store import Store
 from cognitivedrone.envs.course import CourseConfig
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.small_vla import SmallVLA, SmallVLAConfig
@@ -26,11 +28,11 @@ from cognitivedrone.tasks.racing import race_task
 from cognitivedrone.training.checkpoint import read_checkpoint, restore, save_checkpoint
 from cognitivedrone.training.curves import Row, draw_curves, read_rows, validate
 from cognitivedrone.training.facets import FACETS
-from cognitivedrone.training.feed import Feed, learner_path, share
+from cognitivedrone.training.feed import Feed, learner_path, share, training_batches
 from cognitivedrone.training.losses import Lesson, to_tensors
 from cognitivedrone.training.pilot import NetworkPilot, fly_suite
 from cognitivedrone.training.recipes import TrainRecipe
-from cognitivedrone.training.stream import Batch, Rehearsal, StreamRecipe
+from cognitivedrone.training.sampling import Batch, StreamRecipe
 
 CHECKPOINT = "checkpoint.safetensors"
 METRICS = "metrics.jsonl"
@@ -45,6 +47,8 @@ class TrainConfig:
     out: Path
     """Folder of the run."""
     recipe: TrainRecipe
+    data: Path | None = None
+    """A data set to learn from, instead of flights made while training."""
     seed: int = 0
     resume: bool = False
     """Go on from the folder's checkpoint, if there is one."""
@@ -92,7 +96,15 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
     keeper = _Keeper(config, recipe, vocabulary, accelerator, report) if accelerator.is_main_process else None
     first_round = step // recipe.round_steps
     with (
-        Feed(part, vocabulary, out, seed=config.seed, rank=accelerator.process_index, first_round=first_round) as feed,
+        Feed(
+            part,
+            vocabulary,
+            out,
+            data=config.data,
+            seed=config.seed,
+            rank=accelerator.process_index,
+            first_round=first_round,
+        ) as feed,
         _progress(enabled=keeper is not None and accelerator.is_main_process) as progress,
     ):
         bar = progress.add_task(recipe.name, total=recipe.steps, completed=step, note="")
@@ -142,19 +154,28 @@ def _begin(
 ) -> int:
     """Make the folder, or restore what is in it; the step to go on from."""
     path = config.out / CHECKPOINT
-    facts = _plain({"recipe": recipe.facts(), "seed": config.seed})
+    facts = _identity(config, recipe)
     if path.exists():
         if not config.resume:
             raise TrainingError(f"{config.out} holds a training already; go on with --resume or choose another folder")
         tensors, found = read_checkpoint(path)
-        if {name: found.get(name) for name in facts} != facts:
-            raise TrainingError(f"{config.out} holds a training by another recipe or seed; choose another folder")
+        if {name: found[name] for name in _IDENTITY if name in found} != facts:
+            raise TrainingError(f"{config.out} holds a training by another recipe, seed or data; choose another folder")
         restore(tensors, network, optimizer)
         return int(found["step"])
     if main:
         (config.out / "learners").mkdir(parents=True, exist_ok=True)
         (config.out / "recipe.json").write_text(json.dumps(facts, indent=2))
     return 0
+
+
+_IDENTITY = ("recipe", "seed", "data")
+
+
+def _identity(config: TrainConfig, recipe: TrainRecipe) -> dict[str, Any]:
+    """What makes a training this one: only such a one can be gone on with."""
+    facts: dict[str, Any] = _plain({"recipe": recipe.facts(), "seed": config.seed})
+    return facts | ({"data": f"store {Store(config.data).content_hash()}"} if config.data else {})
 
 
 def _plain(value: Any) -> Any:
@@ -213,6 +234,7 @@ class _Keeper:
         report: Callable[[str], None],
     ) -> None:
         self._config, self._recipe, self._vocabulary = config, recipe, vocabulary
+        self._identity = _identity(config, recipe)
         self._accelerator, self._report = accelerator, report
         self._sums: dict[str, float] = defaultdict(float)
         self._count = 0
@@ -250,14 +272,7 @@ class _Keeper:
         if step % recipe.fly_every == 0 or last:
             row |= self._fly(lesson.network)
         self._write(row, step)
-        facts = _plain(
-            {
-                "recipe": recipe.facts(),
-                "seed": self._config.seed,
-                "step": step,
-                "vocabulary": list(self._vocabulary.words),
-            }
-        )
+        facts = self._identity | {"step": step, "vocabulary": list(self._vocabulary.words)}
         round_ = (step - 1) // recipe.round_steps
         save_checkpoint(learner_path(out, round_), lesson.network, None, facts)
         learner_path(out, round_ - 4).unlink(missing_ok=True)
@@ -268,11 +283,9 @@ class _Keeper:
     def _validation_batches(self) -> list[Batch]:
         recipe, length = self._recipe, self._recipe.network.text_length
         stream = replace(recipe.stream, batch=min(32, recipe.validation_frames), learner=0.0)
-        rehearsal = Rehearsal(stream, self._vocabulary, length)
-        made = rehearsal.batches((self._config.seed, _VALIDATION))
-        batches = [next(made) for _ in range(max(1, recipe.validation_frames // stream.batch))]
-        rehearsal.close()
-        return batches
+        seed, count = (self._config.seed, _VALIDATION), max(1, recipe.validation_frames // stream.batch)
+        batches = training_batches(stream, self._vocabulary, length, self._config.data, split="val")
+        return list(islice(batches(seed), count))
 
     def _fly(self, network: SmallVLA) -> Row:
         results = fly_suite(NetworkPilot(network, self._vocabulary), self._suite, CourseConfig(time_limit_s=15.0))

@@ -1,0 +1,85 @@
+"""Training from a data set: its frames, its actions, its splits, and a training that has seen nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cognitivedrone.collect.collector import CollectConfig, collect
+from cognitivedrone.data.store import Store
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.training import trainer
+from cognitivedrone.training.checkpoint import read_checkpoint
+from cognitivedrone.training.recipes import RECIPES
+from cognitivedrone.training.recorded import Recorded
+from cognitivedrone.training.trainer import CHECKPOINT, TrainConfig, train
+
+STREAM = replace(RECIPES["debug"].stream, chunk=3, batch=16)
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recorded") / "flights"
+    collect(CollectConfig(folder, "debug", 24, workers=1, episodes_per_shard=8), progress=False)
+    return folder
+
+
+@pytest.fixture
+def recorded(flights: Path) -> Recorded:
+    return Recorded(flights, STREAM, Vocabulary.of(["Fly through the red gate"]), 40)
+
+
+def test_frames_states_and_actions_are_those_of_the_record(flights: Path, recorded: Recorded) -> None:
+    store = Store(flights)
+    known = {store.steps([step])["image"].tobytes(): step for step in store.step_numbers("train").tolist()}
+    batch = next(recorded.batches((0,)))
+    ends = np.flatnonzero(np.diff(store.episode_rows(), append=-1))
+    everything = store.steps(np.arange(store.n_steps))
+    for row in range(STREAM.batch):
+        step = known[batch["image"][row].tobytes()]
+        end = ends[ends >= step][0]
+        following = np.minimum([step, step + 1, step + 2], end)
+        np.testing.assert_array_equal(batch["action"][row, batch["flown"][row]], everything["action"][following])
+        np.testing.assert_allclose(batch["state"][row], everything["state"][step], atol=1e-4)
+
+
+def test_the_flown_gate_is_the_one_its_instruction_asks_for(flights: Path, recorded: Recorded) -> None:
+    targets = {task.target for task in Store(flights).tasks()}
+    flown = {int(gate) for batch in islice(recorded.batches((1,)), 8) for gate in batch["flown"]}
+    assert flown <= targets
+    assert len(flown) > 1
+
+
+def test_an_epoch_shows_every_training_step_once(flights: Path, recorded: Recorded) -> None:
+    store = Store(flights)
+    frames = store.steps(store.step_numbers("train"))["image"]
+    batches = islice(recorded.batches((2,)), len(frames) // STREAM.batch)
+    seen = [image.tobytes() for batch in batches for image in batch["image"]]
+    assert len(set(seen)) == len(seen)
+    assert set(seen) <= {image.tobytes() for image in frames}
+
+
+def test_splits_do_not_mix(flights: Path) -> None:
+    store = Store(flights)
+    validation = Recorded(flights, STREAM, Vocabulary.of(["gate"]), 40, split="val")
+    seen = {image.tobytes() for image in next(validation.batches((0,)))["image"]}
+    assert seen <= {image.tobytes() for image in store.steps(store.step_numbers("val"))["image"]}
+    assert not seen & {image.tobytes() for image in store.steps(store.step_numbers("train"))["image"]}
+
+
+def test_a_training_from_a_data_set_says_so_and_does_not_go_on_with_another(
+    flights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trainer, "_SENTENCES", 300)
+    recipe = replace(RECIPES["debug"], steps=2, fly_every=2, fly_tasks=1)
+    train(TrainConfig(tmp_path / "run", recipe, data=flights), lambda _: None)
+    tensors, facts = read_checkpoint(tmp_path / "run" / CHECKPOINT)
+    assert facts["data"] == f"store {Store(flights).content_hash()}"
+    assert all(value.isfinite().all() for value in tensors.values())
+    with pytest.raises(TrainingError, match="another recipe, seed or data"):
+        train(TrainConfig(tmp_path / "run", recipe, resume=True))
