@@ -46,6 +46,16 @@ class TrainRecipe:
 
 SMALL = TrainRecipe("small", steps=20_000, stream=StreamRecipe(batch=32))
 
+_SHORT = replace(SMALL, name="ablation-tokens", steps=2_000)
+_ABLATION = (
+    _SHORT,
+    replace(_SHORT, name="ablation-regression", network=replace(_SHORT.network, head="regression")),
+    replace(_SHORT, name="ablation-chunk2", stream=replace(_SHORT.stream, chunk=2)),
+    replace(_SHORT, name="ablation-chunk4", stream=replace(_SHORT.stream, chunk=4)),
+    replace(_SHORT, name="ablation-128px", network=replace(_SHORT.network, image_size=128)),
+    replace(_SHORT, name="ablation-instructions", stream=replace(_SHORT.stream, directives=False)),
+)
+
 RECIPES: dict[str, TrainRecipe] = {
     "small": SMALL,
     "race": replace(
@@ -76,9 +86,9 @@ RECIPES: dict[str, TrainRecipe] = {
         fly_every=4,
         fly_tasks=2,
     ),
-}
+} | {recipe.name: recipe for recipe in _ABLATION}
 """`small`: the shipped policy. `race`: the baseline without language. `base`: larger, for a GPU. `debug`: the whole
-path in seconds, of no use otherwise."""
+path in seconds, of no use otherwise. `ablation-*`: a tenth of `small`, each but the first with one thing changed."""
 
 
 def find_recipe(name: str) -> TrainRecipe:
