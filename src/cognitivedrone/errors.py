@@ -6,6 +6,7 @@ CognitiveDroneError
 ├── RenderError      no OpenGL to render with
 ├── PolicyError      an unknown policy or reasoner, a model that cannot be loaded, or an action that cannot be flown
 │   └── NonFiniteAction
+├── ReasonerError    one answer of a reasoner that did not come or cannot be used; the flight goes on
 ├── RunError         a benchmark run that cannot start, go on or be read
 ├── DataError        a data set that cannot be written, read or trusted
 └── MissingExtra     an optional dependency is not installed
@@ -15,6 +16,13 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Literal
+
+ReasonerFault = Literal[
+    "unreachable", "timeout", "http", "too_long", "garbage", "schema", "refusal", "no_such_gate", "unsure"
+]
+"""What was wrong with an answer: no connection, too late, an HTTP error, more text than anybody needs, not JSON and not
+a sentence about a gate, JSON of another shape, a polite refusal, a gate that there is not, "cannot tell"."""
 
 
 class CognitiveDroneError(Exception):
@@ -39,6 +47,17 @@ class PolicyError(CognitiveDroneError):
 
 class NonFiniteAction(PolicyError):
     """The policy asked for a NaN or an infinite velocity: the flight ends, a run of many goes on."""
+
+
+class ReasonerError(CognitiveDroneError):
+    """One answer of a reasoner that did not come or cannot be used: counted by `kind`, and the flight goes on."""
+
+    def __init__(self, kind: ReasonerFault, message: str) -> None:
+        super().__init__(message)
+        self.kind: ReasonerFault = kind
+
+    def __reduce__(self) -> tuple[type[ReasonerError], tuple[ReasonerFault, str]]:
+        return ReasonerError, (self.kind, str(self))
 
 
 class RunError(CognitiveDroneError):

@@ -30,7 +30,20 @@ class Reasoner(Protocol):
     """Turns the user's instruction into a plain directive, looking at the scene."""
 
     def refine(self, image: Image, instruction: str) -> Guidance:
-        """The directive for what `image` shows."""
+        """The directive for what `image` shows; raises `ReasonerError` where it has none to give this time."""
+        ...
+
+
+@runtime_checkable
+class Remembering(Protocol):
+    """A reasoner that looks more than once: at several frames of a stage, and back at earlier stages of a track."""
+
+    def new_flight(self) -> None:
+        """Forget everything."""
+        ...
+
+    def new_stage(self) -> None:
+        """A new instruction: what was answered last was the answer for the stage that has ended."""
         ...
 
 
