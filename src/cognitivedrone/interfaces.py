@@ -7,6 +7,7 @@ from typing import Protocol, runtime_checkable
 from cognitivedrone.types import (
     Action,
     ActionChunk,
+    Event,
     Guidance,
     Image,
     Observation,
@@ -57,6 +58,15 @@ class Privileged(Protocol):
 
 
 @runtime_checkable
+class Checked(Protocol):
+    """A policy or reasoner that depends on something outside: a server, a key."""
+
+    def check(self) -> None:
+        """Called once before take-off; raises `PolicyError` where it could not fly."""
+        ...
+
+
+@runtime_checkable
 class Seeded(Protocol):
     """A policy or reasoner that draws random numbers: seeded once an episode, before `reset`."""
 
@@ -88,7 +98,13 @@ class Clock(Protocol):
 class Recorder(Protocol):
     """Sees everything that happens in a flight."""
 
-    def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None: ...
+    def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:
+        """One control step: what was seen, what was sent, and the directive that was flown by."""
+        ...
+
+    def note(self, event: Event) -> None:
+        """Anything else, as it happens."""
+        ...
 
 
 class LabelPack(Protocol):

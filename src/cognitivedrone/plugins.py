@@ -9,6 +9,7 @@ import difflib
 import importlib
 import inspect
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 from cognitivedrone.errors import PolicyError, did_you_mean
@@ -56,6 +57,19 @@ def make(kind: str, name: str, table: Mapping[str, str], methods: tuple[str, ...
     if missing:
         raise PolicyError(f"{kind} {name!r} has no method {missing[0]}(); see cognitivedrone.interfaces")
     return made
+
+
+def file_of(kind: str, name: str, table: Mapping[str, str]) -> Path | None:
+    """The file that a plug-in of the package by this name depends on; none where it depends on none.
+
+    Asks the plug-in's own `file_of(argument)`. Raises `PolicyError` where the file is missing.
+    """
+    key, colon, argument = name.partition(":")
+    if key not in table or (colon and not argument):
+        return None
+    ask = getattr(load(kind, key, table), "file_of", None)
+    found: Path | None = ask(argument or None) if ask else None
+    return found
 
 
 def _made_with(kind: str, key: str, argument: str, table: Mapping[str, str]) -> Any:

@@ -9,7 +9,7 @@ Frames and units (converted in `frames.py` alone):
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
@@ -170,6 +170,42 @@ class Guidance:
 
 
 @dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened in a flight."""
+
+    time: float
+    """Since the start of the flight, s."""
+    kind: str
+    """`leg`, `asked`, `adopted`, `agreed`, `kept`, `stale`, `late`, or a `ReasonerFault`."""
+    text: str = ""
+    """An instruction, a directive, or what went wrong."""
+    age_s: float | None = None
+    """Between the frame of an answer and its arrival, or between a deadline and now."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReasonerReport:
+    """What a reasoner did in one stage."""
+
+    answers: int
+    """That could be used."""
+    faults: Mapping[str, int]
+    """Answers that could not be used, by `ReasonerFault`."""
+    changes: int
+    """Directives that replaced another one."""
+    age_s: float | None
+    """Mean age of the frames behind the directives, when the policy flew by them."""
+    rate_hz: float | None
+    """Answers and faults a second."""
+    size: bool | None
+    """Whether the last directive's size is the right gate's; none where it does not say, or there was no directive."""
+    color: bool | None
+    shape: bool | None
+    gate: bool
+    """Whether the last directive fits the right gate and no other."""
+
+
+@dataclass(frozen=True, slots=True)
 class StageResult:
     """How one stage of an episode ended."""
 
@@ -194,6 +230,8 @@ class StageResult:
     the stage was not reached."""
     directive: str | None = None
     """The last directive of the reasoner, if one flew along."""
+    reasoner: ReasonerReport | None = field(default=None, metadata={"json": "where set"})
+    """What the reasoner did, if one flew along and the stage was reached."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 
 import numpy as np
 
-from cognitivedrone.benchmark.run_types import Flown, RunConfig, Trace
+from cognitivedrone.benchmark.flight_log import FlightLog
+from cognitivedrone.benchmark.run_types import Flown, RunConfig
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import SimulatedDrone
 from cognitivedrone.errors import NonFiniteAction, PolicyError, did_you_mean
+from cognitivedrone.flight.latency import parse_delays
 from cognitivedrone.flight.loop import Leg, fly
-from cognitivedrone.interfaces import LabelPack, Policy, Privileged, Seeded
+from cognitivedrone.flight.mind import SimulatedMind
+from cognitivedrone.interfaces import Checked, LabelPack, Policy, Privileged, Seeded
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
@@ -20,25 +22,17 @@ from cognitivedrone.sim.airframe import AIRFRAMES
 from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite
-from cognitivedrone.types import (
-    Action,
-    ActionChunk,
-    EpisodeResult,
-    FloatArray,
-    Guidance,
-    Image,
-    Observation,
-    StageResult,
-    Truth,
-)
+from cognitivedrone.types import ActionChunk, EpisodeResult, Observation, Truth
 
 
 def preflight(config: RunConfig, suite: Suite) -> None:
     """Find what would stop a run, before anything is written: raises `PolicyError` or `LabelError`."""
     if config.airframe not in AIRFRAMES:
         raise PolicyError(f"unknown airframe {config.airframe!r}; {did_you_mean(config.airframe, AIRFRAMES)}")
-    make_policy(config.policy)
-    make_reasoner(config.reasoner)
+    parse_delays(config.latency)
+    for part in (make_policy(config.policy), make_reasoner(config.reasoner)):
+        if isinstance(part, Checked):
+            part.check()
     if config.tasks is None and config.labels is None:
         return  # the shipped pack draws every shipped suite
     pack = _labels(config)
@@ -62,6 +56,7 @@ class EpisodeFlyer:
         self.simulator = Simulator(1, airframe=AIRFRAMES[config.airframe])
         self.course = Course(self.simulator, 0, _labels(config), CourseConfig(look=config.look, wind_m_s=config.wind))
         self.drone = SimulatedDrone(self.simulator, self.course)
+        self.delays = parse_delays(config.latency)
 
     @property
     def renderer(self) -> str:
@@ -75,11 +70,14 @@ class EpisodeFlyer:
         for part in (self.policy, self.reasoner):
             if isinstance(part, Seeded):
                 part.seed(int(rng.integers(2**31)))
-        log = _FlightLog(self.simulator, self.course, keep_frames=film)
+        thinking = np.random.default_rng(int(rng.integers(2**31)))
+        mind = SimulatedMind(self.reasoner, self.delays.reasoner.charge(thinking)) if self.reasoner else None
+        log = FlightLog(self.simulator, self.course, keep_frames=film)
         timed = _Timed(self.policy)
+        charge = self.delays.policy.charge(thinking)
         message = ""
         try:
-            fly(self.drone, timed, self.drone, self._mission, reasoner=self.reasoner, recorder=log)
+            fly(self.drone, timed, self.drone, self._mission, mind=mind, recorder=log, charge=charge)
         except NonFiniteAction as error:
             self.course.end("policy_error")
             message = str(error)
@@ -123,38 +121,3 @@ class _Timed:
         self.total_s += time.perf_counter() - begin
         self.decisions += 1
         return chunk
-
-
-class _FlightLog:
-    """Records path, frames and directives of one flight."""
-
-    def __init__(self, simulator: Simulator, course: Course, *, keep_frames: bool) -> None:
-        self.simulator = simulator
-        self.course = course
-        self.keep_frames = keep_frames
-        self.path: list[FloatArray] = []
-        self.frames: list[Image] = []
-        self.stage_start: list[int] = []
-        self.directives: dict[int, str] = {}
-
-    def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:  # noqa: ARG002
-        """One control step."""
-        if self.course.index == len(self.stage_start):
-            self.stage_start.append(len(self.path))
-        self.path.append(self.simulator.state(0).position.copy())
-        if self.keep_frames:
-            self.frames.append(observation.image.copy())
-        if guidance is not None:
-            self.directives[self.course.index] = guidance.directive
-
-    def results(self) -> tuple[StageResult, ...]:
-        """The stages' results, each with the directive it was flown by."""
-        return tuple(
-            replace(result, directive=self.directives.get(index)) for index, result in enumerate(self.course.results)
-        )
-
-    def trace(self, decision_s: float) -> Trace:
-        """Where the flight went, its last position included."""
-        path = np.array([*self.path, self.simulator.state(0).position], dtype=np.float32)
-        stages = tuple(self.course.stages[: len(self.stage_start)])
-        return Trace(path, stages, tuple(self.stage_start), decision_s)

@@ -7,7 +7,7 @@ import json
 import os
 import platform
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -51,6 +51,10 @@ class Options:
     """Speed of a steady wind."""
     model: str | None
     """SHA-256 of the model file that the policy flies, if it flies one."""
+    latency: str = field(default="none", metadata={"json": "where set"})
+    """What was charged for thinking; a file is told by its SHA-256."""
+    reasoner_model: str | None = field(default=None, metadata={"json": "where set"})
+    """SHA-256 of the model file or the answers that the reasoner uses, if it uses one."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,6 +45,9 @@ class RunConfig:
     """The drone that is flown."""
     wind: float = 0.0
     """Speed of a steady wind, m/s; every episode draws its direction."""
+    latency: str = "none"
+    """Time that policy and reasoner take, charged to the simulated clock: none, measured, or policy=80ms,reasoner=450ms
+    (a part may also be measured, or a file with a number of ms a line)."""
     rule: Rule = "through"
     """The rule that the table and the report show first; results.json always holds both."""
     out: Path | None = None

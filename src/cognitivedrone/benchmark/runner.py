@@ -39,7 +39,9 @@ from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.scoring import counts, passes
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.errors import RunError
+from cognitivedrone.flight.latency import parse_delays
 from cognitivedrone.policies import model_file
+from cognitivedrone.reasoners import reasoner_file
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import EpisodeResult
 
@@ -107,7 +109,7 @@ def facts_of(config: RunConfig, suite: Suite) -> RunFacts:
         raise RunError(f"--labels {config.labels} is not a folder of images")
     if not 0 <= config.wind < math.inf:
         raise RunError(f"--wind is {config.wind}; it is a speed in m/s, 0 or more")
-    model = model_file(config.policy)
+    model, answers = model_file(config.policy), reasoner_file(config.reasoner)
     return RunFacts(
         suite=SuiteFacts(suite.name, suite.digest, suite.n_tasks),
         policy=config.policy,
@@ -121,6 +123,8 @@ def facts_of(config: RunConfig, suite: Suite) -> RunFacts:
             labels=None if config.labels is None else _folder_digest(config.labels),
             wind_m_s=config.wind,
             model=None if model is None else _file_digest(model),
+            latency=parse_delays(config.latency).identity,
+            reasoner_model=None if answers is None else _file_digest(answers),
         ),
         versions=versions(),
     )
@@ -144,7 +148,7 @@ def command_of(config: RunConfig) -> str:
     words += ["--episodes", str(config.episodes)] if config.episodes is not None else []
     words += ["--track"] if config.track else []
     default = RunConfig()
-    for name in ("look", "airframe", "wind", "rule"):
+    for name in ("look", "airframe", "wind", "latency", "rule"):
         if getattr(config, name) != getattr(default, name):
             words += [f"--{name}", str(getattr(config, name))]
     return shlex.join(words)

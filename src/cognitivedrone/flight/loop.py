@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cognitivedrone.errors import NonFiniteAction, PolicyError
-from cognitivedrone.interfaces import Clock, Drone, Policy, Privileged, Reasoner, Recorder
-from cognitivedrone.types import CONTROL_HZ, Action, ActionChunk, Guidance, Truth
+from cognitivedrone.flight.latency import Charge
+from cognitivedrone.flight.mind import Mind, Question
+from cognitivedrone.flight.steering import Steering
+from cognitivedrone.interfaces import Clock, Drone, Policy, Privileged, Recorder
+from cognitivedrone.types import CONTROL_HZ, Action, ActionChunk, Event, Guidance, Observation, Truth
+
+LATE_S = 0.010
+"""A deadline that is missed by less than this counts as kept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,40 +74,83 @@ def fly(
     clock: Clock,
     mission: Mission,
     *,
-    reasoner: Reasoner | None = None,
+    mind: Mind | None = None,
     recorder: Recorder | None = None,
     rates: Rates | None = None,
+    charge: Charge | None = None,
 ) -> int:
-    """Fly until the mission ends; returns the number of control steps.
+    """Fly until the mission ends; returns the number of commands sent.
 
-    A chunk of actions is flown to its end before the policy is asked again. A new leg resets the policy, drops what is
-    left of the chunk, and asks the reasoner at once.
+    The policy decides on absolute deadlines; a deadline that has passed is skipped. Its commands are sent when its
+    thinking is over: on a wall clock that takes its time, on a simulated one what `charge` makes of it. A chunk of
+    actions is flown to its end before the policy is asked again.
+
+    A new leg resets the policy and drops what is left of the chunk. The `mind` is asked then, and `reasoner_hz` times a
+    second, about the newest frame, as soon as it is idle. Its directive is flown by from when it arrives (`Steering`
+    says whether it replaces another); without one, by the instruction.
     """
     rates = rates or Rates()
+    log = recorder or _Deaf()
     start = clock.now()
     leg_index: int | None = None
-    guidance: Guidance | None = None
+    steering = Steering()
     pending: list[Action] = []
-    since_reasoning = 0
-    step = 0
+    slot = sent_count = 0
+    next_question = 0
     while (leg := mission()) is not None:
+        late = clock.now() - (start + slot / rates.control_hz)
+        if late > LATE_S:
+            log.note(Event(clock.now() - start, "late", age_s=late))
         if leg.index != leg_index:
-            leg_index, guidance, pending, since_reasoning = leg.index, None, [], 0
+            leg_index, steering, pending, next_question = leg.index, Steering(), [], slot
             policy.reset(leg.instruction)
-            for part in (policy, reasoner):
-                if leg.truth is not None and isinstance(part, Privileged):
-                    part.brief(leg.truth)
+            if leg.truth is not None and isinstance(policy, Privileged):
+                policy.brief(leg.truth)
+            log.note(Event(clock.now() - start, "leg", leg.instruction))
         observation = drone.observe()
-        if reasoner is not None and since_reasoning % rates.reason_every == 0:
-            guidance = reasoner.refine(observation.image, leg.instruction)
-        since_reasoning += 1
-        text = guidance.directive if guidance is not None else leg.instruction
-        observation = replace(observation, instruction=text)
+        if mind is not None:
+            _listen(mind, steering, leg, start, clock.now(), log)
+            if slot >= next_question and mind.idle(clock.now()):
+                mind.ask(Question(leg.index, leg.instruction, observation.image, clock.now(), leg.truth))
+                log.note(Event(clock.now() - start, "asked", leg.instruction))
+                next_question = slot + rates.reason_every
+                _listen(mind, steering, leg, start, clock.now(), log)
+        guidance = steering.guidance(clock.now())
+        observation = replace(observation, instruction=guidance.directive if guidance else leg.instruction)
         if not pending:
+            begin = time.perf_counter()
             pending = list(check_chunk(policy.act(observation)))
+            if charge is not None:
+                clock.sleep_until(clock.now() + charge(time.perf_counter() - begin))
         sent = drone.send(pending.pop(0))
-        if recorder is not None:
-            recorder.record(observation, sent, guidance)
-        step += 1
-        clock.sleep_until(start + step / rates.control_hz)
-    return step
+        log.record(observation, sent, guidance)
+        sent_count += 1
+        slot = max(slot + 1, math.ceil((clock.now() - start) * rates.control_hz - LATE_S * rates.control_hz))
+        clock.sleep_until(start + slot / rates.control_hz)
+    return sent_count
+
+
+def _listen(mind: Mind, steering: Steering, leg: Leg, start: float, now: float, log: Recorder) -> None:
+    """Take the mind's answer, if it is there."""
+    answer = mind.answer(now)
+    if answer is None:
+        return
+    age = now - answer.question.time
+    if answer.question.leg != leg.index:
+        text = answer.guidance.directive if answer.guidance else answer.message
+        log.note(Event(now - start, "stale", text, age))
+    elif answer.guidance is None:
+        log.note(Event(now - start, answer.fault or "garbage", answer.message, age))
+    else:
+        what = steering.hear(answer.guidance, answer.question.time)
+        log.note(Event(now - start, what, answer.guidance.directive, age))
+
+
+class _Deaf:
+    """A recorder that keeps nothing."""
+
+    def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:
+        pass
+
+    def note(self, event: Event) -> None:
+        pass

@@ -27,12 +27,7 @@ def model_file(name: str) -> Path | None:
 
     Raises `PolicyError` where the file is missing.
     """
-    key, colon, path = name.partition(":")
-    if key not in POLICIES or (colon and not path):
-        return None
-    file_of = getattr(plugins.load("policy", key, POLICIES), "file_of", None)
-    found: Path | None = file_of(path or None) if file_of else None
-    return found
+    return plugins.file_of("policy", name, POLICIES)
 
 
 def make_policy(name: str) -> Policy:

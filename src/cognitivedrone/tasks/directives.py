@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 from cognitivedrone.types import Color, Gate, Shape, Size
 
@@ -40,3 +41,11 @@ def parse_directive(text: str) -> tuple[Size | None, Color | None, Shape | None]
         color = _COLORS.get(word, color)
         shape = _SHAPES.get(word, shape)
     return size, color, shape
+
+
+def fitting_gate(text: str, gates: Sequence[Gate]) -> int | None:
+    """Index of the one gate that a directive fits; none where it fits none or several, or says nothing of gates."""
+    said = parse_directive(text)
+    looks = [(gate.size, gate.color, gate.shape) for gate in gates]
+    fits = [all(mine in (None, its) for mine, its in zip(said, look, strict=True)) for look in looks]
+    return fits.index(True) if any(said) and sum(fits) == 1 else None

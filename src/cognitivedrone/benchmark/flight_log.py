@@ -1,0 +1,109 @@
+"""What the benchmark writes down of one flight: its path and frames, and what the reasoner did in each stage."""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import get_args
+
+import numpy as np
+
+from cognitivedrone.benchmark.run_types import Trace
+from cognitivedrone.envs.course import Course
+from cognitivedrone.errors import ReasonerFault
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.tasks.directives import fitting_gate, parse_directive
+from cognitivedrone.types import (
+    Action,
+    Event,
+    FloatArray,
+    Gate,
+    Guidance,
+    Image,
+    Observation,
+    ReasonerReport,
+    StageResult,
+)
+
+FAULTS: tuple[ReasonerFault, ...] = get_args(ReasonerFault)
+
+
+@dataclass
+class _Stage:
+    """What has been heard from the reasoner in one stage."""
+
+    first_step: int
+    directive: str | None = None
+    answers: int = 0
+    adopted: int = 0
+    faults: Counter[str] = field(default_factory=Counter)
+    ages_s: list[float] = field(default_factory=list)
+
+
+class FlightLog:
+    """Records path, frames and directives of one flight of a course."""
+
+    def __init__(self, simulator: Simulator, course: Course, *, keep_frames: bool) -> None:
+        self.simulator = simulator
+        self.course = course
+        self.keep_frames = keep_frames
+        self.path: list[FloatArray] = []
+        self.frames: list[Image] = []
+        self._stages: list[_Stage] = []
+
+    def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:  # noqa: ARG002
+        """One control step."""
+        self.path.append(self.simulator.state(0).position.copy())
+        if self.keep_frames:
+            self.frames.append(observation.image.copy())
+        if guidance is not None:
+            self._stages[-1].directive = guidance.directive
+            self._stages[-1].ages_s.append(guidance.age)
+
+    def note(self, event: Event) -> None:
+        """A new stage, or what came from the reasoner."""
+        if event.kind == "leg":
+            self._stages.append(_Stage(len(self.path)))
+        elif event.kind in FAULTS:
+            self._stages[-1].faults[event.kind] += 1
+        elif event.kind in ("adopted", "agreed", "kept"):
+            self._stages[-1].answers += 1
+            self._stages[-1].adopted += event.kind == "adopted"
+
+    def results(self) -> tuple[StageResult, ...]:
+        """The stages' results, each with what its reasoner did."""
+        told = []
+        for index, (result, task) in enumerate(zip(self.course.results, self.course.track, strict=True)):
+            stage = self._stages[index] if index < len(self._stages) else None
+            if stage is None or not (stage.answers or stage.faults):
+                told.append(result)
+                continue
+            report = _report(stage, result.time_s, task.gates, task.target)
+            told.append(replace(result, directive=stage.directive, reasoner=report))
+        return tuple(told)
+
+    def trace(self, decision_s: float) -> Trace:
+        """Where the flight went, its last position included."""
+        path = np.array([*self.path, self.simulator.state(0).position], dtype=np.float32)
+        stages = tuple(self.course.stages[: len(self._stages)])
+        return Trace(path, stages, tuple(stage.first_step for stage in self._stages), decision_s)
+
+
+def _report(stage: _Stage, seconds: float, gates: Sequence[Gate], target: int) -> ReasonerReport:
+    faults = sum(stage.faults.values())
+    said = parse_directive(stage.directive or "")
+    right = (gates[target].size, gates[target].color, gates[target].shape)
+    size, color, shape = (None if mine is None else mine == gold for mine, gold in zip(said, right, strict=True))
+    return ReasonerReport(
+        answers=stage.answers,
+        faults=dict(sorted(stage.faults.items())),
+        changes=max(0, stage.adopted - 1),
+        age_s=round(statistics.fmean(stage.ages_s), 4) if stage.ages_s else None,
+        rate_hz=round((stage.answers + faults) / seconds, 4) if seconds else None,
+        size=size,
+        color=color,
+        shape=shape,
+        gate=fitting_gate(stage.directive or "", gates) == target,
+    )
