@@ -1,0 +1,326 @@
+"""Scores a reasoner alone: it looks at the frames that a flight would begin with, and nothing flies.
+
+Writes reason.jsonl, a line an answer, and reason.json, the scores. `--reasoner replay:FOLDER/reason.jsonl` gives the
+same answers again, in flight or here.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import shlex
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final, TextIO
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track as progress_of
+
+from cognitivedrone.benchmark.codec import dumps
+from cognitivedrone.benchmark.episode import preflight
+from cognitivedrone.benchmark.reason_scoring import Answer, ReasonSummary, judge, summarize_answers
+from cognitivedrone.benchmark.results import Options, SuiteFacts, platform_facts, versions, write_whole
+from cognitivedrone.benchmark.run_types import LookName, RunConfig
+from cognitivedrone.benchmark.runner import Interrupted, facts_of
+from cognitivedrone.benchmark.suites import suite_of
+from cognitivedrone.envs.course import Course, CourseConfig, draw_start, episode_rng, scenery_of, stage_of
+from cognitivedrone.errors import PolicyError, ReasonerError, RunError
+from cognitivedrone.frames import rotate_yaw
+from cognitivedrone.interfaces import Privileged, Reasoner, Remembering, Seeded
+from cognitivedrone.labels import load_pack
+from cognitivedrone.reasoners import make_reasoner
+from cognitivedrone.sim.gl import renderer_name
+from cognitivedrone.sim.simulator import TICKS_PER_CONTROL, Simulator, Start
+from cognitivedrone.tasks import Suite
+from cognitivedrone.types import CONTROL_HZ, Guidance, Image, Stage, Truth
+from cognitivedrone.world import geometry
+
+SCHEMA: Final = "cognitivedrone.reason/1"
+ANSWERS_FILE: Final = "reason.jsonl"
+SUMMARY_FILE: Final = "reason.json"
+LOOK_HZ: Final = 2
+"""How often a hovering drone's reasoner gets a new frame, as in flight."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReasonConfig:
+    """Ask a reasoner about the first frame of every task, and score its answers."""
+
+    reasoner: str = "oracle"
+    """Name of a reasoner, with its argument where it takes one, or your own as module:attribute."""
+    suite: str = "open-v1:test"
+    """Name of a suite of tasks."""
+    tasks: Path | None = None
+    """Task file, or folder of them, asked instead of a suite."""
+    labels: Path | None = None
+    """Folder of label images that come before the shipped ones."""
+    track: bool = False
+    """Chain single tasks into tracks of five, which the reasoner may remember."""
+    seed: int = 0
+    """Draws starts and looks, as in a flight of the same seed."""
+    episodes: int | None = None
+    """Ask only about so many episodes, from the first."""
+    look: LookName = "plain"
+    """How the room looks: as published, or varied from episode to episode."""
+    frames: int = 1
+    """Frames to look at in each stage, half a second apart while the drone hovers; the last answer counts."""
+    out: Path | None = None
+    """Folder for the answers; results/reason-<suite>-<reasoner> by default."""
+    overwrite: bool = False
+    """Throw away the answers in that folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReasonResults:
+    """What a reasoner answered, and how well."""
+
+    suite: SuiteFacts
+    config: ReasonConfig
+    renderer: str
+    """Name of what drew the frames."""
+    answers: tuple[Answer, ...]
+    """In the order of the suite."""
+    wall_s: float
+    """Duration of the whole, rendering included."""
+    out: Path
+    """Folder with reason.jsonl and reason.json."""
+
+    @property
+    def summary(self) -> ReasonSummary:
+        """The scores."""
+        return summarize_answers(self.answers)
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One stage as its flight would begin, for as long as the next one has not been asked for."""
+
+    episode: int
+    index: int
+    """Of the stage on its track."""
+    truth: Truth
+    look: Callable[[], Image]
+    """A new frame, (256, 256, 3), of the drone hovering at the start; every call after the first one is
+    1 / `LOOK_HZ` s later."""
+
+
+def score_reasoner(config: ReasonConfig, *, progress: bool = True) -> ReasonResults:
+    """Ask, judge and write. Every answer is on the disk before the next task is asked.
+
+    Raises `RunError` for options that cannot be and for a folder that holds answers already, `PolicyError` for a
+    reasoner that cannot be made or gives what is no answer, and `Interrupted` on Ctrl-C; the answers are kept.
+    """
+    began = time.perf_counter()
+    run = _as_run(config)
+    if config.frames < 1:
+        raise RunError(f"--frames is {config.frames}; it must be at least 1")
+    suite = suite_of(run)
+    facts = facts_of(run, suite)
+    labels = load_pack(str(config.labels) if config.labels else "open-v1")
+    reasoner = make_reasoner(config.reasoner)
+    if reasoner is None:
+        raise PolicyError(f"--reasoner {config.reasoner} gives no answer to score; name one, such as oracle")
+    preflight(run, suite)
+    out = out_of(config)
+    answers: list[Answer] = []
+    with _open_answers(out, overwrite=config.overwrite) as file:
+        simulator = Simulator(1)
+        course = Course(simulator, 0, labels, CourseConfig(look=config.look))
+        try:
+            for answer in _ask_all(reasoner, course, suite, config, progress):
+                answers.append(answer)
+                file.write(dumps(answer) + "\n")
+                file.flush()
+            renderer = renderer_name()
+        except KeyboardInterrupt:
+            raise Interrupted(f"stopped after {len(answers)} answers, all kept in {out / ANSWERS_FILE}") from None
+        finally:
+            simulator.close()
+    results = ReasonResults(facts.suite, config, renderer, tuple(answers), time.perf_counter() - began, out)
+    write_whole(out / SUMMARY_FILE, dumps(_document(results, facts.options), indent=1) + "\n")
+    return results
+
+
+def out_of(config: ReasonConfig) -> Path:
+    """The folder of the answers: the one asked for, or one named after suite and reasoner."""
+    if config.out is not None:
+        return config.out
+    what = config.suite if config.tasks is None else config.tasks.stem
+    names = ["reason", what, config.reasoner] + (["track"] if config.track else [])
+    return Path("results", "-".join(re.sub(r"[^\w.]+", "-", name).strip("-") for name in names))
+
+
+def views(course: Course, suite: Suite, episode: int, rng: np.random.Generator) -> Iterator[View]:
+    """The stages of a track, one after the other, each from a start pose of its own.
+
+    The first is what a flight with this `rng` sees first. A later one stands where it would in a flight without
+    mistakes, and its start is drawn in its own start box. What the caller draws from `rng` before it asks for the
+    second view comes before the second start.
+    """
+    world, simulator = course.world, course.simulator
+    course.begin(suite.tracks[episode], rng)
+    yield View(episode, 0, course.truth(), _looking(simulator, world))
+    stage = course.stage
+    for index, task in enumerate(course.track[1:], start=1):
+        origin, yaw = geometry.next_stage_origin(stage, course.track[index - 1].target)
+        stage = stage_of(task, origin, yaw)
+        start = _placed(draw_start(rng, simulator.airframe.hull_radius), stage)
+        simulator.begin(world, stage, scenery_of(stage, course.labels, course.look), start)
+        yield View(episode, index, Truth(task, stage, lambda: simulator.state(world)), _looking(simulator, world))
+
+
+def _looking(simulator: Simulator, world: int) -> Callable[[], Image]:
+    """A camera that lets time pass between two frames."""
+    taken = 0
+
+    def look() -> Image:
+        nonlocal taken
+        if taken:
+            simulator.command(world, np.zeros(4, np.float32))
+            simulator.advance(TICKS_PER_CONTROL * CONTROL_HZ // LOOK_HZ)
+        taken += 1
+        frame: Image = simulator.frames(worlds=[world])[0]
+        return frame
+
+    return look
+
+
+def _placed(start: Start, stage: Stage) -> Start:
+    """A start of the stage frame in the world."""
+    x, y = rotate_yaw(np.array(start.position[:2]), stage.yaw) + np.array(stage.origin)
+    return replace(start, position=(float(x), float(y), start.position[2]), yaw=start.yaw + stage.yaw)
+
+
+def _ask_all(
+    reasoner: Reasoner, course: Course, suite: Suite, config: ReasonConfig, progress: bool
+) -> Iterator[Answer]:
+    """The answers to every stage, in order; the reasoner is told what a flight would tell it."""
+    count = len(suite.tracks) if config.episodes is None else min(config.episodes, len(suite.tracks))
+    console = Console(stderr=True)
+    for episode in progress_of(range(count), description="reasoning", console=console, disable=not progress):
+        rng = episode_rng(suite.digest, episode, config.seed)
+        for view in views(course, suite, episode, rng):
+            if view.index == 0:
+                if isinstance(reasoner, Seeded):
+                    reasoner.seed(int(rng.integers(2**31)))
+                if isinstance(reasoner, Remembering):
+                    reasoner.new_flight()
+            elif isinstance(reasoner, Remembering):
+                reasoner.new_stage()
+            if isinstance(reasoner, Privileged):
+                reasoner.brief(view.truth)
+            yield _ask(reasoner, view, config.frames)
+
+
+def _ask(reasoner: Reasoner, view: View, frames: int) -> Answer:
+    """The last answer to some frames, or the last fault where none of them got an answer."""
+    task = view.truth.task
+    guidance: Guidance | None = None
+    fault: ReasonerError | None = None
+    for _ in range(frames):
+        image = view.look()
+        begin = time.perf_counter()
+        try:
+            guidance = _checked(reasoner.refine(image, task.instruction))
+        except ReasonerError as error:
+            fault = error
+        seconds = time.perf_counter() - begin
+    if guidance is not None:
+        fault = None  # as in flight, what went wrong takes nothing back
+    directive = None if guidance is None else guidance.directive
+    return Answer(
+        task=task.id,
+        directive=directive,
+        gate=None if guidance is None else guidance.gate,
+        confidence=None if guidance is None else guidance.confidence,
+        fault=None if fault is None else fault.kind,
+        message="" if fault is None else str(fault),
+        episode=view.episode,
+        stage=view.index,
+        category=task.category,
+        family=task.family,
+        instruction=task.instruction,
+        expected=task.directive,
+        target=task.target,
+        right=judge(directive, task.gates, task.target),
+        image_sha256=hashlib.sha256(image.tobytes()).hexdigest(),
+        seconds=seconds,
+    )
+
+
+def _checked(guidance: Guidance) -> Guidance:
+    """The answer, if a file of answers can hold it.
+
+    Raises `ReasonerError` for a gate that there is not, `PolicyError` for what no working reasoner says.
+    """
+    if guidance.gate not in (None, 0, 1, 2):
+        raise ReasonerError("no_such_gate", f"the reasoner means gate {guidance.gate!r:.40}; gates are 0, 1 and 2")
+    if not isinstance(guidance.directive, str) or not 0 <= guidance.confidence <= 1:
+        raise PolicyError(
+            f"the reasoner returned the directive {guidance.directive!r:.60} with a confidence of"
+            f" {guidance.confidence!r:.40}; expected a sentence and a number from 0 to 1"
+        )
+    return guidance
+
+
+def _as_run(config: ReasonConfig) -> RunConfig:
+    """The flights whose first frames are looked at."""
+    return RunConfig(
+        reasoner=config.reasoner,
+        suite=config.suite,
+        tasks=config.tasks,
+        labels=config.labels,
+        track=config.track,
+        seed=config.seed,
+        episodes=config.episodes,
+        look=config.look,
+    )
+
+
+def _open_answers(out: Path, *, overwrite: bool) -> TextIO:
+    """The file of the answers, empty. Raises `RunError` where there are some already and `overwrite` is not given."""
+    file = out / ANSWERS_FILE
+    if out.exists() and not out.is_dir():
+        raise RunError(f"{out} is a file; give a folder as --out")
+    if file.exists() and not overwrite:
+        raise RunError(f"{out} already holds answers; give --overwrite to throw them away, or another --out")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / SUMMARY_FILE).unlink(missing_ok=True)
+        return file.open("w", encoding="utf-8")
+    except OSError as error:
+        raise RunError(f"cannot write {file}: {error.strerror}; give another --out") from None
+
+
+def _document(results: ReasonResults, options: Options) -> Mapping[str, object]:
+    """The content of reason.json."""
+    config = results.config
+    names = ("seed", "track", "episodes", "look", "labels", "reasoner_model")
+    return {
+        "schema": SCHEMA,
+        "suite": results.suite,
+        "reasoner": config.reasoner,
+        "options": {**{name: getattr(options, name) for name in names}, "frames": config.frames},
+        "versions": versions(),
+        "renderer": results.renderer,
+        "scores": results.summary,
+        "platform": platform_facts(_command_of(config)),
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        "wall_s": round(results.wall_s, 3),
+    }
+
+
+def _command_of(config: ReasonConfig) -> str:
+    """The command line that repeats this anywhere: without what does not change its results."""
+    words = ["cognitivedrone", "reason", "--reasoner", config.reasoner]
+    words += ["--suite", config.suite] if config.tasks is None else ["--tasks", str(config.tasks)]
+    words += ["--track"] if config.track else []
+    default = ReasonConfig()
+    for name in ("labels", "seed", "episodes", "look", "frames"):
+        if getattr(config, name) != getattr(default, name):
+            words += [f"--{name}", str(getattr(config, name))]
+    return shlex.join(words)

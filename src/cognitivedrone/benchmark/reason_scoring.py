@@ -1,0 +1,158 @@
+"""From a reasoner's answers to scores. Pure arithmetic; the counterpart of `scoring` for a reasoner without a drone."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cognitivedrone.benchmark.scoring import Interval, wilson
+from cognitivedrone.errors import ReasonerFault
+from cognitivedrone.tasks.directives import fitting_gate, parse_directive
+from cognitivedrone.types import ALL_CATEGORIES, Category, Gate
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What of a directive is right. A part that it does not say is none: neither right nor wrong."""
+
+    gate: bool
+    """Whether it fits the right gate and no other."""
+    color: bool | None
+    shape: bool | None
+    size: bool | None
+
+    @property
+    def all(self) -> bool:
+        """Whether colour, shape and size are all said, and right."""
+        return bool(self.color and self.shape and self.size)
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a reasoner answered to one task, and what was expected; one line of reason.jsonl."""
+
+    task: str
+    """The task's id."""
+    directive: str | None
+    """The answer; none where there was a fault."""
+    gate: int | None
+    """Index of the gate that the reasoner says it means, 0 to 2, where it says so."""
+    confidence: float | None
+    """0 to 1; none where there was a fault."""
+    fault: ReasonerFault | None
+    """Why there is no answer."""
+    message: str
+    """What the reasoner says about its fault, in one sentence."""
+    episode: int
+    """Index of the track in the suite."""
+    stage: int
+    """Index of the stage on the track."""
+    category: Category
+    family: str
+    instruction: str
+    expected: str
+    """The gold directive."""
+    target: int
+    """Index of the right gate, 0 to 2."""
+    right: Judgement
+    """What of the directive is right."""
+    image_sha256: str
+    """Of the frame's bytes, (256, 256, 3) uint8 RGB."""
+    seconds: float
+    """Wall time of the answer that counts, s; the only field that differs between two equal runs."""
+
+
+def judge(directive: str | None, gates: Sequence[Gate], target: int) -> Judgement:
+    """Compare a directive with the gates of its task, of which `target` is the right one."""
+    size, color, shape = parse_directive(directive or "")
+    right = gates[target]
+    return Judgement(
+        gate=fitting_gate(directive or "", gates) == target,
+        color=None if color is None else color == right.color,
+        shape=None if shape is None else shape == right.shape,
+        size=None if size is None else size == right.size,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ReasonScore:
+    """The score of a set of answers. What is not said is not right; rates and shares are none where n is 0."""
+
+    n: int
+    """Tasks asked."""
+    right: int
+    """Answers whose directive fits the right gate and no other."""
+    rate: float | None
+    """right / n"""
+    ci95: Interval | None
+    """Wilson 95 % interval of the rate."""
+    color: float | None
+    """Share that names the right gate's colour, as the published record is counted."""
+    shape: float | None
+    """Share that names its shape."""
+    size: float | None
+    """Share that names its size."""
+    complete: float | None
+    """Share that names colour, shape and size, all right."""
+    index_given: int
+    """Answers that say which gate from left to right is meant."""
+    index_right: int
+    """Those of them that say the right one."""
+    faults: Mapping[ReasonerFault, int]
+    """Answers that did not come or could not be used, by kind; the kinds that occurred, the commonest first."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReasonSummary:
+    """All scores of a reasoner on a suite."""
+
+    overall: ReasonScore
+    categories: Mapping[Category, ReasonScore]
+    families: Mapping[str, ReasonScore]
+    """In the order of the categories, then by name."""
+    median_s: float | None
+    """Median wall time of an answer, faults included."""
+    p95_s: float | None
+    """Its 95th percentile."""
+
+
+def score_answers(answers: Sequence[Answer]) -> ReasonScore:
+    """The score of any set of answers."""
+    n, right = len(answers), sum(answer.right.gate for answer in answers)
+    given = [answer for answer in answers if answer.gate is not None]
+    faults = Counter(answer.fault for answer in answers if answer.fault is not None)
+    return ReasonScore(
+        n=n,
+        right=right,
+        rate=_share(answer.right.gate for answer in answers),
+        ci95=wilson(right, n),
+        color=_share(answer.right.color for answer in answers),
+        shape=_share(answer.right.shape for answer in answers),
+        size=_share(answer.right.size for answer in answers),
+        complete=_share(answer.right.all for answer in answers),
+        index_given=len(given),
+        index_right=sum(answer.gate == answer.target for answer in given),
+        faults=dict(faults.most_common()),
+    )
+
+
+def summarize_answers(answers: Sequence[Answer]) -> ReasonSummary:
+    """Overall, each category and each family, and how long the answers took."""
+    by_category = {category: [a for a in answers if a.category == category] for category in ALL_CATEGORIES}
+    families = sorted({(ALL_CATEGORIES.index(answer.category), answer.family) for answer in answers})
+    seconds = [answer.seconds for answer in answers]
+    return ReasonSummary(
+        overall=score_answers(answers),
+        categories={category: score_answers(part) for category, part in by_category.items() if part},
+        families={family: score_answers([a for a in answers if a.family == family]) for _, family in families},
+        median_s=float(np.median(seconds)) if seconds else None,
+        p95_s=float(np.percentile(seconds, 95)) if seconds else None,
+    )
+
+
+def _share(right: Iterable[bool | None]) -> float | None:
+    points = [bool(point) for point in right]
+    return sum(points) / len(points) if points else None

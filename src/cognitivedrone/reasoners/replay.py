@@ -1,0 +1,113 @@
+"""Answers from a file: yesterday's, another machine's, or made up to see what a pilot does with them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, get_args
+
+from cognitivedrone.errors import PolicyError, ReasonerError, ReasonerFault, did_you_mean
+from cognitivedrone.types import Guidance, Image, Truth
+
+MAX_FILE_BYTES: Final = 64 * 2**20
+FAULTS: Final[tuple[ReasonerFault, ...]] = get_args(ReasonerFault)
+
+Entry = Guidance | ReasonerFault
+"""One answer of the file: what was said, or why nothing was."""
+
+
+def read_answers(path: Path) -> dict[str, tuple[Entry, ...]]:
+    """The answers of a JSON Lines file by task id, in the file's order.
+
+    A line is `{"task": id, "directive": text, "gate": 0 to 2 or null, "confidence": 0 to 1, "fault": kind or null}`.
+    `gate`, `confidence` (1) and `fault` may be left out, a line with a fault needs no directive, keys that are not
+    listed here are ignored, and so are empty lines. Raises `PolicyError` naming file and line.
+    """
+    answers: dict[str, list[Entry]] = {}
+    for number, line in enumerate(_content(path).split(b"\n"), start=1):
+        if not line.strip():
+            continue
+        where = f"{path} line {number}"
+        try:
+            obj = json.loads(line)
+        except (ValueError, RecursionError):
+            raise PolicyError(f"{where} is not JSON; every line must be one object") from None
+        if not isinstance(obj, dict) or not isinstance(obj.get("task"), str):
+            raise PolicyError(
+                f'{where} must be an object with a task\'s id, as in {{"task": "open-v1:test/0007", ...}}'
+            )
+        answers.setdefault(obj["task"], []).append(_entry(obj, where))
+    if not answers:
+        raise PolicyError(f"{path} holds no answer; every line of it must be an object with task and directive")
+    return {task: tuple(entries) for task, entries in answers.items()}
+
+
+def _content(path: Path) -> bytes:
+    if not path.is_file():
+        raise PolicyError(f"replay: there is no file {path}; give one as replay:FILE, such as a run's reason.jsonl")
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise PolicyError(f"replay: {path} cannot be read: {error.strerror}") from None
+    if len(content) > MAX_FILE_BYTES:
+        raise PolicyError(
+            f"replay: {path} is larger than {MAX_FILE_BYTES >> 20} MB; keep only the tasks that are flown"
+        )
+    return content
+
+
+def _entry(obj: Mapping[str, Any], where: str) -> Entry:
+    fault = obj.get("fault")
+    if fault is not None:
+        if fault not in FAULTS:
+            raise PolicyError(f"{where}: unknown fault {fault!r}; {did_you_mean(str(fault), FAULTS)}")
+        known: ReasonerFault = fault
+        return known
+    directive, gate, confidence = obj.get("directive"), obj.get("gate"), obj.get("confidence", 1.0)
+    if not isinstance(directive, str):
+        raise PolicyError(
+            f"{where}: directive must be a sentence, not {directive!r:.40}, or fault say why there is none"
+        )
+    if gate is not None and (type(gate) is not int or not 0 <= gate <= 2):
+        raise PolicyError(f"{where}: gate is {gate!r:.40}; it must be 0, 1 or 2 from left to right, or null")
+    if isinstance(confidence, bool) or not isinstance(confidence, (int, float)) or not 0 <= confidence <= 1:
+        raise PolicyError(f"{where}: confidence is {confidence!r:.40}; it must be a number from 0 to 1")
+    return Guidance(directive, gate, float(confidence))
+
+
+class Replay:
+    """Gives the answers of a file, whatever is seen; several of one task one after the other, the last one stays.
+
+    The task at hand is told by the simulator. An answer that was a fault is raised as that fault, and a task that the
+    file does not have as `unsure`.
+    """
+
+    def __init__(self, argument: str | None = None) -> None:
+        if argument is None:
+            raise PolicyError(
+                "the replay reasoner needs a file of answers; write replay:FILE, such as replay:reason.jsonl"
+            )
+        self.path = Path(argument)
+        self.answers = read_answers(self.path)
+        self._task: str | None = None
+        self._given = 0
+
+    def brief(self, truth: Truth) -> None:
+        """Take the id of the task at hand, and begin with its first answer."""
+        self._task = truth.task.id
+        self._given = 0
+
+    def refine(self, image: Image, instruction: str) -> Guidance:
+        """The next answer of the task at hand; raises `ReasonerError` where that is a fault, or there is none."""
+        if self._task is None:
+            raise PolicyError("the replay reasoner needs the id of the task, which only the simulator can tell")
+        entries = self.answers.get(self._task)
+        if entries is None:
+            raise ReasonerError("unsure", f"{self.path} has no answer for task {self._task!r}")
+        entry = entries[min(self._given, len(entries) - 1)]
+        self._given += 1
+        if isinstance(entry, Guidance):
+            return entry
+        raise ReasonerError(entry, f"{self.path} answers task {self._task!r} with the fault {entry!r}")

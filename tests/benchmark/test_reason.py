@@ -1,0 +1,232 @@
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import reason_fakes
+from rich.console import Console
+
+from cognitivedrone.benchmark.codec import encode
+from cognitivedrone.benchmark.episode import EpisodeFlyer
+from cognitivedrone.benchmark.reason import ReasonConfig, ReasonResults, out_of, score_reasoner, views
+from cognitivedrone.benchmark.reason_scoring import judge, summarize_answers
+from cognitivedrone.benchmark.reason_table import reason_table
+from cognitivedrone.benchmark.run_types import RunConfig
+from cognitivedrone.benchmark.runner import Interrupted
+from cognitivedrone.benchmark.suites import suite_of
+from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
+from cognitivedrone.errors import PolicyError, RunError
+from cognitivedrone.frames import world_to_heading, yaw_of
+from cognitivedrone.labels import load_pack
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.tasks import load_suite
+from cognitivedrone.types import Gate
+from cognitivedrone.world import geometry
+
+GATES = (Gate("big", "square", "green"), Gate("small", "triangle", "red"), Gate("small", "round", "blue"))
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> ReasonConfig:
+    """Six tasks."""
+    return ReasonConfig(suite="open-v1:smoke", episodes=6, out=tmp_path / "reason")
+
+
+def asked(config: ReasonConfig) -> ReasonResults:
+    return score_reasoner(config, progress=False)
+
+
+def lasting(results: ReasonResults) -> list:
+    """What must be the same on every repetition."""
+    return [replace(answer, seconds=0.0) for answer in results.answers]
+
+
+def text_of(results: ReasonResults) -> str:
+    console = Console(file=io.StringIO(), width=80)
+    console.print(reason_table(results))
+    return console.file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("directive", "gate", "color", "shape", "size", "everything"),
+    [
+        ("Fly through the small red triangle gate", True, True, True, True, True),
+        ("Go to the red triangle", True, True, True, None, False),
+        ("Fly through the triangular one with the green hat", True, None, True, None, False),
+        ("Fly through the small gate", False, None, None, True, False),
+        ("Go to the red circle", False, True, False, None, False),
+        ("Fly through the big green square gate", False, False, False, False, False),
+        ("I cannot tell", False, None, None, None, False),
+        (None, False, None, None, None, False),
+    ],
+)
+def test_a_directive_is_judged_by_what_it_says(directive, gate, color, shape, size, everything):
+    right = judge(directive, GATES, 1)
+    assert (right.gate, right.color, right.shape, right.size) == (gate, color, shape, size)
+    assert right.all is everything
+
+
+def test_the_oracle_is_always_right(config):
+    results = asked(config)
+    overall = results.summary.overall
+    assert (overall.n, overall.right, overall.complete, overall.index_right) == (6, 6, 1.0, 6)
+    assert overall.faults == {}
+    assert sum(score.n for score in results.summary.families.values()) == 6
+    tasks = [task for (task,) in load_suite("open-v1:smoke").tracks[:6]]
+    assert [(answer.task, answer.instruction) for answer in results.answers] == [(t.id, t.instruction) for t in tasks]
+
+
+def test_a_noisy_oracle_is_wrong_in_the_same_tasks_every_time(config, tmp_path):
+    first = asked(replace(config, reasoner="noisy-oracle:0.5"))
+    again = asked(replace(config, reasoner="noisy-oracle:0.5", out=tmp_path / "again"))
+    other = asked(replace(config, reasoner="noisy-oracle:0.5", out=tmp_path / "other", seed=1))
+    assert lasting(first) == lasting(again)
+    assert 0 < first.summary.overall.right < 6
+    assert [a.directive for a in first.answers] != [a.directive for a in other.answers]
+    assert {a.image_sha256 for a in first.answers}.isdisjoint(a.image_sha256 for a in other.answers)
+
+
+def test_a_replay_of_its_answers_scores_the_same(config, tmp_path):
+    first = asked(replace(config, reasoner="noisy-oracle:0.5"))
+    replayed = asked(replace(config, reasoner=f"replay:{first.out / 'reason.jsonl'}", out=tmp_path / "replayed"))
+    assert lasting(replayed) == lasting(first)
+    assert replayed.summary.families == first.summary.families
+
+
+def test_a_replay_of_faults_has_the_same_faults(config, tmp_path):
+    first = asked(replace(config, reasoner="reason_fakes:Overcounter"))
+    assert first.summary.overall.faults == {"no_such_gate": 3}
+    assert first.summary.overall.right == 3
+    replayed = asked(replace(config, reasoner=f"replay:{first.out / 'reason.jsonl'}", out=tmp_path / "replayed"))
+    assert replayed.summary.overall == first.summary.overall
+    assert "faults, counted as not right: no such gate 3; the first at open-v1:smoke/0000" in " ".join(
+        text_of(first).split()
+    )
+
+
+@pytest.mark.parametrize("look", ["plain", "varied"])
+def test_it_sees_what_a_flight_of_the_same_seed_sees_first(config, look):
+    answer = asked(replace(config, look=look, seed=5, episodes=2)).answers[1]
+    run = RunConfig(policy="oracle", suite=config.suite, look=look, seed=5)
+    flyer = EpisodeFlyer(run, suite_of(run))
+    film = flyer.fly(1, film=True).film
+    flyer.close()
+    assert film is not None
+    assert hashlib.sha256(film[0].tobytes()).hexdigest() == answer.image_sha256
+
+
+def test_free_words_count_for_what_they_say(config):
+    overall = asked(replace(config, reasoner="reason_fakes:FreeSpeaker")).summary.overall
+    assert (overall.rate, overall.color, overall.shape, overall.size, overall.complete) == (1.0, 1.0, 1.0, 0.0, 0.0)
+    assert overall.index_given == 0
+
+
+def test_the_last_answer_of_several_frames_counts_and_a_later_fault_takes_nothing_back(config, tmp_path):
+    stumbler = replace(config, reasoner="reason_fakes:Stumbler", episodes=2)
+    assert asked(replace(stumbler, frames=2)).summary.overall.faults == {"timeout": 2}
+    assert asked(replace(stumbler, frames=4, out=tmp_path / "four")).summary.overall.right == 2
+    each = asked(replace(config, reasoner="noisy-oracle:0.5,each", frames=1, out=tmp_path / "one"))
+    later = asked(replace(config, reasoner="noisy-oracle:0.5,each", frames=3, out=tmp_path / "three"))
+    assert [a.directive for a in each.answers] != [a.directive for a in later.answers]
+
+
+def test_a_track_is_told_as_in_flight(config):
+    tracks = replace(config, reasoner="reason_fakes:Rememberer", suite="open-v1:track", episodes=2)
+    results = asked(tracks)
+    assert [(a.episode, a.stage) for a in results.answers] == [(e, s) for e in range(2) for s in range(5)]
+    told = [word.partition(" ")[0] for word in reason_fakes.LOG]
+    assert told == 2 * (["seed", "new_flight", "brief", "refine"] + 4 * ["new_stage", "brief", "refine"])
+
+
+def test_later_stages_are_looked_at_from_their_own_start_boxes():
+    simulator = Simulator(1)
+    course = Course(simulator, 0, load_pack("open-v1"), CourseConfig())
+    suite = load_suite("open-v1:track")
+    low, high = (geometry.START + sign * geometry.START_HALF_EXTENT for sign in (-1, 1))
+    starts = []
+    for view in views(course, suite, 0, episode_rng(suite.digest, 0, 0)):
+        stage, task = view.truth.stage, suite.tracks[0][view.index]
+        assert (view.truth.task, stage.gates) == (task, task.gates)
+        first, second = view.look(), view.look()
+        state = view.truth.state()
+        local = world_to_heading(state.position[:2] - np.array(stage.origin), stage.yaw)
+        starts.append((*local, state.position[2]))
+        assert (low[:2] <= local).all()
+        assert (local <= high[:2]).all()
+        assert yaw_of(state.quaternion) == pytest.approx(np.arctan2(np.sin(stage.yaw), np.cos(stage.yaw)), abs=1e-3)
+        assert simulator.time(0) == pytest.approx(0.5)
+        # The drone hovers: the scene hardly moves.
+        assert np.abs(first.astype(int) - second).mean() < 2
+        if view.index:
+            assert stage.origin != (0.0, 0.0)
+    simulator.close()
+    assert len(set(starts)) == len(suite.tracks[0])
+
+
+def test_what_is_written_is_what_was_scored(config):
+    results = asked(replace(config, reasoner="noisy-oracle:0.5", look="varied"))
+    document = json.loads((results.out / "reason.json").read_text())
+    assert document["scores"] == encode(results.summary)
+    assert document["suite"]["name"] == "open-v1:smoke"
+    assert document["options"]["look"] == "varied"
+    assert document["platform"]["command"] == (
+        "cognitivedrone reason --reasoner noisy-oracle:0.5 --suite open-v1:smoke --episodes 6 --look varied"
+    )
+    lines = [json.loads(line) for line in (results.out / "reason.jsonl").read_text().splitlines()]
+    assert lines == [encode(answer) for answer in results.answers]
+
+
+def test_answers_are_not_thrown_away_unasked(config):
+    asked(config)
+    with pytest.raises(RunError, match="already holds answers; give --overwrite"):
+        asked(config)
+    assert asked(replace(config, episodes=2, overwrite=True)).summary.overall.n == 2
+    assert len((config.out / "reason.jsonl").read_text().splitlines()) == 2
+
+
+def test_ctrl_c_keeps_the_answers(config):
+    with pytest.raises(Interrupted, match=r"stopped after 2 answers, all kept in .*reason\.jsonl"):
+        asked(replace(config, reasoner="reason_fakes:Interrupted"))
+    assert len((config.out / "reason.jsonl").read_text().splitlines()) == 2
+    assert not (config.out / "reason.json").exists()
+
+
+def test_the_table_names_suite_and_reasoner_and_fits_into_a_terminal(config):
+    text = text_of(asked(config))
+    assert "open-v1:smoke: reasoner oracle" in text
+    assert "…" not in text
+    assert "answers that say which gate from the left: 6, of them right: 6" in text
+    assert "(median)" in text
+
+
+def test_nothing_asked_nothing_scored():
+    summary = summarize_answers([])
+    assert (summary.overall.rate, summary.overall.ci95, summary.median_s) == (None, None, None)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"reasoner": "none"}, PolicyError, "none gives no answer to score; name one"),
+        ({"reasoner": "orakle"}, PolicyError, "unknown reasoner 'orakle'; did you mean 'oracle'"),
+        ({"reasoner": "reason_fakes:Boaster"}, PolicyError, r"with a confidence of 2\.0; expected a sentence"),
+        ({"frames": 0}, RunError, "--frames is 0; it must be at least 1"),
+        ({"episodes": 0}, RunError, "--episodes is 0; it must be at least 1"),
+        ({"labels": Path("nowhere")}, RunError, "--labels nowhere is not a folder of images"),
+        ({"out": Path(__file__)}, RunError, "is a file; give a folder as --out"),
+    ],
+)
+def test_what_cannot_be_asked_is_told(config, change, error, message):
+    with pytest.raises(error, match=message):
+        asked(replace(config, **change))
+
+
+def test_the_folder_is_named_after_suite_and_reasoner():
+    assert out_of(ReasonConfig(reasoner="noisy-oracle:0.5,each", track=True)) == Path(
+        "results/reason-open-v1-test-noisy-oracle-0.5-each-track"
+    )
