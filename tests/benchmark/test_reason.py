@@ -3,8 +3,10 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.runner import Interrupted
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
-from cognitivedrone.errors import PolicyError, RunError
+from cognitivedrone.errors import PolicyError, ReasonerFault, RunError
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.simulator import Simulator
@@ -230,3 +232,13 @@ def test_the_folder_is_named_after_suite_and_reasoner():
     assert out_of(ReasonConfig(reasoner="noisy-oracle:0.5,each", track=True)) == Path(
         "results/reason-open-v1-test-noisy-oracle-0.5-each-track"
     )
+
+
+def test_the_reasoner_of_the_docs_answers(config, tmp_path, monkeypatch):
+    page = (Path(__file__).parents[2] / "docs" / "reasoners.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    (tmp_path / "my_reasoner.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    results = asked(replace(config, reasoner="my_reasoner:LargestPatch", episodes=3))
+    assert all(answer.right.color is not None for answer in results.answers)
+    assert all(f"`{kind}`" in page for kind in get_args(ReasonerFault))
