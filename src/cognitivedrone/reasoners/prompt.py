@@ -1,0 +1,92 @@
+"""What both VLM reasoners share: the prompt, the schema of the answer, and how their argument is written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from cognitivedrone.errors import PolicyError, ReasonerError, did_you_mean
+from cognitivedrone.types import COLORS, SHAPES, SIZES
+
+PLACEHOLDER = "{instruction}"
+"""Where a prompt says the instruction. Nothing else in braces means anything, so examples of JSON need no escapes."""
+UNKNOWN = "unknown"
+"""The color of an answer that cannot tell."""
+MAX_INSTRUCTION = 1000
+"""Characters; what a task file may have."""
+MAX_PROMPT_BYTES = 20_000
+MAX_TOKENS = 40
+"""Most that a model may answer: the schema's answers have about 20 tokens."""
+
+ANSWER_SCHEMA: dict[str, Any] = {
+    "type": "object",
+    "properties": {
+        "size": {"type": "string", "enum": list(SIZES)},
+        "color": {"type": "string", "enum": [*COLORS, UNKNOWN]},
+        "shape": {"type": "string", "enum": list(SHAPES)},
+    },
+    "required": ["size", "color", "shape"],
+    "additionalProperties": False,
+}
+"""JSON schema of the answer."""
+
+
+def load_prompt(path: str | None = None) -> str:
+    """The prompt's text: that of the package, or a file of the user's, which must hold `{instruction}`.
+
+    Raises `PolicyError` where the file cannot be read, is too long, or lacks the placeholder.
+    """
+    if path is None:
+        return (files("cognitivedrone.reasoners") / "prompts" / "gate.txt").read_text(encoding="utf-8")
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(MAX_PROMPT_BYTES + 1)
+        text = content.decode("utf-8")
+    except OSError as error:
+        raise PolicyError(f"prompt file {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise PolicyError(f"prompt file {path} is not text in UTF-8") from None
+    if len(content) > MAX_PROMPT_BYTES:
+        raise PolicyError(f"prompt file {path} is over {MAX_PROMPT_BYTES} bytes; a prompt of that length is too slow")
+    if PLACEHOLDER not in text:
+        raise PolicyError(f"prompt file {path} does not say where the instruction goes; write {PLACEHOLDER} there")
+    return text
+
+
+def write_prompt(template: str, instruction: str) -> str:
+    """The template with the instruction, on one line, in place of every `{instruction}`.
+
+    Raises `ReasonerError` where the instruction is empty or too long.
+    """
+    line = " ".join(instruction.split())
+    if not line:
+        raise ReasonerError("unsure", "the instruction is empty; there is nothing to look for")
+    if len(line) > MAX_INSTRUCTION:
+        raise ReasonerError(
+            "too_long", f"the instruction has {len(line)} characters; shorten it to {MAX_INSTRUCTION} at most"
+        )
+    return template.replace(PLACEHOLDER, line).strip()
+
+
+def read_options(reasoner: str, argument: str | None, known: Mapping[str, str]) -> tuple[str | None, dict[str, str]]:
+    """An argument "FIRST,name=value,name=value" as its first part, where there is one, and its options.
+
+    `known` says what each option is for. Raises `PolicyError` for an option that is unknown, empty or said twice.
+    """
+    first: str | None = None
+    options: dict[str, str] = {}
+    for index, part in enumerate((argument or "").split(",")):
+        name, equals, value = (piece.strip() for piece in part.partition("="))
+        if index == 0 and (not equals or "/" in name):
+            first = part.strip() or None
+        elif name not in known:
+            raise PolicyError(f"reasoner {reasoner!r} has no option {name!r}; {did_you_mean(name, known)}")
+        elif not value:
+            raise PolicyError(f"reasoner {reasoner!r}: option {name!r} needs a value, {name}={known[name]}")
+        elif name in options:
+            raise PolicyError(f"reasoner {reasoner!r}: option {name!r} is given twice")
+        else:
+            options[name] = value
+    return first, options

@@ -1,0 +1,290 @@
+"""The VLM reasoner: asks a vision-language model behind an OpenAI-compatible chat API.
+
+One request an answer: the frame as a PNG, the prompt, and the JSON schema that the server is to keep to. Whatever goes
+wrong on the way is a `ReasonerError` of its kind, and the flight goes on. Servers: see docs/vlm.md.
+"""
+
+from __future__ import annotations
+
+import base64
+import importlib
+import io
+import json
+import os
+import time
+import warnings
+from typing import Any
+from urllib.parse import urlsplit
+
+from PIL import Image as PillowImage
+
+from cognitivedrone.errors import MissingExtra, PolicyError, ReasonerError, ReasonerFault, did_you_mean
+from cognitivedrone.reasoners.prompt import ANSWER_SCHEMA, MAX_TOKENS, load_prompt, read_options, write_prompt
+from cognitivedrone.reasoners.reply import quote, read_reply
+from cognitivedrone.types import Guidance, Image
+
+DEFAULT_URL = "http://127.0.0.1:8000/v1"
+DEFAULT_TIMEOUT_S = 2.0
+MAX_RESPONSE_BYTES = 256 * 1024
+"""Most that is read of a response; one of this API with 40 tokens has about 1 kB."""
+CHECK_TIMEOUT_S = 10.0
+RETRIES = 2
+FIRST_WAIT_S = 0.1
+"""Before the first retry; doubled before the next."""
+
+_OPTIONS = {"model": "NAME", "timeout": "SECONDS", "prompt": "FILE"}
+_BUSY = (429, 500, 502, 503, 504)
+_REFUSED_FORMAT = (400, 422)
+
+
+class Vlm:
+    """Image and instruction to a vision-language model's answer.
+
+    `argument` is "URL,model=NAME,timeout=SECONDS,prompt=FILE", each part optional. The environment fills in the rest:
+    COGNITIVEDRONE_VLM_URL, COGNITIVEDRONE_VLM_MODEL and COGNITIVEDRONE_VLM_KEY; where no URL is given by either,
+    OPENAI_BASE_URL with OPENAI_API_KEY. The key comes from the environment alone, so that no result tells it.
+
+    Raises `PolicyError` for an argument that does not do, `MissingExtra` where httpx is not installed.
+    """
+
+    def __init__(self, argument: str | None = None) -> None:
+        url, options = read_options("vlm", argument, _OPTIONS)
+        self._url, self._key = _server(url)
+        self._model = options.get("model") or os.environ.get("COGNITIVEDRONE_VLM_MODEL") or ""
+        if not self._model:
+            raise PolicyError(
+                "reasoner 'vlm' needs a model's name: 'vlm:URL,model=NAME', or COGNITIVEDRONE_VLM_MODEL set"
+            )
+        self._timeout = _seconds(options.get("timeout"))
+        self._template = load_prompt(options.get("prompt"))
+        self._constrain = True
+        self._warned: set[ReasonerFault] = set()
+        self._httpx = _import_httpx()
+        headers = {"Accept-Encoding": "identity"}
+        if self._key:
+            headers["Authorization"] = f"Bearer {self._key}"
+        # A proxy of the environment has no business with a server on this machine.
+        local = urlsplit(self._url).hostname in ("127.0.0.1", "localhost", "::1")
+        self._client = self._httpx.Client(headers=headers, follow_redirects=False, trust_env=not local)
+
+    def __repr__(self) -> str:
+        return f"Vlm({self._url!r}, model={self._model!r}, timeout={self._timeout})"
+
+    def refine(self, image: Image, instruction: str) -> Guidance:
+        """The gate that the model names for `image`, (H, W, 3) uint8 RGB; raises `ReasonerError`.
+
+        Retries included it takes no longer than the timeout, save that a server which has begun to answer and falls
+        silent is waited for once more. The first failure of each kind is warned of.
+        """
+        try:
+            return read_reply(self._ask(image, instruction))
+        except ReasonerError as error:
+            if error.kind not in self._warned:
+                self._warned.add(error.kind)
+                warnings.warn(
+                    f"reasoner vlm, {error.kind}: {error} (the flight goes on; this kind is said once)",
+                    RuntimeWarning,
+                    stacklevel=2,
+                )
+            raise
+
+    def check(self) -> None:
+        """Ask the server for its models, before take-off.
+
+        Raises `PolicyError` where it is down, does not take the key, or does not have the model. A server without such
+        a list passes.
+        """
+        try:
+            status, body = self._exchange("GET", "/models", None, time.monotonic() + CHECK_TIMEOUT_S)
+        except ReasonerError as error:
+            raise PolicyError(
+                f"the VLM server at {self._url} does not answer ({error}); start one, for example with"
+                f" 'vllm serve {self._model}', or give its address: vlm:URL,model=NAME"
+            ) from None
+        if status in (401, 403):
+            raise PolicyError(f"the VLM server at {self._url} {self._key_advice(status)}")
+        if status in (404, 405, 501):
+            return
+        if status != 200:
+            raise PolicyError(f"the VLM server at {self._url} answers {status} to GET /models: {self._quote(body)}")
+        names = _model_names(body)
+        if names and self._model not in names:
+            raise PolicyError(
+                f"the VLM server at {self._url} has no model {self._model!r}; {did_you_mean(self._model, names)}"
+            )
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._client.close()
+
+    def _ask(self, image: Image, instruction: str) -> str:
+        """The text of the model's answer."""
+        deadline = time.monotonic() + self._timeout
+        request = self._request(image, instruction)
+        status, body = self._post(request, deadline)
+        if status in _REFUSED_FORMAT and self._constrain:
+            # Some servers do not know response_format. What they say of it differs, so it is tried without, and
+            # remembered where that helps.
+            del request["response_format"]
+            status, body = self._post(request, deadline)
+            self._constrain = status != 200
+        if status != 200:
+            raise self._http_fault(status, body)
+        return _answer_text(body)
+
+    def _request(self, image: Image, instruction: str) -> dict[str, Any]:
+        picture = io.BytesIO()
+        PillowImage.fromarray(image).save(picture, format="PNG", compress_level=1)
+        url = "data:image/png;base64," + base64.b64encode(picture.getvalue()).decode("ascii")
+        content = [
+            {"type": "image_url", "image_url": {"url": url}},
+            {"type": "text", "text": write_prompt(self._template, instruction)},
+        ]
+        request: dict[str, Any] = {
+            "model": self._model,
+            "messages": [{"role": "user", "content": content}],
+            "max_tokens": MAX_TOKENS,
+            "temperature": 0,
+            "stream": False,
+        }
+        if self._constrain:
+            schema = {"name": "gate", "strict": True, "schema": ANSWER_SCHEMA}
+            request["response_format"] = {"type": "json_schema", "json_schema": schema}
+        return request
+
+    def _post(self, request: dict[str, Any], deadline: float) -> tuple[int, bytes]:
+        """Status and body, after retries where the server is away or busy and time is left."""
+        wait = FIRST_WAIT_S
+        for attempt in range(RETRIES + 1):
+            last = attempt == RETRIES or time.monotonic() + wait >= deadline
+            try:
+                status, body = self._exchange("POST", "/chat/completions", request, deadline)
+            except ReasonerError as error:
+                if error.kind != "unreachable" or last:
+                    raise
+            else:
+                if status not in _BUSY or last:
+                    break
+            time.sleep(max(0.0, min(wait, deadline - time.monotonic())))
+            wait *= 2
+        return status, body
+
+    def _exchange(self, method: str, path: str, request: dict[str, Any] | None, deadline: float) -> tuple[int, bytes]:
+        """Status and body of one request; raises `ReasonerError` where they do not come in time or in reason."""
+        left = deadline - time.monotonic()
+        if left <= 0:
+            raise self._too_late()
+        try:
+            with self._client.stream(method, self._url + path, json=request, timeout=left) as response:
+                body = bytearray()
+                for piece in response.iter_bytes():
+                    body += piece
+                    if len(body) > MAX_RESPONSE_BYTES:
+                        raise ReasonerError(
+                            "too_long", f"{self._url} sent over {MAX_RESPONSE_BYTES // 1024} kB; 1 kB is usual"
+                        )
+                    if time.monotonic() > deadline:
+                        raise self._too_late()
+                return response.status_code, bytes(body)
+        except self._httpx.TimeoutException:
+            raise self._too_late() from None
+        except (self._httpx.HTTPError, self._httpx.InvalidURL) as error:
+            raise ReasonerError(
+                "unreachable", f"{self._url}: {self._hide(str(error) or type(error).__name__)}"
+            ) from None
+
+    def _too_late(self) -> ReasonerError:
+        return ReasonerError("timeout", f"{self._url} gave no whole answer in time; raise it with timeout=SECONDS")
+
+    def _http_fault(self, status: int, body: bytes) -> ReasonerError:
+        if status in (401, 403):
+            return ReasonerError("http", f"{self._url} {self._key_advice(status)}")
+        if 300 <= status < 400:
+            return ReasonerError(
+                "http", f"{self._url} answers {status}; redirects are not followed, give the new address"
+            )
+        return ReasonerError("http", f"{self._url} answers {status} for model {self._model!r}: {self._quote(body)}")
+
+    def _key_advice(self, status: int) -> str:
+        if self._key:
+            return f"does not take the key ({status}); is COGNITIVEDRONE_VLM_KEY the one for it?"
+        return f"asks for a key ({status}); set COGNITIVEDRONE_VLM_KEY in the environment"
+
+    def _quote(self, body: bytes) -> str:
+        return quote(self._hide(body[:2000].decode("utf-8", "replace")))
+
+    def _hide(self, text: str) -> str:
+        """A server's words without the key, which some repeat."""
+        return text.replace(self._key, "***") if self._key else text
+
+
+def _import_httpx() -> Any:
+    try:
+        return importlib.import_module("httpx")
+    except ModuleNotFoundError:
+        raise MissingExtra("httpx", "vlm") from None
+
+
+def _server(url: str | None) -> tuple[str, str]:
+    """Base URL and key. The key of OPENAI_API_KEY goes nowhere but to OPENAI_BASE_URL."""
+    key = os.environ.get("COGNITIVEDRONE_VLM_KEY", "")
+    url = url or os.environ.get("COGNITIVEDRONE_VLM_URL")
+    if not url and (url := os.environ.get("OPENAI_BASE_URL")):
+        key = key or os.environ.get("OPENAI_API_KEY", "")
+    url = (url or DEFAULT_URL).rstrip("/")
+    try:
+        parts = urlsplit(url)
+        valid = parts.scheme in ("http", "https") and bool(parts.hostname) and (parts.port is None or parts.port > 0)
+    except ValueError:
+        valid = False
+    if not valid:
+        raise PolicyError(f"reasoner 'vlm': {url!r} is no base URL of a server; it looks like {DEFAULT_URL}")
+    if parts.username or parts.password:
+        raise PolicyError(
+            "reasoner 'vlm': a password in the URL would land in results; set COGNITIVEDRONE_VLM_KEY instead"
+        )
+    if not key.isascii() or not key.isprintable():
+        raise PolicyError("COGNITIVEDRONE_VLM_KEY holds characters that no key has; was a line break copied with it?")
+    return url, key
+
+
+def _seconds(text: str | None) -> float:
+    if text is None:
+        return DEFAULT_TIMEOUT_S
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not 0 < seconds <= 600:
+        raise PolicyError(f"reasoner 'vlm': timeout={text} is no number of seconds from 0 to 600")
+    return seconds
+
+
+def _model_names(body: bytes) -> list[str]:
+    try:
+        models = json.loads(body)["data"]
+        return [model["id"] for model in models if isinstance(model["id"], str)]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return []
+
+
+def _answer_text(body: bytes) -> str:
+    """The model's words in a response of the chat API; raises `ReasonerError`."""
+    text = body.decode("utf-8", "replace")
+    try:
+        response = json.loads(text)
+    except (ValueError, RecursionError):
+        raise ReasonerError("garbage", f"the server's response is not JSON: {quote(text)}") from None
+    try:
+        choice = response["choices"][0]
+        content = choice["message"].get("content")
+        refusal = choice["message"].get("refusal") or choice.get("finish_reason") == "content_filter"
+    except (KeyError, IndexError, TypeError, AttributeError):
+        raise ReasonerError("schema", f"the server's response is not of the chat API: {quote(text)}") from None
+    if isinstance(content, list):
+        content = "".join(str(part.get("text", "")) for part in content if isinstance(part, dict))
+    if refusal and not content:
+        raise ReasonerError("refusal", f"the model refuses: {quote(str(choice['message'].get('refusal') or text))}")
+    if not isinstance(content, str):
+        raise ReasonerError("schema", f"the server's response holds no text: {quote(text)}")
+    return content

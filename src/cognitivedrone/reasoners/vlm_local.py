@@ -1,0 +1,154 @@
+"""The local VLM reasoner: Qwen2.5-VL or Qwen3-VL in this process, through Transformers.
+
+The inputs are put together here from the image processor and the tokenizer: the combined processor of Transformers 5
+also loads one for videos, which asks for torchvision even where there is no video.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+from cognitivedrone.errors import MissingExtra, PolicyError, did_you_mean
+from cognitivedrone.reasoners.prompt import MAX_TOKENS, load_prompt, read_options, write_prompt
+from cognitivedrone.reasoners.reply import read_reply
+from cognitivedrone.types import Guidance, Image
+
+FAMILIES: dict[str, str] = {
+    "qwen2_5_vl": "<|im_start|>system\nYou are a helpful assistant.<|im_end|>\n",
+    "qwen3_vl": "",
+    "qwen3_vl_moe": "",
+}
+"""What a conversation begins with in each family, by the `model_type` of its configuration; from its chat template."""
+IMAGE_TOKEN = "<|image_pad|>"  # noqa: S105 - a word of the model's vocabulary
+_OPENING = "<|im_start|>user\n<|vision_start|>"
+_AFTER_IMAGE = "<|vision_end|>"
+_CLOSING = "<|im_end|>\n<|im_start|>assistant\n"
+_OPTIONS = {
+    "bits": "4 or 8",
+    "device": "cuda or cpu",
+    "dtype": "bfloat16 or float32",
+    "prompt": "FILE",
+    "download": "yes or no",
+}
+
+
+class LocalVlm:
+    """Image and instruction to the answer of a model in this process.
+
+    `argument` is "PATH_OR_NAME,bits=4|8,device=cuda|cpu,dtype=bfloat16|float32,prompt=FILE,download=yes". Nothing is
+    downloaded unless `download=yes`; weights are read from safetensors, and no code that comes with a model is run.
+
+    Raises `PolicyError` for an argument that does not do or a model that cannot be loaded, `MissingExtra`.
+    """
+
+    def __init__(self, argument: str | None = None) -> None:
+        name, options = read_options("vlm-local", argument, _OPTIONS)
+        if name is None:
+            raise PolicyError("reasoner 'vlm-local' needs a model: 'vlm-local:FOLDER' or 'vlm-local:NAME,download=yes'")
+        for option, values in (("bits", ("4", "8")), ("dtype", ("bfloat16", "float32")), ("download", ("yes", "no"))):
+            if options.get(option, values[0]) not in values:
+                raise PolicyError(f"reasoner 'vlm-local': {option}={options[option]}; it is {' or '.join(values)}")
+        self._template = load_prompt(options.get("prompt"))
+        self._torch = _import("torch")
+        self._transformers = _import("transformers")
+        device = options.get("device") or ("cuda" if self._torch.cuda.is_available() else "cpu")
+        dtype = options.get("dtype") or ("float32" if device == "cpu" else "bfloat16")
+        loading = {
+            "local_files_only": options.get("download", "no") == "no",
+            "trust_remote_code": False,
+        }
+        try:
+            self._load(str(Path(name).expanduser()), loading, self._torch.device(device), dtype, options.get("bits"))
+        except (OSError, ValueError, RuntimeError, KeyError) as error:
+            line = " ".join(str(error).split())[:300]
+            raise PolicyError(
+                f"reasoner 'vlm-local' cannot load {name!r} on {device!r}: {line} (give a folder with config.json, the"
+                " tokenizer's and the image processor's files and *.safetensors; or add download=yes)"
+            ) from None
+
+    def refine(self, image: Image, instruction: str) -> Guidance:
+        """The gate that the model names for `image`, (H, W, 3) uint8 RGB; raises `ReasonerError`."""
+        return read_reply(self.answer(image, instruction))
+
+    def answer(self, image: Image, instruction: str) -> str:
+        """The model's words: greedy decoding of at most 40 tokens; raises `ReasonerError` for the instruction."""
+        inputs = self.inputs(image, instruction)
+        with self._torch.inference_mode():
+            tokens = self._model.generate(**inputs, generation_config=self._decoding)
+        answered = tokens[0, inputs["input_ids"].shape[1] :]
+        return str(self._tokenizer.decode(answered, skip_special_tokens=True))
+
+    def inputs(self, image: Image, instruction: str) -> dict[str, Any]:
+        """What the model gets, as tensors of one row.
+
+        Raises `ReasonerError` where the instruction is empty or too long.
+        """
+        seen = self._image_processor(images=[image], return_tensors="pt", input_data_format="channels_last")
+        merged = self._image_processor.merge_size**2
+        patches = int(seen["image_grid_thw"][0].prod()) // merged
+        # The user's words are words: a "<|im_end|>" among them must not end the conversation.
+        words = self._encode(write_prompt(self._template, instruction), special=False)
+        before = self._encode(self._beginning + _OPENING)
+        after = self._encode(_AFTER_IMAGE) + words + self._encode(_CLOSING)
+        tokens = self._torch.tensor([before + [self._image_token] * patches + after])
+        made = {
+            "input_ids": tokens,
+            "attention_mask": self._torch.ones_like(tokens),
+            "mm_token_type_ids": (tokens == self._image_token).to(self._torch.int32),
+            "pixel_values": seen["pixel_values"].to(self._model.dtype),
+            "image_grid_thw": seen["image_grid_thw"],
+        }
+        return {key: value.to(self._model.device) for key, value in made.items()}
+
+    def _encode(self, text: str, *, special: bool = True) -> list[int]:
+        tokens: list[int] = self._tokenizer(text, add_special_tokens=False, split_special_tokens=not special).input_ids
+        return tokens
+
+    def _load(self, name: str, loading: dict[str, Any], device: Any, dtype: str, bits: str | None) -> None:
+        """Set the model, its tokenizer and its image processor."""
+        library = self._transformers
+        config = library.AutoConfig.from_pretrained(name, **loading)
+        if config.model_type not in FAMILIES:
+            raise ValueError(f"it is a {config.model_type!r}; {did_you_mean(config.model_type, FAMILIES)}")
+        self._beginning = FAMILIES[config.model_type]
+        self._image_token = int(config.image_token_id)
+        self._tokenizer = library.AutoTokenizer.from_pretrained(name, **loading)
+        if self._tokenizer.convert_tokens_to_ids(IMAGE_TOKEN) != self._image_token:
+            raise ValueError(f"its tokenizer and its config.json disagree on the number of {IMAGE_TOKEN}")
+        self._image_processor = library.AutoImageProcessor.from_pretrained(name, **loading)
+        extra = _quantised(library, self._torch, bits, device) if bits else {}
+        model = library.AutoModelForImageTextToText.from_pretrained(
+            name, config=config, dtype=getattr(self._torch, dtype), use_safetensors=True, **extra, **loading
+        )
+        self._model = (model if bits else model.to(device)).eval()
+        # A configuration of its own: those that come with models ask for sampling.
+        self._decoding = library.GenerationConfig(
+            max_new_tokens=MAX_TOKENS,
+            do_sample=False,
+            eos_token_id=self._tokenizer.convert_tokens_to_ids("<|im_end|>"),
+            pad_token_id=self._tokenizer.pad_token_id,
+        )
+
+
+def _quantised(library: Any, torch: Any, bits: str, device: Any) -> dict[str, Any]:
+    """What loading in 8 or 4 bits takes; raises `MissingExtra`."""
+    for package in ("bitsandbytes", "accelerate"):
+        if importlib.util.find_spec(package) is None:
+            raise MissingExtra(package, "vlm-local")
+    config = library.BitsAndBytesConfig(
+        load_in_8bit=bits == "8",
+        load_in_4bit=bits == "4",
+        bnb_4bit_quant_type="nf4",
+        bnb_4bit_compute_dtype=torch.bfloat16,
+    )
+    return {"quantization_config": config, "device_map": {"": device}}
+
+
+def _import(package: str) -> Any:
+    try:
+        return importlib.import_module(package)
+    except ModuleNotFoundError as error:
+        raise MissingExtra(str(error.name or package), "vlm-local") from None
