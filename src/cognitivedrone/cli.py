@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import track
 
 from cognitivedrone.benchmark.run_types import RunConfig
+from cognitivedrone.benchmark.sweep import SweepConfig
 from cognitivedrone.collect.collector import CollectConfig
 from cognitivedrone.errors import CognitiveDroneError, MissingExtra
 
@@ -35,6 +36,24 @@ def bench(config: Annotated[RunConfig, tyro.conf.arg(name="")]) -> None:
     console = Console()
     console.print(results_table(run(config, progress=True)))
     console.print(f"report: {out_of(config) / 'report.html'}", highlight=False)
+
+
+@app.command
+def sweep(config: Annotated[SweepConfig, tyro.conf.arg(name="")]) -> None:
+    """Fly a suite with growing latency of the reasoner, or of the policy, and plot the success against it.
+
+    Latency is charged to the simulated clock, so the result does not depend on the machine. Stopped and started again,
+    it goes on. Example:
+
+      cognitivedrone sweep --policy colour_seeker --reasoner oracle --ms 0 500 2000 --out results/sweep
+    """
+    from cognitivedrone.benchmark.sweep import PLOT_FILE
+    from cognitivedrone.benchmark.sweep import sweep as fly_all
+    from cognitivedrone.benchmark.tables import sweep_table
+
+    console = Console()
+    console.print(sweep_table(fly_all(config), config.part))
+    console.print(f"plot: {config.out / PLOT_FILE}", highlight=False)
 
 
 @app.command

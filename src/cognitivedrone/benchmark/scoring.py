@@ -14,11 +14,19 @@ import math
 import statistics
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, get_args
 
 from cognitivedrone.benchmark.run_types import Rule
-from cognitivedrone.types import ALL_CATEGORIES, CATEGORIES, Category, EpisodeResult, Outcome, StageResult
+from cognitivedrone.types import (
+    ALL_CATEGORIES,
+    CATEGORIES,
+    Category,
+    EpisodeResult,
+    Outcome,
+    ReasonerReport,
+    StageResult,
+)
 
 OUTCOMES: Final[tuple[Outcome, ...]] = get_args(Outcome)
 RULES: Final[tuple[Rule, ...]] = get_args(Rule)
@@ -27,6 +35,29 @@ PUBLISHED_REACH_M: Final = 1.0
 Z_95: Final = statistics.NormalDist().inv_cdf(0.975)
 
 Interval = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class ReasonerScore:
+    """How a reasoner thought in a set of stages, whatever the policy made of it."""
+
+    n: int
+    """Stages in which it was asked."""
+    gate: float
+    """Share of them whose last directive fits the right gate and no other."""
+    gate_ci95: Interval | None
+    size: float | None
+    """Share of the right sizes among the last directives that say one; colour and shape likewise."""
+    color: float | None
+    shape: float | None
+    answers: int
+    faults: Mapping[str, int]
+    """Answers that could not be used, by kind."""
+    changes: int
+    """Directives that replaced another one."""
+    mean_age_s: float | None
+    """Of the frames behind the directives, when they were flown by."""
+    mean_rate_hz: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +85,8 @@ class Score:
     median_time_s: float | None
     mean_path_ratio: float | None
     mean_clearance_m: float | None
+    reasoner: ReasonerScore | None = field(default=None, metadata={"json": "where set"})
+    """None where no reasoner flew along."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +151,27 @@ def score(stages: Iterable[StageResult], rule: Rule = "through") -> Score:
         median_time_s=statistics.median([stage.time_s for stage in passed]) if passed else None,
         mean_path_ratio=_mean([stage.path_ratio for stage in passed if stage.path_ratio is not None]),
         mean_clearance_m=_mean([stage.clearance_m for stage in passed if stage.clearance_m is not None]),
+        reasoner=_reasoner_score([stage.reasoner for stage in counted if stage.reasoner is not None]),
+    )
+
+
+def _reasoner_score(reports: Sequence[ReasonerReport]) -> ReasonerScore | None:
+    if not reports:
+        return None
+    right = sum(report.gate for report in reports)
+    faults = sum((Counter(report.faults) for report in reports), Counter[str]())
+    return ReasonerScore(
+        n=len(reports),
+        gate=right / len(reports),
+        gate_ci95=wilson(right, len(reports)),
+        size=_mean([float(report.size) for report in reports if report.size is not None]),
+        color=_mean([float(report.color) for report in reports if report.color is not None]),
+        shape=_mean([float(report.shape) for report in reports if report.shape is not None]),
+        answers=sum(report.answers for report in reports),
+        faults=dict(sorted(faults.items())),
+        changes=sum(report.changes for report in reports),
+        mean_age_s=_mean([report.age_s for report in reports if report.age_s is not None]),
+        mean_rate_hz=_mean([report.rate_hz for report in reports if report.rate_hz is not None]),
     )
 
 

@@ -36,7 +36,31 @@ def results_table(results: Results, rule: Rule | None = None) -> RenderableType:
         table.add_row(words(category), *_score_cells(score), end_section=position == len(summary.categories))
     for family, score in summary.families.items():
         table.add_row(Text(f"  {words(family)}"), *_score_cells(score), style="dim")
-    return Group(table, "", *_confusions(summary), *_notes(results, rule))
+    return Group(table, "", *_reasoning(summary), *_confusions(summary), *_notes(results, rule))
+
+
+def _reasoning(summary: Summary) -> Iterator[RenderableType]:
+    """How the reasoner did, apart from the flying."""
+    thought = summary.overall.reasoner
+    if thought is None:
+        return
+    table = _table("the reasoner's directives", "", "n", "right gate", "95 % CI", "size", "colour", "shape")
+    rows = [("overall", summary.overall), *summary.categories.items(), *summary.families.items()]
+    for name, score in rows:
+        mind = score.reasoner
+        if mind is not None:
+            parts = (percent(mind.gate), interval(mind.gate_ci95), *map(percent, (mind.size, mind.color, mind.shape)))
+            indent = "  " if name in summary.families else ""
+            table.add_row(Text(indent + words(name)), str(mind.n), *parts, style="bold" if name == "overall" else "")
+    yield table
+    faults = ", ".join(f"{words(kind)} {count}" for kind, count in thought.faults.items()) or "none"
+    said = [f"{thought.answers} answers", f"{thought.changes} changes of directive", f"faults: {faults}"]
+    if thought.mean_rate_hz is not None:
+        said.insert(1, f"{thought.mean_rate_hz:.1f} a second")
+    if thought.mean_age_s is not None:
+        said.insert(2, f"{1e3 * thought.mean_age_s:.0f} ms old when flown by")
+    yield Text(", ".join(said))
+    yield ""
 
 
 def _confusions(summary: Summary) -> Iterator[RenderableType]:
@@ -54,6 +78,14 @@ def _confusions(summary: Summary) -> Iterator[RenderableType]:
         choices.add_row(f"gate {gate}", *(str(count) for count in row))
     yield choices
     yield ""
+
+
+def sweep_table(points: Sequence[tuple[float, Results]], part: str) -> RenderableType:
+    """Success, choice and flying against latency."""
+    table = _table(f"latency of the {part}", "ms", "n", "passed", "rate", "95 % CI", "choice", "pass|choice")
+    for ms, results in points:
+        table.add_row(f"{ms:g}", *_score_cells(results.summary().overall))
+    return table
 
 
 def comparison_table(comparison: Comparison) -> RenderableType:

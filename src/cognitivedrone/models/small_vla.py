@@ -36,6 +36,9 @@ seen from the drone's, its panel's offset u, v (cells) and log height (cells).""
 BOARD = 3
 """What the board's cell tells: offset u, v (cells) and log height (cells)."""
 
+REACH = 1.15
+"""Height of a glimpse over that of the panel: a little more, for boxes that are not quite right."""
+
 _STATE_SCALE = (1.5, 1.5, 1.0, 1.5, 1.0)
 
 
@@ -272,7 +275,7 @@ class SmallVLA(nn.Module):
         """Embeddings (B, m, E) of what `boxes` (B, m, 3) of the image (B, 3, 256, 256) show."""
         size, count = self.config.glimpse, boxes.shape[1]
         steps = (torch.arange(size, device=image.device, dtype=torch.float32) + 0.5) / size - 0.5
-        reach = boxes[..., 2:] * 1.15  # a little more than the panel, for boxes that are not quite right
+        reach = boxes[..., 2:] * REACH
         u = (boxes[..., :1] + reach * steps) / 128 - 1
         v = (boxes[..., 1:2] + reach * steps) / 128 - 1
         grid = torch.stack(

@@ -103,8 +103,8 @@ def action_statistics(
     network: SmallVLA, vocabulary: Vocabulary, stream: StreamRecipe, data: Path | None = None
 ) -> ActionStatistics:
     """The spread of the actions that a stream or a data set teaches, and the range that the network can ask for."""
-    recipe = replace(stream, batch=100, texts=1, sentences=1, learner=0.0)
-    made = training_batches(recipe, vocabulary, network.config.text_length, data)(_STATISTICS_SEED)
+    recipe = replace(stream, batch=100, texts=1, cards=0, sentences=1, learner=0.0)
+    made = training_batches(recipe, vocabulary, network.config, data)(_STATISTICS_SEED)
     taken = list(islice(made, _STATISTICS_FRAMES // recipe.batch))
     actions = np.concatenate([batch["action"][batch["valid"]][:, 0] for batch in taken]).astype(np.float64)
 

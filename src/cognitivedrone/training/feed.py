@@ -16,7 +16,7 @@ import torch
 
 from cognitivedrone.data.episode import Split
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.small_vla import SmallVLA
+from cognitivedrone.models.small_vla import SmallVLA, SmallVLAConfig
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.training.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.pilot import NetworkPilot
@@ -39,7 +39,12 @@ def share(recipe: TrainRecipe, processes: int) -> TrainRecipe:
     stream = recipe.stream
     if stream.batch % processes:
         raise TrainingError(f"a batch of {stream.batch} frames cannot be shared by {processes} processes")
-    part = replace(stream, batch=stream.batch // processes, texts=max(1, stream.texts // processes))
+    part = replace(
+        stream,
+        batch=stream.batch // processes,
+        texts=max(1, stream.texts // processes),
+        cards=-(-stream.cards // processes),
+    )
     return replace(recipe, stream=part)
 
 
@@ -100,7 +105,7 @@ def _generate(
     threading.Thread(target=_end_with_parent, daemon=True).start()
     torch.set_num_threads(1)
     vocabulary = Vocabulary(words)
-    batches_of = training_batches(recipe.stream, vocabulary, recipe.network.text_length, data)
+    batches_of = training_batches(recipe.stream, vocabulary, recipe.network, data)
     network = SmallVLA(recipe.network)
     for round_ in range(first_round, -(-recipe.steps // recipe.round_steps)):
         learner = None
@@ -121,12 +126,12 @@ class Batches(Protocol):
 
 
 def training_batches(
-    stream: StreamRecipe, vocabulary: Vocabulary, text_length: int, data: Path | None, split: Split = "train"
+    stream: StreamRecipe, vocabulary: Vocabulary, network: SmallVLAConfig, data: Path | None, split: Split = "train"
 ) -> Batches:
     """Batches from a split of a data set, or, without one, from flights made now, whose seeds are their splits."""
     if data is None:
-        return Rehearsal(stream, vocabulary, text_length).batches
-    return Recorded(data, stream, vocabulary, text_length, split).batches
+        return Rehearsal(stream, vocabulary, network).batches
+    return Recorded(data, stream, vocabulary, network, split).batches
 
 
 def _end_with_parent() -> None:

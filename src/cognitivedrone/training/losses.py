@@ -29,6 +29,7 @@ class LossWeights:
     heat: float = 1.0
     place: float = 2.0
     facets: float = 1.0
+    cards: float = 1.0
     choice: float = 1.0
     text: float = 0.5
     action: float = 1.0
@@ -76,6 +77,7 @@ class Lesson(nn.Module):
             "heat": _heat_loss(scene, batch, slots, board_cell_known),
             "place": self._place_loss(seen, batch, slots, board_cell_known),
             "facets": self._facet_loss(read, network.gate_embedding(seen.cell), batch),
+            "cards": self._card_loss(batch),
             "choice": F.cross_entropy(logits.flatten(0, 1), batch["choice"].flatten()),
             "text": self._text_loss(batch),
             "action": self._action_loss(raw, batch),
@@ -117,6 +119,17 @@ class Lesson(nn.Module):
         panels = self._named(read[:, :SLOTS], batch["panel_facets"], legible[:, :SLOTS], PANEL_GROUPS)
         board = self._named(read[:, SLOTS:], batch["board_facets"][:, None], legible[:, SLOTS:], BOARD_GROUPS)
         return panels + board + 0.5 * self._named(gates, batch["gate_facets"], batch["in_view"], GATE_GROUPS)
+
+    def _card_loss(self, batch: dict[str, Tensor]) -> Tensor:
+        """Panels and boards to read, without a frame."""
+        if "card_image" not in batch:
+            return batch["state"].new_zeros(())
+        pixels = batch["card_image"].permute(0, 3, 1, 2).float() / 255  # channels last in memory, as `read` has it
+        read = self.network.sight((pixels - 0.5) * 4)[:, None]
+        facets = batch["card_facets"][:, None]
+        known = torch.ones_like(facets[..., 0], dtype=torch.bool)
+        panels, boards = facets[..., : len(PANEL_GROUPS)], facets[..., len(PANEL_GROUPS) :]
+        return self._named(read, panels, known, PANEL_GROUPS) + self._named(read, boards, known, BOARD_GROUPS)
 
     def _named(self, embeddings: Tensor, facets: Tensor, known: Tensor, groups: tuple[str, ...]) -> Tensor:
         """Cross-entropies of naming facets (n, m, groups) from embeddings (n, m, E), summed over the groups."""

@@ -44,7 +44,7 @@ class TrainRecipe:
         return asdict(self)
 
 
-SMALL = TrainRecipe("small", steps=20_000, stream=StreamRecipe(batch=32))
+SMALL = TrainRecipe("small", steps=18_000)
 
 _SHORT = replace(SMALL, name="ablation-tokens", steps=2_000)
 _ABLATION = (
@@ -62,20 +62,20 @@ RECIPES: dict[str, TrainRecipe] = {
         SMALL,
         name="race",
         steps=3_000,
-        stream=replace(SMALL.stream, suite="race", sentences=2, texts=1),
+        stream=replace(SMALL.stream, suite="race", sentences=2, texts=1, cards=0),
     ),
     "base": replace(
         SMALL,
         name="base",
         steps=30_000,
-        stream=StreamRecipe(batch=128, worlds=32),
+        stream=StreamRecipe(batch=128, worlds=32, cards=512),
         network=replace(SMALL.network, backbone=(48, 96, 160), sight=(48, 96, 160, 256), text_layers=4),
     ),
     "debug": replace(
         SMALL,
         name="debug",
         steps=6,
-        stream=StreamRecipe(batch=4, sentences=2, texts=4, worlds=4, sampled=0.5, pool=2, learner=0.5),
+        stream=StreamRecipe(batch=4, sentences=2, texts=4, cards=4, worlds=4, sampled=0.5, pool=2, learner=0.5),
         network=SmallVLAConfig(
             backbone=(8, 8, 16), blocks=1, sight=(8, 8, 8, 8), embedding=16, text_width=16, text_layers=1, glimpse=32
         ),

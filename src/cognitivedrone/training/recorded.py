@@ -18,6 +18,8 @@ from cognitivedrone.data.store import Store
 from cognitivedrone.envs.course import stage_of
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.frames import rotate_yaw, yaw_of
+from cognitivedrone.labels import load_pack
+from cognitivedrone.models.small_vla import SmallVLAConfig
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.training.sampling import Batch, Sampler, Setting, StreamRecipe
 from cognitivedrone.training.stream import Learner
@@ -28,10 +30,16 @@ class Recorded:
     """The steps of a split of a data set, as batches in random order."""
 
     def __init__(
-        self, folder: Path, recipe: StreamRecipe, vocabulary: Vocabulary, text_length: int, split: Split = "train"
+        self,
+        folder: Path,
+        recipe: StreamRecipe,
+        vocabulary: Vocabulary,
+        network: SmallVLAConfig,
+        split: Split = "train",
     ) -> None:
         self._recipe, self._split = recipe, split
-        self._sampler = Sampler(recipe, vocabulary, text_length)
+        labels = load_pack("open-v1")
+        self._sampler = Sampler(recipe, vocabulary, network.text_length, network.glimpse, labels)
         self._store = Store(folder)
         self._steps = self._store.step_numbers(split)
         if not len(self._steps):
@@ -47,13 +55,14 @@ class Recorded:
     def batches(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
         """Batches without end: all steps in a new random order, again and again; no `learner` can fly here."""
         del learner
+        self._sampler.begin()
         rng = np.random.default_rng(seed)
         left = np.empty(0, np.int64)
         while True:
             while len(left) < self._recipe.batch:
                 left = np.concatenate([left, rng.permutation(self._steps)])
             taken, left = left[: self._recipe.batch], left[self._recipe.batch :]
-            yield self._sample(rng, taken) | self._sampler.texts(rng)
+            yield self._sample(rng, taken) | self._sampler.beside(rng)
 
     def _sample(self, rng: np.random.Generator, steps: NDArray[np.int64]) -> Batch:
         settings = [self._setting(row) for row in self._episode[steps].tolist()]

@@ -12,9 +12,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.tasks import BASE_FAMILIES, train_task
+from cognitivedrone.training.cards import Cards
 from cognitivedrone.training.facets import board_facets, gate_facets, panel_facets
 from cognitivedrone.training.questions import ask, families
 from cognitivedrone.training.truth import Poses, Truths, truths
@@ -26,7 +28,8 @@ Batch: TypeAlias = dict[str, NDArray[np.generic]]
 image (B, 256, 256, 3) uint8; state (B, 5); the fields of `Truths`; panel_facets (B, 3, 10), gate_facets (B, 3, 3),
 board_facets (B, 3), indices into `FACETS` or -1; flown (B,) the gate flown at; tokens (B, K, L), asked (B, K) the gate
 asked for, choice (B, K) the same, or 3 where it is not in view. And text_tokens (T, L), text_panels (T, 3, 10),
-text_gates (T, 3, 3), text_board (T, 3), text_asked (T,).
+text_gates (T, 3, 3), text_board (T, 3), text_asked (T,). And card_image (C, g, g, 3) uint8, card_facets (C, 13), see
+`Cards`; absent where C is 0.
 """
 
 NONE_IN_VIEW = 3
@@ -40,12 +43,14 @@ _TEXT_SHARES = {"math": 0.3, "association": 0.25, "food": 0.08, "math_board": 0.
 class StreamRecipe:
     """How training flights go and what is taken from them."""
 
-    batch: int = 16
+    batch: int = 24
     """Frames in a batch."""
     sentences: int = 6
     """Asked of each frame."""
     texts: int = 96
     """Sentences in a batch that are trained without a frame."""
+    cards: int = 160
+    """Panels and boards in a batch that are trained without a frame."""
     chunk: int = 1
     suite: str = "train"
     """`train`, or `race`: single gates without panels."""
@@ -65,8 +70,8 @@ class StreamRecipe:
     """Share of worlds that the network flies, once there is one."""
     worlds: int = 16
     """Flown together by each generating process."""
-    sampled: float = 0.3
-    """Share of moments that become samples."""
+    sampled: float = 0.15
+    """Share of moments that become samples: the smaller, the less alike they are."""
     pool: int = 8
     """Batches among which samples are shuffled."""
     expert: ExpertConfig = field(default_factory=ExpertConfig)
@@ -88,13 +93,20 @@ class Setting:
 class Sampler:
     """Makes samples by a recipe."""
 
-    def __init__(self, recipe: StreamRecipe, vocabulary: Vocabulary, text_length: int) -> None:
+    def __init__(
+        self, recipe: StreamRecipe, vocabulary: Vocabulary, text_length: int, glimpse: int, labels: LabelPack
+    ) -> None:
         self.recipe = recipe
         self.vocabulary = vocabulary
         self.text_length = text_length
+        self._cards = Cards(labels, glimpse)
+
+    def begin(self) -> None:
+        """Begin anew: what follows depends on nothing before."""
+        self._cards.forget()
 
     def sample(self, rng: np.random.Generator, poses: Poses, flights: Sequence[Setting], frames: Image) -> Batch:
-        """The samples of n frames (n, 256, 256, 3), a flight each: the fields of `Batch` but the `text_` ones."""
+        """The samples of n frames (n, 256, 256, 3), a flight each: the fields of `Batch` but `beside`."""
         known = truths(poses, [each.stage for each in flights], self.recipe.chunk, self.recipe.expert)
         tokens = np.zeros((len(flights), self.recipe.sentences, self.text_length), dtype=np.int64)
         asked = np.zeros((len(flights), self.recipe.sentences), dtype=np.int64)
@@ -146,8 +158,15 @@ class Sampler:
             return gates
         return tuple(gate for gate in gates if families(task.labels, None, task.gates, gate))
 
-    def texts(self, rng: np.random.Generator) -> Batch:
-        """The `text_` fields: sentences with what the panels and gates show, told instead of seen."""
+    def beside(self, rng: np.random.Generator) -> Batch:
+        """What a batch has beside its frames: the `text_` and `card_` fields."""
+        if not self.recipe.cards:
+            return self._texts(rng)
+        images, facets = self._cards.draw(rng, self.recipe.cards)
+        return self._texts(rng) | {"card_image": images, "card_facets": facets}
+
+    def _texts(self, rng: np.random.Generator) -> Batch:
+        """Sentences with what the panels and gates show, told instead of seen."""
         count = self.recipe.texts
         rest = (1 - sum(_TEXT_SHARES.values())) / (len(BASE_FAMILIES) - len(_TEXT_SHARES))
         shares = np.array([_TEXT_SHARES.get(family, rest) for family in BASE_FAMILIES])

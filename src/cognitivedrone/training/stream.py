@@ -21,6 +21,7 @@ from cognitivedrone.envs.drone import clip_action
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
+from cognitivedrone.models.small_vla import SmallVLAConfig
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.policies.expert import intent
 from cognitivedrone.sim.airframe import RACER
@@ -60,11 +61,11 @@ class _Flight(Setting):
 class Rehearsal:
     """Worlds in which training flights are flown."""
 
-    def __init__(self, recipe: StreamRecipe, vocabulary: Vocabulary, text_length: int) -> None:
+    def __init__(self, recipe: StreamRecipe, vocabulary: Vocabulary, network: SmallVLAConfig) -> None:
         self.recipe = recipe
-        self._sampler = Sampler(recipe, vocabulary, text_length)
-        self._simulator = Simulator(recipe.worlds)
         self._labels: LabelPack = load_pack("open-v1")
+        self._sampler = Sampler(recipe, vocabulary, network.text_length, network.glimpse, self._labels)
+        self._simulator = Simulator(recipe.worlds)
         self._rng = np.random.default_rng()
         self._learner: Learner | None = None
         self._flights: list[_Flight] = []
@@ -76,6 +77,7 @@ class Rehearsal:
     def batches(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
         """Batches without end, from flights that all begin now; `learner` flies some where given."""
         self._rng, self._learner = np.random.default_rng(seed), learner
+        self._sampler.begin()
         self._flights = [self._begin(world) for world in range(self.recipe.worlds)]
         pool: list[Batch] = []
         size = self.recipe.batch * self.recipe.pool
@@ -86,7 +88,7 @@ class Rehearsal:
             order = self._rng.permutation(len(together["flown"]))
             for first in range(0, size, self.recipe.batch):
                 chosen = order[first : first + self.recipe.batch]
-                yield {name: values[chosen] for name, values in together.items()} | self._sampler.texts(self._rng)
+                yield {name: values[chosen] for name, values in together.items()} | self._sampler.beside(self._rng)
             pool = [{name: values[order[size:]] for name, values in together.items()}]
 
     def _begin(self, world: int) -> _Flight:

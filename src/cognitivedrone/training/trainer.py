@@ -281,10 +281,11 @@ class _Keeper:
         self._count, self._since = 0, time.monotonic()
 
     def _validation_batches(self) -> list[Batch]:
-        recipe, length = self._recipe, self._recipe.network.text_length
-        stream = replace(recipe.stream, batch=min(32, recipe.validation_frames), learner=0.0)
+        recipe = self._recipe
+        # Few frames of each flight, so that they are of many scenes.
+        stream = replace(recipe.stream, batch=min(32, recipe.validation_frames), learner=0.0, sampled=0.05)
         seed, count = (self._config.seed, _VALIDATION), max(1, recipe.validation_frames // stream.batch)
-        batches = training_batches(stream, self._vocabulary, length, self._config.data, split="val")
+        batches = training_batches(stream, self._vocabulary, recipe.network, self._config.data, split="val")
         return list(islice(batches(seed), count))
 
     def _fly(self, network: SmallVLA) -> Row:

@@ -1,0 +1,114 @@
+"""Success against latency: the same suite flown again and again, with more and more time charged for thinking."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+from cognitivedrone.benchmark.results import Results, write_whole
+from cognitivedrone.benchmark.run_types import RunConfig
+from cognitivedrone.benchmark.runner import run
+from cognitivedrone.errors import RunError
+
+Part = Literal["policy", "reasoner"]
+PLOT_FILE: Final = "sweep.svg"
+_WIDTH, _HEIGHT = 640, 360
+_LEFT, _RIGHT, _TOP, _BOTTOM = 60, 20, 40, 50
+
+
+@dataclass(frozen=True, slots=True)
+class SweepConfig:
+    """Fly a suite with growing latency and plot the success against it."""
+
+    out: Path
+    """Folder of the runs and of the plot."""
+    policy: str = "small"
+    """Name of a policy."""
+    reasoner: str = "oracle"
+    """Name of a reasoner."""
+    suite: str = "open-v1:test"
+    """Name of a suite of tasks."""
+    part: Part = "reasoner"
+    """Whose latency grows."""
+    ms: tuple[float, ...] = (0, 200, 500, 1000, 2000, 4000)
+    """The latencies, ms."""
+    other_ms: float = 0
+    """Latency of the other part, ms."""
+    episodes: int | None = None
+    """Fly only so many episodes, from the first."""
+    seed: int = 0
+    """Seed of the runs."""
+    workers: int | None = None
+    """Processes that fly; as many as there are cores by default."""
+
+
+Points = Sequence[tuple[float, Results]]
+"""Latencies, ms, each with its run."""
+
+
+def sweep(config: SweepConfig, *, progress: bool = True) -> Points:
+    """Fly every latency, and write the plot after each; what was flown before is not flown again."""
+    if not config.ms or min(*config.ms, config.other_ms, 0.0) < 0:
+        raise RunError("--ms needs at least one latency, and none below 0")
+    points: list[tuple[float, Results]] = []
+    for ms in sorted(set(config.ms)):
+        points.append((ms, run(run_config(config, ms), progress=progress)))
+        write_whole(config.out / PLOT_FILE, plot(points, config))
+    return points
+
+
+def run_config(config: SweepConfig, ms: float) -> RunConfig:
+    """The run of one latency."""
+    times = {"policy": config.other_ms, "reasoner": config.other_ms, config.part: ms}
+    return RunConfig(
+        policy=config.policy,
+        reasoner=config.reasoner,
+        suite=config.suite,
+        workers=config.workers,
+        seed=config.seed,
+        episodes=config.episodes,
+        latency=",".join(f"{part}={value:g}ms" for part, value in times.items()),
+        out=config.out / f"{config.part}-{ms:g}ms",
+        resume=True,
+        clips=0,
+    )
+
+
+def plot(points: Points, config: SweepConfig) -> str:
+    """An SVG: success with its 95 % interval, and the choice of the right gate, against latency."""
+    longest = max(ms for ms, _ in points) or 1.0
+    scores = [results.summary().overall for _, results in points]
+    xs = [_LEFT + ms / longest * (_WIDTH - _LEFT - _RIGHT) for ms, _ in points]
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" font-family="sans-serif" '
+        'font-size="12"><rect width="100%" height="100%" fill="white"/>',
+        f'<text x="{_LEFT}" y="20" font-size="14">{config.suite}: {config.policy}, reasoner {config.reasoner}</text>',
+    ]
+    for share in (0.0, 0.25, 0.5, 0.75, 1.0):
+        y = _y(share)
+        parts.append(f'<line x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{y:.1f}" y2="{y:.1f}" stroke="#ddd"/>')
+        parts.append(f'<text x="{_LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{share:.0%}</text>')
+    for x, (ms, _) in zip(xs, points, strict=True):
+        parts.append(f'<text x="{x:.1f}" y="{_HEIGHT - 30}" text-anchor="middle">{ms:g}</text>')
+    middle = (_LEFT + _WIDTH - _RIGHT) / 2
+    parts.append(f'<text x="{middle}" y="{_HEIGHT - 10}" text-anchor="middle">latency of the {config.part}, ms</text>')
+    for x, score in zip(xs, scores, strict=True):
+        if score.ci95 is not None:
+            low, high = (_y(limit) for limit in score.ci95)
+            parts.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{low:.1f}" y2="{high:.1f}" stroke="#1f77b4"/>')
+    success = [score.rate if score.rate is not None else math.nan for score in scores]
+    choice = [score.choice_accuracy if score.choice_accuracy is not None else math.nan for score in scores]
+    for name, color, values, at in (("passed", "#1f77b4", success, 0), ("right gate", "#ff7f0e", choice, 80)):
+        known = [(x, _y(value)) for x, value in zip(xs, values, strict=True) if math.isfinite(value)]
+        line = " ".join(f"{x:.1f},{y:.1f}" for x, y in known)
+        parts.append(f'<polyline points="{line}" fill="none" stroke="{color}" stroke-width="2"/>')
+        parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{color}"/>' for x, y in known]
+        parts.append(f'<text x="{_WIDTH - 170 + at}" y="20" fill="{color}">{name}</text>')
+    return "\n".join([*parts, "</svg>\n"])
+
+
+def _y(share: float) -> float:
+    return _HEIGHT - _BOTTOM - share * (_HEIGHT - _TOP - _BOTTOM)

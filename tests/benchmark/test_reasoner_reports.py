@@ -1,0 +1,122 @@
+"""What a run says of its reasoner, apart from the flying; and success against latency."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from cognitivedrone.benchmark import RunConfig, run
+from cognitivedrone.benchmark.results import read_results
+from cognitivedrone.benchmark.scoring import score
+from cognitivedrone.benchmark.sweep import PLOT_FILE, SweepConfig, sweep
+from cognitivedrone.errors import PolicyError, RunError
+from cognitivedrone.tasks import load_suite
+from cognitivedrone.types import ReasonerReport, StageResult
+
+EPISODES = 4
+
+
+@pytest.fixture(scope="module")
+def answers(tmp_path_factory):
+    """Right, then wrong, then none at all, then right by its colour alone."""
+    folder = tmp_path_factory.mktemp("answers")
+    tasks = [track[0] for track in load_suite("open-v1:smoke").tracks[:EPISODES]]
+    wrong = tasks[1].gates[(tasks[1].target + 1) % 3]
+    lines = [
+        {"task": tasks[0].id, "directive": tasks[0].directive},
+        {"task": tasks[1].id, "directive": f"Go to the {wrong.size} {wrong.color} {wrong.shape} gate"},
+        {"task": tasks[2].id, "fault": "refusal"},
+        {"task": tasks[3].id, "directive": f"Take the {tasks[3].gates[tasks[3].target].color} gate"},
+    ]
+    file = folder / "answers.jsonl"
+    file.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return file
+
+
+@pytest.fixture(scope="module")
+def flown(answers, tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "run"
+    config = RunConfig(
+        "colour_seeker",
+        f"replay:{answers}",
+        "open-v1:smoke",
+        workers=1,
+        episodes=EPISODES,
+        latency="policy=30ms,reasoner=300ms",
+        out=out,
+        clips=0,
+    )
+    return run(config, progress=False)
+
+
+def test_every_stage_says_what_its_reasoner_did(flown):
+    right, wrong, refused, short = (episode.stages[0].reasoner for episode in flown.episodes)
+    assert (right.gate, right.size, right.color, right.shape) == (True, True, True, True)
+    assert right.answers > 3
+    assert right.changes == 0
+    assert not right.faults
+    # Asked at 0, 0.5, ...; flown by from the control step after 0.3 s until the next answer at 0.8 s.
+    assert 0.3 <= right.age_s <= 0.8
+    assert right.rate_hz == pytest.approx(2, abs=0.5)
+    assert wrong.gate is False
+    assert wrong.color is False
+    assert (refused.gate, refused.color, refused.answers, refused.age_s) == (False, None, 0, None)
+    assert set(refused.faults) == {"refusal"}
+    assert (short.gate, short.size, short.color, short.shape) == (True, None, True, None)
+
+
+def test_the_drone_goes_where_it_is_told(flown):
+    assert [episode.stages[0].outcome == "passed" for episode in flown.episodes][:2] == [True, False]
+
+
+def test_scores_of_mind_and_wings_stand_apart(flown):
+    mind = flown.summary().overall.reasoner
+    assert mind.n == EPISODES
+    assert mind.gate == 0.5
+    assert mind.color == pytest.approx(2 / 3)
+    assert mind.faults["refusal"] >= 2
+    assert mind.answers == sum(episode.stages[0].reasoner.answers for episode in flown.episodes)
+
+
+def test_the_file_of_results_holds_it_and_what_it_came_from(flown, answers):
+    options = flown.run.options
+    assert options.latency == "policy=30ms,reasoner=300ms"
+    assert len(options.reasoner_model) == 64
+
+
+def test_results_with_reasoners_are_read_back(flown, tmp_path):
+    config = RunConfig("colour_seeker", "oracle", "open-v1:smoke", workers=1, episodes=2, out=tmp_path / "run", clips=0)
+    done = run(config, progress=False)
+    assert read_results(tmp_path / "run") == done
+    assert done.summary().overall.reasoner.gate == 1.0
+
+
+def test_stages_without_a_reasoner_have_no_such_score():
+    stage = StageResult("t", "reasoning", "math", 0, "passed", 0, 5.0, 6.0, 1.0, 0.3, 0.1)
+    assert score([stage]).reasoner is None
+    report = ReasonerReport(3, {}, 0, 0.2, 2.0, True, None, False, False)
+    mixed = score([stage, StageResult(*[getattr(stage, name) for name in stage.__slots__][:11], "Go", report)])
+    assert (mixed.n, mixed.reasoner.n, mixed.reasoner.size, mixed.reasoner.color) == (2, 1, 1.0, None)
+
+
+def test_latency_that_cannot_be_read_stops_before_take_off(tmp_path):
+    with pytest.raises(PolicyError, match="cannot read 'soon'"):
+        run(RunConfig("hover", suite="open-v1:smoke", latency="soon", out=tmp_path / "run"), progress=False)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_sweep_flies_each_latency_once_and_plots(tmp_path):
+    config = SweepConfig(
+        tmp_path / "sweep", "colour_seeker", "oracle", "open-v1:smoke", ms=(2000, 0), episodes=3, workers=1
+    )
+    points = sweep(config, progress=False)
+    assert [ms for ms, _ in points] == [0, 2000]
+    assert points[0][1].summary().overall.rate == 1.0
+    first = points[1][1].episodes[0].stages[0].reasoner
+    assert first.age_s > 2.0
+    assert (config.out / PLOT_FILE).read_text().count("<circle") == 4
+    again = sweep(config, progress=False)
+    assert [run.timing for _, run in again] == [run.timing for _, run in points]
+    with pytest.raises(RunError, match="none below 0"):
+        sweep(SweepConfig(tmp_path / "no", ms=(-1,)))
