@@ -11,6 +11,7 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
+from cognitivedrone.benchmark.reason import ReasonConfig
 from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.sweep import SweepConfig
 from cognitivedrone.collect.collector import CollectConfig
@@ -36,6 +37,24 @@ def bench(config: Annotated[RunConfig, tyro.conf.arg(name="")]) -> None:
     console = Console()
     console.print(results_table(run(config, progress=True)))
     console.print(f"report: {out_of(config) / 'report.html'}", highlight=False)
+
+
+@app.command
+def reason(config: Annotated[ReasonConfig, tyro.conf.arg(name="")]) -> None:
+    """Score a reasoner alone: ask it about the frame that every flight begins with, and fly nothing.
+
+    Writes reason.json and reason.jsonl, which `--reasoner replay:FOLDER/reason.jsonl` reads. Examples:
+
+      cognitivedrone reason --suite open-v1:test --reasoner noisy-oracle
+      cognitivedrone reason --suite open-v1:track --reasoner my_module:MyReasoner --out answers
+    """
+    from cognitivedrone.benchmark.reason import ANSWERS_FILE, score_reasoner
+    from cognitivedrone.benchmark.reason_table import reason_table
+
+    console = Console()
+    results = score_reasoner(config)
+    console.print(reason_table(results))
+    console.print(f"answers: {results.out / ANSWERS_FILE}", highlight=False)
 
 
 @app.command

@@ -40,11 +40,11 @@ class Remembering(Protocol):
     """A reasoner that looks more than once: at several frames of a stage, and back at earlier stages of a track."""
 
     def new_flight(self) -> None:
-        """Forget everything."""
+        """Forget everything; the first stage begins."""
         ...
 
     def new_stage(self) -> None:
-        """A new instruction: what was answered last was the answer for the stage that has ended."""
+        """The next stage begins: what was answered last was the answer for the one that has ended."""
         ...
 
 

@@ -67,7 +67,8 @@ class EpisodeFlyer:
         """Fly one track of the suite; the same flight every time."""
         rng = episode_rng(self.suite.digest, episode, self.config.seed)
         self.course.begin(self.suite.tracks[episode], rng)
-        for part in (self.policy, self.reasoner):
+        # The reasoner first: what it draws must not depend on the policy that it flies with.
+        for part in (self.reasoner, self.policy):
             if isinstance(part, Seeded):
                 part.seed(int(rng.integers(2**31)))
         thinking = np.random.default_rng(int(rng.integers(2**31)))

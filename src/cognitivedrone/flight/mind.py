@@ -133,9 +133,7 @@ class _Thinker:
         reasoner = self._reasoner
         if question.leg != self._leg:
             if isinstance(reasoner, Remembering):
-                if self._leg is None:
-                    reasoner.new_flight()
-                reasoner.new_stage()
+                (reasoner.new_flight if self._leg is None else reasoner.new_stage)()
             if question.truth is not None and isinstance(reasoner, Privileged):
                 reasoner.brief(question.truth)
             self._leg = question.leg

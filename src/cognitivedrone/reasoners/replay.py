@@ -85,14 +85,19 @@ class Replay:
     """
 
     def __init__(self, argument: str | None = None) -> None:
+        self.path = self.file_of(argument)
+        self.answers = read_answers(self.path)
+        self._task: str | None = None
+        self._given = 0
+
+    @classmethod
+    def file_of(cls, argument: str | None = None) -> Path:
+        """The file of answers; raises `PolicyError` where none is named."""
         if argument is None:
             raise PolicyError(
                 "the replay reasoner needs a file of answers; write replay:FILE, such as replay:reason.jsonl"
             )
-        self.path = Path(argument)
-        self.answers = read_answers(self.path)
-        self._task: str | None = None
-        self._given = 0
+        return Path(argument)
 
     def brief(self, truth: Truth) -> None:
         """Take the id of the task at hand, and begin with its first answer."""

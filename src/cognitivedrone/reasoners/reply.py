@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
-from cognitivedrone.errors import ReasonerError
+from cognitivedrone.errors import ReasonerError, ReasonerFault
 from cognitivedrone.reasoners.sentences import Description, describe, read_sentences
 from cognitivedrone.types import Guidance
 
@@ -53,7 +53,7 @@ def read_reply(text: str) -> Guidance:
         return _guidance(read_sentences(outside), _text_confidence(outside))
     except ReasonerError as error:
         if error.kind == "garbage" and re.match(r"[\[{]", plain.lstrip("`json \n")):
-            kind = "schema" if plain.rstrip("` \n").endswith(("}", "]")) else "garbage"
+            kind: ReasonerFault = "schema" if plain.rstrip("` \n").endswith(("}", "]")) else "garbage"
             raise ReasonerError(kind, f"the reply is not JSON of size, color and shape: {quote(plain)}") from None
         raise
 
