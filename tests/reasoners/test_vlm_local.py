@@ -43,7 +43,7 @@ def tiny_tokenizer(folder: Path) -> dict[str, int]:
     inner.decoder = tokenizers.decoders.ByteLevel()
     inner.add_special_tokens(SPECIAL)
     fast = transformers.PreTrainedTokenizerFast(
-        tokenizer_object=inner, eos_token="<|im_end|>", pad_token="<|endoftext|>", additional_special_tokens=SPECIAL[1:]
+        tokenizer_object=inner, eos_token=SPECIAL[2], pad_token=SPECIAL[0], additional_special_tokens=SPECIAL[1:]
     )
     fast.save_pretrained(folder)
     return inner.get_vocab()
@@ -183,7 +183,7 @@ def test_a_folder_without_a_model(tmp_path):
 
 def test_a_model_of_another_kind(tmp_path):
     transformers.BertConfig().save_pretrained(tmp_path)
-    with pytest.raises(PolicyError, match="'bert'.*qwen2_5_vl"):
+    with pytest.raises(PolicyError, match=r"'bert'.*qwen2_5_vl"):
         LocalVlm(f"{tmp_path},device=cpu")
 
 

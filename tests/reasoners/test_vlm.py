@@ -1,0 +1,407 @@
+"""The VLM reasoner against a real HTTP server on loopback that answers as the chat API does, and as it should not."""
+
+import base64
+import io
+import json
+import socket
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cognitivedrone.errors import MissingExtra, PolicyError, ReasonerError
+from cognitivedrone.reasoners.prompt import ANSWER_SCHEMA, load_prompt, write_prompt
+from cognitivedrone.reasoners.vlm import Vlm
+from cognitivedrone.types import Guidance
+
+FRAME = np.random.default_rng(7).integers(0, 256, (256, 256, 3), dtype=np.uint8)
+GOOD = '{"size": "big", "color": "green", "shape": "triangle"}'
+BIG_GREEN = Guidance("Fly through the big green triangle gate", None, 1.0)
+KEY = "sk-a-secret-of-42"
+INSTRUCTION = "Fly through the gate with the zebra"
+
+
+def chat(content: str | None, **message: object) -> bytes:
+    choice = {"index": 0, "finish_reason": "stop", "message": {"role": "assistant", "content": content, **message}}
+    return json.dumps({"id": "x", "object": "chat.completion", "model": "eye-7b", "choices": [choice]}).encode()
+
+
+@dataclass
+class Script:
+    """What the server does with each request in turn; the last goes on for ever. And what it has received."""
+
+    replies: list[tuple[int, bytes]] = field(default_factory=lambda: [(200, chat(GOOD))])
+    behave: Callable[[BaseHTTPRequestHandler], None] | None = None
+    models: tuple[int, bytes] = (200, json.dumps({"data": [{"id": "eye-7b"}, {"id": "eye-3b"}]}).encode())
+    headers: dict[str, str] = field(default_factory=dict)
+    bodies: list[dict] = field(default_factory=list)
+    paths: list[str] = field(default_factory=list)
+    keys: list[str | None] = field(default_factory=list)
+
+
+class Handler(BaseHTTPRequestHandler):
+    script: Script
+    protocol_version = "HTTP/1.1"
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002
+        pass
+
+    def do_GET(self) -> None:
+        self.script.paths.append(self.path)
+        self.script.keys.append(self.headers.get("Authorization"))
+        self.answer(*self.script.models)
+
+    def do_POST(self) -> None:
+        script = self.script
+        script.paths.append(self.path)
+        script.keys.append(self.headers.get("Authorization"))
+        script.bodies.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
+        if script.behave is not None:
+            script.behave(self)
+        else:
+            self.answer(*(script.replies.pop(0) if len(script.replies) > 1 else script.replies[0]))
+
+    def answer(self, status: int, body: bytes) -> None:
+        self.send_response(status)
+        for name, value in self.script.headers.items():
+            self.send_header(name, value)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        try:
+            self.wfile.write(body)
+        except ConnectionError:
+            self.close_connection = True
+
+
+@pytest.fixture(autouse=True)
+def environment(monkeypatch):
+    for name in ("URL", "MODEL", "KEY"):
+        monkeypatch.delenv(f"COGNITIVEDRONE_VLM_{name}", raising=False)
+    for name in ("OPENAI_API_KEY", "OPENAI_BASE_URL"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def script() -> Script:
+    return Script()
+
+
+@pytest.fixture
+def url(script) -> Iterator[str]:
+    server = ThreadingHTTPServer(("127.0.0.1", 0), type("Scripted", (Handler,), {"script": script}))
+    server.daemon_threads = True
+    server.handle_error = lambda request, address: None  # a client that hangs up is what some tests do
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True)
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_port}/v1"
+    server.shutdown()
+    server.server_close()
+
+
+@pytest.fixture
+def make(url) -> Iterator[Callable[..., Vlm]]:
+    made: list[Vlm] = []
+
+    def build(more: str = "", where: str = url) -> Vlm:
+        made.append(
+            Vlm(f"{where},model=eye-7b,timeout=5{more}" if "timeout" not in more else f"{where},model=eye-7b{more}")
+        )
+        return made[-1]
+
+    yield build
+    for reasoner in made:
+        reasoner.close()
+
+
+def fault(reasoner: Vlm) -> ReasonerError:
+    with pytest.warns(RuntimeWarning, match="the flight goes on"), pytest.raises(ReasonerError) as caught:
+        reasoner.refine(FRAME, INSTRUCTION)
+    return caught.value
+
+
+def closed_port() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"http://127.0.0.1:{probe.getsockname()[1]}/v1"
+
+
+def test_what_is_asked_and_what_comes_back(script, make, monkeypatch):
+    monkeypatch.setenv("COGNITIVEDRONE_VLM_KEY", KEY)
+    assert make().refine(FRAME, INSTRUCTION) == BIG_GREEN
+    assert script.paths == ["/v1/chat/completions"]
+    assert script.keys == [f"Bearer {KEY}"]
+    (body,) = script.bodies
+    assert body["model"] == "eye-7b"
+    assert body["temperature"] == 0
+    assert body["max_tokens"] <= 40
+    assert body["response_format"]["json_schema"]["schema"] == ANSWER_SCHEMA
+    picture, text = body["messages"][0]["content"]
+    head, _, data = picture["image_url"]["url"].partition(",")
+    assert head == "data:image/png;base64"
+    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(base64.b64decode(data)))), FRAME)
+    assert INSTRUCTION in text["text"]
+    assert "{instruction}" not in text["text"]
+
+
+def test_without_a_key_none_is_sent(script, make):
+    make().refine(FRAME, INSTRUCTION)
+    assert script.keys == [None]
+
+
+def test_the_key_is_neither_shown_nor_repeated(script, make, monkeypatch):
+    monkeypatch.setenv("COGNITIVEDRONE_VLM_KEY", KEY)
+    script.replies = [(400, f'{{"error": "you said {KEY}"}}'.encode())]
+    reasoner = make()
+    error = fault(reasoner)
+    assert KEY not in str(error) + repr(reasoner)
+    assert "you said ***" in str(error)
+
+
+def test_the_environment_fills_in(script, url, monkeypatch):
+    monkeypatch.setenv("COGNITIVEDRONE_VLM_URL", url)
+    monkeypatch.setenv("COGNITIVEDRONE_VLM_MODEL", "eye-3b")
+    reasoner = Vlm()
+    reasoner.refine(FRAME, INSTRUCTION)
+    reasoner.close()
+    assert script.bodies[0]["model"] == "eye-3b"
+
+
+def test_the_key_of_another_service_goes_nowhere_else(script, url, make, monkeypatch):
+    monkeypatch.setenv("OPENAI_API_KEY", KEY)
+    make().refine(FRAME, INSTRUCTION)
+    monkeypatch.setenv("OPENAI_BASE_URL", url)
+    reasoner = Vlm("model=eye-7b")
+    reasoner.refine(FRAME, INSTRUCTION)
+    reasoner.close()
+    assert script.keys == [None, f"Bearer {KEY}"]
+
+
+def test_a_prompt_of_the_users(script, make, tmp_path):
+    file = tmp_path / "my.txt"
+    file.write_text('Do {instruction}; {instruction}! As {"color": "red"} or {0} {}')
+    make(f",prompt={file}").refine(FRAME, "this {instruction}\nnow")
+    text = script.bodies[0]["messages"][0]["content"][1]["text"]
+    assert text == 'Do this {instruction} now; this {instruction} now! As {"color": "red"} or {0} {}'
+
+
+def test_down(make):
+    started = time.monotonic()
+    error = fault(make(where=closed_port()))
+    assert error.kind == "unreachable"
+    assert time.monotonic() - started < 2
+
+
+def test_slow(script, make):
+    release = threading.Event()
+    script.behave = lambda handler: release.wait(5) and None
+    started = time.monotonic()
+    assert fault(make(",timeout=0.3")).kind == "timeout"
+    assert 0.25 < time.monotonic() - started < 1.5
+    release.set()
+
+
+def test_drop_by_drop(script, make):
+    def drip(handler: BaseHTTPRequestHandler) -> None:
+        handler.send_response(200)
+        handler.send_header("Content-Length", "1000")
+        handler.end_headers()
+        try:
+            for _ in range(100):
+                handler.wfile.write(b" ")
+                handler.wfile.flush()
+                time.sleep(0.02)
+        except OSError:
+            handler.close_connection = True
+
+    script.behave = drip
+    started = time.monotonic()
+    assert fault(make(",timeout=0.3")).kind == "timeout"
+    assert time.monotonic() - started < 1.5
+
+
+@pytest.mark.parametrize(
+    ("body", "kind"),
+    [
+        (b"<!DOCTYPE html><html><body>Bad gateway</body></html>", "garbage"),
+        (chat(GOOD)[:60], "garbage"),
+        (b"", "garbage"),
+        (b"\xff\xfe\x00", "garbage"),
+        (b"[" * 100_000, "garbage"),
+        (b'{"detail": "welcome"}', "schema"),
+        (b'{"choices": []}', "schema"),
+        (b'{"choices": [{"message": null}]}', "schema"),
+        (b"[1, 2]", "schema"),
+        (chat(None), "schema"),
+        (chat(None, refusal="I can't look at people."), "refusal"),
+        (chat("I'm sorry, but I can't help with that."), "refusal"),
+        (chat('{"gate": "third"}'), "schema"),
+        (chat('{"size": "big", "color": "yel'), "garbage"),
+        (chat('{"size": "big", "color": "yellow", "shape": "round"}'), "no_such_gate"),
+        (chat('{"size": "big", "color": "unknown", "shape": "round"}'), "unsure"),
+        (chat("<html><body>Hello</body></html>"), "garbage"),
+        (chat("word " * 2000), "too_long"),
+        (b" " * 10_000_000, "too_long"),
+    ],
+)
+def test_responses_that_do_not_do(script, make, body, kind):
+    script.replies = [(200, body)]
+    assert fault(make()).kind == kind
+
+
+def test_content_in_parts(script, make):
+    script.replies = [(200, chat([{"type": "text", "text": GOOD}]))]  # type: ignore[arg-type]
+    assert make().refine(FRAME, INSTRUCTION) == BIG_GREEN
+
+
+@pytest.mark.parametrize("status", [429, 500, 503])
+def test_busy_and_then_fine(script, make, status):
+    script.replies = [(status, b"busy"), (200, chat(GOOD))]
+    assert make().refine(FRAME, INSTRUCTION) == BIG_GREEN
+    assert len(script.bodies) == 2
+
+
+def test_busy_for_good(script, make):
+    script.replies = [(429, b"slow down")]
+    error = fault(make())
+    assert error.kind == "http"
+    assert "429" in str(error)
+    assert len(script.bodies) == 3
+
+
+@pytest.mark.parametrize(("status", "said"), [(401, "COGNITIVEDRONE_VLM_KEY"), (404, "eye-7b"), (302, "redirect")])
+def test_errors_that_do_not_go_away_are_not_tried_again(script, make, status, said):
+    script.headers = {"Location": "/elsewhere"} if status == 302 else {}
+    script.replies = [(status, b'{"error": "no"}')]
+    error = fault(make())
+    assert error.kind == "http"
+    assert said in str(error)
+    assert len(script.bodies) == 1
+
+
+def test_a_server_that_does_not_know_the_format_is_asked_without_it_from_then_on(script, make):
+    script.replies = [(400, b'{"error": "unknown field response_format"}'), (200, chat(GOOD))]
+    reasoner = make()
+    for _ in range(2):
+        assert reasoner.refine(FRAME, INSTRUCTION) == BIG_GREEN
+    assert ["response_format" in body for body in script.bodies] == [True, False, False]
+
+
+def test_a_request_that_is_bad_in_any_format_changes_nothing(script, make):
+    script.replies = [(400, b"image too large"), (400, b"image too large"), (200, chat(GOOD))]
+    reasoner = make()
+    assert fault(reasoner).kind == "http"
+    reasoner.refine(FRAME, INSTRUCTION)
+    assert ["response_format" in body for body in script.bodies] == [True, False, True]
+
+
+def test_a_failure_is_said_once_for_each_kind(script, make):
+    reasoner = make()
+    script.replies = [(200, b"<html>")]
+    assert fault(reasoner).kind == "garbage"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(ReasonerError, match="not JSON"):
+            reasoner.refine(FRAME, INSTRUCTION)
+    script.replies = [(404, b"")]
+    assert fault(reasoner).kind == "http"
+
+
+def test_an_instruction_that_is_too_long_is_not_sent(script, make):
+    reasoner = make()
+    with pytest.warns(RuntimeWarning), pytest.raises(ReasonerError) as caught:
+        reasoner.refine(FRAME, "fly " * 300)
+    assert caught.value.kind == "too_long"
+    assert script.bodies == []
+
+
+def test_the_check_passes_a_server_that_has_the_model(script, make, monkeypatch):
+    monkeypatch.setenv("COGNITIVEDRONE_VLM_KEY", KEY)
+    make().check()
+    assert script.paths == ["/v1/models"]
+    assert script.keys == [f"Bearer {KEY}"]
+
+
+def test_the_check_passes_a_server_without_a_list(script, make):
+    script.models = (404, b"")
+    make().check()
+
+
+def test_the_check_names_the_models_that_there_are(url):
+    reasoner = Vlm(f"{url},model=eye-8b")
+    with pytest.raises(PolicyError, match=r"did you mean 'eye-.b' or 'eye-.b'"):
+        reasoner.check()
+    reasoner.close()
+
+
+@pytest.mark.parametrize(("key", "said"), [("wrong", "does not take the key"), ("", "asks for a key")])
+def test_the_check_knows_a_wrong_key(script, make, monkeypatch, key, said):
+    monkeypatch.setenv("COGNITIVEDRONE_VLM_KEY", key)
+    script.models = (401, b'{"error": "bad key"}')
+    with pytest.raises(PolicyError, match=said):
+        make().check()
+
+
+def test_the_check_says_how_to_start_a_server(make):
+    with pytest.raises(PolicyError, match="vllm serve eye-7b"):
+        make(where=closed_port()).check()
+
+
+def test_the_check_does_not_pass_a_server_in_trouble(script, make):
+    script.models = (500, b"out of memory")
+    with pytest.raises(PolicyError, match=r"500.*out of memory"):
+        make().check()
+
+
+@pytest.mark.parametrize(
+    ("argument", "said"),
+    [
+        (None, "needs a model"),
+        ("http://127.0.0.1:1/v1", "needs a model"),
+        ("localhost:8000,model=x", "no base URL"),
+        ("ftp://host/v1,model=x", "no base URL"),
+        ("http://host:port/v1,model=x", "no base URL"),
+        ("http://me:secret@host/v1,model=x", "COGNITIVEDRONE_VLM_KEY"),
+        ("http://host/v1,model=x,timeout=0", "timeout=0"),
+        ("http://host/v1,model=x,timeout=nan", "timeout=nan"),
+        ("http://host/v1,model=x,timeout=soon", "timeout=soon"),
+        ("http://host/v1,modle=x", "did you mean 'model'"),
+        ("http://host/v1,model=x,key=y", "no option 'key'"),
+        ("http://host/v1,model=", "model=NAME"),
+        ("http://host/v1,model=x,model=y", "twice"),
+        ("http://host/v1,model=x,prompt=/nowhere/p.txt", "/nowhere/p.txt"),
+    ],
+)
+def test_arguments_that_do_not_do(argument, said):
+    with pytest.raises(PolicyError, match=said):
+        Vlm(argument)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [(b"no place", r"write \{instruction\}"), (b"\xff{instruction}", "UTF-8"), (b"{instruction}" * 2000, "20000")],
+)
+def test_prompt_files_that_do_not_do(tmp_path, content, said):
+    file = tmp_path / "p.txt"
+    file.write_bytes(content)
+    with pytest.raises(PolicyError, match=said):
+        load_prompt(str(file))
+
+
+def test_the_prompt_of_the_package_asks_for_what_the_schema_has():
+    text = write_prompt(load_prompt(), INSTRUCTION)
+    for name, rule in ANSWER_SCHEMA["properties"].items():
+        assert f'"{name}"' in text
+        assert all(f'"{value}"' in text for value in rule["enum"])
+
+
+def test_missing_httpx_names_its_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "httpx", None)
+    with pytest.raises(MissingExtra, match=r"httpx.*cognitivedrone\[vlm\]"):
+        Vlm("http://host/v1,model=x")
