@@ -88,6 +88,9 @@ SENTENCES = {
     "I cannot see the label clearly, but it is probably the blue triangle gate.": "-bt",
     "fly through the red gate or the blue gate": "unsure",
     "It is either the red or the green gate": "unsure",
+    "The correct gate is the green one because the red gate shows a cat.": "-g-",
+    "Since the red gate shows a cat, the answer is the blue gate": "-b-",
+    "Neither the red nor the green gate, so blue.": "-b-",
     # chains of thought
     "The red gate shows a cat, the green gate shows a dog. So the correct gate is the green round one.": "-gr",
     "The red gate shows 3, the green gate shows 9, so fly through the green gate": "-g-",
@@ -173,6 +176,8 @@ JSON_REPLIES = {
     "{'size': 'big', 'color': 'red', 'shape': 'round'}": "brr",
     '{"size": "big", "color": "red", "shape": "round",}': "brr",
     "{size: big, color: red, shape: round}": "brr",
+    "color: green, shape: round, size: big": "bgr",
+    "Size: small\nColor: red\nShape: triangle": "srt",
     "{“size”: “big”, “color”: “red”, “shape”: “round”}": "brr",
     '{"Size": "Big", "Color": "RED", "Shape": "Round"}': "brr",
     '{"size": "large", "colour": "red", "shape": "circle"}': "brr",

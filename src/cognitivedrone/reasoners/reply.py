@@ -68,7 +68,9 @@ def _read_json(text: str) -> Guidance | None:
     """The last object that has a color or a shape; none where no object has."""
     found = [(match, fields) for match in _OBJECT.finditer(text) if (fields := _fields(match.group()))]
     if not found:
-        return None
+        bare = _fields(text + "\n") or {}
+        # "color: green, shape: round" needs no braces, but both of them: a line "Color: green" may be of a panel.
+        return _read_fields(bare, text) if "{" not in text and {"color", "shape"} <= bare.keys() else None
     match, fields = found[-1]
     if len(found) > 1:
         before, other = found[-2]

@@ -214,7 +214,9 @@ def _gates(sentence: str) -> tuple[Description, ...]:
             after = _distinct(_mentions(" ".join(clauses[index:])))
             if after:
                 return after
-    return _distinct(_mentions(" ".join(clauses)))
+    # "The green one because the red gate shows a cat": reasons tell of other gates.
+    firm = [clause for clause in clauses if not clause.startswith(("because", "since", "while", "whereas"))]
+    return _distinct(_mentions(" ".join(firm))) or _distinct(_mentions(" ".join(clauses)))
 
 
 def _clauses(sentence: str) -> list[str]:
