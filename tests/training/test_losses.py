@@ -25,7 +25,7 @@ from cognitivedrone.training.stream import Rehearsal
 DEBUG = RECIPES["debug"]
 VOCABULARY = Vocabulary.of(train_task(i, 0).instruction for i in range(500))
 VARIANTS = list(itertools.product(get_args(Head), (1, 3)))
-PARTS = ("heat", "place", "facets", "choice", "text", "action")
+PARTS = ("heat", "place", "facets", "cards", "choice", "text", "action")
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -41,7 +41,7 @@ def _one_thread() -> Iterator[None]:
 def batch() -> Batch:
     """Frames of the debug recipe, with three actions each; boards are among them."""
     recipe = replace(DEBUG.stream, batch=12, worlds=8, chunk=3, varied=0.0)
-    rehearsal = Rehearsal(recipe, VOCABULARY, DEBUG.network.text_length)
+    rehearsal = Rehearsal(recipe, VOCABULARY, DEBUG.network)
     try:
         for made in itertools.islice(rehearsal.batches((3,)), 200):
             if made["legible"][:, SLOTS].any():
@@ -101,7 +101,7 @@ def test_every_part_of_the_loss_falls_on_a_batch_that_is_learned_by_heart(batch:
 
 
 def test_weights_count(batch: Batch) -> None:
-    alone = LossWeights(heat=0, place=0, facets=0, choice=0, text=3.0, action=0)
+    alone = LossWeights(heat=0, place=0, facets=0, cards=0, choice=0, text=3.0, action=0)
     total, measures = lesson(weights=alone)(tensors(batch))
     assert float(total.detach()) == pytest.approx(3 * float(measures["text"]))
 

@@ -20,6 +20,7 @@ from cognitivedrone.training.recorded import Recorded
 from cognitivedrone.training.trainer import CHECKPOINT, TrainConfig, train
 
 STREAM = replace(RECIPES["debug"].stream, chunk=3, batch=16)
+NETWORK = RECIPES["debug"].network
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +32,7 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def recorded(flights: Path) -> Recorded:
-    return Recorded(flights, STREAM, Vocabulary.of(["Fly through the red gate"]), 40)
+    return Recorded(flights, STREAM, Vocabulary.of(["Fly through the red gate"]), NETWORK)
 
 
 def test_frames_states_and_actions_are_those_of_the_record(flights: Path, recorded: Recorded) -> None:
@@ -66,7 +67,7 @@ def test_an_epoch_shows_every_training_step_once(flights: Path, recorded: Record
 
 def test_splits_do_not_mix(flights: Path) -> None:
     store = Store(flights)
-    validation = Recorded(flights, STREAM, Vocabulary.of(["gate"]), 40, split="val")
+    validation = Recorded(flights, STREAM, Vocabulary.of(["gate"]), NETWORK, split="val")
     seen = {image.tobytes() for image in next(validation.batches((0,)))["image"]}
     assert seen <= {image.tobytes() for image in store.steps(store.step_numbers("val"))["image"]}
     assert not seen & {image.tobytes() for image in store.steps(store.step_numbers("train"))["image"]}

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from cognitivedrone.models.text import Vocabulary, words_of
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.racing import INSTRUCTIONS
-from cognitivedrone.training import stream
-from cognitivedrone.training.facets import FACETS, GROUPS, PANEL_GROUPS, gate_facets, panel_facets
+from cognitivedrone.training import sampling, stream
+from cognitivedrone.training.facets import BOARD_GROUPS, FACETS, GROUPS, PANEL_GROUPS, gate_facets, panel_facets
 from cognitivedrone.training.questions import Question, ask
 from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.sampling import NONE_IN_VIEW, Batch, StreamRecipe
@@ -25,7 +25,8 @@ from cognitivedrone.training.stream import Rehearsal
 from cognitivedrone.types import Gate, Task
 
 RECIPE = RECIPES["debug"].stream
-LENGTH = 32
+NETWORK = RECIPES["debug"].network
+LENGTH = NETWORK.text_length
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +38,7 @@ def vocabulary() -> Vocabulary:
 def batches(
     recipe: StreamRecipe, vocabulary: Vocabulary, count: int, seed: tuple[int, ...] = (1, 2), learner: object = None
 ) -> list[Batch]:
-    rehearsal = Rehearsal(recipe, vocabulary, LENGTH)
+    rehearsal = Rehearsal(recipe, vocabulary, NETWORK)
     try:
         return list(itertools.islice(rehearsal.batches(seed, learner), count))  # type: ignore[arg-type]
     finally:
@@ -82,7 +83,8 @@ def notebook(vocabulary: Vocabulary) -> Notebook:
 def made(vocabulary: Vocabulary, notebook: Notebook) -> list[Batch]:
     """Enough frames that everything occurs."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stream, "ask", notebook.ask)
+        patch.setattr(sampling, "ask", notebook.ask)
+        patch.setattr(sampling, "train_task", notebook.train_task)
         patch.setattr(stream, "train_task", notebook.train_task)
         return batches(replace(RECIPE, batch=32, sentences=4, texts=64, worlds=16), vocabulary, 6)
 
@@ -123,6 +125,8 @@ def test_a_batch_has_its_layout(vocabulary: Vocabulary) -> None:
         "text_gates": (np.int64, (t, 3, 3)),
         "text_board": (np.int64, (t, 3)),
         "text_asked": (np.int64, (t,)),
+        "card_image": (np.uint8, (RECIPE.cards, NETWORK.glimpse, NETWORK.glimpse, 3)),
+        "card_facets": (np.int64, (RECIPE.cards, len(PANEL_GROUPS) + len(BOARD_GROUPS))),
     }
     assert {name: (values.dtype, values.shape) for name, values in batch.items()} == expected
     assert all(np.isfinite(values).all() for values in batch.values())
@@ -130,7 +134,7 @@ def test_a_batch_has_its_layout(vocabulary: Vocabulary) -> None:
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(vocabulary: Vocabulary) -> None:
-    rehearsal = Rehearsal(RECIPE, vocabulary, LENGTH)
+    rehearsal = Rehearsal(RECIPE, vocabulary, NETWORK)
     try:
         first, other, again = (list(itertools.islice(rehearsal.batches((seed,)), 3)) for seed in (5, 6, 5))
     finally:

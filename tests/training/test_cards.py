@@ -1,0 +1,97 @@
+"""Cards show what they say, as a glimpse would, and all there is to read comes up."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from PIL import Image as PillowImage
+
+from cognitivedrone.labels import load_pack
+from cognitivedrone.tasks import BASE_FAMILIES
+from cognitivedrone.training.cards import SHARES, Cards, glimpse_of
+from cognitivedrone.training.facets import FACETS, PANEL_GROUPS, panel_facets
+
+SIZE = 48
+
+
+@pytest.fixture(scope="module")
+def cards() -> Cards:
+    return Cards(load_pack("open-v1"), SIZE)
+
+
+def picture(label: str) -> PillowImage.Image:
+    return PillowImage.fromarray(load_pack("open-v1").image(label)).resize((64, 64))
+
+
+def test_all_families_have_a_share() -> None:
+    assert SHARES.keys() == set(BASE_FAMILIES)
+    assert sum(SHARES.values()) == pytest.approx(1)
+
+
+def test_a_glimpse_shows_its_picture_and_none_is_like_another() -> None:
+    rng = np.random.default_rng(0)
+    dark = np.zeros((64, 64, 3), np.uint8)
+    dark[:, 32:] = (255, 0, 0)
+    halves = PillowImage.fromarray(dark)
+    for _ in range(50):
+        glimpse = glimpse_of(halves, SIZE, rng).astype(int)
+        left, right = glimpse[22:26, 10:13], glimpse[22:26, 35:38]
+        assert right[..., 0].mean() > left[..., 0].mean() + 90
+        assert right[..., 0].mean() > right[..., 1].mean() + 90
+    cat = picture("animal/cat@noto")
+    glimpses = {glimpse_of(cat, SIZE, rng).tobytes() for _ in range(20)}
+    assert len(glimpses) == 20
+
+
+def test_a_card_looks_like_the_label_that_its_facets_name(cards: Cards) -> None:
+    """The nearest of a few pictures is the one that is named, for most cards."""
+    cards.forget()
+    rng = np.random.default_rng(1)
+    labels = {name: picture(f"letter/{name}@inter") for name in "OILXW"}
+    ink = {name: 255 - np.asarray(image.convert("L").resize((32, 32)), float) for name, image in labels.items()}
+    right = total = 0
+    while total < 40:
+        images, facets = cards.draw(rng, 64)
+        for image, row in zip(images, facets, strict=True):
+            concept = FACETS[row[0]].rpartition(":")[2] if row[0] >= 0 else ""
+            if row[0] < 0 or "letter:" not in FACETS[row[0]] or concept not in ink:
+                continue
+            seen = np.asarray(PillowImage.fromarray(image).convert("L").crop((5, 5, 43, 43)).resize((32, 32)), float)
+            seen = seen.max() - seen
+            near = {name: np.corrcoef(seen.ravel(), other.ravel())[0, 1] for name, other in ink.items()}
+            right += max(near, key=lambda name: near[name]) == concept
+            total += 1
+    assert right > 0.6 * total
+
+
+def test_everything_there_is_to_read_comes_up(cards: Cards) -> None:
+    cards.forget()
+    rng = np.random.default_rng(2)
+    counts: Counter[str] = Counter()
+    for _ in range(20):
+        images, facets = cards.draw(rng, 50)
+        assert images.shape == (50, SIZE, SIZE, 3)
+        assert images.dtype == np.uint8
+        for row in facets:
+            board = (row[len(PANEL_GROUPS) :] >= 0).all()
+            assert board != (row[: len(PANEL_GROUPS)] >= 0).any()
+            person = row[0] < 0 and not board
+            counts["board" if board else "person" if person else FACETS[row[0]].split("/")[1].split(":")[0]] += 1
+    assert counts.keys() == {"board", "person", "thing", "letter", "number", "logo"}
+    assert min(counts.values()) > 20
+
+
+def test_the_same_seed_draws_the_same_cards(cards: Cards) -> None:
+    drawn = []
+    for seed in (3, 4, 3):
+        cards.forget()
+        rng = np.random.default_rng(seed)
+        drawn.append([part.tobytes() for _ in range(2) for part in cards.draw(rng, 16)])
+    assert drawn[0] == drawn[2]
+    assert drawn[0] != drawn[1]
+
+
+def test_facets_are_those_of_the_label() -> None:
+    assert FACETS[panel_facets("letter/W@inter")[0]].endswith("letter:W")
