@@ -13,8 +13,9 @@ from cognitivedrone.collect.collector import CollectConfig, collect
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.text import Vocabulary
-from cognitivedrone.training import trainer
+from cognitivedrone.training import policy
 from cognitivedrone.training.checkpoint import read_checkpoint
+from cognitivedrone.training.policy import policy_subject
 from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.recorded import Recorded
 from cognitivedrone.training.trainer import CHECKPOINT, TrainConfig, train
@@ -76,11 +77,11 @@ def test_splits_do_not_mix(flights: Path) -> None:
 def test_a_training_from_a_data_set_says_so_and_does_not_go_on_with_another(
     flights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(trainer, "_SENTENCES", 300)
+    monkeypatch.setattr(policy, "_SENTENCES", 300)
     recipe = replace(RECIPES["debug"], steps=2, fly_every=2, fly_tasks=1)
-    train(TrainConfig(tmp_path / "run", recipe, data=flights), lambda _: None)
+    train(TrainConfig(tmp_path / "run", policy_subject(recipe, flights)), lambda _: None)
     tensors, facts = read_checkpoint(tmp_path / "run" / CHECKPOINT)
     assert facts["data"] == f"store {Store(flights).content_hash()}"
     assert all(value.isfinite().all() for value in tensors.values())
     with pytest.raises(TrainingError, match="another recipe, seed or data"):
-        train(TrainConfig(tmp_path / "run", recipe, resume=True))
+        train(TrainConfig(tmp_path / "run", policy_subject(recipe), resume=True))

@@ -18,12 +18,13 @@ from PIL import Image
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.small_vla import Head, SmallVLA
-from cognitivedrone.training import trainer
+from cognitivedrone.training import policy
 from cognitivedrone.training.checkpoint import read_checkpoint
 from cognitivedrone.training.curves import DIMENSIONS, action_measures, draw_curves, read_rows
-from cognitivedrone.training.feed import learner_path, share
-from cognitivedrone.training.recipes import RECIPES, find_recipe
-from cognitivedrone.training.trainer import CHECKPOINT, METRICS, TrainConfig, learning_rate, load_trained, train
+from cognitivedrone.training.feed import learner_path
+from cognitivedrone.training.policy import load_trained, policy_subject
+from cognitivedrone.training.recipes import RECIPES, TrainRecipe, find_recipe
+from cognitivedrone.training.trainer import CHECKPOINT, METRICS, TrainConfig, learning_rate, train
 
 # Trials once, at the end, and few words: the rest of the time goes into processes that start.
 RECIPE = replace(RECIPES["debug"], fly_every=6, fly_tasks=2)
@@ -33,7 +34,7 @@ KILLED = """
 import os, signal, sys
 from dataclasses import replace
 from pathlib import Path
-from cognitivedrone.training import trainer
+from cognitivedrone.training import policy, trainer
 from cognitivedrone.training.recipes import RECIPES
 
 def report(line):
@@ -42,9 +43,9 @@ def report(line):
         os.kill(os.getpid(), signal.SIGKILL)
 
 if __name__ == "__main__":
-    trainer._SENTENCES = 500
+    policy._SENTENCES = 500
     recipe = replace(RECIPES["debug"], fly_every=6, fly_tasks=2)
-    trainer.train(trainer.TrainConfig(Path(sys.argv[1]), recipe, seed=3), report)
+    trainer.train(trainer.TrainConfig(Path(sys.argv[1]), policy.policy_subject(recipe), seed=3), report)
 """
 
 
@@ -63,7 +64,7 @@ class Runs:
 def _few_words() -> Iterator[None]:
     threads = torch.get_num_threads()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trainer, "_SENTENCES", SENTENCES)
+        patch.setattr(policy, "_SENTENCES", SENTENCES)
         yield
     torch.set_num_threads(threads)
 
@@ -79,8 +80,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
     assert killed.returncode == -signal.SIGKILL, killed.stderr
     at_kill = read_checkpoint(resumed / CHECKPOINT)[1]["step"], read_rows(resumed / METRICS)[-1]["step"]
     reports: list[str] = []
-    train(TrainConfig(resumed, RECIPE, seed=3, resume=True), lambda _: None)
-    train(TrainConfig(whole, RECIPE, seed=3), reports.append)
+    train(TrainConfig(resumed, policy_subject(RECIPE), seed=3, resume=True), lambda _: None)
+    train(TrainConfig(whole, policy_subject(RECIPE), seed=3), reports.append)
     return Runs(whole, resumed, at_kill, reports)
 
 
@@ -150,7 +151,7 @@ def test_the_folder_tells_its_recipe(runs: Runs) -> None:
     told = json.loads((runs.whole / "recipe.json").read_text())
     assert told["seed"] == 3
     assert told["recipe"]["name"] == "debug"
-    assert told["recipe"]["network"]["vocabulary"] == len(trainer.training_vocabulary().words)
+    assert told["recipe"]["network"]["vocabulary"] == len(policy.training_vocabulary().words)
 
 
 def test_what_was_trained_can_be_loaded_and_flies(runs: Runs) -> None:
@@ -170,14 +171,17 @@ def test_what_was_trained_can_be_loaded_and_flies(runs: Runs) -> None:
 def test_a_finished_training_has_nothing_left_to_do(runs: Runs) -> None:
     before = {path: path.stat().st_mtime_ns for path in runs.whole.rglob("*")}
     reports: list[str] = []
-    assert train(TrainConfig(runs.whole, RECIPE, seed=3, resume=True), reports.append) == runs.whole / CHECKPOINT
+    assert (
+        train(TrainConfig(runs.whole, policy_subject(RECIPE), seed=3, resume=True), reports.append)
+        == runs.whole / CHECKPOINT
+    )
     assert reports == []
     assert before == {path: path.stat().st_mtime_ns for path in runs.whole.rglob("*")}
 
 
 def test_a_training_is_not_begun_over_another(runs: Runs) -> None:
     with pytest.raises(TrainingError, match="holds a training already; go on with --resume or choose another folder"):
-        train(TrainConfig(runs.whole, RECIPE, seed=3))
+        train(TrainConfig(runs.whole, policy_subject(RECIPE), seed=3))
 
 
 @pytest.mark.parametrize(
@@ -185,11 +189,9 @@ def test_a_training_is_not_begun_over_another(runs: Runs) -> None:
     [(RECIPE, 4), (replace(RECIPE, learning_rate=1e-3), 3), (replace(RECIPE, steps=8), 3)],
     ids=["seed", "rate", "steps"],
 )
-def test_a_training_does_not_go_on_by_another_recipe_or_seed(
-    runs: Runs, recipe: trainer.TrainRecipe, seed: int
-) -> None:
+def test_a_training_does_not_go_on_by_another_recipe_or_seed(runs: Runs, recipe: TrainRecipe, seed: int) -> None:
     with pytest.raises(TrainingError, match="a training by another recipe, seed or data; choose another folder"):
-        train(TrainConfig(runs.whole, recipe, seed=seed, resume=True))
+        train(TrainConfig(runs.whole, policy_subject(recipe), seed=seed, resume=True))
 
 
 # ---- curves
@@ -255,12 +257,15 @@ def test_recipes_are_whole(name: str) -> None:
 
 
 def test_processes_share_a_batch() -> None:
-    part = share(RECIPES["small"], 4)
-    assert part.stream.batch * 4 == RECIPES["small"].stream.batch
-    assert part.stream.texts * 4 == RECIPES["small"].stream.texts
-    assert replace(part, stream=RECIPES["small"].stream) == RECIPES["small"]
-    with pytest.raises(TrainingError, match="a batch of 32 frames cannot be shared by 3 processes"):
-        share(RECIPES["small"], 3)
+    subject = policy_subject(replace(RECIPES["small"], stream=replace(RECIPES["small"].stream, cards=10)))
+    part = subject.share(4)
+    whole, shared = subject.recipe.stream, part.recipe.stream
+    assert shared.batch * 4 == whole.batch
+    assert shared.texts * 4 == whole.texts
+    assert shared.cards == 3
+    assert replace(part, recipe=replace(part.recipe, stream=whole)) == subject
+    with pytest.raises(TrainingError, match="a batch of 24 frames cannot be shared by 5 processes"):
+        subject.share(5)
 
 
 def test_the_learning_rate_warms_up_stays_and_falls_to_nothing() -> None:

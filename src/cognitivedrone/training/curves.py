@@ -16,9 +16,9 @@ from torch import Tensor
 from cognitivedrone.models.small_vla import SmallVLA
 from cognitivedrone.training.losses import Lesson, action_loss, action_targets, to_tensors, true_slots
 from cognitivedrone.training.sampling import Batch
+from cognitivedrone.training.subject import Row
 
 DIMENSIONS = ("vx", "vy", "vz", "yaw_rate")
-Row = dict[str, Any]
 
 
 def validate(lesson: Lesson, batches: Sequence[Batch], autocast: Any) -> Row:

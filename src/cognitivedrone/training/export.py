@@ -21,9 +21,8 @@ import torch
 from cognitivedrone.models.small_file import ActionStatistics, Description, Provenance, SmallModel, describe
 from cognitivedrone.models.small_vla import STATE, SmallVLA
 from cognitivedrone.models.text import Vocabulary
-from cognitivedrone.training.feed import training_batches
+from cognitivedrone.training.policy import load_trained, stream_of, training_batches
 from cognitivedrone.training.sampling import StreamRecipe
-from cognitivedrone.training.trainer import load_trained, stream_of
 
 _STATISTICS_FRAMES = 2_000
 _HALVED_FROM = 256  # elements; smaller tensors are biases, scales and shapes

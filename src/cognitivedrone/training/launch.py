@@ -59,17 +59,11 @@ def run(options: TrainOptions) -> Path:
 def _work(options: TrainOptions) -> Path:
     """This process's part."""
     from cognitivedrone.training.export import export
+    from cognitivedrone.training.policy import policy_subject
     from cognitivedrone.training.trainer import TrainConfig, train
 
-    config = TrainConfig(
-        out=options.out,
-        recipe=find_recipe(options.recipe),
-        data=options.data,
-        seed=options.seed,
-        resume=options.resume,
-        threads=options.threads,
-    )
-    checkpoint = train(config)
+    subject = policy_subject(find_recipe(options.recipe), options.data)
+    checkpoint = train(TrainConfig(options.out, subject, options.seed, options.resume, options.threads))
     model = options.out / "model.onnx"
     if os.environ.get("RANK", "0") == "0":
         export(checkpoint, model, data=options.data)

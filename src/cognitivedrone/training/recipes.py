@@ -2,49 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 from cognitivedrone.errors import TrainingError, did_you_mean
 from cognitivedrone.models.small_vla import SmallVLAConfig
 from cognitivedrone.training.losses import LossWeights
 from cognitivedrone.training.sampling import StreamRecipe
+from cognitivedrone.training.subject import Schedule
 
 
-@dataclass(frozen=True, slots=True)
-class TrainRecipe:
-    """Everything that decides what comes out of a training, but the number of processes and the seed."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainRecipe(Schedule):
+    """Everything that decides what comes out of a training of the small VLA, but processes and seed."""
 
-    name: str
-    steps: int
-    """Of the optimiser."""
     network: SmallVLAConfig = field(default_factory=SmallVLAConfig)
     stream: StreamRecipe = field(default_factory=StreamRecipe)
     """Its batch is that of the whole training: processes share it."""
     losses: LossWeights = field(default_factory=LossWeights)
-    learning_rate: float = 1.2e-3
-    warmup_steps: int = 200
-    decay_share: float = 0.6
-    """Share of the training, its end, over which the learning rate falls linearly to zero."""
-    weight_decay: float = 0.02
-    clip: float = 2.0
-    """Bound on the norm of the gradient."""
-    round_steps: int = 250
-    """Between checkpoints; also how often the network that flies along is renewed."""
-    validate_every: int = 500
-    """Steps between points of the learning curves; a multiple of `round_steps` or equal to it."""
     validation_frames: int = 512
-    fly_every: int = 2000
-    """Steps between closed-loop trials; a multiple of `validate_every`."""
     fly_tasks: int = 60
     """Tasks of a trial."""
 
-    def facts(self) -> dict[str, Any]:
-        """As plain JSON values."""
-        return asdict(self)
 
-
-SMALL = TrainRecipe("small", steps=18_000)
+SMALL = TrainRecipe(name="small", steps=18_000)
 
 _SHORT = replace(SMALL, name="ablation-tokens", steps=2_000)
 _ABLATION = (

@@ -22,7 +22,7 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.models.small_vla import SmallVLAConfig
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.training.sampling import Batch, Sampler, Setting, StreamRecipe
-from cognitivedrone.training.stream import Learner
+from cognitivedrone.training.subject import Learner
 from cognitivedrone.training.truth import Poses
 
 

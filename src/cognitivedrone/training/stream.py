@@ -11,7 +11,6 @@ A stream is a pure function of recipe, seed and the weights that fly along: the 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +28,7 @@ from cognitivedrone.sim.simulator import Simulator, Start
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.racing import race_task
 from cognitivedrone.training.sampling import Batch, Sampler, Setting, StreamRecipe
+from cognitivedrone.training.subject import Learner
 from cognitivedrone.training.truth import Poses
 from cognitivedrone.types import CONTROL_HZ, FloatArray, Image, Stage, Task
 from cognitivedrone.world import geometry
@@ -36,14 +36,6 @@ from cognitivedrone.world.look import PLAIN, varied_look
 
 _TOO_LONG = 14 * CONTROL_HZ  # control steps of a flight, after which it is hopeless
 _BOUND_M = 9.0  # nor is there anything to learn further than this from the stage's origin
-
-
-class Learner(Protocol):
-    """What flies along: actions for images (n, 256, 256, 3), states (n, 5) and sentences."""
-
-    def act(self, images: Image, states: NDArray[np.float32], texts: list[str]) -> FloatArray:
-        """Actions (n, 4), m/s and rad/s."""
-        ...
 
 
 class _Flight(Setting):
