@@ -1,0 +1,105 @@
+"""The parameters of the simulated vehicle: few, and each either acts on the simulation or says what is so.
+
+Names, units and meanings are ArduCopter's (https://ardupilot.org/copter/docs/parameters.html).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from cognitivedrone.sim.autopilot import AutopilotGains
+
+Kind = Literal["int8", "int16", "float"]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One entry of the table."""
+
+    default: float
+    low: float
+    high: float
+    """Least and largest value that is taken; equal for what cannot be changed."""
+    kind: Kind
+    """ArduCopter's type of storage."""
+    about: str
+
+
+def _fixed(value: float, kind: Kind, about: str) -> Parameter:
+    return Parameter(value, value, value, kind, about)
+
+
+_GAINS = AutopilotGains()
+
+TABLE: dict[str, Parameter] = {
+    "ARMING_CHECK": Parameter(1, 0, 1, "int8", "0 arms whatever the checks say"),
+    "DISARM_DELAY": Parameter(10, 0, 127, "int8", "s on the ground until an armed vehicle disarms itself; 0 never"),
+    "FENCE_ACTION": Parameter(1, 0, 4, "int8", "0 report, 1 return or land, 2 land, 4 brake or land"),
+    "FENCE_ALT_MAX": Parameter(100, 1, 1000, "float", "m above home"),
+    "FENCE_ENABLE": Parameter(0, 0, 1, "int8", "1 watches the fences of FENCE_TYPE"),
+    "FENCE_RADIUS": Parameter(150, 1, 10000, "float", "m around home"),
+    "FENCE_TYPE": Parameter(3, 0, 3, "int8", "1 height, 2 circle, 3 both; there are no polygons"),
+    "FRAME_CLASS": _fixed(1, "int8", "a quadrotor"),
+    "FRAME_TYPE": _fixed(1, "int8", "in X"),
+    "FS_GCS_ENABLE": Parameter(0, 0, 5, "int8", "when the ground station is silent: 0 nothing, 1 return, 5 land"),
+    "FS_GCS_TIMEOUT": Parameter(5, 2, 120, "float", "s of silence of the ground station"),
+    "GUID_TIMEOUT": Parameter(_GAINS.timeout, 0.1, 5, "float", "s after a velocity target until the vehicle stops"),
+    "LAND_SPEED": Parameter(50, 30, 200, "int16", "cm/s"),
+    "PSC_JERK_XY": _fixed(_GAINS.jerk[0], "float", "m/s3"),
+    "PSC_JERK_Z": _fixed(_GAINS.jerk[1], "float", "m/s3"),
+    "ANGLE_MAX": _fixed(round(math.degrees(_GAINS.max_tilt) * 100), "int16", "centidegrees"),
+    "RTL_ALT": Parameter(300, 30, 30000, "int16", "cm above home on the way back"),
+    "RTL_LOIT_TIME": Parameter(2000, 0, 60000, "int16", "ms above home before landing"),
+    "SYSID_MYGCS": Parameter(255, 1, 255, "int16", "the ground station whose silence counts"),
+    "SYSID_THISMAV": Parameter(1, 1, 255, "int16", "system id; set where the simulation is started"),
+    "WPNAV_ACCEL": _fixed(_GAINS.acceleration[0] * 100, "float", "cm/s2"),
+    "WPNAV_ACCEL_Z": _fixed(_GAINS.acceleration[1] * 100, "float", "cm/s2"),
+    "WPNAV_SPEED": Parameter(_GAINS.max_speed * 100, 10, _GAINS.max_speed * 100, "float", "cm/s"),
+    "WPNAV_SPEED_DN": Parameter(_GAINS.max_descent * 100, 10, _GAINS.max_descent * 100, "float", "cm/s"),
+    "WPNAV_SPEED_UP": Parameter(_GAINS.max_climb * 100, 10, _GAINS.max_climb * 100, "float", "cm/s"),
+}
+"""What the autopilot is built with is told and cannot be set: its limits on acceleration, jerk and tilt."""
+_NAMES = tuple(sorted(TABLE))
+
+
+class Parameters:
+    """The values of one vehicle."""
+
+    def __init__(self, system_id: int) -> None:
+        self._values = {name: TABLE[name].default for name in _NAMES}
+        self._values["SYSID_THISMAV"] = float(system_id)
+
+    def __len__(self) -> int:
+        return len(_NAMES)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_NAMES)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._values
+
+    def __getitem__(self, name: str) -> float:
+        return self._values[name]
+
+    def name(self, index: int) -> str | None:
+        """The name at a place of the list."""
+        return _NAMES[index] if 0 <= index < len(_NAMES) else None
+
+    def index(self, name: str) -> int:
+        """The place of a name in the list."""
+        return _NAMES.index(name)
+
+    def set(self, name: str, value: float) -> str | None:
+        """Change a value; the reason in words where it is refused."""
+        entry = TABLE[name]
+        if name == "SYSID_THISMAV" or entry.low == entry.high:
+            return None if value == self._values[name] else f"{name} cannot be changed here"
+        if not (math.isfinite(value) and entry.low <= value <= entry.high):
+            return f"{name} takes {entry.low:g} to {entry.high:g}"
+        if entry.kind != "float" and value != round(value):
+            return f"{name} takes whole numbers"
+        self._values[name] = value
+        return None

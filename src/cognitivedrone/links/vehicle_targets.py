@@ -1,0 +1,185 @@
+"""Setpoints of the GUIDED mode: what SET_POSITION_TARGET_* messages ask for, as velocity and position targets.
+
+Which parts of a message count is said by its type mask, as ArduCopter reads it
+(https://ardupilot.org/dev/docs/copter-commands-in-guided-mode.html). Written without MAVLink: plain numbers in.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from cognitivedrone.frames import enu_to_ned, flu_to_frd, rotate_yaw, wrap_angle, yaw_of
+from cognitivedrone.types import DroneState, FloatArray
+
+LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED = 1, 7, 8, 9
+GLOBAL, GLOBAL_RELATIVE, GLOBAL_INT, GLOBAL_RELATIVE_INT = 0, 3, 5, 6
+"""MAV_FRAME."""
+LOCAL_FRAMES = (LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED)
+GLOBAL_FRAMES = (GLOBAL, GLOBAL_RELATIVE, GLOBAL_INT, GLOBAL_RELATIVE_INT)
+_BODY = (BODY_NED, BODY_OFFSET_NED)
+_POSITION, _VELOCITY, _ACCELERATION, _FORCE, _YAW, _YAW_RATE = 0x007, 0x038, 0x1C0, 0x200, 0x400, 0x800
+METRES_PER_DEGREE = 111_319.5
+"""Of latitude, and of longitude at the equator: ArduPilot's flat earth around home."""
+FARTHEST_M = 5000.0
+"""A position further from the start than this is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """Where to look: at a heading in the world, rad, or turning at a rate, rad/s; neither holds the heading."""
+
+    yaw: float | None = None
+    rate: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class VelocityTarget:
+    """Fly at a velocity; it lapses after GUID_TIMEOUT."""
+
+    velocity: FloatArray
+    """(3,) world, m/s."""
+    heading: Heading
+    time: float
+    """When it came, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class PositionTarget:
+    """Fly to a place and stay there."""
+
+    position: FloatArray
+    """(3,) world, m."""
+    velocity: FloatArray
+    """(3,) world, m/s: fed forward, lapses after GUID_TIMEOUT."""
+    heading: Heading
+    time: float
+
+
+Target = VelocityTarget | PositionTarget
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """The origin of what the vehicle reports."""
+
+    position: FloatArray
+    """(3,) world, m."""
+    latitude: float
+    """degrees."""
+    longitude: float
+    altitude: float
+    """m above the sea."""
+
+    def to_local(self, world: FloatArray) -> FloatArray:
+        """A world position (3,) in m, north, east, down of here."""
+        return enu_to_ned(world - self.position)
+
+    def to_world(self, local: FloatArray) -> FloatArray:
+        """The inverse of `to_local`."""
+        return self.position + enu_to_ned(local)
+
+    def to_global(self, world: FloatArray) -> tuple[float, float, float]:
+        """Latitude and longitude in degrees, altitude in m above the sea, of a world position (3,)."""
+        north, east, down = (float(v) for v in self.to_local(world))
+        return (
+            self.latitude + north / METRES_PER_DEGREE,
+            self.longitude + east / (METRES_PER_DEGREE * math.cos(math.radians(self.latitude))),
+            self.altitude - down,
+        )
+
+    def from_global(self, latitude: float, longitude: float, above_home: float) -> FloatArray:
+        """World position (3,), m, of a place in degrees, and m above here."""
+        north = (latitude - self.latitude) * METRES_PER_DEGREE
+        east = (longitude - self.longitude) * METRES_PER_DEGREE * math.cos(math.radians(self.latitude))
+        return self.to_world(np.array([north, east, -above_home]))
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """The numbers of a message, as they came."""
+
+    frame: int
+    """MAV_FRAME."""
+    mask: int
+    """POSITION_TARGET_TYPEMASK."""
+    position: FloatArray
+    """(3,): m of north, east, down in a local frame; in a global one degrees, degrees, m up."""
+    velocity: FloatArray
+    """(3,) m/s: north, east, down; forward, right, down in a body frame."""
+    yaw: float
+    """rad, clockwise."""
+    yaw_rate: float
+    """rad/s, clockwise."""
+
+
+def decode(setpoint: Setpoint, state: DroneState, home: Home, time: float) -> Target | str:
+    """The target that a message stands for, or why it is none, in words.
+
+    Of position, velocity and acceleration one group counts as ignored when any of its three bits is set. Acceleration
+    alone, force, and frames that are not known are refused; beside a velocity, acceleration is left out.
+    """
+    with_position, with_velocity = not setpoint.mask & _POSITION, not setpoint.mask & _VELOCITY
+    if setpoint.frame not in LOCAL_FRAMES + GLOBAL_FRAMES:
+        return f"frame {setpoint.frame} is not supported"
+    if not (with_position or with_velocity):
+        return "a target needs a position or a velocity"
+    if setpoint.mask & _FORCE and not setpoint.mask & _ACCELERATION:
+        return "force targets are not supported"
+    heading_now = float(yaw_of(state.quaternion))
+    used = [setpoint.position] * with_position + [setpoint.velocity] * with_velocity
+    if not all(np.isfinite(values).all() for values in used):
+        return "a target is not a number"
+    heading = _heading(setpoint, heading_now)
+    if heading is None:
+        return "a heading is not a number"
+    velocity = _velocity(setpoint, heading_now) if with_velocity else np.zeros(3)
+    if not with_position:
+        return VelocityTarget(velocity, heading, time)
+    position = _position(setpoint, state.position, heading_now, home)
+    if position is None or float(np.abs(position - home.position).max()) > FARTHEST_M:
+        return f"a place must lie within {FARTHEST_M:g} m of home"
+    return PositionTarget(position, velocity, heading, time)
+
+
+def _heading(setpoint: Setpoint, now: float) -> Heading | None:
+    """Where to look; none where the message gives no number."""
+    rate = 0.0 if setpoint.mask & _YAW_RATE else setpoint.yaw_rate
+    if not math.isfinite(rate):
+        return None
+    if setpoint.mask & _YAW:
+        return Heading(rate=-rate)
+    if not math.isfinite(setpoint.yaw):
+        return None
+    yaw = now - setpoint.yaw if setpoint.frame in _BODY else compass_to_world(setpoint.yaw)
+    return Heading(float(wrap_angle(yaw)), -rate)
+
+
+def compass_to_world(yaw: float) -> float:
+    """A heading clockwise from north, rad, as one to the left from east; its own inverse."""
+    east, north, _ = enu_to_ned(np.array([math.cos(yaw), math.sin(yaw), 0.0]))
+    return math.atan2(north, east)
+
+
+def _velocity(setpoint: Setpoint, heading: float) -> FloatArray:
+    """(3,) world, m/s. A body-frame velocity is turned by the heading of now, once."""
+    if setpoint.frame in _BODY:
+        return rotate_yaw(flu_to_frd(setpoint.velocity), heading)
+    return enu_to_ned(setpoint.velocity)
+
+
+def _position(setpoint: Setpoint, here: FloatArray, heading: float, home: Home) -> FloatArray | None:
+    """(3,) world, m; none for a latitude or longitude that there is not."""
+    if setpoint.frame in _BODY:
+        return here + rotate_yaw(flu_to_frd(setpoint.position), heading)
+    if setpoint.frame == LOCAL_OFFSET_NED:
+        return here + enu_to_ned(setpoint.position)
+    if setpoint.frame == LOCAL_NED:
+        return home.to_world(setpoint.position)
+    latitude, longitude, height = (float(v) for v in setpoint.position)
+    if abs(latitude) > 90 or abs(longitude) > 180:
+        return None
+    relative = setpoint.frame in (GLOBAL_RELATIVE, GLOBAL_RELATIVE_INT)
+    return home.from_global(latitude, longitude, height if relative else height - home.altitude)
