@@ -1,0 +1,110 @@
+"""Velocities to the 256 bins on the last words of the vocabulary, and back; the statistics that scale them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cognitivedrone.errors import PolicyError, did_you_mean
+from cognitivedrone.models.openvla.config import ACTION_SIZE, WORDS
+from cognitivedrone.types import FloatArray
+
+BINS = 256
+EDGES: FloatArray = np.linspace(-1.0, 1.0, BINS)
+"""Between the bins; what lies below the first one is in the first bin."""
+CENTRES: FloatArray = (EDGES[:-1] + EDGES[1:]) / 2
+"""(255,): the last edge closes the last bin, so that ids `WORDS - 256` and `WORDS - 255` mean the same."""
+STILL = 1e-6
+"""A dimension whose quantiles are no further apart than this, m/s or rad/s, never moved."""
+
+Tokens: TypeAlias = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class ActionStatistics:
+    """Quantiles of the actions that a network was trained on: q01 is flown for -1, q99 for 1.
+
+    Raises `PolicyError` for what is not four finite numbers each, in order.
+    """
+
+    q01: tuple[float, ...]
+    """vx, vy, vz in m/s, yaw rate in rad/s."""
+    q99: tuple[float, ...]
+    mask: tuple[bool, ...] = (True,) * ACTION_SIZE
+    """Whether the network's answer in a dimension is scaled at all."""
+
+    def __post_init__(self) -> None:
+        for name, values in (("q01", self.q01), ("q99", self.q99), ("mask", self.mask)):
+            if len(values) != ACTION_SIZE:
+                raise PolicyError(
+                    f"{name} has {len(values)} numbers; a drone's action has {ACTION_SIZE}: vx, vy, vz, yaw rate."
+                    " Fine-tune the checkpoint on flights before you fly it"
+                )
+        low, high = np.asarray(self.q01), np.asarray(self.q99)
+        if not (np.isfinite(low).all() and np.isfinite(high).all() and (low <= high).all()):
+            raise PolicyError(f"q01 is {list(self.q01)} and q99 {list(self.q99)}; they must be finite, q01 <= q99")
+
+    def to_json(self) -> dict[str, Any]:
+        """As under `norm_stats.KEY.action` of a published `config.json`."""
+        return {"q01": list(self.q01), "q99": list(self.q99), "mask": list(self.mask)}
+
+    def normalise(self, actions: FloatArray) -> FloatArray:
+        """Actions (..., 4) as the network is trained on them, in [-1, 1]; 0 in a dimension that never moves."""
+        low, high, mask = self._arrays()
+        width = high - low
+        moving = width > STILL
+        scaled = np.clip(2.0 * (actions - low) / np.where(moving, width, 1.0) - 1.0, -1.0, 1.0)
+        scaled = np.where(moving, scaled, 0.0)
+        return np.asarray(np.where(mask, scaled, actions))
+
+    def flown(self, normalised: FloatArray) -> FloatArray:
+        """The network's answers (..., 4) in [-1, 1] as velocities; a dimension that never moves stays where it was."""
+        low, high, mask = self._arrays()
+        return np.asarray(np.where(mask, 0.5 * (normalised + 1.0) * (high - low) + low, normalised))
+
+    def _arrays(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+        return np.asarray(self.q01, np.float64), np.asarray(self.q99, np.float64), np.asarray(self.mask, np.bool_)
+
+
+def choose_statistics(norm_stats: Mapping[str, Any], key: str | None) -> tuple[str, ActionStatistics]:
+    """The statistics under `key`, or the only ones that there are.
+
+    Raises `PolicyError` where there are none, several and no key, an unknown key, or those of another robot.
+    """
+    if not norm_stats:
+        raise PolicyError(
+            "the checkpoint has no action statistics (norm_stats in config.json, or dataset_statistics.json beside it);"
+            " without them its answers have no unit"
+        )
+    if key is None and len(norm_stats) > 1:
+        raise PolicyError(
+            f"the checkpoint has the statistics of {len(norm_stats)} data sets; add unnorm_key=NAME,"
+            f" one of {', '.join(sorted(norm_stats)[:8])}{', ...' if len(norm_stats) > 8 else ''}"
+        )
+    key = key or next(iter(norm_stats))
+    if key not in norm_stats:
+        raise PolicyError(f"the checkpoint has no statistics {key!r}; {did_you_mean(key, norm_stats)}")
+    try:
+        told = norm_stats[key]["action"]
+        q01, q99 = (tuple(float(value) for value in told[name]) for name in ("q01", "q99"))
+        mask = tuple(bool(value) for value in told.get("mask", [True] * len(q01)))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise PolicyError(f"statistics {key!r} lack readable q01 and q99: {type(error).__name__} {error}") from None
+    try:
+        return key, ActionStatistics(q01, q99, mask)
+    except PolicyError as error:
+        raise PolicyError(f"statistics {key!r}: {error}") from None
+
+
+def to_tokens(normalised: FloatArray) -> Tokens:
+    """Ids of the words that stand for actions (..., 4) in [-1, 1]: `WORDS` - 1 for -1, `WORDS` - 256 for 1."""
+    return np.asarray(WORDS - np.digitize(np.clip(normalised, -1.0, 1.0), EDGES), dtype=np.int64)
+
+
+def from_tokens(tokens: Tokens) -> FloatArray:
+    """Bin centres of the ids (..., 4); a word that stands for no action counts as the nearest that does."""
+    return np.asarray(CENTRES[np.clip(WORDS - tokens - 1, 0, len(CENTRES) - 1)])

@@ -1,0 +1,199 @@
+"""A checkpoint's folder: everything that can be wrong with it is said here, before anything heavy is loaded.
+
+config.json                    published, or written by `weights.save`
+model.safetensors              or several with model.safetensors.index.json
+tokenizer.json                 Llama's
+preprocessor_config.json       may be missing: then the images are prepared as published
+dataset_statistics.json        may be missing: statistics of fine-tuning, beside those in config.json
+action_head.safetensors        of the parallel decoder, where config.json tells of a chunk
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from cognitivedrone.errors import PolicyError
+from cognitivedrone.models.openvla.actions import ActionStatistics, choose_statistics
+from cognitivedrone.models.openvla.config import Config, read_config
+from cognitivedrone.models.openvla.prepare import ImagePreparation, check_tokenizer, read_preparation
+from cognitivedrone.models.openvla.tensors import Shapes, check_tensors, head_tensors, unused_tensors, used_tensors
+
+Quantisation = Literal["none", "int8", "int4"]
+
+CONFIG = "config.json"
+WEIGHTS = "model.safetensors"
+INDEX = "model.safetensors.index.json"
+TOKENIZER = "tokenizer.json"
+PREPARATION = "preprocessor_config.json"
+STATISTICS = "dataset_statistics.json"
+HEAD = "action_head.safetensors"
+LARGEST_HEADER = 100_000_000
+"""Bytes that the format allows for the description of a file's tensors."""
+BYTES_PER_WEIGHT: dict[Quantisation, float] = {"none": 2.0, "int8": 1.0, "int4": 0.5 + 4 / 128}
+"""Of a matrix in a linear layer; in 4 bits every 128 weights share a scale and a zero of 2 bytes each."""
+_WORK = 0.04
+"""Room for activations, keys, values and workspaces, as a fraction of the weights."""
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """A folder that has been looked at."""
+
+    folder: Path
+    config: Config
+    files: Mapping[str, Path]
+    """Where each tensor of the network lies, by its published name."""
+    head: Path | None
+    """The file of the parallel decoder's head."""
+    stored_bytes: int
+    """Of each number in the files: 2 or 4."""
+    statistics_key: str
+    statistics: ActionStatistics
+    preparation: ImagePreparation
+    tokenizer: Path
+
+
+def inspect(folder: Path, unnorm_key: str | None = None) -> Checkpoint:
+    """A folder's checkpoint, read but for the weights themselves.
+
+    Raises `PolicyError` for a missing, unreadable or wrong file, a missing, extra or misshapen tensor, statistics that
+    are missing, ambiguous or another robot's, and a tokenizer that is not Llama's.
+    """
+    if not folder.is_dir():
+        raise PolicyError(f"there is no folder {folder}; give that of an OpenVLA checkpoint, with {CONFIG} in it")
+    told = _read_json(folder / CONFIG)
+    try:
+        config = read_config(told)
+        fine_tuned = _read_json(folder / STATISTICS) if (folder / STATISTICS).is_file() else {}
+        key, statistics = choose_statistics({**told.get("norm_stats", {}), **fine_tuned}, unnorm_key)
+        check_tokenizer(_read_json(folder / TOKENIZER), TOKENIZER)
+        prepared = folder / PREPARATION
+        preparation = read_preparation(_read_json(prepared)) if prepared.is_file() else ImagePreparation()
+    except PolicyError as error:
+        raise PolicyError(f"{folder}: {error}") from None
+    shapes, files, stored = _tensors(folder)
+    check_tensors(shapes, used_tensors(config), unused_tensors(config), str(folder))
+    return Checkpoint(
+        folder, config, files, _head(folder, config), stored, key, statistics, preparation, folder / TOKENIZER
+    )
+
+
+def needed_bytes(config: Config, quantisation: Quantisation, stored: int = 2) -> int:
+    """Memory that flying a network takes; `stored` are the bytes of each weight that is not quantised."""
+    total = 0.0
+    for name, shape in (used_tensors(config) | head_tensors(config)).items():
+        matrix = len(shape) == 2 and "embed" not in name and name.startswith("language_model.model")
+        each = BYTES_PER_WEIGHT[quantisation] if matrix and quantisation != "none" else stored
+        total += math.prod(shape) * each
+    return round(total * (1 + _WORK))
+
+
+def check_memory(needed: int, free: int, device: str) -> None:
+    """Raises `PolicyError` where a network does not fit."""
+    if needed <= free:
+        return
+    way_out = (
+        "quantise it (quant=int8 or quant=int4), or close what else runs on the GPU"
+        if device == "cuda"
+        else "fly it on a machine with a GPU (device=cuda), or fly the small model (--policy small)"
+    )
+    where = "GPU memory" if device == "cuda" else "memory"
+    raise PolicyError(f"the network needs {needed / 1e9:.1f} GB of {where}, has {free / 1e9:.1f} GB free; {way_out}")
+
+
+def free_memory() -> int:
+    """Bytes of the host's memory that a new process may take."""
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) * 1024
+    except OSError:  # not a Linux
+        pass
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def read_header(path: Path) -> dict[str, Any]:
+    """What a safetensors file tells of its tensors, without them; raises `PolicyError` for a file that is none.
+
+    The format: eight bytes of length (little endian), then JSON with `dtype`, `shape` and `data_offsets` by name.
+    """
+    try:
+        with path.open("rb") as file:
+            size = int.from_bytes(file.read(8), "little")
+            text = file.read(size) if 2 <= size <= LARGEST_HEADER else b""
+            held = path.stat().st_size - 8 - size
+        header: dict[str, Any] = json.loads(text)
+        header.pop("__metadata__", None)
+        end = max((int(entry["data_offsets"][1]) for entry in header.values()), default=0)
+    except OSError as error:
+        raise PolicyError(f"{path}: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError):
+        raise PolicyError(f"{path} is not a safetensors file; if it is a pointer of Git LFS, fetch the file") from None
+    if held != end:
+        raise PolicyError(f"{path} is cut off: it holds {held} bytes of tensors, not {end}; copy it again")
+    return header
+
+
+def _tensors(folder: Path) -> tuple[Shapes, dict[str, Path], int]:
+    """Shapes and files of all tensors by published name, and the bytes of each number."""
+    index = folder / INDEX
+    if index.is_file():
+        placed = _read_json(index).get("weight_map")
+        if not isinstance(placed, dict) or not placed:
+            raise PolicyError(f"{index} has no weight_map; copy it again")
+        names = sorted({str(name) for name in placed.values()})
+    elif (folder / WEIGHTS).is_file():
+        names = [WEIGHTS]
+    else:
+        raise PolicyError(f"{folder} has neither {WEIGHTS} nor {INDEX}; download the checkpoint's *.safetensors too")
+    if any(Path(name).name != name for name in names):
+        raise PolicyError(f"{index} names a file outside of its folder; copy it again")
+    absent = [name for name in names if not (folder / name).is_file()]
+    if absent:
+        raise PolicyError(f"{folder} lacks {', '.join(absent[:4])}, which its index names; download them too")
+    shapes: Shapes = {}
+    files: dict[str, Path] = {}
+    sizes = {"BF16": 2, "F16": 2, "F32": 4}
+    stored = 2
+    for name in names:
+        for tensor, entry in read_header(folder / name).items():
+            if tensor in shapes:
+                raise PolicyError(f"{folder}: {tensor} lies in both {files[tensor].name} and {name}")
+            if entry.get("dtype") not in sizes:
+                raise PolicyError(
+                    f"{folder / name}: {tensor} is {entry.get('dtype')}; it should be one of {list(sizes)}"
+                )
+            stored = max(stored, sizes[entry["dtype"]])
+            shapes[tensor] = tuple(entry["shape"])
+            files[tensor] = folder / name
+    return shapes, files, stored
+
+
+def _head(folder: Path, config: Config) -> Path | None:
+    """The checked file of the parallel decoder's head, where there is to be one."""
+    if config.chunk is None:
+        return None
+    path = folder / HEAD
+    if not path.is_file():
+        raise PolicyError(f"{folder} lacks {HEAD}, and its {CONFIG} tells of chunks of {config.chunk} actions")
+    shapes = {name: tuple(entry["shape"]) for name, entry in read_header(path).items()}
+    check_tensors(shapes, head_tensors(config), {}, str(path))
+    return path
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise PolicyError(f"{path}: {error.strerror}; the folder of a whole OpenVLA checkpoint has it") from None
+    except ValueError:
+        raise PolicyError(f"{path} is not JSON; if it is a pointer of Git LFS, fetch the file") from None
+    if not isinstance(told, dict):
+        raise PolicyError(f"{path} is not a JSON object")
+    return told

@@ -1,0 +1,175 @@
+"""The sizes of an OpenVLA, and the published `config.json` that tells them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from cognitivedrone.errors import PolicyError
+
+IMAGE = 224
+"""Height and width of what the towers see, pixels."""
+PATCH = 14
+"""Height and width of a patch, pixels."""
+PATCHES = (IMAGE // PATCH) ** 2
+ACTION_SIZE = 4
+"""vx, vy, vz, yaw rate."""
+WORDS = 32_000
+"""Pieces of Llama's tokenizer; the embedding has 64 rows more, for padding."""
+PADDING = 32_000
+"""Id of the padding token."""
+KEY = "cognitivedrone"
+"""Of what our own checkpoints say in `config.json` beside the published keys."""
+
+
+@dataclass(frozen=True, slots=True)
+class TowerSize:
+    """One vision transformer. The last of its `depth` blocks exists in checkpoints and is never run."""
+
+    width: int
+    depth: int
+    heads: int
+    hidden: int
+    """Width inside the two-layer perceptron of a block."""
+    registers: int | None = None
+    """Register tokens, which stand beside a class token; none for a tower without either."""
+    layer_scale: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class LanguageSize:
+    """The Llama. The defaults are those of Llama-2-7B as published OpenVLA configurations imply them."""
+
+    hidden_size: int = 4096
+    intermediate_size: int = 11008
+    num_hidden_layers: int = 32
+    num_attention_heads: int = 32
+    num_key_value_heads: int = 32
+    vocab_size: int = 32_064
+    max_position_embeddings: int = 2048
+    rms_norm_eps: float = 1e-6
+    rope_theta: float = 10_000.0
+
+
+DINO = TowerSize(width=1024, depth=24, heads=16, hidden=4096, registers=4, layer_scale=True)
+"""DINOv2 ViT-L/14 with registers (Darcet et al. 2023, arXiv 2309.16588)."""
+SIGLIP = TowerSize(width=1152, depth=27, heads=16, hidden=4304)
+"""SigLIP So400m/14 (Zhai et al. 2023, arXiv 2303.15343)."""
+PUBLISHED_TOWERS = {
+    "vit_large_patch14_reg4_dinov2.lvd142m": DINO,
+    "vit_so400m_patch14_siglip_224": SIGLIP,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """Both towers, the Llama, and what our own checkpoints add."""
+
+    dino: TowerSize = DINO
+    siglip: TowerSize = SIGLIP
+    language: LanguageSize = LanguageSize()
+    chunk: int | None = None
+    """Actions that the parallel decoder's head gives at once; none for a checkpoint without that head."""
+
+    @property
+    def vision_width(self) -> int:
+        """Of a patch's features, from both towers."""
+        return self.dino.width + self.siglip.width
+
+
+def tiny_config(chunk: int | None = None) -> Config:
+    """The same architecture in small, of 2.3 million weights, for tests; two million are the vocabulary's."""
+    return Config(
+        dino=TowerSize(width=48, depth=3, heads=4, hidden=192, registers=4, layer_scale=True),
+        siglip=TowerSize(width=36, depth=3, heads=4, hidden=134),
+        language=LanguageSize(
+            hidden_size=32, intermediate_size=88, num_hidden_layers=3, num_attention_heads=4, num_key_value_heads=4
+        ),
+        chunk=chunk,
+    )
+
+
+def read_config(told: Mapping[str, Any]) -> Config:
+    """The sizes that a `config.json` tells; raises `PolicyError` for another architecture."""
+    expected = {
+        "model_type": "openvla",
+        "arch_specifier": "no-align+fused-gelu-mlp",
+        "image_resize_strategy": "resize-naive",
+        "n_action_bins": 256,
+    }
+    for key, value in expected.items():
+        if told.get(key) != value:
+            raise PolicyError(f"config.json: {key} is {told.get(key)!r}; an OpenVLA-7B that can be flown has {value!r}")
+    own = told.get(KEY, {})
+    try:
+        dino, siglip = _towers(told, own)
+        config = Config(dino, siglip, _language(told["text_config"]), own.get("chunk"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise PolicyError(f"config.json does not describe an OpenVLA: {type(error).__name__} {error}") from None
+    _check(config)
+    return config
+
+
+def write_config(config: Config, norm_stats: Mapping[str, Any]) -> dict[str, Any]:
+    """What `read_config` reads, with the published keys where there are such, and the statistics of actions."""
+    language = asdict(config.language)
+    return {
+        "model_type": "openvla",
+        "arch_specifier": "no-align+fused-gelu-mlp",
+        "image_resize_strategy": "resize-naive",
+        "image_sizes": [IMAGE, IMAGE],
+        "n_action_bins": 256,
+        "pad_token_id": PADDING,
+        "pad_to_multiple_of": config.language.vocab_size - WORDS,
+        "timm_model_ids": list(PUBLISHED_TOWERS),
+        "use_fused_vision_backbone": True,
+        "text_config": {"model_type": "llama", **language},
+        "norm_stats": dict(norm_stats),
+        KEY: {"towers": [asdict(config.dino), asdict(config.siglip)], "chunk": config.chunk},
+    }
+
+
+def with_chunk(config: Config, chunk: int | None) -> Config:
+    """The same sizes with another head for the parallel decoder, or none."""
+    return replace(config, chunk=chunk)
+
+
+def _towers(told: Mapping[str, Any], own: Mapping[str, Any]) -> tuple[TowerSize, TowerSize]:
+    if "towers" in own:
+        dino, siglip = (TowerSize(**tower) for tower in own["towers"])
+        return dino, siglip
+    names = list(told["timm_model_ids"])
+    if names != list(PUBLISHED_TOWERS):
+        raise ValueError(f"timm_model_ids are {names}, not {list(PUBLISHED_TOWERS)}")
+    return DINO, SIGLIP
+
+
+def _language(told: Mapping[str, Any]) -> LanguageSize:
+    known = asdict(LanguageSize())
+    given = {key: told[key] for key in known if told.get(key) is not None}
+    if "num_key_value_heads" not in given and "num_attention_heads" in given:
+        given["num_key_value_heads"] = given["num_attention_heads"]
+    nested = told.get("rope_parameters") or {}
+    return LanguageSize(**{**given, **({"rope_theta": nested["rope_theta"]} if "rope_theta" in nested else {})})
+
+
+def _check(config: Config) -> None:
+    """Raises `PolicyError` for sizes that no network can have."""
+    language = config.language
+    sizes = {
+        "dino.width / heads": config.dino.width / config.dino.heads,
+        "siglip.width / heads": config.siglip.width / config.siglip.heads,
+        "hidden_size / num_attention_heads": language.hidden_size / language.num_attention_heads,
+        "num_attention_heads / num_key_value_heads": language.num_attention_heads / language.num_key_value_heads,
+    }
+    for name, value in sizes.items():
+        if value <= 0 or not math.isclose(value, round(value)):
+            raise PolicyError(f"config.json: {name} is {value:g}; it must be a whole number above 0")
+    if min(config.dino.depth, config.siglip.depth) < 2:
+        raise PolicyError("config.json: a tower has fewer than 2 blocks; the second-to-last one is read")
+    if language.vocab_size < WORDS:
+        raise PolicyError(f"config.json: vocab_size is {language.vocab_size}; Llama's words alone are {WORDS}")
+    if config.chunk is not None and not 1 <= config.chunk <= 100:
+        raise PolicyError(f"config.json: {KEY}.chunk is {config.chunk}; it is 1 to 100 actions")

@@ -1,0 +1,174 @@
+"""One control step of the network: image and prompt to normalised actions.
+
+Two ways: word by word with a static cache of keys and values, as the published model was trained; or all numbers of a
+chunk at once. Either is one function of tensors with fixed shapes, without a look at a value on the way, so that a GPU
+can record it once as a CUDA graph and replay it without the host. To keep the shapes fixed, prompts are padded at
+the right to a few lengths; neither the padding nor the place of the patches changes an answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Literal, Protocol, TypeAlias
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from cognitivedrone.models.openvla.actions import from_tokens
+from cognitivedrone.models.openvla.config import ACTION_SIZE, PADDING, PATCHES
+from cognitivedrone.models.openvla.network import OpenVlaNetwork
+from cognitivedrone.types import FloatArray
+
+DecoderName = Literal["ar", "parallel"]
+LENGTHS = (32, 64, 128, 256, 512, 1024)
+"""That prompts are padded to, in tokens."""
+
+Step: TypeAlias = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""`pixel_values` (1, 6, 224, 224), padded `input_ids` (1, T), their true number (1,) to the step's answer."""
+
+
+class Decoder(Protocol):
+    """A way to get actions out of the network."""
+
+    def __call__(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> FloatArray:
+        """An image (6, 224, 224) and a prompt's ids to actions (k, 4), k >= 1, normalised to [-1, 1]."""
+        ...
+
+
+class Autoregressive:
+    """One action, word by word: the most probable of all words each time."""
+
+    def __init__(self, network: OpenVlaNetwork, *, compiled: bool = False) -> None:
+        self._runner = Runner(lambda *inputs: greedy_tokens(network, *inputs), network, compiled=compiled)
+
+    def __call__(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> FloatArray:
+        """See `Decoder`."""
+        return from_tokens(self.tokens(pixel_values, input_ids))[None]
+
+    def tokens(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+        """Ids (4,) of the words that the network answers."""
+        answer: np.ndarray[tuple[int], np.dtype[np.int64]] = self._runner(pixel_values, input_ids).cpu().numpy()
+        return answer
+
+
+class Parallel:
+    """A chunk of actions in one pass, by the network's action head; raises `ValueError` for one without."""
+
+    def __init__(self, network: OpenVlaNetwork, *, compiled: bool = False) -> None:
+        if network.action_head is None:
+            raise ValueError("this network has no action head")
+        self._runner = Runner(lambda *inputs: chunk_actions(network, *inputs), network, compiled=compiled)
+
+    def __call__(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> FloatArray:
+        """See `Decoder`."""
+        answer: FloatArray = self._runner(pixel_values, input_ids).float().clamp(-1.0, 1.0).cpu().numpy()
+        return answer
+
+
+def greedy_tokens(network: OpenVlaNetwork, pixel_values: Tensor, input_ids: Tensor, count: Tensor) -> Tensor:
+    """A `Step`: the ids (4,) of the most probable words, one after the other."""
+    embedded = network.embed(input_ids, pixel_values)
+    length = embedded.shape[1]
+    memory = KeyValues(network, embedded, length + ACTION_SIZE - 1)
+    places = torch.arange(length + ACTION_SIZE - 1, device=embedded.device)
+    states = network.states(embedded, None, memory=memory)
+    following = count + PATCHES  # the place of the next word; in the cache it overwrites padding
+    token = network.language_model.lm_head(states.index_select(1, following - 1)).argmax(-1)
+    tokens = [token]
+    for _ in range(ACTION_SIZE - 1):
+        memory.place = following
+        embedded = network.language_model.model.embed_tokens(token)
+        states = network.states(embedded, (places <= following)[None, None, None], following[None], memory)
+        token = network.language_model.lm_head(states).argmax(-1)
+        tokens.append(token)
+        following = following + 1
+    return torch.cat(tokens, dim=1)[0]
+
+
+def chunk_actions(network: OpenVlaNetwork, pixel_values: Tensor, input_ids: Tensor, count: Tensor) -> Tensor:
+    """A `Step`: normalised actions (k, 4) of the action head."""
+    known = torch.arange(input_ids.shape[1], device=input_ids.device) < count
+    return network.chunk_actions(input_ids, pixel_values, known[None].long())[0]
+
+
+class KeyValues:
+    """Keys and values of every layer, at places that never move."""
+
+    def __init__(self, network: OpenVlaNetwork, like: Tensor, places: int) -> None:
+        size = network.config.language
+        shape = (
+            size.num_hidden_layers,
+            1,
+            size.num_key_value_heads,
+            places,
+            size.hidden_size // size.num_attention_heads,
+        )
+        # Zeros, since what is masked is still multiplied by its weight of zero.
+        self._keys, self._values = like.new_zeros(shape), like.new_zeros(shape)
+        self.place: Tensor | None = None
+        """Where the next token goes, (1,); none for the first many, which go to the beginning."""
+
+    def update(self, keys: Tensor, values: Tensor, layer: int) -> tuple[Tensor, Tensor]:
+        """Keep a layer's keys and values (1, heads, tokens, width); returns those that are to be attended to."""
+        if self.place is None:
+            count = keys.shape[2]
+            self._keys[layer, :, :, :count], self._values[layer, :, :, :count] = keys, values
+            return keys, values
+        self._keys[layer].index_copy_(2, self.place, keys)
+        self._values[layer].index_copy_(2, self.place, values)
+        return self._keys[layer], self._values[layer]
+
+
+class Runner:
+    """Runs a `Step` where the network is: on a GPU as a CUDA graph, recorded once for each length of prompts."""
+
+    def __init__(self, step: Step, network: OpenVlaNetwork, *, compiled: bool = False) -> None:
+        self._weight = network.projector.fc1.bias
+        self._longest = (
+            network.config.language.max_position_embeddings - PATCHES - ACTION_SIZE * (network.config.chunk or 1)
+        )
+        self._step: Step = torch.compile(step, dynamic=False, fullgraph=True) if compiled else step
+        self._graphs: dict[int, Graph] = {}
+
+    def __call__(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> Tensor:
+        """The step's answer for an image (6, 224, 224) and a prompt; raises `ValueError` for a prompt too long."""
+        if len(input_ids) > self._longest:
+            raise ValueError(f"the prompt has {len(input_ids)} tokens; there is room for {self._longest}")
+        padded = min(next(length for length in (*LENGTHS, len(input_ids)) if length >= len(input_ids)), self._longest)
+        ids = [*input_ids, *[PADDING] * (padded - len(input_ids))]
+        inputs = (
+            torch.as_tensor(pixel_values)[None].to(self._weight.device, self._weight.dtype),
+            torch.tensor([ids], device=self._weight.device),
+            torch.tensor([len(input_ids)], device=self._weight.device),
+        )
+        with torch.inference_mode():
+            if self._weight.device.type != "cuda":
+                return self._step(*inputs)
+            if padded not in self._graphs:
+                self._graphs[padded] = Graph(self._step, inputs)
+            return self._graphs[padded](*inputs)
+
+
+class Graph:
+    """A `Step` recorded as a CUDA graph: replaying it costs the host one launch, whatever the number of kernels."""
+
+    def __init__(self, step: Step, inputs: tuple[Tensor, Tensor, Tensor]) -> None:
+        self._inputs = tuple(value.clone() for value in inputs)
+        # Libraries pick their kernels and take their workspaces in the first runs, which must not be recorded.
+        aside: torch.cuda.Stream = torch.cuda.Stream()  # type: ignore[no-untyped-call]
+        aside.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(aside):
+            for _ in range(2):
+                step(*self._inputs)
+        torch.cuda.current_stream().wait_stream(aside)
+        self._graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(self._graph):
+            self._answer = step(*self._inputs)
+
+    def __call__(self, *inputs: Tensor) -> Tensor:
+        """The step's answer; the next call overwrites it."""
+        for kept, value in zip(self._inputs, inputs, strict=True):
+            kept.copy_(value)
+        self._graph.replay()
+        return self._answer

@@ -1,0 +1,201 @@
+"""Towers, projector and Llama in one network. B images, T tokens of text, P = 256 patches, S = T + P, W the words."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from functools import partial
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F  # noqa: N812
+from torch.utils.checkpoint import checkpoint
+from transformers import LlamaConfig, LlamaForCausalLM
+
+from cognitivedrone.models.openvla.config import ACTION_SIZE, PADDING, PATCHES, Config
+from cognitivedrone.models.openvla.tensors import HEAD_BLOCKS
+from cognitivedrone.models.openvla.vision import Vision
+
+IGNORED = -100
+"""The label of a token that is not to be predicted."""
+
+
+class Prediction(NamedTuple):
+    """What the network says of the next words."""
+
+    logits: Tensor
+    """(B, S, W) or, where labels were given, (N, W) for the N labelled tokens alone, in order."""
+    loss: Tensor | None
+    """Mean cross-entropy over the labelled tokens, ()."""
+    targets: Tensor | None
+    """(N,) labels, in the order of the logits."""
+
+
+class OpenVlaNetwork(nn.Module):
+    """The network. A freshly made one has random weights."""
+
+    def __init__(self, config: Config) -> None:
+        super().__init__()
+        self.config = config
+        self.vision = Vision(config)
+        self.projector = Projector(config.vision_width, config.language.hidden_size)
+        self.language_model: Any = LlamaForCausalLM(_llama_config(config))
+        self.checkpointing = False
+        """Whether training recomputes each layer instead of keeping what is inside."""
+        self.action_head = None if config.chunk is None else ActionHead(config.language.hidden_size)
+
+    def forward(
+        self,
+        input_ids: Tensor,
+        pixel_values: Tensor,
+        attention_mask: Tensor | None = None,
+        labels: Tensor | None = None,
+    ) -> Prediction:
+        """Logits and, with labels, the loss.
+
+        `input_ids` (B, T) int64 with padding at the right, if any; `pixel_values` (B, 6, 224, 224);
+        `attention_mask` (B, T), 0 where there is padding; `labels` (B, T), `IGNORED` where nothing is asked. With
+        labels, only the words that matter are scored: the vocabulary is wide, and an action has few words.
+        """
+        states = self.states(self.embed(input_ids, pixel_values), _causal(attention_mask))
+        if labels is None:
+            return Prediction(self.language_model.lm_head(states), None, None)
+        following = F.pad(_with_patches(labels, IGNORED)[:, 1:], (0, 1), value=IGNORED)
+        asked = following != IGNORED
+        logits, targets = self.language_model.lm_head(states[asked]), following[asked]
+        return Prediction(logits, F.cross_entropy(logits.float(), targets), targets)
+
+    def chunk_actions(self, input_ids: Tensor, pixel_values: Tensor, attention_mask: Tensor | None = None) -> Tensor:
+        """All actions of a chunk at once, (B, k, 4), normalised; for networks with an `action_head`.
+
+        In the manner of OpenVLA-OFT (Kim et al. 2025, arXiv 2502.19645): empty tokens stand for the numbers that are
+        asked for, every token attends to every other, and the head regresses; trained by the L1 distance.
+        """
+        chunk, head = self.config.chunk, self.action_head
+        if chunk is None or head is None:
+            raise ValueError("this network has no action head; make it from a configuration with a chunk")
+        known = self.embed(input_ids, pixel_values)
+        batch, length, width = known.shape
+        asked = chunk * ACTION_SIZE
+        mask = torch.ones_like(input_ids) if attention_mask is None else attention_mask
+        seen = F.pad(_with_patches(mask, 1), (0, asked), value=1)
+        # The numbers follow the last word, whatever padding lies between.
+        last = length - (mask == 0).sum(1, keepdim=True)
+        positions = torch.arange(length, device=known.device).expand(batch, -1)
+        positions = torch.cat([positions, last + torch.arange(asked, device=known.device)], dim=1)
+        states = self.states(
+            torch.cat([known, known.new_zeros(batch, asked, width)], dim=1), seen.bool()[:, None, None], positions
+        )
+        answers: Tensor = head(states[:, length:].reshape(batch, chunk, ACTION_SIZE * width))
+        return answers
+
+    def embed(self, input_ids: Tensor, pixel_values: Tensor) -> Tensor:
+        """Tokens (B, T) and images (B, 6, 224, 224) to (B, S, width): the patches follow the first token."""
+        words = self.language_model.model.embed_tokens(input_ids)
+        patches = self.projector(self.vision(pixel_values.to(words.dtype)))
+        return torch.cat([words[:, :1], patches, words[:, 1:]], dim=1)
+
+    def states(
+        self, embedded: Tensor, mask: Tensor | None, positions: Tensor | None = None, memory: Any = None
+    ) -> Tensor:
+        """Llama's layers and its last norm: (B, S, width) to the same.
+
+        `mask` (B, 1, S or 1, keys) bool says what is attended to; without one, attention is causal. `positions`
+        (B, S) int64 are 0 to S - 1 unless told. `memory` keeps keys and values: its `update(keys, values, layer)`
+        returns those to attend to.
+        """
+        llama = self.language_model.model
+        if positions is None:
+            positions = torch.arange(embedded.shape[1], device=embedded.device)[None]
+        rotation = llama.rotary_emb(embedded, position_ids=positions)
+        for layer in llama.layers:
+            run = partial(layer, attention_mask=mask, position_embeddings=rotation, past_key_values=memory)
+            if self.checkpointing and self.training and torch.is_grad_enabled():
+                embedded = checkpoint(run, embedded, use_reentrant=False)
+            else:
+                embedded = run(embedded)
+        result: Tensor = llama.norm(embedded)
+        return result
+
+    def enable_checkpointing(self) -> None:
+        """From now on training recomputes each block and layer on the way back: less memory, a third more time."""
+        self.checkpointing = self.vision.dino.checkpointing = self.vision.siglip.checkpointing = True
+
+
+class Projector(nn.Module):
+    """Three layers from the towers' features to words of Llama's."""
+
+    def __init__(self, vision: int, words: int) -> None:
+        super().__init__()
+        self.fc1 = nn.Linear(vision, 4 * vision)
+        self.fc2 = nn.Linear(4 * vision, words)
+        self.fc3 = nn.Linear(words, words)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(B, P, both towers' widths) to (B, P, Llama's width)."""
+        result: Tensor = self.fc3(F.gelu(self.fc2(F.gelu(self.fc1(features)))))
+        return result
+
+
+class ActionHead(nn.Module):
+    """The states of an action's four tokens to its four numbers: a perceptron with residual blocks."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.norm = nn.LayerNorm(ACTION_SIZE * width)
+        self.enter = nn.Linear(ACTION_SIZE * width, width)
+        self.blocks = nn.ModuleList(HeadBlock(width) for _ in range(HEAD_BLOCKS))
+        self.leave_norm = nn.LayerNorm(width)
+        self.leave = nn.Linear(width, ACTION_SIZE)
+
+    def forward(self, states: Tensor) -> Tensor:
+        """(B, k, 4 x Llama's width) to (B, k, 4)."""
+        inner = F.relu(self.enter(self.norm(states)))
+        for block in self.blocks:
+            inner = block(inner)
+        result: Tensor = self.leave(self.leave_norm(inner))
+        return result
+
+
+class HeadBlock(nn.Module):
+    """One layer beside a residual."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.norm = nn.LayerNorm(width)
+        self.linear = nn.Linear(width, width)
+
+    def forward(self, inner: Tensor) -> Tensor:
+        """(B, k, width) to the same."""
+        result: Tensor = inner + F.relu(self.linear(self.norm(inner)))
+        return result
+
+
+def _llama_config(config: Config) -> Any:
+    sizes = asdict(config.language)
+    theta = sizes.pop("rope_theta")
+    make: Any = LlamaConfig  # its signature lacks what the base class takes
+    return make(
+        **sizes,
+        rope_parameters={"rope_type": "default", "rope_theta": theta},
+        pad_token_id=PADDING if config.language.vocab_size > PADDING else None,
+        use_cache=False,
+        tie_word_embeddings=False,
+        attn_implementation="sdpa",
+    )
+
+
+def _with_patches(per_token: Tensor, value: int) -> Tensor:
+    """(B, T) to (B, S): `value` for the patches, which follow the first token."""
+    patches = per_token.new_full((len(per_token), PATCHES), value)
+    return torch.cat([per_token[:, :1], patches, per_token[:, 1:]], dim=1)
+
+
+def _causal(attention_mask: Tensor | None) -> Tensor | None:
+    """Who attends to whom, (B, 1, S, S), where some rows have padding; none, that is causal, where none has."""
+    if attention_mask is None:
+        return None
+    seen = _with_patches(attention_mask, 1).bool()
+    length = seen.shape[1]
+    causal = torch.ones(length, length, dtype=torch.bool, device=seen.device).tril()
+    return causal & seen[:, None, None]

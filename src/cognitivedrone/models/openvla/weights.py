@@ -1,0 +1,157 @@
+"""Tensors from a checkpoint's files to a network, and back; weight-only quantisation."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from cognitivedrone.errors import MissingExtra
+from cognitivedrone.models.openvla.actions import ActionStatistics
+from cognitivedrone.models.openvla.checkpoint import (
+    CONFIG,
+    HEAD,
+    INDEX,
+    PREPARATION,
+    TOKENIZER,
+    WEIGHTS,
+    Checkpoint,
+    Quantisation,
+)
+from cognitivedrone.models.openvla.config import Config, write_config
+from cognitivedrone.models.openvla.network import OpenVlaNetwork
+from cognitivedrone.models.openvla.tensors import head_tensors, own_name, published_name, used_tensors
+
+HEAD_PREFIX = "action_head."
+SHARD_BYTES = 5_000_000_000
+"""Largest file that `save` writes."""
+
+
+def empty_network(config: Config) -> OpenVlaNetwork:
+    """A network without memory for its weights, on the meta device."""
+    with torch.device("meta"):
+        return OpenVlaNetwork(config)
+
+
+def random_network(
+    config: Config, device: str | torch.device = "cpu", dtype: torch.dtype = torch.float32, seed: int = 0
+) -> OpenVlaNetwork:
+    """A network with small random weights, made where it is to run: for tests and for measuring."""
+    network = empty_network(config).to(dtype).to_empty(device=device)
+    generator = torch.Generator(device).manual_seed(seed)
+    with torch.no_grad():
+        for name, values in network.named_parameters():
+            if name.endswith(".bias"):
+                values.zero_()
+            elif values.ndim == 1:  # factors of norms and scales
+                values.fill_(1.0)
+            else:
+                values.normal_(std=0.02, generator=generator)
+    _give_rotation(network, device)
+    return network.eval()
+
+
+def load(
+    checkpoint: Checkpoint, device: str | torch.device, dtype: torch.dtype, quantisation: Quantisation = "none"
+) -> OpenVlaNetwork:
+    """The network of a checkpoint, with one copy of each tensor, straight to where it is to run.
+
+    A network to be quantised is read on the host, and each layer moves when it has become small. Raises
+    `MissingExtra` for quantisation without torchao.
+    """
+    reading = torch.device("cpu") if quantisation != "none" else torch.device(device)
+    network = empty_network(checkpoint.config)
+    wanted = used_tensors(checkpoint.config)
+    state: dict[str, Tensor] = {}
+    for path in sorted(set(checkpoint.files.values())):
+        names = [name for name in wanted if checkpoint.files[name] == path]
+        state |= {own_name(name): value for name, value in _read(path, names, reading, dtype).items()}
+    if checkpoint.head is not None:
+        head = _read(checkpoint.head, list(head_tensors(checkpoint.config)), reading, dtype)
+        state |= {HEAD_PREFIX + name: value for name, value in head.items()}
+    network.load_state_dict(state, strict=True, assign=True)
+    network.eval()
+    quantise(network, quantisation, device)
+    _give_rotation(network, device)
+    return network.to(device)
+
+
+def save(network: OpenVlaNetwork, folder: Path, statistics: Mapping[str, ActionStatistics], base: Path) -> None:
+    """Write a checkpoint that `checkpoint.inspect` takes, in the published names.
+
+    `base` is the folder whose tokenizer and image preparation it shares. Tensors that are never used are left out.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in (TOKENIZER, PREPARATION):
+        if (base / name).is_file() and base.resolve() != folder.resolve():
+            shutil.copyfile(base / name, folder / name)
+    everything = {name: value.detach().contiguous().cpu() for name, value in network.state_dict().items()}
+    head = {
+        name.removeprefix(HEAD_PREFIX): everything.pop(name)
+        for name in list(everything)
+        if name.startswith(HEAD_PREFIX)
+    }
+    if head:
+        save_file(head, folder / HEAD)
+    _save_sharded({published_name(name): value for name, value in everything.items()}, folder)
+    told = write_config(network.config, {key: {"action": values.to_json()} for key, values in statistics.items()})
+    (folder / CONFIG).write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+
+
+def quantise(network: OpenVlaNetwork, quantisation: Quantisation, device: str | torch.device) -> None:
+    """Make the matrices of Llama's layers small, on `device`; what is multiplied with them stays as it is.
+
+    The towers, the projector and the words keep their numbers: they are a seventh of the weights.
+    Raises `MissingExtra` where torchao is not installed.
+    """
+    if quantisation == "none":
+        return
+    if importlib.util.find_spec("torchao") is None:
+        raise MissingExtra("torchao", "openvla")
+    library: Any = importlib.import_module("torchao.quantization")
+    config = library.Int8WeightOnlyConfig() if quantisation == "int8" else library.Int4WeightOnlyConfig(group_size=128)
+    library.quantize_(network.language_model.model.layers, config, device=device)
+
+
+def _read(path: Path, names: list[str], device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
+    with safe_open(str(path), framework="pt", device=str(device)) as file:
+        return {name: file.get_tensor(name).to(dtype) for name in names}
+
+
+def _save_sharded(tensors: dict[str, Tensor], folder: Path) -> None:
+    """One file, or several of `SHARD_BYTES` at most and their index."""
+    shards: list[dict[str, Tensor]] = [{}]
+    held = 0
+    for name, value in tensors.items():
+        if shards[-1] and held + value.nbytes > SHARD_BYTES:
+            shards.append({})
+            held = 0
+        shards[-1][name] = value
+        held += value.nbytes
+    metadata = {"format": "pt"}
+    if len(shards) == 1:
+        save_file(tensors, folder / WEIGHTS, metadata)
+        return
+    placed: dict[str, str] = {}
+    for number, shard in enumerate(shards, 1):
+        file = f"model-{number:05d}-of-{len(shards):05d}.safetensors"
+        save_file(shard, folder / file, metadata)
+        placed |= dict.fromkeys(shard, file)
+    index = {"metadata": {"total_size": sum(value.nbytes for value in tensors.values())}, "weight_map": placed}
+    (folder / INDEX).write_text(json.dumps(index, indent=2) + "\n", encoding="utf-8")
+
+
+def _give_rotation(network: OpenVlaNetwork, device: str | torch.device) -> None:
+    """The rotary embedding's frequencies: no file has them, and on the meta device they were never computed."""
+    llama: Any = network.language_model.model
+    rotation: nn.Module = type(llama.rotary_emb)(config=llama.config)
+    llama.rotary_emb = rotation.to(device)

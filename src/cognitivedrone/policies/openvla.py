@@ -1,0 +1,138 @@
+"""OpenVLA-7B as a policy: a checkpoint with an action of four numbers, flown on a GPU, or a small one on the host."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+import numpy as np
+
+from cognitivedrone.errors import MissingExtra, NonFiniteAction, PolicyError, did_you_mean
+from cognitivedrone.models.openvla import checkpoint as checkpoints
+from cognitivedrone.models.openvla.checkpoint import Checkpoint, Quantisation
+from cognitivedrone.models.openvla.prepare import prompt, prompt_ids, read_encoder
+from cognitivedrone.types import IMAGE_SIZE, ActionChunk, Observation
+
+if TYPE_CHECKING:
+    from cognitivedrone.models.openvla.decode import Decoder, DecoderName
+
+_SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
+_VALUES: dict[str, tuple[str, ...]] = {
+    "decoder": ("ar", "parallel"),
+    "quant": get_args(Quantisation),
+    "device": ("cuda", "cpu"),
+    "unnorm_key": (),
+}
+"""What each option may be; empty where it may be anything."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What "PATH,decoder=ar|parallel,quant=none|int8|int4,device=cuda|cpu,unnorm_key=NAME" says."""
+
+    folder: Path
+    decoder: DecoderName = "ar"
+    quant: Quantisation = "none"
+    device: str | None = None
+    """None: a GPU where there is one."""
+    unnorm_key: str | None = None
+
+
+class OpenVla:
+    """Flies an OpenVLA checkpoint: `argument` is the folder's path and options, see `Options`.
+
+    Every decision depends on its observation alone. Raises `PolicyError` for an argument or a checkpoint that does not
+    do, or a machine it does not fit on, before the weights are loaded, and `MissingExtra`.
+    """
+
+    def __init__(self, argument: str | None = None) -> None:
+        self.options = read_options(argument)
+        self.checkpoint = checkpoints.inspect(self.options.folder, self.options.unnorm_key)
+        if self.options.decoder == "parallel" and self.checkpoint.head is None:
+            raise PolicyError(
+                f"{self.options.folder} has no head for decoder=parallel; use decoder=ar, or fine-tune it in chunks"
+            )
+        self._decode = _decoder(self.options, self.checkpoint)
+        self._encode = read_encoder(self.checkpoint.tokenizer)
+        self._text: str | None = None
+        self._ids: list[int] = []
+
+    def reset(self, instruction: str) -> None:
+        """Take a new instruction; raises `PolicyError` for one that is empty or too long."""
+        self._listen(instruction)
+
+    def act(self, observation: Observation) -> ActionChunk:
+        """Commands (k, 4) by the observation's own instruction: one, or those of the parallel decoder's chunk.
+
+        Raises `PolicyError` for an instruction as in `reset`, or an image that is not uint8 (256, 256, 3), and
+        `NonFiniteAction` where the network's answer is not finite.
+        """
+        image = observation.image
+        if image.dtype != np.uint8 or image.shape != _SHAPE:
+            raise PolicyError(f"OpenVLA is flown by images of uint8 {_SHAPE}; what came is {image.dtype} {image.shape}")
+        if observation.instruction != self._text:
+            self._listen(observation.instruction)
+        answer = self._decode(self.checkpoint.preparation.pixel_values(image), self._ids)
+        if not np.isfinite(answer).all():
+            raise NonFiniteAction(f"the network answered {answer[0].tolist()} to {self._text!r}")
+        return self.checkpoint.statistics.flown(answer).astype(np.float32)
+
+    def _listen(self, text: str) -> None:
+        prompt(text)
+        self._ids = prompt_ids(self._encode, text)
+        self._text = text
+
+
+def read_options(argument: str | None) -> Options:
+    """The options of "PATH,name=value,..."; raises `PolicyError` where there is no path or an option does not do."""
+    path, *pairs = (part.strip() for part in (argument or "").split(","))
+    if not path or path.partition("=")[0] in _VALUES:
+        raise PolicyError("policy 'openvla' needs a checkpoint's folder first, as in openvla:PATH,decoder=ar")
+    given: dict[str, Any] = {}
+    for pair in pairs:
+        name, _, value = (piece.strip() for piece in pair.partition("="))
+        if name not in _VALUES:
+            raise PolicyError(f"policy 'openvla' has no option {name!r}; {did_you_mean(name, _VALUES)}")
+        if name in given:
+            raise PolicyError(f"policy 'openvla': option {name!r} is given twice")
+        if not value or (_VALUES[name] and value not in _VALUES[name]):
+            choice = " or ".join(_VALUES[name]) or "a name"
+            raise PolicyError(f"policy 'openvla': {name}={value}; it is {choice}")
+        given[name] = value
+    return Options(Path(path).expanduser(), **given)
+
+
+def _decoder(options: Options, checkpoint: Checkpoint) -> Decoder:
+    """The loaded network behind its decoder, when it is known to fit."""
+    torch = _import("torch")
+    for package in ("transformers", "safetensors", "tokenizers"):
+        _import(package)
+    has_gpu = torch.cuda.is_available()
+    device = options.device or ("cuda" if has_gpu else "cpu")
+    stored = 2 if device == "cuda" else checkpoint.stored_bytes
+    needed = checkpoints.needed_bytes(checkpoint.config, options.quant, stored)
+    if device == "cuda" and not has_gpu:
+        raise PolicyError(
+            f"device=cuda: this machine has no GPU that PyTorch can use, and the network needs {needed / 1e9:.1f} GB of"
+            " GPU memory; fly it with device=cpu, slowly, or on another machine"
+        )
+    free = torch.cuda.mem_get_info()[0] if device == "cuda" else checkpoints.free_memory()
+    checkpoints.check_memory(needed, free, device)
+
+    from cognitivedrone.models.openvla.decode import Autoregressive, Parallel
+    from cognitivedrone.models.openvla.weights import load
+
+    dtype = torch.float32 if stored == 4 else torch.bfloat16
+    network = load(checkpoint, device, dtype, options.quant)
+    # Small weights become quick only where they are unpacked inside the multiplication, which takes a compiler.
+    compiled = device == "cuda" and options.quant != "none"
+    return (Parallel if options.decoder == "parallel" else Autoregressive)(network, compiled=compiled)
+
+
+def _import(package: str) -> Any:
+    try:
+        return importlib.import_module(package)
+    except ModuleNotFoundError as error:
+        raise MissingExtra(str(error.name or package), "openvla") from None

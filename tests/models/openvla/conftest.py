@@ -1,0 +1,15 @@
+"""Shared pieces of the tests of OpenVLA."""
+
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def made_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tiny checkpoint with a head for chunks of 5. For reading only."""
+    pytest.importorskip("torch")
+    pytest.importorskip("transformers")
+    from openvla_files import write_checkpoint
+
+    return write_checkpoint(tmp_path_factory.mktemp("openvla"), chunk=5)

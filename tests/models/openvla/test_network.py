@@ -1,0 +1,156 @@
+"""The network and its decoders, on random weights: what must hold whatever they are."""
+
+import copy
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("transformers")
+
+from cognitivedrone.models.openvla.config import PATCHES, tiny_config  # noqa: E402
+from cognitivedrone.models.openvla.decode import Autoregressive, Parallel, greedy_tokens  # noqa: E402
+from cognitivedrone.models.openvla.network import IGNORED  # noqa: E402
+from cognitivedrone.models.openvla.weights import random_network  # noqa: E402
+
+IDS = [1, 512, 29_901, 1724, 3158, 881, 278, 29_871]
+
+
+def some_pixels(seed=0, count=1):
+    return np.random.default_rng(seed).normal(size=(count, 6, 224, 224)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def network():
+    made = random_network(tiny_config(chunk=3), seed=1).requires_grad_(False)
+    # Larger weights, so that the answer depends on the inputs and not on the last word alone.
+    for name, values in made.named_parameters():
+        if values.ndim > 1:
+            values.mul_(8.0 if "language_model" in name else 2.0)
+    return made
+
+
+def uncached(network, pixels, ids):
+    """Four words by whole passes through the network, without any cache or padding."""
+    ids = list(ids)
+    for _ in range(4):
+        ids.append(int(network(torch.tensor([ids]), torch.from_numpy(pixels)).logits[0, -1].argmax()))
+    return ids[-4:]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_cache_and_the_padding_change_no_word(network, seed):
+    pixels = some_pixels(seed)
+    ids = [*IDS, *np.random.default_rng(seed).integers(100, 31_000, 3 + 20 * seed).tolist()]
+    decode = Autoregressive(network)
+    assert decode.tokens(pixels[0], ids).tolist() == uncached(network, pixels, ids)
+
+
+def test_the_words_depend_on_the_image_and_on_the_prompt(network):
+    decode = Autoregressive(network)
+    answers = {tuple(decode.tokens(some_pixels(seed)[0], IDS)) for seed in range(3)}
+    answers |= {tuple(decode.tokens(some_pixels(0)[0], [*IDS, extra])) for extra in (500, 900)}
+    assert len(answers) >= 4
+
+
+def test_a_step_is_one_function_of_tensors_without_a_look_at_a_value(network):
+    # What a GPU records as one graph must trace without a break; the eager backend runs what was traced.
+    step = torch.compile(
+        lambda *inputs: greedy_tokens(network, *inputs), backend="eager", dynamic=False, fullgraph=True
+    )
+    inputs = (torch.from_numpy(some_pixels()), torch.tensor([IDS]), torch.tensor([len(IDS)]))
+    with torch.inference_mode():
+        assert step(*inputs).tolist() == greedy_tokens(network, *inputs).tolist()
+
+
+def test_padding_changes_no_chunk(network):
+    pixels = torch.from_numpy(some_pixels())
+    alone = network.chunk_actions(torch.tensor([IDS]), pixels)
+    ids = torch.tensor([[*IDS, 32_000, 32_000]])
+    padded = network.chunk_actions(ids, pixels, (ids != 32_000).long())
+    assert alone.shape == (1, 3, 4)
+    assert torch.allclose(alone, padded, atol=1e-5)
+    decoded = Parallel(network)(some_pixels()[0], IDS)
+    assert np.allclose(decoded, alone[0].clamp(-1, 1), atol=1e-5)
+
+
+def test_every_number_of_a_chunk_sees_the_last_word_and_every_other_number(network):
+    pixels = torch.from_numpy(some_pixels())
+    first, other = (network.chunk_actions(torch.tensor([[*IDS[:-1], last]]), pixels) for last in (29_871, 500))
+    assert ((first - other).abs() > 1e-7).all()
+
+
+def test_a_network_without_a_head_has_no_chunks():
+    plain = random_network(tiny_config())
+    with pytest.raises(ValueError, match="no action head"):
+        Parallel(plain)
+    with pytest.raises(ValueError, match="no action head"):
+        plain.chunk_actions(torch.tensor([IDS]), torch.from_numpy(some_pixels()))
+
+
+def test_a_prompt_without_room_is_refused(network):
+    with pytest.raises(ValueError, match=r"3000 tokens; there is room for 1780"):
+        Autoregressive(network).tokens(some_pixels()[0], [1] * 3000)
+
+
+def batch():
+    """Two rows of different length, padded at the right, with five labelled words each."""
+    rows = [[*IDS, 31_800, 31_850, 31_900, 31_750, 2], [*IDS, 400, 29_871, 31_801, 31_851, 31_901, 31_751, 2]]
+    longest = max(map(len, rows))
+    ids = torch.tensor([row + [32_000] * (longest - len(row)) for row in rows])
+    labels = torch.full_like(ids, IGNORED)
+    for index, row in enumerate(rows):
+        labels[index, len(row) - 5 : len(row)] = torch.tensor(row[-5:])
+    return ids, torch.from_numpy(some_pixels(count=2)), (ids != 32_000).long(), labels
+
+
+def test_the_loss_of_a_batch_is_the_mean_of_its_rows(network):
+    ids, pixels, mask, labels = batch()
+    together = network(ids, pixels, mask, labels).loss
+    lengths = mask.sum(1).tolist()
+    apart = [
+        network(ids[i : i + 1, :n], pixels[i : i + 1], labels=labels[i : i + 1, :n]).loss for i, n in enumerate(lengths)
+    ]
+    assert together.item() == pytest.approx(float(np.mean([loss.item() for loss in apart])), abs=1e-4)
+
+
+def test_the_labelled_words_are_scored_by_the_place_before_them(network):
+    ids, pixels, mask, labels = batch()
+    everything = network(ids, pixels, mask)
+    scored = network(ids, pixels, mask, labels)
+    assert scored.targets.tolist() == [31_800, 31_850, 31_900, 31_750, 2, 31_801, 31_851, 31_901, 31_751, 2]
+    place = PATCHES + len(IDS) - 1
+    assert torch.allclose(scored.logits[0], everything.logits[0, place], atol=1e-4)
+
+
+def gradients(network):
+    network.requires_grad_(True).train()
+    ids, pixels, mask, labels = batch()
+    network(ids, pixels, mask, labels).loss.backward()
+    return {name: value.grad for name, value in network.named_parameters() if "action_head" not in name}
+
+
+def test_checkpointing_changes_no_gradient(network):
+    plain, checkpointed = copy.deepcopy(network), copy.deepcopy(network)
+    checkpointed.enable_checkpointing()
+    expected, found = gradients(plain), gradients(checkpointed)
+    assert all(value is not None for value in expected.values())
+    for name, value in expected.items():
+        assert torch.allclose(found[name], value, rtol=1e-3, atol=1e-5), name
+
+
+def test_steps_downhill_learn_words_and_chunks():
+    network = random_network(tiny_config(chunk=2)).train()
+    ids, pixels, mask, labels = batch()
+    optimizer = torch.optim.AdamW(network.parameters(), lr=1e-2)
+    wanted = torch.tensor([0.5, -0.5, 0.2, 0.0]).expand(2, 2, 4)
+    losses = []
+    for _ in range(4):
+        loss = network(ids, pixels, mask, labels).loss
+        distance = (network.chunk_actions(ids, pixels, mask) - wanted).abs().mean()
+        optimizer.zero_grad()
+        (loss + distance).backward()
+        optimizer.step()
+        losses.append((loss.item(), distance.item()))
+    assert losses[-1][0] < losses[0][0] - 1
+    assert losses[-1][1] < 0.7 * losses[0][1]
