@@ -1,0 +1,234 @@
+"""Cameras of drones: always the newest frame, with its age, as the first-person view that policies know.
+
+`open_camera` takes
+
+| source | what it is |
+|---|---|
+| a folder | its images in the order of their names, at `rate_hz` |
+| a video file | at its own pace |
+| `/dev/videoN` | a camera of this machine (Video4Linux) |
+| `rtsp://`, `rtsps://`, `http://`, `https://`, `udp://`, `tcp://`, `srt://` | a stream |
+
+All of it is read by PyAV, which is part of the base install; OpenCV is not needed. A thread reads what a source gives
+and keeps the last frame alone, so that a slow policy sees what is, not what was.
+
+Field of view: frames are cropped to their middle square and resized to 256x256. The simulated camera sees 1.85 rad
+(106 degrees) in both directions; `cropped_fov` tells what is left of a camera's own. One that sees much less shows
+gates larger and nearer than a policy has learned: choose a wide lens.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import av
+import numpy as np
+from PIL import Image as Pictures
+from PIL import UnidentifiedImageError
+
+from cognitivedrone.errors import CognitiveDroneError
+from cognitivedrone.types import IMAGE_SIZE, Image
+
+STREAMS = ("rtsp://", "rtsps://", "http://", "https://", "udp://", "tcp://", "srt://")
+PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp"})
+AtEnd = Literal["loop", "end"]
+
+
+class CameraError(CognitiveDroneError):
+    """A camera that cannot be opened, has gone silent, or has come to its end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """A frame and how old it is."""
+
+    image: Image
+    """(256, 256, 3) uint8 RGB."""
+    time: float
+    """When it was received, of `time.monotonic`, s; what the camera and the network took before is not known."""
+    age_s: float
+    """At the moment of reading."""
+
+
+class Camera(Protocol):
+    """Something that sees."""
+
+    def read(self) -> Shot:
+        """The newest frame; raises `CameraError` where there is none, or none will come any more."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the source."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class CameraConfig:
+    """How a source is read."""
+
+    rate_hz: float = 10.0
+    """Of the images of a folder."""
+    at_end: AtEnd = "end"
+    """What folders and files do when they are over: begin again, or raise `CameraError`."""
+    silence_s: float = 3.0
+    """A stream or device that gives no frame for as long as this is taken for broken."""
+    open_s: float = 10.0
+    """To open a source and get its first frame."""
+
+
+def open_camera(source: str, config: CameraConfig | None = None) -> Camera:
+    """The camera for a source as in this module's table; raises `CameraError`."""
+    config = config or CameraConfig()
+    if source.startswith(STREAMS):
+        return VideoCamera(source, config, live=True)
+    if source.startswith("/dev/"):
+        if not Path(source).exists():
+            known = ", ".join(sorted(str(p) for p in Path("/dev").glob("video*"))) or "none"
+            raise CameraError(f"there is no camera {source}; cameras of this machine: {known}")
+        return VideoCamera(source, config, live=True, container="v4l2")
+    path = Path(source)
+    if path.is_dir():
+        return FolderCamera(path, config)
+    if not path.is_file():
+        raise CameraError(
+            f"there is no camera {source!r}: expected a folder of images, a video file, /dev/videoN, or a URL such as"
+            " rtsp://HOST/PATH"
+        )
+    return VideoCamera(source, config, live=False)
+
+
+def fit(image: Image) -> Image:
+    """The middle square of an (H, W, 3) image, resized to (256, 256, 3)."""
+    height, width = image.shape[:2]
+    side = min(height, width)
+    top, left = (height - side) // 2, (width - side) // 2
+    square = image[top : top + side, left : left + side]
+    if side == IMAGE_SIZE:
+        return np.ascontiguousarray(square)
+    resized = Pictures.fromarray(np.ascontiguousarray(square)).resize((IMAGE_SIZE, IMAGE_SIZE), Pictures.Resampling.BOX)
+    return np.asarray(resized)
+
+
+def cropped_fov(horizontal_fov: float, width: int, height: int) -> float:
+    """Field of view, rad, of the middle square of an undistorted image of `horizontal_fov` over its width."""
+    return 2 * math.atan(math.tan(horizontal_fov / 2) * min(width, height) / width)
+
+
+class FolderCamera:
+    """The images of a folder in the order of their names; the first one at the first reading, the rest on time."""
+
+    def __init__(self, folder: Path, config: CameraConfig) -> None:
+        self._files = sorted(file for file in folder.iterdir() if file.suffix.lower() in PICTURES)
+        if not self._files:
+            raise CameraError(f"{folder} has no image ({', '.join(sorted(PICTURES))})")
+        self._config = config
+        self._start: float | None = None
+        self._shown: tuple[int, Image] = (0, _picture(self._files[0]))
+
+    def read(self) -> Shot:
+        """The image whose turn it is."""
+        now = time.monotonic()
+        self._start = now if self._start is None else self._start
+        turn = int((now - self._start) * self._config.rate_hz)
+        if turn >= len(self._files) and self._config.at_end == "end":
+            raise CameraError(f"the {len(self._files)} images of {self._files[0].parent} are over")
+        index = turn % len(self._files)
+        if index != self._shown[0]:
+            self._shown = (index, _picture(self._files[index]))
+        since = self._start + turn / self._config.rate_hz
+        return Shot(self._shown[1], since, now - since)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class VideoCamera:
+    """A video file, a stream or a device, read by a thread that keeps the newest frame.
+
+    `live` sources give frames when they have them, and may fall silent; files are paced by their time stamps and end.
+    """
+
+    def __init__(self, source: str, config: CameraConfig, *, live: bool, container: str | None = None) -> None:
+        self._source, self._config, self._live, self._container = source, config, live, container
+        self._news = threading.Condition()
+        self._stopping = threading.Event()
+        self._newest: tuple[Image, float] | None = None
+        self._over: str | None = None
+        self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+        self._thread.start()
+        with self._news:
+            self._news.wait_for(lambda: self._newest is not None or self._over is not None, config.open_s)
+            newest, over = self._newest, self._over
+        if newest is None:
+            self._stopping.set()
+            raise CameraError(over or f"{source} gave no frame within {config.open_s:g} s")
+
+    def read(self) -> Shot:
+        """The newest frame."""
+        with self._news:
+            newest, over = self._newest, self._over
+        if over is not None or newest is None:
+            raise CameraError(over or f"{self._source} gave no frame")
+        image, received = newest
+        age = time.monotonic() - received
+        if self._live and age > self._config.silence_s:
+            raise CameraError(f"{self._source} has given no frame for {age:.1f} s; is it still connected?")
+        return Shot(image, received, age)
+
+    def close(self) -> None:
+        """Let go of the source; a read that blocks meanwhile ends by its own time limit."""
+        self._stopping.set()
+        self._thread.join(timeout=1.0)
+
+    def _run(self) -> None:
+        try:
+            frames = self._frames()
+            for image in frames:
+                with self._news:
+                    self._newest = (image, time.monotonic())
+                    self._news.notify_all()
+            why = f"{self._source} is over" if not self._live else f"{self._source} was closed by the other side"
+        except (av.error.FFmpegError, OSError, ValueError) as error:
+            why = f"cannot read {self._source}: {error}"
+        with self._news:
+            self._over = why
+            self._news.notify_all()
+
+    def _frames(self) -> Iterator[Image]:
+        """Frames when they are due, until the end or until closed."""
+        while True:
+            begin: float | None = None
+            with self._open() as container:
+                if not container.streams.video:
+                    raise ValueError("there is no video in it")
+                for frame in container.decode(video=0):
+                    if not self._live:
+                        now, due = time.monotonic(), float(frame.time or 0.0)
+                        begin = now - due if begin is None else begin
+                        if self._stopping.wait(max(0.0, begin + due - now)):
+                            return
+                    if self._stopping.is_set():
+                        return
+                    yield fit(frame.to_ndarray(format="rgb24"))
+            if begin is None or self._config.at_end == "end":
+                return
+
+    def _open(self) -> Any:
+        # The options of FFmpeg's demuxers: no queue of old frames, and TCP, over which no half frames come.
+        options = {"fflags": "nobuffer", "rtsp_transport": "tcp"} if self._source.startswith("rtsp") else {}
+        timeout = (self._config.open_s, self._config.silence_s) if self._live else None
+        return av.open(self._source, format=self._container, options=options, timeout=timeout)
+
+
+def _picture(file: Path) -> Image:
+    try:
+        with Pictures.open(file) as picture:
+            return fit(np.asarray(picture.convert("RGB")))
+    except (OSError, UnidentifiedImageError) as error:
+        raise CameraError(f"cannot read the image {file}: {error}") from None

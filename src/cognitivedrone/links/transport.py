@@ -1,0 +1,182 @@
+"""Bytes to and from a vehicle: UDP, TCP or a serial port, named by one URL. Knows nothing of MAVLink's messages.
+
+| URL | what it is |
+|---|---|
+| `udp:HOST:PORT`, `udpin:HOST:PORT` | listen there; answer to whoever the vehicle turns out to be |
+| `udpout:HOST:PORT` | send there first, as to a router that listens |
+| `tcp:HOST:PORT` | connect |
+| `serial:DEVICE[:BAUD]` | a serial port or USB cable, 57600 baud unless said |
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import select
+import socket
+from collections.abc import Hashable
+from typing import Any, Protocol
+
+from cognitivedrone.errors import CognitiveDroneError, MissingExtra, did_you_mean
+
+KINDS = ("udp", "udpin", "udpout", "tcp", "serial")
+LARGEST_READ = 65_536
+
+
+class LinkError(CognitiveDroneError):
+    """A vehicle that cannot be reached, refuses, or is not one that can be flown."""
+
+
+class Transport(Protocol):
+    """A way to a vehicle."""
+
+    datagrams: bool
+    """Whether each read is one datagram, whole in itself, or a piece of a stream."""
+
+    def read(self, timeout_s: float) -> tuple[bytes, Hashable]:
+        """What has come, waiting at most so long (b"" if nothing), and whom it is from; `LinkError` if it is cut."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send, or drop it where there is nobody yet; raises `LinkError` where the link is cut."""
+        ...
+
+    def answer_to(self, peer: Hashable) -> None:
+        """Send to this one from now on."""
+        ...
+
+    def close(self) -> None:
+        """Hang up."""
+        ...
+
+
+def open_transport(url: str, *, timeout_s: float = 5.0) -> Transport:
+    """The transport for a URL; raises `LinkError` for a URL, host, port or device that does not do."""
+    kind, _, rest = url.partition(":")
+    if kind not in KINDS or not rest:
+        raise LinkError(f"cannot read the link {url!r}: expected {FORMS}; {did_you_mean(kind, KINDS)}")
+    if kind == "serial":
+        device, _, baud = rest.partition(":")
+        if not (baud or "57600").isdecimal():
+            raise LinkError(f"cannot read the link {url!r}: the baud rate {baud!r} is not a number")
+        return _Serial(device, int(baud or 57600))
+    host, _, port = rest.rpartition(":")
+    if not host or not port.isdecimal() or not 0 <= int(port) < 65_536:
+        raise LinkError(f"cannot read the link {url!r}: expected {kind}:HOST:PORT, such as {kind}:127.0.0.1:14550")
+    address = (host, int(port))
+    try:
+        if kind == "tcp":
+            return _Tcp(address, timeout_s)
+        return _Udp(bind=None, peer=address) if kind == "udpout" else _Udp(bind=address, peer=None)
+    except OSError as error:
+        what = "connect to" if kind == "tcp" else "open"
+        raise LinkError(f"cannot {what} {url}: {error.strerror or error}; is the port right, and free?") from None
+
+
+FORMS = "udp:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE[:BAUD]"
+
+
+class _Udp:
+    datagrams = True
+
+    def __init__(self, *, bind: tuple[str, int] | None, peer: tuple[str, int] | None) -> None:
+        # Resolved once: a name server has no place between a command and the vehicle.
+        self._peer: Any = (socket.gethostbyname(peer[0]), peer[1]) if peer else None
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            if bind is not None:
+                self._socket.bind(bind)
+        except OSError:
+            self._socket.close()
+            raise
+        self._socket.setblocking(False)
+
+    def read(self, timeout_s: float) -> tuple[bytes, Hashable]:
+        try:
+            if select.select([self._socket], [], [], timeout_s)[0]:
+                return self._socket.recvfrom(LARGEST_READ)
+        except ConnectionError:
+            pass  # nobody listens there yet: the answer of an earlier send
+        return b"", None
+
+    def write(self, data: bytes) -> None:
+        if self._peer is None:
+            return
+        # UDP promises nothing: what matters is whether anything comes back, and its age is watched.
+        with contextlib.suppress(OSError):
+            self._socket.sendto(data, self._peer)
+
+    def answer_to(self, peer: Hashable) -> None:
+        self._peer = peer
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _Tcp:
+    datagrams = False
+
+    def __init__(self, address: tuple[str, int], timeout_s: float) -> None:
+        self._socket = socket.create_connection(address, timeout=timeout_s)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._where = f"tcp:{address[0]}:{address[1]}"
+
+    def read(self, timeout_s: float) -> tuple[bytes, Hashable]:
+        if not select.select([self._socket], [], [], timeout_s)[0]:
+            return b"", None
+        try:
+            data = self._socket.recv(LARGEST_READ)
+        except OSError as error:
+            raise LinkError(f"the link {self._where} was cut: {error.strerror or error}") from None
+        if not data:
+            raise LinkError(f"the link {self._where} was closed by the other side")
+        return data, None
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._socket.sendall(data)
+        except OSError as error:
+            raise LinkError(f"the link {self._where} was cut: {error.strerror or error}") from None
+
+    def answer_to(self, peer: Hashable) -> None:
+        pass
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _Serial:
+    datagrams = False
+
+    def __init__(self, device: str, baud: int) -> None:
+        try:
+            serial = importlib.import_module("serial")
+        except ModuleNotFoundError:
+            raise MissingExtra("pyserial", "mavlink") from None
+        self._device = device
+        try:
+            self._port = serial.Serial(device, baud, timeout=0, write_timeout=1.0)
+        except (OSError, ValueError) as error:
+            raise LinkError(f"cannot open the serial port {device}: {error}") from None
+
+    def read(self, timeout_s: float) -> tuple[bytes, Hashable]:
+        try:
+            if not select.select([self._port.fileno()], [], [], timeout_s)[0]:
+                return b"", None
+            data = bytes(self._port.read(LARGEST_READ))
+        # pyserial meets a port that vanished with several of these; its own error is an OSError.
+        except (OSError, TypeError, ValueError) as error:
+            raise LinkError(f"the serial port {self._device} has gone: {error}") from None
+        return data, None
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._port.write(data)
+        except (OSError, TypeError, ValueError) as error:
+            raise LinkError(f"the serial port {self._device} has gone: {error}") from None
+
+    def answer_to(self, peer: Hashable) -> None:
+        pass
+
+    def close(self) -> None:
+        self._port.close()
