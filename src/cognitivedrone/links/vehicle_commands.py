@@ -16,7 +16,6 @@ from cognitivedrone.links.vehicle_parameters import Parameters
 from cognitivedrone.links.vehicle_reports import REPORTS, Snapshot
 from cognitivedrone.links.vehicle_targets import (
     GLOBAL_FRAMES,
-    GLOBAL_RELATIVE_INT,
     LOCAL_FRAMES,
     Heading,
     PositionTarget,
@@ -47,13 +46,21 @@ class Vehicle(Protocol):
     parameters: Parameters
     modes: FlightModes
 
-    def state(self) -> DroneState: ...
+    def state(self) -> DroneState:
+        """True state."""
+        ...
 
-    def say(self, severity: Severity, text: str) -> None: ...
+    def say(self, severity: Severity, text: str) -> None:
+        """STATUSTEXT to everybody."""
+        ...
 
-    def snapshot(self) -> Snapshot: ...
+    def snapshot(self) -> Snapshot:
+        """What reports tell of now."""
+        ...
 
-    def send_parameter(self, peer: Any, name: str) -> None: ...
+    def send_parameter(self, peer: Any, name: str) -> None:
+        """PARAM_VALUE."""
+        ...
 
 
 class Commands:

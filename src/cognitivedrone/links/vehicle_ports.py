@@ -9,7 +9,7 @@ import contextlib
 import socket
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 from cognitivedrone.errors import RunError, did_you_mean
 
@@ -70,7 +70,9 @@ class Port(Protocol):
         """To wait on until something comes."""
         ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Release the address."""
+        ...
 
 
 def open_port(end: Endpoint) -> Port:
@@ -217,7 +219,6 @@ class TcpPort:
             connection.close()
 
 
-def _address(raw: object) -> Address:
+def _address(raw: Any) -> Address:
     """The host and port of a socket address of either IP version."""
-    assert isinstance(raw, tuple)
     return str(raw[0]), int(raw[1])

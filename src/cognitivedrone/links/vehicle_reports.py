@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from cognitivedrone.errors import MissingExtra
-from cognitivedrone.frames import enu_to_ned, flu_to_frd, rotation_matrix
+from cognitivedrone.frames import enu_to_ned, flu_to_frd
+from cognitivedrone.links.ned import ned_euler, ned_quaternion
 from cognitivedrone.links.vehicle_modes import Mode
 from cognitivedrone.links.vehicle_targets import Home, PositionTarget, Target, VelocityTarget
 from cognitivedrone.types import DroneState, FloatArray
@@ -23,7 +24,7 @@ _EKF_HEALTHY = 0x33F  # attitude, velocities, positions, predictions: as a healt
 
 
 def dialect() -> Any:
-    """pymavlink's module of ArduPilot's messages; raises `MissingExtra` where it is not installed."""
+    """The module of ArduPilot's messages in pymavlink; raises `MissingExtra` where it is not installed."""
     try:
         return importlib.import_module("pymavlink.dialects.v20.ardupilotmega")
     except ModuleNotFoundError:
@@ -61,16 +62,9 @@ class Snapshot:
         return enu_to_ned(self.state.velocity)
 
     @property
-    def attitude(self) -> FloatArray:
-        """(3, 3) from body FRD to NED."""
-        return flu_to_frd(enu_to_ned(rotation_matrix(self.state.quaternion).T).T)
-
-    @property
     def euler(self) -> tuple[float, float, float]:
         """Roll, pitch and yaw, rad, in aerospace signs."""
-        m = self.attitude
-        pitch = -math.asin(min(1.0, max(-1.0, float(m[2, 0]))))
-        return math.atan2(m[2, 1], m[2, 2]), pitch, math.atan2(m[1, 0], m[0, 0])
+        return ned_euler(self.state.quaternion)
 
     @property
     def course_cdeg(self) -> int:
@@ -86,24 +80,6 @@ class Snapshot:
     def flying(self) -> bool:
         """Off the ground."""
         return not self.landed
-
-
-def quaternion_of(matrix: FloatArray) -> FloatArray:
-    """(4,) w, x, y, z with w >= 0 of a rotation matrix (3, 3)."""
-    # The largest of the four squares is far from zero, whatever the rotation.
-    trace = float(np.trace(matrix))
-    squares = [1 + trace, *(1 + 2 * float(matrix[i, i]) - trace for i in range(3))]
-    largest = int(np.argmax(squares))
-    (a, b, c), (d, e, f), (g, h, i) = matrix
-    rows = (
-        (squares[0], h - f, c - g, d - b),
-        (h - f, squares[1], b + d, c + g),
-        (c - g, b + d, squares[2], f + h),
-        (d - b, c + g, f + h, squares[3]),
-    )
-    q = np.array(rows[largest], dtype=np.float64)
-    q /= np.linalg.norm(q)
-    return q if q[0] >= 0 else -q
 
 
 def _heartbeat(m: Any, s: Snapshot) -> Any:
@@ -122,7 +98,7 @@ def _attitude(m: Any, s: Snapshot) -> Any:
 
 def _attitude_quaternion(m: Any, s: Snapshot) -> Any:
     return m.MAVLink_attitude_quaternion_message(
-        s.boot_ms, *map(float, quaternion_of(s.attitude)), *map(float, s.rates_frd)
+        s.boot_ms, *map(float, ned_quaternion(s.state.quaternion)), *map(float, s.rates_frd)
     )
 
 
@@ -246,7 +222,7 @@ def _target(m: Any, s: Snapshot) -> Any:
     )
 
 
-def _version(m: Any, s: Snapshot) -> Any:
+def _version(m: Any, _s: Snapshot) -> Any:
     capabilities = (
         m.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
         | m.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
