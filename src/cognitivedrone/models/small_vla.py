@@ -96,6 +96,22 @@ class Block(nn.Module):
         return F.relu(self.norm2(self.second(y)) + shortcut)
 
 
+def sight(channels: tuple[int, int, int, int], glimpse: int, embedding: int) -> nn.Sequential:
+    """What reads glimpses: from (n, 3, glimpse, glimpse), about -2 to 2, to (n, embedding)."""
+    c1, c2, c3, c4 = channels
+    return nn.Sequential(
+        nn.Conv2d(3, c1, 4, 2, 1, bias=False),
+        nn.BatchNorm2d(c1),
+        nn.ReLU(),
+        Block(c1, c2, 2),
+        Block(c2, c2),
+        Block(c2, c3, 2),
+        Block(c3, c4, 2),
+        nn.Flatten(),
+        nn.Linear(c4 * (glimpse // 16) ** 2, embedding),
+    )
+
+
 class TextLayer(nn.Module):
     """A pre-norm transformer layer. Attention is written out: on sequences this short it is faster than fused ones."""
 
@@ -200,18 +216,7 @@ class SmallVLA(nn.Module):
         self.heat = nn.Conv2d(third, 2, 1)
         self.place = nn.Linear(third, GEOMETRY)
         self.board_place = nn.Linear(third, BOARD)
-        s1, s2, s3, s4 = config.sight
-        self.sight = nn.Sequential(
-            nn.Conv2d(3, s1, 4, 2, 1, bias=False),
-            nn.BatchNorm2d(s1),
-            nn.ReLU(),
-            Block(s1, s2, 2),
-            Block(s2, s2),
-            Block(s2, s3, 2),
-            Block(s3, s4, 2),
-            nn.Flatten(),
-            nn.Linear(s4 * (config.glimpse // 16) ** 2, config.embedding),
-        )
+        self.sight = sight(config.sight, config.glimpse, config.embedding)
         self.gate_embedding = nn.Linear(third, config.embedding)
         self.prior = nn.Sequential(nn.Linear(third + GEOMETRY + STATE, 64), nn.ReLU(), nn.Linear(64, 1))
         self.nowhere = nn.Sequential(nn.Linear(third + STATE, 64), nn.ReLU(), nn.Linear(64, 1))
@@ -271,9 +276,9 @@ class SmallVLA(nn.Module):
         board = _box(slots.board_cell, seen.board_geometry.float(), self.cells)
         return torch.cat([gates, board[:, None]], dim=1)
 
-    def read(self, image: Tensor, boxes: Boxes) -> Tensor:
-        """Embeddings (B, m, E) of what `boxes` (B, m, 3) of the image (B, 3, 256, 256) show."""
-        size, count = self.config.glimpse, boxes.shape[1]
+    def crops(self, image: Tensor, boxes: Boxes, size: int) -> Tensor:
+        """Glimpses (B * m, 3, size, size) of `boxes` (B, m, 3) of the image (B, 3, 256, 256), a little around them."""
+        count = boxes.shape[1]
         steps = (torch.arange(size, device=image.device, dtype=torch.float32) + 0.5) / size - 0.5
         reach = boxes[..., 2:] * REACH
         u = (boxes[..., :1] + reach * steps) / 128 - 1
@@ -283,8 +288,12 @@ class SmallVLA(nn.Module):
         ).reshape(boxes.shape[0], count * size, size, 2)
         crops = F.grid_sample(image.float(), grid, align_corners=False)
         crops = crops.view(-1, 3, count, size, size).transpose(1, 2).reshape(-1, 3, size, size)
-        embedded: Tensor = self.sight((crops.contiguous(memory_format=torch.channels_last) - 0.5) * 4)
-        return embedded.view(-1, count, self.config.embedding)
+        return crops.contiguous(memory_format=torch.channels_last)
+
+    def read(self, image: Tensor, boxes: Boxes) -> Tensor:
+        """Embeddings (B, m, E) of what `boxes` (B, m, 3) of the image (B, 3, 256, 256) show."""
+        embedded: Tensor = self.sight((self.crops(image, boxes, self.config.glimpse) - 0.5) * 4)
+        return embedded.view(-1, boxes.shape[1], self.config.embedding)
 
     def describe(self, seen: Seen, glimpses: Tensor) -> Tensor:
         """Embeddings (B, S, E) of gates: what they look like and what `glimpses` (B, S, E) of their panels show."""

@@ -15,10 +15,11 @@ PLAIN_THINGS: tuple[str, ...] = (
     "hammer", "key", "umbrella", "chair", "guitar", "bicycle", "airplane", "book", "camera", "car", "balloon",
 )  # fmt: skip
 """Animals, foods and objects that nobody takes for one another, for families that are hard for another reason."""
-_COUNTABLE: tuple[str, ...] = (
+COUNTABLE: tuple[str, ...] = (
     "cat", "dog", "frog", "turtle", "bee", "butterfly", "apple", "banana", "lemon", "carrot", "cookie", "donut",
     "star", "key", "car", "balloon", "bell", "cactus",
 )  # fmt: skip
+"""Things that are told apart, and counted, when six of them are on a panel."""
 _PURE_ANIMALS: tuple[str, ...] = (
     "dog", "cat", "lion", "horse", "zebra", "elephant", "giraffe", "penguin", "owl", "frog", "snake", "butterfly",
     "koala", "monkey", "bear", "bat", "parrot",
@@ -127,7 +128,7 @@ def negation(draw: Draw) -> Puzzle:
 
 def counting(draw: Draw) -> Puzzle:
     """Panels with several things: how many, the most, the fewest, or more of one than of another."""
-    name, other = draw.sample(_COUNTABLE, 2)
+    name, other = draw.sample(COUNTABLE, 2)
     if draw.chance(1 / 3):
         more, fewer = sorted(draw.sample(range(1, 5), 2), reverse=True)
         same = draw.between(1, 3)

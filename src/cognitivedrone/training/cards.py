@@ -7,6 +7,8 @@ glimpse (`SmallVLA.read`) from near or far, beside the frames where everything c
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
@@ -31,21 +33,30 @@ _SHIFT, _SCALE = 0.06, 0.09  # spread of where a panel is looked for
 _ROLL, _SHEAR = 0.13, 0.06  # and of its slant
 
 
-class Cards:
-    """Draws cards of the training tasks."""
+DrawLabel = Callable[[np.random.Generator], str]
+"""Draws the label reference of a panel or board."""
+FacetsOf = Callable[[str], NDArray[np.int64]]
+"""From a label reference to what it shows."""
 
-    def __init__(self, labels: LabelPack, glimpse: int) -> None:
+
+class Cards:
+    """Draws cards: of the panels and boards of the training tasks, where nothing else is said."""
+
+    def __init__(
+        self, labels: LabelPack, glimpse: int, draw_label: DrawLabel | None = None, facets_of: FacetsOf | None = None
+    ) -> None:
         self._labels = labels
         self._glimpse = glimpse
+        self._draw_label = draw_label or draw_training_label
+        self._facets_of = facets_of or panel_and_board_facets
         self._kept: list[tuple[PillowImage.Image, NDArray[np.int64]]] = []
-        self._places = np.cumsum([SHARES[family] for family in BASE_FAMILIES]) / sum(SHARES.values())
 
     def forget(self) -> None:
         """Begin anew: what follows depends on nothing before."""
         self._kept.clear()
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Image, NDArray[np.int64]]:
-        """Glimpses (count, g, g, 3) and what they show, (count, 13): the facets of a panel, then those of a board."""
+        """Glimpses (count, g, g, 3), and the facets of what they show (count, columns), as `facets_of` gives them."""
         while len(self._kept) < min(_KEPT, 4 * count):
             self._learn(rng)
         for _ in range(round(count * _FRESH)):
@@ -55,24 +66,37 @@ class Cards:
         return cards, np.stack([self._kept[i][1] for i in chosen])
 
     def _learn(self, rng: np.random.Generator) -> None:
-        """Keep the picture of a panel or board of some training task, in the place of another one."""
-        family = int(np.searchsorted(self._places, rng.random()))
-        # Families take turns in the training suite, so that a task's number says its family.
-        task = train_task(int(rng.integers(2**27)) * len(BASE_FAMILIES) + family, 0)
-        if task.board is not None and rng.random() < 0.7:
-            label, facets = task.board, np.concatenate([_NO_PANEL, board_facets(task.board)])
-        else:
-            label = task.labels[int(rng.integers(3))]
-            facets = np.concatenate([panel_facets(label), _NO_BOARD])
+        """Keep one more picture, in the place of another one."""
+        label = self._draw_label(rng)
         picture = PillowImage.fromarray(self._labels.image(label)).resize((_SIDE, _SIDE), PillowImage.Resampling.BOX)
+        kept = picture, self._facets_of(label)
         if len(self._kept) < _KEPT:
-            self._kept.append((picture, facets))
+            self._kept.append(kept)
         else:
-            self._kept[int(rng.integers(_KEPT))] = picture, facets
+            self._kept[int(rng.integers(_KEPT))] = kept
 
 
+_PLACES = np.cumsum([SHARES[family] for family in BASE_FAMILIES]) / sum(SHARES.values())
 _NO_PANEL = np.full(len(PANEL_GROUPS), -1)
 _NO_BOARD = np.full(len(BOARD_GROUPS), -1)
+
+
+def draw_training_label(rng: np.random.Generator) -> str:
+    """A panel or board of some training task."""
+    family = int(np.searchsorted(_PLACES, rng.random()))
+    # Families take turns in the training suite, so that a task's number says its family.
+    task = train_task(int(rng.integers(2**27)) * len(BASE_FAMILIES) + family, 0)
+    if task.board is not None and rng.random() < 0.7:
+        return task.board
+    return task.labels[int(rng.integers(3))]
+
+
+def panel_and_board_facets(label: str) -> NDArray[np.int64]:
+    """(13,): the facets of a panel, then those of a board."""
+    board = board_facets(label)
+    if (board >= 0).any():
+        return np.concatenate([_NO_PANEL, board])
+    return np.concatenate([panel_facets(label), _NO_BOARD])
 
 
 def glimpse_of(picture: PillowImage.Image, size: int, rng: np.random.Generator) -> Image:

@@ -106,7 +106,7 @@ def read_config(told: Mapping[str, Any]) -> Config:
     try:
         dino, siglip = _towers(told, own)
         config = Config(dino, siglip, _language(told["text_config"]), own.get("chunk"))
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise PolicyError(f"config.json does not describe an OpenVLA: {type(error).__name__} {error}") from None
     _check(config)
     return config

@@ -1,0 +1,172 @@
+"""The small reasoner's networks: eyes that read a scene into facets, and a mind that answers by what was read.
+
+Between the two lies plain text, or nearly: for every gate what it looks like and what its panel shows, for the board
+the sum on it, each as probabilities of named facets ("concept/thing:cat", "hat/beanie", "count_a/3"). There a
+reasoner can average what it saw in several frames, remember earlier stages, and calculate.
+
+Shapes: B scenes, G = 3 gates from left to right, F facets, M remembered panels, L words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from cognitivedrone.models.small_vla import SLOTS, SmallVLA, TextLayer, sight
+
+LARGEST_VALUE = 20
+"""Values of sums are told from 0 to this; `LARGEST_VALUE` + 1 stands for any larger one, + 2 for none, + 3 for a
+negative one."""
+VALUES = LARGEST_VALUE + 4
+NO_VALUE = LARGEST_VALUE + 2
+STAGES = 5
+"""Earlier stages that are remembered, at most."""
+REMEMBERED = 3 * STAGES
+
+
+@dataclass(frozen=True, slots=True)
+class ReaderConfig:
+    """Sizes of the reader; those of the policy's sight, from which its training starts."""
+
+    facets: int = 1
+    """Things that can be seen: as many as the training has."""
+    glimpse: int = 48
+    """Height and width of a glimpse, pixels."""
+    sight: tuple[int, int, int, int] = (32, 64, 128, 256)
+    embedding: int = 192
+
+    def facts(self) -> dict[str, Any]:
+        """As plain JSON values."""
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+
+
+class Reader(nn.Module):
+    """Glimpses of panels and boards to logits of facets."""
+
+    def __init__(self, config: ReaderConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.sight = sight(config.sight, config.glimpse, config.embedding)
+        self.facets = nn.Linear(config.embedding, config.facets)
+
+    def forward(self, glimpses: Tensor) -> Tensor:
+        """Of glimpses (n, 3, g, g), 0 to 1, channels last in memory for speed: logits (n, F)."""
+        logits: Tensor = self.facets(self.sight((glimpses - 0.5) * 4))
+        return logits
+
+
+class Eyes(nn.Module):
+    """A small VLA's own search for gates, panels and board, and a reader that looks at each panel."""
+
+    def __init__(self, finder: SmallVLA, reader: Reader, gate_facets: Mapping[str, slice]) -> None:
+        """`gate_facets` says where a gate's colour, shape and size stand among the finder's facets."""
+        super().__init__()
+        self.finder, self.reader = finder, reader
+        self.gate_facets = dict(gate_facets)
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Of images uint8 (B, 256, 256, 3).
+
+        Returns logits of facets (B, 4, F) of three panels and the board; probabilities (B, 3, 8) of the gates' three
+        colours, three shapes and two sizes; and (B, 4, 4) of gates and board: centre u, v and height of the panel in
+        pixels, and the score, 0 to 1, that there is such a gate or board. Gates in no order.
+        """
+        pixels = image.permute(0, 3, 1, 2).float() / 255
+        scene = self.finder.look(pixels)
+        slots, scores, board = self.finder.find(scene)
+        seen = self.finder.attend(scene, slots)
+        boxes = self.finder.boxes(slots, seen)
+        glimpses = self.finder.crops(pixels, boxes, self.reader.config.glimpse)
+        read = self.reader(glimpses).view(image.shape[0], SLOTS + 1, -1)
+        looks = self.finder.gate_embedding(seen.cell) @ self.finder.prototypes.T
+        gates = torch.cat([looks[..., span].softmax(-1) for span in self.gate_facets.values()], dim=-1)
+        told = torch.cat([boxes, torch.cat([scores, board[:, None]], dim=1)[..., None]], dim=-1)
+        return read, gates, told
+
+
+@dataclass(frozen=True, slots=True)
+class MindConfig:
+    """Sizes of the mind."""
+
+    vocabulary: int = 2
+    """Words, the padding and the unknown one included: as many as the training has."""
+    facets: int = 1
+    text_length: int = 48
+    width: int = 128
+    layers: int = 3
+    heads: int = 4
+
+    def facts(self) -> dict[str, Any]:
+        """As plain JSON values."""
+        return asdict(self)
+
+
+class Mind(nn.Module):
+    """A sentence and a scene that was read to the gate that is meant."""
+
+    def __init__(self, config: MindConfig) -> None:
+        super().__init__()
+        self.config = config
+        width = config.width
+        self.words = nn.Embedding(config.vocabulary, width)
+        self.places = nn.Parameter(torch.randn(config.text_length, width) * 0.02)
+        self.facets = nn.Linear(config.facets, width, bias=False)
+        self.looks = nn.Linear(8, width, bias=False)
+        self.values = nn.Embedding(VALUES, width)
+        self.kinds = nn.Parameter(torch.randn(6, width) * 0.02)  # start, board, calculator, and gates 1 to 3
+        self.stages = nn.Parameter(torch.randn(STAGES, width) * 0.02)
+        self.ago = nn.Parameter(torch.randn(STAGES, width) * 0.02)
+        self.flown = nn.Parameter(torch.randn(2, width) * 0.02)
+        self.layers = nn.ModuleList([TextLayer(width, config.heads) for _ in range(config.layers)])
+        self.out = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 1))
+        for embedding in (self.words, self.values):
+            nn.init.normal_(embedding.weight, std=0.05)
+        nn.init.normal_(self.facets.weight, std=0.05)
+
+    def forward(
+        self,
+        tokens: Tensor,
+        panels: Tensor,
+        looks: Tensor,
+        board: Tensor,
+        values: Tensor,
+        remembered: Tensor,
+        stages: Tensor,
+    ) -> Tensor:
+        """Logits (B, 3) of the gates.
+
+        Of tokens (B, L); panels (B, 3, F) and board (B, F), probabilities of facets, zero where there is none; looks
+        (B, 3, 8) of the gates; values (B, 5) of the sums on the three panels, of that on the board and of what the
+        sentence asks to calculate; remembered panels (B, M, F); stages (B, M, 3) of those: index of the stage, how many
+        stages ago, and 1 where that gate was flown through. A stage of -1 is none.
+        """
+        n = tokens.shape[0]
+        gates = self.facets(panels) + self.looks(looks) + self.values(values[:, :3]) + self.kinds[3:]
+        start = self.kinds[0].expand(n, 1, -1)
+        on_board = (self.facets(board) + self.values(values[:, 3]) + self.kinds[1])[:, None]
+        calculated = (self.values(values[:, 4]) + self.kinds[2])[:, None]
+        words = self.words(tokens) + self.places[: tokens.shape[1]]
+        there = (stages[..., 0] >= 0).to(words.dtype)
+        index, ago = (stages[..., column].clamp(0, STAGES - 1) for column in (0, 1))
+        memory = self.facets(remembered) + self.stages[index] + self.ago[ago] + self.flown[stages[..., 2].clamp(0, 1)]
+        x = torch.cat([start, gates, on_board, calculated, words, memory], dim=1)
+        always = torch.ones_like(there[:, :1]).expand(-1, 6)
+        present = torch.cat([always, (tokens != 0).to(words.dtype), there], dim=1)
+        bias = ((present - 1.0) * 1e4)[:, None, None].to(x.dtype)
+        for layer in self.layers:
+            x = layer(x, bias)
+        logits: Tensor = self.out(x[:, 1:4])[..., 0]
+        return logits
+
+
+def value_index(value: int | None) -> int:
+    """The index of a value among those that the mind is told."""
+    if value is None:
+        return NO_VALUE
+    if value < 0:
+        return LARGEST_VALUE + 3
+    return min(value, LARGEST_VALUE + 1)
