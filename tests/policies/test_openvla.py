@@ -1,0 +1,153 @@
+"""OpenVLA as a policy: its argument, its answers, and what it says of machines and checkpoints that do not do."""
+
+import importlib
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cognitivedrone.errors import MissingExtra, NonFiniteAction, PolicyError
+from cognitivedrone.models.openvla import checkpoint as checkpoints
+from cognitivedrone.plugins import make
+from cognitivedrone.policies.openvla import OpenVla, Options, read_options
+from cognitivedrone.types import Observation
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("transformers")
+
+TABLE = {"openvla": "cognitivedrone.policies.openvla:OpenVla"}
+INSTRUCTION = "Fly through the gate with the number equal to 3*3"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    from openvla_files import write_checkpoint
+
+    return write_checkpoint(tmp_path_factory.mktemp("openvla"), chunk=5)
+
+
+def seen(seed=0, instruction=INSTRUCTION):
+    image = np.random.default_rng(seed).integers(0, 256, (256, 256, 3), dtype=np.uint8)
+    return Observation(image, instruction, np.zeros(3, np.float32), 0.8, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("decoder", "length"), [("ar", 1), ("parallel", 5)])
+def test_it_answers_with_commands_within_its_statistics(folder, decoder, length):
+    policy = make("policy", f"openvla:{folder},decoder={decoder},device=cpu", TABLE, ("reset", "act"))
+    policy.reset(INSTRUCTION)
+    chunk = policy.act(seen())
+    assert chunk.shape == (length, 4)
+    assert chunk.dtype == np.float32
+    low, high = np.array(policy.checkpoint.statistics.q01), np.array(policy.checkpoint.statistics.q99)
+    assert ((chunk >= low - 1e-6) & (chunk <= high + 1e-6)).all()
+    assert np.array_equal(policy.act(seen()), chunk)
+
+
+def test_the_observations_own_instruction_counts(folder):
+    policy = OpenVla(f"{folder},decoder=parallel,device=cpu")
+    policy.reset(INSTRUCTION)
+    one, other = policy.act(seen()), policy.act(seen(instruction="Fly home"))
+    assert not np.array_equal(one, other)
+    assert np.array_equal(policy.act(seen()), one)
+    assert not np.array_equal(policy.act(seen(1)), one)
+
+
+def test_capitals_are_not_seen(folder):
+    policy = OpenVla(f"{folder},decoder=parallel,device=cpu")
+    assert np.array_equal(policy.act(seen()), policy.act(seen(instruction=INSTRUCTION.upper())))
+
+
+def test_bad_observations_are_refused(folder):
+    policy = OpenVla(f"{folder},device=cpu")
+    with pytest.raises(PolicyError, match="the instruction is empty"):
+        policy.reset(" ")
+    small = Observation(np.zeros((10, 10, 3), np.uint8), INSTRUCTION, np.zeros(3), 0.8, 0.0, 0.0)
+    with pytest.raises(PolicyError, match=r"uint8 \(256, 256, 3\); what came is uint8 \(10, 10, 3\)"):
+        policy.act(small)
+
+
+def test_an_answer_that_is_not_finite_is_not_flown(tmp_path):
+    from openvla_files import STATISTICS, write_checkpoint
+
+    from cognitivedrone.models.openvla.config import tiny_config
+    from cognitivedrone.models.openvla.weights import random_network, save
+
+    write_checkpoint(tmp_path, chunk=2)
+    broken = random_network(tiny_config(chunk=2))
+    with torch.no_grad():
+        broken.action_head.leave.bias.fill_(float("nan"))
+    save(broken, tmp_path, {"drone": STATISTICS}, tmp_path)
+    with pytest.raises(NonFiniteAction, match="nan"):
+        OpenVla(f"{tmp_path},decoder=parallel,device=cpu").act(seen())
+
+
+def test_the_argument_is_read():
+    assert read_options("models/a") == Options(Path("models/a"))
+    assert read_options("a, decoder=parallel,quant=int4,device=cpu,unnorm_key=x") == Options(
+        Path("a"), "parallel", "int4", "cpu", "x"
+    )
+
+
+@pytest.mark.parametrize(
+    ("argument", "says"),
+    [
+        (None, "needs a checkpoint's folder first"),
+        ("decoder=ar", "needs a checkpoint's folder first"),
+        ("a,decode=ar", "no option 'decode'; did you mean 'decoder'"),
+        ("a,decoder=beam", "decoder=beam; it is ar or parallel"),
+        ("a,quant=", "quant=; it is none or int8 or int4"),
+        ("a,unnorm_key=", "unnorm_key=; it is a name"),
+        ("a,device=cpu,device=cpu", "'device' is given twice"),
+    ],
+)
+def test_arguments_that_do_not_do(argument, says):
+    with pytest.raises(PolicyError, match=says):
+        OpenVla(argument)
+
+
+class TestBeforeAnythingHeavyIsLoaded:
+    @pytest.fixture(autouse=True)
+    def nothing_is_loaded(self, monkeypatch):
+        from cognitivedrone.models.openvla import weights
+
+        def refuse(*_, **__):
+            raise AssertionError("the weights were loaded")
+
+        monkeypatch.setattr(weights, "load", refuse)
+
+    def test_too_little_memory(self, folder, monkeypatch):
+        monkeypatch.setattr(checkpoints, "free_memory", lambda: 1_000_000)
+        with pytest.raises(PolicyError, match=r"needs 0\.0 GB of memory, has 0\.0 GB free; .*--policy small"):
+            OpenVla(f"{folder},device=cpu")
+
+    @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")
+    def test_a_gpu_that_is_not_there(self, folder):
+        with pytest.raises(PolicyError, match="this machine has no GPU that PyTorch can use, and the network needs"):
+            OpenVla(f"{folder},device=cuda")
+
+    def test_an_unknown_key(self, folder):
+        with pytest.raises(PolicyError, match="no statistics 'bridge'"):
+            OpenVla(f"{folder},unnorm_key=bridge,device=cpu")
+
+    def test_no_head_for_chunks(self, folder, tmp_path):
+        copy = Path(shutil.copytree(folder, tmp_path / "plain"))
+        told = json.loads((copy / "config.json").read_text())
+        told["cognitivedrone"]["chunk"] = None
+        (copy / "config.json").write_text(json.dumps(told))
+        with pytest.raises(PolicyError, match="no head for decoder=parallel; use decoder=ar"):
+            OpenVla(f"{copy},decoder=parallel,device=cpu")
+
+    @pytest.mark.parametrize("package", ["torch", "transformers", "tokenizers"])
+    def test_a_library_that_is_missing(self, folder, monkeypatch, package):
+        real = importlib.import_module
+
+        def without(name, *rest):
+            if name == package:
+                raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+            return real(name, *rest)
+
+        monkeypatch.setattr(importlib, "import_module", without)
+        with pytest.raises(MissingExtra, match=rf"{package} is not installed.*cognitivedrone\[openvla\]"):
+            OpenVla(f"{folder},device=cpu")
