@@ -189,7 +189,9 @@ def decide(health: Health, memory: Memory, config: SafetyConfig) -> tuple[Decisi
         low_battery_since=_since(memory.low_battery_since, _low(health, config), health.time),
     )
     # The first of equals: the rules come worst first, and a latched reason stays the reason.
-    decision = max((memory.floor, *_findings(health, memory, config)), key=lambda d: SEVERITY.index(d.kind))
+    latched = () if memory.floor.kind == "fly" else (memory.floor,)
+    said = (*latched, *_findings(health, memory, config), Decision("fly", ""))
+    decision = max(said, key=lambda d: SEVERITY.index(d.kind))
     if SEVERITY.index(decision.kind) < SEVERITY.index("brake") or decision == memory.floor:
         return decision, memory
     by_pilot = decision.kind == "brake" and health.stick_moved
@@ -241,7 +243,7 @@ def _outside(health: Health, memory: Memory, fence: Fence) -> Iterator[Decision]
     reason = f"{depth:.1f} m outside the fence for {time:.1f} s"
     if time >= fence.land_after_s:
         yield Decision("land", reason)
-    elif time >= fence.hold_after_s or depth > fence.margin_m:
+    elif time >= fence.hold_after_s or not depth <= fence.margin_m:
         yield Decision("hold", reason)
     else:
         yield Decision("fly", f"{reason}: only inwards")
@@ -278,7 +280,7 @@ class Guard:
         self.config = config or SafetyConfig()
         self._memory = Memory()
         self._sent = np.zeros(4, dtype=np.float32)
-        self._sent_at: float | None = None
+        self._sent_at = -np.inf
 
     def judge(self, health: Health) -> Decision:
         """What to do now."""
@@ -289,7 +291,7 @@ class Guard:
 
     def shape(self, health: Health) -> Action:
         """The command (4,) to send now, after a decision to fly; counted as sent."""
-        step = 0.0 if self._sent_at is None else health.time - self._sent_at
+        step = health.time - self._sent_at
         self._sent = shape(health, self._sent, step, self.config)
         self._sent_at = health.time
         return self._sent

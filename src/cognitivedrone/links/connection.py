@@ -209,15 +209,17 @@ class Connection:
     # The listening thread.
 
     def _run(self) -> None:
-        beat = watched = -math.inf
+        beat = vehicle_beat = watched = -math.inf
         try:
             while not self._stopping.is_set():
                 data, peer = self._transport.read(WATCH_S)
                 if data:
                     self._take(data, peer)
                 now = time.monotonic()
-                if now - beat >= HEARTBEAT_S:
-                    beat = now
+                # Once a second of the vehicle's time as well: a simulator that runs fast would think us gone.
+                vehicle_time = self.telemetry.vehicle_time
+                if now - beat >= HEARTBEAT_S or vehicle_time - vehicle_beat >= HEARTBEAT_S:
+                    beat, vehicle_beat = now, vehicle_time
                     self.send("heartbeat", GROUND_STATION, 8, 0, 0, 4)  # no autopilot, active
                 if now - watched >= WATCH_S:
                     watched = now

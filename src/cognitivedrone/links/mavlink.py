@@ -43,6 +43,8 @@ STATE_MESSAGES = {"ATTITUDE": 30, "LOCAL_POSITION_NED": 32}
 """What cannot be flown without, at `stream_hz`."""
 SLOW_MESSAGES = {"SYS_STATUS": 1, "EKF_STATUS_REPORT": 193, "RC_CHANNELS": 65}
 SLOW_HZ, HEARTBEAT_HZ = 5, 10
+PAUSE_S = 5.0
+"""A simulation whose time stands still for longer is not waited for."""
 REPEAT_S = {"hold": 0.1, "brake": 0.5, "land": 0.5}
 """How often what a decision asks for is said again, until the vehicle does it."""
 
@@ -60,7 +62,7 @@ class MavlinkConfig:
     stream_hz: int = 20
     """Rate of attitude and position."""
     set_parameters: bool = False
-    """Consent to change the vehicle's parameters that safety leans on, where they will not do."""
+    """Consent to change those parameters of the vehicle without which it is not flown, where they will not do."""
     tlog: Path | None = None
     """Where everything received and sent is written."""
     heartbeat_timeout_s: float = 10.0
@@ -85,10 +87,11 @@ class MavlinkDrone:
         self._lock = threading.RLock()
         self._phase: Literal["ground", "climbing", "flying", "released"] = "ground"
         self._command: FloatArray | None = None
-        self._command_at = self._frame_at = self._start = monotonic()
+        self._command_at = self._frame_at = self._start = 0.0
         self._said_at = -math.inf
         self._home: FloatArray = np.zeros(3)
         self._sticks: tuple[int, ...] = ()
+        self._changed: set[str] = set()
         self._was_armed = False
         self._taken_over: str | None = None
         self._ordered = ""
@@ -130,13 +133,15 @@ class MavlinkDrone:
     def checklist(self) -> Checklist:
         """Read what safety leans on, set what may be set, and list it all."""
         values = {e.name: self._link.parameter(e.name) for e in EXPECTED}
-        if self.config.set_parameters:
-            for expected in misfits(values):
-                self._link.set_parameter(expected.name, expected.wanted)
-                values[expected.name] = expected.wanted
+        unfit = tuple(e for e in misfits(values) if e.needed) if self.config.set_parameters else ()
+        for expected in unfit:
+            self._link.set_parameter(expected.name, expected.wanted)
+            values[expected.name] = expected.wanted
+        self._changed |= {expected.name for expected in unfit}
         return build_checklist(
             version=self.version,
             values=values,
+            changed=self._changed,
             telemetry=self.telemetry,
             ground_stations=sorted(self._link.ground_stations),
             frame_age_s=self.camera.read().age_s,
@@ -171,10 +176,10 @@ class MavlinkDrone:
         self._link.command(TAKE_OFF, 0, 0, 0, 0, 0, 0, self.config.takeoff_height_m, what="take-off")
         self._climb()
         with self._lock:
-            now = monotonic()
-            self._sticks, self._frame_at = self.telemetry.sticks, self.camera.read().time
-            self._command_at = now
-            self._start = self._clock()
+            now = self._clock()
+            self._sticks = self.telemetry.sticks
+            self._start = self._command_at = now
+            self._frame_at = now - self.camera.read().age_s
             self._phase = "flying"
 
     # In flight: `Drone` and `Clock`.
@@ -183,7 +188,7 @@ class MavlinkDrone:
         """Newest frame and state; the height is above the place of take-off."""
         self._link.check()
         shot = self.camera.read()
-        self._frame_at = shot.time
+        self._frame_at = self._clock() - shot.age_s
         state = self.telemetry
         return Observation(
             image=shot.image,
@@ -200,12 +205,11 @@ class MavlinkDrone:
         with self._lock:
             if self._phase in ("ground", "climbing"):
                 raise LinkError("the drone is not flying yet: call take_off first")
-            now = monotonic()
             self._command = np.asarray(action, dtype=np.float64)
             if np.isfinite(self._command).all():
-                self._command_at = now
-            health = self._health(now)
-            if not self._obey(self._guard.judge(health), now):
+                self._command_at = self._clock()
+            health = self._health()
+            if not self._obey(self._guard.judge(health)):
                 return np.zeros(4, dtype=np.float32)
             sent = self._guard.shape(health)
             self._setpoint(sent)
@@ -221,8 +225,8 @@ class MavlinkDrone:
             sleep(max(0.0, time - self.now()))
             return
         while (before := self.now()) < time:
-            if not self._link.until(lambda: self.now() > before, 5.0):
-                raise LinkError("the vehicle's time has stood still for 5 s; is its simulation paused?")
+            if not self._link.until(lambda: self.now() > before, PAUSE_S):
+                raise LinkError(f"the vehicle's time has stood still for {PAUSE_S:g} s; is its simulation paused?")
 
     # The end.
 
@@ -275,7 +279,7 @@ class MavlinkDrone:
         for name, number in STATE_MESSAGES.items():
             interval_us = 1e6 / self.config.stream_hz
             self._link.command(SET_MESSAGE_INTERVAL, number, interval_us, what=f"to send {name}")
-        # ArduCopter heartbeats at once when its mode changes, other vehicles may not: this is how we learn of the pilot.
+        # How we learn of the pilot: ArduCopter heartbeats at once when its mode changes, others may not.
         self._link.order(SET_MESSAGE_INTERVAL, 0, 1e6 / HEARTBEAT_HZ)
         for name, number in SLOW_MESSAGES.items():
             self._link.order(SET_MESSAGE_INTERVAL, number, 1e6 / SLOW_HZ)
@@ -326,9 +330,8 @@ class MavlinkDrone:
     def _watch(self) -> None:
         """Called from the listening thread, some fifty times a second."""
         with self._lock:
-            now = monotonic()
             if self._phase == "flying":
-                self._obey(self._guard.judge(self._health(now)), now)
+                self._obey(self._guard.judge(self._health()))
             elif self._phase == "climbing":
                 # A policy has nothing to say yet; the pilot has.
                 self._settle()
@@ -340,16 +343,18 @@ class MavlinkDrone:
                     )
                 self._was_armed |= self.telemetry.armed
 
-    def _health(self, now: float) -> Health:
-        state = self.telemetry
+    def _health(self) -> Health:
+        state, now = self.telemetry, self._clock()
         self._settle()
+        # A simulator that is slow, or pauses, is silent without being lost.
+        patience = 0.0 if self.config.clock == "wall" else PAUSE_S
         return Health(
             time=now,
             command=self._command,
             command_age_s=now - self._command_at,
             frame_age_s=now - self._frame_at,
-            link_age_s=now - state.heard_at,
-            state_age_s=now - state.state_at,
+            link_age_s=max(0.0, monotonic() - state.heard_at - patience),
+            state_age_s=max(0.0, monotonic() - state.state_at - patience),
             battery=state.battery,
             position=state.position - self._home,
             velocity=state.velocity,
@@ -360,14 +365,16 @@ class MavlinkDrone:
             stick_moved=stick_moved(self._sticks, state.sticks),
         )
 
-    def _obey(self, decision: Decision, now: float) -> bool:
+    def _obey(self, decision: Decision) -> bool:
         """Do what a decision asks for; true where that is to fly."""
-        before, self.decision = self.decision, decision
+        before, now = self.decision, monotonic()
         if decision.kind == "hands_off":
             self._phase = "released"
-            return False
-        if decision.kind == "fly":
-            return True
+            if before is not None and before.kind == "land" and not self.telemetry.armed:
+                return False  # landed as it should: why it landed is what there is to tell
+        self.decision = decision
+        if decision.kind in ("fly", "hands_off"):
+            return decision.kind == "fly"
         if before is not None and before.kind == decision.kind and now - self._said_at < REPEAT_S[decision.kind]:
             return False
         self._said_at = now

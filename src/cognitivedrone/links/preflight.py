@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -52,7 +52,7 @@ class Expected:
     high: float
     """Values from `low` to `high` will do."""
     wanted: float
-    """Set, with consent, where the value will not do."""
+    """Set, with consent, where a needed one will not do."""
     needed: bool
     """Whether a wrong value forbids to fly; otherwise a person is shown it."""
     why: str
@@ -105,13 +105,14 @@ def build_checklist(
     *,
     version: tuple[int, int] | None,
     values: Mapping[str, float | None],
+    changed: Collection[str],
     telemetry: Telemetry,
     ground_stations: Sequence[tuple[int, int]],
     frame_age_s: float,
     takeoff_height_m: float,
     low_battery: float = 0.3,
 ) -> Checklist:
-    """The checklist from what was read; `values` are of the parameters in `EXPECTED`."""
+    """The checklist from what was read; `values` are of the parameters in `EXPECTED`, `changed` those set."""
     told = f"ArduCopter {version[0]}.{version[1]}" if version else "the vehicle does not tell its version"
     findings = [
         Finding("firmware", "ok" if version else "look", told),
@@ -129,8 +130,9 @@ def build_checklist(
         if value is None:
             findings.append(Finding(expected.name, "look", f"not known to the vehicle: {expected.why}"))
         else:
+            by_us = ", set by this program" if expected.name in changed else ""
             state: State = "ok" if expected not in unfit else "bad" if expected.needed else "look"
-            findings.append(Finding(expected.name, state, f"{value:g}: {expected.why}"))
+            findings.append(Finding(expected.name, state, f"{value:g}{by_us}: {expected.why}"))
     findings.append(
         Finding(
             "you", "look", f"propellers clear, people away, remote at hand; it will climb to {takeoff_height_m:g} m"
