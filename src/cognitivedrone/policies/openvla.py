@@ -12,13 +12,16 @@ import numpy as np
 from cognitivedrone.errors import MissingExtra, NonFiniteAction, PolicyError, did_you_mean
 from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.models.openvla.checkpoint import Checkpoint, Quantisation
-from cognitivedrone.models.openvla.prepare import prompt, prompt_ids, read_encoder
+from cognitivedrone.models.openvla.config import IMAGE
+from cognitivedrone.models.openvla.prepare import BEGIN, prompt_ids, read_encoder
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, Observation
 
 if TYPE_CHECKING:
     from cognitivedrone.models.openvla.decode import Decoder, DecoderName
 
 _SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
+_USUAL_LENGTHS = (32, 64)
+"""Of prompts, in tokens: what a GPU records once for each length, it records before take-off."""
 _VALUES: dict[str, tuple[str, ...]] = {
     "decoder": ("ar", "parallel"),
     "quant": get_args(Quantisation),
@@ -80,7 +83,6 @@ class OpenVla:
         return self.checkpoint.statistics.flown(answer).astype(np.float32)
 
     def _listen(self, text: str) -> None:
-        prompt(text)
         self._ids = prompt_ids(self._encode, text)
         self._text = text
 
@@ -128,7 +130,11 @@ def _decoder(options: Options, checkpoint: Checkpoint) -> Decoder:
     network = load(checkpoint, device, dtype, options.quant)
     # Small weights become quick only where they are unpacked inside the multiplication, which takes a compiler.
     compiled = device == "cuda" and options.quant != "none"
-    return (Parallel if options.decoder == "parallel" else Autoregressive)(network, compiled=compiled)
+    decoder = (Parallel if options.decoder == "parallel" else Autoregressive)(network, compiled=compiled)
+    if device == "cuda":
+        for length in _USUAL_LENGTHS:
+            decoder(np.zeros((6, IMAGE, IMAGE), np.float32), [BEGIN] * length)
+    return decoder
 
 
 def _import(package: str) -> Any:
