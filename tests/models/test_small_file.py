@@ -12,8 +12,9 @@ from onnx import TensorProto
 from tiny import DESCRIPTION, INPUTS, OUTPUTS, graph, tiny_model
 
 from cognitivedrone.errors import MissingExtra, PolicyError
-from cognitivedrone.models import small_file
-from cognitivedrone.models.small_file import KEY, SmallModel, describe, read_description
+from cognitivedrone.models import onnx_file
+from cognitivedrone.models.onnx_file import KEY
+from cognitivedrone.models.small_file import SmallModel, describe, read_description
 
 
 def images(*brightness: int):
@@ -32,11 +33,11 @@ def with_metadata(path, metadata: str):
 
 
 def changed(**fields):
-    return json.dumps({**json.loads(DESCRIPTION.to_json()), **fields})
+    return json.dumps({"format": 1, "kind": "small-vla", **DESCRIPTION.table(), **fields})
 
 
 def changed_action(**fields):
-    return changed(action={**json.loads(DESCRIPTION.to_json())["action"], **fields})
+    return changed(action={**DESCRIPTION.table()["action"], **fields})
 
 
 def refused(path) -> str:
@@ -138,7 +139,7 @@ def test_an_operator_that_the_runtime_does_not_have(tmp_path):
 def test_a_file_that_is_too_large_is_not_read(tmp_path):
     path = tmp_path / "huge.onnx"
     with path.open("wb") as file:
-        file.truncate(small_file.LARGEST_BYTES + 1)  # sparse: takes no space
+        file.truncate(onnx_file.LARGEST_BYTES + 1)  # sparse: takes no space
     assert "at most 256 MB" in refused(path)
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from cognitivedrone.models.small_file import ActionStatistics, Description, Provenance, describe
+from cognitivedrone.models.onnx_file import Provenance
+from cognitivedrone.models.small_file import ActionStatistics, Description, describe
 from cognitivedrone.models.text import Vocabulary
 
 TEXT_LENGTH = 8

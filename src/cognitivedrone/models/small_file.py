@@ -8,33 +8,37 @@ Contract of the graph; the batch is a dynamic axis, L the description's `text_le
   float32 (batch, 4): probability of each seen gate, and last of none of those in view; `gates` float32 (batch, 3, 4):
   each one's centre u, v in pixels, detection score 0 to 1, and distance in m.
 
-The description is JSON under the ONNX metadata key `KEY`.
+The description is JSON, see `onnx_file`.
 """
 
 from __future__ import annotations
 
-import importlib
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.errors import MissingExtra, PolicyError
+from cognitivedrone.errors import PolicyError
+from cognitivedrone.models.onnx_file import (
+    Provenance,
+    check_graph,
+    count_of,
+    field_of,
+    open_session,
+    provenance_of,
+    read_table,
+    vocabulary_of,
+    write_table,
+)
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.types import IMAGE_SIZE
 
-KEY = "cognitivedrone"
-FORMAT = 1
 KIND = "small-vla"
-LARGEST_BYTES = 256 * 2**20
-"""A file that is larger is refused before it is read."""
 
-T = TypeVar("T")
 Four = tuple[float, float, float, float]
 """One number for each of velocity x, y, z in m/s and yaw rate in rad/s."""
 
@@ -56,22 +60,6 @@ class ActionStatistics:
 
 
 @dataclass(frozen=True, slots=True)
-class Provenance:
-    """Where a model comes from."""
-
-    recipe: str
-    data: str
-    """Hash of the data, or what streamed it."""
-    commit: str
-    """Of the code that trained it."""
-    trained: str
-    """ISO 8601, UTC."""
-    steps: int
-    scores: Mapping[str, Any]
-    """What it reached, by name."""
-
-
-@dataclass(frozen=True, slots=True)
 class Description:
     """All that a model file says of itself."""
 
@@ -88,50 +76,28 @@ class Description:
     image_size: int = IMAGE_SIZE
     """Height and width of the image it is given, pixels."""
 
-    def to_json(self) -> str:
+    def table(self) -> dict[str, Any]:
         """As it is written into the file."""
-        return json.dumps(
-            {
-                "format": FORMAT,
-                "kind": KIND,
-                **_table(self),
-                "vocabulary": self.vocabulary.words,
-                "action": _table(self.action),
-                "config": dict(self.config),
-                "provenance": {**_table(self.provenance), "scores": dict(self.provenance.scores)},
-            },
-            ensure_ascii=False,
-        )
+        return {
+            **_table(self),
+            "vocabulary": self.vocabulary.words,
+            "action": _table(self.action),
+            "config": dict(self.config),
+            "provenance": {**_table(self.provenance), "scores": dict(self.provenance.scores)},
+        }
 
     @classmethod
-    def from_json(cls, text: str, where: str) -> Description:
-        """Read back what `to_json` wrote; raises `PolicyError` that says where what is wrong."""
-        try:
-            table = json.loads(text)
-        except ValueError as error:
-            raise PolicyError(f"the description in {where} is not JSON: {error}") from None
-        version = table.get("format") if isinstance(table, dict) else None
-        if version != FORMAT:
-            raise PolicyError(
-                f"{where} is a model file of format {version!r} and this version reads format {FORMAT};"
-                " take a file and a release of cognitivedrone that belong together"
-            )
-        if table.get("kind") != KIND:
-            raise PolicyError(f"{where} is a model of kind {table.get('kind')!r}, not {KIND!r}")
-        origin = _field(table, "provenance", dict, where)
+    def of(cls, table: Mapping[str, Any], where: str) -> Description:
+        """Read back what `table` gave; raises `PolicyError` that says where what is wrong."""
         described = cls(
-            name=_field(table, "name", str, where),
-            vocabulary=_vocabulary(_field(table, "vocabulary", list, where), where),
-            text_length=_count(table, "text_length", where),
-            image_size=_count(table, "image_size", where),
-            chunk=_count(table, "chunk", where),
-            action=_statistics(_field(table, "action", dict, where), where),
-            config=_field(table, "config", dict, where),
-            provenance=Provenance(
-                **{name: _field(origin, name, str, where) for name in ("recipe", "data", "commit", "trained")},
-                steps=_field(origin, "steps", int, where),
-                scores=_field(origin, "scores", dict, where),
-            ),
+            name=field_of(table, "name", str, where),
+            vocabulary=vocabulary_of(field_of(table, "vocabulary", list, where), where),
+            text_length=count_of(table, "text_length", where),
+            image_size=count_of(table, "image_size", where),
+            chunk=count_of(table, "chunk", where),
+            action=_statistics(field_of(table, "action", dict, where), where),
+            config=field_of(table, "config", dict, where),
+            provenance=provenance_of(table, where),
         )
         if described.image_size != IMAGE_SIZE:
             raise PolicyError(f"{where} reads images of {described.image_size} pixels; drones send {IMAGE_SIZE}")
@@ -155,21 +121,13 @@ def describe(path: str | Path, description: Description) -> None:
 
     Raises `MissingExtra` where the `onnx` package is not installed.
     """
-    try:
-        onnx: Any = importlib.import_module("onnx")
-    except ModuleNotFoundError:
-        raise MissingExtra("onnx", "train") from None
-    model = onnx.load(str(path))
-    others = {entry.key: entry.value for entry in model.metadata_props if entry.key != KEY}
-    onnx.helper.set_model_props(model, {**others, KEY: description.to_json()})
-    whole = Path(f"{path}.part")
-    onnx.save(model, str(whole))
-    whole.replace(path)
+    write_table(path, KIND, description.table())
 
 
 def read_description(path: str | Path) -> Description:
     """What the model in the file says of itself; raises `PolicyError` as `SmallModel.load` does."""
-    return _description_of(_open(Path(path), threads=1, optimise=False), str(path))
+    session = open_session(Path(path), threads=1, optimise=False)
+    return Description.of(read_table(session, KIND, str(path)), str(path))
 
 
 class SmallModel:
@@ -186,8 +144,8 @@ class SmallModel:
 
         Raises `PolicyError` where the file is missing, too large, cut short, or does not keep to the contract.
         """
-        session = _open(Path(path), threads=threads, optimise=True)
-        description = _description_of(session, str(path))
+        session = open_session(Path(path), threads=threads, optimise=True)
+        description = Description.of(read_table(session, KIND, str(path)), str(path))
         _check_graph(session, description, str(path))
         return cls(session, description)
 
@@ -211,46 +169,7 @@ def _check_input(name: str, array: NDArray[Any], kind: type, shape: tuple[int, .
         raise PolicyError(f"{name} must be {np.dtype(kind)} {shape}, not {array.dtype} {array.shape}")
 
 
-def _open(path: Path, *, threads: int, optimise: bool) -> Any:
-    """An inference session of a file."""
-    if not path.is_file():
-        raise PolicyError(f"there is no model file {path}")
-    if path.stat().st_size > LARGEST_BYTES:
-        raise PolicyError(
-            f"{path} has {path.stat().st_size / 2**20:.0f} MB; a small model has at most {LARGEST_BYTES / 2**20:.0f} MB"
-        )
-    ort: Any = importlib.import_module("onnxruntime")
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
-    # Waiting threads sleep: the cores belong to the simulator, or to the rest of the drone.
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.log_severity_level = 4  # what matters is raised
-    if not optimise:
-        options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
-    # The arena grows by what is asked for instead of doubling.
-    provider = ("CPUExecutionProvider", {"arena_extend_strategy": "kSameAsRequested"})
-    try:
-        return ort.InferenceSession(str(path), options, providers=[provider])
-    except Exception as error:  # its errors have no public common type
-        reason = str(error).splitlines()[0]
-        if type(error).__name__ == "InvalidProtobuf" or "No graph was found" in reason:
-            raise PolicyError(f"{path} is not an ONNX file, or it was cut short; fetch or train it anew") from None
-        raise PolicyError(f"ONNX Runtime {ort.__version__} cannot load {path}: {reason}") from None
-
-
-def _description_of(session: Any, where: str) -> Description:
-    text = session.get_modelmeta().custom_metadata_map.get(KEY)
-    if text is None:
-        raise PolicyError(
-            f"{where} does not describe itself: it lacks the metadata {KEY!r} that `cognitivedrone train` writes"
-        )
-    return Description.from_json(text, where)
-
-
 def _check_graph(session: Any, description: Description, where: str) -> None:
-    """Compare names, types and shapes of inputs and outputs with the contract."""
     size = description.image_size
     inputs = {
         "image": ("tensor(uint8)", (size, size, 3)),
@@ -262,63 +181,18 @@ def _check_graph(session: Any, description: Description, where: str) -> None:
         "choice": ("tensor(float)", (4,)),
         "gates": ("tensor(float)", (3, 4)),
     }
-    for side, wanted, found in (("in", inputs, session.get_inputs()), ("out", outputs, session.get_outputs())):
-        nodes = {node.name: node for node in found}
-        if nodes.keys() != wanted.keys():
-            raise PolicyError(f"{where} has the {side}puts {', '.join(nodes)}; expected {', '.join(wanted)}")
-        for name, (kind, shape) in wanted.items():
-            node = nodes[name]
-            if node.type != kind or not _fits(node.shape, shape):
-                raise PolicyError(
-                    f"{side}put {name!r} of {where} is {node.type} {node.shape}; expected {kind} {['batch', *shape]}"
-                )
-
-
-def _fits(found: Sequence[Any], wanted: tuple[int, ...]) -> bool:
-    """Whether a graph's shape can be (batch, *wanted) for any batch: a dimension without a number may be any."""
-    batch, rest = found[:1], found[1:]
-    return (
-        len(rest) == len(wanted)
-        and not isinstance(batch[0], int)
-        and all(not isinstance(size, int) or size == want for size, want in zip(rest, wanted, strict=True))
-    )
+    check_graph(session, inputs, outputs, where)
 
 
 def _table(value: Any) -> dict[str, Any]:
     return {field.name: getattr(value, field.name) for field in fields(value)}
 
 
-def _field(table: Mapping[str, Any], name: str, kind: type[T], where: str) -> T:
-    """A field of the description, of the type it must have."""
-    if name not in table:
-        raise PolicyError(f"the description in {where} lacks {name!r}")
-    value = table[name]
-    if not isinstance(value, kind) or isinstance(value, bool):
-        raise PolicyError(f"{name!r} of the description in {where} is {value!r:.60}, which is no {kind.__name__}")
-    return value
-
-
-def _count(table: Mapping[str, Any], name: str, where: str) -> int:
-    value = _field(table, name, int, where)
-    if value < 1:
-        raise PolicyError(f"{name!r} of the description in {where} is {value}; it must be at least 1")
-    return value
-
-
-def _vocabulary(words: list[Any], where: str) -> Vocabulary:
-    if not all(isinstance(word, str) for word in words):
-        raise PolicyError(f"the vocabulary in {where} holds something that is no word")
-    try:
-        return Vocabulary(tuple(words))
-    except PolicyError as error:
-        raise PolicyError(f"{where}: {error}") from None
-
-
 def _statistics(table: Mapping[str, Any], where: str) -> ActionStatistics:
     """Action statistics, checked: a model without them would fly at the wrong speed."""
     columns: dict[str, Four] = {}
     for field in fields(ActionStatistics):
-        values = _field(table, field.name, list, f"{where} (action)")
+        values = field_of(table, field.name, list, f"{where} (action)")
         if len(values) != 4 or not all(isinstance(value, int | float) and math.isfinite(value) for value in values):
             raise PolicyError(
                 f"action statistics {field.name!r} in {where} are {values!r:.60}; expected 4 finite numbers"

@@ -18,7 +18,8 @@ import numpy as np
 import onnx
 import torch
 
-from cognitivedrone.models.small_file import ActionStatistics, Description, Provenance, SmallModel, describe
+from cognitivedrone.models.onnx_file import Provenance
+from cognitivedrone.models.small_file import ActionStatistics, Description, SmallModel, describe
 from cognitivedrone.models.small_vla import STATE, SmallVLA
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.training.policy import load_trained, stream_of, training_batches

@@ -1,0 +1,176 @@
+"""ONNX files that describe themselves: a JSON table in the file's metadata, checked before anything is believed."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from cognitivedrone.errors import MissingExtra, PolicyError
+from cognitivedrone.models.text import Vocabulary
+
+KEY = "cognitivedrone"
+"""Of the metadata."""
+FORMAT = 1
+LARGEST_BYTES = 256 * 2**20
+"""A file that is larger is refused before it is read."""
+
+T = TypeVar("T")
+Tensors = Mapping[str, tuple[str, tuple[int, ...]]]
+"""By name: ONNX Runtime's type, and the shape without the batch."""
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Where a model comes from."""
+
+    recipe: str
+    data: str
+    """Hash of the data, or what streamed it."""
+    commit: str
+    """Of the code that trained it."""
+    trained: str
+    """ISO 8601, UTC."""
+    steps: int
+    scores: Mapping[str, Any]
+    """What it reached, by name."""
+
+
+def write_table(path: str | Path, kind: str, table: Mapping[str, Any]) -> None:
+    """Write a description into an ONNX file, in place of any it has.
+
+    Raises `MissingExtra` where the `onnx` package is not installed.
+    """
+    try:
+        onnx: Any = importlib.import_module("onnx")
+    except ModuleNotFoundError:
+        raise MissingExtra("onnx", "train") from None
+    model = onnx.load(str(path))
+    others = {entry.key: entry.value for entry in model.metadata_props if entry.key != KEY}
+    text = json.dumps({"format": FORMAT, "kind": kind, **table}, ensure_ascii=False)
+    onnx.helper.set_model_props(model, {**others, KEY: text})
+    whole = Path(f"{path}.part")
+    onnx.save(model, str(whole))
+    whole.replace(path)
+
+
+def read_table(session: Any, kind: str, where: str) -> dict[str, Any]:
+    """The description in an open file, of this format and kind; raises `PolicyError` for any other."""
+    text = session.get_modelmeta().custom_metadata_map.get(KEY)
+    if text is None:
+        raise PolicyError(
+            f"{where} does not describe itself: it lacks the metadata {KEY!r} that `cognitivedrone train` writes"
+        )
+    return table_of(text, kind, where)
+
+
+def table_of(text: str, kind: str, where: str) -> dict[str, Any]:
+    """The description in a text; raises `PolicyError`."""
+    try:
+        table = json.loads(text)
+    except ValueError as error:
+        raise PolicyError(f"the description in {where} is not JSON: {error}") from None
+    version = table.get("format") if isinstance(table, dict) else None
+    if version != FORMAT:
+        raise PolicyError(
+            f"{where} is a model file of format {version!r} and this version reads format {FORMAT};"
+            " take a file and a release of cognitivedrone that belong together"
+        )
+    if table.get("kind") != kind:
+        raise PolicyError(f"{where} is a model of kind {table.get('kind')!r}, not {kind!r}")
+    found: dict[str, Any] = table
+    return found
+
+
+def open_session(path: Path, *, threads: int, optimise: bool) -> Any:
+    """An inference session of a file, run on the CPU; raises `PolicyError` where it cannot be loaded."""
+    if not path.is_file():
+        raise PolicyError(f"there is no model file {path}")
+    if path.stat().st_size > LARGEST_BYTES:
+        raise PolicyError(
+            f"{path} has {path.stat().st_size / 2**20:.0f} MB; a small model has at most {LARGEST_BYTES / 2**20:.0f} MB"
+        )
+    ort: Any = importlib.import_module("onnxruntime")
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+    # Waiting threads sleep: the cores belong to the simulator, or to the rest of the drone.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.log_severity_level = 4  # what matters is raised
+    if not optimise:
+        options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
+    # The arena grows by what is asked for instead of doubling.
+    provider = ("CPUExecutionProvider", {"arena_extend_strategy": "kSameAsRequested"})
+    try:
+        return ort.InferenceSession(str(path), options, providers=[provider])
+    except Exception as error:  # its errors have no public common type
+        reason = str(error).splitlines()[0]
+        if type(error).__name__ == "InvalidProtobuf" or "No graph was found" in reason:
+            raise PolicyError(f"{path} is not an ONNX file, or it was cut short; fetch or train it anew") from None
+        raise PolicyError(f"ONNX Runtime {ort.__version__} cannot load {path}: {reason}") from None
+
+
+def check_graph(session: Any, inputs: Tensors, outputs: Tensors, where: str) -> None:
+    """Compare names, types and shapes of inputs and outputs with a contract; raises `PolicyError`."""
+    for side, wanted, found in (("in", inputs, session.get_inputs()), ("out", outputs, session.get_outputs())):
+        nodes = {node.name: node for node in found}
+        if nodes.keys() != wanted.keys():
+            raise PolicyError(f"{where} has the {side}puts {', '.join(nodes)}; expected {', '.join(wanted)}")
+        for name, (kind, shape) in wanted.items():
+            node = nodes[name]
+            if node.type != kind or not _fits(node.shape, shape):
+                raise PolicyError(
+                    f"{side}put {name!r} of {where} is {node.type} {node.shape}; expected {kind} {['batch', *shape]}"
+                )
+
+
+def _fits(found: Sequence[Any], wanted: tuple[int, ...]) -> bool:
+    """Whether a graph's shape can be (batch, *wanted) for any batch: a dimension without a number may be any."""
+    batch, rest = found[:1], found[1:]
+    return (
+        len(rest) == len(wanted)
+        and not isinstance(batch[0], int)
+        and all(not isinstance(size, int) or size == want for size, want in zip(rest, wanted, strict=True))
+    )
+
+
+def field_of(table: Mapping[str, Any], name: str, kind: type[T], where: str) -> T:
+    """A field of the description, of the type it must have."""
+    if name not in table:
+        raise PolicyError(f"the description in {where} lacks {name!r}")
+    value = table[name]
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise PolicyError(f"{name!r} of the description in {where} is {value!r:.60}, which is no {kind.__name__}")
+    return value
+
+
+def count_of(table: Mapping[str, Any], name: str, where: str) -> int:
+    """A field that is a whole number from 1; raises `PolicyError`."""
+    value = field_of(table, name, int, where)
+    if value < 1:
+        raise PolicyError(f"{name!r} of the description in {where} is {value}; it must be at least 1")
+    return value
+
+
+def vocabulary_of(words: list[Any], where: str) -> Vocabulary:
+    """A vocabulary of words; raises `PolicyError`."""
+    if not all(isinstance(word, str) for word in words):
+        raise PolicyError(f"the vocabulary in {where} holds something that is no word")
+    try:
+        return Vocabulary(tuple(words))
+    except PolicyError as error:
+        raise PolicyError(f"{where}: {error}") from None
+
+
+def provenance_of(table: Mapping[str, Any], where: str) -> Provenance:
+    """Where a model comes from, from its description; raises `PolicyError`."""
+    origin = field_of(table, "provenance", dict, where)
+    return Provenance(
+        **{name: field_of(origin, name, str, where) for name in ("recipe", "data", "commit", "trained")},
+        steps=field_of(origin, "steps", int, where),
+        scores=field_of(origin, "scores", dict, where),
+    )
