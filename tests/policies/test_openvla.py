@@ -127,6 +127,10 @@ class TestBeforeAnythingHeavyIsLoaded:
         with pytest.raises(PolicyError, match="this machine has no GPU that PyTorch can use, and the network needs"):
             OpenVla(f"{folder},device=cuda")
 
+    def test_four_bits_on_the_host(self, folder):
+        with pytest.raises(PolicyError, match="quant=int4 is for GPUs"):
+            OpenVla(f"{folder},quant=int4,device=cpu")
+
     def test_an_unknown_key(self, folder):
         with pytest.raises(PolicyError, match="no statistics 'bridge'"):
             OpenVla(f"{folder},unnorm_key=bridge,device=cpu")

@@ -113,6 +113,8 @@ def _decoder(options: Options, checkpoint: Checkpoint) -> Decoder:
         _import(package)
     has_gpu = torch.cuda.is_available()
     device = options.device or ("cuda" if has_gpu else "cpu")
+    if options.quant == "int4" and device == "cpu":
+        raise PolicyError("quant=int4 is for GPUs; on the host use quant=int8 or quant=none")
     stored = 2 if device == "cuda" else checkpoint.stored_bytes
     needed = checkpoints.needed_bytes(checkpoint.config, options.quant, stored)
     if device == "cuda" and not has_gpu:

@@ -3,6 +3,8 @@
 import json
 import shutil
 import struct
+import sys
+import types
 from dataclasses import replace
 from pathlib import Path
 
@@ -100,6 +102,19 @@ class TestLoading:
         monkeypatch.setattr(weights.importlib.util, "find_spec", lambda name: None)
         with pytest.raises(MissingExtra, match="torchao"):
             weights.load(inspect(made_folder), "cpu", torch.float32, "int8")
+
+    @pytest.mark.parametrize(("bits", "config"), [("int8", "Int8WeightOnlyConfig"), ("int4", "Int4WeightOnlyConfig")])
+    def test_only_llamas_layers_become_small(self, made_folder, monkeypatch, bits, config):
+        asked = []
+        library = types.SimpleNamespace(
+            Int8WeightOnlyConfig=lambda: "Int8WeightOnlyConfig",
+            Int4WeightOnlyConfig=lambda **_: "Int4WeightOnlyConfig",
+            quantize_=lambda module, config, device: asked.append((module, config, device)),
+        )
+        monkeypatch.setattr(weights.importlib.util, "find_spec", lambda name: name)
+        monkeypatch.setitem(sys.modules, "torchao.quantization", library)
+        network = weights.load(inspect(made_folder), "cpu", torch.bfloat16, bits)
+        assert asked == [(network.language_model.model.layers, config, "cpu")]
 
 
 class TestFaults:

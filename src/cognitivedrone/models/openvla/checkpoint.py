@@ -35,8 +35,10 @@ STATISTICS = "dataset_statistics.json"
 HEAD = "action_head.safetensors"
 LARGEST_HEADER = 100_000_000
 """Bytes that the format allows for the description of a file's tensors."""
-BYTES_PER_WEIGHT: dict[Quantisation, float] = {"none": 2.0, "int8": 1.0, "int4": 0.5 + 4 / 128}
-"""Of a matrix in a linear layer; in 4 bits every 128 weights share a scale and a zero of 2 bytes each."""
+GROUP = 128
+"""Weights of 4 bits that share a scale and a zero."""
+BYTES_PER_WEIGHT: dict[Quantisation, float] = {"none": 2.0, "int8": 1.0, "int4": 0.5 + 4 / GROUP}
+"""Of a matrix in Llama's layers; scale and zero have 2 bytes each."""
 _WORK = 0.04
 """Room for activations, keys, values and workspaces, as a fraction of the weights."""
 

@@ -19,6 +19,7 @@ from cognitivedrone.errors import MissingExtra
 from cognitivedrone.models.openvla.actions import ActionStatistics
 from cognitivedrone.models.openvla.checkpoint import (
     CONFIG,
+    GROUP,
     HEAD,
     INDEX,
     PREPARATION,
@@ -111,14 +112,17 @@ def quantise(network: OpenVlaNetwork, quantisation: Quantisation, device: str | 
     """Make the matrices of Llama's layers small, on `device`; what is multiplied with them stays as it is.
 
     The towers, the projector and the words keep their numbers: they are a seventh of the weights.
-    Raises `MissingExtra` where torchao is not installed.
+    Raises `MissingExtra` where torchao is not installed (0.14 or newer, for 4 bits).
     """
     if quantisation == "none":
         return
     if importlib.util.find_spec("torchao") is None:
         raise MissingExtra("torchao", "openvla")
     library: Any = importlib.import_module("torchao.quantization")
-    config = library.Int8WeightOnlyConfig() if quantisation == "int8" else library.Int4WeightOnlyConfig(group_size=128)
+    if quantisation == "int8":
+        config = library.Int8WeightOnlyConfig()
+    else:  # the packing whose multiplication comes with PyTorch; others need one more library
+        config = library.Int4WeightOnlyConfig(group_size=GROUP, int4_packing_format="tile_packed_to_4d")
     library.quantize_(network.language_model.model.layers, config, device=device)
 
 
