@@ -281,7 +281,7 @@ class SimulatedVehicle:
             if sum(other.port is peer.port for other in self._peers) >= MAX_PEERS:
                 return False
             self._peers.append(peer)
-            peer.mav.statustext_send(int(Severity.INFO), b"CognitiveDrone: simulated copter, as ArduCopter 4.6")
+            peer.mav.statustext_send(int(Severity.INFO), b"CognitiveDrone: a simulated copter")
         return True
 
     def _tell(self) -> None:

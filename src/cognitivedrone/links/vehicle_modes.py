@@ -123,7 +123,7 @@ class FlightModes:
     def disarm(self) -> str | None:
         """Stop the motors: only on the ground."""
         if self.armed and not self.landed:
-            return "Disarm: not landed; simulated motors cannot be stopped in flight"
+            return "Disarm: not landed, motors do not stop in flight"
         if self.armed:
             self.armed, self._target, self._climb_to = False, None, None
             self._say(Severity.INFO, "Disarming motors")

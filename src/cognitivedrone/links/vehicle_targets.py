@@ -125,9 +125,9 @@ def decode(setpoint: Setpoint, state: DroneState, home: Home, time: float) -> Ta
     if setpoint.frame not in LOCAL_FRAMES + GLOBAL_FRAMES:
         return f"frame {setpoint.frame} is not supported"
     if not (with_position or with_velocity):
-        return "a target needs a position or a velocity"
+        return "no position or velocity is given"
     if setpoint.mask & _FORCE and not setpoint.mask & _ACCELERATION:
-        return "force targets are not supported"
+        return "force is not supported"
     heading_now = float(yaw_of(state.quaternion))
     used = [setpoint.position] * with_position + [setpoint.velocity] * with_velocity
     if not all(np.isfinite(values).all() for values in used):
@@ -140,7 +140,7 @@ def decode(setpoint: Setpoint, state: DroneState, home: Home, time: float) -> Ta
         return VelocityTarget(velocity, heading, time)
     position = _position(setpoint, state.position, heading_now, home)
     if position is None or float(np.abs(position - home.position).max()) > FARTHEST_M:
-        return f"a place must lie within {FARTHEST_M:g} m of home"
+        return f"the place is not within {FARTHEST_M:g} m"
     return PositionTarget(position, velocity, heading, time)
 
 
