@@ -144,6 +144,7 @@ def train(
     out: Path,
     recipe: str = "small",
     data: Path | None = None,
+    start: Path | None = None,
     seed: int = 0,
     resume: bool = False,
     processes: int = 1,
@@ -156,11 +157,13 @@ def train(
       cognitivedrone train --recipe small --out runs/small --processes 2
       cognitivedrone train --recipe small --out runs/recorded --processes 2 --data flights
       cognitivedrone bench --policy small:runs/small/model.onnx
+      cognitivedrone train --recipe reader --start runs/small/checkpoint.safetensors --out runs/reasoner-eyes
 
     Args:
         out: Folder of the run: checkpoint, curves.png, TensorBoard logs and, at the end, model.onnx.
-        recipe: small, race, base or debug.
+        recipe: small, race, base or debug; reader or mind, the two parts of the small reasoner.
         data: A data set made by `collect`, to learn from it instead of from flights made on the way.
+        start: For the reader: checkpoint of a policy, whose sight it starts from.
         seed: Of everything random.
         resume: Go on from the checkpoint in the folder.
         processes: Processes that share each batch: the number of CPU cores, or of GPUs.
@@ -170,8 +173,9 @@ def train(
         from cognitivedrone.training.launch import TrainOptions, run
     except ModuleNotFoundError as error:
         raise MissingExtra(str(error.name), "train") from None
-    model = run(TrainOptions(out, recipe, data, seed, resume, processes, threads))
-    print(f"{model}: fly it with --policy small:{model}")  # noqa: T201
+    model = run(TrainOptions(out, recipe, data, start, seed, resume, processes, threads))
+    hint = f"; fly it with --policy small:{model}" if model.name == "model.onnx" else ""
+    print(f"{model}{hint}")  # noqa: T201
 
 
 data = tyro.extras.SubcommandApp()

@@ -11,7 +11,7 @@ import math
 import struct
 import threading
 import time
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -174,17 +174,19 @@ class Connection:
             answer = self.wait(answered, timeout_s)
             return answer[0] if answer is not None else None
 
-    def parameter(self, name: str) -> float | None:
-        """A parameter's value; none where the vehicle does not know it or does not answer."""
+    def parameters(self, names: Sequence[str]) -> dict[str, float | None]:
+        """The values of parameters; none for those that the vehicle does not know: it does not answer for them."""
         vehicle = self._target()
         with self._asking:
-            for _ in range(TRIES):
+            for name in names:
                 self._replies.pop(("parameter", name), None)
-                self.send("param_request_read", vehicle.system, vehicle.component, name.encode(), -1)
-                value: float | None = self.wait(lambda: self._replies.get(("parameter", name)), ACK_S / 2)
-                if value is not None:
-                    return value
-        return None
+            for _ in range(TRIES):
+                missing = [name for name in names if ("parameter", name) not in self._replies]
+                for name in missing:
+                    self.send("param_request_read", vehicle.system, vehicle.component, name.encode(), -1)
+                if self.until(lambda: all(("parameter", name) in self._replies for name in names), ACK_S / 2):
+                    break
+            return {name: self._replies.get(("parameter", name)) for name in names}
 
     def set_parameter(self, name: str, value: float) -> None:
         """Set a parameter and see that it took; raises `LinkError` where it did not."""

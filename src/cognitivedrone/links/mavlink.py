@@ -132,7 +132,7 @@ class MavlinkDrone:
 
     def checklist(self) -> Checklist:
         """Read what safety leans on, set what may be set, and list it all."""
-        values = {e.name: self._link.parameter(e.name) for e in EXPECTED}
+        values = self._link.parameters([expected.name for expected in EXPECTED])
         unfit = tuple(e for e in misfits(values) if e.needed) if self.config.set_parameters else ()
         for expected in unfit:
             self._link.set_parameter(expected.name, expected.wanted)

@@ -16,16 +16,13 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from cognitivedrone.models.reasoner_file import REMEMBERED
 from cognitivedrone.models.small_vla import SLOTS, SmallVLA, TextLayer, sight
 
-LARGEST_VALUE = 20
-"""Values of sums are told from 0 to this; `LARGEST_VALUE` + 1 stands for any larger one, + 2 for none, + 3 for a
-negative one."""
-VALUES = LARGEST_VALUE + 4
-NO_VALUE = LARGEST_VALUE + 2
-STAGES = 5
+VALUES = 24
+"""Values of sums, as `reasoners.small.value_index` tells them."""
+STAGES = REMEMBERED // 3
 """Earlier stages that are remembered, at most."""
-REMEMBERED = 3 * STAGES
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,19 +151,10 @@ class Mind(nn.Module):
         index, ago = (stages[..., column].clamp(0, STAGES - 1) for column in (0, 1))
         memory = self.facets(remembered) + self.stages[index] + self.ago[ago] + self.flown[stages[..., 2].clamp(0, 1)]
         x = torch.cat([start, gates, on_board, calculated, words, memory], dim=1)
-        always = torch.ones_like(there[:, :1]).expand(-1, 6)
+        always = torch.ones_like(tokens[:, :1], dtype=words.dtype).expand(-1, 6)
         present = torch.cat([always, (tokens != 0).to(words.dtype), there], dim=1)
         bias = ((present - 1.0) * 1e4)[:, None, None].to(x.dtype)
         for layer in self.layers:
             x = layer(x, bias)
         logits: Tensor = self.out(x[:, 1:4])[..., 0]
         return logits
-
-
-def value_index(value: int | None) -> int:
-    """The index of a value among those that the mind is told."""
-    if value is None:
-        return NO_VALUE
-    if value < 0:
-        return LARGEST_VALUE + 3
-    return min(value, LARGEST_VALUE + 1)

@@ -12,6 +12,7 @@ from cognitivedrone import plugins
 from cognitivedrone.interfaces import Reasoner
 
 REASONERS: dict[str, str] = {
+    "small": "cognitivedrone.reasoners.small:SmallReasoner",
     "oracle": "cognitivedrone.reasoners.oracle:Oracle",
     "noisy-oracle": "cognitivedrone.reasoners.noisy_oracle:NoisyOracle",
     "replay": "cognitivedrone.reasoners.replay:Replay",

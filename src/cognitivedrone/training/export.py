@@ -7,7 +7,7 @@ import json
 import logging
 import subprocess
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import islice
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import onnx
 import torch
+from torch import Tensor, nn
 
 from cognitivedrone.models.onnx_file import Provenance
 from cognitivedrone.models.small_file import ActionStatistics, Description, SmallModel, describe
@@ -51,14 +52,7 @@ def export(
         chunk=network.config.chunk,
         action=action_statistics(network, vocabulary, stream, data),
         config=network.config.facts(),
-        provenance=Provenance(
-            recipe=recipe["name"],
-            data=facts.get("data") or _stream_id(recipe),
-            commit=_commit(),
-            trained=datetime.now(UTC).isoformat(timespec="seconds"),
-            steps=int(facts["step"]),
-            scores=dict(scores or {}),
-        ),
+        provenance=provenance_of(facts, scores),
     )
     describe(beside, description)
     SmallModel.load(beside)  # what cannot be loaded never lies in its place
@@ -66,32 +60,46 @@ def export(
     return description
 
 
-def _stream_id(recipe: dict[str, Any]) -> str:
-    return "stream sha256:" + hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
+def provenance_of(facts: Mapping[str, Any], scores: Mapping[str, Any] | None = None) -> Provenance:
+    """Where a network comes from, by the facts of its checkpoint."""
+    recipe = facts["recipe"]
+    made = "made while training, sha256:" + hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
+    return Provenance(
+        recipe=recipe["name"],
+        data=facts.get("data") or made,
+        commit=_commit(),
+        trained=datetime.now(UTC).isoformat(timespec="seconds"),
+        steps=int(facts["step"]),
+        scores=dict(scores or {}),
+    )
 
 
 def write_graph(network: SmallVLA, path: Path) -> None:
-    """The network as an ONNX graph with a dynamic batch, large weights stored in half precision."""
+    """The policy's network as an ONNX graph."""
+    example = {
+        "image": torch.zeros(2, 256, 256, 3, dtype=torch.uint8),
+        "state": torch.zeros(2, STATE),
+        "tokens": torch.zeros(2, network.config.text_length, dtype=torch.int64),
+    }
+    write_onnx(network, example, ("action", "choice", "gates"), path)
+
+
+def write_onnx(network: nn.Module, example: Mapping[str, Tensor], outputs: Sequence[str], path: Path) -> None:
+    """A network as an ONNX graph with a dynamic batch, large weights stored in half precision."""
     network = network.to("cpu").eval()
-    size, length = 256, network.config.text_length
-    example = (
-        torch.zeros(2, size, size, 3, dtype=torch.uint8),
-        torch.zeros(2, STATE),
-        torch.zeros(2, length, dtype=torch.int64),
-    )
     batch = torch.export.Dim("batch", min=1, max=1024)
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about the exporter's own insides
         torch.onnx.export(
             network,
-            example,
+            tuple(example.values()),
             str(path),
             dynamo=True,
-            dynamic_shapes=({0: batch}, {0: batch}, {0: batch}),
+            dynamic_shapes=tuple({0: batch} for _ in example),
             external_data=False,
-            input_names=["image", "state", "tokens"],
-            output_names=["action", "choice", "gates"],
+            input_names=list(example),
+            output_names=list(outputs),
             verbose=False,
         )
     model = onnx.load(str(path))

@@ -14,7 +14,11 @@ from pathlib import Path
 import tyro
 
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
-from cognitivedrone.training.recipes import find_recipe
+from cognitivedrone.models.reasoner_file import EYES_FILE, MIND_FILE
+from cognitivedrone.training.mind import MindRecipe, mind_subject
+from cognitivedrone.training.reader import ReaderRecipe, reader_subject
+from cognitivedrone.training.recipes import TrainRecipe, find_recipe
+from cognitivedrone.training.subject import Subject
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,10 +28,12 @@ class TrainOptions:
     out: Path
     """Folder of the run: checkpoint, curves, TensorBoard logs and, at the end, model.onnx."""
     recipe: str = "small"
-    """small, race, base or debug."""
+    """small, race, base or debug; reader or mind of the reasoner; or one of the ablation."""
     data: Path | None = None
     """A data set made by `collect`, instead of flights made while training (which train better: the network flies
     some of them, and no two frames are alike)."""
+    start: Path | None = None
+    """Checkpoint of a policy: whose sight a reader starts from, and whose search for gates is part of its eyes."""
     seed: int = 0
     resume: bool = False
     """Go on from the checkpoint in the folder."""
@@ -39,35 +45,69 @@ class TrainOptions:
 
 def run(options: TrainOptions) -> Path:
     """Train, on as many processes as asked for, and export; returns the model file."""
-    find_recipe(options.recipe)
+    _check(options)
     if options.processes == 1:
         return _work(options)
     if options.processes < 1:
         raise TrainingError(f"{options.processes} processes cannot train; give at least 1")
     launcher = ["torch.distributed.run", "--standalone", "--nproc-per-node", str(options.processes)]
     flags = ["--out", options.out, "--recipe", options.recipe, "--seed", options.seed, "--threads", options.threads]
-    if options.data:
-        flags += ["--data", options.data]
+    for name in ("data", "start"):
+        if getattr(options, name) is not None:
+            flags += [f"--{name}", getattr(options, name)]
     resume = "--resume" if options.resume else "--no-resume"
     command = [sys.executable, "-m", *launcher, "-m", __name__, *map(str, flags), resume]
     done = subprocess.run(command, env={"OMP_NUM_THREADS": "1", **os.environ}, check=False)  # noqa: S603
     if done.returncode:
         raise TrainingError(f"the training ended with exit code {done.returncode}; its messages are above")
-    return options.out / "model.onnx"
+    return _model_of(options)
+
+
+def _check(options: TrainOptions) -> None:
+    recipe = find_recipe(options.recipe)
+    if isinstance(recipe, ReaderRecipe) != (options.start is not None):
+        raise TrainingError(
+            "the recipe reader needs --start with the checkpoint of a policy, such as"
+            " runs/small/checkpoint.safetensors; other recipes start from nothing"
+        )
+    if options.data is not None and not isinstance(recipe, TrainRecipe):
+        raise TrainingError(f"the recipe {options.recipe} learns from no flights; leave out --data")
+
+
+def _model_of(options: TrainOptions) -> Path:
+    recipe = find_recipe(options.recipe)
+    names = {ReaderRecipe: EYES_FILE, MindRecipe: MIND_FILE}
+    return options.out / names.get(type(recipe), "model.onnx")
 
 
 def _work(options: TrainOptions) -> Path:
     """This process's part."""
     from cognitivedrone.training.export import export
-    from cognitivedrone.training.policy import policy_subject
+    from cognitivedrone.training.export_reasoner import export_eyes, export_mind
     from cognitivedrone.training.trainer import TrainConfig, train
 
-    subject = policy_subject(find_recipe(options.recipe), options.data)
-    checkpoint = train(TrainConfig(options.out, subject, options.seed, options.resume, options.threads))
-    model = options.out / "model.onnx"
-    if os.environ.get("RANK", "0") == "0":
-        export(checkpoint, model, data=options.data)
+    _check(options)
+    checkpoint = train(TrainConfig(options.out, _subject(options), options.seed, options.resume, options.threads))
+    model = _model_of(options)
+    if os.environ.get("RANK", "0") != "0":
+        return model
+    if model.name == EYES_FILE and options.start is not None:
+        return export_eyes(options.start, checkpoint, options.out)
+    if model.name == MIND_FILE:
+        return export_mind(checkpoint, options.out)
+    export(checkpoint, model, data=options.data)
     return model
+
+
+def _subject(options: TrainOptions) -> Subject:
+    from cognitivedrone.training.policy import policy_subject
+
+    recipe = find_recipe(options.recipe)
+    if isinstance(recipe, MindRecipe):
+        return mind_subject(recipe)
+    if isinstance(recipe, ReaderRecipe):
+        return reader_subject(recipe, options.start)
+    return policy_subject(recipe, options.data)
 
 
 def main() -> None:

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-from cognitivedrone.models.small_reasoner import REMEMBERED, Mind, MindConfig, value_index
+from cognitivedrone.models.reasoner_file import REMEMBERED
+from cognitivedrone.models.small_reasoner import Mind, MindConfig
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.reasoners.calculator import calculate, evaluate
+from cognitivedrone.reasoners.small import value_index
 from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES
 from cognitivedrone.tasks.generate import TRAIN, Draw
 from cognitivedrone.tasks.memory import memory_track

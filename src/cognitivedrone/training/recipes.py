@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from cognitivedrone.errors import TrainingError, did_you_mean
 from cognitivedrone.models.small_vla import SmallVLAConfig
 from cognitivedrone.training.losses import LossWeights
+from cognitivedrone.training.mind import MIND, MindRecipe
+from cognitivedrone.training.reader import READER, ReaderRecipe
 from cognitivedrone.training.sampling import StreamRecipe
 from cognitivedrone.training.subject import Schedule
 
@@ -71,8 +73,13 @@ RECIPES: dict[str, TrainRecipe] = {
 path in seconds, of no use otherwise. `ablation-*`: a tenth of `small`, each but the first with one thing changed."""
 
 
-def find_recipe(name: str) -> TrainRecipe:
+REASONER_RECIPES: dict[str, MindRecipe | ReaderRecipe] = {"mind": MIND, "reader": READER}
+"""`mind`: what the small reasoner answers by. `reader`: what it reads panels with, from a policy's sight."""
+
+
+def find_recipe(name: str) -> TrainRecipe | MindRecipe | ReaderRecipe:
     """The recipe of that name; raises `TrainingError` with near names."""
-    if name not in RECIPES:
-        raise TrainingError(f"unknown recipe {name!r}; {did_you_mean(name, RECIPES)}")
-    return RECIPES[name]
+    known = {**RECIPES, **REASONER_RECIPES}
+    if name not in known:
+        raise TrainingError(f"unknown recipe {name!r}; {did_you_mean(name, known)}")
+    return known[name]

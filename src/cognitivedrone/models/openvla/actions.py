@@ -71,7 +71,7 @@ class ActionStatistics:
 
 
 def choose_statistics(norm_stats: Mapping[str, Any], key: str | None) -> tuple[str, ActionStatistics]:
-    """The statistics under `key`, or the only ones that there are.
+    """The statistics under `key`, or the only ones that are a drone's: published checkpoints also hold those of arms.
 
     Raises `PolicyError` where there are none, several and no key, an unknown key, or those of another robot.
     """
@@ -80,12 +80,8 @@ def choose_statistics(norm_stats: Mapping[str, Any], key: str | None) -> tuple[s
             "the checkpoint has no action statistics (norm_stats in config.json, or dataset_statistics.json beside it);"
             " without them its answers have no unit"
         )
-    if key is None and len(norm_stats) > 1:
-        raise PolicyError(
-            f"the checkpoint has the statistics of {len(norm_stats)} data sets; add unnorm_key=NAME,"
-            f" one of {', '.join(sorted(norm_stats)[:8])}{', ...' if len(norm_stats) > 8 else ''}"
-        )
-    key = key or next(iter(norm_stats))
+    if key is None:
+        key = _only_drone(norm_stats)
     if key not in norm_stats:
         raise PolicyError(f"the checkpoint has no statistics {key!r}; {did_you_mean(key, norm_stats)}")
     try:
@@ -98,6 +94,32 @@ def choose_statistics(norm_stats: Mapping[str, Any], key: str | None) -> tuple[s
         return key, ActionStatistics(q01, q99, mask)
     except PolicyError as error:
         raise PolicyError(f"statistics {key!r}: {error}") from None
+
+
+def _only_drone(norm_stats: Mapping[str, Any]) -> str:
+    if len(norm_stats) == 1:
+        return next(iter(norm_stats))
+    drones = sorted(key for key, told in norm_stats.items() if _numbers(told) == ACTION_SIZE)
+    if not drones:
+        raise PolicyError(
+            f"the checkpoint has the statistics of {len(norm_stats)} data sets, none with the {ACTION_SIZE} numbers of"
+            " a drone's action: vx, vy, vz, yaw rate. Fine-tune it on flights before you fly it"
+        )
+    if len(drones) > 1:
+        more = ", ..." if len(drones) > 8 else ""
+        raise PolicyError(
+            f"the checkpoint has the statistics of {len(drones)} data sets of drones; add unnorm_key=NAME,"
+            f" one of {', '.join(drones[:8])}{more}"
+        )
+    return drones[0]
+
+
+def _numbers(told: Any) -> int | None:
+    """How many numbers an action has, where the statistics say so."""
+    try:
+        return len(told["action"]["q01"])
+    except (KeyError, TypeError):
+        return None
 
 
 def to_tokens(normalised: FloatArray) -> Tokens:

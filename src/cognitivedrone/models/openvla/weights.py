@@ -66,8 +66,8 @@ def load(
 ) -> OpenVlaNetwork:
     """The network of a checkpoint, with one copy of each tensor, straight to where it is to run.
 
-    A network to be quantised is read on the host, and each layer moves when it has become small. Raises
-    `MissingExtra` for quantisation without torchao.
+    Do not cast it afterwards: the rotary frequencies stay in float32. A network to be quantised is read on the host,
+    and each layer moves when it has become small. Raises `MissingExtra` for quantisation without torchao.
     """
     reading = torch.device("cpu") if quantisation != "none" else torch.device(device)
     network = empty_network(checkpoint.config)

@@ -1,0 +1,150 @@
+"""The small reasoner's two files: ONNX graphs of its eyes and its mind, each with a description of itself.
+
+Contracts; the batch is a dynamic axis, F the number of facets, L the mind's `text_length`:
+
+- eyes: input `image` uint8 (batch, 256, 256, 3); outputs `facets` float32 (batch, 4, F), logits of what the three
+  panels and the board show; `looks` float32 (batch, 3, 8), probabilities of a gate's colours, shapes and sizes; `boxes`
+  float32 (batch, 4, 4) of panels and board: centre u, v and height in pixels, and the score, 0 to 1, that it is there;
+- mind: inputs as `small_reasoner.Mind.forward` tells them, `tokens` int64 (batch, L), with any number of remembered
+  panels up to `REMEMBERED`; output `logits` float32 (batch, 3) of the gates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cognitivedrone.errors import PolicyError
+from cognitivedrone.models.onnx_file import (
+    Provenance,
+    check_graph,
+    count_of,
+    field_of,
+    open_session,
+    provenance_of,
+    read_table,
+    vocabulary_of,
+)
+from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.types import IMAGE_SIZE, Image
+
+EYES, MIND = "small-reasoner-eyes", "small-reasoner-mind"
+EYES_FILE, MIND_FILE = "eyes.onnx", "mind.onnx"
+LOOKS = 8
+"""Colours, shapes and sizes of gates, in the order of `types`."""
+REMEMBERED = 15
+"""Panels of earlier stages, at most."""
+
+Floats = NDArray[np.float32]
+
+
+class Sight(NamedTuple):
+    """What the eyes see in one frame."""
+
+    facets: Floats
+    """(4, F) logits of three panels, in no order, and the board."""
+    looks: Floats
+    """(3, 8)."""
+    boxes: Floats
+    """(4, 4)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Facets:
+    """Names of all that can be read."""
+
+    names: tuple[str, ...]
+    """As "group/value"."""
+
+    @property
+    def groups(self) -> dict[str, slice]:
+        """Where the facets of each group stand; the groups follow each other without gaps."""
+        found: dict[str, slice] = {}
+        for index, name in enumerate(self.names):
+            group = name.partition("/")[0]
+            start = found[group].start if group in found else index
+            found[group] = slice(start, index + 1)
+        return found
+
+
+class EyesModel:
+    """Reads frames, by ONNX Runtime on the CPU."""
+
+    def __init__(self, session: Any, facets: Facets, provenance: Provenance) -> None:
+        self._session = session
+        self.facets = facets
+        self.provenance = provenance
+
+    @classmethod
+    def load(cls, path: Path, *, threads: int = 1) -> EyesModel:
+        """Load a file; raises `PolicyError` where it is missing, broken or of another kind."""
+        session = open_session(path, threads=threads, optimise=True)
+        table = read_table(session, EYES, str(path))
+        facets = _facets(table, str(path))
+        outputs = {
+            "facets": ("tensor(float)", (4, len(facets.names))),
+            "looks": ("tensor(float)", (3, LOOKS)),
+            "boxes": ("tensor(float)", (4, 4)),
+        }
+        check_graph(session, {"image": ("tensor(uint8)", (IMAGE_SIZE, IMAGE_SIZE, 3))}, outputs, str(path))
+        return cls(session, facets, provenance_of(table, str(path)))
+
+    def see(self, image: Image) -> Sight:
+        """What a frame (256, 256, 3) shows; raises `PolicyError` for one of another shape or type."""
+        if image.dtype != np.uint8 or image.shape != (IMAGE_SIZE, IMAGE_SIZE, 3):
+            raise PolicyError(
+                f"the eyes need an image of uint8 (256, 256, 3); what came is {image.dtype} {image.shape}"
+            )
+        facets, looks, boxes = self._session.run(("facets", "looks", "boxes"), {"image": image[None]})
+        return Sight(facets[0], looks[0], boxes[0])
+
+
+class MindModel:
+    """Answers from what was read, by ONNX Runtime on the CPU."""
+
+    def __init__(self, session: Any, facets: Facets, vocabulary: Vocabulary, text_length: int) -> None:
+        self._session = session
+        self.facets = facets
+        self.vocabulary = vocabulary
+        self.text_length = text_length
+
+    @classmethod
+    def load(cls, path: Path, *, threads: int = 1) -> MindModel:
+        """Load a file; raises `PolicyError` where it is missing, broken or of another kind."""
+        session = open_session(path, threads=threads, optimise=True)
+        where = str(path)
+        table = read_table(session, MIND, where)
+        facets, length = _facets(table, where), count_of(table, "text_length", where)
+        count = len(facets.names)
+        inputs = {
+            "tokens": ("tensor(int64)", (length,)),
+            "panels": ("tensor(float)", (3, count)),
+            "looks": ("tensor(float)", (3, LOOKS)),
+            "board": ("tensor(float)", (count,)),
+            "values": ("tensor(int64)", (5,)),
+            "remembered": ("tensor(float)", (REMEMBERED, count)),
+            "stages": ("tensor(int64)", (REMEMBERED, 3)),
+        }
+        check_graph(session, inputs, {"logits": ("tensor(float)", (3,))}, where)
+        return cls(session, facets, vocabulary_of(field_of(table, "vocabulary", list, where), where), length)
+
+    def choose(self, sentence: str, told: Mapping[str, NDArray[Any]]) -> Floats:
+        """Probabilities (3,) of the gates, for a sentence and the other inputs, each without its batch axis."""
+        tokens = self.vocabulary.encode(sentence, self.text_length)
+        feed = {"tokens": tokens[None], **{name: value[None] for name, value in told.items()}}
+        (logits,) = self._session.run(("logits",), feed)
+        shares = np.exp(logits[0] - logits[0].max())
+        probabilities: Floats = shares / shares.sum()
+        return probabilities
+
+
+def _facets(table: Mapping[str, Any], where: str) -> Facets:
+    names = field_of(table, "facets", list, where)
+    if not names or not all(isinstance(name, str) and "/" in name for name in names):
+        raise PolicyError(f"the facets in {where} are not names of the form group/value")
+    return Facets(tuple(names))

@@ -1,0 +1,222 @@
+"""The small reasoner: reads the scene, remembers what it has read, calculates, and says which gate is meant.
+
+Nothing that it uses is privileged: frames, the instruction, and what it answered before. Of several frames it averages
+what it reads, gate by gate: gates of a task differ in colour, so their colour tells which is which. Of earlier stages
+it keeps what their panels showed and which gate it sent the drone to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cognitivedrone.errors import PolicyError, ReasonerError
+from cognitivedrone.models.reasoner_file import EYES_FILE, LOOKS, MIND_FILE, REMEMBERED, EyesModel, MindModel, Sight
+from cognitivedrone.reasoners.calculator import calculate
+from cognitivedrone.tasks.directives import write_directive
+from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Guidance, Image
+
+LARGEST_VALUE = 20
+_SEEN = 0.3  # score from which a gate or board counts as there
+_UNSURE = 0.4  # a choice that is less likely than this is none
+_LEGIBLE_PX = 8.0  # panels lower than this tell nothing
+_STAGES = REMEMBERED // 3
+
+Floats = NDArray[np.float32]
+
+
+@dataclass
+class _Gate:
+    """What is known of one gate, from all frames so far; sums, weighted by how well each was seen."""
+
+    looks: Floats
+    facets: Floats
+    weight: float = 0.0
+    u: float = 0.0
+    """Where it was seen last, pixels from the left."""
+
+
+@dataclass
+class _Stage:
+    """What is known of a stage."""
+
+    board: Floats
+    """Facets, weighted as a gate's are."""
+    board_weight: float = 0.0
+    gates: dict[int, _Gate] = field(default_factory=dict)
+    """By colour."""
+    chosen: int | None = None
+    """Colour of the gate that the last answer named."""
+
+
+class SmallReasoner:
+    """The packaged reasoner, or the one in a folder with `eyes.onnx` and `mind.onnx`."""
+
+    def __init__(self, folder: str | None = None) -> None:
+        """Raises `PolicyError` where a file is missing, or the two do not belong together."""
+        place = _place_of(folder)
+        self.eyes, self.mind = EyesModel.load(place / EYES_FILE), MindModel.load(place / MIND_FILE)
+        if self.eyes.facets != self.mind.facets:
+            raise PolicyError(f"{place}: eyes and mind do not belong together; take both from one release")
+        self._names = self.eyes.facets.names
+        self._groups = self.eyes.facets.groups
+        self._stage = self._new()
+        self._earlier: list[list[tuple[Floats, int]]] = []
+
+    @classmethod
+    def file_of(cls, folder: str | None = None) -> Path:
+        """The file of the eyes, which a run is told by; raises `PolicyError` where it is missing."""
+        return _place_of(folder) / EYES_FILE
+
+    def new_flight(self) -> None:
+        """Forget everything."""
+        self._stage, self._earlier = self._new(), []
+
+    def new_stage(self) -> None:
+        """Remember the stage that has ended by what its panels showed, and which gate was flown through."""
+        stage = self._stage
+        panels = [(gate.facets / gate.weight, int(color == stage.chosen)) for color, gate in _by_place(stage)]
+        self._earlier.append(panels)
+        self._stage = self._new()
+
+    def refine(self, image: Image, instruction: str) -> Guidance:
+        """The directive for the gate that is meant, by all that was seen of this stage so far.
+
+        Raises `ReasonerError` where fewer than three gates were seen yet, or none is likely enough.
+        """
+        self._look(self.eyes.see(image))
+        gates = _by_place(self._stage)
+        if len(gates) < 3:
+            raise ReasonerError("unsure", f"only {len(gates)} of 3 gates have been in view")
+        panels = np.stack([gate.facets / gate.weight for _, gate in gates])
+        looks = np.stack([gate.looks / gate.weight for _, gate in gates])
+        board = self._board()
+        on_board = self._sum_of(board)
+        values = [*(self._sum_of(panel) for panel in panels), on_board, calculate(instruction, on_board)]
+        remembered, stages = self._memory()
+        chosen = self.mind.choose(
+            instruction,
+            {
+                "panels": panels,
+                "looks": looks,
+                "board": board,
+                "values": np.array([value_index(value) for value in values]),
+                "remembered": remembered,
+                "stages": stages,
+            },
+        )
+        best = int(chosen.argmax())
+        if chosen[best] < _UNSURE:
+            raise ReasonerError("unsure", f"no gate is likely: {', '.join(f'{share:.0%}' for share in chosen)}")
+        self._stage.chosen = gates[best][0]
+        return Guidance(write_directive(gate_of(looks[best])), best, float(chosen[best]))
+
+    def _new(self) -> _Stage:
+        return _Stage(np.zeros(len(self._names), np.float32))
+
+    def _look(self, sight: Sight) -> None:
+        """Add a frame to what is known."""
+        known = self._probabilities(sight.facets)
+        for slot in range(3):
+            u, _, height, score = sight.boxes[slot].tolist()
+            if score < _SEEN:
+                continue
+            color = int(sight.looks[slot, : len(COLORS)].argmax())
+            legible = height >= _LEGIBLE_PX
+            # Nearer is clearer; what was hardly read must not drown what was.
+            weight = score * (min(height, 60.0) if legible else 0.01)
+            gate = self._stage.gates.setdefault(
+                color, _Gate(np.zeros(LOOKS, np.float32), np.zeros(len(self._names), np.float32))
+            )
+            gate.looks += weight * sight.looks[slot]
+            gate.facets += weight * known[slot]
+            gate.weight += weight
+            gate.u = u
+        if sight.boxes[3, 3] >= 0.5:
+            weight = float(sight.boxes[3, 3] * sight.boxes[3, 2])
+            self._stage.board += weight * known[3]
+            self._stage.board_weight += weight
+
+    def _probabilities(self, logits: Floats) -> Floats:
+        """Probabilities (n, F) of facets, where only those groups count that tell something of a picture's kind."""
+        shares = np.zeros_like(logits)
+        for span in self._groups.values():
+            part = np.exp(logits[:, span] - logits[:, span].max(axis=1, keepdims=True))
+            shares[:, span] = part / part.sum(axis=1, keepdims=True)
+        kinds = self._groups["kind"]
+        of_kind = {name.partition("/")[2]: shares[:, i] for i, name in enumerate(self._names) if name[:5] == "kind/"}
+        for group, span in self._groups.items():
+            if span != kinds:
+                shares[:, span] *= np.sum([of_kind[kind] for kind in _KINDS_OF.get(group, _PERSON)], axis=0)[:, None]
+        return shares
+
+    def _board(self) -> Floats:
+        board: Floats = self._stage.board / max(self._stage.board_weight, 1e-6)
+        return board
+
+    def _sum_of(self, facets: Floats) -> int | None:
+        """The value of the sum that a panel or board shows; none where it shows none."""
+        kind = self._names[self._best("kind", facets)]
+        if kind != "kind/sum" or facets[self._groups["kind"]].max() < 0.3:
+            return None
+        first, sign, second = (self._names[self._best(group, facets)].partition("/")[2] for group in _SUM)
+        return calculate(f"{first} {sign} {second}")
+
+    def _best(self, group: str, facets: Floats) -> int:
+        span = self._groups[group]
+        return int(span.start + facets[span].argmax())
+
+    def _memory(self) -> tuple[Floats, NDArray[np.int64]]:
+        remembered = np.zeros((REMEMBERED, len(self._names)), np.float32)
+        stages = np.full((REMEMBERED, 3), -1, np.int64)
+        earlier = self._earlier[-_STAGES:]
+        first = len(self._earlier) - len(earlier)
+        for number, panels in enumerate(earlier):
+            for place, (facets, flown) in enumerate(panels[:3]):
+                remembered[3 * number + place] = facets
+                stages[3 * number + place] = first + number, len(earlier) - 1 - number, flown
+        return remembered, stages
+
+
+_SUM = ("first", "sign", "second")
+_PERSON = ("person",)
+_KINDS_OF = {
+    "concept": ("thing", "logo", "letter", "number"),
+    **dict.fromkeys(_SUM, ("sum",)),
+    **dict.fromkeys(("thing_a", "count_a", "thing_b", "count_b"), ("several",)),
+}
+"""Kinds of picture of which a group tells something; the other groups tell of people."""
+
+
+def value_index(value: int | None) -> int:
+    """How the mind is told a number: itself from 0 to 20, else 21 for larger, 22 for none, 23 for negative ones."""
+    if value is None:
+        return LARGEST_VALUE + 2
+    return LARGEST_VALUE + 3 if value < 0 else min(value, LARGEST_VALUE + 1)
+
+
+def gate_of(looks: Floats) -> Gate:
+    """The gate that probabilities (8,) of colours, shapes and sizes describe."""
+    color, shape, size = np.split(looks, [len(COLORS), len(COLORS) + len(SHAPES)])
+    return Gate(SIZES[int(size.argmax())], SHAPES[int(shape.argmax())], COLORS[int(color.argmax())])
+
+
+def _by_place(stage: _Stage) -> list[tuple[int, _Gate]]:
+    """Gates from left to right, with their colours."""
+    return sorted(stage.gates.items(), key=lambda item: item[1].u)
+
+
+def _place_of(folder: str | None) -> Path:
+    place = (
+        Path(str(resources.files("cognitivedrone.models") / "weights" / "reasoner")) if folder is None else Path(folder)
+    )
+    if not (place / EYES_FILE).is_file() or not (place / MIND_FILE).is_file():
+        raise PolicyError(
+            f"there is no {EYES_FILE} and {MIND_FILE} in {place}; reinstall cognitivedrone, or train them with"
+            " `cognitivedrone train --recipe reader` and `--recipe mind`"
+        )
+    return place

@@ -1,0 +1,246 @@
+"""The reasoner's parts learn, are exported, and say in ONNX what they said in PyTorch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.labels import load_pack
+from cognitivedrone.models.reasoner_file import REMEMBERED, EyesModel, MindModel
+from cognitivedrone.models.small_reasoner import Eyes, MindConfig, ReaderConfig
+from cognitivedrone.reasoners import make_reasoner
+from cognitivedrone.reasoners.small import SmallReasoner
+from cognitivedrone.tasks import FAMILIES, HARD_FAMILIES
+from cognitivedrone.training import mind, policy
+from cognitivedrone.training.checkpoint import save_checkpoint
+from cognitivedrone.training.export_reasoner import export_eyes, export_mind
+from cognitivedrone.training.facets import FACETS, GATE_GROUPS, GROUPS
+from cognitivedrone.training.launch import TrainOptions, run
+from cognitivedrone.training.losses import to_tensors
+from cognitivedrone.training.mind import MIND, Encoder, Problems, load_mind, mind_subject, values_of
+from cognitivedrone.training.reader import READER, draw_any_label, load_reader, reader_subject
+from cognitivedrone.training.reading import SEEN, SEEN_GROUPS, seen_facets
+from cognitivedrone.training.recipes import RECIPES
+from cognitivedrone.training.trainer import CHECKPOINT, TrainConfig, train
+from cognitivedrone.types import COLORS, SHAPES, SIZES
+
+SMALL_MIND = replace(
+    MIND,
+    steps=2,
+    batch=64,
+    round_steps=2,
+    validate_every=2,
+    validation_tasks=60,
+    network=MindConfig(width=32, layers=1, heads=2),
+)
+TINY = RECIPES["debug"].network
+SMALL_READER = replace(
+    READER,
+    steps=2,
+    batch=16,
+    round_steps=2,
+    validate_every=2,
+    validation_cards=32,
+    network=ReaderConfig(glimpse=TINY.glimpse, sight=TINY.sight, embedding=TINY.embedding),
+)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _quick() -> None:
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="module")
+def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(policy, "_SENTENCES", 100)
+        subject = policy.policy_subject(RECIPES["debug"])
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("policy") / CHECKPOINT
+    save_checkpoint(path, subject.network(), None, subject.identity() | subject.facts() | {"seed": 0, "step": 6})
+    return path
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory, policy_checkpoint: Path) -> Path:
+    """A folder with a mind and eyes that have hardly been trained."""
+    folder = tmp_path_factory.mktemp("reasoner")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mind, "_SENTENCES", 400)
+        thinks = train(TrainConfig(folder / "mind", mind_subject(SMALL_MIND)), lambda _: None)
+    reads = train(TrainConfig(folder / "reader", reader_subject(SMALL_READER, policy_checkpoint)), lambda _: None)
+    export_mind(thinks, folder)
+    export_eyes(policy_checkpoint, reads, folder)
+    return folder
+
+
+# ---- what is read
+
+
+def test_all_that_any_family_shows_has_facets() -> None:
+    rng = np.random.default_rng(0)
+    kinds = set()
+    for _ in range(800):
+        label = draw_any_label(rng)
+        row = seen_facets(label)
+        kind = SEEN[row[0]].partition("/")[2]
+        kinds.add(kind)
+        told = {SEEN[index] for index in row if index >= 0}
+        if kind == "sum":
+            expression = label.partition("/")[2].rpartition("@")[0]
+            first, sign, second = (
+                next(n for n in told if n.startswith(group + "/")) for group in ("first", "sign", "second")
+            )
+            assert expression == first[6:] + sign[5:] + second[7:]
+        if kind == "several":
+            assert sum(name.startswith(("thing_", "count_")) for name in told) >= 3
+    assert kinds == {"thing", "logo", "letter", "number", "person", "sum", "several"}
+
+
+def test_groups_follow_each_other() -> None:
+    ends = [0]
+    for span in SEEN_GROUPS.values():
+        assert span.start == ends[-1]
+        ends.append(span.stop)
+    assert ends[-1] == len(SEEN)
+
+
+def test_counts_are_those_of_the_label() -> None:
+    row = seen_facets("several/food/lemon=4+animal/cat=2@noto")
+    assert {SEEN[index] for index in row if index >= 0} == {
+        "kind/several", "thing_a/cat", "count_a/2", "thing_b/lemon", "count_b/4"
+    }  # fmt: skip
+    assert "thing_b/none" in {SEEN[index] for index in seen_facets("several/food/lemon=4@noto") if index >= 0}
+
+
+# ---- problems
+
+
+def test_problems_are_of_every_family_and_their_values_are_right() -> None:
+    rng, problems = np.random.default_rng(0), Problems(MIND)
+    drawn = [problem for _ in range(800) for problem in problems.draw(rng)]
+    assert {problem.family for problem in drawn} == (set(FAMILIES) - {"race"}) | {"directive"}
+    for problem in drawn:
+        values = values_of(problem.sentence, problem.labels, problem.board)
+        if problem.family in ("math", "two_step"):
+            concept = problem.labels[problem.target].partition("/")[2].rpartition("@")[0]
+            assert values[4] == int(concept)
+        if problem.family == "memory" and "same thing as the gate you have just" in problem.sentence:
+            labels, flown = problem.before[-1]
+            assert labels[flown].rpartition("@")[0] == problem.labels[problem.target].rpartition("@")[0]
+
+
+def test_what_is_told_without_doubt_is_the_truth() -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mind, "_SENTENCES", 300)
+        subject = mind_subject(SMALL_MIND)
+    rng, problems = np.random.default_rng(1), Problems(MIND)
+    drawn = [problem for _ in range(60) for problem in problems.draw(rng)]
+    encoder = Encoder(subject.recipe, subject.vocabulary)
+    sure, doubted = (encoder.encode(np.random.default_rng(2), drawn, doubts=doubts) for doubts in (False, True))
+    for row, problem in enumerate(drawn):
+        for place, label in enumerate(problem.labels):
+            known = seen_facets(label)
+            assert set(np.flatnonzero(sure["panels"][row, place])) == set(known[known >= 0])
+        assert (sure["stages"][row, :, 0] >= 0).sum() == 3 * len(problem.before)
+    changed = (sure["panels"] != doubted["panels"]).any(axis=2).mean()
+    assert 0.05 < changed < 0.3
+    for batch in (sure, doubted):
+        for span in SEEN_GROUPS.values():
+            totals = batch["panels"][..., span].sum(-1)
+            assert (np.isclose(totals, 0) | np.isclose(totals, 1, atol=1e-5)).all()
+
+
+@pytest.mark.parametrize("family", ["letters", *HARD_FAMILIES[:2]])
+def test_the_mind_learns_a_batch_by_heart(family: str) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mind, "_SENTENCES", 300)
+        subject = mind_subject(SMALL_MIND)
+    torch.manual_seed(0)
+    rng = np.random.default_rng(3)
+    problems = Problems(SMALL_MIND)
+    drawn = [p for _ in range(3000) for p in problems.draw(rng) if p.family == family][:32]
+    batch = to_tensors(Encoder(subject.recipe, subject.vocabulary).encode(rng, drawn, doubts=False))
+    lesson = subject.lesson(subject.network())
+    optimizer = torch.optim.AdamW(lesson.parameters(), 0.01)
+    for _ in range(60):
+        loss, measures = lesson(batch)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    assert float(measures["choice accuracy"]) > 0.9
+
+
+# ---- the trained parts
+
+
+def test_the_reader_starts_from_the_policys_sight(policy_checkpoint: Path, tmp_path: Path) -> None:
+    reader = reader_subject(SMALL_READER, policy_checkpoint).network()
+    finder, _, _ = policy.load_trained(policy_checkpoint)
+    for name, value in finder.sight.state_dict().items():
+        assert torch.equal(value, reader.sight.state_dict()[name]), name
+    other = replace(SMALL_READER, network=replace(SMALL_READER.network, embedding=24))
+    with pytest.raises(TrainingError, match="another size"):
+        reader_subject(other, policy_checkpoint).network()
+
+
+def test_eyes_in_onnx_see_what_they_see_in_torch(parts: Path, policy_checkpoint: Path) -> None:
+    finder, _, _ = policy.load_trained(policy_checkpoint)
+    reader, _ = load_reader(parts / "reader" / CHECKPOINT)
+    eyes = Eyes(finder, reader, {group: GROUPS[group] for group in GATE_GROUPS}).eval()
+    image = np.random.default_rng(0).integers(0, 256, (256, 256, 3), dtype=np.uint8)
+    image[60:120, 80:140] = load_pack("open-v1").image("animal/cat@noto")[::4, ::4][:60, :60]
+    with torch.no_grad():
+        told = [part[0].numpy() for part in eyes(torch.from_numpy(image)[None])]
+    for mine, theirs in zip(EyesModel.load(parts / "eyes.onnx").see(image), told, strict=True):
+        np.testing.assert_allclose(mine, theirs, atol=0.02, rtol=0.02)
+
+
+def test_the_mind_in_onnx_answers_as_in_torch(parts: Path) -> None:
+    thinker, vocabulary, _ = load_mind(parts / "mind" / CHECKPOINT)
+    model = MindModel.load(parts / "mind.onnx")
+    assert model.vocabulary == vocabulary
+    rng = np.random.default_rng(0)
+    told = {
+        "panels": rng.random((3, len(SEEN)), dtype=np.float32),
+        "looks": rng.random((3, 8), dtype=np.float32),
+        "board": rng.random(len(SEEN), dtype=np.float32),
+        "values": np.array([22, 22, 22, 4, 7]),
+        "remembered": rng.random((REMEMBERED, len(SEEN)), dtype=np.float32),
+        "stages": np.array([[i // 3, 1, i % 2] if i < 6 else [-1, -1, -1] for i in range(REMEMBERED)]),
+    }
+    sentence = "Fly through the gate with the letter A"
+    tokens = vocabulary.encode(sentence, model.text_length)
+    inputs = [torch.from_numpy(np.asarray(value))[None] for value in (tokens, *told.values())]
+    with torch.no_grad():
+        expected = thinker(*inputs).softmax(-1)[0].numpy()
+    np.testing.assert_allclose(model.choose(sentence, told), expected, atol=2e-3)
+
+
+def test_the_small_reasoner_is_made_of_the_two_files(parts: Path) -> None:
+    reasoner = make_reasoner(f"small:{parts}")
+    assert isinstance(reasoner, SmallReasoner)
+    assert SmallReasoner.file_of(str(parts)) == parts / "eyes.onnx"
+
+
+def test_one_command_trains_and_exports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mind, "_SENTENCES", 300)
+    monkeypatch.setattr(
+        "cognitivedrone.training.recipes.REASONER_RECIPES", {"mind": SMALL_MIND, "reader": SMALL_READER}
+    )
+    assert run(TrainOptions(tmp_path / "mind", "mind")) == tmp_path / "mind" / "mind.onnx"
+    MindModel.load(tmp_path / "mind" / "mind.onnx")
+    with pytest.raises(TrainingError, match="needs --start"):
+        run(TrainOptions(tmp_path / "reader", "reader"))
+    with pytest.raises(TrainingError, match="learns from no flights"):
+        run(TrainOptions(tmp_path / "again", "mind", data=tmp_path))
+
+
+def test_gates_of_the_policy_are_told_in_the_reasoners_order() -> None:
+    names = [FACETS[index].partition("/")[2] for group in GATE_GROUPS for index in range(len(FACETS))[GROUPS[group]]]
+    assert tuple(names) == (*COLORS, *SHAPES, *SIZES)
