@@ -55,8 +55,9 @@ def test_a_masked_dimension_is_not_scaled():
     assert masked.normalise(np.array([3.0, 3.0, 3.0, 0.5])).tolist() == [0.5, 0.5, 0.5, 0.5]
 
 
-def test_the_only_statistics_are_taken():
+def test_the_only_statistics_of_a_drone_are_taken():
     assert choose_statistics({"cognitive_drone": DRONE}, None) == ("cognitive_drone", PLAIN)
+    assert choose_statistics({"arm": ARM, "drone": DRONE, "odd": 3}, None) == ("drone", PLAIN)
     assert choose_statistics({"arm": ARM, "drone": DRONE}, "drone") == ("drone", PLAIN)
 
 
@@ -64,7 +65,8 @@ def test_the_only_statistics_are_taken():
     ("stats", "key", "says"),
     [
         ({}, None, "no action statistics"),
-        ({"arm": ARM, "drone": DRONE}, None, "add unnorm_key=NAME, one of arm, drone"),
+        ({"b": DRONE, "arm": ARM, "a": DRONE}, None, "2 data sets of drones; add unnorm_key=NAME, one of a, b"),
+        ({"arm": ARM, "leg": ARM}, None, "2 data sets, none with the 4 numbers of a drone's action"),
         ({"cognitive_drone": DRONE}, "cognitive_dron", "did you mean 'cognitive_drone'"),
         ({"arm": ARM}, None, "statistics 'arm': q01 has 7 numbers; a drone's action has 4"),
         ({"drone": {"action": {"q01": [0, 0, 0, 0]}}}, None, "lack readable q01 and q99"),

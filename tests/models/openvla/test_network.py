@@ -8,10 +8,10 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("transformers")
 
-from cognitivedrone.models.openvla.config import PATCHES, tiny_config  # noqa: E402
-from cognitivedrone.models.openvla.decode import Autoregressive, Parallel, greedy_tokens  # noqa: E402
+from cognitivedrone.models.openvla.config import PATCHES, Config, tiny_config  # noqa: E402
+from cognitivedrone.models.openvla.decode import Autoregressive, Parallel, chunk_actions, greedy_tokens  # noqa: E402
 from cognitivedrone.models.openvla.network import IGNORED  # noqa: E402
-from cognitivedrone.models.openvla.weights import random_network  # noqa: E402
+from cognitivedrone.models.openvla.weights import empty_network, random_network  # noqa: E402
 
 IDS = [1, 512, 29_901, 1724, 3158, 881, 278, 29_871]
 
@@ -61,6 +61,17 @@ def test_a_step_is_one_function_of_tensors_without_a_look_at_a_value(network):
     inputs = (torch.from_numpy(some_pixels()), torch.tensor([IDS]), torch.tensor([len(IDS)]))
     with torch.inference_mode():
         assert step(*inputs).tolist() == greedy_tokens(network, *inputs).tolist()
+
+
+def test_the_7b_fits_together():
+    # On the meta device shapes are computed, and nothing else.
+    large = empty_network(Config(chunk=8)).to(torch.bfloat16)
+    inputs = [torch.empty(1, 6, 224, 224), torch.empty(1, 32, dtype=torch.int64), torch.empty(1, dtype=torch.int64)]
+    with torch.inference_mode():
+        tokens = greedy_tokens(large, *(value.to("meta") for value in inputs))
+        actions = chunk_actions(large, *(value.to("meta") for value in inputs))
+    assert (tokens.shape, tokens.dtype) == ((4,), torch.int64)
+    assert (actions.shape, actions.dtype) == ((8, 4), torch.bfloat16)
 
 
 def test_padding_changes_no_chunk(network):
