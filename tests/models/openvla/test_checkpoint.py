@@ -184,6 +184,9 @@ class TestFaults:
             ({"image_resize_strategy": "letterbox"}, "image_resize_strategy is 'letterbox'"),
             ({"cognitivedrone": {}, "timm_model_ids": ["vit_x"]}, "timm_model_ids are"),
             ({"text_config": None}, "does not describe an OpenVLA"),
+            ({"text_config": {"num_attention_heads": 0}}, "does not describe an OpenVLA: ZeroDivisionError"),
+            ({"cognitivedrone": {"chunk": "x"}}, "does not describe an OpenVLA: TypeError"),
+            ({"cognitivedrone": {"chunk": 0}}, "chunk is 0; it is 1 to 100 actions"),
             ({"text_config": {"hidden_size": 33}}, "must be a whole number above 0"),
             (
                 {"norm_stats": {"arm": {"action": {"q01": [0] * 7, "q99": [1] * 7}}}},

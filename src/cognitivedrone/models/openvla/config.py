@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from cognitivedrone.errors import PolicyError
@@ -106,9 +106,9 @@ def read_config(told: Mapping[str, Any]) -> Config:
     try:
         dino, siglip = _towers(told, own)
         config = Config(dino, siglip, _language(told["text_config"]), own.get("chunk"))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        _check(config)
+    except (KeyError, TypeError, ValueError, AttributeError, ZeroDivisionError) as error:
         raise PolicyError(f"config.json does not describe an OpenVLA: {type(error).__name__} {error}") from None
-    _check(config)
     return config
 
 
@@ -129,11 +129,6 @@ def write_config(config: Config, norm_stats: Mapping[str, Any]) -> dict[str, Any
         "norm_stats": dict(norm_stats),
         KEY: {"towers": [asdict(config.dino), asdict(config.siglip)], "chunk": config.chunk},
     }
-
-
-def with_chunk(config: Config, chunk: int | None) -> Config:
-    """The same sizes with another head for the parallel decoder, or none."""
-    return replace(config, chunk=chunk)
 
 
 def _towers(told: Mapping[str, Any], own: Mapping[str, Any]) -> tuple[TowerSize, TowerSize]:
