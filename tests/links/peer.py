@@ -16,6 +16,14 @@ from pymavlink.dialects.v20 import ardupilotmega as m
 from cognitivedrone.links.camera import Shot
 
 MODES = {"STABILIZE": 0, "GUIDED": 4, "LOITER": 5, "LAND": 9, "BRAKE": 17}
+PARAMETERS = {
+    "GUID_TIMEOUT": 3.0,
+    "FS_GCS_ENABLE": 5.0,
+    "FENCE_ENABLE": 1.0,
+    "FS_THR_ENABLE": 1.0,
+    "BATT_FS_LOW_ACT": 1.0,
+    "FS_EKF_ACTION": 1.0,
+}
 
 
 class StillCamera:
@@ -44,11 +52,12 @@ class Part:
     position: list[float] = field(default_factory=lambda: [3.0, 4.0, -0.5])
     """NED of its estimator."""
     battery: int = 80
+    ekf: int = 0x33F
     climbs: bool = True
     refuse: dict[int, str] = field(default_factory=dict)
     """Commands that it refuses, with the text that it says."""
     deaf_to: frozenset[int] = frozenset()
-    parameters: dict[str, float] = field(default_factory=lambda: {"GUID_TIMEOUT": 3.0, "FS_GCS_ENABLE": 5.0})
+    parameters: dict[str, float] = field(default_factory=lambda: dict(PARAMETERS))
     also: tuple[bytes, ...] = ()
     """Packets sent with every heartbeat."""
     mute: bool = False
@@ -113,14 +122,11 @@ class Peer:
         mav.heartbeat_send(part.kind, part.autopilot, 0x81 if part.armed else 1, part.mode, 3)
         mav.attitude_send(5000, 0, 0, 0.0, 0, 0, 0.25)
         mav.local_position_ned_send(5000, *part.position, 1.0, 0.5, 0.25)
-        self._status()
+        bit = m.MAV_SYS_STATUS_PREARM_CHECK
+        mav.sys_status_send(bit, bit, bit if part.prearm else 0, 0, 12000, -1, part.battery, 0, 0, 0, 0, 0, 0)
+        mav.ekf_status_report_send(part.ekf, 0, 0, 0, 0, 0)
         if part.sticks:
             mav.rc_channels_send(5000, 4, *part.sticks, *[0] * 14, 255)
-
-    def _status(self) -> None:
-        bit = m.MAV_SYS_STATUS_PREARM_CHECK
-        health = bit if self.part.prearm else 0
-        self._mav.sys_status_send(bit, bit, health, 0, 12000, -1, self.part.battery, 0, 0, 0, 0, 0, 0)
 
     def _answer(self, message: Any) -> None:
         part, kind = self.part, message.get_type()
@@ -133,6 +139,9 @@ class Peer:
             if message.command in part.refuse:
                 self._mav.command_ack_send(message.command, m.MAV_RESULT_FAILED)
                 self._mav.statustext_send(3, part.refuse[message.command].encode())
+                return
+            if message.command == m.MAV_CMD_REQUEST_MESSAGE and message.param1 == 65 and not part.sticks:
+                self._mav.command_ack_send(message.command, m.MAV_RESULT_UNSUPPORTED)
                 return
             self._mav.command_ack_send(message.command, m.MAV_RESULT_ACCEPTED)
             self._do(message)

@@ -19,7 +19,7 @@ import pytest
 pytest.importorskip("pymavlink")
 sys.path.insert(0, str(Path(__file__).parent))
 
-from peer import MODES, Peer, StillCamera, playing
+from peer import MODES, PARAMETERS, Peer, StillCamera, playing
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as m
 
@@ -130,6 +130,7 @@ SOON_S = 0.2 + 0.3
 def test_a_velocity_that_is_not_a_number_stops_at_once_and_may_recover():
     with playing() as peer, flying(peer) as drone:
         drone.send(FORWARD)
+        soon(lambda: peer.setpoints_since(0))
         before = time.monotonic()
         assert not drone.send(np.full(4, np.nan, np.float32)).any()
         assert soon(lambda: peer.setpoints_since(before)) < SOON_S
@@ -204,7 +205,7 @@ def test_outside_the_fence_and_with_a_low_battery():
         soon(lambda: drone.telemetry.position[1] > 30)
         assert drone.send(FORWARD)[0] == pytest.approx(0.0, abs=1e-6)
         assert "outside the fence" in drone.decision.reason
-        assert drone.send(-FORWARD)[0] < -0.5
+        soon(lambda: drone.send(-FORWARD)[0] < -0.5)
         peer.part.battery = 10
         soon(lambda: peer.part.mode == MODES["LAND"])
         assert "battery" in drone.over
@@ -226,12 +227,13 @@ def test_an_interruption_of_the_climb_lands():
 
 
 def test_a_landing_that_does_not_come_is_told():
-    with playing(deaf_to=frozenset({176})) as peer:
-        peer.part.mode = MODES["GUIDED"]
+    with playing() as peer:
         drone = connect(peer, replace(FAST, landing_timeout_s=0.2))
-        with pytest.raises(LinkError, match="did not answer to mode GUIDED"):
-            drone.take_off(lambda _: True)
-        drone.close()
+        drone.take_off(lambda _: True)
+        peer.part.deaf_to = frozenset({176})
+        with pytest.raises(LinkError, match=r"not landed 0.2 s after LAND.*in GUIDED.*take over by hand"):
+            drone.close()
+        assert drone.camera.closed
 
 
 # Vehicles that are not to be flown.
@@ -257,6 +259,7 @@ def test_a_vehicle_that_cannot_be_flown(part, said):
     [
         ({"armed": True}, "armed already"),
         ({"prearm": False}, "does not say that it passes its own checks"),
+        ({"ekf": 0xA7}, "does not say that it knows where it is"),
         ({"refuse": {400: "Arm: GPS 1: Bad fix"}}, "refused arming: failed; it says: Arm: GPS 1: Bad fix"),
         (
             {"refuse": {176: "Mode change to GUIDED failed: requires position"}},
@@ -264,7 +267,7 @@ def test_a_vehicle_that_cannot_be_flown(part, said):
         ),
         ({"refuse": {22: "no"}}, "refused take-off"),
         ({"battery": 20}, r"not fit to fly.*\[bad \] battery"),
-        ({"parameters": {"GUID_TIMEOUT": 5.0, "FS_GCS_ENABLE": 5.0}}, r"\[bad \] GUID_TIMEOUT +5"),
+        ({"parameters": {**PARAMETERS, "GUID_TIMEOUT": 5.0}}, r"\[bad \] GUID_TIMEOUT +5"),
         ({"position": [np.nan] * 3, "climbs": False}, "not at 1.5 m"),
     ],
 )
@@ -274,7 +277,7 @@ def test_a_vehicle_that_is_not_ready(part, said):
 
 
 def test_parameters_are_set_with_consent_alone():
-    with playing(parameters={"GUID_TIMEOUT": 3.0, "FS_GCS_ENABLE": 0.0, "FENCE_ENABLE": 0.0}) as peer:
+    with playing(parameters={**PARAMETERS, "FS_GCS_ENABLE": 0.0, "FENCE_ENABLE": 0.0}) as peer:
         with connect(peer) as drone:
             assert [finding.what for finding in drone.checklist().bad] == ["FS_GCS_ENABLE"]
             assert peer.of("PARAM_SET") == []
@@ -282,7 +285,7 @@ def test_parameters_are_set_with_consent_alone():
             checklist = drone.checklist()
             assert not checklist.bad
             assert "FS_GCS_ENABLE    5, set by this program" in str(checklist)
-        assert peer.part.parameters == {"GUID_TIMEOUT": 3.0, "FS_GCS_ENABLE": 5.0, "FENCE_ENABLE": 0.0}
+        assert peer.part.parameters == {**PARAMETERS, "FENCE_ENABLE": 0.0}
 
 
 def test_without_a_yes_nothing_is_armed():
