@@ -15,8 +15,6 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from cognitivedrone.errors import RunError
 from cognitivedrone.links.sitl_physics import BATTERY_V, Plant, Sensed
 from cognitivedrone.types import CONTROL_HZ
@@ -58,16 +56,12 @@ def read_packet(data: bytes) -> ServoPacket | None:
 
 def write_state(sensed: Sensed) -> bytes:
     """One line of JSON as ArduPilot parses it: between line ends, without spaces."""
-
-    def numbers(values: np.ndarray) -> list[float]:
-        return [round(float(value), 9) for value in values]
-
     state = {
         "timestamp": round(sensed.time, 9),
-        "imu": {"gyro": numbers(sensed.gyro), "accel_body": numbers(sensed.accelerometer)},
-        "position": numbers(sensed.position),
-        "velocity": numbers(sensed.velocity),
-        "quaternion": numbers(sensed.quaternion),
+        "imu": {"gyro": sensed.gyro.tolist(), "accel_body": sensed.accelerometer.tolist()},
+        "position": sensed.position.tolist(),
+        "velocity": sensed.velocity.tolist(),
+        "quaternion": sensed.quaternion.tolist(),
         "battery": {"voltage": BATTERY_V, "current": round(sensed.current, 3)},
     }
     return b"\n" + json.dumps(state, separators=(",", ":"), allow_nan=False).encode() + b"\n"

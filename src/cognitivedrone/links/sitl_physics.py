@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cognitivedrone.frames import enu_to_ned, flu_to_frd, rotation_matrix
+from cognitivedrone.frames import enu_to_ned, flu_to_frd
 from cognitivedrone.links.ned import ned_quaternion
 from cognitivedrone.sim.airframe import GRAVITY, IRIS, Airframe, build_model
 from cognitivedrone.types import DroneState, FloatArray
@@ -24,6 +24,7 @@ PWM_LOW, PWM_HIGH = 1000, 2000
 """Motor commands at rest and at full thrust, us."""
 BATTERY_V, HOVER_A = 12.6, 12.0
 """What the plant tells of its battery: a steady voltage, and a current in proportion to thrust."""
+_UPWARDS, _INVERSE = np.array([0.0, 0.0, GRAVITY]), np.array([1.0, -1.0, -1.0, -1.0])
 _SETTLE_STEPS, _SETTLE_S = 600, 1 / 1200
 
 
@@ -116,7 +117,8 @@ class Plant:
     def _sense(self, acceleration: FloatArray) -> Sensed:
         """What sensors without error say, for a mean acceleration (3,), world, m/s2."""
         qpos, qvel = self._data.qpos, self._data.qvel
-        felt = rotation_matrix(qpos[3:]).T @ (acceleration + np.array([0.0, 0.0, GRAVITY]))
+        felt = np.empty(3)
+        mujoco.mju_rotVecQuat(felt, acceleration + _UPWARDS, qpos[3:] * _INVERSE)
         body = flu_to_frd(np.stack([qvel[3:], felt]))
         world = enu_to_ned(np.stack([qpos[:3] - self._standing[:3], qvel[:3]]))
         weight = self.airframe.mass * GRAVITY

@@ -167,7 +167,8 @@ class SimulatedVehicle:
     def frame(self) -> Image:
         """(size, size, 3) first-person view of now; needs a simulator with cameras and a stage."""
         with self._lock:
-            return self.simulator.frames()[0]
+            frame: Image = self.simulator.frames()[0]
+            return frame
 
     def state(self) -> DroneState:
         """True state."""

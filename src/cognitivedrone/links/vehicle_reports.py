@@ -212,7 +212,9 @@ def _fence(m: Any, s: Snapshot) -> Any:
 
 
 def _target(m: Any, s: Snapshot) -> Any:
-    position, velocity, mask = np.zeros(3), np.zeros(3), 0x0FFF
+    position: FloatArray = np.zeros(3)
+    velocity: FloatArray = np.zeros(3)
+    mask = 0x0FFF  # nothing is asked for
     if isinstance(s.target, PositionTarget):
         position, velocity, mask = s.home.to_local(s.target.position), enu_to_ned(s.target.velocity), 0x0DC0
     elif isinstance(s.target, VelocityTarget):
