@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-# Tests load models/tiny.py by its name.
-sys.path.insert(0, str(Path(__file__).parent / "models"))
+# Tests load models/tiny.py and what lies in support/ by their names.
+for folder in ("models", "support"):
+    sys.path.insert(0, str(Path(__file__).parent / folder))
 
 
 @pytest.fixture(scope="session")

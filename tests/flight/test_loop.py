@@ -32,8 +32,8 @@ class Ground:
     def now(self):
         return self.time
 
-    def sleep_until(self, time):
-        self.time = time
+    def sleep_until(self, time_s):
+        self.time = time_s
 
 
 class Counting:
@@ -178,8 +178,8 @@ def test_only_decisions_are_charged_not_the_rest_of_a_chunk():
 
 def test_a_missed_deadline_is_noted():
     class Slow(Ground):
-        def sleep_until(self, time):
-            self.time = time + (0.03 if round(time, 3) == 0.2 else 0)
+        def sleep_until(self, time_s):
+            self.time = time_s + (0.03 if round(time_s, 3) == 0.2 else 0)
 
     ground, notes = Slow(), Notes()
     fly(ground, Counting(), ground, for_steps(ground, 4), recorder=notes)

@@ -31,8 +31,11 @@ def preflight(config: RunConfig, suite: Suite) -> None:
         raise PolicyError(f"unknown airframe {config.airframe!r}; {did_you_mean(config.airframe, AIRFRAMES)}")
     parse_delays(config.latency)
     for part in (make_policy(config.policy), make_reasoner(config.reasoner)):
-        if isinstance(part, Checked):
-            part.check()
+        try:
+            if isinstance(part, Checked):
+                part.check()
+        finally:
+            _close(part)
     if config.tasks is None and config.labels is None:
         return  # the shipped pack draws every shipped suite
     pack = _labels(config)
@@ -43,6 +46,13 @@ def preflight(config: RunConfig, suite: Suite) -> None:
 
 def _labels(config: RunConfig) -> LabelPack:
     return load_pack(str(config.labels) if config.labels else "open-v1")
+
+
+def _close(part: object) -> None:
+    """Let a policy or reasoner close what it holds open, such as a connection, if it can."""
+    close = getattr(part, "close", None)
+    if callable(close):
+        close()
 
 
 class EpisodeFlyer:
@@ -88,8 +98,10 @@ class EpisodeFlyer:
         return Flown(result, log.trace(timed.mean_s), log.frames if film else None)
 
     def close(self) -> None:
-        """Free the renderer."""
+        """Free the renderer, and whatever policy and reasoner hold open."""
         self.simulator.close()
+        _close(self.policy)
+        _close(self.reasoner)
 
     def _mission(self) -> Leg | None:
         if self.course.finished:

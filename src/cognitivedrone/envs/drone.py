@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 
 from cognitivedrone.envs.course import Course
@@ -44,11 +46,44 @@ class SimulatedDrone:
         """Simulated seconds since the flight began."""
         return self.simulator.time(self.course.world)
 
-    def sleep_until(self, time: float) -> None:
-        """Let the world go on, the last command standing, until `time` or the end of the flight."""
-        ticks = round((time - self.now()) / Flight.TICK_S)
+    def sleep_until(self, time_s: float) -> None:
+        """Let the world go on, the last command standing, until `time_s` or the end of the flight."""
+        ticks = round((time_s - self.now()) / Flight.TICK_S)
         if ticks > 0 and not self.course.finished:
             self.course.update(self.simulator.advance(ticks)[self.course.world])
+
+
+class PacedDrone:
+    """A simulated drone on the wall clock: while anybody thinks, it flies on. Drone and clock in one.
+
+    The simulation catches up with the wall whenever somebody looks or sends, as if it had never stood still.
+    """
+
+    def __init__(self, drone: SimulatedDrone) -> None:
+        self.drone = drone
+        self._start = time.perf_counter()
+
+    def observe(self) -> Observation:
+        """Frame and state of this moment."""
+        self.drone.sleep_until(self.now())
+        return self.drone.observe()
+
+    def send(self, action: Action) -> Action:
+        """Set the velocity setpoint from this moment on, clipped to `ACTION_LIMITS`."""
+        self.drone.sleep_until(self.now())
+        return self.drone.send(action)
+
+    def close(self) -> None:
+        """Nothing to land."""
+
+    def now(self) -> float:
+        """Seconds on the wall since this was made."""
+        return time.perf_counter() - self._start
+
+    def sleep_until(self, time_s: float) -> None:
+        """Wait; then let the world catch up."""
+        time.sleep(max(0.0, time_s - self.now()))
+        self.drone.sleep_until(self.now())
 
 
 def proprioception(simulator: Simulator, world: int) -> tuple[FloatArray, float, float]:

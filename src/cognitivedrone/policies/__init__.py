@@ -17,6 +17,7 @@ POLICIES: dict[str, str] = {
     "colour_seeker": "cognitivedrone.policies.colour_seeker:ColourSeeker",
     "small": "cognitivedrone.policies.small:Small",
     "race": "cognitivedrone.policies.small:Race",
+    "openvla": "cognitivedrone.policies.openvla:OpenVla",
     "hover": "cognitivedrone.policies.blind:Hover",
     "random": "cognitivedrone.policies.blind:Random",
 }

@@ -1,0 +1,123 @@
+"""Whole flights with a chat API behind a real socket: whatever it answers, the flight goes on and is told."""
+
+from __future__ import annotations
+
+import time
+import warnings
+
+import pytest
+from chat_server import Script, chat, serving
+
+from cognitivedrone.benchmark import RunConfig, run
+from cognitivedrone.errors import PolicyError
+from cognitivedrone.tasks import load_suite
+
+TASK = load_suite("open-v1:smoke").tracks[0][0]
+RIGHT = TASK.gates[TASK.target]
+ANSWER = f'{{"size": "{RIGHT.size}", "color": "{RIGHT.color}", "shape": "{RIGHT.shape}"}}'
+OTHER = TASK.gates[(TASK.target + 1) % 3]
+
+
+@pytest.fixture(autouse=True)
+def environment(monkeypatch):
+    for name in ("URL", "MODEL", "KEY"):
+        monkeypatch.delenv(f"COGNITIVEDRONE_VLM_{name}", raising=False)
+    for name in ("OPENAI_API_KEY", "OPENAI_BASE_URL"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def flown(script, out, timeout=2.0, latency="none"):
+    """The result of the only stage, and the warnings that were said."""
+    with serving(script) as url, warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        config = RunConfig(
+            "colour_seeker",
+            f"vlm:{url},model=eye-7b,timeout={timeout}",
+            "open-v1:smoke",
+            workers=1,
+            episodes=1,
+            latency=latency,
+            out=out,
+            clips=0,
+        )
+        results = run(config, progress=False)
+    return results.episodes[0].stages[0], [str(warning.message) for warning in said]
+
+
+def test_a_good_answer_is_flown_by(tmp_path):
+    script = Script(replies=[(200, chat(ANSWER))])
+    stage, said = flown(script, tmp_path, latency="reasoner=300ms")
+    assert stage.outcome == "passed"
+    assert stage.directive == TASK.directive
+    assert stage.reasoner.gate
+    assert stage.reasoner.age_s > 0.3
+    assert said == []
+    assert TASK.instruction in str(script.bodies[0]["messages"])
+
+
+def slow(handler):
+    time.sleep(0.25)
+    handler.answer(200, chat(ANSWER))
+
+
+def endless(handler):
+    handler.answer(200, chat("x" * 10_000_000))
+
+
+@pytest.mark.parametrize(
+    ("script", "fault"),
+    [
+        (Script(replies=[(500, b"<html>oops</html>")]), "http"),
+        (Script(replies=[(200, b"<html><body>a proxy</body></html>")]), "garbage"),
+        (Script(replies=[(200, chat('{"size": "big", "col'))]), "garbage"),
+        (Script(replies=[(200, chat('{"bounding_box": [1, 2, 3, 4]}'))]), "schema"),
+        (Script(replies=[(200, chat("I'm sorry, but I can't help with flying drones."))]), "refusal"),
+        (Script(replies=[(200, chat('{"size": "big", "color": "purple", "shape": "round"}'))]), "no_such_gate"),
+        (Script(behave=endless), "too_long"),
+        (Script(behave=slow), "timeout"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_the_flight_goes_on_and_every_fault_is_counted(script, fault, tmp_path):
+    stage, said = flown(script, tmp_path, timeout=0.1 if fault == "timeout" else 2.0)
+    assert stage.outcome in ("passed", "wrong_gate", "timeout", "missed", "collision", "out_of_bounds")
+    assert stage.directive is None
+    assert set(stage.reasoner.faults) == {fault}
+    assert stage.reasoner.faults[fault] >= 3
+    assert stage.reasoner.gate is False
+    assert len(said) == 1  # said once, however often it happens
+
+
+def test_after_a_fault_the_last_good_directive_stays(tmp_path):
+    script = Script(replies=[(200, chat(ANSWER)), (500, b"")])
+    stage, _ = flown(script, tmp_path)
+    assert stage.outcome == "passed"
+    assert stage.directive == TASK.directive
+    assert stage.reasoner.answers == 1
+    assert stage.reasoner.faults["http"] >= 2
+
+
+def test_a_directive_for_a_gate_that_is_not_there_is_told_as_wrong(tmp_path):
+    absent = (
+        f'{{"size": "{"small" if OTHER.size == "big" else "big"}", "color": "{OTHER.color}", "shape": "{OTHER.shape}"}}'
+    )
+    stage, _ = flown(Script(replies=[(200, chat(absent))]), tmp_path)
+    assert stage.reasoner.gate is False
+    assert stage.reasoner.answers >= 3
+
+
+@pytest.mark.parametrize(
+    ("models", "says"),
+    [((401, b"no"), "asks for a key"), ((200, b'{"data": [{"id": "eye-3b"}]}'), "eye-3b")],
+)
+def test_a_wrong_key_or_model_stops_before_take_off(models, says, tmp_path):
+    with pytest.raises(PolicyError, match=says):
+        flown(Script(models=models), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_server_that_is_down_stops_before_take_off(tmp_path):
+    config = RunConfig("hover", "vlm:http://127.0.0.1:9/v1,model=eye-7b", "open-v1:smoke", out=tmp_path / "run")
+    with pytest.raises(PolicyError, match=r"127\.0\.0\.1:9"):
+        run(config, progress=False)
+    assert not (tmp_path / "run").exists()

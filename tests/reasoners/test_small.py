@@ -1,0 +1,164 @@
+"""The small reasoner averages what it reads, remembers earlier stages, calculates, and admits what it cannot tell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cognitivedrone.errors import PolicyError, ReasonerError
+from cognitivedrone.models.reasoner_file import Facets, Sight
+from cognitivedrone.reasoners.small import SmallReasoner, gate_of, value_index
+from cognitivedrone.training.reading import SEEN, seen_facets
+from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
+
+FRAME = np.zeros((256, 256, 3), np.uint8)
+GATES = (Gate("big", "round", "red"), Gate("small", "square", "green"), Gate("big", "triangle", "blue"))
+
+
+def logits_of(label, strength=12.0):
+    row = np.zeros(len(SEEN), np.float32)
+    known = seen_facets(label)
+    row[known[known >= 0]] = strength
+    return row
+
+
+def looks_of(gate):
+    told = [gate.color == name for name in COLORS] + [gate.shape == name for name in SHAPES]
+    return np.array([*told, *(gate.size == name for name in SIZES)], np.float32)
+
+
+def sight(labels, *, order=(0, 1, 2), board=None, heights=(30, 30, 30), scores=(1, 1, 1), strength=12.0):
+    """What eyes would tell, the gates' slots in any order."""
+    facets = [logits_of(labels[i], strength) for i in order]
+    facets.append(logits_of(board) if board else np.zeros(len(SEEN), np.float32))
+    boxes = [(50 + 80 * i, 100, heights[i], scores[i]) for i in order] + [(128, 40, 50, 0.9 if board else 0.1)]
+    return Sight(np.stack(facets), np.stack([looks_of(GATES[i]) for i in order]), np.array(boxes, np.float32))
+
+
+class Scripted:
+    """Eyes that see what they are told, and a mind that notes what it is asked and answers as it is told."""
+
+    def __init__(self, *sights, answer=(0.1, 0.8, 0.1)):
+        self.facets, self.sights, self.answer, self.asked = Facets(SEEN), list(sights), answer, []
+
+    def see(self, image):
+        return self.sights.pop(0)
+
+    def choose(self, sentence, told):
+        self.asked.append({"sentence": sentence, **told})
+        return np.array(self.answer, np.float32)
+
+
+@pytest.fixture
+def made(monkeypatch, tmp_path):
+    """Makes a reasoner around scripted parts."""
+    for name in ("eyes.onnx", "mind.onnx"):
+        (tmp_path / name).touch()
+
+    def make(parts):
+        monkeypatch.setattr("cognitivedrone.reasoners.small.EyesModel.load", lambda _: parts)
+        monkeypatch.setattr("cognitivedrone.reasoners.small.MindModel.load", lambda _: parts)
+        return SmallReasoner(str(tmp_path))
+
+    return make
+
+
+LETTERS = ("letter/A@inter", "letter/B@inter", "letter/C@inter")
+
+
+def shown(panel, label):
+    known = seen_facets(label)
+    return panel[known[known >= 0]].min()
+
+
+def test_gates_are_told_from_left_to_right_whatever_slot_they_were_found_in(made):
+    parts = Scripted(sight(LETTERS, order=(2, 0, 1)))
+    guidance = made(parts).refine(FRAME, "to the letter B")
+    (asked,) = parts.asked
+    assert [shown(panel, label) > 0.95 for panel, label in zip(asked["panels"], LETTERS, strict=True)] == [True] * 3
+    assert guidance.directive == "Fly through the small green square gate"
+    assert (guidance.gate, guidance.confidence) == (1, pytest.approx(0.8))
+
+
+def test_what_does_not_belong_to_a_kind_of_picture_is_not_told(made):
+    parts = Scripted(sight(LETTERS))
+    made(parts).refine(FRAME, "to the letter B")
+    panel = parts.asked[0]["panels"][0]
+    people = [i for i, name in enumerate(SEEN) if name.startswith("hair/")]
+    assert panel[people].sum() < 0.01
+
+
+def test_frames_are_averaged_and_clear_ones_count_more(made):
+    wrong = ("letter/Z@inter", *LETTERS[1:])
+    parts = Scripted(sight(wrong, heights=(15, 30, 30)), sight(LETTERS, heights=(45, 30, 30)))
+    reasoner = made(parts)
+    reasoner.refine(FRAME, "to the letter A")
+    reasoner.refine(FRAME, "to the letter A")
+    assert shown(parts.asked[0]["panels"][0], "letter/Z@inter") > 0.95
+    assert shown(parts.asked[1]["panels"][0], "letter/A@inter") == pytest.approx(0.75, abs=0.02)
+
+
+def test_a_gate_that_has_left_the_view_is_remembered(made):
+    parts = Scripted(sight(LETTERS), sight(LETTERS, scores=(0.05, 1, 1)))
+    reasoner = made(parts)
+    for _ in range(2):
+        reasoner.refine(FRAME, "to the letter A")
+    assert shown(parts.asked[1]["panels"][0], "letter/A@inter") > 0.95
+
+
+def test_it_calculates_what_is_asked_and_what_stands_on_the_board(made):
+    labels = ("sum/3*3@inter", "sum/20-1@inter", "number/9@inter")
+    parts = Scripted(sight(labels, board="sum/7+5@inter"))
+    made(parts).refine(FRAME, "the number that is 3 more than the sum on the board")
+    np.testing.assert_array_equal(parts.asked[0]["values"], [9, 19, 22, 12, 15])
+
+
+def test_earlier_stages_are_remembered_with_the_gate_it_sent_the_drone_to(made):
+    others = ("letter/D@inter", "letter/E@inter", "letter/F@inter")
+    parts = Scripted(sight(LETTERS), sight(others), sight(LETTERS))
+    reasoner = made(parts)
+    reasoner.new_flight()
+    reasoner.refine(FRAME, "one")
+    reasoner.new_stage()
+    reasoner.refine(FRAME, "two")
+    asked = parts.asked[1]
+    np.testing.assert_array_equal(asked["stages"][:4], [[0, 0, 0], [0, 0, 1], [0, 0, 0], [-1, -1, -1]])
+    assert [shown(panel, label) > 0.9 for panel, label in zip(asked["remembered"], LETTERS, strict=False)] == [True] * 3
+    reasoner.new_flight()
+    reasoner.refine(FRAME, "three")
+    assert (parts.asked[2]["stages"] == -1).all()
+
+
+def test_only_the_latest_stages_are_remembered(made):
+    parts = Scripted(*[sight(LETTERS)] * 8)
+    reasoner = made(parts)
+    for _ in range(7):
+        reasoner.refine(FRAME, "go")
+        reasoner.new_stage()
+    reasoner.refine(FRAME, "go")
+    stages = parts.asked[-1]["stages"]
+    assert stages[0].tolist() == [2, 4, 0]
+    assert stages[-1].tolist() == [6, 0, 0]
+
+
+def test_it_says_when_it_cannot_tell(made):
+    reasoner = made(Scripted(sight(LETTERS, scores=(1, 1, 0.1)), sight(LETTERS), answer=(0.34, 0.33, 0.33)))
+    with pytest.raises(ReasonerError, match="only 2 of 3 gates") as error:
+        reasoner.refine(FRAME, "go")
+    assert error.value.kind == "unsure"
+    with pytest.raises(ReasonerError, match="no gate is likely: 34%, 33%, 33%"):
+        reasoner.refine(FRAME, "go")
+
+
+def test_numbers_as_the_mind_is_told():
+    assert [value_index(value) for value in (0, 20, 21, 400, None, -3)] == [0, 20, 21, 21, 22, 23]
+
+
+def test_a_gate_is_named_by_what_is_likeliest():
+    for gate in GATES:
+        assert gate_of(0.9 * looks_of(gate) + 0.05) == gate
+
+
+def test_missing_files_are_said(tmp_path):
+    with pytest.raises(PolicyError, match=r"no eyes\.onnx and mind\.onnx in"):
+        SmallReasoner(str(tmp_path))
