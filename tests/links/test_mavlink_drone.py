@@ -174,6 +174,23 @@ def test_the_pilot_wins_for_good(mode):
         assert peer.part.armed
 
 
+def test_the_pilot_wins_during_take_off():
+    with playing(climbs=False) as peer:
+        with connect(peer, replace(FAST, takeoff_timeout_s=5)) as drone:
+
+            def switch() -> None:
+                soon(lambda: any(c.command == 22 for c in peer.of("COMMAND_LONG")))
+                peer.part.mode = MODES["LOITER"]
+
+            pilot = threading.Thread(target=switch)
+            pilot.start()
+            with pytest.raises(LinkError, match=r"taken over.*LOITER"):
+                drone.take_off(lambda _: True)
+            pilot.join()
+        assert peer.part.mode == MODES["LOITER"]
+        assert peer.part.armed
+
+
 def test_a_stick_that_moves_brakes():
     with playing(sticks=(1500, 1500, 1200, 1500)) as peer, flying(peer) as drone:
         drone.send(FORWARD)
@@ -226,6 +243,16 @@ def test_an_interruption_of_the_climb_lands():
         assert peer.part.mode == MODES["LAND"]
 
 
+def test_it_flies_back_where_asked():
+    with playing() as peer, flying(peer) as drone:
+        landing = threading.Thread(target=drone.land, args=("RTL",))
+        landing.start()
+        soon(lambda: peer.part.mode == 6)
+        peer.part.armed = False
+        landing.join()
+        assert drone.over == "the flight is over"
+
+
 def test_a_landing_that_does_not_come_is_told():
     with playing() as peer:
         drone = connect(peer, replace(FAST, landing_timeout_s=0.2))
@@ -250,8 +277,10 @@ def test_a_landing_that_does_not_come_is_told():
     ],
 )
 def test_a_vehicle_that_cannot_be_flown(part, said):
+    camera = StillCamera()
     with playing(**part) as peer, pytest.raises(LinkError, match=said):
-        connect(peer)
+        MavlinkDrone(f"udpout:127.0.0.1:{peer.port}", camera, Guard(), FAST)
+    assert camera.closed
 
 
 @pytest.mark.parametrize(

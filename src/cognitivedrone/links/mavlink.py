@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, sleep
@@ -75,7 +76,8 @@ class MavlinkConfig:
 class MavlinkDrone:
     """Connects when it is made: waits for the vehicle and checks that it is a copter on ArduPilot.
 
-    Raises `LinkError` for what cannot be reached or flown, `MissingExtra` without pymavlink.
+    The camera is its own from then on, and closed with it, also where it cannot be made. Raises `LinkError` for what
+    cannot be reached or flown, `MissingExtra` without pymavlink.
     """
 
     def __init__(self, url: str, camera: Camera, guard: Guard, config: MavlinkConfig | None = None) -> None:
@@ -91,24 +93,20 @@ class MavlinkDrone:
         self._said_at = -math.inf
         self._home: FloatArray = np.zeros(3)
         self._sticks: tuple[int, ...] = ()
-        self._changed: set[str] = set()
         self._was_armed = False
         self._taken_over: str | None = None
         self._ordered = ""
         self._modes: frozenset[str] = frozenset()
         self._landing = "LAND"
         self._opened = monotonic()
-        transport = open_transport(url)
-        try:
+        with ExitStack() as undo:
+            undo.callback(camera.close)
+            transport = open_transport(url)
+            undo.callback(transport.close)
             self._link = Connection(transport, system=self.config.system, tlog=self.config.tlog, watch=self._watch)
-        except BaseException:
-            transport.close()
-            raise
-        try:
+            undo.callback(self._link.close)
             self.vehicle, self.version = self._meet(url)
-        except BaseException:
-            self._link.close()
-            raise
+            undo.pop_all()
 
     def __enter__(self) -> MavlinkDrone:
         return self
@@ -137,11 +135,10 @@ class MavlinkDrone:
         for expected in unfit:
             self._link.set_parameter(expected.name, expected.wanted)
             values[expected.name] = expected.wanted
-        self._changed |= {expected.name for expected in unfit}
         return build_checklist(
             version=self.version,
             values=values,
-            changed=self._changed,
+            changed={expected.name for expected in unfit},
             telemetry=self.telemetry,
             ground_stations=sorted(self._link.ground_stations),
             frame_age_s=self.camera.read().age_s,
@@ -159,9 +156,7 @@ class MavlinkDrone:
         self._get_ready()
         checklist = self.checklist()
         if checklist.bad:
-            raise LinkError(
-                f"not fit to fly:\n{checklist}\nchange what is bad, or let this program: set_parameters=True"
-            )
+            raise LinkError(f"not fit to fly:\n{checklist}\nchange what is bad, or allow it: set_parameters=True")
         if not confirm(checklist):
             raise LinkError("the take-off was not confirmed; nothing was armed")
         self._modes = frozenset({self.telemetry.mode})
@@ -171,11 +166,13 @@ class MavlinkDrone:
         # From here on the drone is ours to bring down.
         with self._lock:
             self._phase = "climbing"
-        if not self._link.until(lambda: self.telemetry.armed, 3.0):
+        if not self._link.until(lambda: self.telemetry.armed or self._phase == "released", 3.0):
             raise LinkError("the vehicle accepted to arm, but does not show it")
+        self._check_ours()
         self._link.command(TAKE_OFF, 0, 0, 0, 0, 0, 0, self.config.takeoff_height_m, what="take-off")
         self._climb()
         with self._lock:
+            self._check_ours()
             now = self._clock()
             self._sticks = self.telemetry.sticks
             self._start = self._command_at = now
@@ -230,23 +227,11 @@ class MavlinkDrone:
 
     # The end.
 
-    def land(self) -> None:
-        """Land where it is and wait for the motors to stop; nothing where it is not, or no longer, ours."""
-        self._finish("LAND")
+    def land(self, mode: Literal["LAND", "RTL"] = "LAND") -> None:
+        """Land where it is, or fly back first, and wait for the motors to stop; nothing where it is not ours.
 
-    def return_home(self) -> None:
-        """Fly back and land (RTL), as `land`."""
-        self._finish("RTL")
-
-    def close(self) -> None:
-        """Land a drone that is still ours, then hang up."""
-        try:
-            self.land()
-        finally:
-            self._link.close()
-            self.camera.close()
-
-    def _finish(self, mode: str) -> None:
+        Raises `LinkError` where it has not landed in time.
+        """
         with self._lock:
             if self._phase in ("ground", "released"):
                 return
@@ -261,6 +246,14 @@ class MavlinkDrone:
                 f"not landed {self.config.landing_timeout_s:g} s after {mode} was ordered: the vehicle is in"
                 f" {state.mode}{last_words(state, monotonic() - 5)}; take over by hand"
             )
+
+    def close(self) -> None:
+        """Land a drone that is still ours, then hang up."""
+        try:
+            self.land()
+        finally:
+            self._link.close()
+            self.camera.close()
 
     # The parts.
 
@@ -316,13 +309,15 @@ class MavlinkDrone:
             return self._phase == "released" or float(self.telemetry.position[2] - self._home[2]) >= enough
 
         arrived = self._link.until(up, self.config.takeoff_timeout_s)
-        if self._phase == "released":
-            raise LinkError(f"taken over during take-off: {self.over}")
         if not arrived:
             raise LinkError(
                 f"not at {self.config.takeoff_height_m:g} m {self.config.takeoff_timeout_s:g} s after take-off was"
                 f" ordered{last_words(self.telemetry, began)}"
             )
+
+    def _check_ours(self) -> None:
+        if self._phase == "released":
+            raise LinkError(f"taken over during take-off: {self.over}")
 
     def _clock(self) -> float:
         return monotonic() if self.config.clock == "wall" else self.telemetry.vehicle_time
