@@ -202,6 +202,7 @@ class SimulatedVehicle:
             modes.ready,
             self.battery,
             modes.target,
+            bool(self.parameters["FENCE_ENABLE"]),
             modes.breaches,
             modes.breach_count,
         )

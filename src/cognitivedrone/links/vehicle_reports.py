@@ -48,6 +48,8 @@ class Snapshot:
     battery: float
     """0 to 1."""
     target: Target | None
+    fence: bool
+    """Whether fences are watched."""
     breaches: int
     breach_count: int
 
@@ -159,7 +161,11 @@ def _sys_status(m: Any, s: Snapshot) -> Any:
         | m.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
         | m.MAV_SYS_STATUS_PREARM_CHECK
     )
+    fence = m.MAV_SYS_STATUS_GEOFENCE
+    present |= fence if s.fence else 0
     healthy = present if s.ready else present & ~(m.MAV_SYS_STATUS_PREARM_CHECK | m.MAV_SYS_STATUS_AHRS)
+    # A fence that is not there counts as kept: ground stations take the bare bit for a breach.
+    healthy = healthy & ~fence if s.breaches else healthy | fence
     return m.MAVLink_sys_status_message(
         present, present, healthy, 200, round(_volts(s) * CELLS * 1000), round(_amperes(s) * 100),
         round(s.battery * 100), 0, 0, 0, 0, 0, 0,
