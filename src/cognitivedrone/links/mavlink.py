@@ -163,9 +163,7 @@ class MavlinkDrone:
         self._set_mode("GUIDED")
         self._home = self.telemetry.position
         self._link.command(ARM, 1, what="arming")
-        # From here on the drone is ours to bring down.
-        with self._lock:
-            self._phase = "climbing"
+        self._phase = "climbing"  # from here on the drone is ours to bring down
         if not self._link.until(lambda: self.telemetry.armed or self._phase == "released", 3.0):
             raise LinkError("the vehicle accepted to arm, but does not show it")
         self._check_ours()
@@ -208,9 +206,7 @@ class MavlinkDrone:
             health = self._health()
             if not self._obey(self._guard.judge(health)):
                 return np.zeros(4, dtype=np.float32)
-            sent = self._guard.shape(health)
-            self._setpoint(sent)
-            return sent
+            return self._setpoint(self._guard.shape(health))
 
     def now(self) -> float:
         """Seconds since the end of the take-off."""
@@ -392,8 +388,8 @@ class MavlinkDrone:
         if self.telemetry.mode == self._ordered:
             self._modes = frozenset({self._ordered})
 
-    def _setpoint(self, action: Action) -> None:
-        """Send a command (4,) of the heading frame."""
+    def _setpoint(self, action: Action) -> Action:
+        """Send a command (4,) of the heading frame; returns it."""
         velocity = flu_to_frd(action[:3])
         yaw_rate = flu_to_frd(np.array([0.0, 0.0, action[3]]))[2]
         boot_ms = int((monotonic() - self._opened) * 1000)
@@ -401,3 +397,4 @@ class MavlinkDrone:
             "set_position_target_local_ned", boot_ms, self.vehicle.system, self.vehicle.component, BODY_NED,
             VELOCITY_AND_YAW_RATE, 0, 0, 0, *map(float, velocity), 0, 0, 0, 0, float(yaw_rate),
         )  # fmt: skip
+        return action

@@ -1,0 +1,92 @@
+"""How long it takes from a fault in flight to a safe command, over a loopback socket and with the default rules.
+
+Run: python benchmarks/fault_times.py
+
+Seven flights for each fault against the scripted vehicle of the tests, which tells its state and mode 50 times a
+second. A silent policy is at fault from when its next command is due, 0.1 s after its last.
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "links"))
+
+from peer import MODES, Peer, StillCamera, playing
+
+from cognitivedrone.flight.safety import Guard
+from cognitivedrone.links.mavlink import MavlinkDrone
+
+FORWARD = np.array([1, 0, 0, 0], dtype=np.float32)
+FLIGHTS = 7
+
+
+def fly_on(drone: MavlinkDrone, seconds: float) -> None:
+    """A good policy, for a while."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        drone.observe()
+        drone.send(FORWARD)
+        time.sleep(0.05)
+
+
+def stopped(peer: Peer, since: float) -> float:
+    """When the vehicle got the first zero velocity since then."""
+    while not any(not any(velocity) for velocity in peer.setpoints_since(since)):
+        time.sleep(0.001)
+    return next(
+        at for at, s in peer.heard if at >= since and s.get_type() == "SET_POSITION_TARGET_LOCAL_NED" and s.vx == 0
+    )
+
+
+def not_a_number(peer: Peer, drone: MavlinkDrone) -> float:
+    fault = time.monotonic()
+    drone.send(np.full(4, np.nan, dtype=np.float32))
+    return stopped(peer, fault) - fault
+
+
+def silent_policy(peer: Peer, drone: MavlinkDrone) -> float:
+    drone.send(FORWARD)
+    last = time.monotonic()
+    time.sleep(0.02)
+    return stopped(peer, last + 0.02) - (last + 0.1)
+
+
+def link_cut(peer: Peer, drone: MavlinkDrone) -> float:
+    fault = time.monotonic()
+    peer.part.mute = True
+    fly_on(drone, 0.4)
+    peer.part.mute = False
+    return stopped(peer, fault) - fault
+
+
+def mode_change(peer: Peer, drone: MavlinkDrone) -> float:
+    fault = time.monotonic()
+    peer.part.mode = MODES["LOITER"]
+    while drone.over is None:
+        time.sleep(0.001)
+    return time.monotonic() - fault
+
+
+FAULTS: tuple[Callable[[Peer, MavlinkDrone], float], ...] = (not_a_number, silent_policy, link_cut, mode_change)
+
+
+def main() -> None:
+    for fault in FAULTS:
+        times = []
+        for _ in range(FLIGHTS):
+            with playing() as peer, MavlinkDrone(f"udpout:127.0.0.1:{peer.port}", StillCamera(), Guard()) as drone:
+                drone.take_off(lambda _: True)
+                fly_on(drone, 0.4)
+                times.append(1000 * fault(peer, drone))
+        print(f"{fault.__name__:<14} median {statistics.median(times):4.0f} ms, worst {max(times):4.0f} ms")
+
+
+if __name__ == "__main__":
+    main()
