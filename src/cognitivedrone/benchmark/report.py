@@ -102,6 +102,8 @@ def render_report(results: Results, traces: Sequence[Trace], clips: Sequence[Cli
         rules=[(rule, results.summary(rule).overall) for rule in RULES],
         outcomes=[(name, level, score.outcomes, _segments(score)) for name, level, score in _outcome_rows(summary)],
         outcomes_seen=[outcome for outcome in OUTCOMES if summary.overall.outcomes[outcome]],
+        mind=summary.overall.reasoner,
+        minds=[(name, level, score.reasoner) for name, level, score in _outcome_rows(summary) if score.reasoner],
         maps=list(_family_maps(results.episodes, traces, summary)),
         films=[_film_view(clip) for clip in films],
         films_left_out=len(clips) - len(films),
