@@ -35,7 +35,7 @@ STEP_S = STEP_TICKS * Flight.TICK_S
 COMPONENT = 1
 """MAV_COMP_ID_AUTOPILOT1."""
 MAX_MESSAGES = 200
-"""Heeded a port and step; the rest of a flood is dropped."""
+"""Heeded of a port each time it is looked at; the rest of a flood is dropped."""
 MAX_PEERS = 8
 FORGET_S = 30.0
 """A UDP peer that is silent for so long is forgotten."""
