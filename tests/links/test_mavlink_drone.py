@@ -336,7 +336,8 @@ def test_noise_and_other_vehicles_are_ignored_and_another_ground_station_is_told
     other = packet(9, m.MAVLink_heartbeat_message(1, 3, 0x81, 5, 4, 3))
     station = packet(250, m.MAVLink_heartbeat_message(m.MAV_TYPE_GCS, 8, 0, 0, 4, 3))
     broken = b"\xfd\xff" + bytes(range(40))
-    with playing(also=(other[:9], broken, station)) as peer, connect(peer) as drone:
+    endless = packet(1, m.MAVLink_attitude_message(5000, 0, 0, float("inf"), 0, 0, 0))
+    with playing(also=(other[:9], broken, station, endless)) as peer, connect(peer) as drone:
         peer.part.also += (other, b"\xfe", b"\x00" * 300)
         time.sleep(0.1)
         assert drone.vehicle.system == 1

@@ -6,6 +6,7 @@ microseconds since 1970 before each packet.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import math
 import struct
@@ -243,8 +244,11 @@ class Connection:
         now = time.monotonic()
         with self._news:
             for message in decoder.parse_buffer(data) or ():
-                if not message.get_type().startswith(("BAD_DATA", "UNKNOWN")):
-                    self._log(bytes(message.get_msgbuf()))
+                if message.get_type().startswith(("BAD_DATA", "UNKNOWN")):
+                    continue
+                self._log(bytes(message.get_msgbuf()))
+                # A message with an impossible number must not end the listening: what it did not tell grows old.
+                with contextlib.suppress(ValueError, OverflowError):
                     self._hear(message, peer, now)
             self._news.notify_all()
 
