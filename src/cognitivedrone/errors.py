@@ -9,6 +9,9 @@ CognitiveDroneError
 ├── ReasonerError    one answer of a reasoner that did not come or cannot be used; the flight goes on
 ├── RunError         a benchmark run that cannot start, go on or be read
 ├── DataError        a data set that cannot be written, read or trusted
+├── TrainingError    a training that cannot start or go on, or a checkpoint that cannot be read
+├── LinkError        a vehicle that cannot be reached, refuses, or is not one that can be flown
+├── CameraError      a camera that cannot be opened, has gone silent, or has come to its end
 └── MissingExtra     an optional dependency is not installed
 """
 
@@ -70,6 +73,14 @@ class DataError(CognitiveDroneError):
 
 class TrainingError(CognitiveDroneError):
     """A training that cannot start or go on, or a checkpoint that cannot be read."""
+
+
+class LinkError(CognitiveDroneError):
+    """A vehicle that cannot be reached, refuses, or is not one that can be flown."""
+
+
+class CameraError(CognitiveDroneError):
+    """A camera that cannot be opened, has gone silent, or has come to its end."""
 
 
 class MissingExtra(CognitiveDroneError):

@@ -15,7 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image as Pictures
 
-from cognitivedrone.links.camera import CameraConfig, CameraError, cropped_fov, fit, open_camera
+from cognitivedrone.errors import CameraError
+from cognitivedrone.links.camera import CameraConfig, cropped_fov, fit, open_camera
 
 
 def write_video(path: Path, *, frames: int = 10, rate: int = 20, size: tuple[int, int] = (320, 240)) -> Path:

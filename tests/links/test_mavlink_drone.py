@@ -23,11 +23,10 @@ from peer import MODES, PARAMETERS, Peer, StillCamera, playing
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as m
 
-from cognitivedrone.errors import MissingExtra
+from cognitivedrone.errors import LinkError, MissingExtra
 from cognitivedrone.flight.loop import Leg, fly
 from cognitivedrone.flight.safety import Guard, Patience, SafetyConfig
 from cognitivedrone.links.mavlink import MavlinkConfig, MavlinkDrone
-from cognitivedrone.links.transport import LinkError
 from cognitivedrone.links.vehicle import STEP_S, SimulatedVehicle, VehicleConfig
 from cognitivedrone.links.vehicle_modes import Mode
 from cognitivedrone.sim.simulator import Simulator

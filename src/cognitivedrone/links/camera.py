@@ -32,16 +32,12 @@ import numpy as np
 from PIL import Image as Pictures
 from PIL import UnidentifiedImageError
 
-from cognitivedrone.errors import CognitiveDroneError
+from cognitivedrone.errors import CameraError
 from cognitivedrone.types import IMAGE_SIZE, Image
 
 STREAMS = ("rtsp://", "rtsps://", "http://", "https://", "udp://", "tcp://", "srt://")
 PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp"})
 AtEnd = Literal["loop", "end"]
-
-
-class CameraError(CognitiveDroneError):
-    """A camera that cannot be opened, has gone silent, or has come to its end."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from cognitivedrone.errors import MissingExtra
+from cognitivedrone.errors import LinkError, MissingExtra
 from cognitivedrone.links.telemetry import GROUND_STATION, Telemetry, heard, is_vehicle, last_words
-from cognitivedrone.links.transport import LinkError, Transport
+from cognitivedrone.links.transport import Transport
 
 T = TypeVar("T")
 

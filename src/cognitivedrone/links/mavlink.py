@@ -26,13 +26,14 @@ from typing import Literal
 
 import numpy as np
 
+from cognitivedrone.errors import LinkError
 from cognitivedrone.frames import flu_to_frd
 from cognitivedrone.links.camera import Camera
 from cognitivedrone.links.connection import Connection, Vehicle
 from cognitivedrone.links.guard import Decision, Guard, Health
 from cognitivedrone.links.preflight import EXPECTED, Checklist, build_checklist, check_vehicle, misfits
-from cognitivedrone.links.telemetry import MODE_NUMBERS, Telemetry, last_words, stick_moved
-from cognitivedrone.links.transport import LinkError, open_transport
+from cognitivedrone.links.telemetry import MODE_NUMBERS, SIMULATED, Telemetry, last_words, stick_moved
+from cognitivedrone.links.transport import open_transport
 from cognitivedrone.types import Action, FloatArray, Observation
 
 BODY_NED, VELOCITY_AND_YAW_RATE = 8, 0x05C7
@@ -85,6 +86,8 @@ class MavlinkDrone:
         self.camera = camera
         self.decision: Decision | None = None
         """The guard's last one; none before take-off."""
+        self.simulated = False
+        """Whether the vehicle says that it is this project's simulator."""
         self._guard = guard
         self._lock = threading.RLock()
         self._phase: Literal["ground", "climbing", "flying", "released"] = "ground"
@@ -265,6 +268,7 @@ class MavlinkDrone:
         check_vehicle(vehicle, None)
         told = self._link.message("AUTOPILOT_VERSION", AUTOPILOT_VERSION)
         version = check_vehicle(vehicle, told.flight_sw_version if told is not None else None)
+        self.simulated = told is not None and bytes(told.flight_custom_version) == SIMULATED
         for name, number in STATE_MESSAGES.items():
             interval_us = 1e6 / self.config.stream_hz
             self._link.command(SET_MESSAGE_INTERVAL, number, interval_us, what=f"to send {name}")
@@ -304,8 +308,7 @@ class MavlinkDrone:
         def up() -> bool:
             return self._phase == "released" or float(self.telemetry.position[2] - self._home[2]) >= enough
 
-        arrived = self._link.until(up, self.config.takeoff_timeout_s)
-        if not arrived:
+        if not self._link.until(up, self.config.takeoff_timeout_s):
             raise LinkError(
                 f"not at {self.config.takeoff_height_m:g} m {self.config.takeoff_timeout_s:g} s after take-off was"
                 f" ordered{last_words(self.telemetry, began)}"
@@ -327,11 +330,8 @@ class MavlinkDrone:
                 # A policy has nothing to say yet; the pilot has.
                 self._settle()
                 if self.telemetry.mode not in self._modes or (self._was_armed and not self.telemetry.armed):
-                    self._phase, self._taken_over = (
-                        "released",
-                        f"the vehicle is in {self.telemetry.mode}"
-                        + ("" if self.telemetry.armed else ", its motors stopped"),
-                    )
+                    stopped = "" if self.telemetry.armed else ", its motors stopped"
+                    self._phase, self._taken_over = "released", f"the vehicle is in {self.telemetry.mode}{stopped}"
                 self._was_armed |= self.telemetry.armed
 
     def _health(self) -> Health:

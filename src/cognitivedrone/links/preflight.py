@@ -6,9 +6,9 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from cognitivedrone.errors import LinkError
 from cognitivedrone.links.connection import Vehicle
 from cognitivedrone.links.telemetry import ARDUPILOT, COPTER_TYPES, Telemetry
-from cognitivedrone.links.transport import LinkError
 
 State = Literal["ok", "look", "bad"]
 """Good; for the person to judge; and what nobody should fly with."""

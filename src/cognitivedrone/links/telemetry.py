@@ -32,6 +32,8 @@ EKF_NEEDED, EKF_CONST_POSITION = 0x07, 0x80
 """Flags of EKF_STATUS_REPORT: attitude, horizontal and vertical velocity; and "does not know where it is"."""
 EKF_POSITION = 0x18
 """Relative or absolute horizontal position: one of the two."""
+SIMULATED = b"CogDrone"
+"""What this project's simulated vehicle tells as its `flight_custom_version`."""
 STICKS = (1, 2, 3, 4)
 STICK_MOVED_US = 120
 """A stick that is this far from where it was, in microseconds of 1000 to 2000, was moved by somebody."""

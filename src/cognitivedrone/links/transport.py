@@ -17,14 +17,10 @@ import socket
 from collections.abc import Hashable
 from typing import Any, Protocol
 
-from cognitivedrone.errors import CognitiveDroneError, MissingExtra, did_you_mean
+from cognitivedrone.errors import LinkError, MissingExtra, did_you_mean
 
 KINDS = ("udp", "udpin", "udpout", "tcp", "serial")
 LARGEST_READ = 65_536
-
-
-class LinkError(CognitiveDroneError):
-    """A vehicle that cannot be reached, refuses, or is not one that can be flown."""
 
 
 class Transport(Protocol):

@@ -13,6 +13,7 @@ import numpy as np
 from cognitivedrone.errors import MissingExtra
 from cognitivedrone.frames import enu_to_ned, flu_to_frd
 from cognitivedrone.links.ned import ned_euler, ned_quaternion
+from cognitivedrone.links.telemetry import SIMULATED
 from cognitivedrone.links.vehicle_modes import Mode
 from cognitivedrone.links.vehicle_targets import Home, PositionTarget, Target, VelocityTarget
 from cognitivedrone.types import DroneState, FloatArray
@@ -241,7 +242,7 @@ def _version(m: Any, _s: Snapshot) -> Any:
     )
     version = 4 << 24 | 6 << 16 | 0 << 8 | m.FIRMWARE_VERSION_TYPE_DEV
     return m.MAVLink_autopilot_version_message(
-        capabilities, version, 0, 0, 0, list(b"CogDrone"), [0] * 8, [0] * 8, 0, 0, 0
+        capabilities, version, 0, 0, 0, list(SIMULATED), [0] * 8, [0] * 8, 0, 0, 0
     )
 
 
