@@ -178,6 +178,55 @@ def train(
     print(f"{model}{hint}")  # noqa: T201
 
 
+@app.command
+def train_openvla(
+    base: Path,
+    data: Path,
+    out: Path,
+    recipe: str = "paper",
+    seed: int = 0,
+    resume: bool = False,
+    micro_batch: int | None = None,
+    shard: bool = False,
+    key: str = "cognitivedrone",
+    merge: bool = False,
+) -> None:
+    """Fine-tune OpenVLA-7B on a data set by low-rank adapters, and merge them into a checkpoint that can be flown.
+
+    Needs the extras `openvla` and `train`, and peft. On several GPUs, start it by torchrun. Examples:
+
+      cognitivedrone train-openvla --base openvla-7b --data flights --out runs/7b
+      torchrun --nproc-per-node 8 -m cognitivedrone.cli train-openvla --base openvla-7b --data flights --out runs/7b
+      cognitivedrone bench --policy openvla:runs/7b/merged
+
+    Args:
+        base: Folder of the checkpoint to start from: config.json, tokenizer.json, *.safetensors.
+        data: A data set made by `collect` or `data import`.
+        out: Folder of the run: checkpoint, metrics.jsonl, curves.png, TensorBoard logs and, at the end, merged/.
+        recipe: paper, race or debug.
+        seed: Of everything random.
+        resume: Go on from the checkpoint in the folder.
+        micro_batch: Samples at once on each GPU, 8 by default: fewer take less memory.
+        shard: Spread the weights over the GPUs instead of copying them to each.
+        key: Name of the action statistics in the checkpoint.
+        merge: Train no further, merge what the folder's checkpoint has.
+    """
+    from dataclasses import replace
+
+    from cognitivedrone.training.openvla_recipes import find_lora_recipe
+
+    chosen = find_lora_recipe(recipe)
+    if micro_batch is not None:
+        chosen = replace(chosen, micro_batch=micro_batch)
+    try:
+        from cognitivedrone.training import openvla_lora
+    except ModuleNotFoundError as error:
+        raise MissingExtra(str(error.name), "openvla,train") from None
+    config = openvla_lora.FineTuning(base, data, out, chosen, seed, resume, shard, key)
+    merged = openvla_lora.merge(config) if merge else openvla_lora.fine_tune(config)
+    print(f"{merged}; fly it with --policy openvla:{merged}")  # noqa: T201
+
+
 data = tyro.extras.SubcommandApp()
 app.command(data, name="data", help="Look at, check, convert and replay data sets.")
 

@@ -1,0 +1,148 @@
+"""The checkpoint that a fine-tuning starts from, and whether the machine can hold it: said before it is loaded."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from cognitivedrone.errors import PolicyError, TrainingError
+from cognitivedrone.models.openvla import checkpoint as checkpoints
+from cognitivedrone.models.openvla.actions import ActionStatistics
+from cognitivedrone.models.openvla.checkpoint import Checkpoint
+from cognitivedrone.models.openvla.config import IMAGE, PATCHES, Config, read_config
+from cognitivedrone.models.openvla.prepare import ImagePreparation, check_tokenizer, read_preparation
+from cognitivedrone.models.openvla.tensors import Shapes, check_tensors, elements, unused_tensors, used_tensors
+from cognitivedrone.training.openvla_recipes import LoraRecipe
+
+BYTES_PER_TRAINED = 16
+"""Of an adapter's number: itself, its gradient and two moments, in float32."""
+SMALL = 2_000_000_000
+"""Bytes up to which a network is fine-tuned on a machine without a GPU."""
+_DTYPES = ("BF16", "F16", "F32")
+_TEXT = 64  # tokens of prompt and answer, rather more than an instruction has
+_WORKSPACE = 1_500_000_000  # bytes of a GPU that PyTorch and its libraries take
+_TAIL = 2**20  # bytes at the end of a file that tell it from another of the same shapes
+
+
+def read_base(folder: Path, key: str, statistics: ActionStatistics) -> Checkpoint:
+    """The checkpoint in `folder`, to be fine-tuned for `statistics`: its own, of arms as a rule, are not looked at.
+
+    A head of the parallel decoder is left out, for it would not fit the fine-tuned network. Raises `PolicyError` as
+    `checkpoint.inspect` does for files, tensors and tokenizers.
+    """
+    if not folder.is_dir():
+        raise PolicyError(f"there is no folder {folder}; give that of an OpenVLA checkpoint")
+    try:
+        config = read_config(_json(folder / checkpoints.CONFIG))
+        check_tokenizer(_json(folder / checkpoints.TOKENIZER), checkpoints.TOKENIZER)
+        prepared = folder / checkpoints.PREPARATION
+        preparation = read_preparation(_json(prepared)) if prepared.is_file() else ImagePreparation()
+    except PolicyError as error:
+        raise PolicyError(f"{folder}: {error}") from None
+    shapes: Shapes = {}
+    files: dict[str, Path] = {}
+    wide = False
+    for path in _weight_files(folder):
+        for name, entry in checkpoints.read_header(path).items():
+            shapes[name], files[name] = tuple(entry["shape"]), path
+            if entry["dtype"] not in _DTYPES:
+                raise PolicyError(f"{path}: {name} is {entry['dtype']}; weights to fine-tune are {', '.join(_DTYPES)}")
+            wide |= entry["dtype"] == "F32"
+    check_tensors(shapes, used_tensors(config), unused_tensors(config), str(folder))
+    plain = Config(config.dino, config.siglip, config.language)
+    return Checkpoint(
+        folder,
+        plain,
+        files,
+        head=None,
+        stored_bytes=4 if wide else 2,
+        statistics_key=key,
+        statistics=statistics,
+        preparation=preparation,
+        tokenizer=folder / checkpoints.TOKENIZER,
+    )
+
+
+def _weight_files(folder: Path) -> list[Path]:
+    index = folder / checkpoints.INDEX
+    if not index.is_file():
+        return [folder / checkpoints.WEIGHTS]
+    placed = _json(index).get("weight_map")
+    if not isinstance(placed, dict) or not placed:
+        raise PolicyError(f"{index} has no weight_map; copy it again")
+    return [folder / Path(str(name)).name for name in sorted(set(placed.values()))]
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise PolicyError(f"{path.name}: {error.strerror}; the folder of a whole checkpoint has it") from None
+    except ValueError:
+        raise PolicyError(f"{path.name} is not JSON; if it is a pointer of Git LFS, fetch the file") from None
+    if not isinstance(told, dict):
+        raise PolicyError(f"{path.name} is not a JSON object")
+    return told
+
+
+def fingerprint(base: Checkpoint) -> str:
+    """What tells one base from another without reading all of it: its sizes and the ends of its files."""
+    digest = hashlib.sha256(repr(base.config).encode())
+    for path in sorted(set(base.files.values())):
+        size = path.stat().st_size
+        digest.update(f"{path.name} {size}".encode())
+        with path.open("rb") as file:
+            file.seek(max(size - _TAIL, 0))
+            digest.update(file.read())
+    return digest.hexdigest()[:16]
+
+
+def trained_weights(config: Config, rank: int) -> int:
+    """Numbers in adapters of that rank on every linear layer and on both towers' first convolution."""
+    total = 0
+    for name, shape in used_tensors(config).items():
+        if len(shape) == 4 or (len(shape) == 2 and "embed_tokens" not in name):
+            total += rank * (shape[0] + elements([shape[1:]]))
+    return total
+
+
+def needed_bytes(base: Checkpoint, recipe: LoraRecipe, processes: int, *, sharded: bool) -> int:
+    """Memory that fine-tuning takes on each GPU: an estimate from the shapes, on the safe side.
+
+    Weights as stored; adapters with gradients and moments; activations of a micro-batch: what goes into every layer,
+    and what is inside of one (of all, without checkpointing).
+    """
+    config, language = base.config, base.config.language
+    each = base.stored_bytes
+    kept = elements(used_tensors(config).values()) * each
+    kept += trained_weights(config, recipe.rank) * BYTES_PER_TRAINED
+    # With sharding, a layer at a time is whole.
+    fixed = kept if not sharded else kept // processes + kept // max(language.num_hidden_layers, 1)
+    tokens = PATCHES + _TEXT
+    stacks = [(tower.width, tower.hidden, tower.depth) for tower in (config.dino, config.siglip)]
+    stacks.append((language.hidden_size, 2 * language.intermediate_size, language.num_hidden_layers))
+    inside = [tokens * (12 * width + 4 * hidden) * each for width, hidden, _ in stacks]
+    layers = sum(tokens * width * each * depth for width, _, depth in stacks)
+    if recipe.checkpointing:
+        sample = layers + max(inside)
+    else:
+        sample = sum(one * depth for one, (_, _, depth) in zip(inside, stacks, strict=True))
+    images = 6 * IMAGE**2 * 4
+    micro = min(recipe.micro_batch, max(recipe.batch // processes, 1))
+    return fixed + micro * (sample + images)
+
+
+def check_machine(needed: int, free: int, device: str, folder: Path) -> None:
+    """Raises `TrainingError` where a fine-tuning that needs so many bytes does not fit, or there is no GPU for it."""
+    if device == "cuda":
+        needed += _WORKSPACE
+    told = f"fine-tuning {folder} needs {needed / 1e9:.1f} GB"
+    if device == "cpu" and needed > SMALL:
+        raise TrainingError(
+            f"{told} of GPU memory, and this machine has no GPU that PyTorch can use; train on one that has"
+        )
+    if needed > free:
+        way_out = "take a smaller --micro-batch, or several GPUs and --shard" if device == "cuda" else "close what runs"
+        raise TrainingError(f"{told} of {'GPU ' * (device == 'cuda')}memory, has {free / 1e9:.1f} GB free; {way_out}")
