@@ -321,6 +321,53 @@ def replay(folder: tyro.conf.Positional[Path], episode: tyro.conf.Positional[int
     print(f"episode {episode}: {report.steps} steps, ends {report.end_error_m:.4f} m off its record, {same}")  # noqa: T201
 
 
+gazebo = tyro.extras.SubcommandApp()
+app.command(gazebo, name="gazebo", help="Worlds for Gazebo: the same tasks, flown by ArduPilot.")
+
+
+@gazebo.command(name="export")
+def export_world(
+    out: Path,
+    suite: str = "open-v1:smoke",
+    task: str | None = None,
+    track: str | None = None,
+    version: str = "harmonic",
+    labels: str = "open-v1",
+) -> None:
+    """Write a task, or the stages of a track, as SDF worlds with meshes, textures and an ArduPilot vehicle.
+
+    For example:
+
+      cognitivedrone gazebo export --suite open-v1:test --task open-v1:test/0007 --out gazebo/0007
+      cognitivedrone gazebo export --suite open-v1:track --track 3 --out gazebo/track3
+
+    Args:
+        out: New folder to write.
+        suite: Name of the suite, or a task file.
+        task: Id of one task.
+        track: Number of a track, from 0, or the id of a task in it.
+        version: Release of Gazebo that the README of the folder tells to install: harmonic, ionic or jetty.
+        labels: Label pack, or a folder of pictures.
+    """
+    from cognitivedrone.links.gazebo.export import export as export_to
+
+    done = export_to(suite, out=out, task=task, track=track, version=version, labels=labels)
+    for world, shown in zip(done.worlds, done.track, strict=True):
+        print(f"{world}: {shown.instruction}  (right: gate {shown.target + 1})")  # noqa: T201
+
+
+@gazebo.command(name="check")
+def check_world(files: tyro.conf.Positional[tuple[Path, ...]]) -> None:
+    """Have SDF files checked by libsdformat, Gazebo's own parser.
+
+    Args:
+        files: Worlds or models.
+    """
+    from cognitivedrone.links.gazebo.check import check as check_files
+
+    print(f"{len(files)} passed {check_files(files)}")  # noqa: T201
+
+
 @app.command(name="list")
 def list_names() -> None:
     """List the suites, task families, policies and reasoners that come with the package."""

@@ -1,0 +1,79 @@
+"""The meshes of our world as OBJ files: read back from the compiled MuJoCo model, so that there is one source of them.
+
+Metres, z up. Faces are flat: every corner carries the normal of its face. Texture coordinates in our world run
+downwards, in OBJ upwards.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cognitivedrone.frames import FloatArray
+from cognitivedrone.types import SHAPES, SIZES, Shape, Size
+from cognitivedrone.world.assets import Assets, Placed, build_assets
+
+PANEL: Final = "panel"
+FLOOR: Final = "floor"
+ROOM: Final = "room"
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    """Triangles in the frame that they were written in: of gates the gate frame, of others that of the stage."""
+
+    vertices: FloatArray
+    """(n, 3) m."""
+    faces: NDArray[np.int64]
+    """(k, 3) indices of vertices, counter-clockwise from outside."""
+    texture: FloatArray
+    """(t, 2) coordinates, v downwards, 0 to 1 across a picture."""
+    texture_faces: NDArray[np.int64]
+    """(k, 3) indices of texture coordinates."""
+
+
+def gate_mesh(size: Size, shape: Shape) -> str:
+    """The name of a gate's mesh."""
+    return f"gate_{size}_{shape}"
+
+
+def world_meshes() -> dict[str, Mesh]:
+    """Every mesh of our world by the name of its file: six gates, the unit panel, floor and room."""
+    assets = build_assets(slots=1, image_size=16)  # nothing is rendered; the model is only read
+    placed = {gate_mesh(size, shape): assets.gates[size, shape] for size in SIZES for shape in SHAPES}
+    placed |= {PANEL: assets.panel, FLOOR: assets.floor, ROOM: assets.room}
+    return {name: _read(assets, where) for name, where in placed.items()}
+
+
+def obj_text(name: str, mesh: Mesh) -> str:
+    """A mesh as the text of a Wavefront OBJ file."""
+    corners = mesh.vertices[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    lines = [f"o {name}"]
+    lines += [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.vertices]
+    lines += [f"vt {u:.6f} {1.0 - v:.6f}" for u, v in mesh.texture]
+    lines += [f"vn {x:.6f} {y:.6f} {z:.6f}" for x, y, z in normals]
+    for number, (face, texture) in enumerate(zip(mesh.faces + 1, mesh.texture_faces + 1, strict=True), start=1):
+        corner_texts = (f"{v}/{t}/{number}" for v, t in zip(face, texture, strict=True))
+        lines.append(f"f {' '.join(corner_texts)}")
+    return "\n".join(lines) + "\n"
+
+
+def _read(assets: Assets, placed: Placed) -> Mesh:
+    """A mesh of the compiled model, moved back to where it was written."""
+    model, mesh = assets.model, placed.mesh
+
+    def part(values: FloatArray, first: NDArray[np.int32], count: NDArray[np.int32]) -> FloatArray:
+        return np.asarray(values[first[mesh] : first[mesh] + count[mesh]])
+
+    vertices = part(model.mesh_vert, model.mesh_vertadr, model.mesh_vertnum).astype(np.float64)
+    return Mesh(
+        vertices=vertices @ placed.rotation.T + placed.position,
+        faces=part(model.mesh_face, model.mesh_faceadr, model.mesh_facenum).astype(np.int64),
+        texture=part(model.mesh_texcoord, model.mesh_texcoordadr, model.mesh_texcoordnum).astype(np.float64),
+        texture_faces=part(model.mesh_facetexcoord, model.mesh_faceadr, model.mesh_facenum).astype(np.int64),
+    )

@@ -1,0 +1,52 @@
+"""The releases of Gazebo that are supported, and what their parts are called.
+
+Sources: the release notes of Gazebo Harmonic, Ionic and Jetty (https://gazebosim.org/docs/latest/releases). From
+Jetty on, the modules of the Python bindings have no number in their names; the packages keep theirs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cognitivedrone.errors import CognitiveDroneError, did_you_mean
+
+
+class GazeboError(CognitiveDroneError):
+    """A world that cannot be exported or checked, or a Gazebo that cannot be reached or does not answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """One release of Gazebo."""
+
+    name: str
+    sim: int
+    """Major version of gz-sim, as `gz sim --versions` prints it."""
+    package: str
+    """Debian package of the whole of it."""
+    bindings: str
+    """Debian packages of the Python bindings."""
+    transport: str
+    """Module of gz-transport."""
+    messages: str
+    """Package of the modules of gz-msgs."""
+
+
+RELEASES: dict[str, Release] = {
+    release.name: release
+    for release in (
+        Release("jetty", 10, "gz-jetty", "python3-gz-transport15 python3-gz-msgs12", "gz.transport", "gz.msgs"),
+        Release("ionic", 9, "gz-ionic", "python3-gz-transport14 python3-gz-msgs11", "gz.transport14", "gz.msgs11"),
+        Release(
+            "harmonic", 8, "gz-harmonic", "python3-gz-transport13 python3-gz-msgs10", "gz.transport13", "gz.msgs10"
+        ),
+    )
+}
+"""By name, the newest first. Worlds are written for all of them alike; Harmonic and Jetty are supported the longest."""
+
+
+def release_named(name: str) -> Release:
+    """The release of that name; raises `GazeboError` with near names."""
+    if name not in RELEASES:
+        raise GazeboError(f"unknown Gazebo release {name!r}; {did_you_mean(name, RELEASES)}")
+    return RELEASES[name]

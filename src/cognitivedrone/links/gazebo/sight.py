@@ -1,0 +1,175 @@
+"""What a running Gazebo shows: the vehicle's camera, as `MavlinkDrone` takes one, and its true state.
+
+Both listen to a topic from another thread, keep the newest, and raise `GazeboError` once the topic falls silent.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Final, Generic, TypeVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cognitivedrone.frames import rotation_matrix
+from cognitivedrone.links.camera import CameraError, Shot, fit
+from cognitivedrone.links.gazebo.bindings import Bindings
+from cognitivedrone.links.gazebo.release import GazeboError
+from cognitivedrone.types import DroneState, FloatArray, Image
+
+T = TypeVar("T")
+
+RGB_INT8: Final = 3
+"""gz.msgs.PixelFormatType."""
+VELOCITY_WINDOW_S: Final = 0.1
+"""Velocity and body rates are differences of poses this far apart, of simulated time, or somewhat more."""
+
+
+class Topic(Generic[T]):
+    """The newest of what a topic brings, and when it came; `take` makes it of a message, or none where it is of no use.
+
+    Waits for the first. Raises `GazeboError` where there is no topic of that name and type, or it stays silent.
+    """
+
+    def __init__(
+        self, bindings: Bindings, name: str, message: str, take: Callable[[Any], T | None], first_s: float
+    ) -> None:
+        self.name = name
+        self._take = take
+        self._news = threading.Condition()
+        self._newest: tuple[T, float] | None = None
+        self._failure: GazeboError | None = None
+        self._node = bindings.new_node()
+        if not self._node.subscribe(bindings.message(message), name, self._receive):
+            raise GazeboError(f"cannot listen at topic {name}: gz-transport refuses it; is its name well formed?")
+        with self._news:
+            came = self._news.wait_for(lambda: self._newest is not None or self._failure is not None, first_s)
+            if self._newest is None:
+                self.close()
+            if self._failure is not None:
+                raise self._failure
+            if not came:
+                raise GazeboError(
+                    f"topic {name} has stayed silent for {first_s:g} s; is the simulation paused (gz sim -r starts it"
+                    " running), and does ArduPilot answer its physics?"
+                )
+
+    def newest(self, silence_s: float) -> tuple[T, float]:
+        """The newest and when it came, of `time.monotonic`, s; `GazeboError` where that was over `silence_s` ago."""
+        with self._news:
+            newest, failure = self._newest, self._failure
+        if newest is None or failure is not None:
+            raise failure or GazeboError(f"topic {self.name} has brought nothing")
+        age = time.monotonic() - newest[1]
+        if age > silence_s:
+            raise GazeboError(f"topic {self.name} has been silent for {age:.1f} s; is Gazebo still running, unpaused?")
+        return newest
+
+    def close(self) -> None:
+        """Listen no longer."""
+        self._node.unsubscribe(self.name)
+
+    def _receive(self, message: Any) -> None:
+        taken, failure = None, None
+        try:
+            taken = self._take(message)
+        except GazeboError as error:
+            failure = error  # for who reads: nobody would catch it in the thread of gz-transport
+        if taken is not None or failure is not None:
+            with self._news:
+                self._newest = self._newest if taken is None else (taken, time.monotonic())
+                self._failure = failure
+                self._news.notify_all()
+
+
+class GazeboCamera:
+    """The vehicle's camera, a `cognitivedrone.links.camera.Camera`; raises `CameraError` where it is silent."""
+
+    def __init__(self, bindings: Bindings, topic: str, *, first_s: float = 10.0, silence_s: float = 3.0) -> None:
+        self._silence_s = silence_s
+        try:
+            self._topic: Topic[Image] = Topic(bindings, topic, "Image", picture, first_s)
+        except GazeboError as error:
+            raise CameraError(str(error)) from None
+
+    def read(self) -> Shot:
+        """The newest frame."""
+        try:
+            image, received = self._topic.newest(self._silence_s)
+        except GazeboError as error:
+            raise CameraError(str(error)) from None
+        return Shot(image, received, time.monotonic() - received)
+
+    def close(self) -> None:
+        """Listen no longer."""
+        self._topic.close()
+
+
+class GazeboTruth:
+    """The true state of a model, from the world's topic of moving things."""
+
+    def __init__(
+        self, bindings: Bindings, topic: str, model: str, *, first_s: float = 10.0, silence_s: float = 3.0
+    ) -> None:
+        self._silence_s = silence_s
+        self._track = PoseTrack(model)
+        self._topic: Topic[DroneState] = Topic(bindings, topic, "Pose_V", self._track.take, first_s)
+
+    def state(self) -> DroneState:
+        """Position, attitude and their rates now."""
+        return self._topic.newest(self._silence_s)[0]
+
+    def close(self) -> None:
+        """Listen no longer."""
+        self._topic.close()
+
+
+class PoseTrack:
+    """Makes states of poses: rates are differences over `VELOCITY_WINDOW_S` of simulated time."""
+
+    def __init__(self, model: str) -> None:
+        self._model = model
+        self._past: deque[tuple[float, FloatArray, FloatArray]] = deque()
+
+    def take(self, message: Any) -> DroneState | None:
+        """The state after a `Pose_V`; none before there are two poses, or where the model is not in it."""
+        pose = next((pose for pose in message.pose if pose.name == self._model), None)
+        if pose is None:
+            return None
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nsec
+        position = np.array([pose.position.x, pose.position.y, pose.position.z])
+        quaternion = np.array([pose.orientation.w, pose.orientation.x, pose.orientation.y, pose.orientation.z])
+        past = self._past
+        if past and stamp < past[-1][0]:
+            past.clear()  # the world was reset
+        if not past or stamp > past[-1][0]:
+            past.append((stamp, position, quaternion))
+        while len(past) > 2 and past[-1][0] - past[1][0] >= VELOCITY_WINDOW_S - 1e-9:
+            past.popleft()
+        if len(past) < 2:
+            return None
+        (before, from_position, from_quaternion), (now, to_position, to_quaternion) = past[0], past[-1]
+        turn = rotation_matrix(from_quaternion).T @ rotation_matrix(to_quaternion)
+        return DroneState(
+            position=to_position,
+            velocity=(to_position - from_position) / (now - before),
+            quaternion=to_quaternion,
+            body_rates=Rotation.from_matrix(turn).as_rotvec() / (now - before),
+        )
+
+
+def picture(message: Any) -> Image:
+    """(256, 256, 3) uint8 of an image message; raises `GazeboError` for one that is not 8-bit RGB, or cut short."""
+    width, height, step = message.width, message.height, message.step or 3 * message.width
+    if message.pixel_format_type != RGB_INT8 or step < 3 * width:
+        raise GazeboError(
+            f"the camera sends pixel format {message.pixel_format_type}, not RGB_INT8 ({RGB_INT8});"
+            " give it <format>R8G8B8</format>"
+        )
+    if not width or not height or len(message.data) != step * height:
+        raise GazeboError(f"a camera image of {width}x{height} pixels came with {len(message.data)} bytes")
+    rows = np.frombuffer(message.data, np.uint8).reshape(height, step)
+    return fit(rows[:, : 3 * width].reshape(height, width, 3))
