@@ -14,6 +14,7 @@ from rich.progress import track
 from cognitivedrone.benchmark.reason import ReasonConfig
 from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.sweep import SweepConfig
+from cognitivedrone.cockpit.config import FlyConfig, SimConfig
 from cognitivedrone.collect.collector import CollectConfig
 from cognitivedrone.errors import CognitiveDroneError, MissingExtra
 
@@ -366,6 +367,43 @@ def check_world(files: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     from cognitivedrone.links.gazebo.check import check as check_files
 
     print(f"{len(files)} passed {check_files(files)}")  # noqa: T201
+
+
+@app.command
+def fly(config: Annotated[FlyConfig, tyro.conf.arg(name="")]) -> None:
+    """Fly a drone by an instruction, in real time: our simulator, ArduPilot SITL or a vehicle over MAVLink.
+
+    While it flies, a line that is typed is its new instruction, "land" lands it, and so does ctrl-C. Steps, events and
+    a film are recorded. Exit code 0: through a gate, or landed as asked; 1: ended otherwise; 130: ctrl-C. Examples:
+
+      cognitivedrone fly --policy colour_seeker --reasoner oracle --suite open-v1:test --episode 3
+      cognitivedrone fly --policy colour_seeker --reasoner none "Fly through the red gate"
+      cognitivedrone fly --link mavlink:udp:127.0.0.1:14550 --camera http://127.0.0.1:8090/ "Fly through the red gate"
+
+    A real drone needs more than a command: read docs/real-drone.md.
+    """
+    from cognitivedrone.cockpit.fly import fly_mission
+    from cognitivedrone.cockpit.view import summary_table
+
+    console = Console()
+    summary = fly_mission(config, console=console)
+    console.print(summary_table(summary), highlight=False)
+    sys.exit(summary.exit_code)
+
+
+@app.command
+def sim(config: Annotated[SimConfig, tyro.conf.arg(name="")]) -> None:
+    """Serve the simulator as a MAVLink vehicle, until ctrl-C: ground stations and `fly` connect to it.
+
+    Needs the extra `mavlink`. Example:
+
+      cognitivedrone sim --mavlink --camera-port 8090 --suite open-v1:test --episode 3
+    """
+    from cognitivedrone.cockpit.vehicle import serve_vehicle, until_interrupted
+
+    with until_interrupted() as stop:
+        lost = serve_vehicle(config, stop, lambda served: print(served, flush=True))  # noqa: T201
+    print(f"stopped; the vehicle fell {lost:.1f} s behind the clock")  # noqa: T201
 
 
 @app.command(name="list")

@@ -1,0 +1,72 @@
+"""From the options to something that can be flown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+from cognitivedrone.cockpit.config import FlyConfig, check_episode, task_suite
+from cognitivedrone.cockpit.craft import Craft, Eyes, MavlinkCraft, SimulatedCraft
+from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
+from cognitivedrone.errors import LinkError
+from cognitivedrone.flight.fence import Fence
+from cognitivedrone.flight.safety import Guard, Patience, SafetyConfig
+from cognitivedrone.labels import load_pack
+from cognitivedrone.links.camera import open_camera
+from cognitivedrone.links.mavlink import MavlinkConfig, MavlinkDrone
+from cognitivedrone.sim.simulator import Simulator
+
+FLAG = "--i-understand-this-flies-a-real-drone"
+
+
+def open_course(suite_name: str, episode: int, seed: int, *, render: bool = True) -> Course:
+    """A simulator, and the scene of an episode begun in it; raises `TaskError`."""
+    suite = task_suite(suite_name)
+    check_episode(suite, episode)
+    course = Course(Simulator(1, render=render), 0, load_pack("open-v1"), CourseConfig(time_limit_s=math.inf))
+    course.begin(suite.tracks[episode], episode_rng(suite.digest, episode, seed))
+    return course
+
+
+def open_craft(config: FlyConfig, tlog: Path, own_words: Callable[[], bool]) -> Craft:
+    """What the options ask to fly, on the ground, with nothing armed.
+
+    Raises `LinkError`, `CameraError`, `TaskError` or `MissingExtra`. What is not known to be simulated is refused
+    without the flag that consents; what is not inside this machine is not even talked to.
+    """
+    if config.link == "sim":
+        course = open_course(config.suite, config.episode, config.seed)
+        return SimulatedCraft(course.simulator, course, own_words)
+    if config.link == "sitl":
+        from cognitivedrone.cockpit.sitl import open_sitl
+
+        return open_sitl(config, tlog)
+    consent = config.i_understand_this_flies_a_real_drone
+    if not (consent or config.on_loopback):
+        raise LinkError(f"{config.link} may be a real drone: read docs/real-drone.md, then add {FLAG}")
+    eyes = Eyes(open_camera(config.camera))
+    drone = MavlinkDrone(config.url, eyes, Guard(safety(config)), vehicle_config(config, tlog))
+    if not (consent or drone.simulated):
+        drone.close()
+        raise LinkError(
+            f"the vehicle at {config.link} does not say that it is this project's simulator, so it may be a real drone:"
+            f" read docs/real-drone.md, then add {FLAG}"
+        )
+    return MavlinkCraft(drone, eyes, simulated=config.on_loopback and drone.simulated)
+
+
+def safety(config: FlyConfig) -> SafetyConfig:
+    """The rules of safety as the options have them."""
+    patience = Patience(config.policy_patience, max(1.0, 2 * config.policy_patience))
+    return SafetyConfig(fence=Fence(radius_m=config.fence_radius, ceiling_m=config.ceiling), policy=patience)
+
+
+def vehicle_config(config: FlyConfig, tlog: Path) -> MavlinkConfig:
+    """How the options talk to a vehicle."""
+    return MavlinkConfig(
+        takeoff_height_m=config.takeoff_height,
+        clock=config.clock,
+        set_parameters=config.set_parameters,
+        tlog=tlog,
+    )

@@ -1,0 +1,101 @@
+"""What the parts of the cockpit tell each other: frozen values."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+from cognitivedrone.types import Action, Event, FloatArray, Guidance, Observation
+
+EndKind = Literal["passed", "missed", "told", "time", "vehicle", "interrupted"]
+"""Through a gate; the scene was ended otherwise; landed by order; by the time limit; by the rules of safety, by the
+vehicle or its pilot; by ctrl-C or a request to terminate."""
+EXIT_CODES: dict[EndKind, int] = {
+    "passed": 0, "told": 0, "time": 0, "missed": 1, "vehicle": 1, "interrupted": 130
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """Why a flight is over."""
+
+    kind: EndKind
+    reason: str
+    """In words."""
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How everything around the drone is doing; none and NaN where that is not known."""
+
+    position: FloatArray | None = None
+    """(3,) world or, of a vehicle, from the origin of its estimator; ENU, m."""
+    yaw: float = math.nan
+    """From east to the left, rad."""
+    mode: str = ""
+    armed: bool = True
+    battery: float | None = None
+    """0 to 1."""
+    frame_age_s: float = 0.0
+    """Of the frame that was flown by, now."""
+    link_age_s: float = 0.0
+    """Of the last message from the vehicle."""
+    decision: str = "fly"
+    """Of the guard: fly, hold, brake, land or hands_off."""
+    reason: str = ""
+    """Of the decision, in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One control step."""
+
+    time: float
+    """Since the start of the flight, s."""
+    leg: int
+    """Counts the instructions, from 0."""
+    instruction: str
+    """The user's."""
+    observation: Observation
+    """Its `instruction` is what the policy was told: the directive, where there is one."""
+    sent: Action
+    guidance: Guidance | None
+    policy_s: float | None
+    """How long the policy thought; none where a step of an earlier chunk was flown."""
+    status: Status
+
+
+class Instrument(Protocol):
+    """What is told of a flight: the log, the view."""
+
+    def step(self, step: Step) -> None:
+        """A control step was flown."""
+        ...
+
+    def event(self, event: Event) -> None:
+        """Something happened."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What is left of a flight."""
+
+    ending: Ending
+    steps: int
+    seconds: float
+    late: int
+    """Deadlines that were missed."""
+    policy_ms: tuple[float, float]
+    """Median and 95th percentile of the policy's thinking; NaN where it never did."""
+    reasoner_ms: tuple[float, float]
+    """Of the age of the reasoner's answers at their arrival; NaN where there was none."""
+    out: Path
+    """Folder of the log."""
+
+    @property
+    def exit_code(self) -> int:
+        """For the shell."""
+        return EXIT_CODES[self.ending.kind]
