@@ -131,6 +131,7 @@ def fine_tune(config: FineTuning, report: Callable[[str], None] = print) -> Path
         _check_memory(config, accelerator)
         if accelerator.is_main_process:
             out.mkdir(parents=True, exist_ok=True)
+            shutil.rmtree(out / MERGED, ignore_errors=True)  # of an earlier checkpoint
             (out / "recipe.json").write_text(json.dumps(config.identity, indent=2) + "\n")
         _train(config, accelerator, found, report)
     merges = accelerator.is_main_process and (step < recipe.steps or not (out / MERGED).is_dir())

@@ -1,0 +1,415 @@
+"""Fine-tuning of OpenVLA in small, from flights to a flight: kept, killed, gone on with, merged, flown."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from openvla_files import write_checkpoint
+
+from cognitivedrone.benchmark.run_types import RunConfig
+from cognitivedrone.benchmark.runner import run
+from cognitivedrone.collect.collector import CollectConfig, collect
+from cognitivedrone.data.statistics import spread
+from cognitivedrone.data.store import Store
+from cognitivedrone.errors import DataError, PolicyError, TrainingError
+from cognitivedrone.models.openvla import checkpoint as checkpoints
+from cognitivedrone.models.openvla.actions import ActionStatistics, from_tokens, to_tokens
+from cognitivedrone.models.openvla.checkpoint import inspect
+from cognitivedrone.models.openvla.config import Config
+from cognitivedrone.models.openvla.network import IGNORED
+from cognitivedrone.models.openvla.prepare import END, ImagePreparation, prompt_ids, read_encoder
+from cognitivedrone.models.openvla.tensors import unused_tensors
+from cognitivedrone.models.openvla.weights import load
+from cognitivedrone.training import openvla_lora
+from cognitivedrone.training.checkpoint import read_checkpoint
+from cognitivedrone.training.curves import DIMENSIONS, read_rows
+from cognitivedrone.training.openvla_adapters import add_adapters, take_adapters
+from cognitivedrone.training.openvla_base import check_machine, needed_bytes, read_base, trained_weights
+from cognitivedrone.training.openvla_data import SampleMaker, answer_measures, open_flights, rows_of_step
+from cognitivedrone.training.openvla_lora import MERGED, FineTuning, fine_tune, merge
+from cognitivedrone.training.openvla_recipes import LORA_RECIPES, PAPER, find_lora_recipe
+from cognitivedrone.training.trainer import CHECKPOINT, METRICS
+
+# A rate at which a tiny network changes in six steps.
+RECIPE = replace(LORA_RECIPES["debug"], learning_rate=5e-3, validate_every=4)
+
+KILLED = """
+import os, signal, sys
+from dataclasses import replace
+from pathlib import Path
+import torch
+from cognitivedrone.training.openvla_lora import FineTuning, fine_tune
+from cognitivedrone.training.openvla_recipes import LORA_RECIPES
+
+def report(line):
+    # The second row is written before its checkpoint: that is where the power goes.
+    if line.startswith("step 4"):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+torch.set_num_threads(1)
+recipe = replace(LORA_RECIPES["debug"], learning_rate=5e-3, validate_every=4)
+base, data, out = map(Path, sys.argv[1:])
+fine_tune(FineTuning(base, data, out, recipe, seed=3, key="drone"), report)
+"""
+
+
+@dataclass(frozen=True)
+class Runs:
+    """A training that was never stopped, and one that was."""
+
+    whole: FineTuning
+    resumed: FineTuning
+    steps_at_kill: tuple[int, int]
+    """Of the checkpoint and of the last row that the killed training left."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> Iterator[None]:
+    """Tiny networks are slower on many threads than on one; and sums on one thread have one order."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("openvla") / "flights"
+    # Enough for two families to have a flight in both splits.
+    collect(CollectConfig(folder, "debug", 12, workers=1), progress=False)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """As published, with the statistics of an arm."""
+    folder = write_checkpoint(tmp_path_factory.mktemp("openvla") / "base")
+    told = json.loads((folder / "config.json").read_text())
+    told["norm_stats"] = {"bridge_orig": {"action": {"q01": [-1.0] * 7, "q99": [1.0] * 7}}}
+    (folder / "config.json").write_text(json.dumps(told))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory, base: Path, flights: Path) -> Runs:
+    folder = tmp_path_factory.mktemp("runs")
+    whole = FineTuning(base, flights, folder / "whole", RECIPE, seed=3, key="drone")
+    resumed = replace(whole, out=folder / "resumed", resume=True)
+    command = [sys.executable, "-c", KILLED, base, flights, resumed.out]
+    killed = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+    assert killed.returncode == -signal.SIGKILL, killed.stderr
+    at_kill = read_checkpoint(resumed.out / CHECKPOINT)[1]["step"], read_rows(resumed.out / METRICS)[-1]["step"]
+    for config in (resumed, whole):
+        assert fine_tune(config, lambda _: None) == config.out / MERGED
+    return Runs(whole, resumed, at_kill)
+
+
+def test_the_kill_came_between_a_row_and_its_checkpoint(runs: Runs) -> None:
+    assert runs.steps_at_kill == (2, 4)
+
+
+def test_a_killed_training_ends_with_the_same_weights(runs: Runs) -> None:
+    (whole, facts), (resumed, same) = (read_checkpoint(each.out / CHECKPOINT) for each in (runs.whole, runs.resumed))
+    assert facts == same
+    assert facts["step"] == RECIPE.steps
+    assert whole.keys() == resumed.keys()
+    for name, value in whole.items():
+        assert torch.equal(value, resumed[name]), name
+        assert value.isfinite().all(), name
+    files = [(each.out / MERGED / checkpoints.WEIGHTS).read_bytes() for each in (runs.whole, runs.resumed)]
+    assert files[0] == files[1]
+
+
+def test_a_killed_training_leaves_the_same_curves(runs: Runs) -> None:
+    whole, resumed = (
+        [{key: row[key] for key in row if key != "samples_per_s"} for row in read_rows(each.out / METRICS)]
+        for each in (runs.whole, runs.resumed)
+    )
+    assert [row["step"] for row in whole] == [2, 4, 6]
+    assert whole == resumed
+    assert (runs.resumed.out / "curves.png").stat().st_size > 10_000
+    assert list((runs.resumed.out / "tensorboard").glob("events.*"))
+
+
+def test_rows_have_the_measures_of_the_literature_and_the_baseline(runs: Runs) -> None:
+    rows = read_rows(runs.whole.out / METRICS)
+    wanted = {"train loss", "train accuracy", "samples_per_s"}
+    for measure in ("l1", "accuracy", "cross-entropy", "baseline accuracy", "baseline l1"):
+        wanted |= {measure} | {f"{measure} {dimension}" for dimension in DIMENSIONS}
+    for row in rows[1:]:
+        assert wanted <= row.keys()
+        assert all(math.isfinite(value) for value in row.values())
+        assert row["l1"] == pytest.approx(sum(row[f"l1 {name}"] for name in DIMENSIONS) / 4)
+    assert "l1" not in rows[0]
+    assert rows[1]["baseline l1"] == rows[2]["baseline l1"]  # the validation frames stay the same
+
+
+def test_a_checkpoint_has_adapters_and_moments_and_nothing_of_the_base(runs: Runs) -> None:
+    tensors, _ = read_checkpoint(runs.whole.out / CHECKPOINT)
+    count = {
+        kind: sum(value.numel() for name, value in tensors.items() if name.startswith(f"network.{kind}/"))
+        for kind in ("adapter", "exp_avg", "exp_avg_sq")
+    }
+    assert set(count.values()) == {trained_weights(runs.whole.checkpoint.config, RECIPE.rank)}
+    assert {name.split(".")[1].split("/")[0] for name in tensors} == {*count, "step"}
+    # Each adapter begins with zeros on its way out, so that every one has learnt.
+    assert all(value.any() for name, value in tensors.items() if "lora_B" in name)
+
+
+def test_the_merged_network_answers_as_the_adapted_one(runs: Runs) -> None:
+    config = runs.whole
+    maker = _maker(config)
+    samples = {name: value for name, value in maker(config.flights.val[:2]).items() if name != "labels"}
+    plain, adapted = (load(config.checkpoint, "cpu", torch.float32) for _ in range(2))
+    take_adapters(add_adapters(adapted, RECIPE), read_checkpoint(config.out / CHECKPOINT)[0])
+    merged = load(inspect(config.out / MERGED), "cpu", torch.float32)
+    with torch.no_grad():
+        before, wanted, got = (network.eval()(**samples).logits for network in (plain, adapted, merged))
+    torch.testing.assert_close(got, wanted, atol=1e-5, rtol=1e-4)
+    assert (wanted - before).abs().max() > 1e-3
+
+
+def test_the_merged_checkpoint_has_the_statistics_of_the_training_split(runs: Runs, flights: Path) -> None:
+    found = inspect(runs.whole.out / MERGED)
+    wanted = spread(Store(flights).actions("train"))
+    assert found.statistics_key == "drone"
+    assert found.statistics == ActionStatistics(tuple(wanted["q01"]), tuple(wanted["q99"]))
+
+
+def test_what_was_trained_flies(runs: Runs, tmp_path: Path) -> None:
+    policy = f"openvla:{runs.whole.out / MERGED},device=cpu"
+    results = run(RunConfig(policy=policy, suite="open-v1:smoke", episodes=1, workers=1, out=tmp_path / "run", clips=0))
+    outcomes = results.summary().overall.outcomes
+    assert sum(outcomes.values()) == 1
+    assert not outcomes["invalid"]
+    assert not outcomes["policy_error"]
+
+
+def test_a_batch_is_learnt_by_heart(base: Path, flights: Path) -> None:
+    config = FineTuning(base, flights, Path("unused"), RECIPE)
+    network = load(config.checkpoint, "cpu", torch.float32)
+    trained = add_adapters(network, replace(RECIPE, rank=16, alpha=32))
+    network.train()
+    optimizer = torch.optim.AdamW(trained.values(), 0.03)
+    samples = _maker(config)(config.flights.train[::7][:4])
+    losses = []
+    for _ in range(25):
+        loss = network(**samples).loss
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss.detach()))
+    assert losses[0] > 9
+    assert losses[-1] < losses[0] / 3
+
+
+def test_gradients_of_micro_batches_add_up(base: Path, flights: Path, tmp_path: Path) -> None:
+    recipe = replace(RECIPE, steps=1)
+    moments = []
+    for size in (4, 1):
+        config = FineTuning(
+            base, flights, tmp_path / str(size), replace(recipe, micro_batch=size, checkpointing=size > 1)
+        )
+        fine_tune(config, lambda _: None)
+        tensors, _ = read_checkpoint(config.out / CHECKPOINT)
+        moments.append({name: value for name, value in tensors.items() if name.startswith("network.exp_avg/")})
+        assert config.identity == replace(config, recipe=recipe).identity
+    whole, parts = moments
+    assert whole.keys() == parts.keys()
+    difference = sum(float((parts[name] - value).square().sum()) for name, value in whole.items())
+    # To the roundings of bfloat16, in which the products are.
+    assert 0 < difference < 0.02**2 * sum(float(value.square().sum()) for value in whole.values())
+
+
+# ---- samples
+
+
+def test_samples_are_the_records_in_the_published_layout(base: Path, flights: Path) -> None:
+    config = FineTuning(base, flights, Path("unused"))
+    maker, numbers = _maker(config), config.flights.train[[0, 40, 90]]
+    samples = maker(numbers, np.array([False, True, False]))
+    read = Store(flights).steps(numbers)
+    statistics, encode = config.flights.statistics, read_encoder(base / "tokenizer.json")
+    for row in range(3):
+        text = read["directive" if row == 1 else "instruction"][row]
+        prompt = prompt_ids(encode, text)
+        ids, labels = samples["input_ids"][row].tolist(), samples["labels"][row].tolist()
+        assert ids[: len(prompt)] == prompt
+        assert set(labels[: len(prompt)]) == {IGNORED}
+        answer = labels[len(prompt) : len(prompt) + 5]
+        assert answer == ids[len(prompt) : len(prompt) + 5]
+        assert answer[-1] == END
+        assert set(labels[len(prompt) + 5 :]) <= {IGNORED}
+        assert int(samples["attention_mask"][row].sum()) == len(prompt) + 5
+        clipped = np.clip(read["action"][row], statistics.q01, statistics.q99)
+        width = (np.array(statistics.q99) - statistics.q01) / 255
+        assert (np.abs(statistics.flown(from_tokens(np.array(answer[:4]))) - clipped) <= width / 2 + 1e-6).all()
+        np.testing.assert_array_equal(samples["pixel_values"][row], ImagePreparation().pixel_values(read["image"][row]))
+
+
+def test_every_epoch_shows_every_step_once_in_another_order() -> None:
+    numbers = np.arange(100, 110)
+    seen = np.concatenate([rows_of_step(numbers, 4, seed=1, step=step) for step in range(5)])
+    assert sorted(seen[:10]) == sorted(seen[10:]) == numbers.tolist()
+    assert seen[:10].tolist() != seen[10:].tolist()
+    assert rows_of_step(numbers, 4, seed=2, step=0).tolist() != seen[:4].tolist()
+    # More than an epoch at once, and the same order as in small steps.
+    assert rows_of_step(numbers, 20, seed=1, step=0).tolist() == seen.tolist()
+
+
+def test_splits_do_not_share_flights(flights: Path) -> None:
+    found, rows = open_flights(flights), Store(flights).episode_rows()
+    assert not set(rows[found.train]) & set(rows[found.val])
+    assert len(found.train) + len(found.val) == len(rows)
+
+
+def test_measures_are_those_of_their_definitions() -> None:
+    statistics = ActionStatistics((-1.0,) * 4, (1.0,) * 4)
+    actions = from_tokens(to_tokens(np.array([[0.0, 0.5, 0.1, 0.2], [0.0, 0.5, 0.2, 0.2], [0.5, 0.5, 0.3, 0.2]])))
+    guess = to_tokens(actions)
+    guess[0, 1] -= 30  # one mistake, of thirty bins
+    entropy = np.arange(12.0).reshape(3, 4)
+    row = answer_measures(actions, guess, entropy, statistics)
+    assert [row[f"accuracy {name}"] for name in DIMENSIONS] == pytest.approx([1, 2 / 3, 1, 1])
+    assert [row[f"l1 {name}"] for name in DIMENSIONS] == pytest.approx([0, 30 * 2 / 255 / 3, 0, 0])
+    assert [row[f"cross-entropy {name}"] for name in DIMENSIONS] == [4, 5, 6, 7]
+    assert row["cross-entropy"] == 5.5
+    assert [row[f"baseline accuracy {name}"] for name in DIMENSIONS] == pytest.approx([2 / 3, 1, 1 / 3, 1])
+    assert row["baseline l1 vx"] == pytest.approx(0.5 / 3, abs=0.01)
+
+
+# ---- sizes
+
+
+def test_the_7b_is_adapted_as_published() -> None:
+    # The published fine-tuning tells of 110,828,288. It also adapts what is never run: each tower's last block, and the
+    # four matrices of SigLIP's pooling.
+    matrices = [shape for shape in unused_tensors(Config()).values() if len(shape) == 2]
+    unused = sum(PAPER.rank * (outputs + inputs) for outputs, inputs in matrices)
+    assert trained_weights(Config(), PAPER.rank) + unused == 110_828_288
+
+
+def test_memory_grows_with_what_is_kept_and_shrinks_with_sharding(base: Path, flights: Path) -> None:
+    whole = replace(FineTuning(base, flights, Path("unused")).checkpoint, config=Config(), stored_bytes=2)
+    needed = needed_bytes(whole, PAPER, 1, sharded=False)
+    assert 17e9 < needed < 40e9
+    assert needed < needed_bytes(whole, replace(PAPER, checkpointing=False), 1, sharded=False)
+    assert needed < needed_bytes(whole, replace(PAPER, micro_batch=16), 1, sharded=False) < 80e9
+    assert needed_bytes(whole, PAPER, 8, sharded=True) < needed / 2
+    check_machine(needed, 80_000_000_000, "cuda", base)
+    with pytest.raises(
+        TrainingError, match=r"needs \d\d\.\d GB of GPU memory, has 16\.0 GB free; take a smaller --mic"
+    ):
+        check_machine(needed, 16_000_000_000, "cuda", base)
+    with pytest.raises(TrainingError, match=r"needs \d\d\.\d GB of GPU memory, and this machine has no GPU"):
+        check_machine(needed, 80_000_000_000, "cpu", base)
+
+
+# ---- what is refused before anything is loaded
+
+
+@pytest.fixture
+def nothing_is_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("the weights were loaded")
+
+    monkeypatch.setattr(openvla_lora, "load", refuse)
+
+
+@pytest.mark.usefixtures("nothing_is_loaded")
+class TestBeforeAnythingHeavyIsLoaded:
+    def test_no_store(self, base: Path, tmp_path: Path) -> None:
+        with pytest.raises(DataError, match="is no data set, it has no manifest"):
+            fine_tune(FineTuning(base, tmp_path, tmp_path / "run"))
+
+    def test_an_rlds_data_set(self, base: Path, tmp_path: Path) -> None:
+        inner = tmp_path / "set" / "cognitivedrone" / "1.0.0"
+        inner.mkdir(parents=True)
+        (inner / "dataset_info.json").write_text("{}")
+        with pytest.raises(TrainingError, match=r"RLDS data set; .*cognitivedrone data import .* --from rlds --out"):
+            fine_tune(FineTuning(base, tmp_path / "set", tmp_path / "run"))
+
+    def test_no_flight_of_the_recipes_category(self, base: Path, flights: Path, tmp_path: Path) -> None:
+        with pytest.raises(TrainingError, match="no step of the category 'racing' in its train split; collect more"):
+            fine_tune(FineTuning(base, flights, tmp_path, LORA_RECIPES["race"]))
+
+    def test_too_little_memory(
+        self, base: Path, flights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(checkpoints, "free_memory", lambda: 1_000_000)
+        with pytest.raises(TrainingError, match=r"needs 0\.\d GB of memory, has 0\.0 GB free"):
+            fine_tune(FineTuning(base, flights, tmp_path / "run", RECIPE))
+
+    def test_no_base(self, flights: Path, tmp_path: Path) -> None:
+        with pytest.raises(PolicyError, match="there is no folder"):
+            fine_tune(FineTuning(tmp_path / "nowhere", flights, tmp_path / "run"))
+
+    def test_a_base_of_another_architecture(self, base: Path, flights: Path, tmp_path: Path) -> None:
+        copy = Path(shutil.copytree(base, tmp_path / "other"))
+        told = json.loads((copy / "config.json").read_text())
+        (copy / "config.json").write_text(json.dumps(told | {"model_type": "llava"}))
+        with pytest.raises(PolicyError, match=r"other: config.json: model_type is 'llava'"):
+            fine_tune(FineTuning(copy, flights, tmp_path / "run"))
+
+    def test_a_base_that_is_cut_off(self, base: Path, flights: Path, tmp_path: Path) -> None:
+        copy = Path(shutil.copytree(base, tmp_path / "cut"))
+        weights = copy / checkpoints.WEIGHTS
+        weights.write_bytes(weights.read_bytes()[:-100])
+        with pytest.raises(PolicyError, match="is cut off"):
+            fine_tune(FineTuning(copy, flights, tmp_path / "run"))
+
+    def test_shards_on_one_process(self, base: Path, flights: Path, tmp_path: Path) -> None:
+        with pytest.raises(TrainingError, match="start it by torchrun"):
+            fine_tune(FineTuning(base, flights, tmp_path / "run", RECIPE, shard=True))
+
+    def test_a_run_that_is_there(self, runs: Runs) -> None:
+        with pytest.raises(TrainingError, match="holds a training already; go on with --resume"):
+            fine_tune(runs.whole)
+
+    def test_a_run_of_another_making(self, runs: Runs, tmp_path: Path) -> None:
+        other_base = write_checkpoint(tmp_path / "base", seed=4)
+        for change, named in (({"seed": 4}, "seed"), ({"base": other_base}, "base"), ({"key": "x"}, "key")):
+            with pytest.raises(TrainingError, match=f"holds a training of another {named}; choose another folder"):
+                fine_tune(replace(runs.resumed, **change))
+        with pytest.raises(TrainingError, match="another recipe"):
+            fine_tune(replace(runs.resumed, recipe=replace(RECIPE, steps=8)))
+
+    def test_nothing_to_merge(self, base: Path, flights: Path, tmp_path: Path) -> None:
+        with pytest.raises(TrainingError, match=r"has no checkpoint.safetensors to merge; train first"):
+            merge(FineTuning(base, flights, tmp_path / "run", RECIPE))
+
+    def test_a_finished_run_has_nothing_left_to_do(self, runs: Runs) -> None:
+        before = {path: path.stat().st_mtime_ns for path in runs.resumed.out.rglob("*")}
+        assert fine_tune(runs.resumed) == runs.resumed.out / MERGED
+        assert before == {path: path.stat().st_mtime_ns for path in runs.resumed.out.rglob("*")}
+
+
+@pytest.mark.parametrize("name", LORA_RECIPES)
+def test_recipes_are_whole(name: str) -> None:
+    recipe = find_lora_recipe(name)
+    assert recipe.name == name
+    assert recipe.validate_every % recipe.save_every == 0
+    json.dumps(recipe.facts())
+
+
+def test_unknown_recipes_are_named_with_near_ones() -> None:
+    with pytest.raises(TrainingError, match="unknown recipe 'papr'; did you mean 'paper'"):
+        find_lora_recipe("papr")
+    with pytest.raises(TrainingError, match="at least 1"):
+        replace(PAPER, micro_batch=0)
+
+
+def _maker(config: FineTuning) -> SampleMaker:
+    found = read_base(config.base, config.key, config.flights.statistics)
+    return SampleMaker(config.flights, read_encoder(found.tokenizer), found.preparation)
