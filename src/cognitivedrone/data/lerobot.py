@@ -13,7 +13,6 @@ ranges.
 from __future__ import annotations
 
 import json
-import pickle
 from collections.abc import Iterable, Iterator
 from itertools import islice
 from pathlib import Path
@@ -29,6 +28,7 @@ from cognitivedrone.data.episode import Episode, Split, encode_image
 from cognitivedrone.data.exchange import episode_from, new_folder, plain_facts, read_json, record_of, write_json
 from cognitivedrone.data.lerobot_stats import Statistics
 from cognitivedrone.data.lerobot_video import PIXELS, VideoWriter, read_frames
+from cognitivedrone.data.shards import ShardFile, write_shard_file
 from cognitivedrone.errors import DataError
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE
 
@@ -86,18 +86,19 @@ def _export(episodes: Iterable[tuple[Split, Episode]], out: Path, *, video: bool
 
 def _val_last(episodes: Iterable[tuple[Split, Episode]], spool: Path) -> Iterator[tuple[Split, Episode]]:
     """The same episodes, those of `val` kept on disk until the others are through."""
-    waiting = 0
-    with spool.open("w+b") as file:
-        for split, episode in episodes:
-            if split == "train":
-                yield split, episode
-            else:
-                pickle.dump(episode, file)
-                waiting += 1
-        file.seek(0)
-        for _ in range(waiting):
-            yield "val", cast(Episode, pickle.load(file))  # noqa: S301 - written a moment ago, by us
-    spool.unlink()
+    spool.mkdir()
+    waiting: list[tuple[Path, int]] = []
+    for split, episode in episodes:
+        if split == "train":
+            yield split, episode
+        else:
+            path = spool / f"{len(waiting)}.parquet"
+            write_shard_file(path, [episode], {})
+            waiting.append((path, episode.index))
+    for path, index in waiting:
+        yield "val", ShardFile(path).episode(index)
+        path.unlink()
+    spool.rmdir()
 
 
 class _Writer:
