@@ -11,6 +11,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ LIBRARIES = tuple(f"sdformat{major}" for major in range(16, 11, -1))
 """From Jetty's to Debian 12's. Each exports the `cmdCheck` that the command line calls."""
 PACKAGE = "libsdformat12-12"
 _CALL = "import ctypes, sys; sys.exit(ctypes.CDLL(sys.argv[1]).cmdCheck(sys.argv[2].encode()) != 0)"
+_UNKNOWN = "not defined in SDF"
 _LIMIT_S = 60.0
 
 
@@ -39,10 +41,10 @@ def find_checker() -> Checker | None:
     for library in LIBRARIES:
         found = ctypes.util.find_library(library)
         if found is not None:
-            return Checker(found, (sys.executable, "-c", _CALL, found))
+            return Checker(found, (sys.executable, "-I", "-S", "-c", _CALL, found))
     for name in COMMANDS:
         found = shutil.which(name)
-        if found is not None and _ran((found, "sdf", "--versions")).returncode == 0:
+        if found is not None and _ran((found, "sdf", "--versions"), os.devnull).returncode == 0:
             return Checker(f"{name} sdf", (found, "sdf", "--check"))
     return None
 
@@ -58,18 +60,32 @@ def check(files: Sequence[Path]) -> str:
     for file in files:
         if not file.is_file():
             raise GazeboError(f"there is no SDF file {file}; make one with: cognitivedrone gazebo export")
-        done = _ran((*checker.command, str(file)))
-        # The parser warns of what it does not know, and goes on without it: here that is a mistake, too.
-        if done.returncode != 0 or "Warning" in done.stderr or "Error" in done.stderr:
-            said = " ".join((done.stderr or done.stdout).split())
-            raise GazeboError(f"{file} does not pass {checker.name}: {said or f'exit code {done.returncode}'}")
+        problem = _problem(checker, file)
+        if problem:
+            raise GazeboError(f"{file} does not pass {checker.name}: {problem}")
     return checker.name
 
 
-def _ran(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+def _problem(checker: Checker, file: Path) -> str:
+    """What the parser holds against a file; empty where it passes.
+
+    It goes on without elements that it does not know, and tells of them only in the log that it writes into the home
+    folder: here they are mistakes, too.
+    """
+    with tempfile.TemporaryDirectory() as home:
+        done = _ran((*checker.command, str(file)), home)
+        logs = [path.read_text(encoding="utf-8", errors="replace") for path in Path(home).rglob("*.log")]
+    said = done.stderr.strip()
+    if done.returncode and not said:
+        said = done.stdout.strip() or f"exit code {done.returncode}"
+    unknown = [line for log in logs for line in log.splitlines() if _UNKNOWN in line]
+    return " ".join((said or "\n".join(dict.fromkeys(unknown))).split())
+
+
+def _ran(command: Sequence[str], home: str) -> subprocess.CompletedProcess[str]:
     try:
         return subprocess.run(  # noqa: S603 - the command is one of ours, the file a single argument
-            command, check=False, capture_output=True, text=True, timeout=_LIMIT_S, env={**os.environ, "LC_ALL": "C"}
+            command, check=False, capture_output=True, text=True, timeout=_LIMIT_S, env={**os.environ, "HOME": home}
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise GazeboError(f"cannot run {command[0]}: {error}; is libsdformat whole?") from None

@@ -75,7 +75,8 @@ def iris(position: tuple[float, float], yaw: float, look: Look, airframe: Airfra
 def parameters(airframe: Airframe = IRIS) -> str:
     """The parameter file that fits ArduCopter's defaults to this vehicle.
 
-    Gazebo's rotors have thrust in proportion to the square of the command (MOT_THST_EXPO 1), all of the PWM range.
+    Gazebo's rotors have thrust in proportion to the square of the command (MOT_THST_EXPO 1), over all of the PWM range.
+    The last two are those without which `MavlinkDrone` does not fly.
     """
     hover = airframe.mass * GRAVITY / (4 * airframe.max_thrust)
     values = {
@@ -89,6 +90,8 @@ def parameters(airframe: Airframe = IRIS) -> str:
         "ATC_RAT_YAW_I": 0.1,
         "ATC_RAT_YAW_FLTE": 10,
         "AHRS_EKF_TYPE": 3,
+        "GUID_TIMEOUT": 1,
+        "FS_GCS_ENABLE": 5,
     }
     return "".join(f"{name} {value}\n" for name, value in values.items())
 
