@@ -1,4 +1,4 @@
-"""The exported Iris: the airframe's mass, inertia and thrust, ArduPilot's motor order, and nothing before its camera."""
+"""The exported Iris: the airframe's mass, inertia, thrust and motor order, and nothing of it before its camera."""
 
 from __future__ import annotations
 

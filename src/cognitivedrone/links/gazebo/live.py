@@ -64,7 +64,7 @@ class Plan:
 
 
 def plan(standing: Mapping[str, Prop | None], wanted: Sequence[Prop]) -> Plan:
-    """What to do so that only `wanted` stands: what looks alike is moved, the rest replaced.
+    """What to do so that only `wanted` stands: what is the same gate, panel or room is moved, the rest replaced.
 
     `standing` maps the entities that stand to their props; none where what they look like is not known.
     """
@@ -72,7 +72,7 @@ def plan(standing: Mapping[str, Prop | None], wanted: Sequence[Prop]) -> Plan:
     moves: list[tuple[str, Prop]] = []
     spawns: list[Prop] = []
     for prop in wanted:
-        same = next((name for name, old in left.items() if old is not None and old.look == prop.look), None)
+        same = next((name for name, old in left.items() if old is not None and old.alike(prop)), None)
         if same is None:
             spawns.append(prop)
         else:

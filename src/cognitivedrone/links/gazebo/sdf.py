@@ -7,7 +7,7 @@ Gazebo's world frame is ENU in metres like ours, its model frames FLU, and its c
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 from xml.etree import ElementTree as ET
 
@@ -64,10 +64,9 @@ class Prop:
     texture: str | None = None
     """Name in the folder of textures; multiplied with the colour."""
 
-    @property
-    def look(self) -> tuple[object, ...]:
-        """All of it but the name and where it stands: equal looks can take each other's place."""
-        return self.mesh, self.color, self.glow, self.scale, self.texture
+    def alike(self, other: Prop) -> bool:
+        """Whether the two differ in nothing but where they stand."""
+        return replace(self, position=other.position, yaw=other.yaw) == other
 
 
 def props_of(stage: Stage, labels: Sequence[Picture], board: Picture | None, look: Look) -> tuple[Prop, ...]:

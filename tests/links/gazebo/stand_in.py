@@ -1,0 +1,190 @@
+"""A Gazebo that is not there: it speaks the Python interface of gz-transport, and records what it was asked.
+
+Messages are real protobuf classes with the fields of gz-msgs that are used, and travel as bytes, so that what cannot be
+set or sent in truth cannot be set or sent here. Like the real one it answers a command when it is queued, and carries
+it out a little later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from reading import parse
+
+from cognitivedrone.links.gazebo.bindings import MODULES
+from cognitivedrone.links.gazebo.release import RELEASES
+
+FIELD = descriptor_pb2.FieldDescriptorProto
+FIELDS: dict[str, list[tuple[str, Any]]] = {
+    "Time": [("sec", FIELD.TYPE_INT64), ("nsec", FIELD.TYPE_INT32)],
+    "Header": [("stamp", "Time")],
+    "Vector3d": [(axis, FIELD.TYPE_DOUBLE) for axis in "xyz"],
+    "Quaternion": [(axis, FIELD.TYPE_DOUBLE) for axis in "xyzw"],
+    "Pose": [
+        ("header", "Header"),
+        ("name", FIELD.TYPE_STRING),
+        ("position", "Vector3d"),
+        ("orientation", "Quaternion"),
+    ],
+    "Pose_V": [("header", "Header"), ("pose", ["Pose"])],
+    "Boolean": [("data", FIELD.TYPE_BOOL)],
+    "Empty": [("unused", FIELD.TYPE_BOOL)],
+    "Entity": [("name", FIELD.TYPE_STRING), ("type", FIELD.TYPE_INT32)],
+    "EntityFactory": [
+        ("sdf", FIELD.TYPE_STRING),
+        ("name", FIELD.TYPE_STRING),
+        ("allow_renaming", FIELD.TYPE_BOOL),
+        ("pose", "Pose"),
+    ],
+    "Image": [
+        ("width", FIELD.TYPE_UINT32),
+        ("height", FIELD.TYPE_UINT32),
+        ("pixel_format_type", FIELD.TYPE_INT32),
+        ("step", FIELD.TYPE_UINT32),
+        ("data", FIELD.TYPE_BYTES),
+    ],
+    "Model": [("name", FIELD.TYPE_STRING), ("pose", "Pose")],
+    "Scene": [("name", FIELD.TYPE_STRING), ("model", ["Model"])],
+    "StringMsg_V": [("data", [FIELD.TYPE_STRING])],
+}
+
+
+def make_messages() -> dict[str, Any]:
+    """The message classes by their names."""
+    file = descriptor_pb2.FileDescriptorProto(name="stand_in.proto", package="gz.msgs", syntax="proto3")
+    for name, fields in FIELDS.items():
+        message = file.message_type.add(name=name)
+        for number, (field, kind) in enumerate(fields, start=1):
+            repeated = isinstance(kind, list)
+            kind = kind[0] if repeated else kind
+            added = message.field.add(name=field, number=number)
+            added.label = FIELD.LABEL_REPEATED if repeated else FIELD.LABEL_OPTIONAL
+            added.type = FIELD.TYPE_MESSAGE if isinstance(kind, str) else kind
+            if isinstance(kind, str):
+                added.type_name = f".gz.msgs.{kind}"
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    return {name: message_factory.GetMessageClass(pool.FindMessageTypeByName(f"gz.msgs.{name}")) for name in FIELDS}
+
+
+MESSAGES = make_messages()
+
+
+class StandIn:
+    """A running Gazebo of one release, with one world in it."""
+
+    def __init__(self, release: str = "harmonic", world: str = "cognitivedrone", models: tuple[str, ...] = ()) -> None:
+        self.release = RELEASES[release]
+        self.world = world
+        self.poses: dict[str, tuple[tuple[float, float, float], float, float] | None] = dict.fromkeys(models)
+        """Position and the quaternion's z and w of what stands; none where it was never moved."""
+        self.texts: dict[str, str] = {}
+        """SDF of what was spawned."""
+        self.asked: list[tuple[str, Any]] = []
+        """Service and request, without those that only look."""
+        self.silent: set[str] = set()
+        """Ends of services that do not answer."""
+        self.refusing: set[str] = set()
+        """Ends of services that answer no."""
+        self.dead: set[str] = set()
+        """Ends of services that answer yes and do nothing."""
+        self.lag = 1
+        """How often the scene can be looked at before a command shows."""
+        self.listeners: dict[str, list[tuple[Any, Callable[[Any], None]]]] = {}
+        self._waiting: list[tuple[int, Callable[[], None]]] = []
+
+    def load(self, module: str) -> Any:
+        """What `importlib.import_module` does on a machine with this release's bindings."""
+        if module == self.release.transport:
+            return SimpleNamespace(Node=lambda: Node(self))
+        for name, file in MODULES.items():
+            if module == f"{self.release.messages}.{file}":
+                return SimpleNamespace(**{name: MESSAGES[name]})
+        raise ModuleNotFoundError(f"No module named {module!r}", name=module)
+
+    def publish(self, topic: str, message: Any) -> None:
+        """Send a message to whoever listens."""
+        for kind, callback in list(self.listeners.get(topic, ())):
+            copy = kind()
+            copy.ParseFromString(message.SerializeToString())
+            callback(copy)
+
+    def answer(self, service: str, request: Any, answer: str) -> Any | None:
+        """What a service says; none for nothing."""
+        end = service.rpartition("/")[2]
+        if end in self.silent:
+            return None
+        if service == "/gazebo/worlds" and answer == "StringMsg_V":
+            return MESSAGES["StringMsg_V"](data=[self.world])
+        if not service.startswith(f"/world/{self.world}/"):
+            return None
+        if end == "info" and answer == "Scene":
+            self._settle()
+            return MESSAGES["Scene"](name=self.world, model=[MESSAGES["Model"](name=name) for name in self.poses])
+        if answer != "Boolean":
+            return None
+        self.asked.append((end, request))
+        if end in self.refusing:
+            return MESSAGES["Boolean"](data=False)
+        if end not in self.dead:
+            self._waiting.append((self.lag, lambda: self._do(end, request)))
+        return MESSAGES["Boolean"](data=True)
+
+    def _settle(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        for left, do in waiting:
+            if left > 0:
+                self._waiting.append((left - 1, do))
+            else:
+                do()
+
+    def _do(self, end: str, request: Any) -> None:
+        if end == "create":
+            assert request.name not in self.poses
+            model = parse(request.sdf).find("model")
+            assert model.get("name") == request.name
+            for tag in ("uri", "albedo_map", "emissive_map"):
+                for element in model.iter(tag):
+                    assert element.text.startswith("file:///")
+                    assert Path(element.text.removeprefix("file://")).is_file()
+            self.poses[request.name] = None
+            self.texts[request.name] = request.sdf
+        elif end == "remove":
+            assert request.type == 2
+            del self.poses[request.name]
+        elif end == "set_pose":
+            p, q = request.position, request.orientation
+            self.poses[request.name] = ((p.x, p.y, p.z), q.z, q.w)
+
+
+class Node:
+    """As `gz.transport13.Node`."""
+
+    def __init__(self, gazebo: StandIn) -> None:
+        self._gazebo = gazebo
+        self._own: dict[str, tuple[Any, Callable[[Any], None]]] = {}
+
+    def subscribe(self, kind: Any, topic: str, callback: Callable[[Any], None]) -> bool:
+        if " " in topic:
+            return False
+        self._own[topic] = (kind, callback)
+        self._gazebo.listeners.setdefault(topic, []).append(self._own[topic])
+        return True
+
+    def unsubscribe(self, topic: str) -> bool:
+        self._gazebo.listeners[topic].remove(self._own.pop(topic))
+        return True
+
+    def request(self, service: str, request: Any, asks: Any, answers: Any, timeout: int) -> tuple[bool, Any]:
+        assert isinstance(timeout, int)
+        sent = asks()
+        sent.ParseFromString(request.SerializeToString())
+        reply = answers()
+        said = self._gazebo.answer(service, sent, answers.DESCRIPTOR.name)
+        if said is not None:
+            reply.ParseFromString(said.SerializeToString())
+        return said is not None, reply
