@@ -243,11 +243,19 @@ def test_without_bindings_it_says_what_to_install():
         load_bindings("jetty", StandIn("harmonic").load)
 
 
-def test_bindings_for_another_python_are_told_from_none():
+@pytest.mark.parametrize(
+    "error",
+    [
+        ImportError("undefined symbol: PyThing"),
+        ModuleNotFoundError("No module named 'google'", name="google"),
+        TypeError("Descriptors cannot be created directly"),
+    ],
+)
+def test_bindings_that_do_not_load_are_told_from_none(error):
     def load(module: str):
-        raise ImportError("undefined symbol: PyThing")
+        raise error
 
-    with pytest.raises(GazeboError, match=r"this Python cannot load them \(undefined symbol: PyThing\)"):
+    with pytest.raises(GazeboError, match=rf"are installed, but this Python cannot load them \({error}\)"):
         load_bindings(load=load)
 
 

@@ -58,12 +58,12 @@ def load_bindings(release: str | None = None, load: Callable[[str], Any] = impor
         try:
             transport = load(candidate.transport)
             load(f"{candidate.messages}.{MODULES['Empty']}")
-        except ModuleNotFoundError:
-            continue
-        except ImportError as error:
+        except (ImportError, TypeError) as error:  # protobuf raises TypeError for code that it is too new for
+            if isinstance(error, ModuleNotFoundError) and (error.name or "gz").startswith("gz"):
+                continue
             raise GazeboError(
                 f"the Python bindings of Gazebo {candidate.name.capitalize()} are installed, but this Python cannot"
-                f" load them ({error}); use the Python that they were built for, /usr/bin/python3"
+                f" load them ({error}); use the Python that they were built for, with its protobuf: /usr/bin/python3"
             ) from None
         return Bindings(candidate, transport.Node, load)
     wanted = "; ".join(f"{r.name.capitalize()}: apt-get install {r.bindings}" for r in asked)

@@ -5,6 +5,7 @@ Both listen to a topic from another thread, keep the newest, and raise `GazeboEr
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -41,48 +42,50 @@ class Topic(Generic[T]):
         self.name = name
         self._take = take
         self._news = threading.Condition()
-        self._newest: tuple[T, float] | None = None
-        self._failure: GazeboError | None = None
+        self._newest: tuple[T | GazeboError, float] | None = None
         self._node = bindings.new_node()
         if not self._node.subscribe(bindings.message(message), name, self._receive):
             raise GazeboError(f"cannot listen at topic {name}: gz-transport refuses it; is its name well formed?")
         with self._news:
-            came = self._news.wait_for(lambda: self._newest is not None or self._failure is not None, first_s)
-            if self._newest is None:
-                self.close()
-            if self._failure is not None:
-                raise self._failure
-            if not came:
-                raise GazeboError(
-                    f"topic {name} has stayed silent for {first_s:g} s; is the simulation paused (gz sim -r starts it"
-                    " running), and does ArduPilot answer its physics?"
-                )
+            self._news.wait_for(lambda: self._newest is not None, first_s)
+        try:
+            self.newest(math.inf)
+        except GazeboError as error:
+            self.close()
+            if self._newest is not None:
+                raise
+            raise GazeboError(
+                f"{error} for {first_s:g} s; is the simulation paused (gz sim -r starts it running), and does ArduPilot"
+                " answer its physics?"
+            ) from None
 
     def newest(self, silence_s: float) -> tuple[T, float]:
         """The newest and when it came, of `time.monotonic`, s; `GazeboError` where that was over `silence_s` ago."""
         with self._news:
-            newest, failure = self._newest, self._failure
-        if newest is None or failure is not None:
-            raise failure or GazeboError(f"topic {self.name} has brought nothing")
-        age = time.monotonic() - newest[1]
+            newest = self._newest
+        if newest is None:
+            raise GazeboError(f"topic {self.name} has stayed silent")
+        what, received = newest
+        if isinstance(what, GazeboError):
+            raise what
+        age = time.monotonic() - received
         if age > silence_s:
             raise GazeboError(f"topic {self.name} has been silent for {age:.1f} s; is Gazebo still running, unpaused?")
-        return newest
+        return what, received
 
     def close(self) -> None:
         """Listen no longer."""
         self._node.unsubscribe(self.name)
 
     def _receive(self, message: Any) -> None:
-        taken, failure = None, None
+        taken: T | GazeboError | None
         try:
             taken = self._take(message)
         except GazeboError as error:
-            failure = error  # for who reads: nobody would catch it in the thread of gz-transport
-        if taken is not None or failure is not None:
+            taken = error  # for who reads: nobody would catch it in the thread of gz-transport
+        if taken is not None:
             with self._news:
-                self._newest = self._newest if taken is None else (taken, time.monotonic())
-                self._failure = failure
+                self._newest = (taken, time.monotonic())
                 self._news.notify_all()
 
 
