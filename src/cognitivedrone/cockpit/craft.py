@@ -63,8 +63,8 @@ class Craft(Protocol):
         """What it means that the time limit is reached."""
         ...
 
-    def land(self) -> None:
-        """Bring it down, wherever it is, if it is ours."""
+    def land(self) -> bool:
+        """Bring it down, wherever it is, if it is ours; whether it stands on the ground then."""
         ...
 
     def close(self) -> None:
@@ -115,8 +115,9 @@ class SimulatedCraft:
         """No gate was passed in time."""
         return Ending("missed", f"the time limit of {seconds:g} s is over")
 
-    def land(self) -> None:
+    def land(self) -> bool:
         """A simulation ends in the air."""
+        return False
 
     def close(self) -> None:
         """Free the renderer."""
@@ -180,9 +181,10 @@ class MavlinkCraft:
         """As it was meant: nobody judges a real flight."""
         return Ending("time", f"the time limit of {seconds:g} s is over")
 
-    def land(self) -> None:
+    def land(self) -> bool:
         """Land it where it is."""
         self._drone.land()
+        return not self._drone.telemetry.armed
 
     def close(self) -> None:
         """Land it, and hang up."""

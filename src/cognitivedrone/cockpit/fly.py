@@ -91,9 +91,9 @@ def _fly(
         try:
             steps = fly(drone, timed, drone, mission, mind=mind, recorder=recorder)
             ending, seconds = mission.ending or Ending("told", ""), drone.now()
-            recorder.note(Event(seconds, "landing", ending.reason))
-            craft.land()
-            recorder.note(Event(drone.now(), "landed"))
+            recorder.note(Event(seconds, "over", ending.reason))
+            if craft.land():
+                recorder.note(Event(drone.now(), "landed"))
         finally:
             if mind is not None:
                 mind.close()
@@ -197,7 +197,7 @@ def _check_truth(craft: Craft, policy: Policy, reasoner: Reasoner | None) -> Non
 
 def _confirm(checklist: Checklist, craft: Craft, console: Console, keyboard: TextIO) -> bool:
     """Show the checklist; of what may be a real drone, a person must say yes to it."""
-    console.print(str(checklist), markup=False, highlight=False)
+    console.print(str(checklist), markup=False, highlight=False, soft_wrap=True)
     if craft.simulated:
         return True
     console.print(f"type {CONFIRMATION!r} to arm and take off, anything else to stop: ", end="", highlight=False)

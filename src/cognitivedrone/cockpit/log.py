@@ -133,7 +133,7 @@ class _Film:
     """An MP4 in fragments, so that what was written can be seen even where the end is missing."""
 
     def __init__(self, path: Path) -> None:
-        options = {"movflags": "frag_keyframe+empty_moov+default_base_moof"}
+        options = {"movflags": "frag_keyframe+empty_moov+default_base_moof", "flush_packets": "1"}
         self._container = av.open(str(path), "w", format="mp4", options=options)
         encoding = {"crf": "20", "preset": "veryfast", "tune": "zerolatency", "g": str(CONTROL_HZ), "threads": "1"}
         self._stream = self._container.add_stream("libx264", rate=CONTROL_HZ, options=encoding)

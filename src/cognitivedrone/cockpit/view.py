@@ -17,15 +17,15 @@ from rich.table import Table
 from rich.text import Text
 
 from cognitivedrone.cockpit.values import Step, Summary
-from cognitivedrone.types import Event
+from cognitivedrone.types import Event, FloatArray
 
 EVENTS_SHOWN = 6
 WINDOW = 50
 """Control steps that rates and latencies are taken over."""
 GOOD_FRAME_S, GOOD_LINK_S = 0.5, 0.15
 """Older ones are shown in yellow; the rules of safety hold the drone at the same ages."""
-SILENT = frozenset({"asked", "agreed"})
-"""Kinds of events that are logged but not worth a line."""
+SILENT = frozenset({"asked", "agreed", "late"})
+"""Kinds of events that are logged and counted, but not worth a line."""
 _STYLES = {"fly": "green", "hold": "yellow", "brake": "bold yellow", "land": "bold red", "hands_off": "bold red"}
 
 
@@ -137,7 +137,8 @@ def _rate(times: Sequence[float]) -> str:
     return f"{(len(times) - 1) / (times[-1] - times[0]):.1f}"
 
 
-def _velocity(vector: Sequence[float]) -> str:
+def _velocity(vector: FloatArray) -> str:
+    """Of (3,) in the heading frame, m/s."""
     x, y, z = vector
     return f"forward {x:+.2f}, left {y:+.2f}, up {z:+.2f}"
 
