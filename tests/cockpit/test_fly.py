@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import signal
 import socket
 import stat
@@ -124,6 +125,33 @@ def test_an_instruction_typed_in_flight_is_a_new_leg_and_asks_the_reasoner_at_on
     told = dict(zip(steps["directive"], steps["leg"], strict=True))
     assert told["Fly through the red gate"] == 0
     assert told["Fly through the blue gate"] == 1
+
+
+def test_the_served_vehicle_says_how_to_connect():
+    config = SimConfig(mavlink=True, links=("udpout:127.0.0.1:14599", "udpin:127.0.0.1:0"))
+    with served(config) as vehicle:
+        said = str(vehicle).splitlines()
+    assert vehicle.task.instruction in said[0]
+    assert said[1].endswith("connect with --link mavlink:udp:127.0.0.1:14599")
+    assert re.search(r"connect with --link mavlink:udpout:127\.0\.0\.1:[1-9]\d+$", said[2])
+    assert not any("camera" in line for line in said)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({}, "sim --mavlink"),
+        ({"mavlink": True, "camera_hz": 0}, "--camera-hz is 0"),
+        ({"mavlink": True, "episode": -1}, "has episodes 0 to 29, not -1"),
+        (
+            {"mavlink": True, "camera_port": 99_999, "links": ("tcpin:127.0.0.1:0",)},
+            "cannot serve frames at port 99999",
+        ),
+    ],
+)
+def test_what_cannot_be_served_is_said(options, says):
+    with pytest.raises(CognitiveDroneError, match=says):
+        serve_vehicle(SimConfig(**options), lambda: True, lambda _: None)
 
 
 @contextmanager

@@ -76,6 +76,8 @@ def _fly(
 ) -> Summary:
     """From the ground to the ground."""
     _check_truth(craft, policy, reasoner)
+    if config.link != "sim":
+        console.print("connected; waiting until the vehicle is ready, ctrl-C stops", highlight=False)
     drone = craft.take_off(lambda checklist: _confirm(checklist, craft, console, keyboard))
     mission = _Mission(config, craft, orders, drone.now)
     timed = _Timed(policy)

@@ -66,12 +66,17 @@ def serve_vehicle(config: SimConfig, stop: Callable[[], bool], announce: Callabl
     simulator = course.simulator
     try:
         with SimulatedVehicle(simulator, VehicleConfig(links=config.links)) as vehicle, _camera(config, vehicle) as url:
-            kinds = (link.partition(":")[0] for link in config.links)
-            links = tuple(f"{kind}:{a[0]}:{a[1]}" for kind, a in zip(kinds, vehicle.addresses, strict=True))
+            links = tuple(map(_as_bound, config.links, vehicle.addresses))
             announce(Served(course.task, links, url))
             return serve(vehicle, stop, speed=config.speed)
     finally:
         simulator.close()
+
+
+def _as_bound(link: str, address: tuple[str, int]) -> str:
+    """A link with the port that it got, where it was left open; one that speaks first is reached where it speaks to."""
+    kind = link.partition(":")[0]
+    return link if kind == "udpout" else f"{kind}:{address[0]}:{address[1]}"
 
 
 @contextmanager
