@@ -7,13 +7,17 @@ it out a little later.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-from reading import parse
+from reading import parse, values
 
 from cognitivedrone.links.gazebo.bindings import MODULES
 from cognitivedrone.links.gazebo.release import RELEASES
@@ -47,8 +51,9 @@ FIELDS: dict[str, list[tuple[str, Any]]] = {
         ("step", FIELD.TYPE_UINT32),
         ("data", FIELD.TYPE_BYTES),
     ],
+    "Light": [("name", FIELD.TYPE_STRING)],
     "Model": [("name", FIELD.TYPE_STRING), ("pose", "Pose")],
-    "Scene": [("name", FIELD.TYPE_STRING), ("model", ["Model"])],
+    "Scene": [("name", FIELD.TYPE_STRING), ("model", ["Model"]), ("light", ["Light"])],
     "StringMsg_V": [("data", [FIELD.TYPE_STRING])],
 }
 
@@ -80,10 +85,9 @@ class StandIn:
     def __init__(self, release: str = "harmonic", world: str = "cognitivedrone", models: tuple[str, ...] = ()) -> None:
         self.release = RELEASES[release]
         self.world = world
-        self.poses: dict[str, tuple[tuple[float, float, float], float, float] | None] = dict.fromkeys(models)
-        """Position and the quaternion's z and w of what stands; none where it was never moved."""
-        self.texts: dict[str, str] = {}
-        """SDF of what was spawned."""
+        self.poses: dict[str, tuple[list[float], float]] = {name: ([0.0, 0.0, 0.0], 0.0) for name in models}
+        """Position and yaw of what stands."""
+        self.lights: set[str] = {"sun"}
         self.asked: list[tuple[str, Any]] = []
         """Service and request, without those that only look."""
         self.silent: set[str] = set()
@@ -92,8 +96,10 @@ class StandIn:
         """Ends of services that answer no."""
         self.dead: set[str] = set()
         """Ends of services that answer yes and do nothing."""
-        self.lag = 1
-        """How often the scene can be looked at before a command shows."""
+        self.lag = 2
+        """Steps of the simulation before a command is carried out."""
+        self.broken: list[Exception] = []
+        self._running = threading.Event()
         self.listeners: dict[str, list[tuple[Any, Callable[[Any], None]]]] = {}
         self._waiting: list[tuple[int, Callable[[], None]]] = []
 
@@ -123,8 +129,9 @@ class StandIn:
         if not service.startswith(f"/world/{self.world}/"):
             return None
         if end == "info" and answer == "Scene":
-            self._settle()
-            return MESSAGES["Scene"](name=self.world, model=[MESSAGES["Model"](name=name) for name in self.poses])
+            scene = MESSAGES["Scene"](name=self.world, light=[MESSAGES["Light"](name=name) for name in self.lights])
+            scene.model.extend(MESSAGES["Model"](name=name) for name in self.poses)
+            return scene
         if answer != "Boolean":
             return None
         self.asked.append((end, request))
@@ -134,31 +141,65 @@ class StandIn:
             self._waiting.append((self.lag, lambda: self._do(end, request)))
         return MESSAGES["Boolean"](data=True)
 
-    def _settle(self) -> None:
+    @contextmanager
+    def running(self) -> Iterator[StandIn]:
+        """Simulates in a thread of its own: carries out commands, and tells where everything is."""
+        thread = threading.Thread(target=self._run)
+        self._running.set()
+        thread.start()
+        try:
+            yield self
+        finally:
+            self._running.clear()
+            thread.join()
+        assert not self.broken
+
+    def _run(self) -> None:
+        try:
+            while self._running.is_set():
+                self.step()
+                time.sleep(0.002)
+        except Exception as error:
+            self.broken.append(error)
+
+    def step(self) -> None:
         waiting, self._waiting = self._waiting, []
         for left, do in waiting:
             if left > 0:
                 self._waiting.append((left - 1, do))
             else:
                 do()
+        message = MESSAGES["Pose_V"]()
+        for name, ((x, y, z), yaw) in self.poses.items():
+            pose = message.pose.add()
+            pose.name = name
+            pose.position.x, pose.position.y, pose.position.z = x, y, z
+            pose.orientation.w, pose.orientation.z = math.cos(yaw / 2), math.sin(yaw / 2)
+        self.publish(f"/world/{self.world}/pose/info", message)
 
     def _do(self, end: str, request: Any) -> None:
         if end == "create":
-            assert request.name not in self.poses
-            model = parse(request.sdf).find("model")
-            assert model.get("name") == request.name
+            assert request.name not in self.poses.keys() | self.lights
+            (element,) = parse(request.sdf)
+            assert element.get("name") == request.name
             for tag in ("uri", "albedo_map", "emissive_map"):
-                for element in model.iter(tag):
-                    assert element.text.startswith("file:///")
-                    assert Path(element.text.removeprefix("file://")).is_file()
-            self.poses[request.name] = None
-            self.texts[request.name] = request.sdf
+                for file in element.iter(tag):
+                    assert file.text.startswith("file:///")
+                    assert Path(file.text.removeprefix("file://")).is_file()
+            if element.tag == "light":
+                self.lights.add(request.name)
+            else:
+                *position, _, _, yaw = values(element, "pose")
+                self.poses[request.name] = position, yaw
+        elif end == "remove" and request.type == 1:
+            self.lights.remove(request.name)
         elif end == "remove":
             assert request.type == 2
             del self.poses[request.name]
-        elif end == "set_pose":
+        elif end == "set_pose":  # of models alone: nothing else is moved by it
             p, q = request.position, request.orientation
-            self.poses[request.name] = ((p.x, p.y, p.z), q.z, q.w)
+            assert request.name in self.poses
+            self.poses[request.name] = [p.x, p.y, p.z], 2 * math.atan2(q.z, q.w)
 
 
 class Node:

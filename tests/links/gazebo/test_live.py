@@ -6,6 +6,7 @@ import math
 import re
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -32,10 +33,10 @@ PACK = load_pack()
 
 
 @pytest.fixture
-def gazebo(track_folder) -> StandIn:
-    """The first stage of the exported track, running, and its light."""
-    world = read_world(track_folder / "stage_1.sdf")
-    return StandIn(models=("sun", *models(world)))
+def gazebo(track_folder) -> Iterator[StandIn]:
+    """The first stage of the exported track, running."""
+    with StandIn(models=tuple(models(read_world(track_folder / "stage_1.sdf")))).running() as running:
+        yield running
 
 
 def connect(gazebo: StandIn, folder, config: LiveConfig = QUICK) -> GazeboWorld:
@@ -47,16 +48,9 @@ def stages():
 
 
 def standing_places(gazebo: StandIn) -> dict[str, tuple[list[float], float]]:
-    """Position and yaw of everything that was spawned or moved, by what it is: its name without the serial number."""
-    places = {}
-    for name, moved in gazebo.poses.items():
-        kind = re.fullmatch(r"((?:gate|panel)_\d|[a-z]+)(_\d+)?", name)[1]
-        if moved is not None:
-            places[kind] = list(moved[0]), 2 * math.atan2(moved[1], moved[2])
-        elif name in gazebo.texts:
-            *position, _, _, yaw = values(parse(gazebo.texts[name]).find("model"), "pose")
-            places[kind] = position, yaw
-    return places
+    """Position and yaw of what stands but for vehicle and ground, by what it is: its name without the serial number."""
+    places = {name: place for name, place in gazebo.poses.items() if name not in ("iris", "ground")}
+    return {re.fullmatch(r"((?:gate|panel)_\d|[a-z]+)(_\d+)?", name)[1]: place for name, place in places.items()}
 
 
 @pytest.mark.parametrize("release", RELEASES)
@@ -73,12 +67,11 @@ def test_the_next_stage_takes_the_place_of_the_one_that_stands(gazebo, tmp_path)
     with connect(gazebo, tmp_path) as world:
         for stage in stages()[1:]:
             world.show(stage, PACK)
-            ours = [name for name in gazebo.poses if name not in ("sun", "iris", "ground")]
             wanted = {f"{kind}_{n}" for kind in ("gate", "panel") for n in (1, 2, 3)} | {"floor", "room"}
             wanted |= {"board"} if stage.board else set()
             places = standing_places(gazebo)
-            assert len(ours) == len(wanted)
-            assert set(places) == wanted | {"sun"}
+            assert set(places) == wanted
+            assert len(gazebo.poses) == len(wanted) + 2
             for index, (center, yaw) in enumerate(
                 zip(geometry.gate_centers(stage), geometry.gate_yaws(stage), strict=True), 1
             ):
@@ -86,18 +79,38 @@ def test_the_next_stage_takes_the_place_of_the_one_that_stands(gazebo, tmp_path)
                     position, turned = places[f"{kind}_{index}"]
                     assert position == pytest.approx([*center[:2], height], abs=1e-3)
                     assert abs(math.remainder(turned - yaw, 2 * math.pi)) < math.radians(0.1)
-            for name in ("floor", "room", "sun"):
+            for name in ("floor", "room"):
                 position, yaw = places[name]
                 assert position[:2] == pytest.approx(stage.origin, abs=1e-6)
                 assert math.remainder(yaw - stage.yaw, 2 * math.pi) == pytest.approx(0, abs=1e-6)
 
 
-def test_the_same_stage_again_spawns_nothing(gazebo, tmp_path):
+def test_the_light_turns_with_the_stage(gazebo, tmp_path):
+    with connect(gazebo, tmp_path) as world:
+        for stage in stages()[1:3]:
+            world.show(stage, PACK)
+            (light,) = [
+                parse(r.sdf).find("light") for service, r in gazebo.asked if service == "create" and "<light" in r.sdf
+            ]
+            assert values(light, "pose")[5] == pytest.approx(stage.yaw)
+            gazebo.asked.clear()
+    time.sleep(0.05)
+    assert len(gazebo.lights) == 1
+    with connect(gazebo, tmp_path) as world:  # another program goes on where the first one stopped
+        world.show(stages()[3], PACK)
+    time.sleep(0.05)
+    assert len(gazebo.lights) == 1
+
+
+def test_the_same_stage_elsewhere_is_moved_and_nothing_spawned_but_the_light(gazebo, tmp_path):
     with connect(gazebo, tmp_path) as world:
         world.show(stages()[1], PACK)
         gazebo.asked.clear()
-        world.show(replace(stages()[1], origin=(20.0, 3.0)), PACK)
+        world.show(stages()[1], PACK)
         assert {service for service, _ in gazebo.asked} == {"set_pose"}
+        gazebo.asked.clear()
+        world.show(replace(stages()[1], origin=(20.0, 3.0)), PACK)
+        assert [request.name[:3] for service, request in gazebo.asked if service == "create"] == ["sun"]
 
 
 def test_a_gate_alone_and_then_three(gazebo, tmp_path):
@@ -296,9 +309,12 @@ def test_a_world_that_is_not_ours_is_left_alone(tmp_path):
     [
         ("silent", "create", "did not answer when asked to spawn gate_"),
         ("refusing", "remove", "refuses to remove"),
-        ("dead", "create", r"still lacks .*gate_\d_\d+.* and has nothing too many"),
-        ("dead", "remove", r"still lacks nothing and has .*gate_1"),
-        ("silent", "info", "does not tell of its scene"),
+        ("dead", "create", r"0\.3 s after the stage was ordered, .*gate_1_\d+ is missing"),
+        (
+            "dead",
+            "remove",
+            r"0\.3 s after the stage was ordered, floor is still there, .*gate_2 is still there, and 5 more; is",
+        ),
     ],
 )
 def test_a_gazebo_that_does_not_do_what_it_should_is_told_of(gazebo, tmp_path, what, service, says):
@@ -306,6 +322,27 @@ def test_a_gazebo_that_does_not_do_what_it_should_is_told_of(gazebo, tmp_path, w
     setattr(gazebo, what, {service})
     with pytest.raises(GazeboError, match=says):
         world.show(stages()[1], PACK)
+
+
+def test_what_does_not_move_is_told_of(gazebo, tmp_path):
+    with connect(gazebo, tmp_path) as world:
+        world.show(stages()[1], PACK)
+        gazebo.dead = {"set_pose"}
+        stage = replace(stages()[1], origin=(stages()[1].origin[0] + 2.0, stages()[1].origin[1]))
+        with pytest.raises(GazeboError, match=r"floor_\d+ is 2\.000 m and 0\.0 degrees from its place, .*and 6 more"):
+            world.show(stage, PACK)
+
+
+def test_a_paused_gazebo_is_told_of(tmp_path):
+    gazebo = StandIn(models=("iris",))
+    with (
+        connect(gazebo, tmp_path) as world,
+        pytest.raises(GazeboError, match=r"pose/info has stayed silent for 0\.3 s; is"),
+    ):
+        world.show(stages()[0], PACK)
+    gazebo.silent = {"info"}
+    with pytest.raises(GazeboError, match="does not tell of its scene"):
+        connect(gazebo, tmp_path)
 
 
 def test_a_folder_that_cannot_be_written_is_told_of(gazebo, tmp_path):

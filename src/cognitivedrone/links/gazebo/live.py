@@ -6,7 +6,8 @@
         world.state()
 
 Commands go to ArduPilot, by `MavlinkDrone`; here is only what Gazebo knows. Services are those of gz-sim's UserCommands
-and SceneBroadcaster systems. They answer once a command is queued, so the scene is asked whether it was carried out.
+and SceneBroadcaster systems. They answer once a command is queued, so the poses of everything are watched until it has
+been carried out.
 """
 
 from __future__ import annotations
@@ -14,25 +15,33 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
+import numpy as np
+
+from cognitivedrone.frames import wrap_angle, yaw_of
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.links.gazebo.bindings import Bindings, installed_releases, load_bindings
 from cognitivedrone.links.gazebo.export import write_meshes, write_pictures
 from cognitivedrone.links.gazebo.release import RELEASES, GazeboError
-from cognitivedrone.links.gazebo.sdf import SUN, WORLD, Prop, document, prop_model, sun_pose
-from cognitivedrone.links.gazebo.sight import GazeboCamera, GazeboTruth
+from cognitivedrone.links.gazebo.sdf import SUN, WORLD, Prop, document, prop_model, sun
+from cognitivedrone.links.gazebo.sight import GazeboCamera, GazeboTruth, Topic, places_of
 from cognitivedrone.links.gazebo.vehicle import CAMERA_TOPIC, NAME
-from cognitivedrone.types import DroneState, Stage
+from cognitivedrone.types import DroneState, FloatArray, Stage
 from cognitivedrone.world.look import PLAIN, Look
 
-MODEL = 2
-"""gz.msgs.Entity.MODEL."""
+LIGHT, MODEL = 1, 2
+"""gz.msgs.Entity.Type."""
+PLACE_M, PLACE_RAD = 1e-3, math.radians(0.1)
+"""How far from where it should be a thing may stand."""
 _OURS = re.compile(r"(gate_[123]|panel_[123]|board|floor|room)(_\d+)?")
+_SUN = re.compile(rf"{SUN}(_\d+)?")
 _LOOK_AGAIN_S = 0.02
+_TOLD = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +54,7 @@ class LiveConfig:
     release: str | None = None
     """Whose bindings to use; the newest that are installed otherwise."""
     answer_s: float = 5.0
-    """For a service to answer, and for a command to show in the scene."""
+    """For a service to answer, and for what was ordered to stand."""
     first_s: float = 10.0
     """For the first message of a topic."""
     silence_s: float = 3.0
@@ -81,6 +90,26 @@ def plan(standing: Mapping[str, Prop | None], wanted: Sequence[Prop]) -> Plan:
     return Plan(tuple(moves), tuple(spawns), tuple(left))
 
 
+def differences(places: Mapping[str, tuple[FloatArray, FloatArray]], wanted: Mapping[str, Prop | None]) -> str:
+    """How what stands differs from what should, in words; empty where it does not.
+
+    `places` are positions and quaternions of everything by name; what is not ours in it does not matter.
+    """
+    ours = {name for name in places if _OURS.fullmatch(name)}
+    told = [f"{name} is missing" for name in sorted(wanted.keys() - ours)]
+    told += [f"{name} is still there" for name in sorted(ours - wanted.keys())]
+    for name in sorted(ours & wanted.keys()):
+        prop, (position, quaternion) = wanted[name], places[name]
+        if prop is None:
+            continue
+        off = float(np.linalg.norm(position - prop.position))
+        turned = abs(float(wrap_angle(yaw_of(quaternion) - prop.yaw)))
+        if off > PLACE_M or turned > PLACE_RAD:
+            told.append(f"{name} is {off:.3f} m and {math.degrees(turned):.1f} degrees from its place")
+    more = [f"and {len(told) - _TOLD} more"] if len(told) > _TOLD else []
+    return ", ".join(told[:_TOLD] + more)
+
+
 class GazeboWorld:
     """A running world that was exported from here. Use it as a context manager, or call `close`.
 
@@ -95,14 +124,17 @@ class GazeboWorld:
         self._node = self.bindings.new_node()
         self._serial = 0
         self._truth: GazeboTruth | None = None
+        self._poses: Topic[dict[str, tuple[FloatArray, FloatArray]]] | None = None
+        self._light = ""
         self._meet()
-        models = self._models()
-        if self.config.vehicle not in models:
+        self._known = self._entities()
+        if self.config.vehicle not in self._known:
             raise GazeboError(
                 f"the world {self.config.world!r} has no model {self.config.vehicle!r}; start one made by:"
                 " cognitivedrone gazebo export"
             )
-        self._standing: dict[str, Prop | None] = {name: None for name in models if _OURS.fullmatch(name)}
+        self._sun = next((name for name in self._known if _SUN.fullmatch(name)), SUN)
+        self._standing: dict[str, Prop | None] = {name: None for name in self._known if _OURS.fullmatch(name)}
         try:
             write_meshes(self._folder)
         except OSError as error:
@@ -115,9 +147,10 @@ class GazeboWorld:
         self.close()
 
     def show(self, stage: Stage, labels: LabelPack, look: Look = PLAIN) -> None:
-        """Make a stage stand in place of what stands, its light included; returns once the scene shows it.
+        """Make a stage stand in place of what stands, its light included; returns once it stands.
 
-        Raises `LabelError`, or `GazeboError` where Gazebo refuses or does not do it in time.
+        Of the look, the ambient light stays that of the world. Raises `LabelError`, or `GazeboError` where Gazebo
+        refuses or does not do it in time.
         """
         try:
             wanted = write_pictures(stage, labels, look, self._folder)
@@ -125,17 +158,17 @@ class GazeboWorld:
             raise GazeboError(f"cannot write a texture into {self._folder}: {error.strerror or error}") from None
         steps = plan(self._standing, wanted)
         for name, prop in steps.moves:
-            self._move(name, prop.position, prop.yaw)
+            self._move(name, prop)
             self._standing[name] = prop
         for prop in steps.spawns:
-            name = self._new_name(prop)
-            self._spawn(name, prop)
+            name = self._new_name(prop.name)
+            self._spawn(name, prop_model(prop, f"file://{self._folder}/"))
             self._standing[name] = prop
         for name in steps.removals:
-            self._remove(name)
+            self._remove(name, MODEL)
             del self._standing[name]
-        self._move(SUN, *sun_pose(stage))
-        self._await_scene()
+        self._shine(sun(stage, look))
+        self._await_places()
 
     def state(self) -> DroneState:
         """The vehicle's true state; rates are differences over a tenth of a second."""
@@ -158,9 +191,10 @@ class GazeboWorld:
 
     def close(self) -> None:
         """Listen no longer; what stands stays."""
-        if self._truth is not None:
-            self._truth.close()
-            self._truth = None
+        for topic in (self._truth, self._poses):
+            if topic is not None:
+                topic.close()
+        self._truth = self._poses = None
 
     def _meet(self) -> None:
         """See that our world is the one that runs."""
@@ -187,26 +221,34 @@ class GazeboWorld:
             )
         return "start it with: gz sim -r world.sdf, on this machine and with the same GZ_PARTITION"
 
-    def _spawn(self, name: str, prop: Prop) -> None:
-        model = prop_model(prop, f"file://{self._folder}/")
-        model.set("name", name)
+    def _shine(self, light: ET.Element) -> None:
+        """Put up a light in place of the one before, unless it is the same: gz-sim moves models only."""
+        text = document(light)
+        if text != self._light:
+            name = self._new_name(SUN)
+            self._spawn(name, light)
+            self._remove(self._sun, LIGHT)
+            self._sun, self._light = name, text
+
+    def _spawn(self, name: str, element: ET.Element) -> None:
+        element.set("name", name)
         request = self.bindings.message("EntityFactory")()
-        request.sdf = document(model)
+        request.sdf = document(element)
         request.name = name
         request.allow_renaming = False
         self._command("create", request, f"spawn {name}")
 
-    def _remove(self, name: str) -> None:
+    def _remove(self, name: str, kind: int) -> None:
         request = self.bindings.message("Entity")()
         request.name = name
-        request.type = MODEL
+        request.type = kind
         self._command("remove", request, f"remove {name}")
 
-    def _move(self, name: str, position: tuple[float, float, float], yaw: float) -> None:
+    def _move(self, name: str, prop: Prop) -> None:
         request = self.bindings.message("Pose")()
         request.name = name
-        request.position.x, request.position.y, request.position.z = position
-        request.orientation.w, request.orientation.z = math.cos(yaw / 2), math.sin(yaw / 2)
+        request.position.x, request.position.y, request.position.z = prop.position
+        request.orientation.w, request.orientation.z = math.cos(prop.yaw / 2), math.sin(prop.yaw / 2)
         self._command("set_pose", request, f"move {name}")
 
     def _command(self, service: str, request: Any, what: str) -> None:
@@ -226,44 +268,34 @@ class GazeboWorld:
         )
         return bool(delivered), reply
 
-    def _models(self) -> frozenset[str]:
-        """Names of the models in the scene."""
+    def _entities(self) -> frozenset[str]:
+        """Names of the models and lights in the scene."""
         delivered, scene = self._request(f"/world/{self.config.world}/scene/info", "Empty", "Scene")
         if not delivered:
             raise GazeboError(
                 f"Gazebo does not tell of its scene within {self.config.answer_s:g} s; does the world load the system"
                 " gz-sim-scene-broadcaster-system?"
             )
-        return frozenset(model.name for model in scene.model)
+        return frozenset(entity.name for entity in (*scene.model, *scene.light))
 
-    def _await_scene(self) -> None:
-        """Wait until the scene holds of ours what it should, and no more."""
-        wanted = frozenset(self._standing)
+    def _await_places(self) -> None:
+        """Wait until of ours stands what should, where it should, and no more."""
+        if self._poses is None:
+            topic = f"/world/{self.config.world}/pose/info"
+            self._poses = Topic(self.bindings, topic, "Pose_V", places_of, self.config.first_s)
+        end = time.monotonic() + self.config.answer_s
+        while problem := differences(self._poses.newest(self.config.silence_s)[0], self._standing):
+            if time.monotonic() > end:
+                raise GazeboError(
+                    f"{self.config.answer_s:g} s after the stage was ordered, {problem}; is the simulation running?"
+                    " Its own output says more (gz sim -v 4)"
+                )
+            time.sleep(_LOOK_AGAIN_S)
 
-        def there() -> frozenset[str]:
-            return frozenset(name for name in self._models() if _OURS.fullmatch(name))
-
-        seen = _until(there, wanted, self.config.answer_s)
-        if seen != wanted:
-            late = ", ".join(sorted(wanted - seen)) or "nothing"
-            extra = ", ".join(sorted(seen - wanted)) or "nothing"
-            raise GazeboError(
-                f"{self.config.answer_s:g} s after the stage was ordered, the scene still lacks {late} and has {extra}"
-                " too many; is the simulation running? Its own output says more (gz sim -v 4)"
-            )
-
-    def _new_name(self, prop: Prop) -> str:
+    def _new_name(self, kind: str) -> str:
         """A name that no entity has: one that was just removed may still be there."""
         while True:
             self._serial += 1
-            name = f"{prop.name}_{self._serial}"
-            if name not in self._standing:
+            name = f"{kind}_{self._serial}"
+            if name not in self._known:
                 return name
-
-
-def _until(look: Callable[[], frozenset[str]], wanted: frozenset[str], limit_s: float) -> frozenset[str]:
-    """Look again and again until it is as wanted, or the time is up; the last that was seen."""
-    end = time.monotonic() + limit_s
-    while (seen := look()) != wanted and time.monotonic() < end:
-        time.sleep(_LOOK_AGAIN_S)
-    return seen

@@ -171,7 +171,7 @@ def world(stage: Stage, props: Sequence[Prop], look: Look, vehicle: ET.Element) 
     add(scene, "background", numbers(*look.surroundings, 1.0))
     add(scene, "grid", "false")
     add(scene, "shadows", "false")
-    element.append(_sun(stage, look))
+    element.append(sun(stage, look))
     element.append(_ground())
     for prop in props:
         element.append(prop_model(prop))
@@ -179,9 +179,18 @@ def world(stage: Stage, props: Sequence[Prop], look: Look, vehicle: ET.Element) 
     return element
 
 
-def sun_pose(stage: Stage) -> tuple[tuple[float, float, float], float]:
-    """Position (world, m) and yaw of the light: it turns with the stage."""
-    return (float(stage.origin[0]), float(stage.origin[1]), 10.0), stage.yaw
+def sun(stage: Stage, look: Look) -> ET.Element:
+    """The one `<light>`: directional, without shadows, turned with the stage."""
+    light = ET.Element("light", name=SUN, type="directional")
+    add(light, "pose", numbers(*stage.origin, 10.0, 0.0, 0.0, stage.yaw))
+    add(light, "cast_shadows", "false")
+    add(light, "diffuse", numbers(*(look.diffuse,) * 3, 1.0))
+    add(light, "specular", "0 0 0 1")
+    attenuation = add(light, "attenuation")
+    for tag, value in (("range", 1000.0), ("constant", 1.0), ("linear", 0.0), ("quadratic", 0.0)):
+        add(attenuation, tag, numbers(value))
+    add(light, "direction", numbers(*look.light_direction))
+    return light
 
 
 def add(parent: ET.Element, tag: str, text: str | None = None, **attributes: str) -> ET.Element:
@@ -201,20 +210,6 @@ def _panel(
 ) -> Prop:
     scale = (1.0, picture.aspect * height, height)
     return Prop(name, PANEL, place, yaw, paper, 1.0, scale, picture.file)
-
-
-def _sun(stage: Stage, look: Look) -> ET.Element:
-    light = ET.Element("light", name=SUN, type="directional")
-    position, yaw = sun_pose(stage)
-    add(light, "pose", numbers(*position, 0.0, 0.0, yaw))
-    add(light, "cast_shadows", "false")
-    add(light, "diffuse", numbers(*(look.diffuse,) * 3, 1.0))
-    add(light, "specular", "0 0 0 1")
-    attenuation = add(light, "attenuation")
-    for tag, value in (("range", 1000.0), ("constant", 1.0), ("linear", 0.0), ("quadratic", 0.0)):
-        add(attenuation, tag, numbers(value))
-    add(light, "direction", numbers(*look.light_direction))
-    return light
 
 
 def _ground() -> ET.Element:

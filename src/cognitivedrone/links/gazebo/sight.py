@@ -144,8 +144,7 @@ class PoseTrack:
         if pose is None:
             return None
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nsec
-        position = np.array([pose.position.x, pose.position.y, pose.position.z])
-        quaternion = np.array([pose.orientation.w, pose.orientation.x, pose.orientation.y, pose.orientation.z])
+        position, quaternion = _place(pose)
         past = self._past
         if past and stamp < past[-1][0]:
             past.clear()  # the world was reset
@@ -163,6 +162,16 @@ class PoseTrack:
             quaternion=to_quaternion,
             body_rates=Rotation.from_matrix(turn).as_rotvec() / (now - before),
         )
+
+
+def places_of(message: Any) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Position (3,) in m and quaternion (4,) w, x, y, z of everything in a `Pose_V`, by name."""
+    return {pose.name: _place(pose) for pose in message.pose}
+
+
+def _place(pose: Any) -> tuple[FloatArray, FloatArray]:
+    at, turned = pose.position, pose.orientation
+    return np.array([at.x, at.y, at.z]), np.array([turned.w, turned.x, turned.y, turned.z])
 
 
 def picture(message: Any) -> Image:
