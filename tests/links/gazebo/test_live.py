@@ -324,6 +324,16 @@ def test_a_gazebo_that_does_not_do_what_it_should_is_told_of(gazebo, tmp_path, w
         world.show(stages()[1], PACK)
 
 
+def test_after_a_stage_that_came_to_nothing_the_next_one_stands_all_the_same(gazebo, tmp_path):
+    with connect(gazebo, tmp_path) as world:
+        gazebo.dead = {"create"}
+        with pytest.raises(GazeboError, match="is missing"):
+            world.show(stages()[1], PACK)
+        gazebo.dead = set()
+        world.show(stages()[1], PACK)
+    assert len(standing_places(gazebo)) == 8 + (stages()[1].board is not None)
+
+
 def test_what_does_not_move_is_told_of(gazebo, tmp_path):
     with connect(gazebo, tmp_path) as world:
         world.show(stages()[1], PACK)

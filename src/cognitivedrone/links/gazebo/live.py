@@ -125,16 +125,8 @@ class GazeboWorld:
         self._serial = 0
         self._truth: GazeboTruth | None = None
         self._poses: Topic[dict[str, tuple[FloatArray, FloatArray]]] | None = None
-        self._light = ""
         self._meet()
-        self._known = self._entities()
-        if self.config.vehicle not in self._known:
-            raise GazeboError(
-                f"the world {self.config.world!r} has no model {self.config.vehicle!r}; start one made by:"
-                " cognitivedrone gazebo export"
-            )
-        self._sun = next((name for name in self._known if _SUN.fullmatch(name)), SUN)
-        self._standing: dict[str, Prop | None] = {name: None for name in self._known if _OURS.fullmatch(name)}
+        self._look_around()
         try:
             write_meshes(self._folder)
         except OSError as error:
@@ -156,6 +148,9 @@ class GazeboWorld:
             wanted = write_pictures(stage, labels, look, self._folder)
         except OSError as error:
             raise GazeboError(f"cannot write a texture into {self._folder}: {error.strerror or error}") from None
+        if not self._sure:
+            self._look_around()
+        self._sure = False
         steps = plan(self._standing, wanted)
         for name, prop in steps.moves:
             self._move(name, prop)
@@ -169,6 +164,7 @@ class GazeboWorld:
             del self._standing[name]
         self._shine(sun(stage, look))
         self._await_places()
+        self._sure = True
 
     def state(self) -> DroneState:
         """The vehicle's true state; rates are differences over a tenth of a second."""
@@ -209,6 +205,19 @@ class GazeboWorld:
                 " stop it and start ours, or give each a GZ_PARTITION of its own"
             )
 
+    def _look_around(self) -> None:
+        """See what stands: at the start, and after a stage that came to nothing."""
+        self._known = self._entities()
+        if self.config.vehicle not in self._known:
+            raise GazeboError(
+                f"the world {self.config.world!r} has no model {self.config.vehicle!r}; start one made by:"
+                " cognitivedrone gazebo export"
+            )
+        self._standing: dict[str, Prop | None] = {name: None for name in self._known if _OURS.fullmatch(name)}
+        self._sun = next((name for name in sorted(self._known) if _SUN.fullmatch(name)), None)
+        self._light = ""
+        self._sure = True
+
     def _advice(self) -> str:
         """What to do where nobody answers."""
         ours, installed = self.bindings.release.name, installed_releases()
@@ -227,7 +236,8 @@ class GazeboWorld:
         if text != self._light:
             name = self._new_name(SUN)
             self._spawn(name, light)
-            self._remove(self._sun, LIGHT)
+            if self._sun is not None:
+                self._remove(self._sun, LIGHT)
             self._sun, self._light = name, text
 
     def _spawn(self, name: str, element: ET.Element) -> None:
