@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -246,6 +247,9 @@ def test_a_vehicle_that_may_be_real_is_refused_without_the_flag_and_without_the_
             with pytest.raises(LinkError, match="not confirmed"):
                 fly_mission(consent, console=console, keyboard=io.StringIO(typed))
             (tmp_path / "b" / "flight.json").unlink()
+        by_its_own = replace(consent, clock="vehicle")
+        with pytest.raises(LinkError, match="leave --clock vehicle out"):
+            fly_mission(by_its_own, console=quiet(), keyboard=io.StringIO("arm\n"))
         assert commands(peer, 176, 400, 22) == []
     assert "propellers clear" in console.file.getvalue()
 

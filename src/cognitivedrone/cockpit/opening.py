@@ -47,13 +47,20 @@ def open_craft(config: FlyConfig, tlog: Path, own_words: Callable[[], bool]) -> 
         raise LinkError(f"{config.link} may be a real drone: read docs/real-drone.md, then add {FLAG}")
     eyes = Eyes(open_camera(config.camera))
     drone = MavlinkDrone(config.url, eyes, Guard(safety(config)), vehicle_config(config, tlog))
-    if not (consent or drone.simulated):
+    simulated = config.on_loopback and drone.simulated
+    if not simulated and (not consent or config.clock == "vehicle"):
         drone.close()
-        raise LinkError(
-            f"the vehicle at {config.link} does not say that it is this project's simulator, so it may be a real drone:"
-            f" read docs/real-drone.md, then add {FLAG}"
-        )
-    return MavlinkCraft(drone, eyes, simulated=config.on_loopback and drone.simulated)
+        raise LinkError(_refusal(config, consent=consent))
+    return MavlinkCraft(drone, eyes, simulated=simulated)
+
+
+def _refusal(config: FlyConfig, *, consent: bool) -> str:
+    """Why what may be a real drone is not flown like that."""
+    real = f"the vehicle at {config.link} does not say that it is this project's simulator, so it may be a real drone"
+    if not consent:
+        return f"{real}: read docs/real-drone.md, then add {FLAG}"
+    # On vehicle time, silence is forgiven for seconds: a simulation may pause, a drone in the air does not.
+    return f"{real}, which flies by the clock on the wall: leave --clock vehicle out"
 
 
 def safety(config: FlyConfig) -> SafetyConfig:
