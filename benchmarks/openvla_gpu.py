@@ -35,7 +35,6 @@ from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE
 CHUNK = 8
 PROMPT = [1, *range(500, 527), 29_871]
 """As many tokens as "Fly through the small red round gate" makes."""
-RANK = 32
 BATCHES = (1, 4, 8, 16)
 
 
@@ -110,15 +109,15 @@ def training() -> None:
     if importlib.util.find_spec("peft") is None:
         print("LoRA: not measured, peft is not installed")
         return
-    from peft import LoraConfig, get_peft_model
+    from cognitivedrone.training.openvla_adapters import add_adapters
+    from cognitivedrone.training.openvla_recipes import PAPER
 
     gc.collect()
     network = random_network(Config(), "cuda", torch.bfloat16)
     network.enable_checkpointing()
-    linear = [name for name, module in network.named_modules() if isinstance(module, torch.nn.Linear)]
-    model = get_peft_model(network, LoraConfig(r=RANK, lora_alpha=16, target_modules=linear)).train()
-    trained = [value for value in model.parameters() if value.requires_grad]
-    optimizer = torch.optim.AdamW(trained, lr=5e-4)
+    trained = add_adapters(network, PAPER)
+    network.train()
+    optimizer = torch.optim.AdamW(trained.values(), PAPER.learning_rate, weight_decay=PAPER.weight_decay, fused=True)
     for batch in BATCHES:
         ids = torch.tensor([[*PROMPT, 31_800, 31_850, 31_900, 31_750, 2]], device="cuda").repeat(batch, 1)
         labels = ids.clone()
@@ -129,7 +128,9 @@ def training() -> None:
         for _ in range(6):
             torch.cuda.synchronize()
             begin = time.perf_counter()
-            model(ids, pixels, labels=labels).loss.backward()
+            with torch.autocast("cuda", torch.bfloat16):
+                loss = network(ids, pixels, labels=labels).loss
+            loss.backward()
             optimizer.step()
             optimizer.zero_grad()
             torch.cuda.synchronize()

@@ -76,7 +76,9 @@ def _trained(optimizer: Any) -> Iterator[Tensor]:
 
 
 def _whole(value: Tensor) -> Tensor:
-    return value.detach().full_tensor() if isinstance(value, DTensor) else value.detach()
+    if isinstance(value, DTensor):
+        value = value.full_tensor()
+    return value.detach()
 
 
 def _stored(name: str) -> str:

@@ -58,7 +58,7 @@ def open_flights(folder: Path, category: Category | None = None) -> Flights:
                 f" cognitivedrone data import {folder} --from rlds --out STORE"
             )
     store = Store(folder)
-    train, val = (_steps_of(store, split, category) for split in ("train", "val"))  # type: ignore[arg-type]
+    train, val = (_steps_of(store, split, category) for split in ("train", "val"))
     for name, numbers in (("train", train), ("val", val)):
         if not len(numbers):
             which = f" of the category {category!r}" if category else ""

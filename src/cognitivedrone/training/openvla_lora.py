@@ -205,8 +205,9 @@ def _check_memory(config: FineTuning, accelerator: Accelerator) -> None:
 
 def _train(config: FineTuning, accelerator: Accelerator, found: Found | None, report: Callable[[str], None]) -> None:
     recipe, base = config.recipe, config.checkpoint
-    wide = accelerator.device.type == "cpu" and base.stored_bytes == 4
-    bare = load(base, accelerator.device, torch.float32 if wide else torch.bfloat16)
+    host = accelerator.device.type == "cpu"  # in several processes it is called cpu:0, which no file is read to
+    dtype = torch.float32 if host and base.stored_bytes == 4 else torch.bfloat16
+    bare = load(base, "cpu" if host else accelerator.device, dtype)
     if recipe.checkpointing:
         bare.enable_checkpointing()
     trained = add_adapters(bare, recipe, config.seed)
