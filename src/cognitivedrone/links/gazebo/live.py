@@ -125,6 +125,12 @@ class GazeboWorld:
         self._serial = 0
         self._truth: GazeboTruth | None = None
         self._poses: Topic[dict[str, tuple[FloatArray, FloatArray]]] | None = None
+        self._known: frozenset[str] = frozenset()
+        self._standing: dict[str, Prop | None] = {}
+        self._sun: str | None = None
+        self._light = ""
+        self._sure = False
+        """Whether all of that is still so: not after a stage that came to nothing."""
         self._meet()
         self._look_around()
         try:
@@ -213,7 +219,7 @@ class GazeboWorld:
                 f"the world {self.config.world!r} has no model {self.config.vehicle!r}; start one made by:"
                 " cognitivedrone gazebo export"
             )
-        self._standing: dict[str, Prop | None] = {name: None for name in self._known if _OURS.fullmatch(name)}
+        self._standing = {name: None for name in self._known if _OURS.fullmatch(name)}
         self._sun = next((name for name in sorted(self._known) if _SUN.fullmatch(name)), None)
         self._light = ""
         self._sure = True
