@@ -13,7 +13,6 @@ from cognitivedrone.flight.fence import Fence, keep_inside, outside_by
 from cognitivedrone.flight.safety import (
     SEVERITY,
     Guard,
-    Health,
     Limits,
     Memory,
     Patience,
@@ -23,10 +22,10 @@ from cognitivedrone.flight.safety import (
     shape,
 )
 from cognitivedrone.frames import rotate_yaw
-from cognitivedrone.links.guard import Health as LinkHealth
+from cognitivedrone.interfaces import Health
 
 CONFIG = SafetyConfig()
-GOOD = LinkHealth(
+GOOD = Health(
     time=100.0,
     command=np.array([1.0, 0.0, 0.0, 0.0]),
     command_age_s=0.1,
@@ -46,7 +45,7 @@ NAN = np.array([1.0, np.nan, 0.0, 0.0])
 INF = np.array([np.inf, 0.0, 0.0, 0.0])
 
 
-def at(*position: float) -> LinkHealth:
+def at(*position: float) -> Health:
     return replace(GOOD, position=np.array(position))
 
 
@@ -158,7 +157,7 @@ wild = st.floats(allow_nan=True, allow_infinity=True)
 ages = st.floats(0, 20)
 vectors = st.tuples(*[st.floats(-60, 60)] * 3).map(np.array)
 healths = st.builds(
-    LinkHealth,
+    Health,
     time=st.just(0.0),
     command=st.none() | st.tuples(wild, wild, wild, wild).map(np.array) | st.just(GOOD.command),
     command_age_s=ages,

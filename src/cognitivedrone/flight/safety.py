@@ -17,92 +17,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
 from cognitivedrone.flight.fence import Fence, keep_inside, outside_by
+from cognitivedrone.interfaces import Health
 from cognitivedrone.types import ACTION_LIMITS, Action, FloatArray
 
 Kind = Literal["fly", "hold", "brake", "land", "hands_off"]
 SEVERITY: tuple[Kind, ...] = ("fly", "hold", "brake", "land", "hands_off")
 """From the mildest to the strongest; where several rules speak, the strongest is done."""
-
-GUIDED = "GUIDED"
-
-
-class Health(Protocol):
-    """How everything around the drone is doing at one moment. Ages count from when a thing was last good, s."""
-
-    @property
-    def time(self) -> float:
-        """Of a steady clock, s."""
-        ...
-
-    @property
-    def command(self) -> FloatArray | None:
-        """(4,) what the policy asked for last, heading frame, m/s and rad/s, NaN and all; none before it first did."""
-        ...
-
-    @property
-    def command_age_s(self) -> float:
-        """Of the last command of finite numbers; before there was one, since the policy took over."""
-        ...
-
-    @property
-    def frame_age_s(self) -> float:
-        """Of the newest camera frame."""
-        ...
-
-    @property
-    def link_age_s(self) -> float:
-        """Of the last message from the vehicle, whatever it was."""
-        ...
-
-    @property
-    def state_age_s(self) -> float:
-        """Of the older of attitude and position."""
-        ...
-
-    @property
-    def battery(self) -> float | None:
-        """What is left, 0 to 1; none where the vehicle does not say."""
-        ...
-
-    @property
-    def position(self) -> FloatArray:
-        """(3,) from where it took off, ENU, m."""
-        ...
-
-    @property
-    def velocity(self) -> FloatArray:
-        """(3,) ENU, m/s."""
-        ...
-
-    @property
-    def yaw(self) -> float:
-        """Heading, from east to the left, rad."""
-        ...
-
-    @property
-    def mode(self) -> str:
-        """The vehicle's flight mode, as it says."""
-        ...
-
-    @property
-    def ordered_modes(self) -> frozenset[str]:
-        """The mode that we ordered and, until the vehicle shows it, the one before."""
-        ...
-
-    @property
-    def armed(self) -> bool:
-        """Whether the motors may turn."""
-        ...
-
-    @property
-    def stick_moved(self) -> bool:
-        """Whether a stick of the remote control has left its place since we took over."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

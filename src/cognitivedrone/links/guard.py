@@ -2,30 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from cognitivedrone.types import Action, FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class Health:
-    """What the guard is told, see `cognitivedrone.flight.safety.Health` for each."""
-
-    time: float
-    command: FloatArray | None
-    command_age_s: float
-    frame_age_s: float
-    link_age_s: float
-    state_age_s: float
-    battery: float | None
-    position: FloatArray
-    velocity: FloatArray
-    yaw: float
-    mode: str
-    ordered_modes: frozenset[str]
-    armed: bool
-    stick_moved: bool
+from cognitivedrone.interfaces import Health
+from cognitivedrone.types import Action
 
 
 class Decision(Protocol):

@@ -28,9 +28,10 @@ import numpy as np
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.frames import flu_to_frd
+from cognitivedrone.interfaces import Health
 from cognitivedrone.links.camera import Camera
 from cognitivedrone.links.connection import Connection, Vehicle
-from cognitivedrone.links.guard import Decision, Guard, Health
+from cognitivedrone.links.guard import Decision, Guard
 from cognitivedrone.links.preflight import EXPECTED, Checklist, build_checklist, check_vehicle, misfits
 from cognitivedrone.links.telemetry import MODE_NUMBERS, SIMULATED, Telemetry, last_words, stick_moved
 from cognitivedrone.links.transport import open_transport
