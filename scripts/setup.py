@@ -2,12 +2,13 @@
 
 Usage: python3 scripts/setup.py [EXTRA ...]
 
-Works where Debian's python3 comes without `venv`, and looks for an OpenGL library for off-screen rendering: where
-there is none, it installs one as root, or prints the line to type.
+Works where Debian's python3 comes without `venv`, and looks for an OpenGL library for off-screen rendering and, for
+the tests, for libsdformat: where there is none, it installs one as root, or prints the line to type.
 """
 
 from __future__ import annotations
 
+import ctypes.util
 import hashlib
 import os
 import shutil
@@ -83,12 +84,20 @@ def ensure_opengl() -> None:
             return  # what needs no pictures works all the same; what does says what is missing
 
 
+def ensure_sdformat() -> None:
+    """The parser that checks exported Gazebo worlds in the tests; without it those are skipped."""
+    if not any(ctypes.util.find_library(f"sdformat{version}") for version in range(12, 17)):
+        apt_install(["libsdformat12-12"], "checking Gazebo worlds")
+
+
 def main() -> None:
     if sys.version_info < (3, 11):  # noqa: UP036 - the reader's Python may be any
         sys.exit(f"Python 3.11 or newer is needed; this is {sys.version.split()[0]}.")
     make_venv()
     install(sorted(sys.argv[1:]))
     ensure_opengl()
+    if "dev" in sys.argv[1:]:
+        ensure_sdformat()
 
 
 if __name__ == "__main__":

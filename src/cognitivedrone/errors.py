@@ -11,6 +11,7 @@ CognitiveDroneError
 ├── DataError        a data set that cannot be written, read or trusted
 ├── TrainingError    a training that cannot start or go on, or a checkpoint that cannot be read
 ├── LinkError        a vehicle that cannot be reached, refuses, or is not one that can be flown
+├── GazeboError      a Gazebo world that cannot be exported or checked, or a Gazebo that does not answer
 ├── CameraError      a camera that cannot be opened, has gone silent, or has come to its end
 └── MissingExtra     an optional dependency is not installed
 """
@@ -77,6 +78,10 @@ class TrainingError(CognitiveDroneError):
 
 class LinkError(CognitiveDroneError):
     """A vehicle that cannot be reached, refuses, or is not one that can be flown."""
+
+
+class GazeboError(CognitiveDroneError):
+    """A world that cannot be exported or checked, or a Gazebo that cannot be reached or does not answer."""
 
 
 class CameraError(CognitiveDroneError):

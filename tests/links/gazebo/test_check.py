@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cognitivedrone.cli import main
+from cognitivedrone.errors import GazeboError
 from cognitivedrone.links.gazebo import check as checking
 from cognitivedrone.links.gazebo.check import PACKAGE, check, find_checker
 from cognitivedrone.links.gazebo.export import world_of
-from cognitivedrone.links.gazebo.release import GazeboError
 from cognitivedrone.links.gazebo.sdf import Picture, document, prop_model, props_of
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Stage
 from cognitivedrone.world.look import PLAIN, varied_look

@@ -8,9 +8,8 @@ import pytest
 from reading import models, read_world
 
 from cognitivedrone.cli import main
-from cognitivedrone.errors import LabelError, TaskError
+from cognitivedrone.errors import GazeboError, LabelError, TaskError
 from cognitivedrone.links.gazebo.export import export, find_track, stages_of
-from cognitivedrone.links.gazebo.release import GazeboError
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.world import geometry
 

@@ -17,7 +17,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from cognitivedrone.links.gazebo.release import RELEASES, GazeboError, Release, release_named
+from cognitivedrone.errors import GazeboError
+from cognitivedrone.links.gazebo.release import RELEASES, Release, release_named
 
 MODULES = {
     "Boolean": "boolean_pb2",

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cognitivedrone.links.gazebo.release import GazeboError
+from cognitivedrone.errors import GazeboError
 
 COMMANDS = ("gz", "ign")
 LIBRARIES = tuple(f"sdformat{major}" for major in range(16, 11, -1))

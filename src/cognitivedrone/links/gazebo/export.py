@@ -21,12 +21,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from PIL import Image as Pictures
 
-from cognitivedrone.errors import TaskError, did_you_mean
+from cognitivedrone.errors import GazeboError, TaskError, did_you_mean
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
 from cognitivedrone.links.gazebo.meshes import obj_text, world_meshes
-from cognitivedrone.links.gazebo.release import GazeboError, Release, release_named
+from cognitivedrone.links.gazebo.release import Release, release_named
 from cognitivedrone.links.gazebo.sdf import Picture, Prop, document, pattern_file, props_of, world
 from cognitivedrone.links.gazebo.vehicle import iris, parameters
 from cognitivedrone.tasks import Suite, load_suite, suite_from_files

@@ -23,11 +23,12 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from cognitivedrone.errors import GazeboError
 from cognitivedrone.frames import wrap_angle, yaw_of
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.links.gazebo.bindings import Bindings, installed_releases, load_bindings
 from cognitivedrone.links.gazebo.export import write_meshes, write_pictures
-from cognitivedrone.links.gazebo.release import RELEASES, GazeboError
+from cognitivedrone.links.gazebo.release import RELEASES
 from cognitivedrone.links.gazebo.sdf import SUN, WORLD, Prop, document, prop_model, sun
 from cognitivedrone.links.gazebo.sight import GazeboCamera, GazeboTruth, Topic, places_of
 from cognitivedrone.links.gazebo.vehicle import CAMERA_TOPIC, NAME

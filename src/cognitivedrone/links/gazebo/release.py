@@ -8,11 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cognitivedrone.errors import CognitiveDroneError, did_you_mean
-
-
-class GazeboError(CognitiveDroneError):
-    """A world that cannot be exported or checked, or a Gazebo that cannot be reached or does not answer."""
+from cognitivedrone.errors import GazeboError, did_you_mean
 
 
 @dataclass(frozen=True, slots=True)

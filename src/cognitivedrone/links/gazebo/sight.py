@@ -15,11 +15,10 @@ from typing import Any, Final, Generic, TypeVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cognitivedrone.errors import CameraError
+from cognitivedrone.errors import CameraError, GazeboError
 from cognitivedrone.frames import rotation_matrix
 from cognitivedrone.links.camera import Shot, fit
 from cognitivedrone.links.gazebo.bindings import Bindings
-from cognitivedrone.links.gazebo.release import GazeboError
 from cognitivedrone.types import DroneState, FloatArray, Image
 
 T = TypeVar("T")
