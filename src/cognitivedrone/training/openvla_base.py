@@ -112,26 +112,24 @@ def needed_bytes(base: Checkpoint, recipe: LoraRecipe, processes: int, *, sharde
     """Memory that fine-tuning takes on each GPU: an estimate from the shapes, on the safe side.
 
     Weights as stored; adapters with gradients and moments; activations of a micro-batch: what goes into every layer,
-    and what is inside of one (of all, without checkpointing).
+    and what is inside of one (of all, without checkpointing). To be sharded, weights have to be whole for a moment.
     """
-    config, language = base.config, base.config.language
-    each = base.stored_bytes
-    kept = elements(used_tensors(config).values()) * each
-    kept += trained_weights(config, recipe.rank) * BYTES_PER_TRAINED
-    # With sharding, a layer at a time is whole.
-    fixed = kept if not sharded else kept // processes + kept // max(language.num_hidden_layers, 1)
+    config, language, each = base.config, base.config.language, base.stored_bytes
+    weights = elements(used_tensors(config).values()) * each
+    held = weights + trained_weights(config, recipe.rank) * BYTES_PER_TRAINED
+    if sharded:  # a part of everything, and one layer whole
+        held = held // processes + held // language.num_hidden_layers
     tokens = PATCHES + _TEXT
     stacks = [(tower.width, tower.hidden, tower.depth) for tower in (config.dino, config.siglip)]
     stacks.append((language.hidden_size, 2 * language.intermediate_size, language.num_hidden_layers))
-    inside = [tokens * (12 * width + 4 * hidden) * each for width, hidden, _ in stacks]
-    layers = sum(tokens * width * each * depth for width, _, depth in stacks)
+    # Twice what a plain layer keeps: adapters take their inputs in float32.
+    inside = [tokens * (24 * width + 8 * hidden) * each for width, hidden, _ in stacks]
     if recipe.checkpointing:
-        sample = layers + max(inside)
+        sample = sum(tokens * width * each * depth for width, _, depth in stacks) + max(inside)
     else:
         sample = sum(one * depth for one, (_, _, depth) in zip(inside, stacks, strict=True))
-    images = 6 * IMAGE**2 * 4
     micro = min(recipe.micro_batch, max(recipe.batch // processes, 1))
-    return fixed + micro * (sample + images)
+    return max(weights, held + micro * (sample + 6 * IMAGE**2 * 4))
 
 
 def check_machine(needed: int, free: int, device: str, folder: Path) -> None:

@@ -66,7 +66,7 @@ LORA_RECIPES: dict[str, LoraRecipe] = {
         alpha=4,
         directives=0.5,
         save_every=2,
-        validate_every=2,
+        validate_every=6,
         validation_frames=6,
     ),
 }
