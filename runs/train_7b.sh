@@ -16,7 +16,7 @@ run=${2:-out/7b}
 gpus=${GPUS:-$(nvidia-smi --list-gpus | wc -l)}
 data=${DATA:-$run/flights}
 
-# 8,062 flights of the expert, lossless, in the published split of tasks.
+# 8,062 flights of the expert, as many as in the paper.
 if [[ -z ${DATA:-} ]]; then
   cognitivedrone collect --recipe paper --out "$data" --resume
 fi
@@ -25,5 +25,5 @@ fi
 torchrun --standalone --nproc-per-node "$gpus" -m cognitivedrone.cli train-openvla \
   --base "$base" --data "$data" --out "$run" --recipe "${RECIPE:-paper}" --resume ${SHARD:+--shard}
 
-# 300 tasks that training never showed.
+# 300 tasks of another draw than those of training.
 cognitivedrone bench --policy "openvla:$run/merged" --suite open-v1:test --workers 1 --out "$run/bench" --resume

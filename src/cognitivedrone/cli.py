@@ -196,9 +196,9 @@ def train_openvla(
 
     Needs the extras `openvla` and `train`, and peft. On several GPUs, start it by torchrun. Examples:
 
-      cognitivedrone train-openvla --base openvla-7b --data flights --out runs/7b
-      torchrun --nproc-per-node 8 -m cognitivedrone.cli train-openvla --base openvla-7b --data flights --out runs/7b
-      cognitivedrone bench --policy openvla:runs/7b/merged
+      cognitivedrone train-openvla --base openvla-7b --data flights --out out/7b
+      torchrun --nproc-per-node 8 -m cognitivedrone.cli train-openvla --base openvla-7b --data flights --out out/7b
+      cognitivedrone bench --policy openvla:out/7b/merged
 
     Args:
         base: Folder of the checkpoint to start from: config.json, tokenizer.json, *.safetensors.
