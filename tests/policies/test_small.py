@@ -137,6 +137,7 @@ def test_a_package_without_weights_says_what_to_do(monkeypatch):
 
 
 def test_the_runtime_is_loaded_with_the_first_model_alone():
-    code = "import sys, cognitivedrone.policies.small as _; print([name for name in sys.modules if name.startswith('onnx')])"
+    listed = "[name for name in sys.modules if name.startswith('onnx')]"
+    code = f"import sys, cognitivedrone.policies.small as _; print({listed})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

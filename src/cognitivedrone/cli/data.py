@@ -1,0 +1,125 @@
+"""Commands that make data sets and work on them: collect, and those of `data`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.progress import track
+
+from cognitivedrone.collect.collector import CollectConfig
+
+data = tyro.extras.SubcommandApp()
+
+
+def collect(config: Annotated[CollectConfig, tyro.conf.arg(name="")]) -> None:
+    """Collect a data set: the expert flies the tasks of a suite, frames and actions go into a store.
+
+    A run that was stopped goes on with --resume. Examples:
+
+      cognitivedrone collect --out data/paper
+      cognitivedrone collect --recipe robust --episodes 500 --out data/robust
+    """
+    from cognitivedrone.collect.collector import collect as collect_set
+
+    report = collect_set(config, progress=True)
+    dropped = ", ".join(f"{outcome} {count}" for outcome, count in sorted(report.dropped.items())) or "none"
+    Console().print(
+        f"{report.episodes} episodes in {report.out}; this run flew {report.flown} in {report.seconds:.1f} s"
+        f" ({report.episodes_per_s:.1f} episodes/s), {report.success_rate:.2%} of its flights passed,"
+        f" dropped: {dropped}",
+        highlight=False,
+    )
+
+
+@data.command
+def show(folder: tyro.conf.Positional[Path]) -> None:
+    """Print counts by family, lengths and action histograms of a data set.
+
+    Args:
+        folder: The data set.
+    """
+    from cognitivedrone.data.summary import summary
+
+    Console().print(summary(folder))
+
+
+@data.command(name="report")
+def report_card(folder: tyro.conf.Positional[Path], out: Path = Path("card.html")) -> None:
+    """Write a self-contained HTML card of a data set: film strips, actions, splits, statistics.
+
+    Args:
+        folder: The data set.
+        out: Page to write.
+    """
+    from cognitivedrone.data.card import card
+
+    card(folder, out)
+    print(out)  # noqa: T201
+
+
+@data.command
+def verify(folder: tyro.conf.Positional[Path]) -> None:
+    """Check every shard of a data set against its hash; exit code 1 where something is missing, cut short or altered.
+
+    Args:
+        folder: The data set.
+    """
+    from cognitivedrone.data.verify import verify as problems_of
+
+    problems = problems_of(folder)
+    for problem in problems:
+        print(problem)  # noqa: T201
+    if problems:
+        sys.exit(1)
+    print(f"{folder}: whole")  # noqa: T201
+
+
+@data.command
+def export(folder: tyro.conf.Positional[Path], to: str, out: Path) -> None:
+    """Write a data set in a format that trainers read.
+
+    Args:
+        folder: The data set.
+        to: rlds, lerobot, lerobot-video, published, or your own as module:attribute.
+        out: New folder to write.
+    """
+    from cognitivedrone.data.formats import export as export_set
+    from cognitivedrone.data.store import Store
+
+    store = Store.open(folder)
+    count = export_set(track(store.labelled(), "exporting", total=len(store)), to, out)
+    print(f"{out}: {count} episodes as {to}")  # noqa: T201
+
+
+@data.command(name="import")
+def import_(source: tyro.conf.Positional[Path], form: Annotated[str, tyro.conf.arg(name="from")], out: Path) -> None:
+    """Take a data set of another format into a store of ours.
+
+    Args:
+        source: The data set to read.
+        form: rlds, lerobot, published, or your own as module:attribute.
+        out: New folder for the store.
+    """
+    from cognitivedrone.collect.importing import import_set
+
+    print(f"{out}: {import_set(source, form, out)} episodes")  # noqa: T201
+
+
+@data.command
+def replay(folder: tyro.conf.Positional[Path], episode: tyro.conf.Positional[int]) -> None:
+    """Fly the recorded commands of an episode again and say how far the end is from the record.
+
+    Args:
+        folder: The data set.
+        episode: Index of the episode.
+    """
+    from cognitivedrone.collect.replay import replay as fly_again
+    from cognitivedrone.data.store import Store
+
+    report = fly_again(Store.open(folder).episode(episode))
+    same = "the same bits" if report.same_bits else f"up to {report.path_error_m:.4f} m off on the way"
+    print(f"episode {episode}: {report.steps} steps, ends {report.end_error_m:.4f} m off its record, {same}")  # noqa: T201

@@ -1,0 +1,92 @@
+"""Commands that fly: fly, sim, and those of `gazebo`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from cognitivedrone.cockpit.config import FlyConfig, SimConfig
+
+gazebo = tyro.extras.SubcommandApp()
+
+
+def fly(config: Annotated[FlyConfig, tyro.conf.arg(name="")]) -> None:
+    """Fly a drone by an instruction, in real time: our simulator, ArduPilot SITL or a vehicle over MAVLink.
+
+    While it flies, a line that is typed is its new instruction, "land" lands it, and so does ctrl-C. Steps, events and
+    a film are recorded. Exit code 0: through a gate, or landed as asked; 1: ended otherwise; 130: ctrl-C. Examples:
+
+      cognitivedrone fly --policy colour_seeker --reasoner oracle --suite open-v1:test --episode 3
+      cognitivedrone fly --policy colour_seeker --reasoner none "Fly through the red gate"
+      cognitivedrone fly --link mavlink:udp:127.0.0.1:14550 --camera http://127.0.0.1:8090/ "Fly through the red gate"
+
+    A real drone needs more than a command: read docs/real-drone.md.
+    """
+    from cognitivedrone.cockpit.fly import fly_mission
+    from cognitivedrone.cockpit.view import summary_table
+
+    console = Console()
+    summary = fly_mission(config, console=console)
+    console.print(summary_table(summary), highlight=False)
+    sys.exit(summary.exit_code)
+
+
+def sim(config: Annotated[SimConfig, tyro.conf.arg(name="")]) -> None:
+    """Serve the simulator as a MAVLink vehicle, until ctrl-C: ground stations and `fly` connect to it.
+
+    Needs the extra `mavlink`. Example:
+
+      cognitivedrone sim --mavlink --camera-port 8090 --suite open-v1:test --episode 3
+    """
+    from cognitivedrone.cockpit.vehicle import serve_vehicle, until_interrupted
+
+    with until_interrupted() as stop:
+        lost = serve_vehicle(config, stop, lambda served: print(served, flush=True))  # noqa: T201
+    print(f"stopped; the vehicle fell {lost:.1f} s behind the clock")  # noqa: T201
+
+
+@gazebo.command(name="export")
+def export_world(
+    out: Path,
+    suite: str = "open-v1:smoke",
+    task: str | None = None,
+    track: str | None = None,
+    version: str = "harmonic",
+    labels: str = "open-v1",
+) -> None:
+    """Write a task, or the stages of a track, as SDF worlds with meshes, textures and an ArduPilot vehicle.
+
+    For example:
+
+      cognitivedrone gazebo export --suite open-v1:test --task open-v1:test/0007 --out gazebo/0007
+      cognitivedrone gazebo export --suite open-v1:track --track 3 --out gazebo/track3
+
+    Args:
+        out: New folder to write.
+        suite: Name of the suite, or a task file.
+        task: Id of one task.
+        track: Number of a track, from 0, or the id of a task in it.
+        version: Release of Gazebo that the README of the folder tells to install: harmonic, ionic or jetty.
+        labels: Label pack, or a folder of pictures.
+    """
+    from cognitivedrone.links.gazebo.export import export as export_to
+
+    done = export_to(suite, out=out, task=task, track=track, version=version, labels=labels)
+    for world, shown in zip(done.worlds, done.track, strict=True):
+        print(f"{world}: {shown.instruction}  (right: gate {shown.target + 1})")  # noqa: T201
+
+
+@gazebo.command(name="check")
+def check_world(files: tyro.conf.Positional[tuple[Path, ...]]) -> None:
+    """Have SDF files checked by libsdformat, Gazebo's own parser.
+
+    Args:
+        files: Worlds or models.
+    """
+    from cognitivedrone.links.gazebo.check import check as check_files
+
+    print(f"{len(files)} passed {check_files(files)}")  # noqa: T201

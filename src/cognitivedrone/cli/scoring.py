@@ -1,0 +1,113 @@
+"""Commands that score pilots: bench, reason, sweep, compare, view, list."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from cognitivedrone.benchmark.reason import ReasonConfig
+from cognitivedrone.benchmark.run_types import RunConfig
+from cognitivedrone.benchmark.sweep import SweepConfig
+
+
+def bench(config: Annotated[RunConfig, tyro.conf.arg(name="")]) -> None:
+    """Fly a policy through a suite of tasks and score it.
+
+    Writes results.json, one record per episode, and a self-contained report.html. A run that was stopped goes on with
+    --resume. Examples:
+
+      cognitivedrone bench --suite open-v1:smoke --policy colour_seeker --reasoner oracle
+      cognitivedrone bench --policy my_package.my_module:MyPolicy --suite open-v1:test
+      cognitivedrone bench --tasks my_tasks.json --labels my_pictures/
+    """
+    from cognitivedrone.benchmark.runner import out_of, run
+    from cognitivedrone.benchmark.tables import results_table
+
+    console = Console()
+    console.print(results_table(run(config, progress=True)))
+    console.print(f"report: {out_of(config) / 'report.html'}", highlight=False)
+
+
+def reason(config: Annotated[ReasonConfig, tyro.conf.arg(name="")]) -> None:
+    """Score a reasoner alone: ask it about the frame that every flight begins with, and fly nothing.
+
+    Writes reason.json and reason.jsonl, which `--reasoner replay:FOLDER/reason.jsonl` reads. Examples:
+
+      cognitivedrone reason --suite open-v1:test --reasoner noisy-oracle
+      cognitivedrone reason --suite open-v1:track --reasoner my_module:MyReasoner --out answers
+    """
+    from cognitivedrone.benchmark.reason import ANSWERS_FILE, score_reasoner
+    from cognitivedrone.benchmark.reason_table import reason_table
+
+    console = Console()
+    results = score_reasoner(config)
+    console.print(reason_table(results))
+    console.print(f"answers: {results.out / ANSWERS_FILE}", highlight=False)
+
+
+def sweep(config: Annotated[SweepConfig, tyro.conf.arg(name="")]) -> None:
+    """Fly a suite with growing latency of the reasoner, or of the policy, and plot the success against it.
+
+    Latency is charged to the simulated clock, so the result does not depend on the machine. Stopped and started again,
+    it goes on. Example:
+
+      cognitivedrone sweep --policy colour_seeker --reasoner oracle --ms 0 500 2000 --out results/sweep
+    """
+    from cognitivedrone.benchmark.sweep import PLOT_FILE
+    from cognitivedrone.benchmark.sweep import sweep as fly_all
+    from cognitivedrone.benchmark.tables import sweep_table
+
+    console = Console()
+    console.print(sweep_table(fly_all(config), config.part))
+    console.print(f"plot: {config.out / PLOT_FILE}", highlight=False)
+
+
+def compare(
+    a: tyro.conf.Positional[Path],
+    b: tyro.conf.Positional[Path],
+) -> None:
+    """Compare two runs of the same suite and seed, task by task (McNemar's test).
+
+    Args:
+        a: Folder or results.json of the first run.
+        b: Folder or results.json of the second run.
+    """
+    from cognitivedrone.benchmark.compare import compare as compare_runs
+    from cognitivedrone.benchmark.tables import comparison_table
+
+    Console().print(comparison_table(compare_runs(a, b)))
+
+
+def view(
+    suite: str = "open-v1:smoke",
+    episode: int = 0,
+    out: Path = Path("view.png"),
+    look: str = "plain",
+    labels: str = "open-v1",
+    seed: int = 0,
+) -> None:
+    """Draw what the drone sees at the start of a task, with a chase and a top view beside it.
+
+    Args:
+        suite: Name of the suite, or a task file.
+        episode: Which of its tasks, from 0.
+        out: Picture to write.
+        look: plain or varied.
+        labels: Label pack, or a folder of pictures.
+        seed: Draws start and look.
+    """
+    from cognitivedrone.benchmark.suites import open_suite
+    from cognitivedrone.envs.snapshot import snapshot
+
+    task = snapshot(open_suite(suite), episode, out, look=look, labels=labels, seed=seed)
+    print(f"{out}: {task.instruction}  (right: gate {task.target + 1}, {task.options[task.target]})")  # noqa: T201
+
+
+def list_names() -> None:
+    """List the suites, task families, policies and reasoners that come with the package."""
+    from cognitivedrone.benchmark.catalogue import catalogue
+
+    Console().print(catalogue())

@@ -1,0 +1,93 @@
+"""Commands that train: train, train-openvla."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cognitivedrone.errors import MissingExtra
+
+
+def train(
+    out: Path,
+    recipe: str = "small",
+    data: Path | None = None,
+    start: Path | None = None,
+    seed: int = 0,
+    resume: bool = False,
+    processes: int = 1,
+    threads: int = 1,
+) -> None:
+    """Train a small model, from flights made while it trains or from a data set, and write it as one ONNX file.
+
+    Needs the extra `train`. A training that was stopped goes on with --resume. Examples:
+
+      cognitivedrone train --recipe small --out runs/small --processes 2
+      cognitivedrone train --recipe small --out runs/recorded --processes 2 --data flights
+      cognitivedrone bench --policy small:runs/small/model.onnx
+      cognitivedrone train --recipe reader --start runs/small/checkpoint.safetensors --out runs/reasoner-eyes
+
+    Args:
+        out: Folder of the run: checkpoint, curves.png, TensorBoard logs and, at the end, model.onnx.
+        recipe: small, race, base or debug; reader or mind, the two parts of the small reasoner.
+        data: A data set made by `collect`, to learn from it instead of from flights made on the way.
+        start: For the reader: checkpoint of a policy, whose sight it starts from.
+        seed: Of everything random.
+        resume: Go on from the checkpoint in the folder.
+        processes: Processes that share each batch: the number of CPU cores, or of GPUs.
+        threads: CPU threads of each process's network.
+    """
+    try:
+        from cognitivedrone.training.launch import TrainOptions, run
+    except ModuleNotFoundError as error:
+        raise MissingExtra(str(error.name), "train") from None
+    model = run(TrainOptions(out, recipe, data, start, seed, resume, processes, threads))
+    hint = f"; fly it with --policy small:{model}" if model.name == "model.onnx" else ""
+    print(f"{model}{hint}")  # noqa: T201
+
+
+def train_openvla(
+    base: Path,
+    data: Path,
+    out: Path,
+    recipe: str = "paper",
+    seed: int = 0,
+    resume: bool = False,
+    micro_batch: int | None = None,
+    shard: bool = False,
+    key: str = "cognitivedrone",
+    merge: bool = False,
+) -> None:
+    """Fine-tune OpenVLA-7B on a data set by low-rank adapters, and merge them into a checkpoint that can be flown.
+
+    Needs the extras `openvla` and `train`, and peft. On several GPUs, start it by torchrun. Examples:
+
+      cognitivedrone train-openvla --base openvla-7b --data flights --out out/7b
+      torchrun --nproc-per-node 8 -m cognitivedrone.cli train-openvla --base openvla-7b --data flights --out out/7b
+      cognitivedrone bench --policy openvla:out/7b/merged
+
+    Args:
+        base: Folder of the checkpoint to start from: config.json, tokenizer.json, *.safetensors.
+        data: A data set made by `collect` or `data import`.
+        out: Folder of the run: checkpoint, metrics.jsonl, curves.png, TensorBoard logs and, at the end, merged/.
+        recipe: paper, race or debug.
+        seed: Of everything random.
+        resume: Go on from the checkpoint in the folder.
+        micro_batch: Samples at once on each GPU, 8 by default: fewer take less memory.
+        shard: Spread the weights over the GPUs instead of copying them to each.
+        key: Name of the action statistics in the checkpoint.
+        merge: Train no further, merge what the folder's checkpoint has.
+    """
+    from dataclasses import replace
+
+    from cognitivedrone.training.openvla_recipes import find_lora_recipe
+
+    chosen = find_lora_recipe(recipe)
+    if micro_batch is not None:
+        chosen = replace(chosen, micro_batch=micro_batch)
+    try:
+        from cognitivedrone.training import openvla_lora
+    except ModuleNotFoundError as error:
+        raise MissingExtra(str(error.name), "openvla,train") from None
+    config = openvla_lora.FineTuning(base, data, out, chosen, seed, resume, shard, key)
+    merged = openvla_lora.merge(config) if merge else openvla_lora.fine_tune(config)
+    print(f"{merged}; fly it with --policy openvla:{merged}")  # noqa: T201
