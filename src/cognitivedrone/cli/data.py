@@ -84,7 +84,7 @@ def export(folder: tyro.conf.Positional[Path], to: str, out: Path) -> None:
 
     Args:
         folder: The data set.
-        to: rlds, lerobot, lerobot-video, published, or your own as module:attribute.
+        to: rlds, lerobot, lerobot-video, published, mcap (ROS 2 bags), or your own as module:attribute.
         out: New folder to write.
     """
     from cognitivedrone.data.formats import export as export_set
@@ -101,7 +101,7 @@ def import_(source: tyro.conf.Positional[Path], form: Annotated[str, tyro.conf.a
 
     Args:
         source: The data set to read.
-        form: rlds, lerobot, published, or your own as module:attribute.
+        form: rlds, lerobot, published, mcap, or your own as module:attribute.
         out: New folder for the store.
     """
     from cognitivedrone.collect.importing import import_set

@@ -15,6 +15,7 @@ EXPORTS: dict[str, str] = {
     "lerobot": "cognitivedrone.data.lerobot:export",
     "lerobot-video": "cognitivedrone.data.lerobot:export_video",
     "published": "cognitivedrone.data.published:export",
+    "mcap": "cognitivedrone.data.mcap:export",
 }
 """Writers by format name: `(episodes, out) -> count`."""
 
@@ -22,6 +23,7 @@ IMPORTS: dict[str, str] = {
     "rlds": "cognitivedrone.data.rlds:read",
     "lerobot": "cognitivedrone.data.lerobot:read",
     "published": "cognitivedrone.data.published:read",
+    "mcap": "cognitivedrone.data.mcap:read",
 }
 """Readers by format name: `(path) -> iterator of (split, episode)`. `lerobot` reads images and video."""
 

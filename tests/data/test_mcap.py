@@ -1,0 +1,66 @@
+"""Bags are opened by a reader that is not ours, and hold what Foxglove and ROS expect."""
+
+import numpy as np
+import pytest
+from factory import make_episode
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from cognitivedrone.data.episode import decode_image
+from cognitivedrone.data.formats import export, import_
+from cognitivedrone.errors import DataError
+
+
+@pytest.fixture
+def bag(tmp_path):
+    episode = make_episode(7, 4, encoding="webp")
+    export([("train", episode)], "mcap", tmp_path / "set")
+    return episode, tmp_path / "set" / "episode_000007"
+
+
+def test_topics_types_and_stamps(bag):
+    _, folder = bag
+    assert sorted(path.name for path in folder.iterdir()) == ["episode_000007.mcap", "metadata.yaml"]
+    with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        kinds = {topic: (info.msgtype, info.msgcount) for topic, info in reader.topics.items()}
+        assert kinds["/camera/image/compressed"] == ("sensor_msgs/msg/CompressedImage", 4)
+        assert kinds["/pose"] == ("geometry_msgs/msg/PoseStamped", 4)
+        assert kinds["/command"] == ("geometry_msgs/msg/TwistStamped", 4)
+        assert kinds["/instruction"] == ("std_msgs/msg/String", 1)
+        stamps = {}
+        for connection, stamp, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            stamps.setdefault(connection.topic, []).append(stamp)
+            if hasattr(message, "header"):
+                assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
+        assert stamps["/pose"] == [1_000_000_000, 1_100_000_000, 1_200_000_000, 1_300_000_000]
+        assert stamps["/directive"] == [1_000_000_000]
+
+
+def test_frames_poses_and_words(bag):
+    episode, folder = bag
+    with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        told = {}
+        for connection, _, data in reader.messages():
+            told.setdefault(connection.topic, []).append(reader.deserialize(data, connection.msgtype))
+    assert told["/instruction"][0].data == episode.task.instruction
+    for frame, image in zip(told["/camera/image/compressed"], episode.images, strict=True):
+        assert frame.format == "png"  # ROS knows no WebP
+        np.testing.assert_array_equal(decode_image(bytes(frame.data)), decode_image(image))
+    pose = told["/pose"][2].pose
+    np.testing.assert_array_equal([pose.position.x, pose.position.y, pose.position.z], episode.position[2])
+    turned = pose.orientation
+    np.testing.assert_array_equal([turned.w, turned.x, turned.y, turned.z], episode.quaternion[2])
+    info = told["/camera/camera_info"][0]
+    assert (info.width, info.height) == (256, 256)
+    assert info.k[0] == info.k[4] > 50
+
+
+def test_a_bag_that_is_broken_is_told(bag):
+    _, folder = bag
+    file = folder / "episode_000007.mcap"
+    file.write_bytes(file.read_bytes()[:-2000])
+    with pytest.raises(DataError, match="episode_000007: not a whole bag"):
+        list(import_(folder.parent, "mcap"))
+    with pytest.raises(DataError, match="holds no folder episode_"):
+        list(import_(folder, "mcap"))
