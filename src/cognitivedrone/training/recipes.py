@@ -26,7 +26,7 @@ class TrainRecipe(Schedule):
     """Tasks of a trial."""
 
 
-SMALL = TrainRecipe(name="small", steps=18_000)
+SMALL = TrainRecipe(name="small", steps=10_500, decay_share=1 / 3)
 
 _SHORT = replace(SMALL, name="ablation-tokens", steps=2_000)
 _ABLATION = (
