@@ -72,6 +72,11 @@ def test_large_weights_are_stored_in_half_precision(exported):
     assert path.stat().st_size < 0.75 * full + 100_000
 
 
+def test_the_file_names_no_source_file(exported):
+    _, path, _ = exported
+    assert b".py" not in path.read_bytes()
+
+
 def test_the_policy_flies_it(exported):
     _, path, _ = exported
     policy = make_policy(f"small:{path}")

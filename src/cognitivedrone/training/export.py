@@ -104,6 +104,7 @@ def write_onnx(network: nn.Module, example: Mapping[str, Tensor], outputs: Seque
         )
     model = onnx.load(str(path))
     _halve(model)
+    _forget_the_making(model)
     onnx.save(model, str(path))
 
 
@@ -143,6 +144,16 @@ def _halve(model: Any) -> None:
         casts.append(onnx.helper.make_node("Cast", [f"{name}.half"], [name], to=onnx.TensorProto.FLOAT))
     for cast in reversed(casts):
         graph.node.insert(0, cast)
+
+
+def _forget_the_making(model: Any) -> None:
+    """Take out where in which source file each part was traced: nobody flies by it, and it tells folders' names."""
+    graph = model.graph
+    for part in (graph, *graph.node, *graph.input, *graph.output, *graph.value_info, *graph.initializer):
+        part.ClearField("metadata_props")
+        part.ClearField("doc_string")
+    # Shapes inside the graph are found again on loading.
+    graph.ClearField("value_info")
 
 
 def _commit() -> str:
