@@ -1,11 +1,12 @@
 """Frames and rotations. The only place where a frame is converted.
 
 World ENU, body FLU, heading frame = body turned level. MAVLink and aerospace code is NED/FRD. Quaternions are
-(w, x, y, z), body to world. All functions accept leading batch dimensions.
+(w, x, y, z), body to world. All functions but `ned_euler` accept leading batch dimensions.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -66,3 +67,20 @@ def enu_to_ned(vector: FloatArray) -> FloatArray:
 def flu_to_frd(vector: FloatArray) -> FloatArray:
     """Body vectors (..., 3) from forward-left-up to forward-right-down; its own inverse."""
     return np.stack([vector[..., 0], -vector[..., 1], -vector[..., 2]], axis=-1)
+
+
+def ned_quaternion(quaternion: FloatArray) -> FloatArray:
+    """(..., 4) w, x, y, z from body FRD to NED, of those from body FLU to ENU; its own inverse.
+
+    The half turn about the line between east and north, the attitude, and the half turn about forward, multiplied out.
+    """
+    w, x, y, z = (quaternion[..., i] for i in range(4))
+    return np.stack([w + z, x + y, x - y, w - z], axis=-1) * math.sqrt(0.5)
+
+
+def ned_euler(quaternion: FloatArray) -> tuple[float, float, float]:
+    """Roll, pitch and yaw in rad, aerospace signs, of one attitude (4,) from body FLU to ENU."""
+    w, x, y, z = (float(v) for v in ned_quaternion(quaternion))
+    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = math.asin(min(1.0, max(-1.0, 2 * (w * y - z * x))))
+    return roll, pitch, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

@@ -10,8 +10,6 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 pytest.importorskip("pymavlink")
 
@@ -19,8 +17,6 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 from cognitivedrone.errors import RunError
-from cognitivedrone.frames import enu_to_ned, flu_to_frd, rotation_matrix
-from cognitivedrone.links.ned import ned_euler, ned_quaternion
 from cognitivedrone.links.vehicle import SimulatedVehicle, VehicleConfig, serve
 from cognitivedrone.links.vehicle_modes import Mode
 from cognitivedrone.links.vehicle_parameters import TABLE
@@ -462,17 +458,3 @@ def test_ports_that_cannot_be_had(simulator: Simulator) -> None:
         VehicleConfig(system_id=255)
     with pytest.raises(RunError, match="2"):
         SimulatedVehicle(Simulator(2, render=False))
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1))
-def test_attitudes_are_those_of_the_frames(numbers: list[float]) -> None:
-    q = np.array(numbers) / np.linalg.norm(numbers)
-    expected = flu_to_frd(enu_to_ned(rotation_matrix(q).T).T)
-    assert rotation_matrix(ned_quaternion(q)) == pytest.approx(expected, abs=1e-9)
-    roll, pitch, yaw = ned_euler(q)
-    assert math.sin(pitch) == pytest.approx(-expected[2, 0], abs=1e-9)
-    if abs(expected[2, 0]) < 0.999:
-        assert math.cos(yaw) * math.cos(pitch) == pytest.approx(expected[0, 0], abs=1e-9)
-        assert math.sin(yaw) * math.cos(pitch) == pytest.approx(expected[1, 0], abs=1e-9)
-        assert math.cos(roll) * math.cos(pitch) == pytest.approx(expected[2, 2], abs=1e-9)

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cognitivedrone.frames import enu_to_ned, flu_to_frd
-from cognitivedrone.links.ned import ned_quaternion
+from cognitivedrone.frames import enu_to_ned, flu_to_frd, ned_quaternion
 from cognitivedrone.sim.airframe import GRAVITY, IRIS, Airframe, build_model
 from cognitivedrone.types import DroneState, FloatArray
 from cognitivedrone.world.engine import mujoco

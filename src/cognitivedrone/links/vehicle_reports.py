@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from cognitivedrone.errors import MissingExtra
-from cognitivedrone.frames import enu_to_ned, flu_to_frd
-from cognitivedrone.links.ned import ned_euler, ned_quaternion
+from cognitivedrone.frames import enu_to_ned, flu_to_frd, ned_euler, ned_quaternion
 from cognitivedrone.links.telemetry import SIMULATED
 from cognitivedrone.links.vehicle_modes import Mode
 from cognitivedrone.links.vehicle_targets import Home, PositionTarget, Target, VelocityTarget
