@@ -268,6 +268,17 @@ def test_processes_share_a_batch() -> None:
         subject.share(5)
 
 
+def test_a_policy_flies_along_where_flights_are_made_and_the_recipe_gives_it_some() -> None:
+    subject = policy_subject(RECIPE)
+    network = subject.network()
+    pilot = subject.learner(network)
+    assert pilot is not None
+    assert pilot.network is network  # so it flies with whatever weights the network is given
+    assert replace(subject, data=Path("recorded")).learner(network) is None
+    expert_alone = replace(RECIPE, stream=replace(RECIPE.stream, learner=0.0))
+    assert replace(subject, recipe=expert_alone).learner(network) is None
+
+
 def test_the_learning_rate_warms_up_stays_and_falls_to_nothing() -> None:
     recipe = RECIPES["small"]
     rates = [learning_rate(recipe, step) for step in range(recipe.steps + 1)]

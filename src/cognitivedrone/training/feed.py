@@ -66,14 +66,13 @@ def _generate(
     """Fill the queue, round by round, until there is nothing left to train."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     torch.set_num_threads(1)
-    schedule, batches_of = subject.schedule, subject.batches()
-    network = subject.network() if subject.flies_along else None
+    schedule, batches_of, network = subject.recipe, subject.batches(), subject.network()
+    learner = subject.learner(network)
     for round_ in range(first_round, -(-schedule.steps // schedule.round_steps)):
-        learner = None
-        if round_ >= 2 and network is not None:
+        flown = round_ >= 2 and learner is not None
+        if flown:
             _load(network, learner_path(out, round_ - 2))
-            learner = subject.learner(network)
-        batches = batches_of((seed, rank, round_), learner)
+        batches = batches_of((seed, rank, round_), learner if flown else None)
         for _ in range(min(schedule.round_steps, schedule.steps - round_ * schedule.round_steps)):
             out_queue.put(next(batches))
 

@@ -260,16 +260,6 @@ class MindSubject:
     recipe: MindRecipe
     vocabulary: Vocabulary
 
-    @property
-    def schedule(self) -> Schedule:
-        """The recipe is one."""
-        return self.recipe
-
-    @property
-    def flies_along(self) -> bool:
-        """It does not fly."""
-        return False
-
     def identity(self) -> dict[str, Any]:
         """Its recipe."""
         return {"recipe": json.loads(json.dumps(self.recipe.facts()))}
@@ -287,9 +277,9 @@ class MindSubject:
         assert isinstance(network, Mind)  # noqa: S101  (tells the type checker)
         return MindLesson(network)
 
-    def learner(self, network: nn.Module) -> Learner:
+    def learner(self, network: nn.Module) -> None:
         """A mind alone flies nothing."""
-        raise NotImplementedError
+        del network
 
     def share(self, processes: int) -> MindSubject:
         """Problems are shared."""

@@ -28,7 +28,7 @@ from cognitivedrone.training.recipes import TrainRecipe
 from cognitivedrone.training.recorded import Recorded
 from cognitivedrone.training.sampling import Batch, StreamRecipe
 from cognitivedrone.training.stream import Rehearsal
-from cognitivedrone.training.subject import Batches, Row, Schedule
+from cognitivedrone.training.subject import Batches, Row
 
 _VALIDATION = 10**6  # rank of the generator of validation frames: no training process has it
 _SENTENCES = 40_000  # training sentences whose words are the vocabulary
@@ -42,16 +42,6 @@ class PolicySubject:
     """Its network is as large as words and facets ask for."""
     vocabulary: Vocabulary
     data: Path | None = None
-
-    @property
-    def schedule(self) -> Schedule:
-        """The recipe is one."""
-        return self.recipe
-
-    @property
-    def flies_along(self) -> bool:
-        """Where flights are made, and the recipe gives it some."""
-        return self.data is None and self.recipe.stream.learner > 0
 
     def identity(self) -> dict[str, Any]:
         """Recipe, and the data set's hash."""
@@ -74,10 +64,9 @@ class PolicySubject:
         assert isinstance(network, SmallVLA)  # noqa: S101  (tells the type checker)
         return Lesson(network, self.recipe.losses)
 
-    def learner(self, network: nn.Module) -> NetworkPilot:
-        """As a pilot of many drones."""
-        assert isinstance(network, SmallVLA)  # noqa: S101
-        return NetworkPilot(network, self.vocabulary)
+    def learner(self, network: nn.Module) -> NetworkPilot | None:
+        """A pilot of many drones, where flights are made and the recipe gives it some."""
+        return self._pilot(network) if self.data is None and self.recipe.stream.learner > 0 else None
 
     def share(self, processes: int) -> PolicySubject:
         """Frames, sentences and cards are shared."""
@@ -113,12 +102,16 @@ class PolicySubject:
         racing = self.recipe.stream.suite == "race"
         count = max(1, self.recipe.fly_tasks // 5) if racing else self.recipe.fly_tasks
         suite = load_suite("open-v1:race" if racing else "open-v1:train", size=count, seed=10**6)
-        results = fly_suite(self.learner(network), suite, CourseConfig(time_limit_s=15.0))
+        results = fly_suite(self._pilot(network), suite, CourseConfig(time_limit_s=15.0))
         row: Row = {"success": sum(r.outcome == "passed" for r in results) / len(results)}
         for family in sorted({result.family for result in results}):
             own = [result.outcome == "passed" for result in results if result.family == family]
             row[f"success {family}"] = sum(own) / len(own)
         return row
+
+    def _pilot(self, network: nn.Module) -> NetworkPilot:
+        assert isinstance(network, SmallVLA)  # noqa: S101
+        return NetworkPilot(network, self.vocabulary)
 
 
 def policy_subject(recipe: TrainRecipe, data: Path | None = None) -> PolicySubject:

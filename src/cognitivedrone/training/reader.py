@@ -51,16 +51,6 @@ class ReaderSubject:
     start: Path | None = None
     """Checkpoint of a policy whose sight it starts from."""
 
-    @property
-    def schedule(self) -> Schedule:
-        """The recipe is one."""
-        return self.recipe
-
-    @property
-    def flies_along(self) -> bool:
-        """It does not fly."""
-        return False
-
     def identity(self) -> dict[str, Any]:
         """Recipe and start."""
         told: dict[str, Any] = {"recipe": json.loads(json.dumps(self.recipe.facts()))}
@@ -92,9 +82,9 @@ class ReaderSubject:
         assert isinstance(network, Reader)  # noqa: S101  (tells the type checker)
         return ReaderLesson(network)
 
-    def learner(self, network: nn.Module) -> Learner:
+    def learner(self, network: nn.Module) -> None:
         """A reader flies nothing."""
-        raise NotImplementedError
+        del network
 
     def share(self, processes: int) -> ReaderSubject:
         """Cards are shared."""

@@ -73,13 +73,8 @@ class Subject(Protocol):
     """Something to train. Generating processes get a copy, so it is small and can be pickled between them."""
 
     @property
-    def schedule(self) -> Schedule:
-        """How long and how fast."""
-        ...
-
-    @property
-    def flies_along(self) -> bool:
-        """Whether batches need the network as it was a while ago."""
+    def recipe(self) -> Schedule:
+        """How long and how fast, and whatever else decides what comes out."""
         ...
 
     def identity(self) -> dict[str, Any]:
@@ -98,8 +93,8 @@ class Subject(Protocol):
         """The network with its teacher: a `Lesson`."""
         ...
 
-    def learner(self, network: nn.Module) -> Learner:
-        """The network as what flies along."""
+    def learner(self, network: nn.Module) -> Learner | None:
+        """The network, with whatever weights it is given later, as what flies along; `None` where nothing does."""
         ...
 
     def share(self, processes: int) -> Self:

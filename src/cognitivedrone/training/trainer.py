@@ -60,7 +60,7 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
     torch.set_num_threads(config.threads)
     accelerator = Accelerator(mixed_precision="bf16", cpu=not torch.cuda.is_available())
     subject, out = config.subject, config.out
-    schedule = subject.schedule
+    schedule = subject.recipe
     torch.manual_seed(config.seed)
     network = subject.network()
     optimizer = torch.optim.AdamW(
@@ -164,7 +164,7 @@ class _Keeper:
 
     def __init__(self, config: TrainConfig, accelerator: Accelerator, report: Callable[[str], None]) -> None:
         self._config, self._accelerator, self._report = config, accelerator, report
-        self._subject, self._schedule = config.subject, config.subject.schedule
+        self._subject, self._schedule = config.subject, config.subject.recipe
         self._facts = _identity(config) | config.subject.facts()
         self._sums: dict[str, float] = defaultdict(float)
         self._count = 0
