@@ -20,7 +20,8 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from cognitivedrone.data.episode import Conditions, Encoding, Episode, decode_image, encode_image
-from cognitivedrone.data.store import Store, StoreWriter
+from cognitivedrone.data.store import Store
+from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.tasks import train_task
 
 BATCH = 64

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cognitivedrone.data.episode import Episode
-from cognitivedrone.data.store import StoreWriter
+from cognitivedrone.data.store_writer import StoreWriter
 
 RECIPE = {"name": "test", "kick_rate": 0.1, "speed_m_s": (1.0, 2.5)}
 PER_SHARD = 8

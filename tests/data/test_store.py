@@ -20,7 +20,8 @@ from factory import assert_same_episode, make_episode
 from made_stores import RECIPE, write_store, writer_at
 
 from cognitivedrone.data.episode import Encoding, Episode, decode_image, encode_image
-from cognitivedrone.data.store import Store, StoreWriter
+from cognitivedrone.data.store import Store
+from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.data.verify import verify
 from cognitivedrone.errors import DataError
 from cognitivedrone.tasks.format import read_tasks

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from cognitivedrone import plugins
 from cognitivedrone.collect.executors import EXECUTORS, Executor, Job, import_ray, open_suite
 from cognitivedrone.collect.recipe import find_recipe
-from cognitivedrone.data.store import EPISODES_PER_SHARD, StoreWriter
+from cognitivedrone.data.store_writer import EPISODES_PER_SHARD, StoreWriter
 from cognitivedrone.errors import DataError, did_you_mean
 
 

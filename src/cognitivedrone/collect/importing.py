@@ -8,7 +8,7 @@ from itertools import count, islice
 from pathlib import Path
 
 from cognitivedrone.data.formats import import_
-from cognitivedrone.data.store import EPISODES_PER_SHARD, StoreWriter
+from cognitivedrone.data.store_writer import EPISODES_PER_SHARD, StoreWriter
 from cognitivedrone.errors import DataError
 
 
