@@ -30,7 +30,8 @@ class FlyConfig:
     reasoner: str = "small"
     """Name of a reasoner, none to fly by the instruction as it is, or your own as module:attribute."""
     camera: str = ""
-    """With mavlink: /dev/videoN, an rtsp:// or http:// URL, a video file or a folder of images."""
+    """With mavlink: /dev/videoN, an rtsp:// or http:// URL, a video file, a folder of images, or gazebo:TOPIC of a
+    running Gazebo, such as gazebo:/cognitivedrone/camera."""
     suite: str = "open-v1:smoke"
     """With sim and sitl: the suite, or task file, that the scene is from."""
     episode: int = 0
@@ -41,6 +42,8 @@ class FlyConfig:
     """Seconds of flight, then it lands."""
     out: Path | None = None
     """New folder for log and film; flights/DATE-TIME by default."""
+    record: Literal["mcap"] | None = None
+    """mcap: write a ROS 2 bag beside log and film, for Foxglove and ros2 bag; needs the extra ros."""
     view: bool = True
     """Draw the live view, where there is a terminal; a line for each event otherwise."""
     takeoff_height: float = 1.0
@@ -87,7 +90,7 @@ class FlyConfig:
             raise LinkError('say what to do, such as: cognitivedrone fly --link ... "Fly through the red gate"')
         if self.is_mavlink and not self.camera:
             raise LinkError(
-                "a vehicle needs --camera: /dev/videoN, an rtsp:// or http:// URL, a video file or a folder"
+                "a vehicle needs --camera: /dev/videoN, an rtsp:// or http:// URL, a video file, a folder, gazebo:TOPIC"
             )
         if self.camera and not self.is_mavlink:
             raise LinkError(f"--link {self.link} has its own camera; leave --camera out")

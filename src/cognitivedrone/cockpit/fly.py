@@ -22,6 +22,7 @@ from cognitivedrone.cockpit.opening import open_craft
 from cognitivedrone.cockpit.orders import Keyboard, Orders, landing_on_interrupt
 from cognitivedrone.cockpit.values import Ending, Instrument, Step, Summary
 from cognitivedrone.cockpit.view import Instruments, Printer
+from cognitivedrone.data.bags import Ros
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.flight.loop import Leg, fly
 from cognitivedrone.flight.mind import ThreadMind
@@ -48,12 +49,13 @@ def fly_mission(config: FlyConfig, *, console: Console | None = None, keyboard: 
     with ExitStack() as stack:
         policy = _ready(stack, make_policy(config.policy))
         reasoner = _ready(stack, make_reasoner(config.reasoner))
+        ros = Ros() if config.record == "mcap" else None
         check_free(out)
         log, summary, error = None, None, ""
         try:
             craft = open_craft(config, out / TLOG_FILE, lambda: bool(config.instruction or orders.given[0]))
             with closing(craft):
-                log = FlightLog(out, _about(config))
+                log = FlightLog(out, _about(config), ros)
                 summary = _fly(config, craft, policy, reasoner, log, orders, console, keyboard)
         except BaseException as stop:
             error = str(stop) or type(stop).__name__

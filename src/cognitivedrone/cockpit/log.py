@@ -6,6 +6,7 @@
 | `events.parquet` | legs, answers of the reasoner, missed deadlines, decisions of the guard (`EVENT_COLUMNS`) |
 | `flight.mp4` | the frames at the times when they were flown by; readable also where it was cut short |
 | `flight.tlog` | of a MAVLink vehicle: everything received and sent, for ground stations |
+| `bag/` | where it is asked for: a ROS 2 bag (`cockpit/bag.py`) |
 | `flight.json` | how it was flown and how it ended |
 """
 
@@ -25,12 +26,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from cognitivedrone.cockpit.bag import BagLog
 from cognitivedrone.cockpit.values import Step, Summary
+from cognitivedrone.data.bags import Ros
 from cognitivedrone.errors import RunError
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Event, Image
 
-STEPS_FILE, EVENTS_FILE, FILM_FILE, TLOG_FILE, ABOUT_FILE = (
-    "steps.parquet", "events.parquet", "flight.mp4", "flight.tlog", "flight.json"
+STEPS_FILE, EVENTS_FILE, FILM_FILE, TLOG_FILE, BAG_FOLDER, ABOUT_FILE = (
+    "steps.parquet", "events.parquet", "flight.mp4", "flight.tlog", "bag", "flight.json"
 )  # fmt: skip
 _NUMBERS = (
     "time_s", "x_m", "y_m", "z_m", "yaw_rad", "vx_m_s", "vy_m_s", "vz_m_s", "height_m", "yaw_rate_rad_s",
@@ -56,11 +59,11 @@ _QUEUED = 5 * CONTROL_HZ
 class FlightLog:
     """Writes to a new folder; call `close` in any case, since the tables are written then.
 
-    The film is encoded by a thread of its own: a slow disk drops frames (`dropped`), it never delays a command. Raises
-    `RunError` where the folder cannot be written or holds a flight already.
+    The film is encoded by a thread of its own: a slow disk drops frames (`dropped`), it never delays a command. With
+    `ros`, a bag is written as well. Raises `RunError` where the folder cannot be written or holds a flight already.
     """
 
-    def __init__(self, out: Path, about: Mapping[str, Any]) -> None:
+    def __init__(self, out: Path, about: Mapping[str, Any], ros: Ros | None = None) -> None:
         self.out = out
         self.dropped = 0
         """Frames that are not in the film because the disk was too slow, or full."""
@@ -70,23 +73,32 @@ class FlightLog:
         check_free(out)
         _make(out)
         (out / ABOUT_FILE).write_text(json.dumps(self._about, indent=2, default=str) + "\n")
+        self._bag = None if ros is None else BagLog(out / BAG_FOLDER, ros, self._about)
         self._film = _Film(out / FILM_FILE)
 
     def step(self, step: Step) -> None:
         """Keep a control step."""
         self._steps.append(_row(step))
         self.dropped += not self._film.add(step.time, step.observation.image)
+        if self._bag is not None:
+            self._bag.step(step)
 
     def event(self, event: Event) -> None:
         """Keep an event."""
         self._events.append({"time_s": event.time, "kind": event.kind, "text": event.text, "age_s": event.age_s})
+        if self._bag is not None:
+            self._bag.event(event)
 
     def close(self, summary: Summary | None = None, error: str = "") -> None:
         """Write everything, and how the flight ended where that is known."""
         self._film.close()
+        if self._bag is not None:
+            self._bag.close()
         pq.write_table(pa.Table.from_pylist(self._steps, STEP_COLUMNS), self.out / STEPS_FILE)
         pq.write_table(pa.Table.from_pylist(self._events, EVENT_COLUMNS), self.out / EVENTS_FILE)
         ended: dict[str, Any] = {"steps": len(self._steps), "frames_dropped": self.dropped, "error": error or None}
+        if self._bag is not None:
+            ended["dropped_from_bag"] = self._bag.dropped
         if summary is not None:
             ended |= {
                 "ending": summary.ending.kind,

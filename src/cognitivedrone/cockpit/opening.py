@@ -9,15 +9,19 @@ from pathlib import Path
 from cognitivedrone.cockpit.config import FlyConfig, check_episode, task_suite
 from cognitivedrone.cockpit.craft import Craft, Eyes, MavlinkCraft, SimulatedCraft
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
-from cognitivedrone.errors import LinkError
+from cognitivedrone.errors import CameraError, LinkError
 from cognitivedrone.flight.fence import Fence
 from cognitivedrone.flight.safety import Guard, Patience, SafetyConfig
 from cognitivedrone.labels import load_pack
-from cognitivedrone.links.camera import open_camera
+from cognitivedrone.links.camera import Camera, open_camera
+from cognitivedrone.links.gazebo.bindings import load_bindings
+from cognitivedrone.links.gazebo.sight import GazeboCamera
+from cognitivedrone.links.gazebo.vehicle import CAMERA_TOPIC
 from cognitivedrone.links.mavlink import MavlinkConfig, MavlinkDrone
 from cognitivedrone.sim.simulator import Simulator
 
 FLAG = "--i-understand-this-flies-a-real-drone"
+GAZEBO = "gazebo:"
 
 
 def open_course(suite_name: str, episode: int, seed: int, *, render: bool = True) -> Course:
@@ -45,13 +49,26 @@ def open_craft(config: FlyConfig, tlog: Path, own_words: Callable[[], bool]) -> 
     consent = config.i_understand_this_flies_a_real_drone
     if not (consent or config.on_loopback):
         raise LinkError(f"{config.link} may be a real drone: read docs/real-drone.md, then add {FLAG}")
-    eyes = Eyes(open_camera(config.camera))
+    eyes = Eyes(open_eye(config.camera))
     drone = MavlinkDrone(config.url, eyes, Guard(safety(config)), vehicle_config(config, tlog))
     simulated = config.on_loopback and drone.simulated
     if not simulated and (not consent or config.clock == "vehicle"):
         drone.close()
         raise LinkError(_refusal(config, consent=consent))
     return MavlinkCraft(drone, eyes, simulated=simulated)
+
+
+def open_eye(source: str) -> Camera:
+    """The camera that --camera names, gazebo:TOPIC or a source of `links/camera.py`.
+
+    Raises `CameraError`, or `GazeboError` without gz-transport's bindings.
+    """
+    if not source.startswith(GAZEBO):
+        return open_camera(source)
+    topic = source.removeprefix(GAZEBO)
+    if not topic:
+        raise CameraError(f"--camera {source} lacks its topic: write {GAZEBO}{CAMERA_TOPIC}, or see `gz topic -l`")
+    return GazeboCamera(load_bindings(), topic)
 
 
 def _refusal(config: FlyConfig, *, consent: bool) -> str:
