@@ -135,14 +135,14 @@ class MavlinkDrone:
     def checklist(self) -> Checklist:
         """Read what safety leans on, set what may be set, and list it all."""
         values = self._link.parameters([expected.name for expected in EXPECTED])
-        unfit = tuple(e for e in misfits(values) if e.needed) if self.config.set_parameters else ()
-        for expected in unfit:
-            self._link.set_parameter(expected.name, expected.wanted)
-            values[expected.name] = expected.wanted
+        consent = self.config.set_parameters
+        changed = {expected.name: expected.wanted for expected in misfits(values) if expected.needed and consent}
+        for name, wanted in changed.items():
+            self._link.set_parameter(name, wanted)
         return build_checklist(
             version=self.version,
-            values=values,
-            changed={expected.name for expected in unfit},
+            values=values | changed,
+            changed=changed,
             telemetry=self.telemetry,
             ground_stations=sorted(self._link.ground_stations),
             frame_age_s=self.camera.read().age_s,
@@ -175,10 +175,9 @@ class MavlinkDrone:
         self._climb()
         with self._lock:
             self._check_ours()
-            now = self._clock()
             self._sticks = self.telemetry.sticks
-            self._start = self._command_at = now
-            self._frame_at = now - self.camera.read().age_s
+            self._start = self._command_at = self._clock()
+            self._frame_at = self._start - self.camera.read().age_s
             self._phase = "flying"
 
     # In flight: `Drone` and `Clock`.
@@ -241,10 +240,9 @@ class MavlinkDrone:
             self._guard.land("the flight is over")
             self._phase = "flying"  # also from within the climb: the watch orders it, and says it again
         if not self._link.until(lambda: self._phase == "released", self.config.landing_timeout_s):
-            state = self.telemetry
             raise LinkError(
                 f"not landed {self.config.landing_timeout_s:g} s after {mode} was ordered: the vehicle is in"
-                f" {state.mode}{last_words(state, monotonic() - 5)}; take over by hand"
+                f" {self.telemetry.mode}{last_words(self.telemetry, monotonic() - 5)}; take over by hand"
             )
 
     def close(self) -> None:
