@@ -17,15 +17,16 @@ import tyro
 
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import PacedDrone, SimulatedDrone
+from cognitivedrone.flight.latency import TimedPolicy
 from cognitivedrone.flight.loop import Leg, fly
 from cognitivedrone.flight.mind import SimulatedMind, ThreadMind
-from cognitivedrone.interfaces import Privileged
+from cognitivedrone.interfaces import Privileged, Reasoner
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.types import Action, Event, Guidance, Observation, Truth
+from cognitivedrone.types import Action, Event, Guidance, Image, Observation, Truth
 
 
 @dataclass
@@ -48,38 +49,31 @@ class Log:
         self.answers += event.kind in ("adopted", "agreed", "kept")
 
 
-class Timed:
-    """A part that measures how long it thinks."""
+class TimedReasoner:
+    """A reasoner whose answers are measured."""
 
-    def __init__(self, part: object, method: str) -> None:
-        self.part, self.took_s = part, list[float]()
-        setattr(self, method, self._measured(getattr(part, method)))
-        self.reset = getattr(part, "reset", None)
-        if isinstance(part, Privileged):
-            self.brief = self._brief
+    def __init__(self, reasoner: Reasoner) -> None:
+        self.reasoner, self.took_s = reasoner, list[float]()
 
-    def _measured(self, call):
-        def measured(*arguments):
-            begin = time.perf_counter()
-            try:
-                return call(*arguments)
-            finally:
-                self.took_s.append(time.perf_counter() - begin)
+    def brief(self, truth: Truth) -> None:
+        if isinstance(self.reasoner, Privileged):
+            self.reasoner.brief(truth)
 
-        return measured
-
-    def _brief(self, truth: Truth) -> None:
-        if isinstance(self.part, Privileged):
-            self.part.brief(truth)
+    def refine(self, image: Image, instruction: str) -> Guidance:
+        begin = time.perf_counter()
+        try:
+            return self.reasoner.refine(image, instruction)
+        finally:
+            self.took_s.append(time.perf_counter() - begin)
 
 
 def real_time(policy_name: str, reasoner_name: str, seconds: float) -> None:
     suite = load_suite("open-v1:test")
     simulator = Simulator(1)
     course = Course(simulator, 0, load_pack("open-v1"), CourseConfig())
-    policy = Timed(make_policy(policy_name), "act")
+    policy = TimedPolicy(make_policy(policy_name))
     made = make_reasoner(reasoner_name)
-    reasoner = Timed(made, "refine") if made is not None else None
+    reasoner = TimedReasoner(made) if made is not None else None
     log, end, episode = Log(), time.perf_counter() + seconds, 0
     while time.perf_counter() < end:
         course.begin(suite.tracks[episode], episode_rng(suite.digest, episode, 0))

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from cognitivedrone.errors import PolicyError
-from cognitivedrone.flight.latency import parse_delays
+from cognitivedrone.flight import latency
+from cognitivedrone.flight.latency import TimedPolicy, parse_delays
 
 
 def charges(delay, seed=0, needed=0.123, n=200):
@@ -72,3 +73,50 @@ def test_a_file_that_cannot_be_read_is_said_with_its_line(tmp_path, content, sai
     file.write_text(content)
     with pytest.raises(PolicyError, match=said):
         parse_delays(f"policy={file}")
+
+
+class Slow:
+    """A policy that is told things and takes a quarter of a second a decision, by a clock of its own."""
+
+    def __init__(self):
+        self.told, self.clock = [], 0.0
+
+    def perf_counter(self):
+        return self.clock
+
+    def reset(self, instruction):
+        self.told.append(instruction)
+
+    def brief(self, truth):
+        self.told.append(truth)
+
+    def act(self, observation):
+        self.clock += 0.25
+        return observation
+
+
+class Blind:
+    """A policy that takes no truth."""
+
+    def reset(self, instruction):
+        pass
+
+    def act(self, observation):
+        return observation
+
+
+def test_a_measured_policy_is_told_all_and_decides_as_ever(monkeypatch):
+    slow = Slow()
+    monkeypatch.setattr(latency, "time", slow)
+    timed = TimedPolicy(slow)
+    timed.reset("go")
+    timed.brief("truth")
+    assert slow.told == ["go", "truth"]
+    assert [timed.act(chunk) for chunk in ("a", "b")] == ["a", "b"]
+    assert timed.took_s == [0.25, 0.25]
+
+
+def test_a_truth_that_a_policy_does_not_take_is_kept_from_it():
+    timed = TimedPolicy(Blind())
+    timed.brief("truth")
+    assert timed.act("chunk") == "chunk"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from cognitivedrone.benchmark.flight_log import FlightLog
@@ -11,10 +9,10 @@ from cognitivedrone.benchmark.run_types import Flown, RunConfig
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import SimulatedDrone
 from cognitivedrone.errors import NonFiniteAction, PolicyError, did_you_mean
-from cognitivedrone.flight.latency import parse_delays
+from cognitivedrone.flight.latency import TimedPolicy, parse_delays
 from cognitivedrone.flight.loop import Leg, fly
 from cognitivedrone.flight.mind import SimulatedMind
-from cognitivedrone.interfaces import Checked, LabelPack, Policy, Privileged, Seeded
+from cognitivedrone.interfaces import Checked, LabelPack, Seeded
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
@@ -22,7 +20,7 @@ from cognitivedrone.sim.airframe import AIRFRAMES
 from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite
-from cognitivedrone.types import ActionChunk, EpisodeResult, Observation, Truth
+from cognitivedrone.types import EpisodeResult
 
 
 def preflight(config: RunConfig, suite: Suite) -> None:
@@ -84,7 +82,7 @@ class EpisodeFlyer:
         thinking = np.random.default_rng(int(rng.integers(2**31)))
         mind = SimulatedMind(self.reasoner, self.delays.reasoner.charge(thinking)) if self.reasoner else None
         log = FlightLog(self.simulator, self.course, keep_frames=film)
-        timed = _Timed(self.policy)
+        timed = TimedPolicy(self.policy)
         charge = self.delays.policy.charge(thinking)
         message = ""
         try:
@@ -95,7 +93,7 @@ class EpisodeFlyer:
         if any(result.outcome == "invalid" for result in self.course.results):
             message = "the physics diverged"
         result = EpisodeResult(episode, self.config.seed, log.results(), len(log.path), message)
-        return Flown(result, log.trace(timed.mean_s), log.frames if film else None)
+        return Flown(result, log.trace(sum(timed.took_s) / max(len(timed.took_s), 1)), log.frames if film else None)
 
     def close(self) -> None:
         """Free the renderer, and whatever policy and reasoner hold open."""
@@ -107,30 +105,3 @@ class EpisodeFlyer:
         if self.course.finished:
             return None
         return Leg(self.course.index, self.course.task.instruction, self.course.truth())
-
-
-class _Timed:
-    """A policy that measures how long its decisions take."""
-
-    def __init__(self, policy: Policy) -> None:
-        self.policy = policy
-        self.total_s = 0.0
-        self.decisions = 0
-
-    @property
-    def mean_s(self) -> float:
-        return self.total_s / max(self.decisions, 1)
-
-    def reset(self, instruction: str) -> None:
-        self.policy.reset(instruction)
-
-    def brief(self, truth: Truth) -> None:
-        if isinstance(self.policy, Privileged):
-            self.policy.brief(truth)
-
-    def act(self, observation: Observation) -> ActionChunk:
-        begin = time.perf_counter()
-        chunk = self.policy.act(observation)
-        self.total_s += time.perf_counter() - begin
-        self.decisions += 1
-        return chunk

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import statistics
 import sys
-import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from datetime import datetime
@@ -24,13 +23,14 @@ from cognitivedrone.cockpit.values import Ending, Instrument, Step, Summary
 from cognitivedrone.cockpit.view import Instruments, Printer
 from cognitivedrone.data.bags import Ros
 from cognitivedrone.errors import PolicyError
+from cognitivedrone.flight.latency import TimedPolicy
 from cognitivedrone.flight.loop import Leg, fly
 from cognitivedrone.flight.mind import ThreadMind
 from cognitivedrone.interfaces import Checked, Policy, Privileged, Reasoner
 from cognitivedrone.links.preflight import Checklist
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
-from cognitivedrone.types import Action, ActionChunk, Event, Guidance, Observation, Truth
+from cognitivedrone.types import Action, Event, Guidance, Observation
 
 CONFIRMATION = "arm"
 REDRAWN_HZ = 5
@@ -82,7 +82,7 @@ def _fly(
         console.print("connected; waiting until the vehicle is ready, ctrl-C stops", highlight=False)
     drone = craft.take_off(lambda checklist: _confirm(checklist, craft, console, keyboard))
     mission = _Mission(config, craft, orders, drone.now)
-    timed = _Timed(policy)
+    timed = TimedPolicy(policy)
     with ExitStack() as stack:
         stack.enter_context(landing_on_interrupt(orders))
         keys = stack.enter_context(Keyboard(keyboard, orders.say))
@@ -102,7 +102,7 @@ def _fly(
             if mind is not None:
                 mind.close()
     return Summary(
-        ending, steps, seconds, recorder.late, _spread_ms(timed.thought_s), _spread_ms(recorder.answers_s), log.out
+        ending, steps, seconds, recorder.late, _spread_ms(timed.took_s), _spread_ms(recorder.answers_s), log.out
     )
 
 
@@ -128,32 +128,10 @@ class _Mission:
         return self.leg
 
 
-class _Timed:
-    """A policy whose thinking is measured."""
-
-    def __init__(self, policy: Policy) -> None:
-        self.policy = policy
-        self.thought_s: list[float] = []
-        """Of each decision, s."""
-
-    def reset(self, instruction: str) -> None:
-        self.policy.reset(instruction)
-
-    def brief(self, truth: Truth) -> None:
-        if isinstance(self.policy, Privileged):
-            self.policy.brief(truth)
-
-    def act(self, observation: Observation) -> ActionChunk:
-        begin = time.perf_counter()
-        chunk = self.policy.act(observation)
-        self.thought_s.append(time.perf_counter() - begin)
-        return chunk
-
-
 class _Recorder:
     """Puts what the loop tells together with how the craft is, and gives it to the instruments."""
 
-    def __init__(self, instruments: Sequence[Instrument], mission: _Mission, craft: Craft, timed: _Timed) -> None:
+    def __init__(self, instruments: Sequence[Instrument], mission: _Mission, craft: Craft, timed: TimedPolicy) -> None:
         self.late = 0
         self.answers_s: list[float] = []
         self._instruments, self._mission, self._craft, self._timed = instruments, mission, craft, timed
@@ -167,8 +145,8 @@ class _Recorder:
         if status.decision != self._decision:
             self._decision = status.decision
             self.note(Event(observation.time, "guard", f"{status.decision}: {status.reason}".rstrip(": ")))
-        thought = self._timed.thought_s[-1] if len(self._timed.thought_s) > self._decisions else None
-        self._decisions = len(self._timed.thought_s)
+        thought = self._timed.took_s[-1] if len(self._timed.took_s) > self._decisions else None
+        self._decisions = len(self._timed.took_s)
         step = Step(observation.time, leg.index, leg.instruction, observation, action, guidance, thought, status)
         for instrument in self._instruments:
             instrument.step(step)

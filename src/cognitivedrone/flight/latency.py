@@ -1,4 +1,4 @@
-"""How long the parts of a pilot think, charged to the clock of a simulated flight.
+"""How long the parts of a pilot think: measured, and charged to the clock of a simulated flight.
 
 A simulated clock stands still while a policy or reasoner is computed. To fly as on a real drone the time that they take
 is charged to it: as measured on this machine, as a fixed number, or drawn from samples taken on another machine.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from cognitivedrone.errors import PolicyError
+from cognitivedrone.interfaces import Policy, Privileged
+from cognitivedrone.types import ActionChunk, Observation, Truth
 
 LONGEST_S = 60.0
 """No part may be told to think longer than this."""
@@ -25,6 +28,31 @@ _HOW = "give none, measured, or parts as policy=80ms,reasoner=450ms; a part may 
 
 Charge = Callable[[float], float]
 """From the seconds that were really needed to the seconds that are charged."""
+
+
+class TimedPolicy:
+    """A policy whose decisions are measured; told whatever the policy in it is told."""
+
+    def __init__(self, policy: Policy) -> None:
+        self.policy = policy
+        self.took_s: list[float] = []
+        """Of each decision, s on this machine's clock."""
+
+    def reset(self, instruction: str) -> None:
+        """Begin anew."""
+        self.policy.reset(instruction)
+
+    def brief(self, truth: Truth) -> None:
+        """Tell the truth to a policy that takes it."""
+        if isinstance(self.policy, Privileged):
+            self.policy.brief(truth)
+
+    def act(self, observation: Observation) -> ActionChunk:
+        """Decide, and measure it."""
+        begin = time.perf_counter()
+        chunk = self.policy.act(observation)
+        self.took_s.append(time.perf_counter() - begin)
+        return chunk
 
 
 @dataclass(frozen=True, slots=True)
