@@ -90,3 +90,23 @@ def check_world(files: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     from cognitivedrone.links.gazebo.check import check as check_files
 
     print(f"{len(files)} passed {check_files(files)}")  # noqa: T201
+
+
+@gazebo.command(name="import")
+def import_models(source: tyro.conf.Positional[Path], out: Path) -> None:
+    """Take tasks and panels of the published Gazebo classic collector into a task file and a folder of labels.
+
+    For example:
+
+      cognitivedrone gazebo import docker_CognitiveDrone_DataCollector/model_for_data_collection --out published
+
+    Args:
+        source: Its folder of models: of every type a task file beside a folder of panels.
+        out: New folder to write.
+    """
+    from cognitivedrone.links.gazebo.classic import import_collector
+
+    done = import_collector(source, out)
+    for kind, (tasks, pictures) in done.counts.items():
+        print(f"{kind}: {tasks} tasks, {pictures} labels")  # noqa: T201
+    print(f"fly them: cognitivedrone bench --tasks {done.tasks} --labels {done.labels}")  # noqa: T201
