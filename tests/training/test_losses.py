@@ -72,7 +72,7 @@ def test_the_loss_is_finite_and_teaches_every_parameter(batch: Batch, head: Head
     taught = lesson(head, chunk)
     total, measures = as_in_training(taught, tensors(batch, chunk))
     weights = LossWeights()
-    assert set(measures) == {*PARTS, "choice accuracy"}
+    assert set(measures) == {*PARTS, "choice accuracy", "text accuracy"}
     assert all(torch.isfinite(value) and not value.requires_grad for value in measures.values())
     parts = sum(getattr(weights, part) * float(measures[part]) for part in PARTS)
     assert float(total.detach()) == pytest.approx(parts, rel=1e-5)

@@ -125,6 +125,7 @@ def test_a_batch_has_its_layout(vocabulary: Vocabulary) -> None:
         "text_gates": (np.int64, (t, 3, 3)),
         "text_board": (np.int64, (t, 3)),
         "text_asked": (np.int64, (t,)),
+        "text_named": (np.int64, (t,)),
         "card_image": (np.uint8, (RECIPE.cards, NETWORK.glimpse, NETWORK.glimpse, 3)),
         "card_facets": (np.int64, (RECIPE.cards, len(PANEL_GROUPS) + len(BOARD_GROUPS))),
     }
@@ -219,7 +220,7 @@ def test_the_gate_asked_for_is_the_right_answer(made: list[Batch], notebook: Not
 
 
 def test_sentences_without_a_frame_are_training_tasks(made: list[Batch], vocabulary: Vocabulary) -> None:
-    sums = 0
+    sums = named = 0
     for batch in made:
         for row, text in enumerate(read(tokens, vocabulary) for tokens in batch["text_tokens"]):
             assert text
@@ -233,7 +234,14 @@ def test_sentences_without_a_frame_are_training_tasks(made: list[Batch], vocabul
             look = directive(text)
             if look is not None:
                 assert look <= {facet(index) for index in batch["text_gates"][row, asked]}
+                assert batch["text_named"][row] == -1
+            if batch["text_named"][row] >= 0:
+                assert batch["text_named"][row] == batch["text_panels"][row, asked, 0]
+                named += 1
+            else:
+                assert board[0] is None or look is not None
     assert sums > 10
+    assert named > sums
 
 
 def test_facets_stand_in_the_columns_of_their_groups(made: list[Batch]) -> None:

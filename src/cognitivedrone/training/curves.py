@@ -129,6 +129,8 @@ def draw_curves(rows: Sequence[Row], path: Path) -> None:
             _line(axis, rows, name, "overall", width=2.5)
             for dimension in DIMENSIONS:
                 _line(axis, rows, f"{name} {dimension}", dimension)
+        if name == "choice accuracy":
+            _line(axis, rows, "text accuracy", "told instead of seen")
         if baseline:
             _line(axis, rows, baseline, "majority token", style="k--")
         if axis.lines:

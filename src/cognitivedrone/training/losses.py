@@ -19,6 +19,7 @@ from cognitivedrone.training.sampling import NONE_IN_VIEW, Batch
 
 _BLUR_BINS = 2.0  # labels are bells this wide, so that a neighbouring bin is nearly right
 _BOX_SHIFT, _BOX_SCALE = 0.06, 0.08  # spread of the boxes that panels are read in, in heights
+_NAMING_SHARE = 0.4  # of naming the concept that is meant, beside choosing among three
 _NEIGHBOUR = 0.15  # share of gates that are read one cell beside their own
 
 
@@ -31,7 +32,7 @@ class LossWeights:
     facets: float = 1.0
     cards: float = 1.0
     choice: float = 1.0
-    text: float = 0.5
+    text: float = 2.0
     action: float = 1.0
 
 
@@ -73,17 +74,18 @@ class Lesson(nn.Module):
         present = torch.cat([batch["in_view"], torch.ones_like(batch["in_view"][:, :1])], dim=1)
         logits = logits + (present.float()[:, None] - 1) * 1e4
         raw = network.act(seen, batch["state"])
+        text, text_right = self._text_loss(batch)
         parts = {
             "heat": _heat_loss(scene, batch, slots, board_cell_known),
             "place": self._place_loss(seen, batch, slots, board_cell_known),
             "facets": self._facet_loss(read, network.gate_embedding(seen.cell), batch),
             "cards": self._card_loss(batch),
             "choice": F.cross_entropy(logits.flatten(0, 1), batch["choice"].flatten()),
-            "text": self._text_loss(batch),
+            "text": text,
             "action": self._action_loss(raw, batch),
         }
         total = torch.stack([getattr(weights, name) * loss for name, loss in parts.items()]).sum()
-        measures = {name: loss.detach() for name, loss in parts.items()}
+        measures = {name: loss.detach() for name, loss in parts.items()} | {"text accuracy": text_right}
         with torch.no_grad():
             right = logits.argmax(-1) == batch["choice"]
             clear = (batch["in_view"] & batch["legible"][:, :SLOTS]).all(dim=1)
@@ -145,14 +147,20 @@ class Lesson(nn.Module):
             losses.append(share * _mean(loss.view_as(target), there))
         return torch.stack(losses).sum()
 
-    def _text_loss(self, batch: dict[str, Tensor]) -> Tensor:
-        """Sentences against what is told about panels, gates and board, not seen."""
-        network = self.network
+    def _text_loss(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Sentences against what is told about panels, gates and board, not seen; and the share that was right."""
+        network, asked, named = self.network, batch["text_asked"], batch["text_named"]
         board = self._told(batch["text_board"])
-        query = network.text(_trimmed(batch["text_tokens"]), board, (batch["text_board"][:, 0] >= 0).float())
+        query = network.text(_trimmed(batch["text_tokens"]), board, (batch["text_board"][:, 0] >= 0).float()).float()
         gates = self._told(batch["text_panels"]) + self._told(batch["text_gates"])
-        logits = (query.float()[:, None] * gates.float()).sum(-1) * network.scale
-        return F.cross_entropy(logits, batch["text_asked"])
+        logits = (query[:, None] * gates.float()).sum(-1) * network.scale
+        right = (logits.detach().argmax(-1) == asked).float().mean()
+        # Three panels are few to tell a wrong sum from a right one: where one concept is meant, it is told from all.
+        concepts = GROUPS["concept"]
+        among_all = query @ network.prototypes[concepts].float().T * network.scale
+        meant = (named - concepts.start).clamp(0)
+        naming = _mean(F.cross_entropy(among_all, meant, reduction="none"), named >= 0)
+        return F.cross_entropy(logits, asked) + _NAMING_SHARE * naming, right
 
     def _told(self, facets: Tensor) -> Tensor:
         """Sums of prototypes (..., E) of facets (..., groups); those that are -1 do not count."""

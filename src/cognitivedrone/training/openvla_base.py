@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-import json
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from cognitivedrone.errors import PolicyError, TrainingError
-from cognitivedrone.models.openvla import checkpoint as checkpoints
+from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.openvla.actions import ActionStatistics
-from cognitivedrone.models.openvla.checkpoint import Checkpoint
-from cognitivedrone.models.openvla.config import IMAGE, PATCHES, Config, read_config
-from cognitivedrone.models.openvla.prepare import ImagePreparation, check_tokenizer, read_preparation
-from cognitivedrone.models.openvla.tensors import Shapes, check_tensors, elements, unused_tensors, used_tensors
+from cognitivedrone.models.openvla.checkpoint import Checkpoint, inspect
+from cognitivedrone.models.openvla.config import IMAGE, PATCHES, Config
+from cognitivedrone.models.openvla.tensors import elements, used_tensors
 from cognitivedrone.training.openvla_recipes import LoraRecipe
 
 BYTES_PER_TRAINED = 16
 """Of an adapter's number: itself, its gradient and two moments, in float32."""
 SMALL = 2_000_000_000
 """Bytes up to which a network is fine-tuned on a machine without a GPU."""
-_DTYPES = ("BF16", "F16", "F32")
 _TEXT = 64  # tokens of prompt and answer, rather more than an instruction has
 _WORKSPACE = 1_500_000_000  # bytes of a GPU that PyTorch and its libraries take
 _TAIL = 2**20  # bytes at the end of a file that tell it from another of the same shapes
@@ -30,61 +26,10 @@ def read_base(folder: Path, key: str, statistics: ActionStatistics) -> Checkpoin
     """The checkpoint in `folder`, to be fine-tuned for `statistics`: its own, of arms as a rule, are not looked at.
 
     A head of the parallel decoder is left out, for it would not fit the fine-tuned network. Raises `PolicyError` as
-    `checkpoint.inspect` does for files, tensors and tokenizers.
+    `inspect` does.
     """
-    if not folder.is_dir():
-        raise PolicyError(f"there is no folder {folder}; give that of an OpenVLA checkpoint")
-    try:
-        config = read_config(_json(folder / checkpoints.CONFIG))
-        check_tokenizer(_json(folder / checkpoints.TOKENIZER), checkpoints.TOKENIZER)
-        prepared = folder / checkpoints.PREPARATION
-        preparation = read_preparation(_json(prepared)) if prepared.is_file() else ImagePreparation()
-    except PolicyError as error:
-        raise PolicyError(f"{folder}: {error}") from None
-    shapes: Shapes = {}
-    files: dict[str, Path] = {}
-    wide = False
-    for path in _weight_files(folder):
-        for name, entry in checkpoints.read_header(path).items():
-            shapes[name], files[name] = tuple(entry["shape"]), path
-            if entry["dtype"] not in _DTYPES:
-                raise PolicyError(f"{path}: {name} is {entry['dtype']}; weights to fine-tune are {', '.join(_DTYPES)}")
-            wide |= entry["dtype"] == "F32"
-    check_tensors(shapes, used_tensors(config), unused_tensors(config), str(folder))
-    plain = Config(config.dino, config.siglip, config.language)
-    return Checkpoint(
-        folder,
-        plain,
-        files,
-        head=None,
-        stored_bytes=4 if wide else 2,
-        statistics_key=key,
-        statistics=statistics,
-        preparation=preparation,
-        tokenizer=folder / checkpoints.TOKENIZER,
-    )
-
-
-def _weight_files(folder: Path) -> list[Path]:
-    index = folder / checkpoints.INDEX
-    if not index.is_file():
-        return [folder / checkpoints.WEIGHTS]
-    placed = _json(index).get("weight_map")
-    if not isinstance(placed, dict) or not placed:
-        raise PolicyError(f"{index} has no weight_map; copy it again")
-    return [folder / Path(str(name)).name for name in sorted(set(placed.values()))]
-
-
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        told = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise PolicyError(f"{path.name}: {error.strerror}; the folder of a whole checkpoint has it") from None
-    except ValueError:
-        raise PolicyError(f"{path.name} is not JSON; if it is a pointer of Git LFS, fetch the file") from None
-    if not isinstance(told, dict):
-        raise PolicyError(f"{path.name} is not a JSON object")
-    return told
+    found = inspect(folder, given=(key, statistics))
+    return replace(found, config=replace(found.config, chunk=None), head=None)
 
 
 def fingerprint(base: Checkpoint) -> str:

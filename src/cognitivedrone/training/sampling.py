@@ -17,7 +17,7 @@ from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.tasks import BASE_FAMILIES, train_task
 from cognitivedrone.training.cards import Cards
-from cognitivedrone.training.facets import board_facets, gate_facets, panel_facets
+from cognitivedrone.training.facets import PANEL_GROUPS, board_facets, gate_facets, panel_facets
 from cognitivedrone.training.questions import ask, families
 from cognitivedrone.training.truth import Poses, Truths, truths
 from cognitivedrone.types import Image, Stage, Task
@@ -28,15 +28,19 @@ Batch: TypeAlias = dict[str, NDArray[np.generic]]
 image (B, 256, 256, 3) uint8; state (B, 5); the fields of `Truths`; panel_facets (B, 3, 10), gate_facets (B, 3, 3),
 board_facets (B, 3), indices into `FACETS` or -1; flown (B,) the gate flown at; tokens (B, K, L), asked (B, K) the gate
 asked for, choice (B, K) the same, or 3 where it is not in view. And text_tokens (T, L), text_panels (T, 3, 10),
-text_gates (T, 3, 3), text_board (T, 3), text_asked (T,). And card_image (C, g, g, 3) uint8, card_facets (C, 13), see
+text_gates (T, 3, 3), text_board (T, 3), text_asked (T,), text_named (T,) the concept that alone the sentence means, an
+index into `FACETS`, or -1. And card_image (C, g, g, 3) uint8, card_facets (C, 13), see
 `Cards`; absent where C is 0.
 """
 
 NONE_IN_VIEW = 3
 """The choice where the gate asked for is not in view."""
 
-_TEXT_SHARES = {"math": 0.3, "association": 0.25, "food": 0.08, "math_board": 0.12}
+_TEXT_SHARES = {"math": 0.3, "association": 0.2, "food": 0.06, "math_board": 0.12}
 """How often families are trained without an image; the others share the rest."""
+
+_NAMING = frozenset({"letters", "digits", "logos", "animals", "math", "math_board"})
+"""Families whose sentences mean one concept, whatever else there is to choose from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +51,7 @@ class StreamRecipe:
     """Frames in a batch."""
     sentences: int = 6
     """Asked of each frame."""
-    texts: int = 96
+    texts: int = 256
     """Sentences in a batch that are trained without a frame."""
     cards: int = 160
     """Panels and boards in a batch that are trained without a frame."""
@@ -176,10 +180,15 @@ class Sampler:
         plain = rng.random(count) < (0.1 if self.recipe.directives else 0.0)
         texts = [task.directive if p else task.instruction for task, p in zip(tasks, plain, strict=True)]
         boards = [board_facets(task.board) if task.board else np.full(3, -1) for task in tasks]
+        panels = np.stack([[panel_facets(label) for label in task.labels] for task in tasks])
+        target = np.array([task.target for task in tasks])
+        named = np.array([task.family in _NAMING for task in tasks]) & ~plain
+        concept = panels[np.arange(count), target, PANEL_GROUPS.index("concept")]
         return {
             "text_tokens": np.stack([self.vocabulary.encode(text, self.text_length) for text in texts]),
-            "text_panels": np.stack([[panel_facets(label) for label in task.labels] for task in tasks]),
+            "text_panels": panels,
             "text_gates": np.stack([[gate_facets(gate) for gate in task.gates] for task in tasks]),
             "text_board": np.stack(boards),
-            "text_asked": np.array([task.target for task in tasks]),
+            "text_asked": target,
+            "text_named": np.where(named, concept, -1),
         }

@@ -30,7 +30,7 @@ class Schedule:
     """Share of the training, its end, over which the learning rate falls linearly to zero."""
     weight_decay: float = 0.02
     clip: float = 2.0
-    """Bound on the norm of the gradient."""
+    """Bound on the norm of the gradient of each part of the network."""
     round_steps: int = 250
     """Between checkpoints; also how often a network that flies along is renewed."""
     validate_every: int = 500

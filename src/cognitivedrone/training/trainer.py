@@ -27,7 +27,7 @@ from cognitivedrone.training.subject import Row, Schedule, Subject
 
 CHECKPOINT = "checkpoint.safetensors"
 METRICS = "metrics.jsonl"
-_HEADLINES = ("loss", "choice accuracy", "l1", "accuracy", "cross-entropy", "success")
+_HEADLINES = ("loss", "choice accuracy", "text accuracy", "l1", "accuracy", "cross-entropy", "success")
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,9 +141,20 @@ def _step(
         raise TrainingError(f"step {step}: the loss is not finite; resume with a smaller learning rate")
     optimizer.zero_grad()
     accelerator.backward(loss)
-    accelerator.clip_grad_norm_(lesson.parameters(), schedule.clip)
+    for part in _parts(accelerator.unwrap_model(lesson).network):
+        accelerator.clip_grad_norm_(part, schedule.clip)
     optimizer.step()
     return {"loss": loss.detach(), **measures}
+
+
+def _parts(network: nn.Module) -> list[list[nn.Parameter]]:
+    """The parameters of each part of a network. They are clipped apart: a panel that is hard to read, which shakes
+    what reads panels, must not quieten what sentences teach.
+    """
+    parts: dict[str, list[nn.Parameter]] = defaultdict(list)
+    for name, parameter in network.named_parameters():
+        parts[name.partition(".")[0]].append(parameter)
+    return list(parts.values())
 
 
 def _progress(*, enabled: bool) -> Progress:
