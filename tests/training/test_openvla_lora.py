@@ -421,6 +421,16 @@ class TestBeforeAnythingHeavyIsLoaded:
         assert before == {path: path.stat().st_mtime_ns for path in runs.resumed.out.rglob("*")}
 
 
+def test_a_base_leaves_the_head_of_the_parallel_decoder_and_its_chunks(tmp_path: Path) -> None:
+    folder = write_checkpoint(tmp_path / "base", chunk=5)
+    statistics = ActionStatistics((-1.0,) * 4, (1.0,) * 4, (True,) * 4)
+    found = read_base(folder, "drone", statistics)
+    assert inspect(folder).head is not None
+    assert found.head is None
+    assert found.config == replace(inspect(folder).config, chunk=None)
+    assert (found.statistics_key, found.statistics) == ("drone", statistics)
+
+
 @pytest.mark.parametrize("name", LORA_RECIPES)
 def test_recipes_are_whole(name: str) -> None:
     recipe = find_lora_recipe(name)

@@ -98,6 +98,12 @@ class TestLoading:
         (folder / "dataset_statistics.json").write_text(json.dumps({"mine": {"action": STATISTICS.to_json()}}))
         assert inspect(folder).statistics_key == "mine"
 
+    def test_given_statistics_stand_for_the_folders_own(self, folder):
+        tell(folder, norm_stats={})
+        (folder / "dataset_statistics.json").write_text("[]")
+        found = inspect(folder, given=("drone", STATISTICS))
+        assert (found.statistics_key, found.statistics) == ("drone", STATISTICS)
+
     def test_small_weights_need_a_library(self, made_folder, monkeypatch):
         monkeypatch.setattr(weights.importlib.util, "find_spec", lambda name: None)
         with pytest.raises(MissingExtra, match="torchao"):

@@ -61,9 +61,12 @@ class Checkpoint:
     tokenizer: Path
 
 
-def inspect(folder: Path, unnorm_key: str | None = None) -> Checkpoint:
+def inspect(
+    folder: Path, unnorm_key: str | None = None, *, given: tuple[str, ActionStatistics] | None = None
+) -> Checkpoint:
     """A folder's checkpoint, read but for the weights themselves.
 
+    Statistics are the folder's own, by `unnorm_key`, or `given` with their key: then its own are not looked at.
     Raises `PolicyError` for a missing, unreadable or wrong file, a missing, extra or misshapen tensor, statistics that
     are missing, ambiguous or another robot's, and a tokenizer that is not Llama's.
     """
@@ -72,8 +75,7 @@ def inspect(folder: Path, unnorm_key: str | None = None) -> Checkpoint:
     told = _read_json(folder / CONFIG)
     try:
         config = read_config(told)
-        fine_tuned = _read_json(folder / STATISTICS) if (folder / STATISTICS).is_file() else {}
-        key, statistics = choose_statistics({**told.get("norm_stats", {}), **fine_tuned}, unnorm_key)
+        key, statistics = given or choose_statistics(_own_statistics(folder, told), unnorm_key)
         check_tokenizer(_read_json(folder / TOKENIZER), TOKENIZER)
         prepared = folder / PREPARATION
         preparation = read_preparation(_read_json(prepared)) if prepared.is_file() else ImagePreparation()
@@ -140,6 +142,12 @@ def read_header(path: Path) -> dict[str, Any]:
     if held != end:
         raise PolicyError(f"{path} is cut off: it holds {held} bytes of tensors, not {end}; copy it again")
     return header
+
+
+def _own_statistics(folder: Path, told: Mapping[str, Any]) -> dict[str, Any]:
+    """Of the configuration `told`, and of fine-tuning."""
+    fine_tuned = _read_json(folder / STATISTICS) if (folder / STATISTICS).is_file() else {}
+    return {**told.get("norm_stats", {}), **fine_tuned}
 
 
 def _tensors(folder: Path) -> tuple[Shapes, dict[str, Path], int]:
