@@ -16,12 +16,14 @@ from collections.abc import Callable
 
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
 from cognitivedrone.sim.gl import renderer_name
 
 REFERENCE_STEPS_S = 38
 REPETITIONS = 7
 STEPS = 30
+ACTION = np.array([0.4, 0.0, 0.0, 0.1], np.float32)
 
 
 def median_seconds(work: Callable[[], object], repetitions: int = REPETITIONS) -> float:
@@ -33,26 +35,8 @@ def median_seconds(work: Callable[[], object], repetitions: int = REPETITIONS) -
     return statistics.median(times)
 
 
-def vector_steps(worlds: int) -> float:
-    """Control steps a second of `worlds` worlds together."""
-    env = gymnasium.make_vec("cognitivedrone.envs:CognitiveDrone-v1", num_envs=worlds, copy=False)
-    env.reset(seed=0)
-    action = np.tile(np.array([0.4, 0.0, 0.0, 0.1], np.float32), (worlds, 1))
-
-    def fly() -> None:
-        for _ in range(STEPS):
-            env.step(action)
-
-    fly()
-    seconds = median_seconds(fly)
-    env.close()
-    return worlds * STEPS / seconds
-
-
-def single_steps() -> float:
-    env = gymnasium.make("cognitivedrone.envs:CognitiveDrone-v1", disable_env_checker=True).unwrapped
-    env.reset(seed=0)
-    action = np.array([0.4, 0.0, 0.0, 0.1], np.float32)
+def flown_steps(env, action: NDArray[np.float32]) -> float:
+    """Steps a second of an environment that has been reset, after some to warm up; it is closed then."""
 
     def fly() -> None:
         for _ in range(STEPS):
@@ -62,6 +46,19 @@ def single_steps() -> float:
     seconds = median_seconds(fly)
     env.close()
     return STEPS / seconds
+
+
+def vector_steps(worlds: int) -> float:
+    """Control steps a second of `worlds` worlds together."""
+    env = gymnasium.make_vec("cognitivedrone.envs:CognitiveDrone-v1", num_envs=worlds, copy=False)
+    env.reset(seed=0)
+    return worlds * flown_steps(env, np.tile(ACTION, (worlds, 1)))
+
+
+def single_steps() -> float:
+    env = gymnasium.make("cognitivedrone.envs:CognitiveDrone-v1", disable_env_checker=True).unwrapped
+    env.reset(seed=0)
+    return flown_steps(env, ACTION)
 
 
 def reset_seconds() -> float:

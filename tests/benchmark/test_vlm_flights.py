@@ -17,13 +17,7 @@ RIGHT = TASK.gates[TASK.target]
 ANSWER = f'{{"size": "{RIGHT.size}", "color": "{RIGHT.color}", "shape": "{RIGHT.shape}"}}'
 OTHER = TASK.gates[(TASK.target + 1) % 3]
 
-
-@pytest.fixture(autouse=True)
-def environment(monkeypatch):
-    for name in ("URL", "MODEL", "KEY"):
-        monkeypatch.delenv(f"COGNITIVEDRONE_VLM_{name}", raising=False)
-    for name in ("OPENAI_API_KEY", "OPENAI_BASE_URL"):
-        monkeypatch.delenv(name, raising=False)
+pytestmark = pytest.mark.usefixtures("no_vlm_settings")
 
 
 def flown(script, out, timeout=2.0, latency="none"):

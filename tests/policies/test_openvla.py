@@ -20,14 +20,7 @@ pytest.importorskip("transformers")
 TABLE = {"openvla": "cognitivedrone.policies.openvla:OpenVla"}
 INSTRUCTION = "Fly through the gate with the number equal to 3*3"
 
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    """Tiny networks are slower on many threads than on one, by far where the machine is busy."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")

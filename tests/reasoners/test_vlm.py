@@ -25,13 +25,7 @@ BIG_GREEN = Guidance("Fly through the big green triangle gate", None, 1.0)
 KEY = "sk-a-secret-of-42"
 INSTRUCTION = "Fly through the gate with the zebra"
 
-
-@pytest.fixture(autouse=True)
-def environment(monkeypatch):
-    for name in ("URL", "MODEL", "KEY"):
-        monkeypatch.delenv(f"COGNITIVEDRONE_VLM_{name}", raising=False)
-    for name in ("OPENAI_API_KEY", "OPENAI_BASE_URL"):
-        monkeypatch.delenv(name, raising=False)
+pytestmark = pytest.mark.usefixtures("no_vlm_settings")
 
 
 @pytest.fixture

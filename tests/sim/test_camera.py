@@ -3,6 +3,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from attitudes import tilted
 
 from cognitivedrone.errors import RenderError
 from cognitivedrone.frames import FloatArray, quaternion_from_yaw, rotate_yaw, rotation_matrix
@@ -53,18 +54,6 @@ def project(points: FloatArray, position: FloatArray, quaternion: FloatArray) ->
     ahead, left, up = np.moveaxis((points - position) @ axes - MOUNT, -1, 0)
     focal = IMAGE_SIZE / 2 / math.tan(FIELD_OF_VIEW / 2)
     return IMAGE_SIZE / 2 - 0.5 + focal * np.column_stack([-left / ahead, -up / ahead])
-
-
-def tilted(yaw: float, pitch: float, roll: float) -> FloatArray:
-    (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a / 2), math.sin(a / 2)) for a in (yaw, pitch, roll))
-    return np.array(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )
 
 
 def see(cameras: Cameras, position: FloatArray, quaternion: FloatArray = LEVEL, slot: int = 0) -> Image:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import get_args
 
@@ -27,14 +26,7 @@ VOCABULARY = Vocabulary.of(train_task(i, 0).instruction for i in range(500))
 VARIANTS = list(itertools.product(get_args(Head), (1, 3)))
 PARTS = ("heat", "place", "facets", "cards", "choice", "text", "action")
 
-
-@pytest.fixture(autouse=True, scope="module")
-def _one_thread() -> Iterator[None]:
-    """Networks this small only wait for each other's threads."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")

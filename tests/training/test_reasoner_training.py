@@ -49,10 +49,7 @@ SMALL_READER = replace(
     network=ReaderConfig(glimpse=TINY.glimpse, sight=TINY.sight, embedding=TINY.embedding),
 )
 
-
-@pytest.fixture(autouse=True, scope="module")
-def _quick() -> None:
-    torch.set_num_threads(1)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")

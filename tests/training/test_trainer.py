@@ -60,13 +60,14 @@ class Runs:
     reports: list[str]
 
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _few_words() -> Iterator[None]:
-    threads = torch.get_num_threads()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(policy, "_SENTENCES", SENTENCES)
         yield
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="module")

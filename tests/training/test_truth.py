@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from attitudes import tilted
 
 from cognitivedrone.frames import FloatArray, quaternion_from_yaw, rotate_yaw
 from cognitivedrone.policies.expert import ExpertConfig, intent
@@ -27,19 +28,6 @@ EXPERT = ExpertConfig()
 GREY = np.full((64, 64, 3), 128, np.uint8)
 PINK = np.full((64, 64, 3), (255, 0, 255), np.uint8)
 CHANNELS = (0, 1, 2)  # of the gates' colours, in their order
-
-
-def tilted(yaw: float, pitch: float, roll: float) -> FloatArray:
-    """Attitude w, x, y, z; a positive pitch looks down."""
-    (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a / 2), math.sin(a / 2)) for a in (yaw, pitch, roll))
-    return np.array(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )
 
 
 def at(

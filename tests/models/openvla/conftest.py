@@ -1,19 +1,13 @@
 """Shared pieces of the tests of OpenVLA."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 
 @pytest.fixture(scope="module", autouse=True)
-def one_thread() -> Iterator[None]:
-    """Tiny networks are slower on many threads than on one, by far where the machine is busy."""
-    torch = pytest.importorskip("torch")
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+def _everywhere(one_thread: None) -> None:
+    """All of these tests run tiny networks."""
 
 
 @pytest.fixture(scope="session")
