@@ -270,7 +270,7 @@ def test_the_pilot_ends_the_flight(tmp_path):
 
 def test_arducopter_is_started_on_our_physics_and_flown(tmp_path):
     binary = tmp_path / "arducopter"
-    fake = Path(__file__).parent / "fake_arducopter.py"
+    fake = Path(__file__).parents[1] / "support" / "fake_arducopter.py"
     binary.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{fake}" "$@"\n')
     binary.chmod(binary.stat().st_mode | stat.S_IXUSR)
     instance = free_instance()

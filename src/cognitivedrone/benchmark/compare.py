@@ -121,7 +121,7 @@ def _pilot(results: Results) -> str:
 
 def _other_differences(a: Results, b: Results) -> tuple[str, ...]:
     of_a, of_b = (
-        {name: getattr(run.run.options, name) for name in ("look", "airframe", "labels", "wind_m_s", "latency")}
+        {name: getattr(run.run.options, name) for name in ("look", "airframe", "labels", "link", "wind_m_s", "latency")}
         | dict(run.run.versions)
         | {"renderer": run.renderer}
         for run in (a, b)

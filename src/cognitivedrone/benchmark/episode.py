@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+
 import numpy as np
 
 from cognitivedrone.benchmark.flight_log import FlightLog
+from cognitivedrone.benchmark.links import autopilot_file, open_link
 from cognitivedrone.benchmark.run_types import Flown, RunConfig
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import SimulatedDrone
@@ -18,7 +21,6 @@ from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.airframe import AIRFRAMES
 from cognitivedrone.sim.gl import renderer_name
-from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import EpisodeResult
 
@@ -27,6 +29,7 @@ def preflight(config: RunConfig, suite: Suite) -> None:
     """Find what would stop a run, before anything is written: raises `PolicyError` or `LabelError`."""
     if config.airframe not in AIRFRAMES:
         raise PolicyError(f"unknown airframe {config.airframe!r}; {did_you_mean(config.airframe, AIRFRAMES)}")
+    autopilot_file(config)
     parse_delays(config.latency)
     for part in (make_policy(config.policy), make_reasoner(config.reasoner)):
         try:
@@ -36,13 +39,14 @@ def preflight(config: RunConfig, suite: Suite) -> None:
             _close(part)
     if config.tasks is None and config.labels is None:
         return  # the shipped pack draws every shipped suite
-    pack = _labels(config)
+    pack = labels_of(config)
     tasks = [task for track in suite.tracks[: config.episodes] for task in track]
     for reference in sorted({reference for task in tasks for reference in (*task.labels, task.board) if reference}):
         pack.image(reference)
 
 
-def _labels(config: RunConfig) -> LabelPack:
+def labels_of(config: RunConfig) -> LabelPack:
+    """What draws the panels of a run; raises `LabelError`."""
     return load_pack(str(config.labels) if config.labels else "open-v1")
 
 
@@ -61,8 +65,10 @@ class EpisodeFlyer:
         self.suite = suite
         self.policy = make_policy(config.policy)
         self.reasoner = make_reasoner(config.reasoner)
-        self.simulator = Simulator(1, airframe=AIRFRAMES[config.airframe])
-        self.course = Course(self.simulator, 0, _labels(config), CourseConfig(look=config.look, wind_m_s=config.wind))
+        self._undo = ExitStack()
+        self._link = open_link(config, self._undo)
+        self.simulator = self._link.simulator
+        self.course = Course(self.simulator, 0, labels_of(config), CourseConfig(look=config.look, wind_m_s=config.wind))
         self.drone = SimulatedDrone(self.simulator, self.course)
         self.delays = parse_delays(config.latency)
 
@@ -73,6 +79,7 @@ class EpisodeFlyer:
 
     def fly(self, episode: int, *, film: bool) -> Flown:
         """Fly one track of the suite; the same flight every time."""
+        before = self._link.report()
         rng = episode_rng(self.suite.digest, episode, self.config.seed)
         self.course.begin(self.suite.tracks[episode], rng)
         # The reasoner first: what it draws must not depend on the policy that it flies with.
@@ -91,13 +98,15 @@ class EpisodeFlyer:
             self.course.end("policy_error")
             message = str(error)
         if any(result.outcome == "invalid" for result in self.course.results):
-            message = "the physics diverged"
+            message = self._link.trouble() or "the physics diverged"
         result = EpisodeResult(episode, self.config.seed, log.results(), len(log.path), message)
-        return Flown(result, log.trace(sum(timed.took_s) / max(len(timed.took_s), 1)), log.frames if film else None)
+        trace = log.trace(sum(timed.took_s) / max(len(timed.took_s), 1))
+        link = self._link.report() - before
+        return Flown(result, trace, log.frames if film else None, link if link.frames else None)
 
     def close(self) -> None:
         """Free the renderer, and whatever policy and reasoner hold open."""
-        self.simulator.close()
+        self._undo.close()
         _close(self.policy)
         _close(self.reasoner)
 

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import cognitivedrone
 from cognitivedrone.benchmark.codec import decode, dumps, encode
-from cognitivedrone.benchmark.run_types import LookName, Rule
+from cognitivedrone.benchmark.run_types import LinkName, LinkReport, LookName, Rule
 from cognitivedrone.benchmark.scoring import RULES, Summary, summarize
 from cognitivedrone.errors import RunError
 from cognitivedrone.types import EpisodeResult
@@ -55,6 +55,10 @@ class Options:
     """What was charged for thinking; a file is told by its SHA-256."""
     reasoner_model: str | None = field(default=None, metadata={"json": "where set"})
     """SHA-256 of the model file or the answers that the reasoner uses, if it uses one."""
+    link: LinkName = field(default="sim", metadata={"json": "where set"})
+    """Whose autopilot flew: `sim` is our own."""
+    autopilot: str | None = field(default=None, metadata={"json": "where set"})
+    """SHA-256 of the program that flew, where it was not our own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +85,8 @@ class Timing:
     """In this session."""
     mean_decision_ms: float | None
     """Mean wall time of a policy's decision."""
+    link: LinkReport | None = field(default=None, metadata={"json": "where set"})
+    """What happened on the link in this session, where an autopilot in another process flew."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ Rule = Literal["through", "within_1m"]
 """`through`: the drone's centre crosses the right gate's plane inside its opening. `within_1m`: the published rule, the
 drone comes within 1 m of the right gate's centre."""
 LookName = Literal["plain", "varied"]
+LinkName = Literal["sim", "sitl"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +44,9 @@ class RunConfig:
     """How the room looks: as published, or varied from episode to episode."""
     airframe: str = "racer"
     """The drone that is flown."""
+    link: LinkName = "sim"
+    """sim: our own autopilot. sitl: a real ArduCopter on our physics, in lock-step; the environment variable ARDUCOPTER
+    names its binary, and it needs --airframe iris (docs/ardupilot.md)."""
     wind: float = 0.0
     """Speed of a steady wind, m/s; every episode draws its direction."""
     latency: str = "none"
@@ -75,6 +79,24 @@ class Trace:
 
 
 @dataclass(frozen=True, slots=True)
+class LinkReport:
+    """What happened between us and an autopilot in another process."""
+
+    frames: int = 0
+    """Steps of physics that it asked for."""
+    lost: int = 0
+    """Steps that it counted and we never saw: 0 in strict lock-step."""
+    restarts: int = 0
+    """How often it had to be started anew, after a crash or a failsafe of its own."""
+
+    def __add__(self, other: LinkReport) -> LinkReport:
+        return LinkReport(self.frames + other.frames, self.lost + other.lost, self.restarts + other.restarts)
+
+    def __sub__(self, other: LinkReport) -> LinkReport:
+        return LinkReport(self.frames - other.frames, self.lost - other.lost, self.restarts - other.restarts)
+
+
+@dataclass(frozen=True, slots=True)
 class Flown:
     """One flown episode."""
 
@@ -82,6 +104,8 @@ class Flown:
     trace: Trace
     film: list[Image] | None = None
     """First-person frames at 10 Hz, where they were asked for."""
+    link: LinkReport | None = None
+    """What happened on the link meanwhile, where an autopilot in another process flew."""
 
 
 class Flyer(Protocol):

@@ -20,6 +20,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from cognitivedrone.benchmark.clips import Clip, choose_clips, make_clip
 from cognitivedrone.benchmark.crew import FLYER, Alone, Crew, Team, WorkerCrash
 from cognitivedrone.benchmark.episode import preflight
+from cognitivedrone.benchmark.links import autopilot_file
 from cognitivedrone.benchmark.records import Record, RunFolder
 from cognitivedrone.benchmark.report import REPORT_FILE, render_report
 from cognitivedrone.benchmark.results import (
@@ -35,7 +36,7 @@ from cognitivedrone.benchmark.results import (
     write_results,
     write_whole,
 )
-from cognitivedrone.benchmark.run_types import RunConfig
+from cognitivedrone.benchmark.run_types import LinkReport, RunConfig
 from cognitivedrone.benchmark.scoring import counts, passes
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.errors import RunError
@@ -74,7 +75,7 @@ def run(config: RunConfig, *, progress: bool = True, flyer: str = FLYER) -> Resu
         workers = min(_workers(config), max(len(missing), 1))
         try:
             with _crew(config, suite, workers, flyer) as crew:
-                _fly_missing(crew, folder, missing, len(episodes), config, show=progress)
+                link = _fly_missing(crew, folder, missing, len(episodes), config, show=progress)
                 records = [folder.records[episode] for episode in episodes]
                 clips = _film(crew, suite, records, config)
         except KeyboardInterrupt:
@@ -91,7 +92,7 @@ def run(config: RunConfig, *, progress: bool = True, flyer: str = FLYER) -> Resu
             rule=config.rule,
             episodes=tuple(record.result for record in records),
             platform=platform_facts(command_of(config)),
-            timing=_timing(records, workers, len(missing), time.perf_counter() - began),
+            timing=_timing(records, workers, len(missing), time.perf_counter() - began, link),
         )
         report = render_report(results, [record.trace for record in records], clips)
         write_whole(path / REPORT_FILE, report)
@@ -110,6 +111,7 @@ def facts_of(config: RunConfig, suite: Suite) -> RunFacts:
     if not 0 <= config.wind < math.inf:
         raise RunError(f"--wind is {config.wind}; it is a speed in m/s, 0 or more")
     model, answers = model_file(config.policy), reasoner_file(config.reasoner)
+    autopilot = autopilot_file(config)
     return RunFacts(
         suite=SuiteFacts(suite.name, suite.digest, suite.n_tasks),
         policy=config.policy,
@@ -125,6 +127,8 @@ def facts_of(config: RunConfig, suite: Suite) -> RunFacts:
             model=None if model is None else _file_digest(model),
             latency=parse_delays(config.latency).identity,
             reasoner_model=None if answers is None else _file_digest(answers),
+            link=config.link,
+            autopilot=None if autopilot is None else _file_digest(autopilot),
         ),
         versions=versions(),
     )
@@ -136,6 +140,11 @@ def out_of(config: RunConfig) -> Path:
         return config.out
     what = config.suite if config.tasks is None else config.tasks.stem
     names = [what, config.policy, config.reasoner] + (["track"] if config.track else [])
+    return results_folder(*names)
+
+
+def results_folder(*names: str) -> Path:
+    """Where results go that no folder was asked for: named after what they are of."""
     return Path("results", "-".join(re.sub(r"[^\w.]+", "-", name).strip("-") for name in names))
 
 
@@ -148,7 +157,7 @@ def command_of(config: RunConfig) -> str:
     words += ["--episodes", str(config.episodes)] if config.episodes is not None else []
     words += ["--track"] if config.track else []
     default = RunConfig()
-    for name in ("look", "airframe", "wind", "latency", "rule"):
+    for name in ("look", "airframe", "link", "wind", "latency", "rule"):
         if getattr(config, name) != getattr(default, name):
             words += [f"--{name}", str(getattr(config, name))]
     return shlex.join(words)
@@ -170,8 +179,9 @@ def _crew(config: RunConfig, suite: Suite, workers: int, flyer: str) -> Alone | 
 
 def _fly_missing(
     crew: Crew, folder: RunFolder, missing: Sequence[int], total: int, config: RunConfig, *, show: bool
-) -> None:
-    """Fly what is not on record yet, each episode onto the disk as it ends."""
+) -> LinkReport | None:
+    """Fly what is not on record yet, each episode onto the disk as it ends; what happened on the link, if any."""
+    link: LinkReport | None = None
     stages = [stage for record in folder.records.values() for stage in record.result.stages if counts(stage)]
     passed, counted = sum(passes(stage, config.rule) for stage in stages), len(stages)
     with _progress_bar(show) as bar:
@@ -179,6 +189,8 @@ def _fly_missing(
         began = time.perf_counter()
         for flown_now, (flown, renderer) in enumerate(crew.fly(missing), start=1):
             folder.append(flown, renderer)
+            if flown.link is not None:
+                link = (link or LinkReport()) + flown.link
             new = [stage for stage in flown.result.stages if counts(stage)]
             passed, counted = passed + sum(passes(stage, config.rule) for stage in new), counted + len(new)
             bar.update(
@@ -187,6 +199,7 @@ def _fly_missing(
                 speed=f"{flown_now / (time.perf_counter() - began):.1f} episodes/s",
                 rate=f"{passed / counted:.1%} passed" if counted else "",
             )
+    return link
 
 
 def _film(crew: Crew, suite: Suite, records: Sequence[Record], config: RunConfig) -> list[Clip]:
@@ -214,7 +227,7 @@ def _progress_bar(show: bool) -> Iterator[Progress]:
         yield bar
 
 
-def _timing(records: Sequence[Record], workers: int, flown: int, wall_s: float) -> Timing:
+def _timing(records: Sequence[Record], workers: int, flown: int, wall_s: float, link: LinkReport | None) -> Timing:
     decisions = [record.trace.decision_s for record in records if math.isfinite(record.trace.decision_s)]
     return Timing(
         finished=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -222,6 +235,7 @@ def _timing(records: Sequence[Record], workers: int, flown: int, wall_s: float) 
         workers=workers,
         episodes_flown=flown,
         mean_decision_ms=round(statistics.fmean(decisions) * 1e3, 3) if decisions else None,
+        link=link,
     )
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Final
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Final, TypeVar
 
 from rich import box
 from rich.console import Group, RenderableType
@@ -16,6 +16,7 @@ from cognitivedrone.benchmark.run_types import Rule
 from cognitivedrone.benchmark.scoring import Interval, Score, Summary
 
 DASH = "–"
+Part = TypeVar("Part")
 PUBLISHED: Final = (("CognitiveDrone-R1", 0.772), ("CognitiveDrone", 0.596), ("RaceVLA", 0.313))
 """Overall success rates that arXiv 2503.01378 reports in its abstract."""
 
@@ -26,16 +27,13 @@ def results_table(results: Results, rule: Rule | None = None) -> RenderableType:
     summary = results.summary(rule)
     run = results.run
     title = f"{run.suite.name}: {run.policy}, reasoner {run.reasoner}"
-    table = _table(title, "", "n", "passed", "rate", "95 % CI", "choice", "pass|choice")
+    table = new_table(title, "", "n", "passed", "rate", "95 % CI", "choice", "pass|choice")
     mean = summary.mean_of_categories
     table.add_row("overall", *_score_cells(summary.overall), style="bold", end_section=not mean.categories)
     if mean.categories:
         cells = ("", "", percent(mean.rate), interval(mean.ci95), "", "")
         table.add_row(f"mean of {mean.categories} categories", *cells, end_section=True)
-    for position, (category, score) in enumerate(summary.categories.items(), start=1):
-        table.add_row(words(category), *_score_cells(score), end_section=position == len(summary.categories))
-    for family, score in summary.families.items():
-        table.add_row(Text(f"  {words(family)}"), *_score_cells(score), style="dim")
+    add_parts(table, summary.categories, summary.families, _score_cells)
     return Group(table, "", *_reasoning(summary), *_confusions(summary), *_notes(results, rule))
 
 
@@ -44,7 +42,7 @@ def _reasoning(summary: Summary) -> Iterator[RenderableType]:
     thought = summary.overall.reasoner
     if thought is None:
         return
-    table = _table("the reasoner's directives", "", "n", "right gate", "95 % CI", "size", "colour", "shape")
+    table = new_table("the reasoner's directives", "", "n", "right gate", "95 % CI", "size", "colour", "shape")
     rows = [("overall", summary.overall), *summary.categories.items(), *summary.families.items()]
     for name, score in rows:
         mind = score.reasoner
@@ -68,12 +66,12 @@ def _confusions(summary: Summary) -> Iterator[RenderableType]:
     seen = [outcome for outcome, count in summary.overall.outcomes.items() if count]
     if seen in ([], ["passed"]):
         return
-    endings = _table("endings", "", *(words(outcome) for outcome in seen))
+    endings = new_table("endings", "", *(words(outcome) for outcome in seen))
     for family, score in summary.families.items():
         endings.add_row(words(family), *(str(score.outcomes[outcome] or "") for outcome in seen))
     yield endings
     yield ""
-    choices = _table("gates flown at", "right", "1", "2", "3", "none")
+    choices = new_table("gates flown at", "right", "1", "2", "3", "none")
     for gate, row in enumerate(summary.choices, start=1):
         choices.add_row(f"gate {gate}", *(str(count) for count in row))
     yield choices
@@ -82,7 +80,7 @@ def _confusions(summary: Summary) -> Iterator[RenderableType]:
 
 def sweep_table(points: Sequence[tuple[float, Results]], part: str) -> RenderableType:
     """Success, choice and flying against latency."""
-    table = _table(f"latency of the {part}", "ms", "n", "passed", "rate", "95 % CI", "choice", "pass|choice")
+    table = new_table(f"latency of the {part}", "ms", "n", "passed", "rate", "95 % CI", "choice", "pass|choice")
     for ms, results in points:
         table.add_row(f"{ms:g}", *_score_cells(results.summary().overall))
     return table
@@ -91,8 +89,8 @@ def sweep_table(points: Sequence[tuple[float, Results]], part: str) -> Renderabl
 def comparison_table(comparison: Comparison) -> RenderableType:
     """Rates side by side and their difference, then the two-by-two tables."""
     title = f"{comparison.suite}: A = {comparison.name_a}, B = {comparison.name_b}"
-    rates = _table(title, "", "n", "A", "B", "B - A", "95 % CI", "p (McNemar)")
-    counts = _table("stages passed", "", "by both", "only A", "only B", "neither")
+    rates = new_table(title, "", "n", "A", "B", "B - A", "95 % CI", "p (McNemar)")
+    counts = new_table("stages passed", "", "by both", "only A", "only B", "neither")
     rows = {"overall": comparison.overall, **{words(name): part for name, part in comparison.categories.items()}}
     for name, difference in rows.items():
         style = "bold" if name == "overall" else ""
@@ -122,19 +120,29 @@ def interval(limits: Interval | None) -> str:
     return DASH if limits is None else f"{100 * limits[0]:.1f} to {100 * limits[1]:.1f}"
 
 
-def _table(title: str, *columns: str) -> Table:
-    """An empty table that fits into 80 columns; the first one holds names."""
+def new_table(title: str, *columns: str, gap: int = 1) -> Table:
+    """An empty table that fits into 80 columns, with `gap` blanks between its own; the first one holds names."""
     table = Table(
         box=box.SIMPLE_HEAD,
         title=Text(title),
         title_justify="left",
-        padding=(0, 1, 0, 0),
+        padding=(0, gap, 0, 0),
         pad_edge=False,
         show_edge=False,
     )
     for position, name in enumerate(columns):
         table.add_column(name, justify="left" if position == 0 else "right", no_wrap=True)
     return table
+
+
+def add_parts(
+    table: Table, categories: Mapping[str, Part], families: Mapping[str, Part], cells: Callable[[Part], Sequence[str]]
+) -> None:
+    """A row for each category, then one for each family."""
+    for position, (category, part) in enumerate(categories.items(), start=1):
+        table.add_row(words(category), *cells(part), end_section=position == len(categories))
+    for family, part in families.items():
+        table.add_row(Text(f"  {words(family)}"), *cells(part), style="dim")
 
 
 def _score_cells(score: Score) -> Sequence[str]:
@@ -172,7 +180,8 @@ def _notes(results: Results, rule: Rule) -> list[Text]:
     if any(len(episode.stages) > 1 for episode in results.episodes):
         notes.append(Text(f"tracks flown to the end: {summary.episodes_completed} of {summary.episodes}"))
     if overall.outcomes["invalid"]:
-        notes.append(Text(f"not counted: {overall.outcomes['invalid']} invalid (the physics diverged)", style="yellow"))
+        why = "the physics diverged" if results.run.options.link == "sim" else "the vehicle was lost"
+        notes.append(Text(f"not counted: {overall.outcomes['invalid']} invalid ({why})", style="yellow"))
     if overall.outcomes["policy_error"]:
         first = next(e for e in results.episodes if any(s.outcome == "policy_error" for s in e.stages))
         count = overall.outcomes["policy_error"]
@@ -180,6 +189,9 @@ def _notes(results: Results, rule: Rule) -> list[Text]:
         notes.append(Text(text, style="yellow"))
     published = ", ".join(f"{name} {percent(rate)}" for name, rate in PUBLISHED)
     notes.append(Text(f"the paper (arXiv 2503.01378), on its own tasks and simulator: {published}"))
+    if (link := results.timing.link) is not None:
+        text = f"ArduCopter: {link.frames} frames of physics, {link.lost} lost; started anew {link.restarts} times"
+        notes.append(Text(text, style="yellow" if link.lost or link.restarts else ""))
     flown, wall = results.timing.episodes_flown, results.timing.wall_s
     notes.append(Text(f"{flown} episodes in {wall:.1f} s, {results.timing.workers} workers", style="dim"))
     return notes

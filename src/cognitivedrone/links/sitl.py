@@ -12,7 +12,8 @@ import contextlib
 import json
 import socket
 import struct
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from cognitivedrone.errors import RunError
@@ -104,6 +105,7 @@ class SitlServer:
         self._shown = -1
         self._last: int | None = None
         self._answer = b""
+        self._asker: tuple[str, int] | None = None
         asked = FIRST_PORT + PORT_STEP * instance if port is None else port
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -137,15 +139,36 @@ class SitlServer:
 
         After a stall several may be waiting: repetitions of the one that the autopilot still waits on.
         """
+        if not self.take(timeout):
+            return False
+        self._send()
+        return True
+
+    def take(self, timeout: float) -> bool:
+        """As `poll`, but the answer is held back until `answer` is called: until then the autopilot stands still."""
         newest = self._receive(timeout)
         if newest is None:
             return False
-        packet, sender = newest
+        packet, self._asker = newest
         if packet.frame != self._last:
             self._advance(packet)
-        with contextlib.suppress(ConnectionError):  # an autopilot that has just ended
-            self._socket.sendto(self._answer, sender)
         return True
+
+    def answer(self) -> None:
+        """Give the answer that `take` held back, if there is one.
+
+        The autopilot asks again while it waits. What it has repeated is forgotten: it would take a second answer for
+        that to its next step, and be a step behind from then on.
+        """
+        if self._asker is not None:
+            self._receive(0.0)
+            self._send()
+
+    def _send(self) -> None:
+        if self._asker is not None:
+            with contextlib.suppress(ConnectionError):  # an autopilot that has just ended
+                self._socket.sendto(self._answer, self._asker)
+            self._asker = None
 
     def close(self) -> None:
         """Release the port."""
@@ -184,3 +207,16 @@ class SitlServer:
             self._shown = tick
             self._control(sensed.time)
         self._answer = write_state(sensed)
+
+
+@contextlib.contextmanager
+def serving(server: SitlServer) -> Iterator[None]:
+    """Answer from a thread while the block runs."""
+    stopping = threading.Event()
+    thread = threading.Thread(target=server.serve, args=(stopping.is_set,), name="physics", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stopping.set()
+        thread.join()

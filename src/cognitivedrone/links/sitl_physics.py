@@ -64,7 +64,8 @@ class Plant:
         wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> None:
         self.airframe = airframe
-        self._wind = wind
+        self.wind = wind
+        """Steady, world, m/s; may be changed at any time."""
         self._model = build_model(airframe, _SETTLE_S)
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = [*start, airframe.hull_radius, math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
@@ -109,7 +110,7 @@ class Plant:
 
     def _blow(self, velocity: FloatArray) -> None:
         """Set the force of the air on the body."""
-        air = [wind - float(own) for wind, own in zip(self._wind, velocity, strict=True)]
+        air = [wind - float(own) for wind, own in zip(self.wind, velocity, strict=True)]
         drag = self.airframe.linear_drag + self.airframe.quadratic_drag * math.hypot(*air)
         self._data.qfrc_applied[:3] = [drag * a for a in air]
 

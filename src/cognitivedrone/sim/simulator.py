@@ -10,6 +10,7 @@ import numpy as np
 from cognitivedrone.sim.airframe import RACER, Airframe
 from cognitivedrone.sim.camera import Cameras
 from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.flying import Flying
 from cognitivedrone.sim.referee import Referee, Verdict
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, DroneState, FloatArray, Image, Stage
 from cognitivedrone.world.look import PLAIN, Look
@@ -43,7 +44,8 @@ class Scenery:
 class Simulator:
     """n independent worlds, stepped together.
 
-    `threads` are used for physics and rendering; results are the same bits whatever their number.
+    `threads` are used for physics and rendering; results are the same bits whatever their number. `flight` is what
+    moves the drones, where it is not our own; it stays the caller's to close.
     """
 
     def __init__(
@@ -54,10 +56,11 @@ class Simulator:
         threads: int = 1,
         size: int = IMAGE_SIZE,
         render: bool = True,
+        flight: Flying | None = None,
     ) -> None:
         self.worlds = worlds
         self.airframe = airframe
-        self.flight = Flight(worlds, airframe, threads=threads)
+        self.flight: Flying = flight or Flight(worlds, airframe, threads=threads)
         self.cameras = Cameras(worlds, size, threads=threads) if render else None
         self.ticks = np.zeros(worlds, dtype=np.int64)
         """(worlds,) physics ticks since each world's flight began."""

@@ -1,0 +1,58 @@
+"""What flies in a benchmark: our own simulator, or an autopilot in another process on the same physics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from cognitivedrone.benchmark.run_types import LinkReport, RunConfig
+from cognitivedrone.errors import RunError
+from cognitivedrone.links.arducopter import BINARY_VARIABLE, find_binary
+from cognitivedrone.sim.airframe import AIRFRAMES
+from cognitivedrone.sim.simulator import Simulator
+
+
+@dataclass(frozen=True, slots=True)
+class Linked:
+    """A simulator of one world, and what can be told of the link behind it."""
+
+    simulator: Simulator
+    report: Callable[[], LinkReport] = LinkReport
+    """What has happened on the link so far; all zeros where there is none."""
+    trouble: Callable[[], str] = str
+    """Why the last vehicle was lost, in words; empty where none was."""
+
+
+def autopilot_file(config: RunConfig) -> Path | None:
+    """The program that flies, if one does.
+
+    Raises `LinkError` where it cannot be found, `RunError` for options that do not go with it.
+    """
+    if config.link == "sim":
+        return None
+    if config.airframe != "iris":
+        raise RunError(f"--link {config.link} flies the Iris, which ArduCopter is tuned for here; add --airframe iris")
+    return find_binary(None, f"set {BINARY_VARIABLE} to its path")
+
+
+def open_link(config: RunConfig, undo: ExitStack) -> Linked:
+    """The simulator that the options ask for; `undo` closes it, and what flies in it."""
+    binary, airframe = autopilot_file(config), AIRFRAMES[config.airframe]
+    if binary is None:
+        simulator = Simulator(1, airframe=airframe)
+        undo.callback(simulator.close)
+        return Linked(simulator)
+    from cognitivedrone.links.sitl_flight import SitlFlight
+
+    flight = SitlFlight(binary, airframe)
+    undo.callback(flight.close)
+    simulator = Simulator(1, airframe=airframe, flight=flight)
+    undo.callback(simulator.close)
+
+    def report() -> LinkReport:
+        counts = flight.counts
+        return LinkReport(counts.frames, counts.lost, counts.restarts)
+
+    return Linked(simulator, report, lambda: flight.trouble)

@@ -1,0 +1,284 @@
+"""A real ArduCopter in the place of our own flight: what `sim.simulator.Simulator` asks of `sim.dynamics.Flight`.
+
+It takes off once and flies one task after the other. To begin at another place it flies to the height of the start and
+brakes; then the benchmark's world is turned and shifted over the ground, so that the drone hovers where the start was
+drawn. Heights are always true, and the referee sees the true path, not what the autopilot believes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cognitivedrone.errors import LinkError, PolicyError, RunError
+from cognitivedrone.frames import rotate_yaw, yaw_of
+from cognitivedrone.links.sitl_physics import Plant
+from cognitivedrone.links.sitl_vehicle import SitlVehicle
+from cognitivedrone.sim.airframe import IRIS, Airframe
+from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.types import CONTROL_HZ, DroneState, FloatArray
+
+STILL_M_S: Final = 0.05
+"""Slower than this is a hover; also, within the same of the height in m and of turning in rad/s."""
+STILL_STEPS: Final = 5
+"""Control steps that it must last."""
+HOVER_S: Final = 60.0
+"""Of the vehicle's time, after which a hover has failed."""
+CLIMB_M_S: Final = 1.5
+"""On the way to the next start; ArduCopter's own limit downwards."""
+STARTS: Final = 3
+"""Attempts to have a vehicle hover at the start of a flight."""
+
+
+class Vehicle(Protocol):
+    """What is flown: `SitlVehicle`."""
+
+    plant: Plant
+    """Where it really is, over its own ground."""
+
+    @property
+    def frames(self) -> int:
+        """Steps of physics so far."""
+        ...
+
+    @property
+    def lost(self) -> int:
+        """Frame counts that never came."""
+        ...
+
+    def send(self, action: FloatArray) -> None:
+        """Ask for a velocity (4,); like `go_on` and `listen`, raises `LinkError` where it is lost."""
+        ...
+
+    def go_on(self, until: float) -> None:
+        """Fly until the plant's time is `until`, s."""
+        ...
+
+    def listen(self) -> None:
+        """Wait until what it says has been heard."""
+        ...
+
+    def close(self) -> None:
+        """End it."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """From the ground that the vehicle flies over to the benchmark's world: a turn and a shift, heights stay."""
+
+    turn: float = 0.0
+    """To the left, rad."""
+    shift: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """(3,) after the turn, m; the last is 0."""
+
+    def apply(self, state: DroneState) -> DroneState:
+        """The same motion, in the benchmark's world."""
+        w, x, y, z = state.quaternion
+        c, s = np.cos(self.turn / 2), np.sin(self.turn / 2)
+        return DroneState(
+            rotate_yaw(state.position, self.turn) + self.shift,
+            rotate_yaw(state.velocity, self.turn),
+            np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w]),
+            state.body_rates,
+        )
+
+
+def placed(state: DroneState, position: FloatArray, yaw: float) -> Placement:
+    """The placement that puts a vehicle at x and y of `position` (3,), m, with heading `yaw`, rad."""
+    turn = yaw - float(yaw_of(state.quaternion))
+    shift = np.asarray(position, dtype=np.float64) - rotate_yaw(state.position, turn)
+    shift[2] = 0.0
+    return Placement(turn, shift)
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """What has happened between us and the autopilots so far."""
+
+    frames: int = 0
+    """Steps of physics."""
+    lost: int = 0
+    """Frame counts that never came."""
+    restarts: int = 0
+    """Autopilots that were given up and started anew."""
+
+
+class SitlFlight:
+    """One world, flown by one ArduCopter, which starts with the first `reset`. Call `close` at the end.
+
+    A vehicle that crashes, lands by itself or falls silent makes the world diverge: the flight does not count, and the
+    next one begins with another vehicle.
+    """
+
+    worlds = 1
+
+    def __init__(self, binary: Path, airframe: Airframe = IRIS, *, start: Callable[[], Vehicle] | None = None) -> None:
+        if airframe != IRIS:
+            raise RunError("ArduCopter is tuned for the Iris here; add --airframe iris")
+        self.airframe = airframe
+        self.trouble = ""
+        """Why the last vehicle was given up, in words."""
+        self._start: Callable[[], Vehicle] = start or (lambda: SitlVehicle(binary))
+        self._vehicle: Vehicle | None = None
+        self._ended = Counts()
+        self._placement = Placement()
+        self._state = DroneState(np.zeros(3), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
+        self._began = 0.0
+        self._ticks = 0
+        self._diverged = False
+
+    def reset(
+        self,
+        world: int,
+        position: FloatArray,
+        yaw: float = 0.0,
+        velocity: FloatArray | None = None,
+        *,
+        wind: FloatArray | None = None,
+    ) -> None:
+        """Hover at `position` (3,), m, within 5 cm of its height, heading `yaw`, rad, in a steady wind (3,), m/s.
+
+        A flight begins at rest: raises `ValueError` for a `velocity`. Raises `RunError` where no vehicle gets there.
+        """
+        self._check_world(world)
+        if velocity is not None and np.any(velocity):
+            raise ValueError("an ArduCopter begins at a hover; give no velocity")
+        blowing = np.zeros(3) if wind is None else np.asarray(wind, dtype=np.float64)
+        for _ in range(STARTS):
+            try:
+                self._vehicle = self._vehicle or self._start()
+                self._hover(self._vehicle, np.asarray(position, dtype=np.float64), yaw, blowing)
+            except LinkError as error:
+                self._give_up(error)
+                continue
+            self._diverged = False
+            return
+        raise RunError(f"ArduCopter did not come to hover in {STARTS} attempts; the last one: {self.trouble}")
+
+    def command(self, actions: FloatArray) -> None:
+        """As `command_one`, (1, 4)."""
+        if np.shape(actions) != (1, 4):
+            raise PolicyError(f"actions have shape {np.shape(actions)}; expected (1, 4): one drone is flown")
+        self.command_one(0, actions[0])
+
+    def command_one(self, world: int, action: FloatArray) -> None:
+        """Ask for a velocity (4,), heading frame, m/s and rad/s; ArduCopter turns it to world axes when it comes."""
+        self._check_world(world)
+        action = np.asarray(action, dtype=np.float64)
+        if action.shape != (4,) or not np.isfinite(action).all():
+            raise PolicyError(f"the action {action.tolist()} cannot be flown; send four real numbers")
+        if self._vehicle is not None:
+            try:
+                self._vehicle.send(action)
+            except LinkError as error:
+                self._give_up(error)
+
+    def advance(self, ticks: int) -> FloatArray:
+        """Fly on by ticks of `Flight.TICK_S`; true positions (1, samples, 3) after each fourth and after the last."""
+        path: list[FloatArray] = []
+        begin, self._ticks = self._ticks, self._ticks + ticks
+        first = begin - begin % Flight.SAMPLE_TICKS + Flight.SAMPLE_TICKS
+        try:
+            for stop in (*range(first, self._ticks, Flight.SAMPLE_TICKS), self._ticks):
+                if self._vehicle is not None and stop > begin:
+                    self._vehicle.go_on(self._began + stop * Flight.TICK_S)
+                    self._state = self._placement.apply(self._vehicle.plant.state())
+                    path.append(self._state.position)
+            if self._vehicle is not None:
+                self._vehicle.listen()
+        except LinkError as error:
+            self._give_up(error)
+        return np.array(path)[None] if path else np.empty((1, 0, 3))
+
+    @property
+    def counts(self) -> Counts:
+        """Of all vehicles together."""
+        ended, vehicle = self._ended, self._vehicle
+        if vehicle is None:
+            return ended
+        return replace(ended, frames=ended.frames + vehicle.frames, lost=ended.lost + vehicle.lost)
+
+    def state(self, world: int) -> DroneState:
+        """The true state, in the benchmark's world."""
+        self._check_world(world)
+        return self._state
+
+    @property
+    def position(self) -> FloatArray:
+        """(1, 3), world, m."""
+        return self._state.position[None].copy()
+
+    @property
+    def velocity(self) -> FloatArray:
+        """(1, 3), world, m/s."""
+        return self._state.velocity[None].copy()
+
+    @property
+    def quaternion(self) -> FloatArray:
+        """(1, 4), w, x, y, z, body to world."""
+        return self._state.quaternion[None].copy()
+
+    @property
+    def body_rates(self) -> FloatArray:
+        """(1, 3), body FLU, rad/s."""
+        return self._state.body_rates[None].copy()
+
+    @property
+    def yaw(self) -> FloatArray:
+        """(1,), heading, rad."""
+        return yaw_of(self.quaternion)
+
+    @property
+    def diverged(self) -> NDArray[np.bool_]:
+        """(1,): whether the vehicle was given up in this flight."""
+        return np.array([self._diverged])
+
+    def close(self) -> None:
+        """End the vehicle."""
+        if self._vehicle is not None:
+            self._ended, vehicle = self.counts, self._vehicle
+            self._vehicle = None
+            vehicle.close()
+
+    def _hover(self, vehicle: Vehicle, position: FloatArray, yaw: float, wind: FloatArray) -> None:
+        """Come to a hover at the height of the start, and put it there."""
+        vehicle.plant.wind = self._wind_over_ground(vehicle, yaw, wind)
+        still, deadline = 0, vehicle.plant.time + HOVER_S
+        while still < STILL_STEPS:
+            if vehicle.plant.time > deadline:
+                raise LinkError(f"it did not come to hover {position[2]:.2f} m above the ground in {HOVER_S:g} s")
+            state = vehicle.plant.state()
+            lacking = float(position[2] - state.position[2])
+            vehicle.send(np.array([0.0, 0.0, np.clip(lacking, -CLIMB_M_S, CLIMB_M_S), 0.0]))
+            vehicle.go_on(vehicle.plant.time + 1 / CONTROL_HZ)
+            vehicle.listen()
+            moving = max(float(np.linalg.norm(state.velocity)), abs(float(state.body_rates[2])), abs(lacking))
+            still = still + 1 if moving < STILL_M_S else 0
+        vehicle.send(np.zeros(4))
+        vehicle.plant.wind = self._wind_over_ground(vehicle, yaw, wind)
+        self._placement = placed(vehicle.plant.state(), position, yaw)
+        self._state = self._placement.apply(vehicle.plant.state())
+        self._began, self._ticks = vehicle.plant.time, 0
+
+    def _wind_over_ground(self, vehicle: Vehicle, yaw: float, wind: FloatArray) -> tuple[float, float, float]:
+        """The benchmark's wind (3,) over the vehicle's own ground, where its heading is `yaw` in the benchmark."""
+        turn = yaw - float(yaw_of(vehicle.plant.state().quaternion))
+        x, y, z = (float(v) for v in rotate_yaw(wind, -turn))
+        return x, y, z
+
+    def _give_up(self, error: LinkError) -> None:
+        """End a vehicle that does not fly; the world diverges."""
+        self.trouble = str(error)
+        self._diverged = True
+        self.close()
+        self._ended = replace(self._ended, restarts=self._ended.restarts + 1)
+
+    def _check_world(self, world: int) -> None:
+        if world != 0:
+            raise ValueError(f"there is no world {world}: an ArduCopter flies one")

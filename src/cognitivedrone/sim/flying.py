@@ -1,0 +1,77 @@
+"""What a simulator asks of whatever moves its drones: our own flight, or an autopilot in another process."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cognitivedrone.types import DroneState, FloatArray
+
+
+class Flying(Protocol):
+    """Drones in motion, one a world; `sim.dynamics.Flight` is ours, and tells more of each member."""
+
+    @property
+    def worlds(self) -> int:
+        """How many."""
+        ...
+
+    def reset(
+        self,
+        world: int,
+        position: FloatArray,
+        yaw: float = 0.0,
+        velocity: FloatArray | None = None,
+        *,
+        wind: FloatArray | None = None,
+    ) -> None:
+        """Start over in steady flight; (3,) world, m and m/s, yaw in rad."""
+        ...
+
+    def command(self, actions: FloatArray) -> None:
+        """Fly by (worlds, 4) heading-frame velocities in m/s and yaw rates in rad/s."""
+        ...
+
+    def command_one(self, world: int, action: FloatArray) -> None:
+        """As `command`, (4,) for one world."""
+        ...
+
+    def advance(self, ticks: int) -> FloatArray:
+        """Fly on by ticks of `Flight.TICK_S`; the way there, (worlds, samples, 3), world, m."""
+        ...
+
+    def state(self, world: int) -> DroneState:
+        """The true state of one drone."""
+        ...
+
+    @property
+    def position(self) -> FloatArray:
+        """(worlds, 3), world, m."""
+        ...
+
+    @property
+    def velocity(self) -> FloatArray:
+        """(worlds, 3), world, m/s."""
+        ...
+
+    @property
+    def quaternion(self) -> FloatArray:
+        """(worlds, 4), w, x, y, z, body to world."""
+        ...
+
+    @property
+    def body_rates(self) -> FloatArray:
+        """(worlds, 3), body FLU, rad/s."""
+        ...
+
+    @property
+    def yaw(self) -> FloatArray:
+        """(worlds,), heading, rad."""
+        ...
+
+    @property
+    def diverged(self) -> NDArray[np.bool_]:
+        """(worlds,): where the flight can no longer be judged; such a world stands still until it is reset."""
+        ...
