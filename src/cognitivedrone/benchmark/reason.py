@@ -7,7 +7,6 @@ same answers again, in flight or here.
 from __future__ import annotations
 
 import hashlib
-import re
 import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -21,17 +20,16 @@ from rich.console import Console
 from rich.progress import track as progress_of
 
 from cognitivedrone.benchmark.codec import dumps
-from cognitivedrone.benchmark.episode import preflight
+from cognitivedrone.benchmark.episode import labels_of, preflight
 from cognitivedrone.benchmark.reason_scoring import Answer, ReasonSummary, judge, summarize_answers
 from cognitivedrone.benchmark.results import Options, SuiteFacts, platform_facts, versions, write_whole
 from cognitivedrone.benchmark.run_types import LookName, RunConfig
-from cognitivedrone.benchmark.runner import Interrupted, facts_of
+from cognitivedrone.benchmark.runner import Interrupted, facts_of, results_folder
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.envs.course import Course, CourseConfig, draw_start, episode_rng, scenery_of, stage_of
 from cognitivedrone.errors import PolicyError, ReasonerError, RunError
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import Privileged, Reasoner, Remembering, Seeded
-from cognitivedrone.labels import load_pack
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.sim.simulator import TICKS_PER_CONTROL, Simulator, Start
@@ -120,7 +118,7 @@ def score_reasoner(config: ReasonConfig, *, progress: bool = True) -> ReasonResu
         raise RunError(f"--frames is {config.frames}; it must be at least 1")
     suite = suite_of(run)
     facts = facts_of(run, suite)
-    labels = load_pack(str(config.labels) if config.labels else "open-v1")
+    labels = labels_of(run)
     reasoner = make_reasoner(config.reasoner)
     if reasoner is None:
         raise PolicyError(f"--reasoner {config.reasoner} gives no answer to score; name one, such as oracle")
@@ -151,7 +149,7 @@ def out_of(config: ReasonConfig) -> Path:
         return config.out
     what = config.suite if config.tasks is None else config.tasks.stem
     names = ["reason", what, config.reasoner] + (["track"] if config.track else [])
-    return Path("results", "-".join(re.sub(r"[^\w.]+", "-", name).strip("-") for name in names))
+    return results_folder(*names)
 
 
 def views(course: Course, suite: Suite, episode: int, rng: np.random.Generator) -> Iterator[View]:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from rich import box
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from cognitivedrone.benchmark.reason import ReasonResults
 from cognitivedrone.benchmark.reason_scoring import ReasonScore
-from cognitivedrone.benchmark.tables import DASH, interval, percent, words
+from cognitivedrone.benchmark.tables import DASH, add_parts, interval, new_table, percent, words
 
 COLUMNS = ("", "n", "gate", "95 % CI", "colour", "shape", "size", "all", "faults")
 
@@ -22,21 +20,9 @@ def reason_table(results: ReasonResults) -> RenderableType:
     `gate` counts directives that fit the right gate and no other, the columns beside it the parts that they name.
     """
     summary = results.summary
-    table = Table(
-        box=box.SIMPLE_HEAD,
-        title=Text(f"{results.suite.name}: reasoner {results.config.reasoner}"),
-        title_justify="left",
-        padding=0,
-        pad_edge=False,
-        show_edge=False,
-    )
-    for position, name in enumerate(COLUMNS):
-        table.add_column(name, justify="left" if position == 0 else "right", no_wrap=True)
+    table = new_table(f"{results.suite.name}: reasoner {results.config.reasoner}", *COLUMNS, gap=0)
     table.add_row("overall", *_cells(summary.overall), style="bold", end_section=True)
-    for position, (category, score) in enumerate(summary.categories.items(), start=1):
-        table.add_row(words(category), *_cells(score), end_section=position == len(summary.categories))
-    for family, score in summary.families.items():
-        table.add_row(Text(f"  {words(family)}"), *_cells(score), style="dim")
+    add_parts(table, summary.categories, summary.families, _cells)
     return Group(table, "", *_notes(results))
 
 
