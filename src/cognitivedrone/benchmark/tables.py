@@ -14,6 +14,7 @@ from cognitivedrone.benchmark.compare import Comparison, Difference
 from cognitivedrone.benchmark.results import Results
 from cognitivedrone.benchmark.run_types import Rule
 from cognitivedrone.benchmark.scoring import Interval, Score, Summary
+from cognitivedrone.types import Category
 
 DASH = "–"
 Part = TypeVar("Part")
@@ -136,7 +137,10 @@ def new_table(title: str, *columns: str, gap: int = 1) -> Table:
 
 
 def add_parts(
-    table: Table, categories: Mapping[str, Part], families: Mapping[str, Part], cells: Callable[[Part], Sequence[str]]
+    table: Table,
+    categories: Mapping[Category, Part],
+    families: Mapping[str, Part],
+    cells: Callable[[Part], Sequence[str]],
 ) -> None:
     """A row for each category, then one for each family."""
     for position, (category, part) in enumerate(categories.items(), start=1):
