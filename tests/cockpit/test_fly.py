@@ -8,7 +8,6 @@ import os
 import re
 import signal
 import socket
-import stat
 import subprocess
 import sys
 import threading
@@ -28,6 +27,7 @@ pytest.importorskip("pymavlink")
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / "links"))
 
+from arducopters import played_arducopter
 from cockpit_fakes import camera
 from peer import MODES, Peer, playing
 from pymavlink import mavutil
@@ -269,10 +269,7 @@ def test_the_pilot_ends_the_flight(tmp_path):
 
 
 def test_arducopter_is_started_on_our_physics_and_flown(tmp_path):
-    binary = tmp_path / "arducopter"
-    fake = Path(__file__).parents[1] / "support" / "fake_arducopter.py"
-    binary.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{fake}" "$@"\n')
-    binary.chmod(binary.stat().st_mode | stat.S_IXUSR)
+    binary = played_arducopter(tmp_path)
     instance = free_instance()
     config = FlyConfig(
         link="sitl", policy="hover", reasoner="oracle", sitl=binary, sitl_instance=instance, time_limit=1,

@@ -144,6 +144,25 @@ def test_after_a_stall_only_the_newest_is_answered(autopilot: Autopilot) -> None
     assert autopilot.server.missed == 1
 
 
+def test_a_held_answer_stops_the_autopilot_and_is_given_once(autopilot: Autopilot) -> None:
+    server = autopilot.server
+    autopilot.fly(OFF, 0.01)
+    asked = packet(autopilot.frame + 1)
+    autopilot.socket.sendto(asked, server.address)
+    assert server.take(1.0)
+    time = server.plant.time
+    with pytest.raises(BlockingIOError):
+        autopilot.socket.recv(2048)
+    for _ in range(3):  # it waits, and asks again
+        autopilot.socket.sendto(asked, server.address)
+    server.answer()
+    assert autopilot.answer()["timestamp"] == pytest.approx(time)
+    server.answer()
+    assert not server.poll(0.0)
+    with pytest.raises(BlockingIOError):
+        autopilot.socket.recv(2048)
+
+
 def test_the_packet_decides_the_rate_and_may_have_32_channels(autopilot: Autopilot) -> None:
     answer = autopilot.fly(OFF, 0.1, rate=800)
     assert answer["timestamp"] == pytest.approx(0.1)

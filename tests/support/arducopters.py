@@ -1,0 +1,26 @@
+"""Binaries for tests that fly an ArduCopter: one that is played, and the real one where it is at hand."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+REAL = os.environ.get("ARDUCOPTER", "")
+needs_arducopter = pytest.mark.skipif(not REAL, reason="set ARDUCOPTER to an ArduCopter binary that is built for SITL")
+
+
+def played_arducopter(folder: Path) -> Path:
+    """A program that is started, asks for physics and answers MAVLink as ArduCopter does."""
+    return script(
+        folder / "arducopter", f'exec "{sys.executable}" "{Path(__file__).parent / "fake_arducopter.py"}" "$@"'
+    )
+
+
+def script(path: Path, line: str) -> Path:
+    """A shell script of one line."""
+    path.write_text(f"#!/bin/sh\n{line}\n")
+    path.chmod(0o755)
+    return path
