@@ -20,7 +20,6 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.airframe import AIRFRAMES
-from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import EpisodeResult
 
@@ -75,7 +74,7 @@ class EpisodeFlyer:
     @property
     def renderer(self) -> str:
         """Name of what draws the frames."""
-        return renderer_name()
+        return self._link.renderer()
 
     def fly(self, episode: int, *, film: bool) -> Flown:
         """Fly one track of the suite; the same flight every time."""

@@ -1,4 +1,4 @@
-"""What flies in a benchmark: our own simulator, or an autopilot in another process on the same physics."""
+"""What flies in a benchmark: our own simulator, or an autopilot in another process, on our physics or in Gazebo."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from pathlib import Path
 from cognitivedrone.benchmark.run_types import LinkReport, RunConfig
 from cognitivedrone.errors import RunError
 from cognitivedrone.links.arducopter import BINARY_VARIABLE, find_binary
-from cognitivedrone.sim.airframe import AIRFRAMES
+from cognitivedrone.sim.airframe import AIRFRAMES, Airframe
+from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.sim.simulator import Simulator
 
 
@@ -23,10 +24,12 @@ class Linked:
     """What has happened on the link so far; all zeros where there is none."""
     trouble: Callable[[], str] = str
     """Why the last vehicle was lost, in words; empty where none was."""
+    renderer: Callable[[], str] = renderer_name
+    """Name of what draws the frames."""
 
 
 def autopilot_file(config: RunConfig) -> Path | None:
-    """The program that flies, if one does.
+    """The program that we start to fly, if there is one.
 
     Raises `LinkError` where it cannot be found, `RunError` for options that do not go with it.
     """
@@ -34,12 +37,17 @@ def autopilot_file(config: RunConfig) -> Path | None:
         return None
     if config.airframe != "iris":
         raise RunError(f"--link {config.link} flies the Iris, which ArduCopter is tuned for here; add --airframe iris")
+    if config.link == "gazebo":
+        _check_gazebo(config)
+        return None
     return find_binary(None, f"set {BINARY_VARIABLE} to its path")
 
 
 def open_link(config: RunConfig, undo: ExitStack) -> Linked:
     """The simulator that the options ask for; `undo` closes it, and what flies in it."""
     binary, airframe = autopilot_file(config), AIRFRAMES[config.airframe]
+    if config.link == "gazebo":
+        return _open_gazebo(airframe, undo)
     if binary is None:
         simulator = Simulator(1, airframe=airframe)
         undo.callback(simulator.close)
@@ -56,3 +64,24 @@ def open_link(config: RunConfig, undo: ExitStack) -> Linked:
         return LinkReport(counts.frames, counts.lost, counts.restarts)
 
     return Linked(simulator, report, lambda: flight.trouble)
+
+
+def _check_gazebo(config: RunConfig) -> None:
+    """Raise `RunError` for options that a running Gazebo has no place for."""
+    if config.wind:
+        raise RunError("no wind blows in the world that Gazebo runs; leave --wind out")
+    if config.workers not in (None, 1):
+        raise RunError(f"one vehicle flies in Gazebo, so --workers {config.workers} is too many; leave it out")
+
+
+def _open_gazebo(airframe: Airframe, undo: ExitStack) -> Linked:
+    from cognitivedrone.links.gazebo.pilot import open_gazebo
+
+    flight = undo.enter_context(open_gazebo())
+    simulator = Simulator(1, airframe=airframe, flight=flight, eyes=flight)
+    undo.callback(simulator.close)
+
+    def report() -> LinkReport:
+        return LinkReport(flight.steps, flight.late, flight.restarts)
+
+    return Linked(simulator, report, lambda: flight.trouble, lambda: flight.renderer)

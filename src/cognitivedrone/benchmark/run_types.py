@@ -15,7 +15,7 @@ Rule = Literal["through", "within_1m"]
 """`through`: the drone's centre crosses the right gate's plane inside its opening. `within_1m`: the published rule, the
 drone comes within 1 m of the right gate's centre."""
 LookName = Literal["plain", "varied"]
-LinkName = Literal["sim", "sitl"]
+LinkName = Literal["sim", "sitl", "gazebo"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,8 @@ class RunConfig:
     """The drone that is flown."""
     link: LinkName = "sim"
     """sim: our own autopilot. sitl: a real ArduCopter on our physics, in lock-step; the environment variable ARDUCOPTER
-    names its binary, and it needs --airframe iris (docs/ardupilot.md)."""
+    names its binary (docs/ardupilot.md). gazebo: ArduPilot in the Gazebo that runs on this machine, as that sees it, in
+    its time (docs/gazebo.md). Both need --airframe iris."""
     wind: float = 0.0
     """Speed of a steady wind, m/s; every episode draws its direction."""
     latency: str = "none"
@@ -83,9 +84,10 @@ class LinkReport:
     """What happened between us and an autopilot in another process."""
 
     frames: int = 0
-    """Steps of physics that it asked for."""
+    """Steps of physics that it asked for; in Gazebo, stretches of flight between two commands."""
     lost: int = 0
-    """Steps that it counted and we never saw: 0 in strict lock-step."""
+    """Steps that it counted and we never saw, 0 in strict lock-step; in Gazebo, stretches that were over when the next
+    command came."""
     restarts: int = 0
     """How often it had to be started anew, after a crash or a failsafe of its own."""
 

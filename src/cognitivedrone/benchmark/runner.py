@@ -164,6 +164,8 @@ def command_of(config: RunConfig) -> str:
 
 
 def _workers(config: RunConfig) -> int:
+    if config.link == "gazebo":
+        return 1
     if config.workers is not None:
         return config.workers
     if hasattr(os, "sched_getaffinity"):
@@ -204,6 +206,8 @@ def _fly_missing(
 
 def _film(crew: Crew, suite: Suite, records: Sequence[Record], config: RunConfig) -> list[Clip]:
     """Fly the most telling episodes once more, with a film: the same seed gives the same flight."""
+    if config.link == "gazebo":
+        return []  # in real time no flight is flown twice alike
     results: dict[int, EpisodeResult] = {record.result.episode: record.result for record in records}
     chosen = choose_clips(list(results.values()), config.clips)
     clips = {

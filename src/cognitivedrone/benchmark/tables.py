@@ -194,7 +194,10 @@ def _notes(results: Results, rule: Rule) -> list[Text]:
     published = ", ".join(f"{name} {percent(rate)}" for name, rate in PUBLISHED)
     notes.append(Text(f"the paper (arXiv 2503.01378), on its own tasks and simulator: {published}"))
     if (link := results.timing.link) is not None:
-        text = f"ArduCopter: {link.frames} frames of physics, {link.lost} lost; started anew {link.restarts} times"
+        what = f"ArduCopter: {link.frames} frames of physics, {link.lost} lost"
+        if results.run.options.link == "gazebo":
+            what = f"Gazebo: {link.frames} commands, {link.lost} of them late"
+        text = f"{what}; started anew {link.restarts} times"
         notes.append(Text(text, style="yellow" if link.lost or link.restarts else ""))
     flown, wall = results.timing.episodes_flown, results.timing.wall_s
     notes.append(Text(f"{flown} episodes in {wall:.1f} s, {results.timing.workers} workers", style="dim"))

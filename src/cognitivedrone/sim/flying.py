@@ -1,13 +1,15 @@
-"""What a simulator asks of whatever moves its drones: our own flight, or an autopilot in another process."""
+"""What a simulator asks of whatever moves its drones and shows what they see: our own, or another program's."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.types import DroneState, FloatArray
+from cognitivedrone.types import DroneState, FloatArray, Image, Stage
+from cognitivedrone.world.look import Look
 
 
 class Flying(Protocol):
@@ -74,4 +76,18 @@ class Flying(Protocol):
     @property
     def diverged(self) -> NDArray[np.bool_]:
         """(worlds,): where the flight can no longer be judged; such a world stands still until it is reset."""
+        ...
+
+
+class Seeing(Protocol):
+    """What drones see, one a world; `sim.camera.Cameras` is ours, and tells more of each member."""
+
+    def set_stage(self, slot: int, stage: Stage, images: Sequence[Image], board: Image | None, look: Look) -> None:
+        """Show a stage in a world, with the pictures on its panels."""
+        ...
+
+    def first_person(
+        self, positions: FloatArray, quaternions: FloatArray, out: Image | None, slots: Sequence[int] | None
+    ) -> Image:
+        """(n, size, size, 3) views from (n, 3) world, m, and (n, 4) w, x, y, z; into `out` where given."""
         ...

@@ -10,7 +10,7 @@ import numpy as np
 from cognitivedrone.sim.airframe import RACER, Airframe
 from cognitivedrone.sim.camera import Cameras
 from cognitivedrone.sim.dynamics import Flight
-from cognitivedrone.sim.flying import Flying
+from cognitivedrone.sim.flying import Flying, Seeing
 from cognitivedrone.sim.referee import Referee, Verdict
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, DroneState, FloatArray, Image, Stage
 from cognitivedrone.world.look import PLAIN, Look
@@ -45,7 +45,7 @@ class Simulator:
     """n independent worlds, stepped together.
 
     `threads` are used for physics and rendering; results are the same bits whatever their number. `flight` is what
-    moves the drones, where it is not our own; it stays the caller's to close.
+    moves the drones and `eyes` what shows what they see, where they are not our own; they stay the caller's to close.
     """
 
     def __init__(
@@ -57,11 +57,14 @@ class Simulator:
         size: int = IMAGE_SIZE,
         render: bool = True,
         flight: Flying | None = None,
+        eyes: Seeing | None = None,
     ) -> None:
         self.worlds = worlds
         self.airframe = airframe
         self.flight: Flying = flight or Flight(worlds, airframe, threads=threads)
-        self.cameras = Cameras(worlds, size, threads=threads) if render else None
+        self.cameras = Cameras(worlds, size, threads=threads) if render and eyes is None else None
+        """Our own renderer, where it draws."""
+        self._eyes: Seeing | None = eyes or self.cameras
         self.ticks = np.zeros(worlds, dtype=np.int64)
         """(worlds,) physics ticks since each world's flight began."""
         self._referees: list[Referee | None] = [None] * worlds
@@ -74,8 +77,8 @@ class Simulator:
 
     def place(self, world: int, stage: Stage, scenery: Scenery) -> None:
         """Set the stage of one world; the drone flies on."""
-        if self.cameras is not None:
-            self.cameras.set_stage(world, stage, scenery.panels, scenery.board, scenery.look)
+        if self._eyes is not None:
+            self._eyes.set_stage(world, stage, scenery.panels, scenery.board, scenery.look)
         left, middle, right = (image.shape[1] / image.shape[0] for image in scenery.panels)
         start = self.flight.position[world]
         self._referees[world] = Referee(stage, start, self.airframe.hull_radius, (left, middle, right))
@@ -95,12 +98,12 @@ class Simulator:
 
     def frames(self, out: Image | None = None, worlds: Sequence[int] | None = None) -> Image:
         """First-person views (n, size, size, 3) of all worlds, or of some."""
-        if self.cameras is None:
+        if self._eyes is None:
             raise ValueError("this simulator was made without cameras")
         if worlds is None:
-            return self.cameras.first_person(self.flight.position, self.flight.quaternion, out)
+            return self._eyes.first_person(self.flight.position, self.flight.quaternion, out, None)
         chosen = list(worlds)
-        return self.cameras.first_person(self.flight.position[chosen], self.flight.quaternion[chosen], out, chosen)
+        return self._eyes.first_person(self.flight.position[chosen], self.flight.quaternion[chosen], out, chosen)
 
     def referee(self, world: int) -> Referee:
         """The referee of the stage at hand."""

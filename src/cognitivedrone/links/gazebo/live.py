@@ -30,7 +30,7 @@ from cognitivedrone.links.gazebo.bindings import Bindings, installed_releases, l
 from cognitivedrone.links.gazebo.export import write_meshes, write_pictures
 from cognitivedrone.links.gazebo.release import RELEASES
 from cognitivedrone.links.gazebo.sdf import SUN, WORLD, Prop, document, prop_model, sun
-from cognitivedrone.links.gazebo.sight import GazeboCamera, GazeboTruth, Topic, places_of
+from cognitivedrone.links.gazebo.sight import GazeboCamera, GazeboTruth, Topic, TruePath, places_of
 from cognitivedrone.links.gazebo.vehicle import CAMERA_TOPIC, NAME
 from cognitivedrone.types import DroneState, FloatArray, Stage
 from cognitivedrone.world.look import PLAIN, Look
@@ -185,6 +185,17 @@ class GazeboWorld:
                 silence_s=self.config.silence_s,
             )
         return self._truth.state()
+
+    def path(self) -> TruePath:
+        """The vehicle's true states from now on; who asks for it closes it."""
+        topic = f"/world/{self.config.world}/dynamic_pose/info"
+        return TruePath(
+            self.bindings,
+            topic,
+            self.config.vehicle,
+            first_s=self.config.first_s,
+            silence_s=self.config.silence_s,
+        )
 
     def camera(self) -> GazeboCamera:
         """The vehicle's camera, for a `MavlinkDrone`, which closes it; raises `CameraError` where it stays silent."""

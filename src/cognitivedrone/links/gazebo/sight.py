@@ -10,6 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
@@ -27,6 +28,10 @@ RGB_INT8: Final = 3
 """gz.msgs.PixelFormatType."""
 VELOCITY_WINDOW_S: Final = 0.1
 """Velocity and body rates are differences of poses this far apart, of simulated time, or somewhat more."""
+
+PATH_KEPT: Final = 100_000
+"""Samples of a path that nobody asks for: half an hour of them."""
+_LOOK_AGAIN_S = 0.002
 
 
 class Topic(Generic[T]):
@@ -130,6 +135,52 @@ class GazeboTruth:
         self._topic.close()
 
 
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """Where a model truly was."""
+
+    time: float
+    """Of Gazebo, s."""
+    state: DroneState
+
+
+class TruePath:
+    """Every true state of a model, from the world's topic of moving things, and Gazebo's time with them."""
+
+    def __init__(
+        self, bindings: Bindings, topic: str, model: str, *, first_s: float = 10.0, silence_s: float = 3.0
+    ) -> None:
+        self._silence_s = silence_s
+        self._track = PoseTrack(model)
+        self._kept: deque[Sample] = deque(maxlen=PATH_KEPT)
+        self._topic: Topic[Sample] = Topic(bindings, topic, "Pose_V", self._take, first_s)
+
+    def newest(self) -> Sample:
+        """The last one; raises `GazeboError` where the topic has fallen silent."""
+        return self._topic.newest(self._silence_s)[0]
+
+    def until(self, time_s: float) -> list[Sample]:
+        """Wait until Gazebo's time is `time_s`; all samples since the last call, in order, or the newest."""
+        while (newest := self.newest()).time < time_s:
+            time.sleep(_LOOK_AGAIN_S)
+        samples = []
+        while self._kept and (not samples or samples[-1] is not newest):
+            samples.append(self._kept.popleft())
+        return samples or [newest]
+
+    def close(self) -> None:
+        """Listen no longer."""
+        self._topic.close()
+
+    def _take(self, message: Any) -> Sample | None:
+        state = self._track.take(message)
+        if state is None:
+            return None
+        sample = Sample(stamp_of(message), state)
+        self._kept.append(sample)
+        return sample
+
+
 class PoseTrack:
     """Makes states of poses: rates are differences over `VELOCITY_WINDOW_S` of simulated time."""
 
@@ -142,7 +193,7 @@ class PoseTrack:
         pose = next((pose for pose in message.pose if pose.name == self._model), None)
         if pose is None:
             return None
-        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nsec
+        stamp = stamp_of(message)
         position, quaternion = _place(pose)
         past = self._past
         if past and stamp < past[-1][0]:
@@ -161,6 +212,11 @@ class PoseTrack:
             quaternion=to_quaternion,
             body_rates=Rotation.from_matrix(turn).as_rotvec() / (now - before),
         )
+
+
+def stamp_of(message: Any) -> float:
+    """Gazebo's time of a message, s."""
+    return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nsec)
 
 
 def places_of(message: Any) -> dict[str, tuple[FloatArray, FloatArray]]:
