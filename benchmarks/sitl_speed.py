@@ -1,26 +1,55 @@
-"""How fast the physics server answers: frames of 1200 Hz in lock-step over a loopback socket, without rendering.
+"""How fast ArduPilot SITL flies on our physics: the server alone, and a real ArduCopter where ARDUCOPTER names one.
 
 python benchmarks/sitl_speed.py
+
+The server alone is asked in lock-step over a loopback socket, at 1200 Hz. ArduCopter is flown by a command ten times a
+second of its time, as a benchmark flies it, without rendering and with a 256x256 frame at every command.
 """
 
 from __future__ import annotations
 
+import os
 import socket
 import statistics
 import struct
 import time
+from pathlib import Path
 
+import numpy as np
+
+from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
+from cognitivedrone.labels import load_pack
+from cognitivedrone.links.arducopter import BINARY_VARIABLE
 from cognitivedrone.links.sitl import SitlServer
+from cognitivedrone.links.sitl_flight import SitlFlight
+from cognitivedrone.sim.airframe import IRIS
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.tasks import load_suite
+from cognitivedrone.types import CONTROL_HZ
 
 RATE_HZ = 1200
 FRAMES = 4000
 ROUNDS = 5
+FLOWN_S = 20.0
 PACKET = struct.Struct("<HHI16H")
 HOVER = (1500,) * 4 + (0,) * 12
 
 
 def main() -> None:
     """Print the medians."""
+    ratio, busy_us = server_alone()
+    print(f"the server alone: {ratio:.1f} times real time at {RATE_HZ} Hz")
+    print(f"the server alone: {busy_us:.0f} us of CPU a frame, the asking side included")
+    binary = os.environ.get(BINARY_VARIABLE)
+    if not binary:
+        print(f"ArduCopter: not measured; set {BINARY_VARIABLE} to its binary")
+        return
+    for render in (False, True):
+        print(f"ArduCopter {'with' if render else 'without'} rendering: {arducopter(Path(binary), render):.1f} times")
+
+
+def server_alone() -> tuple[float, float]:
+    """How many times real time, and CPU time a frame in us."""
     wall, busy = [], []
     with SitlServer(port=0) as server, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
         autopilot.connect(server.address)
@@ -32,8 +61,32 @@ def main() -> None:
                 autopilot.recv(2048)
             wall.append((time.perf_counter() - began) / FRAMES)
             busy.append((time.process_time() - used) / FRAMES)
-    print(f"{1 / (RATE_HZ * statistics.median(wall)):.1f} times real time at {RATE_HZ} Hz")
-    print(f"{statistics.median(busy) * 1e6:.0f} us of CPU a frame, the asking side included")
+    return 1 / (RATE_HZ * statistics.median(wall)), statistics.median(busy) * 1e6
+
+
+def arducopter(binary: Path, render: bool) -> float:
+    """How many times real time an ArduCopter flies to and fro: the median of rounds of `FLOWN_S`."""
+    suite = load_suite("open-v1:smoke")
+    flight = SitlFlight(binary)
+    simulator = Simulator(1, airframe=IRIS, flight=flight, render=render)
+    try:
+        course = Course(simulator, 0, load_pack("open-v1"), CourseConfig())
+        course.begin(suite.tracks[0], episode_rng(suite.digest, 0, 0))
+        ratios = []
+        for _ in range(ROUNDS):
+            began = time.perf_counter()
+            for step in range(round(FLOWN_S * CONTROL_HZ)):
+                if render:
+                    simulator.frames()
+                simulator.command(0, np.array([np.sin(step / 10), 0.0, 0.0, 0.0]))
+                simulator.advance()
+            ratios.append(FLOWN_S / (time.perf_counter() - began))
+        if flight.counts.lost or flight.diverged.any():
+            raise SystemExit(f"not a fair flight: {flight.counts}, {flight.trouble}")
+        return statistics.median(ratios)
+    finally:
+        simulator.close()
+        flight.close()
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
-"""Print our step responses beside ArduCopter's: python benchmarks/step_responses.py [--traces FOLDER].
+"""Print our step responses beside ArduCopter's: python benchmarks/step_responses.py [--traces FOLDER] [--plot SVG].
 
 With a folder of recorded traces (CSV with t, bvx, bvy, bvz, yaw_rate_flu, yaw) also the RMS distance of whole curves.
+Where ARDUCOPTER names a binary, it is flown as well, on our physics; the plot lays its curves over those of our Iris.
 """
 
 from __future__ import annotations
@@ -8,12 +9,18 @@ from __future__ import annotations
 import argparse
 import csv
 import math
+import os
 from pathlib import Path
 
 import numpy as np
 
-from cognitivedrone.sim.airframe import AIRFRAMES
+from cognitivedrone.links.arducopter import BINARY_VARIABLE
+from cognitivedrone.links.sitl_flight import SitlFlight
+from cognitivedrone.sim.airframe import AIRFRAMES, IRIS
 from cognitivedrone.sim.responses import ARDUCOPTER, STEPS, Figures, Trace, fly, measure
+from cognitivedrone.types import FloatArray
+
+COLORS = ("#1f77b4", "#d62728")
 
 FILES = {
     "forward 1 m/s": "a_forward_1.csv",
@@ -45,23 +52,62 @@ def distance(trace: Trace, path: Path) -> str:
     return " ".join(f"{c} {v:.3f}" for c, v in zip(columns, rms, strict=True)) + f" heading max {lag:.3f} rad"
 
 
+def plot(curves: dict[str, dict[str, Trace]]) -> str:
+    """An SVG with a panel a step: the measured component of each response over time."""
+    width, height, gap = 300, 170, 34
+    parts = []
+    for place, (name, traces) in enumerate(curves.items()):
+        left, top = gap + place % 3 * (width + gap), gap + place // 3 * (height + gap)
+        step = STEPS[name]
+        wanted, seconds = step.action[step.axis], next(iter(traces.values())).time[-1]
+
+        def points(x: FloatArray, y: FloatArray) -> str:
+            across, down = left + x / seconds * width, top + height * (1.3 - y / wanted) / 1.7  # noqa: B023
+            return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(across, down, strict=True))
+
+        asked = points(np.array([0, 0, step.duration, step.duration, seconds]), np.array([0, wanted, wanted, 0, 0]))
+        parts.append(f'<text x="{left}" y="{top - 6}">{name}, {seconds:g} s</text>')
+        parts.append(f'<polyline points="{asked}" fill="none" stroke="#bbb"/>')
+        for color, trace in zip(COLORS, traces.values(), strict=False):
+            line = points(trace.time, trace.response[:, step.axis])
+            parts.append(f'<polyline points="{line}" fill="none" stroke="{color}" stroke-width="1.5"/>')
+    for place, (color, who) in enumerate(zip(COLORS, next(iter(curves.values())), strict=False)):
+        parts.append(f'<text x="{gap + 200 * place}" y="{2 * (height + gap) + gap}" fill="{color}">{who}</text>')
+    size = f"{3 * (width + gap) + gap} {2 * (height + gap) + 2 * gap}"
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size}" font-family="sans-serif" font-size="12">'
+    return "\n".join([head, '<rect width="100%" height="100%" fill="white"/>', *parts, "</svg>\n"])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--traces", type=Path, help="folder of recorded responses")
-    folder = parser.parse_args().traces
+    parser.add_argument("--plot", type=Path, help="SVG to write")
+    options = parser.parse_args()
+    binary = os.environ.get(BINARY_VARIABLE)
+    arducopter = SitlFlight(Path(binary)) if binary else None
     print("| step | who | t10 s | t50 s | t90 s | overshoot | stop m (yaw: rad) | max tilt deg |")
     print("|---|---|---|---|---|---|---|---|")
-    curves = []
-    for name, step in STEPS.items():
-        print(row(name, "ArduCopter 4.6.3", ARDUCOPTER[name]))
-        for frame, airframe in AIRFRAMES.items():
-            trace = fly(step, airframe)
-            print(row(name, frame, measure(step, trace)))
-            if folder:
-                curves.append(f"{name}, {frame}: {distance(trace, folder / FILES[name])}")
-    if curves:
+    distances: list[str] = []
+    curves: dict[str, dict[str, Trace]] = {}
+    try:
+        for name, step in STEPS.items():
+            print(row(name, "ArduCopter 4.6.3", ARDUCOPTER[name]))
+            traces = {frame: fly(step, airframe) for frame, airframe in AIRFRAMES.items()}
+            if arducopter is not None:
+                traces["ArduCopter, flown now"] = fly(step, IRIS, arducopter)
+            for who, trace in traces.items():
+                print(row(name, who, measure(step, trace)))
+                if options.traces:
+                    distances.append(f"{name}, {who}: {distance(trace, options.traces / FILES[name])}")
+            curves[name] = {who: trace for who, trace in traces.items() if who != "racer"}
+    finally:
+        if arducopter is not None:
+            arducopter.close()
+    if distances:
         print("\nRMS distance to the recorded curves (m/s, rad/s), and the largest distance of headings:")
-        print("\n".join(curves))
+        print("\n".join(distances))
+    if options.plot:
+        options.plot.write_text(plot(curves))
 
 
 if __name__ == "__main__":

@@ -61,7 +61,7 @@ class FlyConfig:
     sitl: Path | None = None
     """With sitl: the ArduCopter binary; the environment variable ARDUCOPTER by default."""
     sitl_defaults: tuple[Path, ...] = ()
-    """With sitl: parameter files that are loaded before ours; ArduPilot's own copter.parm is needed."""
+    """With sitl: parameter files that are loaded before ours."""
     sitl_instance: int = 0
     """With sitl: shifts its ports, so that several fly side by side."""
     i_understand_this_flies_a_real_drone: bool = False

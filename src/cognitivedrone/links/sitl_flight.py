@@ -119,12 +119,10 @@ class SitlFlight:
     worlds = 1
 
     def __init__(self, binary: Path, airframe: Airframe = IRIS, *, start: Callable[[], Vehicle] | None = None) -> None:
-        if airframe != IRIS:
-            raise RunError("ArduCopter is tuned for the Iris here; add --airframe iris")
         self.airframe = airframe
         self.trouble = ""
         """Why the last vehicle was given up, in words."""
-        self._start: Callable[[], Vehicle] = start or (lambda: SitlVehicle(binary))
+        self._start: Callable[[], Vehicle] = start or (lambda: SitlVehicle(binary, airframe))
         self._vehicle: Vehicle | None = None
         self._ended = Counts()
         self._placement = Placement()

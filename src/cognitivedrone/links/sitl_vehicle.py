@@ -22,6 +22,7 @@ from cognitivedrone.links.camera import Shot
 from cognitivedrone.links.mavlink import MavlinkConfig, MavlinkDrone
 from cognitivedrone.links.sitl import SitlServer, serving
 from cognitivedrone.links.sitl_physics import Plant
+from cognitivedrone.sim.airframe import IRIS, Airframe
 from cognitivedrone.types import Action, FloatArray
 
 INSTANCES = 64
@@ -77,14 +78,16 @@ class SitlVehicle:
     taken.
     """
 
-    def __init__(self, binary: Path) -> None:
-        self.plant = Plant()
+    def __init__(self, binary: Path, airframe: Airframe = IRIS) -> None:
+        self.plant = Plant(airframe)
         with ExitStack() as undo:
             folder = Path(undo.enter_context(tempfile.TemporaryDirectory(prefix="cognitivedrone-sitl-")))
             self._server, instance = open_server(self.plant)
             undo.callback(self._server.close)
             self._autopilot = undo.enter_context(
-                ArduCopter(binary, folder, instance=instance, parameters=LOCK_STEP_PARAMETERS, speed=SPEED)
+                ArduCopter(
+                    binary, folder, instance=instance, airframe=airframe, parameters=LOCK_STEP_PARAMETERS, speed=SPEED
+                )
             )
             with serving(self._server):
                 self._drone = self._autopilot.connect(connected)
@@ -162,8 +165,8 @@ def connected(url: str) -> MavlinkDrone:
         takeoff_height_m=TAKEOFF_M,
         clock="vehicle",
         set_parameters=True,
-        ready_timeout_s=300.0,
-        takeoff_timeout_s=120.0,
+        ready_timeout_s=900.0,
+        takeoff_timeout_s=600.0,
     )
     return MavlinkDrone(url, _NoCamera(), OpenGuard(), config)
 

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cognitivedrone.frames import world_to_heading
 from cognitivedrone.sim.airframe import Airframe
 from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.flying import Flying
 from cognitivedrone.types import FloatArray
 
 SETTLE_S = 3.0
@@ -82,14 +84,15 @@ ARDUCOPTER: dict[str, Figures] = {
 }
 
 
-def fly(step: Step, airframe: Airframe) -> Trace:
-    """Fly a step from hover, with setpoints at 10 Hz."""
-    flight = Flight(1, airframe)
+def fly(step: Step, airframe: Airframe, flight: Flying | None = None) -> Trace:
+    """Fly a step from hover, with setpoints at 10 Hz; on our own autopilot where no other `flight` is given."""
+    flight = flight or Flight(1, airframe)
     flight.reset(0, np.array([0.0, 0.0, 1.5]))
     count = round((step.duration + SETTLE_S) * 100)
     response, position, heading, tilt = np.empty((count + 1, 4)), np.empty((count + 1, 3)), np.empty(count + 1), []
     for k in range(count + 1):
-        response[k, :3], response[k, 3] = flight.heading_velocity[0], flight.body_rates[0, 2]
+        response[k, :3] = world_to_heading(flight.velocity[0], flight.yaw[0])
+        response[k, 3] = flight.body_rates[0, 2]
         position[k], heading[k] = flight.position[0], flight.yaw[0]
         _, x, y, _ = flight.quaternion[0]
         tilt.append(math.acos(min(1.0, 1 - 2 * (x * x + y * y))))
