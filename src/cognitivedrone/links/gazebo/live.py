@@ -30,7 +30,7 @@ from cognitivedrone.links.gazebo.bindings import Bindings, installed_releases, l
 from cognitivedrone.links.gazebo.export import write_meshes, write_pictures
 from cognitivedrone.links.gazebo.release import RELEASES
 from cognitivedrone.links.gazebo.sdf import SUN, WORLD, Prop, document, prop_model, sun
-from cognitivedrone.links.gazebo.sight import GazeboCamera, GazeboTruth, Topic, TruePath, places_of
+from cognitivedrone.links.gazebo.sight import GazeboCamera, Topic, TruePath, places_of
 from cognitivedrone.links.gazebo.vehicle import CAMERA_TOPIC, NAME
 from cognitivedrone.types import DroneState, FloatArray, Stage
 from cognitivedrone.world.look import PLAIN, Look
@@ -124,7 +124,7 @@ class GazeboWorld:
         self._folder = folder.resolve()
         self._node = self.bindings.new_node()
         self._serial = 0
-        self._truth: GazeboTruth | None = None
+        self._path: TruePath | None = None
         self._poses: Topic[dict[str, tuple[FloatArray, FloatArray]]] | None = None
         self._known: frozenset[str] = frozenset()
         self._standing: dict[str, Prop | None] = {}
@@ -175,27 +175,14 @@ class GazeboWorld:
 
     def state(self) -> DroneState:
         """The vehicle's true state; rates are differences over a tenth of a second."""
-        if self._truth is None:
-            topic = f"/world/{self.config.world}/dynamic_pose/info"
-            self._truth = GazeboTruth(
-                self.bindings,
-                topic,
-                self.config.vehicle,
-                first_s=self.config.first_s,
-                silence_s=self.config.silence_s,
-            )
-        return self._truth.state()
+        self._path = self._path or self.path()
+        return self._path.newest().state
 
     def path(self) -> TruePath:
         """The vehicle's true states from now on; who asks for it closes it."""
-        topic = f"/world/{self.config.world}/dynamic_pose/info"
-        return TruePath(
-            self.bindings,
-            topic,
-            self.config.vehicle,
-            first_s=self.config.first_s,
-            silence_s=self.config.silence_s,
-        )
+        config = self.config
+        topic = f"/world/{config.world}/dynamic_pose/info"
+        return TruePath(self.bindings, topic, config.vehicle, first_s=config.first_s, silence_s=config.silence_s)
 
     def camera(self) -> GazeboCamera:
         """The vehicle's camera, for a `MavlinkDrone`, which closes it; raises `CameraError` where it stays silent."""
@@ -205,10 +192,10 @@ class GazeboWorld:
 
     def close(self) -> None:
         """Listen no longer; what stands stays."""
-        for topic in (self._truth, self._poses):
+        for topic in (self._path, self._poses):
             if topic is not None:
                 topic.close()
-        self._truth = self._poses = None
+        self._path = self._poses = None
 
     def _meet(self) -> None:
         """See that our world is the one that runs."""

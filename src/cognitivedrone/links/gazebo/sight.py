@@ -1,6 +1,6 @@
-"""What a running Gazebo shows: the vehicle's camera, as `MavlinkDrone` takes one, and its true state.
+"""What a running Gazebo shows: the vehicle's camera, as `MavlinkDrone` takes one, and its true path.
 
-Both listen to a topic from another thread, keep the newest, and raise `GazeboError` once the topic falls silent.
+Both listen to a topic from another thread, and raise `GazeboError` or `CameraError` once it falls silent.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ RGB_INT8: Final = 3
 VELOCITY_WINDOW_S: Final = 0.1
 """Velocity and body rates are differences of poses this far apart, of simulated time, or somewhat more."""
 
-PATH_KEPT: Final = 100_000
-"""Samples of a path that nobody asks for: half an hour of them."""
+PATH_KEPT: Final = 10_000
+"""Samples of a path that nobody asks for: almost three minutes of them."""
 _LOOK_AGAIN_S = 0.002
 
 
@@ -116,25 +116,6 @@ class GazeboCamera:
         self._topic.close()
 
 
-class GazeboTruth:
-    """The true state of a model, from the world's topic of moving things."""
-
-    def __init__(
-        self, bindings: Bindings, topic: str, model: str, *, first_s: float = 10.0, silence_s: float = 3.0
-    ) -> None:
-        self._silence_s = silence_s
-        self._track = PoseTrack(model)
-        self._topic: Topic[DroneState] = Topic(bindings, topic, "Pose_V", self._track.take, first_s)
-
-    def state(self) -> DroneState:
-        """Position, attitude and their rates now."""
-        return self._topic.newest(self._silence_s)[0]
-
-    def close(self) -> None:
-        """Listen no longer."""
-        self._topic.close()
-
-
 @dataclass(frozen=True, slots=True)
 class Sample:
     """Where a model truly was."""
@@ -163,7 +144,7 @@ class TruePath:
         """Wait until Gazebo's time is `time_s`; all samples since the last call, in order, or the newest."""
         while (newest := self.newest()).time < time_s:
             time.sleep(_LOOK_AGAIN_S)
-        samples = []
+        samples: list[Sample] = []
         while self._kept and (not samples or samples[-1] is not newest):
             samples.append(self._kept.popleft())
         return samples or [newest]
