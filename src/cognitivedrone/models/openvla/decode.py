@@ -3,7 +3,8 @@
 Two ways: word by word with a static cache of keys and values, as the published model was trained; or all numbers of a
 chunk at once. Either is one function of tensors with fixed shapes, without a look at a value on the way, so that a GPU
 can record it once as a CUDA graph and replay it without the host. To keep the shapes fixed, prompts are padded at
-the right to a few lengths; neither the padding nor the place of the patches changes an answer.
+the right to a few lengths; neither the padding nor the place of the patches changes an answer. On a GPU, steps have a
+stream of their own with priority: a reasoner that thinks on the same card in another thread is overtaken.
 """
 
 from __future__ import annotations
@@ -16,13 +17,15 @@ import torch
 from torch import Tensor
 
 from cognitivedrone.models.openvla.actions import from_tokens
-from cognitivedrone.models.openvla.config import ACTION_SIZE, PADDING, PATCHES
+from cognitivedrone.models.openvla.config import ACTION_SIZE, PADDING, PATCHES, LanguageSize
 from cognitivedrone.models.openvla.network import OpenVlaNetwork
 from cognitivedrone.types import FloatArray
 
 DecoderName = Literal["ar", "parallel"]
 LENGTHS = (32, 64, 128, 256, 512, 1024)
 """That prompts are padded to, in tokens."""
+FIRST = -1
+"""Priority of the steps' stream; that of others is 0."""
 
 Step: TypeAlias = Callable[[Tensor, Tensor, Tensor], Tensor]
 """`pixel_values` (1, 6, 224, 224), padded `input_ids` (1, T), their true number (1,) to the step's answer."""
@@ -48,7 +51,7 @@ class Autoregressive:
 
     def tokens(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
         """Ids (4,) of the words that the network answers."""
-        answer: np.ndarray[tuple[int], np.dtype[np.int64]] = self._runner(pixel_values, input_ids).cpu().numpy()
+        answer: np.ndarray[tuple[int], np.dtype[np.int64]] = self._runner(pixel_values, input_ids).numpy()
         return answer
 
 
@@ -62,7 +65,7 @@ class Parallel:
 
     def __call__(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> FloatArray:
         """See `Decoder`."""
-        answer: FloatArray = self._runner(pixel_values, input_ids).float().clamp(-1.0, 1.0).cpu().numpy()
+        answer: FloatArray = self._runner(pixel_values, input_ids).float().clamp(-1.0, 1.0).numpy()
         return answer
 
 
@@ -70,7 +73,7 @@ def greedy_tokens(network: OpenVlaNetwork, pixel_values: Tensor, input_ids: Tens
     """A `Step`: the ids (4,) of the most probable words, one after the other."""
     embedded = network.embed(input_ids, pixel_values)
     length = embedded.shape[1]
-    memory = KeyValues(network, embedded, length + ACTION_SIZE - 1)
+    memory = KeyValues(network.config.language, embedded, length + ACTION_SIZE - 1)
     places = torch.arange(length + ACTION_SIZE - 1, device=embedded.device)
     states = network.states(embedded, None, memory=memory)
     following = count + PATCHES  # the place of the next word; in the cache it overwrites padding
@@ -93,10 +96,9 @@ def chunk_actions(network: OpenVlaNetwork, pixel_values: Tensor, input_ids: Tens
 
 
 class KeyValues:
-    """Keys and values of every layer, at places that never move."""
+    """Keys and values of every layer of one text, at places that never move; of the type and device of `like`."""
 
-    def __init__(self, network: OpenVlaNetwork, like: Tensor, places: int) -> None:
-        size = network.config.language
+    def __init__(self, size: LanguageSize, like: Tensor, places: int) -> None:
         shape = (
             size.num_hidden_layers,
             1,
@@ -130,44 +132,62 @@ class Runner:
         )
         self._step: Step = torch.compile(step, dynamic=False, fullgraph=True) if compiled else step
         self._graphs: dict[int, Graph] = {}
+        self._stream: torch.cuda.Stream | None = None
+        if self._weight.device.type == "cuda":
+            self._stream = torch.cuda.Stream(self._weight.device, priority=FIRST)  # type: ignore[no-untyped-call]
 
     def __call__(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> Tensor:
-        """The step's answer for an image (6, 224, 224) and a prompt; raises `ValueError` for a prompt too long."""
+        """The step's answer, on the host; raises `ValueError` for a prompt too long.
+
+        `pixel_values` (6, 224, 224) are an image, `input_ids` a prompt.
+        """
         if len(input_ids) > self._longest:
             raise ValueError(f"the prompt has {len(input_ids)} tokens; there is room for {self._longest}")
         padded = min(next(length for length in (*LENGTHS, len(input_ids)) if length >= len(input_ids)), self._longest)
-        ids = [*input_ids, *[PADDING] * (padded - len(input_ids))]
         inputs = (
-            torch.as_tensor(pixel_values)[None].to(self._weight.device, self._weight.dtype),
-            torch.tensor([ids], device=self._weight.device),
-            torch.tensor([len(input_ids)], device=self._weight.device),
+            torch.as_tensor(pixel_values)[None],
+            torch.tensor([[*input_ids, *[PADDING] * (padded - len(input_ids))]]),
+            torch.tensor([len(input_ids)]),
         )
         with torch.inference_mode():
-            if self._weight.device.type != "cuda":
-                return self._step(*inputs)
+            if self._stream is None:
+                return self._step(inputs[0].to(self._weight.dtype), *inputs[1:])
+            return self._replay(inputs, padded, self._stream)
+
+    def _replay(self, inputs: tuple[Tensor, Tensor, Tensor], padded: int, stream: torch.cuda.Stream) -> Tensor:
+        pixels, ids, count = inputs
+        if padded not in self._graphs:  # the weights may still be on their way, in the stream of whoever loaded them
+            stream.wait_stream(torch.cuda.current_stream(self._weight.device))
+        with torch.cuda.stream(stream):
+            there = (
+                pixels.to(self._weight.device, self._weight.dtype),
+                ids.to(self._weight.device),
+                count.to(self._weight.device),
+            )
             if padded not in self._graphs:
-                self._graphs[padded] = Graph(self._step, inputs)
-            return self._graphs[padded](*inputs)
+                self._graphs[padded] = Graph(self._step, there)
+            return self._graphs[padded](*there).cpu()
 
 
 class Graph:
-    """A `Step` recorded as a CUDA graph: replaying it costs the host one launch, whatever the number of kernels."""
+    """A function of tensors, recorded as a CUDA graph: replaying it costs the host one launch for all its kernels.
 
-    def __init__(self, step: Step, inputs: tuple[Tensor, Tensor, Tensor]) -> None:
+    It is recorded in the current stream, which must not be the default one, and has its priority. Other threads may use
+    the GPU meanwhile.
+    """
+
+    def __init__(self, step: Callable[..., Tensor], inputs: Sequence[Tensor]) -> None:
         self._inputs = tuple(value.clone() for value in inputs)
         # Libraries pick their kernels and take their workspaces in the first runs, which must not be recorded.
-        aside: torch.cuda.Stream = torch.cuda.Stream()  # type: ignore[no-untyped-call]
-        aside.wait_stream(torch.cuda.current_stream())
-        with torch.cuda.stream(aside):
-            for _ in range(2):
-                step(*self._inputs)
-        torch.cuda.current_stream().wait_stream(aside)
+        for _ in range(2):
+            step(*self._inputs)
         self._graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(self._graph):
+        stream = torch.cuda.current_stream()
+        with torch.cuda.graph(self._graph, stream=stream, capture_error_mode="thread_local"):
             self._answer = step(*self._inputs)
 
     def __call__(self, *inputs: Tensor) -> Tensor:
-        """The step's answer; the next call overwrites it."""
+        """The function's answer, ready in the current stream's order; the next call overwrites it."""
         for kept, value in zip(self._inputs, inputs, strict=True):
             kept.copy_(value)
         self._graph.replay()

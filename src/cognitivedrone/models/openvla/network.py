@@ -117,9 +117,9 @@ class OpenVlaNetwork(nn.Module):
         result: Tensor = llama.norm(embedded)
         return result
 
-    def enable_checkpointing(self) -> None:
+    def enable_checkpointing(self, on: bool = True) -> None:
         """From now on training recomputes each block and layer on the way back: less memory, a third more time."""
-        self.checkpointing = self.vision.dino.checkpointing = self.vision.siglip.checkpointing = True
+        self.checkpointing = self.vision.dino.checkpointing = self.vision.siglip.checkpointing = on
 
 
 class Projector(nn.Module):

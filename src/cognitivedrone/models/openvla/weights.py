@@ -81,7 +81,7 @@ def load(
         state |= {HEAD_PREFIX + name: value for name, value in head.items()}
     network.load_state_dict(state, strict=True, assign=True)
     network.eval()
-    quantise(network, quantisation, device)
+    quantise(network.language_model.model.layers, quantisation, device)
     _give_rotation(network, device)
     return network.to(device)
 
@@ -108,10 +108,10 @@ def save(network: OpenVlaNetwork, folder: Path, statistics: Mapping[str, ActionS
     (folder / CONFIG).write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
 
 
-def quantise(network: OpenVlaNetwork, quantisation: Quantisation, device: str | torch.device) -> None:
-    """Make the matrices of Llama's layers small, on `device`; what is multiplied with them stays as it is.
+def quantise(layers: nn.Module, quantisation: Quantisation, device: str | torch.device) -> None:
+    """Make the matrices of a language model's layers small, on `device`; what is multiplied with them stays as it is.
 
-    The towers, the projector and the words keep their numbers: they are a seventh of the weights.
+    OpenVLA's towers, projector and words keep their numbers: they are a seventh of the weights.
     Raises `MissingExtra` where torchao is not installed (0.14 or newer, for 4 bits).
     """
     if quantisation == "none":
@@ -123,7 +123,7 @@ def quantise(network: OpenVlaNetwork, quantisation: Quantisation, device: str | 
         config = library.Int8WeightOnlyConfig()
     else:  # the packing whose multiplication comes with PyTorch; others need one more library
         config = library.Int4WeightOnlyConfig(group_size=GROUP, int4_packing_format="tile_packed_to_4d")
-    library.quantize_(network.language_model.model.layers, config, device=device)
+    library.quantize_(layers, config, device=device)
 
 
 def _read(path: Path, names: list[str], device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
