@@ -126,8 +126,26 @@ class TestBeforeAnythingHeavyIsLoaded:
 
     @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")
     def test_a_gpu_that_is_not_there(self, folder):
-        with pytest.raises(PolicyError, match="this machine has no GPU that PyTorch can use, and the network needs"):
+        with pytest.raises(PolicyError, match=r"needs 0\.0 GB of GPU memory, and this machine has no GPU .*device=cpu"):
             OpenVla(f"{folder},device=cuda")
+
+    @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")
+    def test_a_large_network_and_nothing_but_the_host(self, folder, monkeypatch):
+        monkeypatch.setattr(checkpoints, "needed_bytes", lambda *_: 15_100_000_000)
+        monkeypatch.setattr(checkpoints, "free_memory", lambda: 64_000_000_000)
+        with pytest.raises(
+            PolicyError, match=r"needs 15\.1 GB of GPU memory, .* 64\.0 GB of its own.*device=cpu, at sec"
+        ):
+            OpenVla(str(folder))
+        with pytest.raises(AssertionError, match="the weights were loaded"):  # whoever asks for it gets it
+            OpenVla(f"{folder},device=cpu")
+
+    def test_too_little_of_the_host_to_quantise(self, folder, monkeypatch):
+        monkeypatch.setattr(checkpoints, "free_memory", lambda: 1_000_000)
+        with pytest.raises(
+            PolicyError, match=r"quant=int8: .* read whole .* 0\.0 GB of the host's memory, has 0\.0 GB"
+        ):
+            OpenVla(f"{folder},quant=int8,device=cpu")
 
     def test_four_bits_on_the_host(self, folder):
         with pytest.raises(PolicyError, match="quant=int4 is for GPUs"):

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from cognitivedrone.models.openvla.decode import Decoder, DecoderName
 
 _SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
+SMALL = 2_000_000_000
+"""Bytes up to which a network is flown without a GPU unasked."""
 _USUAL_LENGTHS = (32, 64)
 """Of prompts, in tokens: what a GPU records once for each length, it records before take-off."""
 _VALUES: dict[str, tuple[str, ...]] = {
@@ -117,11 +119,15 @@ def _decoder(options: Options, checkpoint: Checkpoint) -> Decoder:
         raise PolicyError("quant=int4 is for GPUs; on the host use quant=int8 or quant=none")
     stored = 2 if device == "cuda" else checkpoint.stored_bytes
     needed = checkpoints.needed_bytes(checkpoint.config, options.quant, stored)
-    if device == "cuda" and not has_gpu:
+    if not has_gpu and (device == "cuda" or (options.device is None and needed > SMALL)):
         raise PolicyError(
-            f"device=cuda: this machine has no GPU that PyTorch can use, and the network needs {needed / 1e9:.1f} GB of"
-            " GPU memory; fly it with device=cpu, slowly, or on another machine"
+            f"the network needs {needed / 1e9:.1f} GB of GPU memory, and this machine has no GPU that PyTorch can use,"
+            f" but {checkpoints.free_memory() / 1e9:.1f} GB of its own free; fly it on a machine with a GPU, or here"
+            " with device=cpu, at seconds an action"
         )
+    if options.quant != "none":
+        whole = checkpoints.needed_bytes(checkpoint.config, "none", stored)
+        checkpoints.check_reading(whole, checkpoints.free_memory(), options.quant)
     free = torch.cuda.mem_get_info()[0] if device == "cuda" else checkpoints.free_memory()
     checkpoints.check_memory(needed, free, device)
 

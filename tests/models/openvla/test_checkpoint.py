@@ -127,7 +127,7 @@ class TestFaults:
     @pytest.mark.parametrize(
         ("change", "says"),
         [
-            (lambda t: t.pop("projector.fc2.bias"), "1 tensors do not fit.*projector.fc2.bias is missing"),
+            (lambda t: t.pop("projector.fc2.bias"), "1 tensor does not fit.*projector.fc2.bias is missing"),
             (lambda t: t.update(lora_a=torch.ones(2)), "lora_a is extra.*with adapters merged"),
             (lambda t: t.update({"projector.fc2.bias": torch.ones(31)}), r"fc2.bias is \[31\] and should be \[32\]"),
             (lambda t: [t.pop(name) for name in list(t)[:7]], "7 tensors do not fit.*and 3 more"),

@@ -111,6 +111,16 @@ def check_memory(needed: int, free: int, device: str) -> None:
     raise PolicyError(f"the network needs {needed / 1e9:.1f} GB of {where}, has {free / 1e9:.1f} GB free; {way_out}")
 
 
+def check_reading(whole: int, free: int, quantisation: Quantisation) -> None:
+    """Raises `PolicyError` where the host cannot hold a network that is read whole, to be quantised."""
+    if whole > free:
+        raise PolicyError(
+            f"quant={quantisation}: the network is read whole before it becomes small, and that needs"
+            f" {whole / 1e9:.1f} GB of the host's memory, has {free / 1e9:.1f} GB free; close what else runs, or take a"
+            " machine with more"
+        )
+
+
 def free_memory() -> int:
     """Bytes of the host's memory that a new process may take."""
     try:

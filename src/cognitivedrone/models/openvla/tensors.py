@@ -82,8 +82,9 @@ def check_tensors(found: Mapping[str, tuple[int, ...]], needed: Shapes, spare: S
     ]
     if faults:
         more = f", and {len(faults) - _SHOWN} more" if len(faults) > _SHOWN else ""
+        count = "1 tensor does" if len(faults) == 1 else f"{len(faults)} tensors do"
         raise PolicyError(
-            f"{where}: {len(faults)} tensors do not fit its config.json: {'; '.join(faults[:_SHOWN])}{more};"
+            f"{where}: {count} not fit its config.json: {'; '.join(faults[:_SHOWN])}{more};"
             " give a whole checkpoint of this architecture, with adapters merged"
         )
 
