@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,12 +20,21 @@ import numpy as np
 
 from cognitivedrone.data.episode import Episode, Split, decode_image, encode_image
 from cognitivedrone.data.exchange import episode_from, new_folder, plain_facts, read_json, record_of, write_json
-from cognitivedrone.data.tfrecord import Feature, decode_example, encode_example, read_records, write_record
+from cognitivedrone.data.tfrecord import (
+    FRAME_BYTES,
+    HEAD_BYTES,
+    Feature,
+    decode_example,
+    encode_example,
+    read_records,
+    write_record,
+)
 from cognitivedrone.errors import DataError
 from cognitivedrone.types import IMAGE_SIZE
 
 NAME = "cognitivedrone"
 VERSION = "1.0.0"
+INFO = "dataset_info.json"
 SHARD_BYTES = 256 * 2**20
 """A shard is closed when it has grown beyond this."""
 
@@ -55,31 +65,58 @@ def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
             raise DataError(f"{out}: there is no episode to export")
         write_json(folder / "features.json", feature_spec("jpeg" if only_jpeg else "png"))
         described = [writer.describe() for writer in writers.values() if writer.lengths]
-        write_json(folder / "dataset_info.json", _info(described))
+        write_json(folder / INFO, _info(described))
     return count
 
 
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One episode of an export, and where it lies."""
+
+    shard: Path
+    first_byte: int
+    """Of `payload` in the shard."""
+    payload: bytes
+    """A serialised `tf.train.Example`."""
+    split: Split
+    episode: Episode
+
+
 def read(path: Path) -> Iterator[tuple[Split, Episode]]:
-    """The episodes of an export, train first; `path` is the folder given to `export` or the inner one.
+    """The episodes of an export, train first; see `records`."""
+    return ((record.split, record.episode) for record in records(path))
+
+
+def is_rlds(path: Path) -> bool:
+    """Whether a folder is that of an RLDS data set, or has ours in it; whether it can be read is another question."""
+    return (_inner(path) / INFO).is_file()
+
+
+def records(path: Path) -> Iterator[Record]:
+    """The records of an export, train first; `path` is the folder given to `export` or the inner one.
 
     Raises `DataError` naming the file for a missing or truncated shard, and for a data set made by others: it lacks the
     tasks and conditions.
     """
-    folder = path if (path / "dataset_info.json").exists() else path / NAME / VERSION
-    info = read_json(folder / "dataset_info.json")
-    if info.get("name") != NAME:
-        raise DataError(
-            f"{folder}: is data set {info.get('name')!r}; only own exports, named {NAME!r}, can be imported"
-        )
+    folder = _inner(path)
+    info = read_json(folder / INFO)
+    if not isinstance(info, dict) or info.get("name") != NAME:
+        name = info.get("name") if isinstance(info, dict) else None
+        raise DataError(f"{folder}: is data set {name!r}; only own exports, named {NAME!r}, can be read")
     for split in info["splits"]:
         lengths = [int(length) for length in split["shardLengths"]]
         for number, length in enumerate(lengths):
             shard = folder / _shard_name(split["name"], number, len(lengths))
-            count = 0
+            count, at = 0, HEAD_BYTES
             for count, payload in enumerate(read_records(shard), 1):
-                yield _episode_of(payload, f"{shard}, record {count - 1}")
+                yield Record(shard, at, payload, *_episode_of(payload, f"{shard}, record {count - 1}"))
+                at += len(payload) + FRAME_BYTES
             if count != length:
                 raise DataError(f"{shard}: holds {count} of {length} episodes; copy or export it again")
+
+
+def _inner(path: Path) -> Path:
+    return path if (path / INFO).exists() else path / NAME / VERSION
 
 
 class _SplitWriter:

@@ -22,6 +22,8 @@ from cognitivedrone.errors import DataError
 Feature: TypeAlias = Sequence[bytes] | NDArray[np.float32] | NDArray[np.int64]
 """A list of byte strings, or a flat array of float32 or int64."""
 
+HEAD_BYTES = 12
+"""Of framing, before a payload."""
 FRAME_BYTES = 16
 """What framing adds to a payload."""
 
@@ -43,8 +45,8 @@ def read_records(path: Path) -> Iterator[bytes]:
     try:
         with path.open("rb") as file:
             size, number = path.stat().st_size, 0
-            while head := file.read(12):
-                if len(head) < 12 or _masked_crc(head[:8]) != head[8:]:
+            while head := file.read(HEAD_BYTES):
+                if len(head) < HEAD_BYTES or _masked_crc(head[:8]) != head[8:]:
                     raise DataError(f"{path}: record {number} has a broken head; copy or export the file again")
                 (length,) = struct.unpack("<Q", head[:8])
                 if file.tell() + length + 4 > size:
