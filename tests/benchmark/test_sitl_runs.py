@@ -58,7 +58,7 @@ def test_files_without_a_link_are_of_our_own_autopilot(config):
     [
         ({}, "", r"needs an ArduCopter binary: set ARDUCOPTER to its path; docs/ardupilot\.md"),
         ({}, "pyproject.toml", "is not a program that can be run: set ARDUCOPTER"),
-        ({"airframe": "racer"}, "/bin/true", "add --airframe iris"),
+        ({"airframe": "iriss"}, "/bin/true", "did you mean 'iris'"),
     ],
 )
 def test_what_cannot_be_flown_is_told_before_anything_is_written(sitl, monkeypatch, change, binary, says):

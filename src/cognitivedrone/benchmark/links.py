@@ -35,8 +35,6 @@ def autopilot_file(config: RunConfig) -> Path | None:
     """
     if config.link == "sim":
         return None
-    if config.airframe != "iris":
-        raise RunError(f"--link {config.link} flies the Iris, which ArduCopter is tuned for here; add --airframe iris")
     if config.link == "gazebo":
         _check_gazebo(config)
         return None
@@ -68,6 +66,8 @@ def open_link(config: RunConfig, undo: ExitStack) -> Linked:
 
 def _check_gazebo(config: RunConfig) -> None:
     """Raise `RunError` for options that a running Gazebo has no place for."""
+    if config.airframe != "iris":
+        raise RunError("--link gazebo flies the Iris, which is modelled there; add --airframe iris")
     if config.wind:
         raise RunError("no wind blows in the world that Gazebo runs; leave --wind out")
     if config.workers not in (None, 1):

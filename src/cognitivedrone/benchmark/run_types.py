@@ -47,7 +47,7 @@ class RunConfig:
     link: LinkName = "sim"
     """sim: our own autopilot. sitl: a real ArduCopter on our physics, in lock-step; the environment variable ARDUCOPTER
     names its binary (docs/ardupilot.md). gazebo: ArduPilot in the Gazebo that runs on this machine, as that sees it, in
-    its time (docs/gazebo.md). Both need --airframe iris."""
+    its time (docs/gazebo.md); it needs --airframe iris."""
     wind: float = 0.0
     """Speed of a steady wind, m/s; every episode draws its direction."""
     latency: str = "none"

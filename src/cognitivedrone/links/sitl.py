@@ -24,6 +24,9 @@ FIRST_PORT, PORT_STEP = 9002, 10
 """UDP port of the first autopilot, and from one instance to the next."""
 RATES_HZ = (200, 5000)
 """Physics rates that are stepped; ArduPilot asks for 1200 unless told otherwise."""
+REPEATS_OVERHEARD = 1
+"""ArduPilot asks again after a second of silence, and does so even where our answer came in that very moment. A second
+answer would be taken for that to its next step, whose own would be lost. If it is truly waiting, it asks once more."""
 _PACKETS = {18458: struct.Struct("<HHI16H"), 29569: struct.Struct("<HHI32H")}
 _MOTORS = 4
 _FULL_ESTIMATOR = 3
@@ -106,6 +109,7 @@ class SitlServer:
         self._last: int | None = None
         self._answer = b""
         self._asker: tuple[str, int] | None = None
+        self._repeats = 0
         asked = FIRST_PORT + PORT_STEP * instance if port is None else port
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -149,9 +153,15 @@ class SitlServer:
         newest = self._receive(timeout)
         if newest is None:
             return False
-        packet, self._asker = newest
+        packet, sender = newest
         if packet.frame != self._last:
             self._advance(packet)
+            self._repeats = 0
+        else:
+            self._repeats += 1
+            if self._repeats <= REPEATS_OVERHEARD:
+                return False
+        self._asker = sender
         return True
 
     def answer(self) -> None:
