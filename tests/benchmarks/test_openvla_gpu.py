@@ -1,0 +1,142 @@
+"""The benchmark of OpenVLA on a GPU, on the tiny networks: that each path runs, and measures what it says."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+transformers = pytest.importorskip("transformers")
+pytest.importorskip("peft")
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+import openvla_gpu  # noqa: E402
+import openvla_gpu_lora as lora  # noqa: E402
+import openvla_gpu_together as beside  # noqa: E402
+from openvla_gpu_report import Machine, Report  # noqa: E402
+
+HOST = Machine("cpu", torch.float32, "no GPU here")
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def test_every_path_runs_and_leaves_a_table(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(openvla_gpu, "find_machine", lambda: HOST)
+    monkeypatch.setattr(lora, "STEPS", 3)
+    out = tmp_path / "table.md"
+    openvla_gpu.main(["--steps", "1", "--seconds", "0.5", "--lora", "--together", "--out", str(out)])
+    text = out.read_text()
+    assert "no GPU here" in text
+    assert torch.__version__ in text
+    assert "nothing about the 7B" in text
+    rows = [line for line in text.splitlines() if line.startswith(("| none", "| batch"))]
+    names = [row.split(" | ")[0].removeprefix("| ") for row in rows]
+    assert names == [
+        "none, ar, without its graph",
+        "none, ar",
+        "none, parallel",
+        "none policy, alone",
+        "none policy, reasoner by generate()",
+        "none reasoner by generate()",
+        "none policy, reasoner by recorded",
+        "none reasoner by recorded",
+        *(
+            f"batch {size}, {way}"
+            for way in ("published loop", "ours", "ours, recomputing layers")
+            for size in ("1", "2 by 1")
+        ),
+    ]
+    assert "not measured" not in text
+    assert all(name in capsys.readouterr().out for name in names[:1])
+
+
+def test_a_row_that_fails_is_told_of_and_the_rest_goes_on(tmp_path):
+    report = Report(HOST, tmp_path / "table.md")
+    report.table("Some", "number")
+    with report.measuring("first"):
+        raise RuntimeError("no\nkernel")
+    with report.measuring("second"):
+        raise torch.OutOfMemoryError
+    with report.measuring("third"):
+        report.row("third", "3")
+    assert (tmp_path / "table.md").read_text().splitlines()[-3:] == [
+        "| first | not measured: RuntimeError no kernel |",
+        "| second | does not fit |",
+        "| third | 3 |",
+    ]
+
+
+@pytest.fixture(scope="module")
+def reasoner():
+    return beside.random_reasoner(HOST, "none")
+
+
+def test_a_recorded_reasoner_answers_as_transformers_own_loop(reasoner):
+    generated, recorded = beside.Generated(reasoner), beside.Recorded(reasoner, compiled=False)
+    inputs = [beside.some_inputs(reasoner, seed) for seed in range(2)]
+    answers = [generated(each) for each in inputs]
+    assert [len(answer) for answer in answers] == [beside.ANSWER] * 2
+    assert answers[0] != answers[1]
+    # One after the other in the same memory.
+    assert [recorded(each) for each in (*inputs, inputs[0])] == [*answers, answers[0]]
+
+
+def test_a_word_of_the_reasoner_is_one_function_of_tensors(reasoner):
+    # What a GPU records as one graph must trace without a break; the eager backend runs what was traced.
+    traced, inputs = beside.Recorded(reasoner, compiled=False), beside.some_inputs(reasoner)
+    wanted = traced(inputs)
+    traced._step = torch.compile(traced._next, backend="eager", dynamic=False, fullgraph=True)
+    assert traced(inputs) == wanted
+
+
+def test_the_large_reasoner_has_the_published_size():
+    with torch.device("meta"):
+        model = transformers.AutoModelForImageTextToText.from_config(beside.reasoner_config(large=True))
+    assert sum(value.numel() for value in model.parameters()) == 8_292_166_656
+
+
+def test_the_published_loop_computes_the_same_loss():
+    network, trained = lora.adapted(HOST)
+    batch = lora.some_batch(network, 3)
+    assert len(set(batch[2].sum(1).tolist())) > 1  # some rows have padding
+    network.language_model.set_attn_implementation("eager")
+    published = lora.published_loss(network, batch)
+    network.language_model.set_attn_implementation("sdpa")
+    ours = lora.our_loss(network, batch)
+    assert published.item() == pytest.approx(ours.item(), rel=1e-5)
+    assert all(value.dtype == torch.float32 for value in trained)
+
+
+class Clock:
+    """Time that passes by sleeping and by working."""
+
+    def __init__(self):
+        self.now = 100.0
+
+    def pass_(self, seconds):
+        self.now += seconds
+
+
+@pytest.mark.parametrize(
+    ("takes", "times", "missed"),
+    [
+        ([0.05] * 10, 10, 0),
+        ([0.05, 0.105, *[0.05] * 8], 10, 0),  # 5 ms late are forgiven
+        ([0.05, 0.15, *[0.05] * 8], 10, 1),
+        ([0.05, 0.25, *[0.05] * 8], 10, 3),  # it has to catch up
+        ([0.21] * 10, 5, 10),  # and may never: what has not begun in time is missed as well
+    ],
+)
+def test_deadlines_are_absolute(monkeypatch, takes, times, missed):
+    clock, left = Clock(), iter(takes)
+    monkeypatch.setattr(
+        beside, "time", SimpleNamespace(monotonic=lambda: clock.now, perf_counter=lambda: clock.now, sleep=clock.pass_)
+    )
+    pace = beside.keep_pace(lambda: clock.pass_(next(left)), 10.0, 1.0, 100.0)
+    assert (len(pace.times_ms), pace.missed, pace.due) == (times, missed, 10)
+    np.testing.assert_allclose(pace.times_ms, np.array(takes[:times]) * 1e3, atol=1e-6)
