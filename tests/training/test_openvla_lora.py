@@ -21,6 +21,7 @@ from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.runner import run
 from cognitivedrone.cli import main
 from cognitivedrone.collect.collector import CollectConfig, collect
+from cognitivedrone.data.formats import export
 from cognitivedrone.data.statistics import spread
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError, PolicyError, TrainingError
@@ -36,7 +37,13 @@ from cognitivedrone.training import openvla_lora
 from cognitivedrone.training.checkpoint import read_checkpoint
 from cognitivedrone.training.curves import DIMENSIONS, read_rows
 from cognitivedrone.training.openvla_adapters import add_adapters, take_adapters
-from cognitivedrone.training.openvla_base import check_machine, needed_bytes, read_base, trained_weights
+from cognitivedrone.training.openvla_base import (
+    check_machine,
+    needed_bytes,
+    read_base,
+    recomputes,
+    trained_weights,
+)
 from cognitivedrone.training.openvla_data import SampleMaker, answer_measures, open_flights, rows_of_step
 from cognitivedrone.training.openvla_lora import MERGED, FineTuning, fine_tune, merge
 from cognitivedrone.training.openvla_recipes import LORA_RECIPES, PAPER, find_lora_recipe
@@ -285,6 +292,29 @@ def test_every_epoch_shows_every_step_once_in_another_order() -> None:
     assert rows_of_step(numbers, 20, seed=1, step=0).tolist() == seen.tolist()
 
 
+def test_an_rlds_export_gives_the_same_samples_in_the_same_order(base: Path, flights: Path, tmp_path: Path) -> None:
+    export(Store(flights).labelled(), "rlds", tmp_path / "rlds")
+    stored, read = (FineTuning(base, data, Path("unused"), RECIPE) for data in (flights, tmp_path / "rlds"))
+    assert read.flights.statistics == stored.flights.statistics
+    np.testing.assert_array_equal(read.flights.val, stored.flights.val)
+    for step in (0, 3):
+        rows = [rows_of_step(config.flights.train, RECIPE.batch, seed=3, step=step) for config in (stored, read)]
+        plain = np.arange(RECIPE.batch) % 2 == 0
+        wanted, got = (_maker(config)(each, plain) for config, each in zip((stored, read), rows, strict=True))
+        assert wanted.keys() == got.keys()
+        for name, value in wanted.items():
+            assert torch.equal(value, got[name]), name
+    # A run that was begun with one does not go on with the other unnoticed.
+    assert stored.identity["data"] != read.identity["data"]
+    tasks, episodes = Store(flights).tasks(), Store(flights).episode_rows()
+    split = ({tasks[row].category for row in episodes[steps]} for steps in (stored.flights.train, stored.flights.val))
+    both = set.intersection(*split)
+    assert both
+    for category in both:
+        found = open_flights(tmp_path / "rlds", category), open_flights(flights, category)
+        np.testing.assert_array_equal(found[0].train, found[1].train)
+
+
 def test_splits_do_not_share_flights(flights: Path) -> None:
     found, rows = open_flights(flights), Store(flights).episode_rows()
     assert not set(rows[found.train]) & set(rows[found.val])
@@ -327,6 +357,15 @@ def test_memory_grows_with_what_is_kept_and_shrinks_with_sharding(base: Path, fl
     weights = 2 * elements(used_tensors(Config()).values())
     assert weights == needed_bytes(whole, PAPER, 8, sharded=True) < needed
     check_machine(needed, 80_000_000_000, "cuda", base)
+    # Kept where there is room, and recomputed where not, unless the recipe says which.
+    free = {80: 80_000_000_000, 40: 40_000_000_000}
+    assert not recomputes(whole, PAPER, 1, free[80], "cuda", sharded=False)
+    assert recomputes(whole, PAPER, 1, free[40], "cuda", sharded=False)
+    assert recomputes(whole, replace(PAPER, checkpointing=True), 1, free[80], "cuda", sharded=False)
+    with pytest.raises(TrainingError, match=r"needs 7\d\.\d GB of GPU memory, has 40\.0 GB free"):
+        recomputes(whole, replace(PAPER, checkpointing=False), 1, free[40], "cuda", sharded=False)
+    with pytest.raises(TrainingError, match=r"needs 2\d\.\d GB of GPU memory, has 16\.0 GB free"):
+        recomputes(whole, PAPER, 1, 16_000_000_000, "cuda", sharded=False)
     with pytest.raises(
         TrainingError, match=r"needs \d\d\.\d GB of GPU memory, has 16\.0 GB free; take a smaller --mic"
     ):
@@ -352,12 +391,10 @@ class TestBeforeAnythingHeavyIsLoaded:
         with pytest.raises(DataError, match="is no data set, it has no manifest"):
             fine_tune(FineTuning(base, tmp_path, tmp_path / "run"))
 
-    def test_an_rlds_data_set(self, base: Path, tmp_path: Path) -> None:
-        inner = tmp_path / "set" / "cognitivedrone" / "1.0.0"
-        inner.mkdir(parents=True)
-        (inner / "dataset_info.json").write_text("{}")
-        with pytest.raises(TrainingError, match=r"RLDS data set; .*cognitivedrone data import .* --from rlds --out"):
-            fine_tune(FineTuning(base, tmp_path / "set", tmp_path / "run"))
+    def test_an_rlds_data_set_of_others(self, base: Path, tmp_path: Path) -> None:
+        (tmp_path / "dataset_info.json").write_text('{"name": "bridge_orig"}')
+        with pytest.raises(DataError, match=r"is data set 'bridge_orig'; only own exports"):
+            fine_tune(FineTuning(base, tmp_path, tmp_path / "run"))
 
     def test_no_flight_of_the_recipes_category(self, base: Path, flights: Path, tmp_path: Path) -> None:
         with pytest.raises(TrainingError, match="no step of the category 'racing' in its train split; collect more"):
@@ -407,6 +444,11 @@ class TestBeforeAnythingHeavyIsLoaded:
     def test_nothing_to_merge(self, base: Path, flights: Path, tmp_path: Path) -> None:
         with pytest.raises(TrainingError, match=r"has no checkpoint.safetensors to merge; train first"):
             merge(FineTuning(base, flights, tmp_path / "run", RECIPE))
+
+    def test_too_little_memory_to_merge(self, runs: Runs, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(checkpoints, "free_memory", lambda: 1_000_000)
+        with pytest.raises(TrainingError, match=r"merging .*resumed needs 0\.0 GB .* free; nothing is lost"):
+            merge(runs.resumed)
 
     def test_a_finished_run_has_nothing_left_to_do(self, runs: Runs) -> None:
         before = {path: path.stat().st_mtime_ns for path in runs.resumed.out.rglob("*")}

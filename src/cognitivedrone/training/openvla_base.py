@@ -57,7 +57,8 @@ def needed_bytes(base: Checkpoint, recipe: LoraRecipe, processes: int, *, sharde
     """Memory that fine-tuning takes on each GPU: an estimate from the shapes, on the safe side.
 
     Weights as stored; adapters with gradients and moments; activations of a micro-batch: what goes into every layer,
-    and what is inside of one (of all, without checkpointing). To be sharded, weights have to be whole for a moment.
+    and what is inside of one (of all, where `checkpointing` is False). To be sharded, weights have to be whole for a
+    moment.
     """
     config, language, each = base.config, base.config.language, base.stored_bytes
     weights = elements(used_tensors(config).values()) * each
@@ -69,12 +70,26 @@ def needed_bytes(base: Checkpoint, recipe: LoraRecipe, processes: int, *, sharde
     stacks.append((language.hidden_size, 2 * language.intermediate_size, language.num_hidden_layers))
     # Twice what a plain layer keeps: adapters take their inputs in float32.
     inside = [tokens * (24 * width + 8 * hidden) * each for width, hidden, _ in stacks]
-    if recipe.checkpointing:
+    if recipe.checkpointing is not False:
         sample = sum(tokens * width * each * depth for width, _, depth in stacks) + max(inside)
     else:
         sample = sum(one * depth for one, (_, _, depth) in zip(inside, stacks, strict=True))
     micro = min(recipe.micro_batch, max(recipe.batch // processes, 1))
     return max(weights, held + micro * (sample + 6 * IMAGE**2 * 4))
+
+
+def recomputes(base: Checkpoint, recipe: LoraRecipe, processes: int, free: int, device: str, *, sharded: bool) -> bool:
+    """Whether layers are to be recomputed: as the recipe says or, where it leaves that open, if the memory is short.
+
+    `free` are the bytes that the fullest GPU has free, or the host. Raises `TrainingError` as `check_machine` does.
+    """
+    recompute, spare = recipe.checkpointing is not False, _WORKSPACE if device == "cuda" else 0
+    if recipe.checkpointing is None:
+        keeping = needed_bytes(base, replace(recipe, checkpointing=False), processes, sharded=sharded)
+        recompute = keeping + spare > free
+    needed = needed_bytes(base, replace(recipe, checkpointing=recompute), processes, sharded=sharded)
+    check_machine(needed, free, device, base.folder)
+    return recompute
 
 
 def check_machine(needed: int, free: int, device: str, folder: Path) -> None:
@@ -89,3 +104,12 @@ def check_machine(needed: int, free: int, device: str, folder: Path) -> None:
     if needed > free:
         way_out = "take a smaller --micro-batch, or several GPUs and --shard" if device == "cuda" else "close what runs"
         raise TrainingError(f"{told} of {'GPU ' * (device == 'cuda')}memory, has {free / 1e9:.1f} GB free; {way_out}")
+
+
+def check_merging(needed: int, free: int, folder: Path) -> None:
+    """Raises `TrainingError` where the host cannot hold a network that a run's adapters are to be merged into."""
+    if needed > free:
+        raise TrainingError(
+            f"merging {folder} needs {needed / 1e9:.1f} GB of the host's memory, has {free / 1e9:.1f} GB free; nothing"
+            " is lost: close what runs, or copy the folder to a machine with more and run it there with --merge"
+        )

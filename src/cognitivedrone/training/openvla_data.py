@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from cognitivedrone.data import rlds
 from cognitivedrone.data.episode import Split
+from cognitivedrone.data.rlds import is_rlds
+from cognitivedrone.data.rlds_steps import RldsSteps
 from cognitivedrone.data.statistics import spread
-from cognitivedrone.data.store import Store
+from cognitivedrone.data.store import Batch, Store
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.openvla.actions import ActionStatistics, from_tokens, to_tokens
 from cognitivedrone.models.openvla.config import ACTION_SIZE, PADDING
@@ -23,7 +24,7 @@ from cognitivedrone.models.openvla.network import IGNORED
 from cognitivedrone.models.openvla.prepare import END, Encoder, ImagePreparation, prompt_ids
 from cognitivedrone.training.curves import DIMENSIONS
 from cognitivedrone.training.subject import Row
-from cognitivedrone.types import Category, FloatArray
+from cognitivedrone.types import Category, FloatArray, Task
 
 Numbers: TypeAlias = NDArray[np.int64]
 Samples: TypeAlias = Mapping[str, Tensor]
@@ -33,11 +34,41 @@ ANSWER = ACTION_SIZE + 1
 """Labelled tokens of a sample: the action's words and the end."""
 
 
+class Steps(Protocol):
+    """What training asks of a data set; a `Store` has it, and so have `RldsSteps`."""
+
+    def step_numbers(self, split: Split | None = None) -> Numbers:
+        """The numbers of the steps of a split, or of all."""
+        ...
+
+    def steps(self, numbers: Numbers) -> Batch:
+        """The steps of these numbers, in their order."""
+        ...
+
+    def actions(self, split: Split | None = None) -> NDArray[np.float32]:
+        """(N, 4) the labels of all steps of a split, or of all."""
+        ...
+
+    def tasks(self) -> list[Task]:
+        """The tasks of all episodes, in order of index."""
+        ...
+
+    def episode_rows(self) -> Numbers:
+        """(n_steps,) the place in `tasks` of the episode that each step belongs to."""
+        ...
+
+    def content_hash(self) -> str:
+        """The same for the same content."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Flights:
     """A data set to learn from."""
 
-    store: Store
+    identity: str
+    """Its kind, and the hash of its content."""
+    steps: Steps
     train: Numbers
     """Numbers of the steps that are learnt; no episode has steps in both."""
     val: Numbers
@@ -46,33 +77,30 @@ class Flights:
 
 
 def open_flights(folder: Path, category: Category | None = None) -> Flights:
-    """The flights of a store, all or those of a category.
+    """The flights of a store or of an RLDS export, all or those of a category; the same flights give the same samples.
 
-    Raises `DataError` where there is no store, and `TrainingError` for an RLDS data set, which is to be imported first,
-    and where a split has no step.
+    Raises `DataError` where there is neither, or an RLDS data set of others, and `TrainingError` where a split has no
+    step.
     """
-    for inner in (folder, folder / rlds.NAME / rlds.VERSION):
-        if (inner / "dataset_info.json").is_file():
-            raise TrainingError(
-                f"{folder} is an RLDS data set; make a store of it first:"
-                f" cognitivedrone data import {folder} --from rlds --out STORE"
-            )
-    store = Store(folder)
-    train, val = (_steps_of(store, split, category) for split in ("train", "val"))
+    exported = is_rlds(folder)
+    steps: Steps = RldsSteps(folder) if exported else Store(folder)
+    train, val = (_steps_of(steps, split, category) for split in ("train", "val"))
     for name, numbers in (("train", train), ("val", val)):
         if not len(numbers):
             which = f" of the category {category!r}" if category else ""
             raise TrainingError(f"{folder} has no step{which} in its {name} split; collect more flights{which}")
-    quantiles = spread(store.columns("action")["action"][train])
-    return Flights(store, train, val, ActionStatistics(tuple(quantiles["q01"]), tuple(quantiles["q99"])))
+    quantiles = spread(steps.actions()[train])
+    statistics = ActionStatistics(tuple(quantiles["q01"]), tuple(quantiles["q99"]))
+    identity = f"{'rlds' if exported else 'store'} {steps.content_hash()}"
+    return Flights(identity, steps, train, val, statistics)
 
 
-def _steps_of(store: Store, split: Split, category: Category | None) -> Numbers:
-    numbers = store.step_numbers(split)
+def _steps_of(steps: Steps, split: Split, category: Category | None) -> Numbers:
+    numbers = steps.step_numbers(split)
     if category is None:
         return numbers
-    wanted = np.array([task.category == category for task in store.tasks()], np.bool_)
-    return numbers[wanted[store.episode_rows()[numbers]]]
+    wanted = np.array([task.category == category for task in steps.tasks()], np.bool_)
+    return numbers[wanted[steps.episode_rows()[numbers]]]
 
 
 def rows_of_step(numbers: Numbers, batch: int, seed: int, step: int) -> Numbers:
@@ -106,7 +134,7 @@ class SampleMaker:
 
     def __call__(self, numbers: Numbers, plain: NDArray[np.bool_] | None = None) -> Samples:
         """The samples of these steps; those of `plain` are told the directive."""
-        read = self.flights.store.steps(numbers)
+        read = self.flights.steps.steps(numbers)
         words = to_tokens(self.flights.statistics.normalise(read["action"]))
         rows = []
         for row in range(len(numbers)):

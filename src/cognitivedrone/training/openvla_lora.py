@@ -49,7 +49,7 @@ from cognitivedrone.training.openvla_adapters import (
     take_adapters,
     take_moments,
 )
-from cognitivedrone.training.openvla_base import check_machine, fingerprint, needed_bytes, read_base
+from cognitivedrone.training.openvla_base import check_merging, fingerprint, read_base, recomputes
 from cognitivedrone.training.openvla_data import (
     ANSWER,
     Flights,
@@ -80,7 +80,7 @@ class FineTuning:
     base: Path
     """Folder of the checkpoint to start from."""
     data: Path
-    """A store of flights, made by `collect` or `data import`."""
+    """A store of flights, made by `collect` or `data import`, or an RLDS data set, made by `data export`."""
     out: Path
     """Folder of the run."""
     recipe: LoraRecipe = PAPER
@@ -108,7 +108,7 @@ class FineTuning:
         return {
             "recipe": self.recipe.facts(),
             "seed": self.seed,
-            "data": f"store {self.flights.store.content_hash()}",
+            "data": self.flights.identity,
             "base": fingerprint(self.checkpoint),
             "key": self.key,
         }
@@ -128,12 +128,12 @@ def fine_tune(config: FineTuning, report: Callable[[str], None] = print) -> Path
         raise TrainingError(f"a batch of {recipe.batch} cannot be shared by {accelerator.num_processes} processes")
     step = 0 if found is None else int(found[1]["step"])
     if step < recipe.steps:
-        _check_memory(config, accelerator)
+        recompute = _recomputes(config, accelerator)
         if accelerator.is_main_process:
             out.mkdir(parents=True, exist_ok=True)
             shutil.rmtree(out / MERGED, ignore_errors=True)  # of an earlier checkpoint
             (out / "recipe.json").write_text(json.dumps(config.identity, indent=2) + "\n")
-        _train(config, accelerator, found, report)
+        _train(config, accelerator, found, report, recompute=recompute)
     merges = accelerator.is_main_process and (step < recipe.steps or not (out / MERGED).is_dir())
     accelerator.end_training()  # nobody has to wait for the merging
     if merges:
@@ -144,16 +144,15 @@ def fine_tune(config: FineTuning, report: Callable[[str], None] = print) -> Path
 def merge(config: FineTuning) -> Path:
     """Add the adapters of the run's newest checkpoint to the base, as a checkpoint in OUT/merged; returns that folder.
 
-    On the host, in as much memory as the weights take. Raises `TrainingError` where the run has no checkpoint, or it
-    is of another base, recipe or data.
+    On the host, in as much memory as the weights take. Raises `TrainingError` where the run has no checkpoint, it is of
+    another base, recipe or data, or the host has not the memory.
     """
     found = _found(config, resume=True)
     if found is None:
         raise TrainingError(f"{config.out} has no {CHECKPOINT} to merge; train first")
     base = config.checkpoint
-    checkpoints.check_memory(
-        checkpoints.needed_bytes(base.config, "none", base.stored_bytes), checkpoints.free_memory(), "cpu"
-    )
+    needed = checkpoints.needed_bytes(base.config, "none", base.stored_bytes)
+    check_merging(needed, checkpoints.free_memory(), config.out)
     network = load(base, "cpu", torch.float32 if base.stored_bytes == 4 else torch.bfloat16)
     take_adapters(add_adapters(network, config.recipe), found[0])
     merge_adapters(network)
@@ -196,20 +195,27 @@ def _accelerator(config: FineTuning) -> Accelerator:
     return accelerator
 
 
-def _check_memory(config: FineTuning, accelerator: Accelerator) -> None:
-    device = accelerator.device.type
-    free = torch.cuda.mem_get_info()[0] if device == "cuda" else checkpoints.free_memory()
-    needed = needed_bytes(config.checkpoint, config.recipe, accelerator.num_processes, sharded=config.shard)
-    check_machine(needed, free, device, config.base)
+def _recomputes(config: FineTuning, accelerator: Accelerator) -> bool:
+    """See `recomputes`; all processes give the same answer, as the one with the least memory has to."""
+    device, processes = accelerator.device, accelerator.num_processes
+    free = torch.cuda.mem_get_info(device)[0] if device.type == "cuda" else checkpoints.free_memory()
+    least = int(accelerator.gather(torch.tensor([free], device=device)).min())
+    return recomputes(config.checkpoint, config.recipe, processes, least, device.type, sharded=config.shard)
 
 
-def _train(config: FineTuning, accelerator: Accelerator, found: Found | None, report: Callable[[str], None]) -> None:
+def _train(
+    config: FineTuning,
+    accelerator: Accelerator,
+    found: Found | None,
+    report: Callable[[str], None],
+    *,
+    recompute: bool,
+) -> None:
     recipe, base = config.recipe, config.checkpoint
     host = accelerator.device.type == "cpu"  # in several processes it is called cpu:0, which no file is read to
     dtype = torch.float32 if host and base.stored_bytes == 4 else torch.bfloat16
     bare = load(base, "cpu" if host else accelerator.device, dtype)
-    if recipe.checkpointing:
-        bare.enable_checkpointing()
+    bare.enable_checkpointing(recompute)
     trained = add_adapters(bare, recipe, config.seed)
     step = 0
     if found is not None:
@@ -291,7 +297,7 @@ def validate(network: nn.Module, accelerator: Accelerator, make: SampleMaker, re
     network.train()
     gathered = accelerator.gather(torch.cat(found))
     told = gathered.view(processes, len(own), 2, ACTION_SIZE).transpose(0, 1).flatten(0, 1)[: len(rows)].cpu().numpy()
-    actions = make.flights.store.columns("action")["action"][rows]
+    actions = make.flights.steps.actions()[rows]
     return answer_measures(actions, told[:, 0].astype("int64"), told[:, 1], make.flights.statistics)
 
 

@@ -40,8 +40,9 @@ class LoraRecipe:
     validate_every: int = 500
     """Steps between points of the learning curves; a multiple of `save_every`."""
     validation_frames: int = 512
-    checkpointing: bool = True
-    """Recompute each layer on the way back instead of keeping what is inside."""
+    checkpointing: bool | None = None
+    """Recompute each layer on the way back instead of keeping what is inside: a third slower, in far less memory. None:
+    where the machine has not the memory to keep it."""
 
     def __post_init__(self) -> None:
         if self.micro_batch < 1:

@@ -78,7 +78,7 @@ def choose_statistics(norm_stats: Mapping[str, Any], key: str | None) -> tuple[s
     if not norm_stats:
         raise PolicyError(
             "the checkpoint has no action statistics (norm_stats in config.json, or dataset_statistics.json beside it);"
-            " without them its answers have no unit"
+            " without them its answers have no unit: copy that file there, or fine-tune the checkpoint on flights"
         )
     if key is None:
         key = _only_drone(norm_stats)
