@@ -36,7 +36,7 @@ def test_its_commands_run(tmp_path):
         environment = dict(word.split("=", 1) for word in words if "=" in word and not word.startswith("-"))
         arguments = words[words.index("cognitivedrone") + 1 :]
         done = subprocess.run(
-            [sys.executable, "-m", "cognitivedrone.cli", *arguments],
+            [sys.executable, "-m", "cognitivedrone", *arguments],
             cwd=tmp_path,
             env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), **environment},
             capture_output=True,
