@@ -7,7 +7,7 @@ RUN := .venv/bin
 
 bench:
 	@$(PYTHON) scripts/setup.py
-	@$(RUN)/cognitivedrone bench --suite open-v1:smoke --policy colour_seeker --reasoner oracle --out results/smoke --overwrite
+	@$(RUN)/cognitivedrone bench --suite open-v1:smoke --policy small --out results/smoke --overwrite
 
 check:
 	@$(PYTHON) scripts/setup.py dev

@@ -22,7 +22,7 @@ LinkName = Literal["sim", "sitl", "gazebo"]
 class RunConfig:
     """Fly a policy through a suite of tasks and score it."""
 
-    policy: str = "colour_seeker"
+    policy: str = "small"
     """Name of a policy, small:MODEL.onnx for a model file, or your own as module:attribute."""
     reasoner: str = "none"
     """Name of a reasoner, or your own as module:attribute."""

@@ -14,11 +14,12 @@ from cognitivedrone.benchmark.sweep import SweepConfig
 
 
 def bench(config: Annotated[RunConfig, tyro.conf.arg(name="")]) -> None:
-    """Fly a policy through a suite of tasks and score it.
+    """Fly a policy through a suite of tasks and score it: without arguments, the small VLA through the test suite.
 
     Writes results.json, one record per episode, and a self-contained report.html. A run that was stopped goes on with
     --resume. Examples:
 
+      cognitivedrone bench
       cognitivedrone bench --suite open-v1:smoke --policy colour_seeker --reasoner oracle
       cognitivedrone bench --policy my_package.my_module:MyPolicy --suite open-v1:test
       cognitivedrone bench --tasks my_tasks.json --labels my_pictures/
@@ -54,7 +55,7 @@ def sweep(config: Annotated[SweepConfig, tyro.conf.arg(name="")]) -> None:
     Latency is charged to the simulated clock, so the result does not depend on the machine. Stopped and started again,
     it goes on. Example:
 
-      cognitivedrone sweep --policy colour_seeker --reasoner oracle --ms 0 500 2000 --out results/sweep
+      cognitivedrone sweep --policy small --reasoner oracle --ms 0 500 2000 --out results/sweep
     """
     from cognitivedrone.benchmark.sweep import PLOT_FILE
     from cognitivedrone.benchmark.sweep import sweep as fly_all
