@@ -22,7 +22,7 @@ if [[ -z ${DATA:-} ]]; then
 fi
 
 # LoRA of rank 32 on all linear layers, batch 64 by accumulation, rate 5e-4, 4,000 steps.
-torchrun --standalone --nproc-per-node "$gpus" -m cognitivedrone.cli train-openvla \
+torchrun --standalone --nproc-per-node "$gpus" -m cognitivedrone train-openvla \
   --base "$base" --data "$data" --out "$run" --recipe "${RECIPE:-paper}" --resume ${SHARD:+--shard}
 
 # 300 tasks of another draw than those of training.

@@ -15,7 +15,7 @@ from cognitivedrone.data.store import Store
 
 
 def command(*arguments: object) -> list[str]:
-    return [sys.executable, "-m", "cognitivedrone.cli", *map(str, arguments)]
+    return [sys.executable, "-m", "cognitivedrone", *map(str, arguments)]
 
 
 def run(*arguments: object) -> subprocess.CompletedProcess[str]:

@@ -24,7 +24,7 @@ EXAMPLES = {**os.environ, "PYTHONPATH": str(ROOT / "examples")}
 
 
 def command(*arguments: object) -> list[str]:
-    return [sys.executable, "-m", "cognitivedrone.cli", *map(str, arguments)]
+    return [sys.executable, "-m", "cognitivedrone", *map(str, arguments)]
 
 
 def run(*arguments: object, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:

@@ -199,7 +199,7 @@ def test_another_process_flies_the_served_vehicle_through_a_gate_and_ctrl_c_land
         host, port = vehicle.links[0].split(":")[1:]
         assert f"--link mavlink:tcp:{host}:{port}" in str(vehicle)
         command = [
-            *(sys.executable, "-m", "cognitivedrone.cli", "fly", vehicle.task.directive),
+            *(sys.executable, "-m", "cognitivedrone", "fly", vehicle.task.directive),
             *("--link", f"mavlink:tcp:{host}:{port}", "--camera", vehicle.camera_url, "--out", out),
             *("--policy", "colour_seeker", "--reasoner", "none", "--clock", "vehicle", "--set-parameters"),
         ]

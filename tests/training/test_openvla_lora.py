@@ -243,7 +243,7 @@ def test_two_processes_learn_what_one_does_by_the_command(base: Path, flights: P
         if count == 1:
             main(command)
         else:
-            launcher = ["torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "cognitivedrone.cli"]
+            launcher = ["torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "cognitivedrone"]
             environment = {**os.environ, "OMP_NUM_THREADS": "1"}
             subprocess.run([sys.executable, "-m", *launcher, *command], env=environment, timeout=240, check=True)
         assert inspect(out / MERGED).statistics_key == "cognitivedrone"

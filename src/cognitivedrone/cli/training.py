@@ -62,7 +62,7 @@ def train_openvla(
     Needs the extras `openvla` and `train`, and peft. On several GPUs, start it by torchrun. Examples:
 
       cognitivedrone train-openvla --base openvla-7b --data flights --out out/7b
-      torchrun --nproc-per-node 8 -m cognitivedrone.cli train-openvla --base openvla-7b --data flights --out out/7b
+      torchrun --nproc-per-node 8 -m cognitivedrone train-openvla --base openvla-7b --data flights --out out/7b
       cognitivedrone bench --policy openvla:out/7b/merged
 
     Args:
