@@ -7,10 +7,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 # Tests load models/tiny.py and what lies in support/ by their names.
 for folder in ("models", "support"):
     sys.path.insert(0, str(Path(__file__).parent / folder))
+
+# A busy machine makes no example wrong.
+settings.register_profile("no deadline", deadline=None)
+settings.load_profile("no deadline")
 
 
 @pytest.fixture(scope="session")

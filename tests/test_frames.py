@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from cognitivedrone.frames import enu_to_ned, flu_to_frd, ned_euler, ned_quaternion, rotation_matrix
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1))
 def test_attitudes_are_those_of_the_frames(numbers: list[float]) -> None:
     q = np.array(numbers) / np.linalg.norm(numbers)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import ClassVar
 
 import numpy as np
 
 from cognitivedrone.cockpit.mjpeg import FrameServer
+from cognitivedrone.policies.blind import Hover
 from cognitivedrone.types import ActionChunk, Guidance, Image, Observation
 
 
@@ -17,6 +20,22 @@ class Echo:
 
     def refine(self, image: Image, instruction: str) -> Guidance:
         return Guidance(f"Fly through the {instruction.split()[-1]} gate", None, 0.9)
+
+
+class Typist(Hover):
+    """Stays where it is, and types lines when it has decided so often: {decisions: line}."""
+
+    lines: ClassVar[dict[int, bytes]] = {}
+    keyboard: ClassVar[int] = -1
+    """A file to write to."""
+
+    def __init__(self) -> None:
+        self.decisions = 0
+
+    def act(self, observation: Observation) -> ActionChunk:
+        self.decisions += 1
+        os.write(self.keyboard, self.lines.get(self.decisions, b""))
+        return super().act(observation)
 
 
 class Broken:

@@ -46,7 +46,7 @@ def test_a_truncated_shard(store: Path) -> None:
     assert verify(store) == [Problem(SHARD, f"is truncated: {len(whole) - 1} of {len(whole)} bytes")]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(data=st.data())
 def test_any_altered_byte(sound_store: Path, data: st.DataObject) -> None:
     whole = (sound_store / SHARD).read_bytes()

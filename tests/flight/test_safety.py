@@ -177,7 +177,7 @@ steps = st.lists(st.tuples(st.floats(0.01, 3), healths | st.just(GOOD)), min_siz
 
 
 @given(steps)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_braking_landing_and_hands_off_are_never_taken_back(sequence):
     memory, worst, time = Memory(), 0, 0.0
     for dt, health in sequence:
@@ -192,7 +192,7 @@ def test_braking_landing_and_hands_off_are_never_taken_back(sequence):
 
 
 @given(steps)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_what_a_guard_sends_is_finite_and_within_limits(sequence):
     guard, time = Guard(), 0.0
     for dt, health in sequence:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import cognitivedrone.labels
@@ -102,7 +102,6 @@ def test_every_sign_of_a_sum_is_a_glyph_of_its_own(pack):
         assert len(panels) == 4, font
 
 
-@settings(deadline=None)
 @given(
     st.fixed_dictionaries({attribute: st.sampled_from(values) for attribute, values in ATTRIBUTES.items()}),
     st.sampled_from(list(BACKGROUNDS)),
@@ -210,7 +209,6 @@ def test_what_is_not_there_is_named_with_a_way_out(pack, reference, message):
     assert message in str(error.value)
 
 
-@settings(deadline=None)
 @given(st.text(max_size=40) | st.text("sumnberlt/@0123456789+-*()=,", max_size=40).map("sum/".__add__))
 def test_any_text_is_a_panel_or_a_label_error(text):
     with contextlib.suppress(LabelError):

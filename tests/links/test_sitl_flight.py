@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from arducopters import REAL, needs_arducopter, played_arducopter
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cognitivedrone.errors import LinkError, PolicyError, RunError
@@ -115,7 +115,6 @@ def test_the_wind_blows_from_the_same_side(flight, vehicles):
     assert vehicles[0].plant.wind == pytest.approx((0.0, 0.0, 0.0))
 
 
-@settings(deadline=None)
 @given(
     where=st.tuples(*[st.floats(-1000, 1000)] * 2, st.floats(0, 5)),
     velocity=st.tuples(*[st.floats(-3, 3)] * 3),

@@ -317,7 +317,7 @@ def test_less_said_is_less_sure():
 WORDS = sorted({word for reply in (*SENTENCES, *JSON_REPLIES) if len(reply) < 200 for word in reply.split()})
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.lists(st.sampled_from(WORDS) | st.text(max_size=8), max_size=30).map(" ".join))
 def test_whatever_comes_is_a_gate_or_a_fault(text):
     try:

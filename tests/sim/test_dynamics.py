@@ -177,7 +177,7 @@ def test_a_flight_does_not_depend_on_the_others_nor_on_threads(worlds: int, thre
         assert path[:, :, 2].min() < 0.1, "some drone touched the floor, so contacts are covered"
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(st.lists(st.integers(1, 30), min_size=1, max_size=6))
 def test_how_time_is_cut_does_not_change_a_flight(cuts: list[int]) -> None:
     whole, pieces = Flight(1), Flight(1)

@@ -34,7 +34,7 @@ gates = st.builds(Gate, st.sampled_from(SIZES), st.sampled_from(SHAPES), st.samp
 
 
 @given(gate=gates, yaw=st.floats(-3, 3), x=st.floats(-20, 20))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_the_centre_of_every_gate_can_be_flown_through(gate, yaw, x):
     stage = stage_with(gate, yaw, (x, -x))
     verdict = judge(stage, straight(stage, 0, 0.0, 0.0), HULL, SQUARE)
@@ -45,7 +45,7 @@ def test_the_centre_of_every_gate_can_be_flown_through(gate, yaw, x):
 
 
 @given(gate=gates, side=st.floats(-1.9, 1.9), rise=st.floats(-0.7, 0.5))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_a_straight_flight_ends_as_the_geometry_of_its_plane_says(gate, side, rise):
     stage = stage_with(gate)
     margin = float(geometry.opening_margin(gate, np.float64(side), np.float64(rise)))
@@ -112,7 +112,7 @@ def alone(gate: Gate, index: int, yaw: float = 0.0) -> Stage:
 
 
 @given(gate=gates, index=st.integers(0, 2), other=st.integers(1, 2), yaw=st.floats(-3, 3))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_of_gates_that_are_not_there_nothing_is_seen_but_that_the_only_one_was_passed_by(gate, index, other, yaw):
     stage = alone(gate, index, yaw)
     through = judge(stage, straight(stage, index, 0.0, 0.0), HULL, SQUARE)
