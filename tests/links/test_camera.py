@@ -91,7 +91,7 @@ def write_folder(folder: Path, count: int = 3) -> Path:
 
 
 def test_a_folder_is_shown_in_order_and_ends(tmp_path):
-    camera = open_camera(str(write_folder(tmp_path)), CameraConfig(rate_hz=20))
+    camera = open_camera(str(write_folder(tmp_path)), CameraConfig(rate_hz=5))
     reds, began = [], time.monotonic()
 
     def ended() -> str:
@@ -99,12 +99,12 @@ def test_a_folder_is_shown_in_order_and_ends(tmp_path):
             shot = camera.read()
         except CameraError as error:
             return str(error)
-        assert 0 <= shot.age_s <= 0.05 + 1e-6
+        assert 0 <= shot.age_s <= 0.2 + 1e-6
         reds.append(int(shot.image[0, 0, 0]))
         return ""
 
     assert wait(ended) == f"the 3 images of {tmp_path} are over"
-    assert time.monotonic() - began == pytest.approx(0.15, abs=0.1)
+    assert 0.5 < time.monotonic() - began < 3
     assert reds == sorted(reds)
     assert set(reds) == {60, 120, 180}
 
