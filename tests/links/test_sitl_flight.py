@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from cognitivedrone.errors import LinkError, PolicyError, RunError
 from cognitivedrone.frames import quaternion_from_yaw, wrap_angle, yaw_of
-from cognitivedrone.links.sitl_flight import STILL_M_S, Counts, SitlFlight, placed
+from cognitivedrone.links.one_drone import placed
+from cognitivedrone.links.sitl_flight import STILL_M_S, Counts, SitlFlight
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.dynamics import Flight
 from cognitivedrone.sim.simulator import TICKS_PER_CONTROL

@@ -8,20 +8,20 @@ drawn. Heights are always true, and the referee sees the true path, not what the
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cognitivedrone.errors import LinkError, PolicyError, RunError
+from cognitivedrone.errors import LinkError, RunError
 from cognitivedrone.frames import rotate_yaw, yaw_of
+from cognitivedrone.links.one_drone import OneDrone, placed
 from cognitivedrone.links.sitl_physics import Plant
 from cognitivedrone.links.sitl_vehicle import SitlVehicle
 from cognitivedrone.sim.airframe import IRIS, Airframe
 from cognitivedrone.sim.dynamics import Flight
-from cognitivedrone.types import CONTROL_HZ, DroneState, FloatArray
+from cognitivedrone.types import CONTROL_HZ, FloatArray
 
 STILL_M_S: Final = 0.05
 """Slower than this is a hover; also, within the same of the height in m and of turning in rad/s."""
@@ -69,35 +69,6 @@ class Vehicle(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Placement:
-    """From the ground that the vehicle flies over to the benchmark's world: a turn and a shift, heights stay."""
-
-    turn: float = 0.0
-    """To the left, rad."""
-    shift: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """(3,) after the turn, m; the last is 0."""
-
-    def apply(self, state: DroneState) -> DroneState:
-        """The same motion, in the benchmark's world."""
-        w, x, y, z = state.quaternion
-        c, s = np.cos(self.turn / 2), np.sin(self.turn / 2)
-        return DroneState(
-            rotate_yaw(state.position, self.turn) + self.shift,
-            rotate_yaw(state.velocity, self.turn),
-            np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w]),
-            state.body_rates,
-        )
-
-
-def placed(state: DroneState, position: FloatArray, yaw: float) -> Placement:
-    """The placement that puts a vehicle at x and y of `position` (3,), m, with heading `yaw`, rad."""
-    turn = yaw - float(yaw_of(state.quaternion))
-    shift = np.asarray(position, dtype=np.float64) - rotate_yaw(state.position, turn)
-    shift[2] = 0.0
-    return Placement(turn, shift)
-
-
-@dataclass(frozen=True, slots=True)
 class Counts:
     """What has happened between us and the autopilots so far."""
 
@@ -109,27 +80,21 @@ class Counts:
     """Autopilots that were given up and started anew."""
 
 
-class SitlFlight:
+class SitlFlight(OneDrone):
     """One world, flown by one ArduCopter, which starts with the first `reset`. Call `close` at the end.
 
     A vehicle that crashes, lands by itself or falls silent makes the world diverge: the flight does not count, and the
     next one begins with another vehicle.
     """
 
-    worlds = 1
-
     def __init__(self, binary: Path, airframe: Airframe = IRIS, *, start: Callable[[], Vehicle] | None = None) -> None:
+        super().__init__()
         self.airframe = airframe
-        self.trouble = ""
-        """Why the last vehicle was given up, in words."""
         self._start: Callable[[], Vehicle] = start or (lambda: SitlVehicle(binary, airframe))
         self._vehicle: Vehicle | None = None
         self._ended = Counts()
-        self._placement = Placement()
-        self._state = DroneState(np.zeros(3), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
         self._began = 0.0
         self._ticks = 0
-        self._diverged = False
 
     def reset(
         self,
@@ -159,24 +124,6 @@ class SitlFlight:
             return
         raise RunError(f"ArduCopter did not come to hover in {STARTS} attempts; the last one: {self.trouble}")
 
-    def command(self, actions: FloatArray) -> None:
-        """As `command_one`, (1, 4)."""
-        if np.shape(actions) != (1, 4):
-            raise PolicyError(f"actions have shape {np.shape(actions)}; expected (1, 4): one drone is flown")
-        self.command_one(0, actions[0])
-
-    def command_one(self, world: int, action: FloatArray) -> None:
-        """Ask for a velocity (4,), heading frame, m/s and rad/s; ArduCopter turns it to world axes when it comes."""
-        self._check_world(world)
-        action = np.asarray(action, dtype=np.float64)
-        if action.shape != (4,) or not np.isfinite(action).all():
-            raise PolicyError(f"the action {action.tolist()} cannot be flown; send four real numbers")
-        if self._vehicle is not None:
-            try:
-                self._vehicle.send(action)
-            except LinkError as error:
-                self._give_up(error)
-
     def advance(self, ticks: int) -> FloatArray:
         """Fly on by ticks of `Flight.TICK_S`; true positions (1, samples, 3) after each fourth and after the last."""
         path: list[FloatArray] = []
@@ -201,41 +148,6 @@ class SitlFlight:
         if vehicle is None:
             return ended
         return replace(ended, frames=ended.frames + vehicle.frames, lost=ended.lost + vehicle.lost)
-
-    def state(self, world: int) -> DroneState:
-        """The true state, in the benchmark's world."""
-        self._check_world(world)
-        return self._state
-
-    @property
-    def position(self) -> FloatArray:
-        """(1, 3), world, m."""
-        return self._state.position[None].copy()
-
-    @property
-    def velocity(self) -> FloatArray:
-        """(1, 3), world, m/s."""
-        return self._state.velocity[None].copy()
-
-    @property
-    def quaternion(self) -> FloatArray:
-        """(1, 4), w, x, y, z, body to world."""
-        return self._state.quaternion[None].copy()
-
-    @property
-    def body_rates(self) -> FloatArray:
-        """(1, 3), body FLU, rad/s."""
-        return self._state.body_rates[None].copy()
-
-    @property
-    def yaw(self) -> FloatArray:
-        """(1,), heading, rad."""
-        return yaw_of(self.quaternion)
-
-    @property
-    def diverged(self) -> NDArray[np.bool_]:
-        """(1,): whether the vehicle was given up in this flight."""
-        return np.array([self._diverged])
 
     def close(self) -> None:
         """End the vehicle."""
@@ -270,13 +182,10 @@ class SitlFlight:
         x, y, z = (float(v) for v in rotate_yaw(wind, -turn))
         return x, y, z
 
-    def _give_up(self, error: LinkError) -> None:
-        """End a vehicle that does not fly; the world diverges."""
-        self.trouble = str(error)
-        self._diverged = True
+    def _send(self, action: FloatArray) -> None:
+        if self._vehicle is not None:
+            self._vehicle.send(action)
+
+    def _let_go(self) -> None:
         self.close()
         self._ended = replace(self._ended, restarts=self._ended.restarts + 1)
-
-    def _check_world(self, world: int) -> None:
-        if world != 0:
-            raise ValueError(f"there is no world {world}: an ArduCopter flies one")

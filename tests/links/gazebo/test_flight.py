@@ -33,7 +33,7 @@ from cognitivedrone.links.gazebo.live import GazeboWorld, LiveConfig
 from cognitivedrone.links.gazebo.pilot import RefereesGuard, open_gazebo
 from cognitivedrone.links.gazebo.sight import Sample, TruePath
 from cognitivedrone.links.mavlink import MavlinkDrone
-from cognitivedrone.links.sitl_flight import Placement
+from cognitivedrone.links.one_drone import Placement
 from cognitivedrone.policies import make_policy
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.simulator import Simulator
@@ -189,7 +189,7 @@ def test_what_cannot_be_flown_is_said(running, monkeypatch):
     with opened(running) as flight:
         with pytest.raises(RunError, match="leave --wind out"):
             flight.reset(0, START, wind=np.array([1.0, 0.0, 0.0]))
-        with pytest.raises(ValueError, match="Gazebo runs one"):
+        with pytest.raises(ValueError, match="one drone is flown"):
             flight.command_one(1, np.zeros(4))
     with opened(running, replace(PATIENT, silence_s=0.2)) as flight:
         running.paused = True

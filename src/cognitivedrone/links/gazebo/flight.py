@@ -18,17 +18,16 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cognitivedrone.errors import LinkError, PolicyError, RunError
-from cognitivedrone.frames import rotate_yaw, yaw_of
+from cognitivedrone.errors import LinkError, RunError
+from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.links.camera import Camera
 from cognitivedrone.links.gazebo.live import GazeboWorld
 from cognitivedrone.links.gazebo.sight import TruePath
 from cognitivedrone.links.mavlink import MavlinkDrone
-from cognitivedrone.links.sitl_flight import Placement, placed
+from cognitivedrone.links.one_drone import OneDrone, Placement, placed
 from cognitivedrone.sim.dynamics import Flight
-from cognitivedrone.types import CONTROL_HZ, DroneState, FloatArray, Image, Stage
+from cognitivedrone.types import CONTROL_HZ, FloatArray, Image, Stage
 from cognitivedrone.world.look import PLAIN, Look
 
 STILL_M_S: Final = 0.1
@@ -48,7 +47,7 @@ LATE_S: Final = 0.05
 _LOOK_AGAIN_S = 0.002
 
 
-class GazeboFlight:
+class GazeboFlight(OneDrone):
     """One world, flown by the ArduPilot of a running Gazebo, and what `camera` sees of it. `close` lands the vehicle.
 
     `path` is where the vehicle truly is. `connect` gives a drone in the air; it is called at the first `reset`, and
@@ -56,11 +55,8 @@ class GazeboFlight:
     itself falls silent, everything raises `GazeboError` or `CameraError`.
     """
 
-    worlds = 1
-
     def __init__(self, world: GazeboWorld, path: TruePath, camera: Camera, connect: Callable[[], MavlinkDrone]) -> None:
-        self.trouble = ""
-        """Why the last vehicle was given up, in words."""
+        super().__init__()
         self.restarts = 0
         """Vehicles that were given up."""
         self.steps = 0
@@ -72,11 +68,9 @@ class GazeboFlight:
         self._camera = camera
         self._connect = connect
         self._drone: MavlinkDrone | None = None
-        self._placement = Placement()
         self._state = path.newest().state
         self._began = 0.0
         self._ticks = 0
-        self._diverged = False
         self._stagehand = ThreadPoolExecutor(1, "stagehand")
         self._showing: Future[None] | None = None
 
@@ -116,24 +110,6 @@ class GazeboFlight:
             " --resume"
         )
 
-    def command(self, actions: FloatArray) -> None:
-        """As `command_one`, (1, 4)."""
-        if np.shape(actions) != (1, 4):
-            raise PolicyError(f"actions have shape {np.shape(actions)}; expected (1, 4): one drone is flown")
-        self.command_one(0, actions[0])
-
-    def command_one(self, world: int, action: FloatArray) -> None:
-        """Ask for a velocity (4,), heading frame, m/s and rad/s; ArduPilot turns it to world axes when it comes."""
-        self._check_world(world)
-        action = np.asarray(action, dtype=np.float32)
-        if action.shape != (4,) or not np.isfinite(action).all():
-            raise PolicyError(f"the action {action.tolist()} cannot be flown; send four real numbers")
-        if self._drone is not None:
-            try:
-                self._drone.send(action)
-            except LinkError as error:
-                self._give_up(error)
-
     def advance(self, ticks: int) -> FloatArray:
         """Fly on until ticks of `Flight.TICK_S` have passed in Gazebo; true positions (1, samples, 3) on the way.
 
@@ -153,41 +129,6 @@ class GazeboFlight:
         if self._drone is not None and self._drone.over is not None:
             self._give_up(LinkError(self._drone.over))
         return np.array([[state.position for state in states]])
-
-    def state(self, world: int) -> DroneState:
-        """The true state, in the benchmark's world."""
-        self._check_world(world)
-        return self._state
-
-    @property
-    def position(self) -> FloatArray:
-        """(1, 3), world, m."""
-        return self._state.position[None].copy()
-
-    @property
-    def velocity(self) -> FloatArray:
-        """(1, 3), world, m/s."""
-        return self._state.velocity[None].copy()
-
-    @property
-    def quaternion(self) -> FloatArray:
-        """(1, 4), w, x, y, z, body to world."""
-        return self._state.quaternion[None].copy()
-
-    @property
-    def body_rates(self) -> FloatArray:
-        """(1, 3), body FLU, rad/s."""
-        return self._state.body_rates[None].copy()
-
-    @property
-    def yaw(self) -> FloatArray:
-        """(1,), heading, rad."""
-        return yaw_of(self.quaternion)
-
-    @property
-    def diverged(self) -> NDArray[np.bool_]:
-        """(1,): whether the vehicle was given up in this flight."""
-        return np.array([self._diverged])
 
     # What it asks of `sim.camera.Cameras`.
 
@@ -239,7 +180,7 @@ class GazeboFlight:
     def close(self) -> None:
         """Land; the last stage stays in Gazebo."""
         self._stagehand.shutdown()
-        self._let_go()
+        self._land()
 
     def _hover(self, drone: MavlinkDrone, height: float) -> None:
         """Come to a hover at a height, m."""
@@ -278,22 +219,20 @@ class GazeboFlight:
         self._state = self._placement.apply(now.state)
         self._began = now.time - self._ticks * Flight.TICK_S
 
-    def _give_up(self, error: LinkError) -> None:
-        """Let go of a vehicle that does not fly; the world diverges."""
-        self.trouble, self._diverged = str(error), True
-        self.restarts += 1
-        with suppress(LinkError):
-            self._let_go()
+    def _send(self, action: FloatArray) -> None:
+        if self._drone is not None:
+            self._drone.send(action.astype(np.float32))
 
     def _let_go(self) -> None:
+        self.restarts += 1
+        with suppress(LinkError):
+            self._land()
+
+    def _land(self) -> None:
         """Land a vehicle that is still ours, and hang up."""
         drone, self._drone = self._drone, None
         if drone is not None:
             drone.close()
-
-    def _check_world(self, world: int) -> None:
-        if world != 0:
-            raise ValueError(f"there is no world {world}: Gazebo runs one")
 
 
 class Pictures:
