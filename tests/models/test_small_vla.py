@@ -190,3 +190,18 @@ def test_facts_are_json_values_that_make_the_same_configuration() -> None:
     facts = CONFIG.facts()
     assert SmallVLAConfig(**{k: tuple(v) if isinstance(v, list) else v for k, v in facts.items()}) == CONFIG
     assert all(isinstance(value, (int, str, list)) for value in facts.values())
+
+
+def test_a_board_that_is_read_surely_is_told_to_sentences_as_the_sum_of_its_prototypes():
+    torch.manual_seed(0)
+    config = replace(CONFIG, facets=9, board_bounds=(2, 5, 9))
+    network = SmallVLA(config)
+    prototypes = network.prototypes.detach()
+    # What a sure reading is: far along the prototypes of facets 3 and 8, and off those of their rivals.
+    wanted = torch.full((7,), -60.0)
+    wanted[3 - 2] = wanted[8 - 2] = 60.0
+    read = torch.linalg.lstsq(prototypes[2:], wanted[:, None]).solution.T
+    spelled = network.spell(read)
+    assert torch.allclose(spelled[0], prototypes[3] + prototypes[8], atol=1e-4)
+    unsure = network.spell(torch.zeros(1, config.embedding))
+    assert torch.allclose(unsure[0], prototypes[2:5].mean(0) + prototypes[5:9].mean(0), atol=1e-5)

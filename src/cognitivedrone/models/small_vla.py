@@ -15,6 +15,7 @@ Shapes: B images, K sentences an image, S = 3 gate slots, E the embedding, F the
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -50,6 +51,8 @@ class SmallVLAConfig:
     """Words, the padding and the unknown one included: as many as the training has."""
     facets: int = 1
     """Things that can be seen: as many as the training has."""
+    board_bounds: tuple[int, ...] = (0, 1)
+    """Where, among the facets, each group of those that boards show begins, and where the last one ends."""
     text_length: int = 32
     image_size: int = 256
     """Height and width of the image it works on, pixels: 256, or 128 (reduced inside the network)."""
@@ -295,6 +298,18 @@ class SmallVLA(nn.Module):
         embedded: Tensor = self.sight((self.crops(image, boxes, self.config.glimpse) - 0.5) * 4)
         return embedded.view(-1, boxes.shape[1], self.config.embedding)
 
+    def spell(self, read: Tensor) -> Tensor:
+        """What was read (n, E) from boards, as sentences are told of it without a frame: prototypes of its facets
+        (n, E), weighted by their probabilities. So what the text encoder learns of boards it is told of holds for
+        those that are seen.
+        """
+        bounds = self.config.board_bounds
+        spelled = []
+        for start, end in itertools.pairwise(bounds):
+            prototypes = self.prototypes[start:end].float()
+            spelled.append((read.float() @ prototypes.T).softmax(-1) @ prototypes)
+        return torch.stack(spelled).sum(0)
+
     def describe(self, seen: Seen, glimpses: Tensor) -> Tensor:
         """Embeddings (B, S, E) of gates: what they look like and what `glimpses` (B, S, E) of their panels show."""
         looks: Tensor = self.gate_embedding(seen.cell)
@@ -337,7 +352,7 @@ class SmallVLA(nn.Module):
         slots, scores, board = self.find(scene)
         seen = self.attend(scene, slots)
         read = self.read(pixels, self.boxes(slots, seen))
-        query = self.text(tokens, read[:, SLOTS], (board > 0.5).float())
+        query = self.text(tokens, self.spell(read[:, SLOTS]), (board > 0.5).float())
         logits = self.choose(query[:, None], self.describe(seen, read[:, :SLOTS]), seen, state)[:, 0]
         present = torch.cat([scores > 0.3, torch.ones_like(scores[:, :1], dtype=torch.bool)], dim=1)
         choice = (logits + (present.float() - 1) * 1e4).softmax(-1)

@@ -58,6 +58,8 @@ GROUPS: dict[str, slice] = {
 PANEL_GROUPS: tuple[str, ...] = ("concept", *_ATTRIBUTES)
 """What a panel shows: its concept and, of a person, every attribute but skin."""
 BOARD_GROUPS: tuple[str, ...] = ("first", "sign", "second")
+BOARD_BOUNDS = (*(GROUPS[group].start for group in BOARD_GROUPS), GROUPS[BOARD_GROUPS[-1]].stop)
+"""Where those begin in `FACETS`, and where the last one ends; they follow each other."""
 GATE_GROUPS: tuple[str, ...] = ("color", "shape", "size")
 
 _INDEX = {facet: index for index, facet in enumerate(FACETS)}

@@ -66,7 +66,7 @@ class Lesson(nn.Module):
         board_seen = batch["legible"][:, SLOTS].float()
         query = network.text(
             _trimmed(batch["tokens"].flatten(0, 1)),
-            read[:, SLOTS].repeat_interleave(sentences, 0),
+            network.spell(read[:, SLOTS]).repeat_interleave(sentences, 0),
             board_seen.repeat_interleave(sentences, 0),
         ).view(n, sentences, -1)
         gates = network.describe(seen, read[:, :SLOTS])

@@ -21,7 +21,7 @@ from cognitivedrone.tasks import load_suite, train_task
 from cognitivedrone.tasks.racing import race_task
 from cognitivedrone.training.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.curves import validate
-from cognitivedrone.training.facets import FACETS
+from cognitivedrone.training.facets import BOARD_BOUNDS, FACETS
 from cognitivedrone.training.losses import Lesson
 from cognitivedrone.training.pilot import NetworkPilot, fly_suite
 from cognitivedrone.training.recipes import TrainRecipe
@@ -117,7 +117,13 @@ class PolicySubject:
 def policy_subject(recipe: TrainRecipe, data: Path | None = None) -> PolicySubject:
     """The subject of a recipe, with the vocabulary of the training tasks."""
     vocabulary = training_vocabulary()
-    network = replace(recipe.network, vocabulary=len(vocabulary.words), facets=len(FACETS), chunk=recipe.stream.chunk)
+    network = replace(
+        recipe.network,
+        vocabulary=len(vocabulary.words),
+        facets=len(FACETS),
+        board_bounds=BOARD_BOUNDS,
+        chunk=recipe.stream.chunk,
+    )
     return PolicySubject(replace(recipe, network=network), vocabulary, data)
 
 
