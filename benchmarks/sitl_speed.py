@@ -81,8 +81,8 @@ def arducopter(binary: Path, render: bool) -> float:
                 simulator.command(0, np.array([np.sin(step / 10), 0.0, 0.0, 0.0]))
                 simulator.advance()
             ratios.append(FLOWN_S / (time.perf_counter() - began))
-        if flight.counts.lost or flight.diverged.any():
-            raise SystemExit(f"not a fair flight: {flight.counts}, {flight.trouble}")
+        if flight.report.lost or flight.diverged.any():
+            raise SystemExit(f"not a fair flight: {flight.report}, {flight.trouble}")
         return statistics.median(ratios)
     finally:
         simulator.close()

@@ -9,10 +9,11 @@ import pytest
 from arducopters import REAL, needs_arducopter, played_arducopter
 
 from cognitivedrone.benchmark.results import read_results, results_from_json
-from cognitivedrone.benchmark.run_types import LinkReport, RunConfig
+from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.runner import command_of, run
 from cognitivedrone.benchmark.tables import results_table
 from cognitivedrone.errors import CognitiveDroneError
+from cognitivedrone.links.one_drone import LinkReport
 
 
 @pytest.fixture

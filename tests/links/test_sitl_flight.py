@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from cognitivedrone.errors import LinkError, PolicyError, RunError
 from cognitivedrone.frames import quaternion_from_yaw, wrap_angle, yaw_of
-from cognitivedrone.links.one_drone import placed
-from cognitivedrone.links.sitl_flight import STILL_M_S, Counts, SitlFlight
+from cognitivedrone.links.one_drone import LinkReport, placed
+from cognitivedrone.links.sitl_flight import STILL_M_S, SitlFlight
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.dynamics import Flight
 from cognitivedrone.sim.simulator import TICKS_PER_CONTROL
@@ -146,11 +146,11 @@ def test_a_vehicle_that_is_lost_ends_the_flight_and_the_next_has_another(flight,
     assert flight.trouble == "the mode became LAND"
     flight.command_one(0, np.zeros(4))
     assert flight.advance(40).shape == (1, 0, 3)
-    assert flight.counts == Counts(frames, 0, 1)
+    assert flight.report == LinkReport(frames, 0, 1)
     flight.reset(0, np.array([0.0, 0.0, 1.0]))
     assert not flight.diverged.any()
     assert len(vehicles) == 2
-    assert flight.counts == Counts(frames + vehicles[1].frames, 0, 1)
+    assert flight.report == LinkReport(frames + vehicles[1].frames, 0, 1)
     vehicles[1].trouble = "crashed"
     flight.command_one(0, np.zeros(4))
     assert flight.diverged.all()
@@ -168,7 +168,7 @@ def test_what_never_hovers_is_told(vehicles, monkeypatch):
     with pytest.raises(RunError, match=r"in 3 attempts; the last one: it did not come to hover 0\.40 m above"):
         deaf.reset(0, np.array([0.0, 0.0, 0.4]))
     assert [vehicle.closed for vehicle in vehicles] == [True] * 3
-    assert deaf.counts.restarts == 3
+    assert deaf.report.restarts == 3
 
 
 def test_what_cannot_be_flown_is_refused(flight):
@@ -195,10 +195,10 @@ def test_a_process_flies_in_lock_step_and_is_replaced_when_it_dies(tmp_path, mon
     flight = SitlFlight(played_arducopter(tmp_path))
     try:
         flight.reset(0, np.array([-1.0, 0.0, 0.8]))
-        before = flight.counts.frames
+        before = flight.report.frames
         path = fly(flight, (1.0, 0.0, 0.0, 0.0), 1.0)
         assert path.shape == (100, 3)
-        assert flight.counts == Counts(before + 400, 0, 0)
+        assert flight.report == LinkReport(before + 400, 0, 0)
         assert 0.2 < path[-1, 0] + 1.0 < 1.0
         assert np.abs(np.diff(path[:, 0])).max() < 0.02
         processes[0].kill()
@@ -207,7 +207,7 @@ def test_a_process_flies_in_lock_step_and_is_replaced_when_it_dies(tmp_path, mon
         assert "ended with -9, its last words: parameters read" in flight.trouble
         flight.reset(0, np.array([-1.0, 0.0, 0.8]))
         assert not flight.diverged.any()
-        assert flight.counts.restarts == 1
+        assert flight.report.restarts == 1
     finally:
         flight.close()
     assert [process.poll() is not None for process in processes] == [True, True]
@@ -231,6 +231,6 @@ def test_a_real_arducopter_hovers_at_every_start_and_stays_ours():
         # Half a minute of hover: without a heartbeat in its own time it would land.
         fly(flight, (0.0, 0.0, 0.0, 0.0), 30.0)
         assert not flight.diverged.any()
-        assert flight.counts.lost == flight.counts.restarts == 0
+        assert flight.report.lost == flight.report.restarts == 0
     finally:
         flight.close()

@@ -78,7 +78,7 @@ class EpisodeFlyer:
 
     def fly(self, episode: int, *, film: bool) -> Flown:
         """Fly one track of the suite; the same flight every time."""
-        before = self._link.report()
+        before = self._link.report
         rng = episode_rng(self.suite.digest, episode, self.config.seed)
         self.course.begin(self.suite.tracks[episode], rng)
         # The reasoner first: what it draws must not depend on the policy that it flies with.
@@ -97,10 +97,10 @@ class EpisodeFlyer:
             self.course.end("policy_error")
             message = str(error)
         if any(result.outcome == "invalid" for result in self.course.results):
-            message = self._link.trouble() or "the physics diverged"
+            message = self._link.trouble or "the physics diverged"
         result = EpisodeResult(episode, self.config.seed, log.results(), len(log.path), message)
         trace = log.trace(sum(timed.took_s) / max(len(timed.took_s), 1))
-        link = self._link.report() - before
+        link = self._link.report - before
         return Flown(result, trace, log.frames if film else None, link if link.frames else None)
 
     def close(self) -> None:

@@ -7,9 +7,10 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from cognitivedrone.benchmark.run_types import LinkReport, RunConfig
+from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.errors import RunError
 from cognitivedrone.links.arducopter import BINARY_VARIABLE, find_binary
+from cognitivedrone.links.one_drone import LinkReport, OneDrone
 from cognitivedrone.sim.airframe import AIRFRAMES, Airframe
 from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.sim.simulator import Simulator
@@ -17,15 +18,23 @@ from cognitivedrone.sim.simulator import Simulator
 
 @dataclass(frozen=True, slots=True)
 class Linked:
-    """A simulator of one world, and what can be told of the link behind it."""
+    """A simulator of one world, and the link behind it."""
 
     simulator: Simulator
-    report: Callable[[], LinkReport] = LinkReport
-    """What has happened on the link so far; all zeros where there is none."""
-    trouble: Callable[[], str] = str
-    """Why the last vehicle was lost, in words; empty where none was."""
+    flight: OneDrone | None = None
+    """What another program flies; none in our own simulator."""
     renderer: Callable[[], str] = renderer_name
     """Name of what draws the frames."""
+
+    @property
+    def report(self) -> LinkReport:
+        """What has happened on the link so far; all zeros where there is none."""
+        return self.flight.report if self.flight else LinkReport()
+
+    @property
+    def trouble(self) -> str:
+        """Why the last vehicle was lost, in words; empty where none was."""
+        return self.flight.trouble if self.flight else ""
 
 
 def autopilot_file(config: RunConfig) -> Path | None:
@@ -56,12 +65,7 @@ def open_link(config: RunConfig, undo: ExitStack) -> Linked:
     undo.callback(flight.close)
     simulator = Simulator(1, airframe=airframe, flight=flight)
     undo.callback(simulator.close)
-
-    def report() -> LinkReport:
-        counts = flight.counts
-        return LinkReport(counts.frames, counts.lost, counts.restarts)
-
-    return Linked(simulator, report, lambda: flight.trouble)
+    return Linked(simulator, flight)
 
 
 def _check_gazebo(config: RunConfig) -> None:
@@ -80,8 +84,4 @@ def _open_gazebo(airframe: Airframe, undo: ExitStack) -> Linked:
     flight = undo.enter_context(open_gazebo())
     simulator = Simulator(1, airframe=airframe, flight=flight, eyes=flight)
     undo.callback(simulator.close)
-
-    def report() -> LinkReport:
-        return LinkReport(flight.steps, flight.late, flight.restarts)
-
-    return Linked(simulator, report, lambda: flight.trouble, lambda: flight.renderer)
+    return Linked(simulator, flight, lambda: flight.renderer)

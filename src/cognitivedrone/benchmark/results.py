@@ -14,9 +14,10 @@ from typing import Any, Final
 
 import cognitivedrone
 from cognitivedrone.benchmark.codec import decode, dumps, encode
-from cognitivedrone.benchmark.run_types import LinkName, LinkReport, LookName, Rule
+from cognitivedrone.benchmark.run_types import LinkName, LookName, Rule
 from cognitivedrone.benchmark.scoring import RULES, Summary, summarize
 from cognitivedrone.errors import RunError
+from cognitivedrone.links.one_drone import LinkReport
 from cognitivedrone.types import EpisodeResult
 
 SCHEMA: Final = "cognitivedrone.results/1"

@@ -9,6 +9,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from cognitivedrone.links.one_drone import LinkReport
 from cognitivedrone.types import EpisodeResult, Image, Stage
 
 Rule = Literal["through", "within_1m"]
@@ -77,25 +78,6 @@ class Trace:
     """Index into `path` where each of `stages` begins."""
     decision_s: float
     """Mean wall time of a policy's decision, s; the only field that differs between two equal runs."""
-
-
-@dataclass(frozen=True, slots=True)
-class LinkReport:
-    """What happened between us and an autopilot in another process."""
-
-    frames: int = 0
-    """Steps of physics that it asked for; in Gazebo, stretches of flight between two commands."""
-    lost: int = 0
-    """Steps that it counted and we never saw, 0 in strict lock-step; in Gazebo, stretches that were over when the next
-    command came."""
-    restarts: int = 0
-    """How often it had to be started anew, after a crash or a failsafe of its own."""
-
-    def __add__(self, other: LinkReport) -> LinkReport:
-        return LinkReport(self.frames + other.frames, self.lost + other.lost, self.restarts + other.restarts)
-
-    def __sub__(self, other: LinkReport) -> LinkReport:
-        return LinkReport(self.frames - other.frames, self.lost - other.lost, self.restarts - other.restarts)
 
 
 @dataclass(frozen=True, slots=True)

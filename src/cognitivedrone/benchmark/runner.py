@@ -36,11 +36,12 @@ from cognitivedrone.benchmark.results import (
     write_results,
     write_whole,
 )
-from cognitivedrone.benchmark.run_types import LinkReport, RunConfig
+from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.scoring import counts, passes
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.errors import RunError
 from cognitivedrone.flight.latency import parse_delays
+from cognitivedrone.links.one_drone import LinkReport
 from cognitivedrone.policies import model_file
 from cognitivedrone.reasoners import reasoner_file
 from cognitivedrone.tasks import Suite

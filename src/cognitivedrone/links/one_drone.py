@@ -46,6 +46,25 @@ def placed(state: DroneState, position: FloatArray, yaw: float) -> Placement:
     return Placement(turn, shift)
 
 
+@dataclass(frozen=True, slots=True)
+class LinkReport:
+    """What happened between us and an autopilot in another process."""
+
+    frames: int = 0
+    """Steps of physics that it asked for; in Gazebo, stretches of flight between two commands."""
+    lost: int = 0
+    """Steps that it counted and we never saw, 0 in strict lock-step; in Gazebo, stretches that were over when the next
+    command came."""
+    restarts: int = 0
+    """How often it had to be started anew, after a crash or a failsafe of its own."""
+
+    def __add__(self, other: LinkReport) -> LinkReport:
+        return LinkReport(self.frames + other.frames, self.lost + other.lost, self.restarts + other.restarts)
+
+    def __sub__(self, other: LinkReport) -> LinkReport:
+        return LinkReport(self.frames - other.frames, self.lost - other.lost, self.restarts - other.restarts)
+
+
 class OneDrone(ABC):
     """What `sim.simulator.Simulator` asks of `sim.dynamics.Flight`, as far as it is the same for every such flight.
 
@@ -60,6 +79,11 @@ class OneDrone(ABC):
         self._placement = Placement()
         self._state = DroneState(np.zeros(3), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
         self._diverged = False
+
+    @property
+    @abstractmethod
+    def report(self) -> LinkReport:
+        """Of all vehicles so far."""
 
     @abstractmethod
     def _send(self, action: FloatArray) -> None:

@@ -8,7 +8,6 @@ drawn. Heights are always true, and the referee sees the true path, not what the
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -16,7 +15,7 @@ import numpy as np
 
 from cognitivedrone.errors import LinkError, RunError
 from cognitivedrone.frames import rotate_yaw, yaw_of
-from cognitivedrone.links.one_drone import OneDrone, placed
+from cognitivedrone.links.one_drone import LinkReport, OneDrone, placed
 from cognitivedrone.links.sitl_physics import Plant
 from cognitivedrone.links.sitl_vehicle import SitlVehicle
 from cognitivedrone.sim.airframe import IRIS, Airframe
@@ -68,18 +67,6 @@ class Vehicle(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class Counts:
-    """What has happened between us and the autopilots so far."""
-
-    frames: int = 0
-    """Steps of physics."""
-    lost: int = 0
-    """Frame counts that never came."""
-    restarts: int = 0
-    """Autopilots that were given up and started anew."""
-
-
 class SitlFlight(OneDrone):
     """One world, flown by one ArduCopter, which starts with the first `reset`. Call `close` at the end.
 
@@ -92,7 +79,7 @@ class SitlFlight(OneDrone):
         self.airframe = airframe
         self._start: Callable[[], Vehicle] = start or (lambda: SitlVehicle(binary, airframe))
         self._vehicle: Vehicle | None = None
-        self._ended = Counts()
+        self._ended = LinkReport()
         self._began = 0.0
         self._ticks = 0
 
@@ -142,17 +129,17 @@ class SitlFlight(OneDrone):
         return np.array(path)[None] if path else np.empty((1, 0, 3))
 
     @property
-    def counts(self) -> Counts:
+    def report(self) -> LinkReport:
         """Of all vehicles together."""
         ended, vehicle = self._ended, self._vehicle
         if vehicle is None:
             return ended
-        return replace(ended, frames=ended.frames + vehicle.frames, lost=ended.lost + vehicle.lost)
+        return ended + LinkReport(vehicle.frames, vehicle.lost)
 
     def close(self) -> None:
         """End the vehicle."""
         if self._vehicle is not None:
-            self._ended, vehicle = self.counts, self._vehicle
+            self._ended, vehicle = self.report, self._vehicle
             self._vehicle = None
             vehicle.close()
 
@@ -188,4 +175,4 @@ class SitlFlight(OneDrone):
 
     def _let_go(self) -> None:
         self.close()
-        self._ended = replace(self._ended, restarts=self._ended.restarts + 1)
+        self._ended += LinkReport(restarts=1)

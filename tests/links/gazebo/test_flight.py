@@ -105,9 +105,9 @@ def test_a_track_is_flown_and_scored_by_true_poses(running):
         fly(drone, policy, drone, mission)
         assert [result.outcome for result in course.results] == ["passed", "passed"]
         assert all(0.95 < result.path_ratio < 1.2 for result in course.results)
-        assert flight.steps > 40
-        assert flight.late == 0
-        assert (flight.restarts, flight.trouble) == (0, "")
+        assert flight.report.frames > 40
+        assert flight.report.lost == 0
+        assert (flight.report.restarts, flight.trouble) == (0, "")
         # The next one begins where it is drawn, though the vehicle is somewhere else by now.
         course.begin(track[:1], np.random.default_rng(1))
         assert simulator.state(0).position == pytest.approx(course.start.position, abs=0.15)
@@ -137,7 +137,7 @@ def test_a_vehicle_that_is_lost_voids_the_flight_and_the_next_one_takes_off_agai
         flight.reset(0, START)
         assert flight.diverged == [False]
         assert flight.position[0] == pytest.approx(START, abs=0.15)
-        assert flight.restarts == 1
+        assert flight.report.restarts == 1
 
 
 def test_the_benchmark_flies_in_gazebo(running, tmp_path, monkeypatch, capsys):
@@ -173,12 +173,12 @@ def test_thinking_for_longer_than_a_step_is_counted_and_not_caught_up_with(runni
     with opened(running) as flight:
         flight.reset(0, START)
         flight.advance(40)
-        begin, late = running.vehicle.time, flight.late
+        begin, late = running.vehicle.time, flight.report.lost
         running.limit = begin + 0.5
         while running.vehicle.time < begin + 0.49:
             time.sleep(0.005)
         path = flight.advance(40)[0]
-        assert flight.late == late + 1
+        assert flight.report.lost == late + 1
         assert len(path) > 20  # what was flown meanwhile is judged all the same
         for _ in range(10):
             flight.advance(40)

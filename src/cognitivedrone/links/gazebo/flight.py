@@ -25,7 +25,7 @@ from cognitivedrone.links.camera import Camera
 from cognitivedrone.links.gazebo.live import GazeboWorld
 from cognitivedrone.links.gazebo.sight import TruePath
 from cognitivedrone.links.mavlink import MavlinkDrone
-from cognitivedrone.links.one_drone import OneDrone, Placement, placed
+from cognitivedrone.links.one_drone import LinkReport, OneDrone, Placement, placed
 from cognitivedrone.sim.dynamics import Flight
 from cognitivedrone.types import CONTROL_HZ, FloatArray, Image, Stage
 from cognitivedrone.world.look import PLAIN, Look
@@ -57,12 +57,7 @@ class GazeboFlight(OneDrone):
 
     def __init__(self, world: GazeboWorld, path: TruePath, camera: Camera, connect: Callable[[], MavlinkDrone]) -> None:
         super().__init__()
-        self.restarts = 0
-        """Vehicles that were given up."""
-        self.steps = 0
-        """Stretches of flight."""
-        self.late = 0
-        """Those that were over before the next command came."""
+        self._report = LinkReport()
         self._world = world
         self._path = path
         self._camera = camera
@@ -117,18 +112,23 @@ class GazeboFlight(OneDrone):
         """
         if self._showing is not None and self._showing.done():
             self._await_stage()
-        self.steps += 1
+        self._report += LinkReport(frames=1)
         self._ticks += ticks
         until = self._began + self._ticks * Flight.TICK_S
         behind = self._path.newest().time - until
         if behind > LATE_S:
-            self.late += 1
+            self._report += LinkReport(lost=1)
             self._began += behind
         states = [self._placement.apply(sample.state) for sample in self._path.until(until)]
         self._state = states[-1]
         if self._drone is not None and self._drone.over is not None:
             self._give_up(LinkError(self._drone.over))
         return np.array([[state.position for state in states]])
+
+    @property
+    def report(self) -> LinkReport:
+        """Stretches of flight, those that were over before the next command came, and vehicles that were given up."""
+        return self._report
 
     # What it asks of `sim.camera.Cameras`.
 
@@ -224,7 +224,7 @@ class GazeboFlight(OneDrone):
             self._drone.send(action.astype(np.float32))
 
     def _let_go(self) -> None:
-        self.restarts += 1
+        self._report += LinkReport(restarts=1)
         with suppress(LinkError):
             self._land()
 
