@@ -22,7 +22,7 @@ from cognitivedrone.training.export_reasoner import export_eyes, export_mind
 from cognitivedrone.training.facets import FACETS, GATE_GROUPS, GROUPS
 from cognitivedrone.training.launch import TrainOptions, run
 from cognitivedrone.training.losses import to_tensors
-from cognitivedrone.training.mind import MIND, Encoder, Problems, load_mind, mind_subject, values_of
+from cognitivedrone.training.mind import MIND, Encoder, Problems, load_mind, mind_subject, muddled, values_of
 from cognitivedrone.training.reader import READER, draw_any_label, load_reader, reader_subject
 from cognitivedrone.training.reading import SEEN, SEEN_GROUPS, seen_facets
 from cognitivedrone.training.recipes import RECIPES
@@ -151,6 +151,20 @@ def test_what_is_told_without_doubt_is_the_truth() -> None:
         for span in SEEN_GROUPS.values():
             totals = batch["panels"][..., span].sum(-1)
             assert (np.isclose(totals, 0) | np.isclose(totals, 1, atol=1e-5)).all()
+
+
+def test_a_muddled_sentence_keeps_most_of_its_words_in_their_order() -> None:
+    rng, length = np.random.default_rng(4), 48
+    tokens = np.zeros(length, np.int64)
+    tokens[:20] = np.arange(10, 30)
+    said = [muddled(rng, tokens) for _ in range(300)]
+    kept = [row[row > 1] for row in said]
+    assert all(row.shape == (length,) and (np.diff(words) > 0).all() for row, words in zip(said, kept, strict=True))
+    assert 0.7 < np.mean([len(words) for words in kept]) / 20 < 0.82
+    assert 0.2 < np.mean([(row == 1).sum() for row in said]) / 20 < 0.34
+    assert all((row[np.count_nonzero(row) :] == 0).all() for row in said)
+    whole = np.arange(2, 2 + length)
+    assert all(muddled(rng, whole).shape == (length,) for _ in range(20))
 
 
 @pytest.mark.parametrize("family", ["letters", *HARD_FAMILIES[:2]])

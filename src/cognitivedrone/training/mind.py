@@ -40,6 +40,8 @@ _VALIDATION = 10**6
 _SENTENCES = 30_000
 STRANGER = "somebodynobodyknows"
 """Stands for a name that was never heard, and for any other word that is not known."""
+_LEFT_OUT, _LOST, _ADDED = 0.12, 0.12, 0.15
+"""Shares of words of a muddled sentence."""
 _GROUPS = tuple(SEEN_GROUPS.values())
 _NAMES = (*FAMILIES, "directive")
 
@@ -64,6 +66,8 @@ class MindRecipe(Schedule):
     """Share of panels that are read as something else of the same kind."""
     lost_words: float = 0.03
     """Share of words that are not known."""
+    muddled: float = 0.3
+    """Share of sentences that are put otherwise: words lost, left out and added, so that the rest must do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,10 +179,11 @@ class Encoder:
 
     def _tokens(self, rng: np.random.Generator, sentence: str, *, lost: bool) -> NDArray[np.int64]:
         tokens = self._vocabulary.encode(sentence, self._recipe.network.text_length)
-        if lost:
-            gone = (rng.random(len(tokens)) < self._recipe.lost_words) & (tokens > 0)
-            tokens = np.where(gone, 1, tokens)
-        return tokens
+        if not lost:
+            return tokens
+        gone = (rng.random(len(tokens)) < self._recipe.lost_words) & (tokens > 0)
+        tokens = np.where(gone, 1, tokens)
+        return muddled(rng, tokens) if rng.random() < self._recipe.muddled else tokens
 
     def _see(self, rng: np.random.Generator, row: NDArray[Any], label: str, *, doubts: bool) -> None:
         """Add the probabilities of what a label shows."""
@@ -203,6 +208,20 @@ class Encoder:
                 at = 3 * stage + place
                 self._see(rng, batch["remembered"][row, at], label, doubts=doubts)
                 batch["stages"][row, at] = stage, len(problem.before) - 1 - stage, int(place == flown)
+
+
+def muddled(rng: np.random.Generator, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
+    """A sentence (L,) as a stranger might put it: now and then a word is left out, unknown or added (as unknown)."""
+    kept: list[int] = []
+    for token, chance in zip(tokens[tokens > 0].tolist(), rng.random(len(tokens)).tolist(), strict=False):
+        if chance < _LEFT_OUT:
+            continue
+        if chance > 1 - _ADDED:
+            kept.append(1)
+        kept.append(1 if chance < _LEFT_OUT + _LOST else token)
+    row = np.zeros_like(tokens)
+    row[: len(kept)] = kept[: len(row)]
+    return row
 
 
 def look_of(gate: Gate) -> NDArray[np.float32]:
