@@ -28,7 +28,7 @@ class TrainRecipe(Schedule):
 
 SMALL = TrainRecipe(name="small", steps=9_000, decay_share=1 / 3)
 
-_SHORT = replace(SMALL, name="ablation-tokens", steps=2_000)
+_SHORT = replace(SMALL, name="ablation-tokens", steps=1_000)
 _ABLATION = (
     _SHORT,
     replace(_SHORT, name="ablation-regression", network=replace(_SHORT.network, head="regression")),
@@ -71,7 +71,7 @@ RECIPES: dict[str, TrainRecipe] = {
     ),
 } | {recipe.name: recipe for recipe in _ABLATION}
 """`small`: the shipped policy. `race`: the baseline without language. `base`: larger, for a GPU. `debug`: the whole
-path in seconds, of no use otherwise. `ablation-*`: a tenth of `small`, each but the first with one thing changed."""
+path in seconds, of no use otherwise. `ablation-*`: a ninth of `small`, each but the first with one thing changed."""
 
 
 REASONER_RECIPES: dict[str, MindRecipe | ReaderRecipe] = {"mind": MIND, "reader": READER}
