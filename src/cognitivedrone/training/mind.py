@@ -357,7 +357,7 @@ class MindSubject:
         return {}
 
 
-MIND = MindRecipe(name="mind", steps=8_000, learning_rate=1e-3, warmup_steps=300)
+MIND = MindRecipe(name="mind", steps=5_000, learning_rate=1e-3, warmup_steps=300)
 
 
 def mind_subject(recipe: MindRecipe) -> MindSubject:
