@@ -19,7 +19,7 @@ from cognitivedrone.tasks import (
     train_task,
     validate_task,
 )
-from cognitivedrone.tasks.racing import INSTRUCTIONS
+from cognitivedrone.tasks.racing import INSTRUCTIONS, crowded_task
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Task
 
 STREAM = [race_task(i, seed=3) for i in range(1200)]
@@ -112,3 +112,12 @@ def test_a_gate_alone_must_be_the_right_one() -> None:
 def test_a_family_of_the_users_own_may_have_gates_that_stand_alone() -> None:
     task = task_from_json(race_but(category="symbol_understanding", family="mine"), where="here")
     assert (task.category, task.only) == ("symbol_understanding", task.target)
+
+
+def test_a_crowded_room_is_a_training_room_with_nothing_to_tell_the_gates_apart_by() -> None:
+    for index in range(30):
+        room, task = train_task(index, 3), crowded_task(index, 3)
+        assert (task.gates, task.labels, task.only) == (room.gates, room.labels, None)
+        assert (task.family, task.category) == ("race", "racing")
+        assert task.instruction in INSTRUCTIONS
+    assert len({crowded_task(index, 3).instruction for index in range(30)}) == len(INSTRUCTIONS)

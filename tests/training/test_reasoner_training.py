@@ -22,10 +22,11 @@ from cognitivedrone.training.export_reasoner import export_eyes, export_mind
 from cognitivedrone.training.facets import FACETS, GATE_GROUPS, GROUPS
 from cognitivedrone.training.launch import TrainOptions, run
 from cognitivedrone.training.losses import to_tensors
-from cognitivedrone.training.mind import MIND, Encoder, Problems, load_mind, mind_subject, muddled, values_of
+from cognitivedrone.training.mind import MIND, Encoder, Problems, load_mind, mind_subject, values_of
 from cognitivedrone.training.reader import READER, draw_any_label, load_reader, reader_subject
 from cognitivedrone.training.reading import SEEN, SEEN_GROUPS, seen_facets
 from cognitivedrone.training.recipes import RECIPES
+from cognitivedrone.training.sampling import muddled
 from cognitivedrone.training.trainer import CHECKPOINT, TrainConfig, train
 from cognitivedrone.types import COLORS, SHAPES, SIZES
 

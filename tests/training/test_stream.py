@@ -313,3 +313,28 @@ def test_a_race_shows_one_gate_and_asks_for_it(vocabulary: Vocabulary) -> None:
         np.testing.assert_array_equal(batch["asked"], np.repeat(batch["flown"][:, None], RECIPE.sentences, axis=1))
         told = {" ".join(words_of(text)) for text in INSTRUCTIONS}
         assert {text for *_, text in sentences(batch, vocabulary)} <= told
+
+
+def test_a_racer_in_a_crowded_room_is_to_take_the_gate_straight_ahead(vocabulary: Vocabulary) -> None:
+    recipe = replace(RECIPE, suite="race", crowded=1.0, batch=8)
+    chosen = set()
+    for batch in batches(recipe, vocabulary, 6):
+        several = batch["in_view"].sum(axis=1) > 1
+        there = batch["in_view"] & batch["valid"]
+        aside = np.where(there, np.abs(batch["gate"][..., 0] - 128), np.inf)
+        right = np.where(there.any(axis=1), aside.argmin(axis=1), batch["flown"])
+        assert several.any()
+        np.testing.assert_array_equal(batch["asked"], np.repeat(right[:, None], recipe.sentences, axis=1))
+        assert {text for *_, text in sentences(batch, vocabulary)} <= {" ".join(words_of(t)) for t in INSTRUCTIONS}
+        chosen |= set(right.tolist())
+    assert chosen == {0, 1, 2}
+
+
+def test_muddled_sentences_hold_words_that_nobody_knows(vocabulary: Vocabulary) -> None:
+    plain, muddled = (batches(replace(RECIPE, muddled=share), vocabulary, 2) for share in (0.0, 1.0))
+    for name in ("tokens", "text_tokens"):
+        unknown = [
+            np.mean([(batch[name] == 1).sum() / (batch[name] > 0).sum() for batch in made]) for made in (plain, muddled)
+        ]
+        assert unknown[0] < 0.03
+        assert 0.15 < unknown[1] < 0.4

@@ -5,11 +5,14 @@ Source: RaceVLA (arXiv 2503.02572), a drone that flies through one gate after th
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cognitivedrone.errors import TaskError
+from cognitivedrone.tasks.families import FAMILIES
 from cognitivedrone.tasks.generate import Draw, Panel, Puzzle
-from cognitivedrone.tasks.suites import VERSION, drawn_task
+from cognitivedrone.tasks.suites import VERSION, drawn_task, train_task
 from cognitivedrone.types import Task
 
 STREAM_NAME = f"{VERSION}:race-train"
@@ -42,3 +45,13 @@ def race_task(index: int, seed: int = 0) -> Task:
     if index < 0 or seed < 0:
         raise TaskError(f"{STREAM_NAME}: index {index} and seed {seed} must not be negative")
     return drawn_task("race", np.random.default_rng([3, seed, index]), f"{STREAM_NAME}/{seed}-{index}")
+
+
+def crowded_task(index: int, seed: int = 0) -> Task:
+    """A room of `train_task` in which a racer is told to race: three gates, and nothing that says through which.
+
+    Raises `TaskError` for a negative index or seed.
+    """
+    room = train_task(index, seed)
+    instruction = INSTRUCTIONS[int(np.random.default_rng([4, seed, index]).integers(len(INSTRUCTIONS)))]
+    return replace(room, family="race", category=FAMILIES["race"], instruction=instruction)

@@ -32,7 +32,7 @@ from cognitivedrone.training.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.losses import to_tensors
 from cognitivedrone.training.questions import ask
 from cognitivedrone.training.reading import SEEN, SEEN_GROUPS, seen_facets
-from cognitivedrone.training.sampling import Batch
+from cognitivedrone.training.sampling import Batch, muddled
 from cognitivedrone.training.subject import Batches, Learner, Row, Schedule
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task
 
@@ -40,8 +40,6 @@ _VALIDATION = 10**6
 _SENTENCES = 30_000
 STRANGER = "somebodynobodyknows"
 """Stands for a name that was never heard, and for any other word that is not known."""
-_LEFT_OUT, _LOST, _ADDED = 0.12, 0.12, 0.15
-"""Shares of words of a muddled sentence."""
 _GROUPS = tuple(SEEN_GROUPS.values())
 _NAMES = (*FAMILIES, "directive")
 
@@ -208,20 +206,6 @@ class Encoder:
                 at = 3 * stage + place
                 self._see(rng, batch["remembered"][row, at], label, doubts=doubts)
                 batch["stages"][row, at] = stage, len(problem.before) - 1 - stage, int(place == flown)
-
-
-def muddled(rng: np.random.Generator, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
-    """A sentence (L,) as a stranger might put it: now and then a word is left out, unknown or added (as unknown)."""
-    kept: list[int] = []
-    for token, chance in zip(tokens[tokens > 0].tolist(), rng.random(len(tokens)).tolist(), strict=False):
-        if chance < _LEFT_OUT:
-            continue
-        if chance > 1 - _ADDED:
-            kept.append(1)
-        kept.append(1 if chance < _LEFT_OUT + _LOST else token)
-    row = np.zeros_like(tokens)
-    row[: len(kept)] = kept[: len(row)]
-    return row
 
 
 def look_of(gate: Gate) -> NDArray[np.float32]:

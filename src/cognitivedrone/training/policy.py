@@ -18,7 +18,7 @@ from cognitivedrone.models.small_vla import SmallVLA, SmallVLAConfig
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.tasks import load_suite, train_task
-from cognitivedrone.tasks.racing import race_task
+from cognitivedrone.tasks.racing import INSTRUCTIONS
 from cognitivedrone.training.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.curves import validate
 from cognitivedrone.training.facets import BOARD_BOUNDS, FACETS
@@ -115,8 +115,9 @@ class PolicySubject:
 
 
 def policy_subject(recipe: TrainRecipe, data: Path | None = None) -> PolicySubject:
-    """The subject of a recipe, with the vocabulary of the training tasks."""
-    vocabulary = training_vocabulary()
+    """The subject of a recipe, with the vocabulary of its tasks."""
+    racing = recipe.stream.suite == "race"
+    vocabulary = Vocabulary.of(INSTRUCTIONS) if racing else training_vocabulary()
     network = replace(
         recipe.network,
         vocabulary=len(vocabulary.words),
@@ -130,9 +131,8 @@ def policy_subject(recipe: TrainRecipe, data: Path | None = None) -> PolicySubje
 def training_vocabulary() -> Vocabulary:
     """All words of the training tasks, of their directives, and of racing."""
     tasks = [train_task(index, 0) for index in range(_SENTENCES)]
-    races = [race_task(index, 0) for index in range(50)]
     plain = ["Fly through the big red round gate", "Go to the small green square gate", "Take the blue triangle gate"]
-    return Vocabulary.of([*plain, *(t.instruction for t in tasks), *(t.instruction for t in races)])
+    return Vocabulary.of([*plain, *(t.instruction for t in tasks), *INSTRUCTIONS])
 
 
 def training_batches(

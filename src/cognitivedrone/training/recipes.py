@@ -44,7 +44,7 @@ RECIPES: dict[str, TrainRecipe] = {
         SMALL,
         name="race",
         steps=3_000,
-        stream=replace(SMALL.stream, suite="race", sentences=2, texts=1, cards=0),
+        stream=replace(SMALL.stream, suite="race", crowded=0.5, muddled=0.7, sentences=2, texts=1, cards=0),
         losses=replace(SMALL.losses, text=0.0),
     ),
     "base": replace(

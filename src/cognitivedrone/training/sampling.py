@@ -20,7 +20,7 @@ from cognitivedrone.training.cards import Cards
 from cognitivedrone.training.facets import PANEL_GROUPS, board_facets, gate_facets, panel_facets
 from cognitivedrone.training.questions import ask, families
 from cognitivedrone.training.truth import Poses, Truths, truths
-from cognitivedrone.types import Image, Stage, Task
+from cognitivedrone.types import IMAGE_SIZE, Image, Stage, Task
 
 Batch: TypeAlias = dict[str, NDArray[np.generic]]
 """Named arrays, all with the sample as their first axis but for the `text_` ones:
@@ -35,6 +35,9 @@ index into `FACETS`, or -1. And card_image (C, g, g, 3) uint8, card_facets (C, 1
 
 NONE_IN_VIEW = 3
 """The choice where the gate asked for is not in view."""
+
+_LEFT_OUT, _LOST, _ADDED = 0.12, 0.12, 0.15
+"""Shares of words of a muddled sentence."""
 
 _TEXT_SHARES = {"math": 0.3, "association": 0.2, "food": 0.06, "math_board": 0.12}
 """How often families are trained without an image; the others share the rest."""
@@ -57,7 +60,11 @@ class StreamRecipe:
     """Panels and boards in a batch that are trained without a frame."""
     chunk: int = 1
     suite: str = "train"
-    """`train`, or `race`: single gates without panels."""
+    """`train`, or `race`: single gates without panels, and "Fly through the gates"."""
+    crowded: float = 0.0
+    """Share of a race's flights in rooms with three gates: there the one straight ahead is to be taken."""
+    muddled: float = 0.0
+    """Share of sentences that are put otherwise: words lost, left out and added, so that the rest must do."""
     directives: bool = True
     """Whether directives are among the sentences."""
     varied: float = 0.5
@@ -116,7 +123,7 @@ class Sampler:
         asked = np.zeros((len(flights), self.recipe.sentences), dtype=np.int64)
         for row, each in enumerate(flights):
             for column, (text, gate) in enumerate(self._questions(rng, row, each, known)):
-                tokens[row, column] = self.vocabulary.encode(text, self.text_length)
+                tokens[row, column] = self._tokens(rng, text)
                 asked[row, column] = gate
         seen = np.take_along_axis(known.in_view, asked, axis=1)
         return {
@@ -132,6 +139,10 @@ class Sampler:
             "choice": np.where(seen, asked, NONE_IN_VIEW),
         }
 
+    def _tokens(self, rng: np.random.Generator, text: str) -> NDArray[np.int64]:
+        tokens = self.vocabulary.encode(text, self.text_length)
+        return muddled(rng, tokens) if rng.random() < self.recipe.muddled else tokens
+
     def _questions(self, rng: np.random.Generator, row: int, each: Setting, known: Truths) -> Iterator[tuple[str, int]]:
         """Sentences about a frame, each with the gate that is right; half of them about the gate that is flown at."""
         task = each.task
@@ -139,7 +150,7 @@ class Sampler:
         visible = [g for g in range(3) if known.in_view[row, g] and known.ahead[row, g]]
         for _ in range(self.recipe.sentences):
             if task.family == "race":
-                yield task.instruction, task.target
+                yield task.instruction, _straight_ahead(row, each, known)
                 continue
             plain = self.recipe.directives and rng.random() < 0.25
             among = visible if plain else readable
@@ -185,10 +196,31 @@ class Sampler:
         named = np.array([task.family in _NAMING for task in tasks]) & ~plain
         concept = panels[np.arange(count), target, PANEL_GROUPS.index("concept")]
         return {
-            "text_tokens": np.stack([self.vocabulary.encode(text, self.text_length) for text in texts]),
+            "text_tokens": np.stack([self._tokens(rng, text) for text in texts]),
             "text_panels": panels,
             "text_gates": np.stack([[gate_facets(gate) for gate in task.gates] for task in tasks]),
             "text_board": np.stack(boards),
             "text_asked": target,
             "text_named": np.where(named, concept, -1),
         }
+
+
+def _straight_ahead(row: int, each: Setting, known: Truths) -> int:
+    """The gate nearest to the middle of the image; where none can be flown through, the one that is flown at."""
+    there = known.in_view[row] & known.valid[row]
+    aside = np.abs(known.gate[row, :, 0] - IMAGE_SIZE / 2)
+    return int(np.where(there, aside, np.inf).argmin()) if there.any() else each.flown
+
+
+def muddled(rng: np.random.Generator, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
+    """A sentence (L,) as a stranger might put it: now and then a word is left out, unknown or added (as unknown)."""
+    kept: list[int] = []
+    for token, chance in zip(tokens[tokens > 0].tolist(), rng.random(len(tokens)).tolist(), strict=False):
+        if chance < _LEFT_OUT:
+            continue
+        if chance > 1 - _ADDED:
+            kept.append(1)
+        kept.append(1 if chance < _LEFT_OUT + _LOST else token)
+    row = np.zeros_like(tokens)
+    row[: len(kept)] = kept[: len(row)]
+    return row

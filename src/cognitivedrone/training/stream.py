@@ -26,7 +26,7 @@ from cognitivedrone.policies.expert import intent
 from cognitivedrone.sim.airframe import RACER
 from cognitivedrone.sim.simulator import Simulator, Start
 from cognitivedrone.tasks import train_task
-from cognitivedrone.tasks.racing import race_task
+from cognitivedrone.tasks.racing import crowded_task, race_task
 from cognitivedrone.training.sampling import Batch, Sampler, Setting, StreamRecipe
 from cognitivedrone.training.subject import Learner
 from cognitivedrone.training.truth import Poses
@@ -85,7 +85,9 @@ class Rehearsal:
 
     def _begin(self, world: int) -> _Flight:
         rng, recipe = self._rng, self.recipe
-        make = race_task if recipe.suite == "race" else train_task
+        make = train_task
+        if recipe.suite == "race":
+            make = crowded_task if rng.random() < recipe.crowded else race_task
         task = make(int(rng.integers(2**31)), 0)
         stage = stage_of(task)
         look = varied_look(rng) if rng.random() < recipe.varied else PLAIN
