@@ -17,7 +17,7 @@ from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.tasks.directives import write_directive
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, generator
 from cognitivedrone.tasks.format import read_tasks, task_from_json, task_to_json
-from cognitivedrone.tasks.generate import TRAIN, Draw, Puzzle
+from cognitivedrone.tasks.generate import TRAIN, Draw, Pools, Puzzle
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task, Track
 
 VERSION = "open-v1"
@@ -80,9 +80,9 @@ def train_task(index: int, seed: int = 0) -> Task:
     return drawn_task(family, np.random.default_rng([1, seed, index]), f"{TRAIN_NAME}/{seed}-{index}")
 
 
-def drawn_task(family: str, rng: np.random.Generator, task_id: str) -> Task:
-    """A task of a family with everything about it drawn, from the ingredients of training."""
-    draw = Draw(rng, TRAIN, target=int(rng.integers(3)))
+def drawn_task(family: str, rng: np.random.Generator, task_id: str, pools: Pools = TRAIN) -> Task:
+    """A task of a family with everything about it drawn, from the ingredients of training or others."""
+    draw = Draw(rng, pools, target=int(rng.integers(3)))
     colors = draw.pick(_COLOR_ORDERS)
     looks = [draw.pick(_GATE_LOOKS) for _ in colors]
     a, b, c = (Gate(size, shape, color) for (size, shape), color in zip(looks, colors, strict=True))

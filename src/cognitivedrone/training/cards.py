@@ -17,6 +17,7 @@ from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.models.small_vla import REACH
 from cognitivedrone.tasks import BASE_FAMILIES, train_task
 from cognitivedrone.training.facets import BOARD_GROUPS, PANEL_GROUPS, board_facets, panel_facets
+from cognitivedrone.training.restyle import restyled
 from cognitivedrone.types import FloatArray, Image
 
 SHARES = {
@@ -28,6 +29,7 @@ HEIGHTS = (24.0, 90.0)
 """Of panels in the image, pixels: from the start they are about 30 pixels high."""
 _KEPT = 512  # pictures that are shown again, each time otherwise
 _FRESH = 0.25  # share of the cards whose picture is a new one
+_RESTYLED = 0.6  # share of pictures that are drawn otherwise
 _SIDE = 64  # pixels of a kept picture: as large as a panel is seen
 _SHIFT, _SCALE = 0.06, 0.09  # spread of where a panel is looked for
 _ROLL, _SHEAR = 0.13, 0.06  # and of its slant
@@ -68,7 +70,10 @@ class Cards:
     def _learn(self, rng: np.random.Generator) -> None:
         """Keep one more picture, in the place of another one."""
         label = self._draw_label(rng)
-        picture = PillowImage.fromarray(self._labels.image(label)).resize((_SIDE, _SIDE), PillowImage.Resampling.BOX)
+        pixels = self._labels.image(label)
+        if rng.random() < _RESTYLED:
+            pixels = restyled(label, pixels, rng)
+        picture = PillowImage.fromarray(pixels).resize((_SIDE, _SIDE), PillowImage.Resampling.BOX)
         kept = picture, self._facets_of(label)
         if len(self._kept) < _KEPT:
             self._kept.append(kept)

@@ -30,6 +30,7 @@ from cognitivedrone.tasks.people import CAST, IDENTITY, SCHEMA, TRAIN_CAST, pers
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.training.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.losses import to_tensors
+from cognitivedrone.training.phrasing import SPOKEN
 from cognitivedrone.training.questions import ask
 from cognitivedrone.training.reading import SEEN, SEEN_GROUPS, seen_facets
 from cognitivedrone.training.sampling import Batch, muddled
@@ -56,7 +57,9 @@ class MindRecipe(Schedule):
     """Share of sentences that are directives already."""
     relabelled: float = 0.3
     """Share of base tasks that ask for any of their gates, in other words."""
-    strangers: float = 0.15
+    spoken: float = 0.7
+    """Share of problems that are said in more ways than the training tasks."""
+    strangers: float = 0.3
     """Share of tasks with people who are told to find somebody unknown among known ones."""
     doubt: float = 0.12
     """Share of panels that are read with doubt."""
@@ -97,7 +100,8 @@ class Problems:
         family = self._families[int(rng.choice(len(self._families), p=self._shares))]
         if family == "memory":
             return _track(rng)
-        task = drawn_task(family, rng, family)
+        pools = SPOKEN if rng.random() < self.recipe.spoken else TRAIN
+        task = drawn_task(family, rng, family, pools)
         if family == "people" and rng.random() < self.recipe.strangers:
             return [_with_stranger(rng, task)]
         sentence, target, said = task.instruction, task.target, family
@@ -105,7 +109,7 @@ class Problems:
             question = ask(rng, task.labels, task.board, task.gates, target, "directive")
             sentence, said = question.text, "directive"
         elif family in BASE_FAMILIES and rng.random() < self.recipe.relabelled:
-            question = ask(rng, task.labels, task.board, task.gates, int(rng.integers(3)), None)
+            question = ask(rng, task.labels, task.board, task.gates, int(rng.integers(3)), None, pools)
             sentence, target, said = question.text, question.target, question.family
         return [Problem(sentence, said, task.labels, task.gates, task.board, target)]
 

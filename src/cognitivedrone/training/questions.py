@@ -22,7 +22,7 @@ from cognitivedrone.tasks import human, reasoning, symbols, vocabulary, wording
 from cognitivedrone.tasks.directives import write_directive
 from cognitivedrone.tasks.facts import FACTS, HEALTHY, KIND_OF, UNHEALTHY
 from cognitivedrone.tasks.families import BASE_FAMILIES
-from cognitivedrone.tasks.generate import TRAIN, Draw, article, words
+from cognitivedrone.tasks.generate import TRAIN, Draw, Pools, article, words
 from cognitivedrone.tasks.people import CAST, FEATURES, IDENTITY, SCHEMA, TRAIN_CAST, Person, seen
 from cognitivedrone.tasks.validate import check_gates
 from cognitivedrone.training.facets import known_person, parse_sum
@@ -324,9 +324,15 @@ def families(labels: Labels, board: str | None, gates: Gates, target: int) -> tu
 
 
 def ask(
-    rng: np.random.Generator, labels: Labels, board: str | None, gates: Gates, target: int, family: str | None = None
+    rng: np.random.Generator,
+    labels: Labels,
+    board: str | None,
+    gates: Gates,
+    target: int,
+    family: str | None = None,
+    pools: Pools = TRAIN,
 ) -> Question:
-    """A question whose only right answer is the gate at `target`, in the words of the training suite.
+    """A question whose only right answer is the gate at `target`, in the words of the training suite or of `pools`.
 
     Without a family, one of `families(...)` is drawn, all equally likely, and where there are none the question is a
     directive. Of directives ("directive"), most are `write_directive`'s; the rest (`FREE_DIRECTIVES`) begin otherwise,
@@ -334,7 +340,7 @@ def ask(
     Raises `TaskError` for an unknown family or one that cannot ask for this gate, and for a malformed scene.
     """
     sayings = _sayings(labels, board, target)
-    draw = Draw(rng, TRAIN, target)
+    draw = Draw(rng, pools, target)
     if family is None:
         family = draw.pick(tuple(sayings)) if sayings else DIRECTIVE
     if family == DIRECTIVE:
