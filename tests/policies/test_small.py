@@ -105,7 +105,11 @@ def test_a_model_file_is_given_behind_the_name(tiny_model_file):
     policy = make_policy(f"small:{tiny_model_file}")
     assert isinstance(policy, Small)
     assert policy.model.description.name == "tiny"
-    assert isinstance(make_policy(f"race:{tiny_model_file}"), Race)
+    racer = make_policy(f"race:{tiny_model_file}")
+    assert isinstance(racer, Race)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        racer.reset("Take the gate of the pangolin")
 
 
 @pytest.mark.parametrize(

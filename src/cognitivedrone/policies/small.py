@@ -26,6 +26,8 @@ class Small:
 
     weights = "small.onnx"
     """The packaged file, in `cognitivedrone/models/weights`."""
+    warns = True
+    """Whether words that the model has never seen are told of."""
 
     def __init__(self, path: str | None = None) -> None:
         self.model = SmallModel.load(self.file_of(path))
@@ -79,15 +81,16 @@ class Small:
                 f"the instruction has {len(text)} characters; the small model reads at most {LONGEST_INSTRUCTION}"
             )
         unknown = self.model.description.vocabulary.unknown(text)
-        if unknown:
+        if unknown and self.warns:
             _warn_of(frozenset(unknown))
         self._text = text
 
 
 class Race(Small):
-    """The racing model: flies gates well, whichever they are."""
+    """The racing model: flies gates well, whichever they are. It knows no more language than "Fly through the gates"."""
 
     weights = "race.onnx"
+    warns = False
 
 
 def state_of(observation: Observation) -> FloatArray:

@@ -41,6 +41,7 @@ _VALIDATION = 10**6
 _SENTENCES = 30_000
 STRANGER = "somebodynobodyknows"
 """Stands for a name that was never heard, and for any other word that is not known."""
+_ALIKE = 0.6  # share of strangers who look much like somebody known
 _GROUPS = tuple(SEEN_GROUPS.values())
 _NAMES = (*FAMILIES, "directive")
 
@@ -59,7 +60,7 @@ class MindRecipe(Schedule):
     """Share of base tasks that ask for any of their gates, in other words."""
     spoken: float = 0.7
     """Share of problems that are said in more ways than the training tasks."""
-    strangers: float = 0.3
+    strangers: float = 0.4
     """Share of tasks with people who are told to find somebody unknown among known ones."""
     doubt: float = 0.12
     """Share of panels that are read with doubt."""
@@ -91,7 +92,7 @@ class Problems:
     def __init__(self, recipe: MindRecipe) -> None:
         self.recipe = recipe
         shares = dict.fromkeys(BASE_FAMILIES, 1.0) | dict.fromkeys(HARD_FAMILIES, 0.7)
-        shares |= {"association": 3.0, "attributes": 1.5, "comparison": 1.0, "memory": 0.4}
+        shares |= {"association": 3.0, "people": 1.5, "attributes": 1.5, "comparison": 1.0, "memory": 0.4}
         self._families = tuple(shares)
         self._shares = np.array(list(shares.values())) / sum(shares.values())
 
@@ -136,10 +137,15 @@ def _track(rng: np.random.Generator) -> list[Problem]:
 
 
 def _with_stranger(rng: np.random.Generator, task: Task) -> Problem:
-    """The same task, but of somebody of whom nobody has heard."""
+    """The same task, but of somebody of whom nobody has heard, and who may look much like somebody known."""
     name = task.options[task.target]
+    near = rng.random() < _ALIKE
     while True:
         person = {key: values[int(rng.integers(len(values)))] for key, values in SCHEMA.items()}
+        if near:
+            like = CAST[TRAIN_CAST[int(rng.integers(len(TRAIN_CAST)))]]
+            kept = set(rng.permutation(IDENTITY)[: len(IDENTITY) - 3].tolist())
+            person |= {key: like.get(key, SCHEMA[key][0]) for key in kept}
         looks = seen(person)
         if all(sum(looks[k] != seen(CAST[n]).get(k) for k in IDENTITY if k != "skin") >= 2 for n in TRAIN_CAST):
             break

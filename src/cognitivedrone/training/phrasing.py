@@ -93,6 +93,8 @@ MORE: dict[str, tuple[str, ...]] = {
         "the number that belongs behind the equals sign",
         "the right answer",
         "what the board asks for",
+        "the result of what stands on the board",
+        "the answer to what the board shows",
         "the outcome of the calculation on the board",
     ),
     "healthy food": (
