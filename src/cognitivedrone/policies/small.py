@@ -87,7 +87,7 @@ class Small:
 
 
 class Race(Small):
-    """The racing model: flies gates well, whichever they are. It knows no more language than "Fly through the gates"."""
+    """The racing model: flies gates well, whichever they are. Its language is "Fly through the gates", no more."""
 
     weights = "race.onnx"
     warns = False
