@@ -62,7 +62,7 @@ def plot(curves: dict[str, dict[str, Trace]]) -> str:
         wanted, seconds = step.action[step.axis], next(iter(traces.values())).time[-1]
 
         def points(x: FloatArray, y: FloatArray) -> str:
-            across, down = left + x / seconds * width, top + height * (1.3 - y / wanted) / 1.7  # noqa: B023
+            across, down = left + x / seconds * width, top + height * (1.55 - y / wanted) / 2.1  # noqa: B023
             return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(across, down, strict=True))
 
         asked = points(np.array([0, 0, step.duration, step.duration, seconds]), np.array([0, wanted, wanted, 0, 0]))
