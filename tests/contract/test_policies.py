@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from importlib import resources
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from cognitivedrone.errors import PolicyError
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.interfaces import Privileged, Seeded
 from cognitivedrone.policies import POLICIES, make_policy
-from cognitivedrone.policies.small import Race, Small
 from cognitivedrone.reasoners import REASONERS, make_reasoner
 from cognitivedrone.types import ACTION_LIMITS, DroneState, Gate, Guidance, Observation, Stage, Task, Truth
 
@@ -60,9 +58,6 @@ def tiny_openvla(tmp_path_factory):
 @pytest.fixture(params=[*(name for name in POLICIES if name != "openvla"), "small:FILE", "openvla:FOLDER,device=cpu"])
 def name(request, tiny_model_file, tiny_openvla):
     """Every policy of the package, and models of one's own."""
-    weights = {"small": Small.weights, "race": Race.weights}.get(request.param)
-    if weights and not (resources.files("cognitivedrone.models") / "weights" / weights).is_file():
-        pytest.skip(f"{weights} is not part of this installation")
     return request.param.replace("FILE", str(tiny_model_file)).replace("FOLDER", str(tiny_openvla))
 
 

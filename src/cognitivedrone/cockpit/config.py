@@ -27,7 +27,7 @@ class FlyConfig:
     mavlink:udp:127.0.0.1:14550, mavlink:tcp:HOST:PORT or mavlink:serial:DEVICE:BAUD: a vehicle."""
     policy: str = "small"
     """Name of a policy, small:MODEL.onnx for a model file, or your own as module:attribute."""
-    reasoner: str = "none"
+    reasoner: str = "small"
     """Name of a reasoner, none to fly by the instruction as it is, or your own as module:attribute."""
     camera: str = ""
     """With mavlink: /dev/videoN, an rtsp:// or http:// URL, a video file, a folder of images, or gazebo:TOPIC of a

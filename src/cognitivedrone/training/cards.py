@@ -29,7 +29,7 @@ HEIGHTS = (24.0, 90.0)
 """Of panels in the image, pixels: from the start they are about 30 pixels high."""
 _KEPT = 512  # pictures that are shown again, each time otherwise
 _FRESH = 0.25  # share of the cards whose picture is a new one
-_RESTYLED = 0.35  # share of pictures that are drawn otherwise
+_RESTYLED = 0.6  # share of pictures that are drawn otherwise
 _SIDE = 64  # pixels of a kept picture: as large as a panel is seen
 _SHIFT, _SCALE = 0.06, 0.09  # spread of where a panel is looked for
 _ROLL, _SHEAR = 0.13, 0.06  # and of its slant

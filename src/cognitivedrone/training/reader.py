@@ -172,7 +172,7 @@ def accuracies(logits: Tensor, facets: Tensor) -> dict[str, float]:
     }
 
 
-READER = ReaderRecipe(name="reader", steps=5_000, learning_rate=5e-4)
+READER = ReaderRecipe(name="reader", steps=3_000, learning_rate=5e-4)
 _FAMILIES = tuple(_SHARES)
 _PLACES = np.cumsum(list(_SHARES.values())) / sum(_SHARES.values())
 
