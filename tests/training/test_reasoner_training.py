@@ -147,7 +147,7 @@ def test_what_is_told_without_doubt_is_the_truth() -> None:
             assert set(np.flatnonzero(sure["panels"][row, place])) == set(known[known >= 0])
         assert (sure["stages"][row, :, 0] >= 0).sum() == 3 * len(problem.before)
     changed = (sure["panels"] != doubted["panels"]).any(axis=2).mean()
-    assert 0.05 < changed < 0.3
+    assert 0.05 < changed < 0.4
     for batch in (sure, doubted):
         for span in SEEN_GROUPS.values():
             totals = batch["panels"][..., span].sum(-1)

@@ -42,6 +42,7 @@ _SENTENCES = 30_000
 STRANGER = "somebodynobodyknows"
 """Stands for a name that was never heard, and for any other word that is not known."""
 _ALIKE = 0.6  # share of strangers who look much like somebody known
+_DOUBTED = 0.3  # share of what else a panel shows that is doubted as well
 _GROUPS = tuple(SEEN_GROUPS.values())
 _NAMES = (*FAMILIES, "directive")
 
@@ -62,13 +63,13 @@ class MindRecipe(Schedule):
     """Share of problems that are said in more ways than the training tasks."""
     strangers: float = 0.4
     """Share of tasks with people who are told to find somebody unknown among known ones."""
-    doubt: float = 0.12
-    """Share of panels that are read with doubt."""
+    doubt: float = 0.25
+    """Share of panels that are read with doubt, in one way or several."""
     wrong: float = 0.01
     """Share of panels that are read as something else of the same kind."""
     lost_words: float = 0.03
     """Share of words that are not known."""
-    muddled: float = 0.3
+    muddled: float = 0.4
     """Share of sentences that are put otherwise: words lost, left out and added, so that the rest must do."""
 
 
@@ -201,11 +202,14 @@ class Encoder:
         if not doubts:
             return
         kind = rng.random()
-        if kind < self._recipe.wrong + self._recipe.doubt:
-            group = int(rng.choice(np.flatnonzero(there))) if there.any() else 0
+        if not there.any() or kind > self._recipe.wrong + self._recipe.doubt:
+            return
+        groups = rng.permutation(np.flatnonzero(there))
+        wrong = kind < self._recipe.wrong
+        for group in groups[: 1 if wrong else 1 + rng.binomial(len(groups) - 1, _DOUBTED)].tolist():
             span = _GROUPS[group]
             other = int(rng.integers(span.start, span.stop))
-            sure = 0.0 if kind < self._recipe.wrong else float(rng.uniform(0.4, 1.0))
+            sure = 0.0 if wrong else float(rng.uniform(0.25, 1.0))
             row[span] = 0.0
             row[known[group]] += sure
             row[other] += 1.0 - sure
