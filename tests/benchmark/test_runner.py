@@ -29,7 +29,8 @@ def lasting(folder: Path) -> dict:
 def in_new_process(config: RunConfig, flyer: str, workers: int) -> subprocess.CompletedProcess:
     """A run in a process, and a process group, of its own."""
     script = f"""
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a test run in the background is started deaf to it
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from pathlib import Path
 from cognitivedrone.benchmark.run_types import RunConfig
