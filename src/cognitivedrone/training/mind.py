@@ -7,6 +7,7 @@ eyes will get wrong is part of it: now and then a panel is read with doubt, or w
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.reasoner_file import REMEMBERED
-from cognitivedrone.models.small_reasoner import Mind, MindConfig
+from cognitivedrone.models.small_reasoner import STAGES, Mind, MindConfig
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.reasoners.calculator import calculate, evaluate
 from cognitivedrone.reasoners.small import value_index
@@ -63,6 +64,8 @@ class MindRecipe(Schedule):
     """Share of problems that are said in more ways than the training tasks."""
     strangers: float = 0.4
     """Share of tasks with people who are told to find somebody unknown among known ones."""
+    earlier: float = 0.3
+    """Share of problems that come on a track, behind stages that have nothing to do with them."""
     doubt: float = 0.25
     """Share of panels that are read with doubt, in one way or several."""
     wrong: float = 0.01
@@ -96,9 +99,20 @@ class Problems:
         shares |= {"association": 3.0, "people": 1.5, "attributes": 1.5, "comparison": 1.0, "memory": 0.4}
         self._families = tuple(shares)
         self._shares = np.array(list(shares.values())) / sum(shares.values())
+        self._past: deque[tuple[tuple[str, ...], int]] = deque(maxlen=STAGES - 1)
 
     def draw(self, rng: np.random.Generator) -> list[Problem]:
-        """One problem, or all of a track."""
+        """One problem, or all of a track that asks for memory."""
+        problems = self._draw(rng)
+        if problems[0].family != "memory":
+            problem = problems[0]
+            if rng.random() < self.recipe.earlier:
+                before = list(self._past)[: int(rng.integers(1, STAGES))]
+                problems = [replace(problem, before=tuple(before))]
+            self._past.append((problem.labels, problem.target))
+        return problems
+
+    def _draw(self, rng: np.random.Generator) -> list[Problem]:
         family = self._families[int(rng.choice(len(self._families), p=self._shares))]
         if family == "memory":
             return _track(rng)
