@@ -71,7 +71,7 @@ def test_what_cannot_be_flown_is_told_before_anything_is_written(sitl, monkeypat
 
 @needs_arducopter
 def test_a_real_arducopter_flies_a_few_tasks_without_a_lost_frame(sitl):
-    results = run(replace(sitl, episodes=3), progress=False)
+    results = run(replace(sitl, episodes=3, airframe="racer"), progress=False)
     assert [stage.outcome for episode in results.episodes for stage in episode.stages] == ["passed"] * 3
     assert results.timing.link is not None
     assert (results.timing.link.lost, results.timing.link.restarts) == (0, 0)
