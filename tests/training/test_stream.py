@@ -18,6 +18,7 @@ from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.racing import INSTRUCTIONS
 from cognitivedrone.training import sampling, stream
 from cognitivedrone.training.facets import BOARD_GROUPS, FACETS, GROUPS, PANEL_GROUPS, gate_facets, panel_facets
+from cognitivedrone.training.policy import training_vocabulary
 from cognitivedrone.training.questions import Question, ask
 from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.sampling import NONE_IN_VIEW, Batch, StreamRecipe
@@ -60,7 +61,7 @@ class Notebook:
 
     def ask(self, rng: np.random.Generator, *scene: Any) -> Question:
         question = ask(rng, *scene)
-        labels, _, gates, target, _ = scene
+        labels, _, gates, target, *_ = scene
         self._write(question.text, labels, gates, target)
         return question
 
@@ -338,3 +339,14 @@ def test_muddled_sentences_hold_words_that_nobody_knows(vocabulary: Vocabulary) 
         ]
         assert unknown[0] < 0.03
         assert 0.15 < unknown[1] < 0.4
+
+
+def test_spoken_sentences_say_what_the_training_tasks_do_not() -> None:
+    known = training_vocabulary()
+    wider = training_vocabulary(spoken=True)
+    assert set(known.words) < set(wider.words)
+    for share in (0.0, 1.0):
+        for batch in batches(replace(RECIPE, texts=64, spoken=share), wider, 2):
+            for name in ("tokens", "text_tokens"):
+                new = [word for token in np.unique(batch[name]) if (word := wider.words[token]) not in known.words]
+                assert bool(new) == bool(share), new

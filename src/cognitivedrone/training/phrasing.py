@@ -1,4 +1,4 @@
-"""More ways to say the same, for a reasoner that is to understand people and not only the suites.
+"""More ways to say the same, for models that are to understand people and not only the suites.
 
 The suites' training tasks know a dozen sentences. These here are added to them; what is held out for `unseen` is not
 among them, neither as a whole nor as a part.
@@ -252,4 +252,4 @@ class Spoken(Pools):
 
 _SAME = {each.name: getattr(TRAIN, each.name) for each in fields(Pools)}
 SPOKEN = Spoken(**_SAME | {"frames": (*TRAIN.frames, *MORE_FRAMES)})
-"""What a reasoner is taught with."""
+"""What is taught beside the words of the training suite."""

@@ -8,6 +8,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import nn
 
@@ -17,12 +18,14 @@ from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.small_vla import SmallVLA, SmallVLAConfig
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.policies.expert import ExpertConfig
-from cognitivedrone.tasks import load_suite, train_task
+from cognitivedrone.tasks import BASE_FAMILIES, load_suite, train_task
 from cognitivedrone.tasks.racing import INSTRUCTIONS
+from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.training.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.curves import validate
 from cognitivedrone.training.facets import BOARD_BOUNDS, FACETS
 from cognitivedrone.training.losses import Lesson
+from cognitivedrone.training.phrasing import SPOKEN
 from cognitivedrone.training.pilot import NetworkPilot, fly_suite
 from cognitivedrone.training.recipes import TrainRecipe
 from cognitivedrone.training.recorded import Recorded
@@ -117,7 +120,7 @@ class PolicySubject:
 def policy_subject(recipe: TrainRecipe, data: Path | None = None) -> PolicySubject:
     """The subject of a recipe, with the vocabulary of its tasks."""
     racing = recipe.stream.suite == "race"
-    vocabulary = Vocabulary.of(INSTRUCTIONS) if racing else training_vocabulary()
+    vocabulary = Vocabulary.of(INSTRUCTIONS) if racing else training_vocabulary(spoken=recipe.stream.spoken > 0)
     network = replace(
         recipe.network,
         vocabulary=len(vocabulary.words),
@@ -128,9 +131,13 @@ def policy_subject(recipe: TrainRecipe, data: Path | None = None) -> PolicySubje
     return PolicySubject(replace(recipe, network=network), vocabulary, data)
 
 
-def training_vocabulary() -> Vocabulary:
-    """All words of the training tasks, of their directives, and of racing."""
+def training_vocabulary(*, spoken: bool = False) -> Vocabulary:
+    """All words of the training tasks, of their directives, and of racing; also of what else is `spoken`."""
     tasks = [train_task(index, 0) for index in range(_SENTENCES)]
+    if spoken:
+        rng = np.random.default_rng(0)
+        families = (BASE_FAMILIES[index % len(BASE_FAMILIES)] for index in range(_SENTENCES))
+        tasks += [drawn_task(family, rng, "spoken", SPOKEN) for family in families]
     plain = ["Fly through the big red round gate", "Go to the small green square gate", "Take the blue triangle gate"]
     return Vocabulary.of([*plain, *(t.instruction for t in tasks), *INSTRUCTIONS])
 

@@ -26,7 +26,7 @@ class TrainRecipe(Schedule):
     """Tasks of a trial."""
 
 
-SMALL = TrainRecipe(name="small", steps=9_000, decay_share=1 / 3)
+SMALL = TrainRecipe(name="small", steps=9_000, decay_share=1 / 3, stream=StreamRecipe(spoken=0.5, muddled=0.1))
 
 _SHORT = replace(SMALL, name="ablation-tokens", steps=1_000)
 _ABLATION = (
@@ -44,14 +44,14 @@ RECIPES: dict[str, TrainRecipe] = {
         SMALL,
         name="race",
         steps=3_000,
-        stream=replace(SMALL.stream, suite="race", crowded=0.5, muddled=0.7, sentences=2, texts=1, cards=0),
+        stream=StreamRecipe(suite="race", crowded=0.5, muddled=0.7, sentences=2, texts=1, cards=0),
         losses=replace(SMALL.losses, text=0.0),
     ),
     "base": replace(
         SMALL,
         name="base",
         steps=30_000,
-        stream=StreamRecipe(batch=128, worlds=32, cards=512),
+        stream=replace(SMALL.stream, batch=128, worlds=32, cards=512),
         network=replace(SMALL.network, backbone=(48, 96, 160), sight=(48, 96, 160, 256), text_layers=4),
     ),
     "debug": replace(

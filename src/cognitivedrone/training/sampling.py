@@ -16,8 +16,11 @@ from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.tasks import BASE_FAMILIES, train_task
+from cognitivedrone.tasks.generate import TRAIN, Pools
+from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.training.cards import Cards
 from cognitivedrone.training.facets import PANEL_GROUPS, board_facets, gate_facets, panel_facets
+from cognitivedrone.training.phrasing import SPOKEN
 from cognitivedrone.training.questions import ask, families
 from cognitivedrone.training.truth import Poses, Truths, truths
 from cognitivedrone.types import IMAGE_SIZE, Image, Stage, Task
@@ -63,6 +66,8 @@ class StreamRecipe:
     """`train`, or `race`: single gates without panels, and "Fly through the gates"."""
     crowded: float = 0.0
     """Share of a race's flights in rooms with three gates: there the one straight ahead is to be taken."""
+    spoken: float = 0.0
+    """Share of sentences about panels that are said in more ways than the training tasks."""
     muddled: float = 0.0
     """Share of sentences that are put otherwise: words lost, left out and added, so that the rest must do."""
     directives: bool = True
@@ -155,16 +160,21 @@ class Sampler:
             plain = self.recipe.directives and rng.random() < 0.25
             among = visible if plain else readable
             target = each.flown if rng.random() < 0.35 or not among else int(rng.choice(among))
-            if not plain and target == task.target and rng.random() < 0.5:
+            pools = self._pools(rng)
+            if not plain and pools is TRAIN and target == task.target and rng.random() < 0.5:
                 text, family = task.instruction, task.family
             else:
                 family_wanted = "directive" if plain else None
-                question = ask(rng, each.stage.labels, task.board, task.gates, target, family_wanted)
+                question = ask(rng, each.stage.labels, task.board, task.gates, target, family_wanted, pools)
                 text, family = question.text, question.family
             if family == "math_board" and not known.legible[row, 3] and target != each.flown:
                 # Nobody can know: ask for something that can be seen.
-                text = ask(rng, each.stage.labels, None, task.gates, target, None).text
+                text = ask(rng, each.stage.labels, None, task.gates, target, None, pools).text
             yield text, target
+
+    def _pools(self, rng: np.random.Generator) -> Pools:
+        """What the next sentence may be made of."""
+        return SPOKEN if self.recipe.spoken and rng.random() < self.recipe.spoken else TRAIN
 
     def askable(self, task: Task) -> tuple[int, ...]:
         """The gates that can be asked for; without directives not those about whose panels there is nothing to say."""
@@ -187,7 +197,7 @@ class Sampler:
         shares = np.array([_TEXT_SHARES.get(family, rest) for family in BASE_FAMILIES])
         drawn = rng.choice(len(BASE_FAMILIES), count, p=shares / shares.sum())
         numbers = rng.integers(2**27, size=count) * len(BASE_FAMILIES) + drawn
-        tasks = [train_task(int(number), 0) for number in numbers]
+        tasks = [self._task(rng, int(number)) for number in numbers]
         plain = rng.random(count) < (0.1 if self.recipe.directives else 0.0)
         texts = [task.directive if p else task.instruction for task, p in zip(tasks, plain, strict=True)]
         boards = [board_facets(task.board) if task.board else np.full(3, -1) for task in tasks]
@@ -203,6 +213,12 @@ class Sampler:
             "text_asked": target,
             "text_named": np.where(named, concept, -1),
         }
+
+    def _task(self, rng: np.random.Generator, number: int) -> Task:
+        """A training task by its number, or one of its family said in more ways."""
+        task = train_task(number, 0)
+        pools = self._pools(rng)
+        return task if pools is TRAIN else drawn_task(task.family, rng, task.id, pools)
 
 
 def _straight_ahead(row: int, each: Setting, known: Truths) -> int:
