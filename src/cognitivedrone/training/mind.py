@@ -66,6 +66,8 @@ class MindRecipe(Schedule):
     """Share of tasks with people who are told to find somebody unknown among known ones."""
     earlier: float = 0.3
     """Share of problems that come on a track, behind stages that have nothing to do with them."""
+    earlier_from: int = 2_500
+    """Step at which they begin: from the first one they teach to ignore what is remembered before it is understood."""
     doubt: float = 0.25
     """Share of panels that are read with doubt, in one way or several."""
     wrong: float = 0.01
@@ -322,7 +324,9 @@ class MindSubject:
         def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
             del learner
             rng = np.random.default_rng(seed)
-            problems, encoder = Problems(self.recipe), Encoder(self.recipe, self.vocabulary)
+            early = seed[-1] * self.recipe.round_steps < self.recipe.earlier_from
+            problems = Problems(replace(self.recipe, earlier=0.0) if early else self.recipe)
+            encoder = Encoder(self.recipe, self.vocabulary)
             waiting: list[Problem] = []
             while True:
                 while len(waiting) < self.recipe.batch:
@@ -369,7 +373,7 @@ class MindSubject:
         return {}
 
 
-MIND = MindRecipe(name="mind", steps=5_000, learning_rate=1e-3, warmup_steps=300)
+MIND = MindRecipe(name="mind", steps=6_000, learning_rate=1e-3, warmup_steps=300)
 
 
 def mind_subject(recipe: MindRecipe) -> MindSubject:
