@@ -154,6 +154,17 @@ def test_what_is_told_without_doubt_is_the_truth() -> None:
             assert (np.isclose(totals, 0) | np.isclose(totals, 1, atol=1e-5)).all()
 
 
+def test_earlier_stages_that_say_nothing_come_later_in_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mind, "_SENTENCES", 200)
+    recipe = replace(SMALL_MIND, batch=256, round_steps=10, earlier_from=20)
+    made = mind_subject(recipe).batches()
+    first, last, after = (next(made((0, 0, round_))) for round_ in (0, 1, 2))
+    on_tracks = [float((batch["stages"][:, 0, 0] >= 0).mean()) for batch in (first, last, after)]
+    assert on_tracks[0] < 0.15
+    assert on_tracks[1] < 0.15
+    assert on_tracks[2] > 0.25
+
+
 def test_a_muddled_sentence_keeps_most_of_its_words_in_their_order() -> None:
     rng, length = np.random.default_rng(4), 48
     tokens = np.zeros(length, np.int64)
