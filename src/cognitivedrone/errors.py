@@ -19,6 +19,7 @@ CognitiveDroneError
 from __future__ import annotations
 
 import difflib
+import warnings
 from collections.abc import Iterable
 from typing import Literal
 
@@ -104,3 +105,8 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     if len(known) <= 16:
         return "known: " + ", ".join(known)
     return f"known: {', '.join(known[:12])}, ... ({len(known)} in all)"
+
+
+def warn_plainly() -> None:
+    """Print the warnings of this process as sentences, without places in the code: for commands."""
+    warnings.formatwarning = lambda message, *_args, **_more: f"warning: {message}\n"

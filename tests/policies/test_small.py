@@ -13,7 +13,7 @@ from tiny import DESCRIPTION
 
 from cognitivedrone.errors import NonFiniteAction, PolicyError
 from cognitivedrone.policies import make_policy
-from cognitivedrone.policies.small import Race, Small
+from cognitivedrone.policies.small import TOLD, Race, Small
 from cognitivedrone.types import Observation
 
 TEXT = "Fly through the red gate"
@@ -94,6 +94,17 @@ def test_unknown_words_are_named_once_and_flown_all_the_same(policy):
     assert np.isfinite(chunk).all()
     with pytest.warns(UserWarning, match="'numbat'"):
         policy.act(replace(OBSERVATION, instruction="numbat"))
+
+
+def test_of_many_sentences_with_unknown_words_the_first_few_are_told_of(policy):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for word in ("quokka", "axolotl", "!", "quokka", "numbat", "dingo", "wombat", "bilby", "kookaburra"):
+            policy.reset(f"Fly through the gate with the {word} !")
+    told = [str(warning.message) for warning in caught]
+    assert len(told) == TOLD
+    assert "nothing will be said" in told[-1]
+    assert not any("'!'" in each for each in told)
 
 
 def test_an_answer_that_is_not_finite_is_not_flown(policy):

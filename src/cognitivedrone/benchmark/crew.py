@@ -18,7 +18,7 @@ from typing import Protocol
 
 from cognitivedrone import plugins
 from cognitivedrone.benchmark.run_types import Flown, Flyer, RunConfig
-from cognitivedrone.errors import CognitiveDroneError, RunError
+from cognitivedrone.errors import CognitiveDroneError, RunError, warn_plainly
 from cognitivedrone.tasks import Suite
 
 FLYER = "cognitivedrone.benchmark.episode:EpisodeFlyer"
@@ -221,6 +221,7 @@ def _make(flyer: str, config: RunConfig, suite: Suite) -> Flyer:
 
 def _work(connection: Connection, flyer_name: str, config: RunConfig, suite: Suite) -> None:
     """Life of a worker process: make a flyer, fly what is asked, leave when the stream ends."""
+    warn_plainly()
     try:
         flyer = _make(flyer_name, config, suite)
         try:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import tyro
 
 from cognitivedrone.cli import data, flying, scoring, training
-from cognitivedrone.errors import CognitiveDroneError
+from cognitivedrone.errors import CognitiveDroneError, warn_plainly
 
 app = tyro.extras.SubcommandApp()
 app.command(scoring.bench)
@@ -28,6 +28,7 @@ app.command(name="list")(scoring.list_names)
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; a mistake of the user's ends in one sentence and exit code 2."""
+    warn_plainly()
     try:
         app.cli(prog="cognitivedrone", description=__doc__, args=arguments)
     except CognitiveDroneError as error:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from functools import lru_cache
 from importlib import resources
 from pathlib import Path
+from string import punctuation
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from cognitivedrone.types import IMAGE_SIZE, ActionChunk, FloatArray, Image, Obs
 
 LONGEST_INSTRUCTION = 1000
 """Characters."""
+TOLD = 5
+"""Sentences with unknown words that are warned of; whole suites are full of them."""
 _SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 
 
@@ -34,6 +36,8 @@ class Small:
         self.last: Output | None = None
         """What the network said of the last frame, for viewers: n is 1; none before the first."""
         self._text = ""
+        self._words_told: set[str] = set()
+        self._sentences_told = 0
 
     @classmethod
     def file_of(cls, path: str | None = None) -> Path:
@@ -52,8 +56,8 @@ class Small:
     def reset(self, instruction: str) -> None:
         """Take a new instruction.
 
-        Raises `PolicyError` for one that is empty or longer than `LONGEST_INSTRUCTION`; warns once of words that the
-        model has never seen.
+        Raises `PolicyError` for one that is empty or longer than `LONGEST_INSTRUCTION`; warns of words that the
+        model has never seen, of each once, and of the first few sentences alone.
         """
         self.last = None
         self._listen(instruction)
@@ -80,10 +84,20 @@ class Small:
             raise PolicyError(
                 f"the instruction has {len(text)} characters; the small model reads at most {LONGEST_INSTRUCTION}"
             )
-        unknown = self.model.description.vocabulary.unknown(text)
-        if unknown and self.warns:
-            _warn_of(frozenset(unknown))
+        if self.warns and text != self._text:
+            self._warn_of(text)
         self._text = text
+
+    def _warn_of(self, text: str) -> None:
+        known = self.model.description.vocabulary
+        words = [word for word in known.unknown(text) if word not in self._words_told and word not in punctuation]
+        if not words or self._sentences_told == TOLD:
+            return
+        self._words_told.update(words)
+        self._sentences_told += 1
+        last = "; of further words nothing will be said" if self._sentences_told == TOLD else ""
+        named = ", ".join(map(repr, sorted(words)))
+        warnings.warn(f"the small model has never seen {named}; it flies by the other words{last}", stacklevel=4)
 
 
 class Race(Small):
@@ -105,11 +119,3 @@ def _checked(image: Image) -> Image:
     if image.dtype != np.uint8 or image.shape != _SHAPE:
         raise PolicyError(f"the small model needs an image of uint8 {_SHAPE}; what came is {image.dtype} {image.shape}")
     return image
-
-
-@lru_cache(maxsize=4096)  # once a process for each set of words
-def _warn_of(words: frozenset[str]) -> None:
-    warnings.warn(
-        f"the small model has never seen {', '.join(map(repr, sorted(words)))}; it flies by the other words",
-        stacklevel=4,
-    )
