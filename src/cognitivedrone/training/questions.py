@@ -2,8 +2,9 @@
 
 A training task asks for one of its three gates. The same panels answer other questions as well: a picture in which a
 task asked for "the animal that barks" also shows which gate has the zebra. `ask` writes such questions in the words of
-the training suite alone, and only those whose one right answer is the wanted gate: where anyone could argue, it asks
-something else. What may be said is decided by the rules and tables of `tasks`, the same that its generators follow.
+the training suite or of other pools, and only those whose one right answer is the wanted gate: where anyone could
+argue, it asks something else. What may be said is decided by the rules and tables of `tasks`, the same that its
+generators follow.
 """
 
 from __future__ import annotations

@@ -173,7 +173,7 @@ class Sampler:
             yield text, target
 
     def _pools(self, rng: np.random.Generator) -> Pools:
-        """What the next sentence may be made of."""
+        """What the next sentence may be made of; a recipe without a share draws nothing for it."""
         return SPOKEN if self.recipe.spoken and rng.random() < self.recipe.spoken else TRAIN
 
     def askable(self, task: Task) -> tuple[int, ...]:
@@ -216,9 +216,10 @@ class Sampler:
 
     def _task(self, rng: np.random.Generator, number: int) -> Task:
         """A training task by its number, or one of its family said in more ways."""
-        task = train_task(number, 0)
         pools = self._pools(rng)
-        return task if pools is TRAIN else drawn_task(task.family, rng, task.id, pools)
+        if pools is TRAIN:
+            return train_task(number, 0)
+        return drawn_task(BASE_FAMILIES[number % len(BASE_FAMILIES)], rng, f"spoken-{number}", pools)
 
 
 def _straight_ahead(row: int, each: Setting, known: Truths) -> int:

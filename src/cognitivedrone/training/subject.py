@@ -52,7 +52,7 @@ class Learner(Protocol):
 
 
 class Batches(Protocol):
-    """Makes batches without end: the same for the same seed, which ends with the round, and learner."""
+    """Makes batches without end: the same for the same seed and learner. A training's seed ends with its round."""
 
     def __call__(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
         """A learner flies some of the flights, where there are flights."""
