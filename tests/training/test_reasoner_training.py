@@ -17,7 +17,6 @@ from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.tasks import FAMILIES, HARD_FAMILIES
 from cognitivedrone.training import mind, policy
-from cognitivedrone.training.checkpoint import save_checkpoint
 from cognitivedrone.training.export_reasoner import export_eyes, export_mind
 from cognitivedrone.training.facets import FACETS, GATE_GROUPS, GROUPS
 from cognitivedrone.training.launch import TrainOptions, run
@@ -51,17 +50,6 @@ SMALL_READER = replace(
 )
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-
-
-@pytest.fixture(scope="module")
-def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(policy, "_SENTENCES", 100)
-        subject = policy.policy_subject(RECIPES["debug"])
-    torch.manual_seed(0)
-    path = tmp_path_factory.mktemp("policy") / CHECKPOINT
-    save_checkpoint(path, subject.network(), None, subject.identity() | subject.facts() | {"seed": 0, "step": 6})
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -253,9 +241,7 @@ def test_the_small_reasoner_is_made_of_the_two_files(parts: Path) -> None:
 
 def test_one_command_trains_and_exports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mind, "_SENTENCES", 300)
-    monkeypatch.setattr(
-        "cognitivedrone.training.recipes.REASONER_RECIPES", {"mind": SMALL_MIND, "reader": SMALL_READER}
-    )
+    monkeypatch.setattr("cognitivedrone.training.recipes.ALL_RECIPES", {"mind": SMALL_MIND, "reader": SMALL_READER})
     assert run(TrainOptions(tmp_path / "mind", "mind")) == tmp_path / "mind" / "mind.onnx"
     MindModel.load(tmp_path / "mind" / "mind.onnx")
     with pytest.raises(TrainingError, match="needs --start"):

@@ -24,13 +24,15 @@ def train(
       cognitivedrone train --recipe small --out runs/small --processes 2
       cognitivedrone train --recipe small --out runs/recorded --processes 2 --data flights
       cognitivedrone bench --policy small:runs/small/model.onnx
+      cognitivedrone train --recipe language --start runs/small/checkpoint.safetensors --out runs/taught --processes 2
       cognitivedrone train --recipe reader --start runs/small/checkpoint.safetensors --out runs/reasoner-eyes
 
     Args:
         out: Folder of the run: checkpoint, curves.png, TensorBoard logs and, at the end, model.onnx.
-        recipe: small, race, base or debug; reader or mind, the two parts of the small reasoner.
+        recipe: small, race, base or debug; language, more to understand for a policy that flies; reader or mind, the
+            two parts of the small reasoner.
         data: A data set made by `collect`, to learn from it instead of from flights made on the way.
-        start: For the reader: checkpoint of a policy, whose sight it starts from.
+        start: Checkpoint of a policy: the one that is taught language, or whose sight the reader starts from.
         seed: Of everything random.
         resume: Go on from the checkpoint in the folder.
         processes: Processes that share each batch: the number of CPU cores, or of GPUs.

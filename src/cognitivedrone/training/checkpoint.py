@@ -68,3 +68,8 @@ def restore(tensors: dict[str, Tensor], network: nn.Module, optimizer: torch.opt
         for key, value in moments.items():
             if value.shape == parameter.shape:
                 moments[key] = torch.empty_like(parameter, requires_grad=False).copy_(value)
+
+
+def origin_of(facts: dict[str, Any]) -> str:
+    """What a training that starts from a checkpoint of these facts says of where it comes from."""
+    return f"from {facts['recipe']['name']}, step {facts['step']}, seed {facts['seed']}"

@@ -17,7 +17,7 @@ from cognitivedrone.errors import CognitiveDroneError, TrainingError
 from cognitivedrone.models.reasoner_file import EYES_FILE, MIND_FILE
 from cognitivedrone.training.mind import MindRecipe, mind_subject
 from cognitivedrone.training.reader import ReaderRecipe, reader_subject
-from cognitivedrone.training.recipes import TrainRecipe, find_recipe
+from cognitivedrone.training.recipes import LanguageRecipe, TrainRecipe, find_recipe
 from cognitivedrone.training.subject import Subject
 
 
@@ -28,12 +28,13 @@ class TrainOptions:
     out: Path
     """Folder of the run: checkpoint, curves, TensorBoard logs and, at the end, model.onnx."""
     recipe: str = "small"
-    """small, race, base or debug; reader or mind of the reasoner; or one of the ablation."""
+    """small, race, base or debug; language; reader or mind of the reasoner; or one of the ablation."""
     data: Path | None = None
     """A data set made by `collect`, instead of flights made while training (which train better: the network flies
     some of them, and no two frames are alike)."""
     start: Path | None = None
-    """Checkpoint of a policy: whose sight a reader starts from, and whose search for gates is part of its eyes."""
+    """Checkpoint of a policy: the one that is taught language, or whose sight a reader starts from and whose search
+    for gates is part of its eyes."""
     seed: int = 0
     resume: bool = False
     """Go on from the checkpoint in the folder."""
@@ -65,9 +66,9 @@ def run(options: TrainOptions) -> Path:
 
 def _check(options: TrainOptions) -> None:
     recipe = find_recipe(options.recipe)
-    if isinstance(recipe, ReaderRecipe) != (options.start is not None):
+    if isinstance(recipe, LanguageRecipe | ReaderRecipe) != (options.start is not None):
         raise TrainingError(
-            "the recipe reader needs --start with the checkpoint of a policy, such as"
+            "the recipes language and reader need --start with the checkpoint of a policy, such as"
             " runs/small/checkpoint.safetensors; other recipes start from nothing"
         )
     if options.data is not None and not isinstance(recipe, TrainRecipe):
@@ -100,6 +101,7 @@ def _work(options: TrainOptions) -> Path:
 
 
 def _subject(options: TrainOptions) -> Subject:
+    from cognitivedrone.training.language import language_subject
     from cognitivedrone.training.policy import policy_subject
 
     recipe = find_recipe(options.recipe)
@@ -107,6 +109,9 @@ def _subject(options: TrainOptions) -> Subject:
         return mind_subject(recipe)
     if isinstance(recipe, ReaderRecipe):
         return reader_subject(recipe, options.start)
+    if isinstance(recipe, LanguageRecipe):
+        assert options.start is not None  # noqa: S101  (as `_check` saw)
+        return language_subject(recipe, options.start)
     return policy_subject(recipe, options.data)
 
 

@@ -74,7 +74,7 @@ class Lesson(nn.Module):
         present = torch.cat([batch["in_view"], torch.ones_like(batch["in_view"][:, :1])], dim=1)
         logits = logits + (present.float()[:, None] - 1) * 1e4
         raw = network.act(seen, batch["state"])
-        text, text_right = self._text_loss(batch)
+        text, text_right = text_loss(network, batch)
         parts = {
             "heat": _heat_loss(scene, batch, slots, board_cell_known),
             "place": self._place_loss(seen, batch, slots, board_cell_known),
@@ -85,7 +85,7 @@ class Lesson(nn.Module):
             "action": self._action_loss(raw, batch),
         }
         total = torch.stack([getattr(weights, name) * loss for name, loss in parts.items()]).sum()
-        measures = {name: loss.detach() for name, loss in parts.items()} | {"text accuracy": text_right}
+        measures = {name: loss.detach() for name, loss in parts.items()} | {"text accuracy": text_right.float().mean()}
         with torch.no_grad():
             right = logits.argmax(-1) == batch["choice"]
             clear = (batch["in_view"] & batch["legible"][:, :SLOTS]).all(dim=1)
@@ -147,29 +147,30 @@ class Lesson(nn.Module):
             losses.append(share * _mean(loss.view_as(target), there))
         return torch.stack(losses).sum()
 
-    def _text_loss(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Sentences against what is told about panels, gates and board, not seen; and the share that was right."""
-        network, asked, named = self.network, batch["text_asked"], batch["text_named"]
-        board = self._told(batch["text_board"])
-        query = network.text(_trimmed(batch["text_tokens"]), board, (batch["text_board"][:, 0] >= 0).float()).float()
-        gates = self._told(batch["text_panels"]) + self._told(batch["text_gates"])
-        logits = (query[:, None] * gates.float()).sum(-1) * network.scale
-        right = (logits.detach().argmax(-1) == asked).float().mean()
-        # Three panels are few to tell a wrong sum from a right one: where one concept is meant, it is told from all.
-        concepts = GROUPS["concept"]
-        among_all = query @ network.prototypes[concepts].float().T * network.scale
-        meant = (named - concepts.start).clamp(0)
-        naming = _mean(F.cross_entropy(among_all, meant, reduction="none"), named >= 0)
-        return F.cross_entropy(logits, asked) + _NAMING_SHARE * naming, right
-
-    def _told(self, facets: Tensor) -> Tensor:
-        """Sums of prototypes (..., E) of facets (..., groups); those that are -1 do not count."""
-        rows = F.embedding(facets.clamp(0), self.network.prototypes)
-        return (rows * (facets >= 0).to(rows.dtype)[..., None]).sum(-2)
-
     def _action_loss(self, raw: Tensor, batch: dict[str, Tensor]) -> Tensor:
         target, taught = action_targets(batch)
         return _mean(action_loss(self.network, raw, target).mean(dim=(-1, -2)), taught)
+
+
+def text_loss(network: SmallVLA, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+    """Of sentences against what is told about panels, gates and board, not seen; and which of them (T,) were right."""
+    asked, named = batch["text_asked"], batch["text_named"]
+    board = _told(network, batch["text_board"])
+    query = network.text(_trimmed(batch["text_tokens"]), board, (batch["text_board"][:, 0] >= 0).float()).float()
+    gates = _told(network, batch["text_panels"]) + _told(network, batch["text_gates"])
+    logits = (query[:, None] * gates.float()).sum(-1) * network.scale
+    # Three panels are few to tell a wrong sum from a right one: where one concept is meant, it is told from all.
+    concepts = GROUPS["concept"]
+    among_all = query @ network.prototypes[concepts].float().T * network.scale
+    meant = (named - concepts.start).clamp(0)
+    naming = _mean(F.cross_entropy(among_all, meant, reduction="none"), named >= 0)
+    return F.cross_entropy(logits, asked) + _NAMING_SHARE * naming, logits.detach().argmax(-1) == asked
+
+
+def _told(network: SmallVLA, facets: Tensor) -> Tensor:
+    """Sums of prototypes (..., E) of facets (..., groups); those that are -1 do not count."""
+    rows = F.embedding(facets.clamp(0), network.prototypes)
+    return (rows * (facets >= 0).to(rows.dtype)[..., None]).sum(-2)
 
 
 def action_targets(batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:

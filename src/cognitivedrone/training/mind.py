@@ -27,7 +27,6 @@ from cognitivedrone.reasoners.small import value_index
 from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES
 from cognitivedrone.tasks.generate import TRAIN, Draw
 from cognitivedrone.tasks.memory import memory_track
-from cognitivedrone.tasks.people import CAST, IDENTITY, SCHEMA, TRAIN_CAST, person_label, seen
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.training.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.losses import to_tensors
@@ -35,14 +34,12 @@ from cognitivedrone.training.phrasing import SPOKEN
 from cognitivedrone.training.questions import ask
 from cognitivedrone.training.reading import SEEN, SEEN_GROUPS, seen_facets
 from cognitivedrone.training.sampling import Batch, muddled
+from cognitivedrone.training.strangers import STRANGER, with_stranger
 from cognitivedrone.training.subject import Batches, Learner, Row, Schedule
-from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task
+from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 
 _VALIDATION = 10**6
 _SENTENCES = 30_000
-STRANGER = "somebodynobodyknows"
-"""Stands for a name that was never heard, and for any other word that is not known."""
-_ALIKE = 0.6  # share of strangers who look much like somebody known
 _DOUBTED = 0.3  # share of what else a panel shows that is doubted as well
 _GROUPS = tuple(SEEN_GROUPS.values())
 _NAMES = (*FAMILIES, "directive")
@@ -121,7 +118,8 @@ class Problems:
         pools = SPOKEN if rng.random() < self.recipe.spoken else TRAIN
         task = drawn_task(family, rng, family, pools)
         if family == "people" and rng.random() < self.recipe.strangers:
-            return [_with_stranger(rng, task)]
+            task = with_stranger(rng, task)
+            return [Problem(task.instruction, family, task.labels, task.gates, None, task.target)]
         sentence, target, said = task.instruction, task.target, family
         if rng.random() < self.recipe.directives:
             question = ask(rng, task.labels, task.board, task.gates, target, "directive")
@@ -151,25 +149,6 @@ def _track(rng: np.random.Generator) -> list[Problem]:
         problems.append(Problem(puzzle.instruction, "memory", labels, _gates(rng), None, target, tuple(before)))
         before.append((labels, target))
     return problems
-
-
-def _with_stranger(rng: np.random.Generator, task: Task) -> Problem:
-    """The same task, but of somebody of whom nobody has heard, and who may look much like somebody known."""
-    name = task.options[task.target]
-    near = rng.random() < _ALIKE
-    while True:
-        person = {key: values[int(rng.integers(len(values)))] for key, values in SCHEMA.items()}
-        if near:
-            like = CAST[TRAIN_CAST[int(rng.integers(len(TRAIN_CAST)))]]
-            kept = set(rng.permutation(IDENTITY)[: len(IDENTITY) - 3].tolist())
-            person |= {key: like.get(key, SCHEMA[key][0]) for key in kept}
-        looks = seen(person)
-        if all(sum(looks[k] != seen(CAST[n]).get(k) for k in IDENTITY if k != "skin") >= 2 for n in TRAIN_CAST):
-            break
-    labels = list(task.labels)
-    labels[task.target] = person_label(person, labels[task.target].rpartition("@")[2])
-    sentence = task.instruction.replace(name, STRANGER)
-    return Problem(sentence, "people", tuple(labels), task.gates, None, task.target)
 
 
 class Encoder:

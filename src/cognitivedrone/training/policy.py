@@ -104,13 +104,7 @@ class PolicySubject:
         """Success in closed loop on training tasks under another seed, by family."""
         racing = self.recipe.stream.suite == "race"
         count = max(1, self.recipe.fly_tasks // 5) if racing else self.recipe.fly_tasks
-        suite = load_suite("open-v1:race" if racing else "open-v1:train", size=count, seed=10**6)
-        results = fly_suite(self._pilot(network), suite, CourseConfig(time_limit_s=15.0))
-        row: Row = {"success": sum(r.outcome == "passed" for r in results) / len(results)}
-        for family in sorted({result.family for result in results}):
-            own = [result.outcome == "passed" for result in results if result.family == family]
-            row[f"success {family}"] = sum(own) / len(own)
-        return row
+        return trial(self._pilot(network), "open-v1:race" if racing else "open-v1:train", count)
 
     def _pilot(self, network: nn.Module) -> NetworkPilot:
         assert isinstance(network, SmallVLA)  # noqa: S101
@@ -154,6 +148,16 @@ def training_batches(
     if data is None:
         return Rehearsal(stream, vocabulary, network).batches
     return Recorded(data, stream, vocabulary, network, "val" if validation else "train").batches
+
+
+def trial(pilot: NetworkPilot, suite: str, count: int) -> Row:
+    """Success of a pilot in closed loop on the first tracks of a suite, under a seed of its own, by family."""
+    results = fly_suite(pilot, load_suite(suite, size=count, seed=10**6), CourseConfig(time_limit_s=15.0))
+    row: Row = {"success": sum(r.outcome == "passed" for r in results) / len(results)}
+    for family in sorted({result.family for result in results}):
+        own = [result.outcome == "passed" for result in results if result.family == family]
+        row[f"success {family}"] = sum(own) / len(own)
+    return row
 
 
 def load_trained(path: Path) -> tuple[SmallVLA, Vocabulary, dict[str, Any]]:

@@ -23,7 +23,7 @@ from cognitivedrone.models.small_reasoner import Reader, ReaderConfig
 from cognitivedrone.tasks import BASE_FAMILIES
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.training.cards import SHARES, Cards
-from cognitivedrone.training.checkpoint import read_checkpoint, restore
+from cognitivedrone.training.checkpoint import origin_of, read_checkpoint, restore
 from cognitivedrone.training.losses import to_tensors
 from cognitivedrone.training.reading import SEEN, SEEN_GROUPS, seen_facets
 from cognitivedrone.training.sampling import Batch
@@ -56,8 +56,7 @@ class ReaderSubject:
         told: dict[str, Any] = {"recipe": json.loads(json.dumps(self.recipe.facts()))}
         if self.start is None:
             return told
-        facts = read_checkpoint(self.start)[1]
-        return told | {"data": f"from {facts['recipe']['name']}, step {facts['step']}, seed {facts['seed']}"}
+        return told | {"data": origin_of(read_checkpoint(self.start)[1])}
 
     def facts(self) -> dict[str, Any]:
         """The facets."""

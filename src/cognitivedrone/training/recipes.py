@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 from cognitivedrone.errors import TrainingError, did_you_mean
 from cognitivedrone.models.small_vla import SmallVLAConfig
@@ -22,6 +23,25 @@ class TrainRecipe(Schedule):
     """Its batch is that of the whole training: processes share it."""
     losses: LossWeights = field(default_factory=LossWeights)
     validation_frames: int = 512
+    fly_tasks: int = 60
+    """Tasks of a trial."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LanguageRecipe(Schedule):
+    """Everything that decides what comes out of teaching a policy language alone, but its start, processes and seed."""
+
+    batch: int = 256
+    """Sentences; processes share them."""
+    spoken: float = 0.6
+    """Share of sentences that are said in more ways than the training tasks."""
+    muddled: float = 0.1
+    """Share of sentences that are put otherwise: words lost, left out and added, so that the rest must do."""
+    directives: float = 0.08
+    """Share of sentences that are directives."""
+    strangers: float = 0.4
+    """Share of sentences about people that ask for somebody unknown among known ones."""
+    validation_sentences: int = 3000
     fly_tasks: int = 60
     """Tasks of a trial."""
 
@@ -74,13 +94,18 @@ RECIPES: dict[str, TrainRecipe] = {
 path in seconds, of no use otherwise. `ablation-*`: a ninth of `small`, each but the first with one thing changed."""
 
 
-REASONER_RECIPES: dict[str, MindRecipe | ReaderRecipe] = {"mind": MIND, "reader": READER}
-"""`mind`: what the small reasoner answers by. `reader`: what it reads panels with, from a policy's sight."""
+LANGUAGE = LanguageRecipe(name="language", steps=3_000, learning_rate=1e-3, decay_share=0.5)
+
+Recipe: TypeAlias = TrainRecipe | LanguageRecipe | MindRecipe | ReaderRecipe
+
+ALL_RECIPES: dict[str, Recipe] = {**RECIPES, "language": LANGUAGE, "mind": MIND, "reader": READER}
+"""`language`: what a policy that flies is taught to understand beyond its own training. `mind`: what the small reasoner
+answers by. `reader`: what it reads panels with, from a policy's sight."""
 
 
-def find_recipe(name: str) -> TrainRecipe | MindRecipe | ReaderRecipe:
+def find_recipe(name: str) -> Recipe:
     """The recipe of that name; raises `TrainingError` with near names."""
-    known = {**RECIPES, **REASONER_RECIPES}
+    known = ALL_RECIPES
     if name not in known:
         raise TrainingError(f"unknown recipe {name!r}; {did_you_mean(name, known)}")
     return known[name]

@@ -43,9 +43,9 @@ _LEFT_OUT, _LOST, _ADDED = 0.12, 0.12, 0.15
 """Shares of words of a muddled sentence."""
 
 _TEXT_SHARES = {"math": 0.3, "association": 0.2, "food": 0.06, "math_board": 0.12}
-"""How often families are trained without an image; the others share the rest."""
+"""How often families are trained without a frame; the others share the rest."""
 
-_NAMING = frozenset({"letters", "digits", "logos", "animals", "math", "math_board"})
+_NAMING = frozenset({"letters", "digits", "logos", "animals", "math", "math_board", "distraction", "two_step"})
 """Families whose sentences mean one concept, whatever else there is to choose from."""
 
 
@@ -200,19 +200,7 @@ class Sampler:
         tasks = [self._task(rng, int(number)) for number in numbers]
         plain = rng.random(count) < (0.1 if self.recipe.directives else 0.0)
         texts = [task.directive if p else task.instruction for task, p in zip(tasks, plain, strict=True)]
-        boards = [board_facets(task.board) if task.board else np.full(3, -1) for task in tasks]
-        panels = np.stack([[panel_facets(label) for label in task.labels] for task in tasks])
-        target = np.array([task.target for task in tasks])
-        named = np.array([task.family in _NAMING for task in tasks]) & ~plain
-        concept = panels[np.arange(count), target, PANEL_GROUPS.index("concept")]
-        return {
-            "text_tokens": np.stack([self._tokens(rng, text) for text in texts]),
-            "text_panels": panels,
-            "text_gates": np.stack([[gate_facets(gate) for gate in task.gates] for task in tasks]),
-            "text_board": np.stack(boards),
-            "text_asked": target,
-            "text_named": np.where(named, concept, -1),
-        }
+        return told(tasks, np.stack([self._tokens(rng, text) for text in texts]), plain)
 
     def _task(self, rng: np.random.Generator, number: int) -> Task:
         """A training task by its number, or one of its family said in more ways."""
@@ -220,6 +208,25 @@ class Sampler:
         if pools is TRAIN:
             return train_task(number, 0)
         return drawn_task(BASE_FAMILIES[number % len(BASE_FAMILIES)], rng, f"spoken-{number}", pools)
+
+
+def told(tasks: Sequence[Task], tokens: NDArray[np.int64], plain: NDArray[np.bool_]) -> Batch:
+    """The `text_` fields of a batch: sentences (T, L) about tasks, with what panels and gates show told, not seen.
+
+    `plain` (T,) says which of the sentences are directives.
+    """
+    panels = np.stack([[panel_facets(label) for label in task.labels] for task in tasks])
+    target = np.array([task.target for task in tasks])
+    named = np.array([task.family in _NAMING for task in tasks]) & ~plain
+    concept = panels[np.arange(len(tasks)), target, PANEL_GROUPS.index("concept")]
+    return {
+        "text_tokens": tokens,
+        "text_panels": panels,
+        "text_gates": np.stack([[gate_facets(gate) for gate in task.gates] for task in tasks]),
+        "text_board": np.stack([board_facets(task.board) if task.board else np.full(3, -1) for task in tasks]),
+        "text_asked": target,
+        "text_named": np.where(named, concept, -1),
+    }
 
 
 def _straight_ahead(row: int, each: Setting, known: Truths) -> int:

@@ -1,0 +1,34 @@
+"""People of whom nobody has heard: asked for one among two who are known, it must be the third."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cognitivedrone.tasks.people import CAST, IDENTITY, SCHEMA, TRAIN_CAST, person_label, seen
+from cognitivedrone.types import Task
+
+STRANGER = "somebodynobodyknows"
+"""Stands for a name that was never heard; no vocabulary holds it."""
+_ALIKE = 0.6  # share of strangers who look much like somebody known
+
+
+def with_stranger(rng: np.random.Generator, task: Task) -> Task:
+    """A task of the family `people`, but about somebody unknown, who may look much like somebody known."""
+    near = rng.random() < _ALIKE
+    while True:
+        person = {key: values[int(rng.integers(len(values)))] for key, values in SCHEMA.items()}
+        if near:
+            like = CAST[TRAIN_CAST[int(rng.integers(len(TRAIN_CAST)))]]
+            kept = set(rng.permutation(IDENTITY)[: len(IDENTITY) - 3].tolist())
+            person |= {key: like.get(key, SCHEMA[key][0]) for key in kept}
+        looks = seen(person)
+        if all(sum(looks[k] != seen(CAST[n]).get(k) for k in IDENTITY if k != "skin") >= 2 for n in TRAIN_CAST):
+            break
+    first, second, third = (
+        person_label(person, label.rpartition("@")[2]) if gate == task.target else label
+        for gate, label in enumerate(task.labels)
+    )
+    instruction = task.instruction.replace(task.options[task.target], STRANGER)
+    return replace(task, labels=(first, second, third), instruction=instruction)

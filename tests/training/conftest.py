@@ -1,0 +1,24 @@
+"""What several tests of training start from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from cognitivedrone.training import policy
+from cognitivedrone.training.checkpoint import save_checkpoint
+from cognitivedrone.training.recipes import RECIPES
+from cognitivedrone.training.trainer import CHECKPOINT
+
+
+@pytest.fixture(scope="session")
+def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(policy, "_SENTENCES", 100)
+        subject = policy.policy_subject(RECIPES["debug"])
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("policy") / CHECKPOINT
+    save_checkpoint(path, subject.network(), None, subject.identity() | subject.facts() | {"seed": 0, "step": 6})
+    return path

@@ -1,0 +1,158 @@
+"""A policy is taught language and nothing else: what it sees and how it flies stays as it was."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.models.small_file import SmallModel
+from cognitivedrone.models.text import words_of
+from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES
+from cognitivedrone.training import language
+from cognitivedrone.training.facets import FACETS, panel_facets
+from cognitivedrone.training.language import SHARES, LanguageSubject, draw_told, language_subject
+from cognitivedrone.training.launch import TrainOptions, run
+from cognitivedrone.training.losses import to_tensors
+from cognitivedrone.training.policy import load_trained
+from cognitivedrone.training.recipes import LANGUAGE
+from cognitivedrone.training.strangers import STRANGER
+from cognitivedrone.training.trainer import CHECKPOINT, METRICS, TrainConfig, train
+
+TINY = replace(
+    LANGUAGE,
+    steps=4,
+    batch=32,
+    warmup_steps=1,
+    round_steps=2,
+    validate_every=2,
+    fly_every=4,
+    validation_sentences=300,
+    fly_tasks=2,
+)
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def subject(policy_checkpoint: Path) -> LanguageSubject:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(language, "_SENTENCES", 2000)
+        return language_subject(TINY, policy_checkpoint)
+
+
+def test_only_the_text_encoder_learns(policy_checkpoint: Path, subject: LanguageSubject, tmp_path: Path) -> None:
+    taught, vocabulary, facts = load_trained(train(TrainConfig(tmp_path, subject), lambda _: None))
+    before, known, _ = load_trained(policy_checkpoint)
+    assert vocabulary.words[: len(known.words)] == known.words
+    assert taught.config.vocabulary == len(vocabulary.words) > len(known.words)
+    assert facts["data"] == "from debug, step 6, seed 0"
+    after = taught.state_dict()
+    for name, value in before.state_dict().items():
+        if name.startswith("text."):
+            rows = after[name][: len(value)] if name == "text.words.weight" else after[name]
+            assert not torch.equal(value, rows), name
+        else:
+            assert torch.equal(value, after[name]), name
+
+
+def test_a_killed_lesson_ends_with_the_same_weights(subject: LanguageSubject, tmp_path: Path) -> None:
+    whole = load_trained(train(TrainConfig(tmp_path / "whole", subject), lambda _: None))[0]
+
+    def kill(line: str) -> None:
+        if line.startswith("step 4 "):
+            raise KeyboardInterrupt
+
+    # The report of a round comes before its checkpoint, so the second round is trained again.
+    with pytest.raises(KeyboardInterrupt):
+        train(TrainConfig(tmp_path / "killed", subject), kill)
+    assert load_trained(tmp_path / "killed" / CHECKPOINT)[2]["step"] == 2
+    again = load_trained(train(TrainConfig(tmp_path / "killed", subject, resume=True), lambda _: None))[0]
+    for name, value in whole.state_dict().items():
+        assert torch.equal(value, again.state_dict()[name]), name
+
+
+def test_what_was_not_understood_can_be_learned(subject: LanguageSubject) -> None:
+    rng = np.random.default_rng(0)
+    tasks = []
+    while len(tasks) < 16:
+        task = draw_told(rng, TINY)
+        tasks += [task] if task.family == "exclusion" else []
+    batch = to_tensors(replace(subject, recipe=replace(TINY, muddled=0.0, directives=0.0)).told(rng, tasks))
+    lesson = subject.lesson(subject.network())
+    optimizer = torch.optim.AdamW([p for p in lesson.parameters() if p.requires_grad], 0.01)
+    first: torch.Tensor | None = None
+    for _ in range(80):
+        loss, measures = lesson(batch)
+        first = measures["text accuracy"] if first is None else first
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    assert first is not None
+    assert float(measures["text accuracy"]) > 0.9 > float(first)
+
+
+def test_told_tasks_show_what_can_be_told_and_come_in_their_shares() -> None:
+    rng = np.random.default_rng(1)
+    tasks = [draw_told(rng, LANGUAGE) for _ in range(3000)]
+    for task in tasks:
+        assert all(panel_facets(label)[0] >= 0 for label in task.labels), task.labels
+    counts = Counter(task.family for task in tasks)
+    assert set(counts) == set(SHARES)
+    assert set(BASE_FAMILIES) < set(SHARES) < set(FAMILIES)
+    assert sum(SHARES.values()) == pytest.approx(1.0)
+    for family in ("association", "math", "exclusion"):
+        assert counts[family] / len(tasks) == pytest.approx(SHARES[family], abs=0.03)
+
+
+def test_all_that_is_taught_has_words(subject: LanguageSubject) -> None:
+    rng = np.random.default_rng(2)
+    sentences = [draw_told(rng, LANGUAGE).instruction.replace(STRANGER, "") for _ in range(300)]
+    unknown = Counter(word for text in sentences for word in words_of(text) if word in subject.vocabulary.unknown(text))
+    assert sum(unknown.values()) < 0.03 * sum(len(words_of(text)) for text in sentences), unknown
+    assert {"neither", "without"} <= set(subject.vocabulary.words)
+    assert STRANGER not in subject.vocabulary.words
+
+
+def test_validation_tells_families_apart(subject: LanguageSubject, tmp_path: Path) -> None:
+    batches = subject.validation(0)
+    assert sum(len(batch["family"]) for batch in batches) == TINY.validation_sentences
+    for batch in batches:
+        assert len(batch["family"]) == len(batch["text_tokens"])
+        asked = batch["text_panels"][np.arange(len(batch["text_asked"])), batch["text_asked"], 0]
+        named = batch["text_named"]
+        assert (named[named >= 0] == asked[named >= 0]).all()
+        assert FACETS.index("concept/person") not in named
+    train(TrainConfig(tmp_path, subject), lambda _: None)
+    rows = (tmp_path / METRICS).read_text().splitlines()
+    assert len(rows) == 2
+    assert '"text accuracy exclusion"' in rows[-1]
+    assert '"success"' in rows[-1]
+
+
+def test_one_command_teaches_and_exports(
+    policy_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(language, "_SENTENCES", 600)
+    monkeypatch.setattr("cognitivedrone.training.recipes.ALL_RECIPES", {"language": TINY})
+    with pytest.raises(TrainingError, match="language and reader need --start"):
+        run(TrainOptions(tmp_path, "language"))
+    with pytest.raises(TrainingError, match="no such checkpoint"):
+        run(TrainOptions(tmp_path, "language", start=tmp_path / "nothing.safetensors"))
+    with pytest.raises(TrainingError, match="learns from no flights"):
+        run(TrainOptions(tmp_path, "language", start=policy_checkpoint, data=tmp_path))
+    file = run(TrainOptions(tmp_path / "taught", "language", start=policy_checkpoint))
+    model = SmallModel.load(file)
+    assert "neither" in model.description.vocabulary.words
+    assert model.description.provenance.recipe == "language"
+    assert model.description.provenance.data == "from debug, step 6, seed 0"
+    image = np.zeros((1, 256, 256, 3), np.uint8)
+    state = np.zeros((1, 5), np.float32)
+    answer = model.run(image, state, ["Fly through the gate with neither an animal nor a letter"])
+    assert answer.action.shape == (1, 1, 4)
+    assert np.isfinite(answer.action).all()
