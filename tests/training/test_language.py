@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import tyro
+from torch.distributed.run import parse_args
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.small_file import SmallModel
@@ -17,8 +19,8 @@ from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES
 from cognitivedrone.training import language
 from cognitivedrone.training.facets import FACETS, panel_facets
 from cognitivedrone.training.language import SHARES, LanguageSubject, draw_told, language_subject
-from cognitivedrone.training.launch import TrainOptions, run
-from cognitivedrone.training.losses import to_tensors
+from cognitivedrone.training.launch import TrainOptions, command_of, run
+from cognitivedrone.training.losses import text_loss, to_tensors, told_embedding
 from cognitivedrone.training.policy import load_trained
 from cognitivedrone.training.recipes import LANGUAGE
 from cognitivedrone.training.strangers import STRANGER
@@ -83,7 +85,7 @@ def test_what_was_not_understood_can_be_learned(subject: LanguageSubject) -> Non
     while len(tasks) < 16:
         task = draw_told(rng, TINY)
         tasks += [task] if task.family == "exclusion" else []
-    batch = to_tensors(replace(subject, recipe=replace(TINY, muddled=0.0, directives=0.0)).told(rng, tasks))
+    batch = to_tensors(replace(subject, recipe=replace(TINY, muddled=0.0, directives=0.0, hidden=0.0)).told(rng, tasks))
     lesson = subject.lesson(subject.network())
     optimizer = torch.optim.AdamW([p for p in lesson.parameters() if p.requires_grad], 0.01)
     first: torch.Tensor | None = None
@@ -108,6 +110,27 @@ def test_told_tasks_show_what_can_be_told_and_come_in_their_shares() -> None:
     assert sum(SHARES.values()) == pytest.approx(1.0)
     for family in ("association", "math", "exclusion"):
         assert counts[family] / len(tasks) == pytest.approx(SHARES[family], abs=0.03)
+
+
+def test_without_its_board_a_sentence_about_it_means_no_gate(subject: LanguageSubject) -> None:
+    rng = np.random.default_rng(3)
+    batch = subject.told(rng, [draw_told(rng, TINY) for _ in range(600)])
+    unknowable, board = batch["text_open"], batch["text_board"]
+    assert 0 < unknowable.mean() < SHARES["math_board"] + SHARES["two_step"]
+    assert (board[unknowable] < 0).all()
+    assert (batch["text_named"][unknowable] < 0).all()
+    some = {name: torch.from_numpy(values[unknowable]) for name, values in batch.items()}
+    network = subject.network()
+    board_told = told_embedding(network, some["text_board"])
+    with torch.no_grad():
+        query = network.text(some["text_tokens"], board_told, torch.zeros(len(board_told)))
+        gates = told_embedding(network, some["text_panels"]) + told_embedding(network, some["text_gates"])
+        logits = (query[:, None] * gates).sum(-1) * network.scale
+        loss, _ = text_loss(network, some)
+    assert float(loss) == pytest.approx(float(-logits.log_softmax(-1).mean()), rel=1e-5)
+    doubted = batch["doubt"] > 0
+    assert doubted.mean() == pytest.approx(TINY.doubted, abs=0.08)
+    assert batch["doubt"].max() < 0.5
 
 
 def test_all_that_is_taught_has_words(subject: LanguageSubject) -> None:
@@ -156,3 +179,12 @@ def test_one_command_teaches_and_exports(
     answer = model.run(image, state, ["Fly through the gate with neither an animal nor a letter"])
     assert answer.action.shape == (1, 1, 4)
     assert np.isfinite(answer.action).all()
+
+
+def test_every_flag_reaches_all_processes(tmp_path: Path) -> None:
+    options = TrainOptions(tmp_path / "out", "language", start=tmp_path / "start", resume=True, processes=2)
+    command = command_of(options)
+    assert command[1:3] == ["-m", "torch.distributed.run"]
+    parsed = parse_args(command[3:])
+    assert parsed.training_script == "cognitivedrone.training.launch"
+    assert tyro.cli(TrainOptions, args=parsed.training_script_args) == replace(options, processes=1)

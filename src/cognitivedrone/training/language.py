@@ -23,7 +23,7 @@ from cognitivedrone.tasks.generate import TRAIN
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.training.checkpoint import origin_of, read_checkpoint
 from cognitivedrone.training.facets import panel_facets
-from cognitivedrone.training.losses import text_loss, to_tensors
+from cognitivedrone.training.losses import text_loss, to_tensors, told_embedding
 from cognitivedrone.training.phrasing import SPOKEN
 from cognitivedrone.training.pilot import NetworkPilot
 from cognitivedrone.training.policy import load_trained, trial
@@ -36,6 +36,7 @@ from cognitivedrone.types import Task
 _VALIDATION = 10**6
 _SENTENCES = 40_000  # whose words are added to the vocabulary
 _NEW_WORD_SPREAD = 0.05  # as of all words at the beginning
+_MOST_DOUBT = 0.45  # of a board that is not misread
 SHARES = {
     "math": 0.12, "association": 0.14, "math_board": 0.06, "food": 0.05, "attributes": 0.08, "people": 0.08,
     "animals": 0.03, "letters": 0.02, "digits": 0.02, "logos": 0.02,
@@ -108,7 +109,7 @@ class LanguageSubject:
 
     def validation(self, seed: int) -> list[Batch]:
         """Sentences of another seed as they are written, with the family of each."""
-        plain = replace(self, recipe=replace(self.recipe, muddled=0.0, directives=0.0))
+        plain = replace(self, recipe=replace(self.recipe, muddled=0.0, directives=0.0, hidden=0.0, doubted=0.0))
         rng = np.random.default_rng((seed, _VALIDATION))
         tasks = [draw_told(rng, self.recipe) for _ in range(self.recipe.validation_sentences)]
         parts = [tasks[first : first + 250] for first in range(0, len(tasks), 250)]
@@ -135,13 +136,30 @@ class LanguageSubject:
         return trial(NetworkPilot(network, self.vocabulary), "open-v1:train", self.recipe.fly_tasks)
 
     def told(self, rng: np.random.Generator, tasks: list[Task]) -> Batch:
-        """The `text_` fields of a batch about these tasks."""
-        plain = rng.random(len(tasks)) < self.recipe.directives
+        """The `text_` fields of a batch about these tasks, with doubts about boards.
+
+        Beside them `text_open` (T,), see `text_loss`, and `other_board` (T, 3), `doubt` (T,): what else the board might
+        show, and how likely that is.
+        """
+        recipe, count = self.recipe, len(tasks)
+        plain = rng.random(count) < recipe.directives
         rows = []
         for task, directive in zip(tasks, plain, strict=True):
             row = self.vocabulary.encode(task.directive if directive else task.instruction, self.text_length)
-            rows.append(muddled(rng, row) if rng.random() < self.recipe.muddled else row)
-        return told(tasks, np.stack(rows), plain)
+            rows.append(muddled(rng, row) if rng.random() < recipe.muddled else row)
+        batch = told(tasks, np.stack(rows), plain)
+        board = np.asarray(batch["text_board"], np.int64)
+        hidden = rng.random(count) < recipe.hidden
+        unknowable = hidden & (board[:, 0] >= 0) & ~plain
+        others = board[rng.permutation(count)]
+        kept = (others < 0) | (rng.random(board.shape) < 0.5)
+        return batch | {
+            "text_board": np.where(hidden[:, None], -1, board),
+            "text_named": np.where(unknowable, -1, batch["text_named"]),
+            "text_open": unknowable,
+            "other_board": np.where(kept, board, others),
+            "doubt": (rng.uniform(0.0, _MOST_DOUBT, count) * (rng.random(count) < recipe.doubted)).astype(np.float32),
+        }
 
 
 class LanguageLesson(nn.Module):
@@ -153,7 +171,10 @@ class LanguageLesson(nn.Module):
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
         """The loss; and, detached, the loss and the share of sentences that were understood."""
-        loss, right = text_loss(self.network, batch)
+        doubt = batch["doubt"][:, None]
+        board = told_embedding(self.network, batch["text_board"]) * (1 - doubt)
+        board = board + told_embedding(self.network, batch["other_board"]) * doubt
+        loss, right = text_loss(self.network, batch, board)
         return loss, {"text": loss.detach(), "text accuracy": right.float().mean()}
 
 

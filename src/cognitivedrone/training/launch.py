@@ -51,17 +51,22 @@ def run(options: TrainOptions) -> Path:
         return _work(options)
     if options.processes < 1:
         raise TrainingError(f"{options.processes} processes cannot train; give at least 1")
+    done = subprocess.run(command_of(options), env={"OMP_NUM_THREADS": "1", **os.environ}, check=False)  # noqa: S603
+    if done.returncode:
+        raise TrainingError(f"the training ended with exit code {done.returncode}; its messages are above")
+    return _model_of(options)
+
+
+def command_of(options: TrainOptions) -> list[str]:
+    """The command that starts all processes of a training on this machine."""
     launcher = ["torch.distributed.run", "--standalone", "--nproc-per-node", str(options.processes)]
     flags = ["--out", options.out, "--recipe", options.recipe, "--seed", options.seed, "--threads", options.threads]
     for name in ("data", "start"):
         if getattr(options, name) is not None:
             flags += [f"--{name}", getattr(options, name)]
     resume = "--resume" if options.resume else "--no-resume"
-    command = [sys.executable, "-m", *launcher, "-m", __name__, *map(str, flags), resume]
-    done = subprocess.run(command, env={"OMP_NUM_THREADS": "1", **os.environ}, check=False)  # noqa: S603
-    if done.returncode:
-        raise TrainingError(f"the training ended with exit code {done.returncode}; its messages are above")
-    return _model_of(options)
+    # Without the dashes alone the launcher would take --start for a flag of its own, cut short.
+    return [sys.executable, "-m", *launcher, "-m", "--", __name__, *map(str, flags), resume]
 
 
 def _check(options: TrainOptions) -> None:

@@ -152,22 +152,30 @@ class Lesson(nn.Module):
         return _mean(action_loss(self.network, raw, target).mean(dim=(-1, -2)), taught)
 
 
-def text_loss(network: SmallVLA, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-    """Of sentences against what is told about panels, gates and board, not seen; and which of them (T,) were right."""
+def text_loss(network: SmallVLA, batch: dict[str, Tensor], board: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Of sentences against what is told about panels, gates and board, not seen; and which of them (T,) were right.
+
+    `board` (T, E) stands for what `text_board` tells, where that is in doubt. Of sentences that are `text_open` (T,),
+    where the batch has it, nobody can know which gate they mean: there no gate is to be preferred.
+    """
     asked, named = batch["text_asked"], batch["text_named"]
-    board = _told(network, batch["text_board"])
+    board = told_embedding(network, batch["text_board"]) if board is None else board
     query = network.text(_trimmed(batch["text_tokens"]), board, (batch["text_board"][:, 0] >= 0).float()).float()
-    gates = _told(network, batch["text_panels"]) + _told(network, batch["text_gates"])
+    gates = told_embedding(network, batch["text_panels"]) + told_embedding(network, batch["text_gates"])
     logits = (query[:, None] * gates.float()).sum(-1) * network.scale
     # Three panels are few to tell a wrong sum from a right one: where one concept is meant, it is told from all.
     concepts = GROUPS["concept"]
     among_all = query @ network.prototypes[concepts].float().T * network.scale
     meant = (named - concepts.start).clamp(0)
     naming = _mean(F.cross_entropy(among_all, meant, reduction="none"), named >= 0)
-    return F.cross_entropy(logits, asked) + _NAMING_SHARE * naming, logits.detach().argmax(-1) == asked
+    choice = F.cross_entropy(logits, asked)
+    if "text_open" in batch:
+        evenly = -logits.log_softmax(-1).mean(-1)
+        choice = torch.where(batch["text_open"], evenly, F.cross_entropy(logits, asked, reduction="none")).mean()
+    return choice + _NAMING_SHARE * naming, logits.detach().argmax(-1) == asked
 
 
-def _told(network: SmallVLA, facets: Tensor) -> Tensor:
+def told_embedding(network: SmallVLA, facets: Tensor) -> Tensor:
     """Sums of prototypes (..., E) of facets (..., groups); those that are -1 do not count."""
     rows = F.embedding(facets.clamp(0), network.prototypes)
     return (rows * (facets >= 0).to(rows.dtype)[..., None]).sum(-2)

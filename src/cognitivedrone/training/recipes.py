@@ -41,6 +41,10 @@ class LanguageRecipe(Schedule):
     """Share of sentences that are directives."""
     strangers: float = 0.4
     """Share of sentences about people that ask for somebody unknown among known ones."""
+    hidden: float = 0.3
+    """Share of sentences about a board where there is none in view, so that nobody can know which gate is meant."""
+    doubted: float = 0.4
+    """Share of boards that are read with doubt."""
     validation_sentences: int = 3000
     fly_tasks: int = 60
     """Tasks of a trial."""
