@@ -244,7 +244,7 @@ def test_one_command_trains_and_exports(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr("cognitivedrone.training.recipes.ALL_RECIPES", {"mind": SMALL_MIND, "reader": SMALL_READER})
     assert run(TrainOptions(tmp_path / "mind", "mind")) == tmp_path / "mind" / "mind.onnx"
     MindModel.load(tmp_path / "mind" / "mind.onnx")
-    with pytest.raises(TrainingError, match="needs --start"):
+    with pytest.raises(TrainingError, match="need --start"):
         run(TrainOptions(tmp_path / "reader", "reader"))
     with pytest.raises(TrainingError, match="learns from no flights"):
         run(TrainOptions(tmp_path / "again", "mind", data=tmp_path))
