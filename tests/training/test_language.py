@@ -128,9 +128,56 @@ def test_without_its_board_a_sentence_about_it_means_no_gate(subject: LanguageSu
         logits = (query[:, None] * gates).sum(-1) * network.scale
         loss, _ = text_loss(network, some)
     assert float(loss) == pytest.approx(float(-logits.log_softmax(-1).mean()), rel=1e-5)
-    doubted = batch["doubt"] > 0
-    assert doubted.mean() == pytest.approx(TINY.doubted, abs=0.08)
-    assert batch["doubt"].max() < 0.5
+
+
+def test_a_board_in_doubt_is_half_read_as_another(subject: LanguageSubject) -> None:
+    rng = np.random.default_rng(4)
+    recipe = replace(TINY, hidden=0.0)
+    batch = replace(subject, recipe=recipe).told(rng, [draw_told(rng, recipe) for _ in range(2000)])
+    board, other, doubted = batch["text_board"], batch["other_board"], batch["doubt"] > 0
+    there = board[:, 0] >= 0
+    assert not doubted[~there].any()
+    assert doubted[there].mean() == pytest.approx(recipe.doubted, abs=0.08)
+    assert ((other != board).any(axis=1) & doubted).sum() > 0.7 * doubted.sum()
+    assert (other[doubted] >= 0).all()
+    assert 0 < batch["doubt"].max() < 0.5
+
+
+def test_what_was_known_is_said_as_before(subject: LanguageSubject, policy_checkpoint: Path) -> None:
+    rng = np.random.default_rng(5)
+    known_words = set(load_trained(policy_checkpoint)[1].words)
+    tasks = [draw_told(rng, TINY) for _ in range(300)]
+    # To words that are new it could say nothing before.
+    tasks = [task for task in tasks if known_words.issuperset(words_of(task.instruction))]
+    batch = to_tensors(replace(subject, recipe=replace(TINY, directives=0.0)).told(rng, tasks))
+    known = batch["known"]
+    assert 0.3 < known.float().mean() < 0.9
+
+    def moved(kept: float) -> float:
+        lesson = replace(subject, recipe=replace(TINY, kept=kept)).lesson(subject.network())
+        assert float(lesson(batch)[1]["moved"]) < 1e-3  # nothing is learned yet
+        optimizer = torch.optim.AdamW([p for p in lesson.parameters() if p.requires_grad], 0.01)
+        for _ in range(20):
+            loss, measures = lesson(batch)
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+        return float(measures["moved"])
+
+    assert moved(20.0) < 0.5 * moved(0.0)
+    nothing_known = batch | {"known": torch.zeros_like(known)}
+    loss, measures = subject.lesson(subject.network())(nothing_known)
+    assert float(measures["moved"]) == 0
+    assert torch.isfinite(loss)
+
+
+def test_known_are_the_families_of_before_with_their_people_and_boards(subject: LanguageSubject) -> None:
+    rng = np.random.default_rng(6)
+    tasks = [draw_told(rng, TINY) for _ in range(600)]
+    known = subject.told(rng, tasks)["known"]
+    families = {task.family for task, one in zip(tasks, known, strict=True) if one}
+    assert families == set(BASE_FAMILIES)
+    assert not any(one and STRANGER in task.instruction for task, one in zip(tasks, known, strict=True))
 
 
 def test_all_that_is_taught_has_words(subject: LanguageSubject) -> None:

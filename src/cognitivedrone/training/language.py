@@ -19,11 +19,12 @@ from torch import Tensor, nn
 
 from cognitivedrone.models.small_vla import SmallVLA
 from cognitivedrone.models.text import Vocabulary, words_of
+from cognitivedrone.tasks import BASE_FAMILIES
 from cognitivedrone.tasks.generate import TRAIN
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.training.checkpoint import origin_of, read_checkpoint
 from cognitivedrone.training.facets import panel_facets
-from cognitivedrone.training.losses import text_loss, to_tensors, told_embedding
+from cognitivedrone.training.losses import text_loss, to_tensors, told_embedding, told_query
 from cognitivedrone.training.phrasing import SPOKEN
 from cognitivedrone.training.pilot import NetworkPilot
 from cognitivedrone.training.policy import load_trained, trial
@@ -86,7 +87,8 @@ class LanguageSubject:
     def lesson(self, network: nn.Module) -> LanguageLesson:
         """The policy with its language teacher."""
         assert isinstance(network, SmallVLA)  # noqa: S101  (tells the type checker)
-        return LanguageLesson(network)
+        before, known, _ = load_trained(self.start)
+        return LanguageLesson(network, before.text, len(known.words), self.recipe.kept)
 
     def learner(self, network: nn.Module) -> None:
         """Nothing flies along."""
@@ -138,8 +140,8 @@ class LanguageSubject:
     def told(self, rng: np.random.Generator, tasks: list[Task]) -> Batch:
         """The `text_` fields of a batch about these tasks, with doubts about boards.
 
-        Beside them `text_open` (T,), see `text_loss`, and `other_board` (T, 3), `doubt` (T,): what else the board might
-        show, and how likely that is.
+        Beside them `text_open` (T,), see `text_loss`; `other_board` (T, 3), `doubt` (T,): what else the board might
+        show, and how likely that is; and `known` (T,): whether the policy was taught to understand it before.
         """
         recipe, count = self.recipe, len(tasks)
         plain = rng.random(count) < recipe.directives
@@ -151,31 +153,51 @@ class LanguageSubject:
         board = np.asarray(batch["text_board"], np.int64)
         hidden = rng.random(count) < recipe.hidden
         unknowable = hidden & (board[:, 0] >= 0) & ~plain
-        others = board[rng.permutation(count)]
+        boards = np.flatnonzero(board[:, 0] >= 0)
+        others = board[rng.choice(boards, count)] if len(boards) else board
         kept = (others < 0) | (rng.random(board.shape) < 0.5)
+        doubted = (board[:, 0] >= 0) & (rng.random(count) < recipe.doubted)
+        known = [task.family in BASE_FAMILIES and STRANGER not in task.instruction for task in tasks]
         return batch | {
             "text_board": np.where(hidden[:, None], -1, board),
             "text_named": np.where(unknowable, -1, batch["text_named"]),
             "text_open": unknowable,
             "other_board": np.where(kept, board, others),
-            "doubt": (rng.uniform(0.0, _MOST_DOUBT, count) * (rng.random(count) < recipe.doubted)).astype(np.float32),
+            "doubt": (rng.uniform(0.0, _MOST_DOUBT, count) * doubted).astype(np.float32),
+            "known": np.array(known) & ~unknowable & ~doubted,
         }
 
 
 class LanguageLesson(nn.Module):
-    """The policy and its language teacher."""
+    """The policy and its language teacher, who has it say of what it knew before what it said then.
 
-    def __init__(self, network: SmallVLA) -> None:
+    What it knew it learned from what it saw; what is told says nothing of how surely a thing is seen.
+    """
+
+    def __init__(self, network: SmallVLA, before: nn.Module, known_words: int, kept: float) -> None:
         super().__init__()
         self.network = network
+        self.before = before.requires_grad_(requires_grad=False)
+        self.known_words = known_words
+        self.kept = kept
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss; and, detached, the loss and the share of sentences that were understood."""
+        """The loss; and, detached, its parts and the share of sentences that were understood."""
         doubt = batch["doubt"][:, None]
         board = told_embedding(self.network, batch["text_board"]) * (1 - doubt)
         board = board + told_embedding(self.network, batch["other_board"]) * doubt
-        loss, right = text_loss(self.network, batch, board)
-        return loss, {"text": loss.detach(), "text accuracy": right.float().mean()}
+        query = told_query(self.network.text, batch, board)
+        loss, right = text_loss(self.network, batch, query)
+        known_words = torch.where(batch["text_tokens"] < self.known_words, batch["text_tokens"], 1)
+        said = told_query(self.before, batch | {"text_tokens": known_words}, board)
+        known = batch["known"].float()
+        moved = (query - said).square().sum(-1) / said.square().sum(-1)
+        moved = (moved * known).sum() / known.sum().clamp(min=1)
+        return loss + self.kept * moved, {
+            "text": loss.detach(),
+            "moved": moved.detach(),
+            "text accuracy": right.float().mean(),
+        }
 
 
 def draw_told(rng: np.random.Generator, recipe: LanguageRecipe) -> Task:

@@ -152,15 +152,15 @@ class Lesson(nn.Module):
         return _mean(action_loss(self.network, raw, target).mean(dim=(-1, -2)), taught)
 
 
-def text_loss(network: SmallVLA, batch: dict[str, Tensor], board: Tensor | None = None) -> tuple[Tensor, Tensor]:
+def text_loss(network: SmallVLA, batch: dict[str, Tensor], query: Tensor | None = None) -> tuple[Tensor, Tensor]:
     """Of sentences against what is told about panels, gates and board, not seen; and which of them (T,) were right.
 
-    `board` (T, E) stands for what `text_board` tells, where that is in doubt. Of sentences that are `text_open` (T,),
-    where the batch has it, nobody can know which gate they mean: there no gate is to be preferred.
+    `query` (T, E) is what the network makes of the sentences, where that is already known. Of sentences that are
+    `text_open` (T,), where the batch has it, nobody can know which gate they mean: there no gate is to be preferred.
     """
     asked, named = batch["text_asked"], batch["text_named"]
-    board = told_embedding(network, batch["text_board"]) if board is None else board
-    query = network.text(_trimmed(batch["text_tokens"]), board, (batch["text_board"][:, 0] >= 0).float()).float()
+    if query is None:
+        query = told_query(network.text, batch, told_embedding(network, batch["text_board"]))
     gates = told_embedding(network, batch["text_panels"]) + told_embedding(network, batch["text_gates"])
     logits = (query[:, None] * gates.float()).sum(-1) * network.scale
     # Three panels are few to tell a wrong sum from a right one: where one concept is meant, it is told from all.
@@ -173,6 +173,12 @@ def text_loss(network: SmallVLA, batch: dict[str, Tensor], board: Tensor | None 
         evenly = -logits.log_softmax(-1).mean(-1)
         choice = torch.where(batch["text_open"], evenly, F.cross_entropy(logits, asked, reduction="none")).mean()
     return choice + _NAMING_SHARE * naming, logits.detach().argmax(-1) == asked
+
+
+def told_query(text: nn.Module, batch: dict[str, Tensor], board: Tensor) -> Tensor:
+    """What a text encoder makes of a batch's sentences (T, E), with what is told about the board (T, E)."""
+    query: Tensor = text(_trimmed(batch["text_tokens"]), board, (batch["text_board"][:, 0] >= 0).float())
+    return query.float()
 
 
 def told_embedding(network: SmallVLA, facets: Tensor) -> Tensor:

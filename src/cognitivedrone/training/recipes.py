@@ -44,8 +44,9 @@ class LanguageRecipe(Schedule):
     hidden: float = 0.3
     """Share of sentences about a board where there is none in view, so that nobody can know which gate is meant."""
     doubted: float = 0.4
-    """Share of sentences whose board gets a second reading, that of another sentence; few of those have a board, so
-    about one board in thirty is really in doubt."""
+    """Share of boards that are in doubt: they get a second reading, that of another sentence."""
+    kept: float = 1.0
+    """How much it counts to say, of the families that the policy knows, what it said before."""
     validation_sentences: int = 3000
     fly_tasks: int = 60
     """Tasks of a trial."""
