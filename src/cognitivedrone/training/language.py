@@ -24,7 +24,7 @@ from cognitivedrone.tasks.generate import TRAIN
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.training.checkpoint import origin_of, read_checkpoint
 from cognitivedrone.training.facets import panel_facets
-from cognitivedrone.training.losses import text_loss, to_tensors, told_embedding, told_query
+from cognitivedrone.training.losses import known_mean, text_loss, to_tensors, told_embedding, told_query
 from cognitivedrone.training.phrasing import SPOKEN
 from cognitivedrone.training.pilot import NetworkPilot
 from cognitivedrone.training.policy import load_trained, trial
@@ -141,7 +141,7 @@ class LanguageSubject:
         """The `text_` fields of a batch about these tasks, with doubts about boards.
 
         Beside them `text_open` (T,), see `text_loss`; `other_board` (T, 3), `doubt` (T,): what else the board might
-        show, and how likely that is; and `known` (T,): whether the policy was taught to understand it before.
+        show, and how likely that is; and `known` (T,): of which it is to say what it said before.
         """
         recipe, count = self.recipe, len(tasks)
         plain = rng.random(count) < recipe.directives
@@ -155,14 +155,14 @@ class LanguageSubject:
         unknowable = hidden & (board[:, 0] >= 0) & ~plain
         boards = np.flatnonzero(board[:, 0] >= 0)
         others = board[rng.choice(boards, count)] if len(boards) else board
-        kept = (others < 0) | (rng.random(board.shape) < 0.5)
+        same = (others < 0) | (rng.random(board.shape) < 0.5)
         doubted = (board[:, 0] >= 0) & (rng.random(count) < recipe.doubted)
         known = [task.family in BASE_FAMILIES and STRANGER not in task.instruction for task in tasks]
         return batch | {
             "text_board": np.where(hidden[:, None], -1, board),
             "text_named": np.where(unknowable, -1, batch["text_named"]),
             "text_open": unknowable,
-            "other_board": np.where(kept, board, others),
+            "other_board": np.where(same, board, others),
             "doubt": (rng.uniform(0.0, _MOST_DOUBT, count) * doubted).astype(np.float32),
             "known": np.array(known) & ~unknowable & ~doubted,
         }
@@ -188,11 +188,10 @@ class LanguageLesson(nn.Module):
         board = board + told_embedding(self.network, batch["other_board"]) * doubt
         query = told_query(self.network.text, batch, board)
         loss, right = text_loss(self.network, batch, query)
-        known_words = torch.where(batch["text_tokens"] < self.known_words, batch["text_tokens"], 1)
-        said = told_query(self.before, batch | {"text_tokens": known_words}, board)
-        known = batch["known"].float()
-        moved = (query - said).square().sum(-1) / said.square().sum(-1)
-        moved = (moved * known).sum() / known.sum().clamp(min=1)
+        # Words that are new were unknown to it: number 1 of every vocabulary.
+        heard = torch.where(batch["text_tokens"] < self.known_words, batch["text_tokens"], 1)
+        said = told_query(self.before, batch | {"text_tokens": heard}, board)
+        moved = known_mean((query - said).square().sum(-1) / said.square().sum(-1), batch["known"])
         return loss + self.kept * moved, {
             "text": loss.detach(),
             "moved": moved.detach(),

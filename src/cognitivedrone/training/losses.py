@@ -15,7 +15,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.small_vla import SLOTS, STRIDE, Scene, Seen, Slots, SmallVLA
 from cognitivedrone.training.facets import BOARD_GROUPS, GATE_GROUPS, GROUPS, PANEL_GROUPS
-from cognitivedrone.training.sampling import NONE_IN_VIEW, Batch
+from cognitivedrone.training.sampling import Batch
 
 _BLUR_BINS = 2.0  # labels are bells this wide, so that a neighbouring bin is nearly right
 _BOX_SHIFT, _BOX_SCALE = 0.06, 0.08  # spread of the boxes that panels are read in, in heights
@@ -89,7 +89,7 @@ class Lesson(nn.Module):
         with torch.no_grad():
             right = logits.argmax(-1) == batch["choice"]
             clear = (batch["in_view"] & batch["legible"][:, :SLOTS]).all(dim=1)
-            measures["choice accuracy"] = _mean(right.float(), clear[:, None].expand_as(right))
+            measures["choice accuracy"] = known_mean(right.float(), clear[:, None].expand_as(right))
         return total, measures
 
     def _place_loss(self, seen: Seen, batch: dict[str, Tensor], slots: Slots, board_known: Tensor) -> Tensor:
@@ -114,7 +114,7 @@ class Lesson(nn.Module):
             dim=-1,
         )
         boards = F.smooth_l1_loss(seen.board_geometry.float(), board.clamp(-8, 8), beta=0.1, reduction="none").mean(-1)
-        return _mean(gates, batch["in_view"]) + _mean(boards, board_known)
+        return known_mean(gates, batch["in_view"]) + known_mean(boards, board_known)
 
     def _facet_loss(self, read: Tensor, gates: Tensor, batch: dict[str, Tensor]) -> Tensor:
         legible = batch["legible"] & torch.cat([batch["in_view"], batch["legible"][:, SLOTS:]], dim=1)
@@ -144,12 +144,12 @@ class Lesson(nn.Module):
             loss = F.cross_entropy(logits[..., span].flatten(0, 1), target.flatten(), reduction="none")
             # An average over all samples that could have had it: rare things count as often as they occur.
             share = 1.0 if group in ("concept", *GATE_GROUPS) else 0.3
-            losses.append(share * _mean(loss.view_as(target), there))
+            losses.append(share * known_mean(loss.view_as(target), there))
         return torch.stack(losses).sum()
 
     def _action_loss(self, raw: Tensor, batch: dict[str, Tensor]) -> Tensor:
         target, taught = action_targets(batch)
-        return _mean(action_loss(self.network, raw, target).mean(dim=(-1, -2)), taught)
+        return known_mean(action_loss(self.network, raw, target).mean(dim=(-1, -2)), taught)
 
 
 def text_loss(network: SmallVLA, batch: dict[str, Tensor], query: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -167,7 +167,7 @@ def text_loss(network: SmallVLA, batch: dict[str, Tensor], query: Tensor | None 
     concepts = GROUPS["concept"]
     among_all = query @ network.prototypes[concepts].float().T * network.scale
     meant = (named - concepts.start).clamp(0)
-    naming = _mean(F.cross_entropy(among_all, meant, reduction="none"), named >= 0)
+    naming = known_mean(F.cross_entropy(among_all, meant, reduction="none"), named >= 0)
     choice = F.cross_entropy(logits, asked)
     if "text_open" in batch:
         evenly = -logits.log_softmax(-1).mean(-1)
@@ -268,10 +268,7 @@ def _trimmed(tokens: Tensor) -> Tensor:
     return tokens[:, :longest]
 
 
-def _mean(values: Tensor, known: Tensor) -> Tensor:
+def known_mean(values: Tensor, known: Tensor) -> Tensor:
     """Mean of the values that are known; 0 where none is."""
     weight = known.float()
     return (values * weight).sum() / weight.sum().clamp(min=1)
-
-
-__all__ = ["NONE_IN_VIEW", "Lesson", "LossWeights", "action_loss", "action_targets", "to_tensors", "true_slots"]

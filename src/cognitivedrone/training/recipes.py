@@ -111,7 +111,6 @@ answers by. `reader`: what it reads panels with, from a policy's sight."""
 
 def find_recipe(name: str) -> Recipe:
     """The recipe of that name; raises `TrainingError` with near names."""
-    known = ALL_RECIPES
-    if name not in known:
-        raise TrainingError(f"unknown recipe {name!r}; {did_you_mean(name, known)}")
-    return known[name]
+    if name not in ALL_RECIPES:
+        raise TrainingError(f"unknown recipe {name!r}; {did_you_mean(name, ALL_RECIPES)}")
+    return ALL_RECIPES[name]
