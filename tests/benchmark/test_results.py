@@ -66,8 +66,8 @@ OPEN = ("versions.", "scores.", "scores.*.categories.", "scores.*.families.")
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d.pop("suite"), "lacks 'suite'"),
-        (lambda d: d.pop("renderer"), "lacks 'renderer'"),
+        (lambda d: d.pop("suite"), "suite is missing"),
+        (lambda d: d.pop("renderer"), "renderer is missing"),
         (lambda d: d.update(extra=1), "has 'extra', which this version does not know"),
         (lambda d: d.update(schema="cognitivedrone.results/9"), "not a results file of this version"),
         (lambda d: d["options"].update(seed="0"), r"options.seed must be a whole number, not '0'"),

@@ -1,7 +1,7 @@
-"""Dataclasses to JSON and back, checked field by field.
+"""Dataclasses to JSON and back, through cattrs; reading checks every field.
 
-`decode` takes its schema from the type hints, so a wrong file is refused with the place of the first wrong value.
-Numbers that are not finite are written as null, and null is read as NaN where a float is asked for. A field with the
+`decode` takes its schema from the type hints, so a wrong file is refused with the path of the first wrong value.
+Numbers that are not finite are written as null, and null is read as NaN where a float is expected. A field with the
 metadata `{"json": "where set"}` is left out where it has its default.
 """
 
@@ -10,11 +10,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import types
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
+import cattrs
 import numpy as np
+from cattrs.gen import make_dict_structure_fn, make_dict_unstructure_fn, override
+from numpy.typing import NDArray
 
 from cognitivedrone.errors import RunError
 
@@ -23,22 +25,7 @@ T = TypeVar("T")
 
 def encode(value: Any) -> Any:
     """Plain JSON values for dataclasses, mappings, sequences, numbers and arrays; arrays are rounded to 3 decimals."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        members = ((field, getattr(value, field.name)) for field in dataclasses.fields(value))
-        return {field.name: encode(member) for field, member in members if not _left_out(field, member)}
-    if isinstance(value, np.ndarray):
-        return np.round(value.astype(np.float64), 3).tolist()
-    if isinstance(value, Mapping):
-        return {str(key): encode(item) for key, item in value.items()}
-    if isinstance(value, (tuple, list)):
-        return [encode(item) for item in value]
-    if isinstance(value, (bool, str)) or value is None:
-        return value
-    if isinstance(value, (int, np.integer)):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    raise TypeError(f"{type(value).__name__} has no JSON form")
+    return _CONVERTER.unstructure(value)
 
 
 def dumps(value: Any, *, indent: int | None = None) -> str:
@@ -47,87 +34,146 @@ def dumps(value: Any, *, indent: int | None = None) -> str:
     return json.dumps(encode(value), ensure_ascii=False, allow_nan=False, indent=indent, separators=separators)
 
 
-def _left_out(field: dataclasses.Field[Any], member: Any) -> bool:
-    return field.metadata.get("json") == "where set" and bool(member == field.default)
-
-
 def decode(kind: type[T], value: Any, where: str) -> T:
     """`value` as a `kind`: a dataclass, or anything that its hints may hold. Raises `RunError` naming the place."""
-    decoded: T = _decode(kind, value, where)
-    return decoded
+    try:
+        return _CONVERTER.structure(value, kind)
+    except (cattrs.BaseValidationError, cattrs.ForbiddenExtraKeysError, _Unfit) as error:
+        problem, _, path = cattrs.transform_error(error, "", _problem)[0].rpartition(" @ ")
+        raise RunError(f"{where}{path} {problem}") from None
 
 
-def _decode(kind: Any, value: Any, where: str) -> Any:
-    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-        return _decode_dataclass(kind, value, where)
-    origin, arguments = get_origin(kind), get_args(kind)
-    if origin in (Union, types.UnionType):
-        if value is None and type(None) in arguments:
-            return None
-        (kind,) = (argument for argument in arguments if argument is not type(None))
-        return _decode(kind, value, where)
-    if origin is Literal:
-        if value not in arguments:
-            raise RunError(f"{where} is {value!r}; it must be one of {', '.join(map(repr, arguments))}")
-        return value
-    if origin is tuple:
-        return _decode_tuple(arguments, value, where)
-    if origin is np.ndarray:
-        return _decode_points(value, where)
-    if isinstance(origin, type) and issubclass(origin, Mapping):
-        if not isinstance(value, dict):
-            raise _wrong(where, "an object", value)
-        return {key: _decode(arguments[1], item, f"{where}.{key}") for key, item in value.items()}
-    return _decode_scalar(kind, value, where)
+class _Unfit(ValueError):
+    """A value that its hint does not allow; the message completes "<place> ..."."""
 
 
-def _decode_scalar(kind: Any, value: Any, where: str) -> Any:
-    if kind is float:
-        if value is None:
-            return math.nan
-        if isinstance(value, (int, float)) and not isinstance(value, bool):
-            return float(value)
-        raise _wrong(where, "a number", value)
-    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
-        raise _wrong(where, {"int": "a whole number", "str": "text", "bool": "true or false"}[kind.__name__], value)
+def _problem(error: BaseException, _kind: type | None) -> str:
+    """One failed field in words; the place stands before them."""
+    if isinstance(error, cattrs.ForbiddenExtraKeysError):
+        known = ", ".join(field.name for field in dataclasses.fields(error.cl))
+        return f"has {min(error.extra_fields)!r}, which this version does not know; known: {known}"
+    if isinstance(error, KeyError):
+        return "is missing"
+    return str(error)
+
+
+def _must_be(wanted: str, value: Any) -> _Unfit:
+    found = repr(value)
+    return _Unfit(f"must be {wanted}, not {found if len(found) <= 60 else found[:57] + '...'}")
+
+
+def _read_int(value: Any, _: Any) -> int:
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise _must_be("a whole number", value)
     return value
 
 
-def _decode_dataclass(kind: type[Any], value: Any, where: str) -> Any:
-    if not isinstance(value, dict):
-        raise _wrong(where, "an object", value)
-    hints = get_type_hints(kind)
-    fields = {field.name: field for field in dataclasses.fields(kind)}
-    for name, field in fields.items():
-        if name not in value and field.default is dataclasses.MISSING:
-            raise RunError(f"{where} lacks {name!r}")
-    unknown = sorted(value.keys() - fields.keys())
-    if unknown:
-        raise RunError(f"{where} has {unknown[0]!r}, which this version does not know; known: {', '.join(fields)}")
-    return kind(**{name: _decode(hints[name], item, f"{where}.{name}") for name, item in value.items()})
+def _read_float(value: Any, _: Any) -> float:
+    if value is None:
+        return math.nan
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        raise _must_be("a number", value)
+    return float(value)
 
 
-def _decode_tuple(kinds: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
-    if not isinstance(value, list):
-        raise _wrong(where, "a list", value)
-    if len(kinds) == 2 and kinds[1] is Ellipsis:
-        kinds = (kinds[0],) * len(value)
-    if len(value) != len(kinds):
-        raise RunError(f"{where} has {len(value)} items; it must have {len(kinds)}")
-    return tuple(
-        _decode(kind, item, f"{where}[{index}]") for index, (kind, item) in enumerate(zip(kinds, value, strict=True))
-    )
+def _read_str(value: Any, _: Any) -> str:
+    if not isinstance(value, str):
+        raise _must_be("text", value)
+    return value
 
 
-def _decode_points(value: Any, where: str) -> Any:
+def _read_bool(value: Any, _: Any) -> bool:
+    if not isinstance(value, bool):
+        raise _must_be("true or false", value)
+    return value
+
+
+def _read_literal(value: Any, hint: Any) -> Any:
+    if value not in get_args(hint):
+        raise _Unfit(f"is {value!r}; it must be one of {', '.join(map(repr, get_args(hint)))}")
+    return value
+
+
+def _read_points(value: Any, _: Any) -> NDArray[np.float32]:
     """(n, 3) float32."""
-    points = value if isinstance(value, Sequence) and not isinstance(value, str) else None
     try:
-        return np.array(points, dtype=np.float32).reshape(-1, 3)
+        if isinstance(value, Sequence) and not isinstance(value, str):
+            return np.array(value, dtype=np.float32).reshape(-1, 3)
     except (TypeError, ValueError):
-        raise _wrong(where, "a list of [x, y, z]", value) from None
+        pass
+    raise _must_be("a list of [x, y, z]", value)
 
 
-def _wrong(where: str, wanted: str, value: Any) -> RunError:
-    got = repr(value)
-    return RunError(f"{where} must be {wanted}, not {got if len(got) <= 60 else got[:57] + '...'}")
+def _read_tuple(value: Any, hint: Any) -> tuple[Any, ...]:
+    """Tuples hold one kind of value, any number of them or as many as the hint lists."""
+    kinds = get_args(hint)
+    if not isinstance(value, list):
+        raise _must_be("a list", value)
+    if kinds[-1] is not Ellipsis and len(value) != len(kinds):
+        raise _Unfit(f"has {len(value)} items; it must have {len(kinds)}")
+    return tuple(_CONVERTER.structure(value, list[kinds[0]]))  # type: ignore[valid-type]
+
+
+def _read_mapping(value: Any, hint: Any) -> dict[Any, Any]:
+    if not isinstance(value, dict):
+        raise _must_be("an object", value)
+    key, item = get_args(hint)
+    return _CONVERTER.structure(value, dict[key, item])  # type: ignore[valid-type]
+
+
+def _dataclass_reader(kind: type[Any], converter: cattrs.Converter) -> Callable[[Any, Any], Any]:
+    read = make_dict_structure_fn(kind, converter, _cattrs_forbid_extra_keys=True)
+
+    def read_object(value: Any, hint: Any) -> Any:
+        if not isinstance(value, dict):
+            raise _must_be("an object", value)
+        return read(value, hint)
+
+    return read_object
+
+
+def _dataclass_writer(kind: type[Any], converter: cattrs.Converter) -> Callable[[Any], Any]:
+    fields = dataclasses.fields(kind)
+    optional: dict[str, Any] = {
+        field.name: override(omit_if_default=True) for field in fields if field.metadata.get("json") == "where set"
+    }
+    return make_dict_unstructure_fn(kind, converter, **optional)
+
+
+def _write_float(value: float) -> float | None:
+    # A whole number in a float's field stays one, so that a file is the same however its value was computed.
+    return value if isinstance(value, int) else float(value) if math.isfinite(value) else None
+
+
+def _is_array(hint: Any) -> bool:
+    """Whether a hint is an `NDArray[...]`, an alias that NumPy 2.5 defines in another way than those before."""
+    return np.ndarray in (hint, get_origin(hint)) or (get_origin(hint) or hint) is NDArray
+
+
+def _origin_is(origin: Any) -> Callable[[Any], bool]:
+    return lambda hint: get_origin(hint) is origin
+
+
+def _is_dataclass(hint: Any) -> bool:
+    return isinstance(hint, type) and dataclasses.is_dataclass(hint)
+
+
+def _make_converter() -> cattrs.Converter:
+    converter = cattrs.Converter(unstruct_collection_overrides={tuple: list})
+    for kind, read in ((int, _read_int), (float, _read_float), (str, _read_str), (bool, _read_bool)):
+        converter.register_structure_hook(kind, read)
+    converter.register_structure_hook_func(_origin_is(Literal), _read_literal)
+    converter.register_structure_hook_func(_origin_is(tuple), _read_tuple)
+    converter.register_structure_hook_func(_origin_is(Mapping), _read_mapping)
+    converter.register_structure_hook_func(_is_array, _read_points)
+    converter.register_structure_hook_factory(_is_dataclass, _dataclass_reader)
+    converter.register_unstructure_hook_factory(_is_dataclass, _dataclass_writer)
+    converter.register_unstructure_hook(bool, bool)
+    converter.register_unstructure_hook(np.integer, int)
+    for real in (float, np.floating):
+        converter.register_unstructure_hook(real, _write_float)
+    converter.register_unstructure_hook_func(_is_array, lambda points: np.round(points.astype(np.float64), 3).tolist())
+    return converter
+
+
+_CONVERTER = _make_converter()
