@@ -1,18 +1,47 @@
 """Names to objects: a family of plug-ins is one literal dict from a name to "module:attribute".
 
-A name of the family may carry an argument, as in "small:runs/a/model.onnx", where what it names takes a text.
+Every plug-in, of the package or the user's own, is written in one syntax:
+
+    NAME                                small
+    NAME:VALUE                          small:runs/a/model.onnx
+    NAME:VALUE,option=value,...         openvla:checkpoints/7b,decoder=parallel
+    MODULE:ATTRIBUTE                    my_policy:MyPolicy
+    MODULE:ATTRIBUTE:VALUE,option=...   my_policy:MyPolicy:weights.pt,device=cpu
+
+Values go to the parameters of the class or function by position, options by name, each converted to the type of its
+annotation, or of its default. A switch (a bool) may be written as its name alone. A part that holds a comma is put in
+double quotes.
 """
 
 from __future__ import annotations
 
+import csv
 import difflib
 import importlib
 import inspect
+import traceback
+import types
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from cognitivedrone.errors import PolicyError, did_you_mean
+
+_SWITCH = {"yes": True, "true": True, "on": True, "1": True, "no": False, "false": False, "off": False, "0": False}
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """What makes a plug-in, and with which arguments."""
+
+    factory: Callable[..., Any]
+    arguments: Mapping[str, Any]
+    """By the parameters' names."""
+
+    def __call__(self) -> Any:
+        """The object."""
+        return self.factory(**self.arguments)
 
 
 def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
@@ -34,57 +63,169 @@ def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
         raise PolicyError(f"{kind} {name!r}: no module {error.name!r}; {hint}") from None
     except AttributeError:
         raise PolicyError(f"{kind} {name!r}: module {module_name!r} has no {attribute!r}") from None
+    except (Exception, SystemExit) as error:
+        raise PolicyError(f"{kind} {name!r}: module {module_name!r} cannot be imported: {_told(error)}") from error
     if not callable(factory):
         raise PolicyError(f"{kind} {name!r}: {attribute!r} is not a class or function that makes a {kind}")
     result: Callable[..., Any] = factory
     return result
 
 
-def make(kind: str, name: str, table: Mapping[str, str], methods: tuple[str, ...]) -> Any:
-    """A new object of the plug-in `name`: a key of `table`, such a key with ":argument", or "module:attribute".
+def call_of(kind: str, text: str, table: Mapping[str, str]) -> Call:
+    """What `text`, in the syntax above, asks for. Raises `PolicyError` for names and arguments that do not fit."""
+    head, colon, rest = text.partition(":")
+    name = head
+    if head not in table:
+        attribute, colon, rest = rest.partition(":")
+        name = f"{head}:{attribute}" if attribute else text
+    factory = load(kind, name, table)
+    if colon and not rest:
+        raise PolicyError(f"{kind} {text!r} ends at its colon; write {name!r}, or {usage(name, factory)}")
+    return Call(factory, _bind(kind, name, factory, rest))
+
+
+def make(kind: str, text: str, table: Mapping[str, str], methods: tuple[str, ...]) -> Any:
+    """A new object of the plug-in that `text` names.
 
     Raises `PolicyError` where it cannot be made, or lacks one of the interface's methods.
     """
-    key, colon, argument = name.partition(":")
-    if colon and key in table:
-        made = _made_with(kind, key, argument, table)
-    else:
-        try:
-            made = load(kind, name, table)()
-        except TypeError as error:
-            raise PolicyError(f"{kind} {name!r} cannot be made without arguments: {error}") from None
+    call = call_of(kind, text, table)
+    own = text.partition(":")[0] not in table
+    try:
+        made = call()
+    except (Exception, SystemExit) as error:
+        if not own:
+            raise
+        raise PolicyError(f"{kind} {text!r} cannot be made: {_told(error)}") from error
     missing = [method for method in methods if not callable(getattr(made, method, None))]
     if missing:
-        raise PolicyError(f"{kind} {name!r} has no method {missing[0]}(); see cognitivedrone.interfaces")
+        raise PolicyError(f"{kind} {text!r} has no method {missing[0]}(); see cognitivedrone.interfaces")
     return made
 
 
-def file_of(kind: str, name: str, table: Mapping[str, str]) -> Path | None:
-    """The file that a plug-in of the package by this name depends on; none where it depends on none.
+def file_of(kind: str, text: str, table: Mapping[str, str]) -> Path | None:
+    """The file that the plug-in depends on, by its own `file_of`, which takes its arguments; none where it has none.
 
-    Asks the plug-in's own `file_of(argument)`. Raises `PolicyError` where the file is missing.
+    Raises `PolicyError` where the file is missing.
     """
-    key, colon, argument = name.partition(":")
-    if key not in table or (colon and not argument):
-        return None
-    ask = getattr(load(kind, key, table), "file_of", None)
-    found: Path | None = ask(argument or None) if ask else None
+    call = call_of(kind, text, table)
+    ask = getattr(call.factory, "file_of", None)
+    found: Path | None = ask(**call.arguments) if ask else None
     return found
 
 
-def _made_with(kind: str, key: str, argument: str, table: Mapping[str, str]) -> Any:
-    """A new object of the family's plug-in `key`, told `argument`."""
-    factory = load(kind, key, table)
-    if not _takes_text(factory):
-        raise PolicyError(f"{kind} {key!r} takes no argument, {argument!r} was given; write {key!r} alone")
-    if not argument:
-        raise PolicyError(f"{kind} '{key}:' ends at its colon; write {key!r}, or {key}: and its argument")
-    return factory(argument)
+def usage(name: str, factory: Callable[..., Any]) -> str:
+    """How a plug-in and its arguments are written, such as "replay:PATH" or "vlm[:URL][,timeout=NUMBER]"."""
+    hints = _hints(factory)
+    text = ""
+    for parameter in _parameters(factory).values():
+        hint = _hint(parameter, hints)
+        by_position = parameter.kind is not parameter.KEYWORD_ONLY
+        value = "yes|no" if hint is bool else "|".join(map(str, _choices(hint))) or _PLACEHOLDERS.get(hint, "TEXT")
+        if by_position and not _choices(hint):
+            value = parameter.name.upper()
+        part = ("," if text else ":") + (value if by_position else f"{parameter.name}={value}")
+        text += part if parameter.default is parameter.empty else f"[{part}]"
+    return name + text
 
 
-def _takes_text(factory: Callable[..., Any]) -> bool:
-    """Whether the first parameter of a factory may be a text, by its annotation."""
-    first = next(iter(inspect.signature(factory).parameters), None)
-    hints = get_type_hints(factory.__init__ if inspect.isclass(factory) else factory)
-    hint = hints.get(first) if first else None
-    return str in (hint, *get_args(hint))
+_PLACEHOLDERS: dict[Any, str] = {int: "NUMBER", float: "NUMBER", Path: "PATH"}
+
+
+def _bind(kind: str, name: str, factory: Callable[..., Any], text: str) -> dict[str, Any]:
+    """Arguments for `factory`, by name, from "VALUE,option=value,..."."""
+    what = f"{kind} {name!r}"
+    parameters, hints = _parameters(factory), _hints(factory)
+    if text and not parameters:
+        raise PolicyError(f"{what} takes no argument, {text!r} was given; write {name!r} alone")
+    positional = [parameter for parameter in parameters.values() if parameter.kind is not parameter.KEYWORD_ONLY]
+    given: dict[str, Any] = {}
+    for part in _parts(text):
+        option, equals, value = (piece.strip() for piece in part.partition("="))
+        switch = part in parameters and _hint(parameters[part], hints) is bool
+        if switch:
+            option, value = part, "yes"
+        elif not (equals and option.isidentifier()):
+            free = [parameter.name for parameter in positional if parameter.name not in given]
+            if not part or not free:
+                raise PolicyError(f"{what}: cannot place {part!r} of {text!r}; write {usage(name, factory)}")
+            option, value = free[0], part
+        if option not in parameters:
+            known = did_you_mean(option, parameters)
+            raise PolicyError(f"{what} has no option {option!r}; {known} It is written {usage(name, factory)}")
+        if option in given:
+            raise PolicyError(f"{what}: {option} is given twice in {text!r}; keep one")
+        given[option] = _converted(f"{what}: {option}", value, _hint(parameters[option], hints))
+    for parameter in parameters.values():
+        if parameter.default is parameter.empty and parameter.name not in given:
+            raise PolicyError(f"{what} needs {parameter.name}; write {usage(name, factory)}")
+    return given
+
+
+def _parts(text: str) -> list[str]:
+    if not text:
+        return []
+    (row,) = csv.reader([text], skipinitialspace=True)
+    return [part.strip() for part in row]
+
+
+def _parameters(factory: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """Those that can be given by name, and written as text."""
+    try:
+        parameters = inspect.signature(factory).parameters
+    except (TypeError, ValueError):  # some classes written in C
+        return {}
+    named = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    hints = _hints(factory)
+    return {
+        name: parameter
+        for name, parameter in parameters.items()
+        if parameter.kind in named
+        and ((hint := _hint(parameter, hints)) in (None, str, int, float, bool, Path) or _choices(hint))
+    }
+
+
+def _hints(factory: Callable[..., Any]) -> dict[str, Any]:
+    try:
+        return get_type_hints(factory.__init__ if inspect.isclass(factory) else factory)
+    except Exception:  # a user's annotation that cannot be evaluated is none
+        return {}
+
+
+def _hint(parameter: inspect.Parameter, hints: Mapping[str, Any]) -> Any:
+    """What a parameter takes: its annotation without None, or the type of its default."""
+    hint = hints.get(parameter.name)
+    if get_origin(hint) in (Union, types.UnionType):
+        (hint, *_) = [each for each in get_args(hint) if each is not type(None)]
+    if hint is None and isinstance(parameter.default, (bool, int, float)):
+        return type(parameter.default)
+    return hint
+
+
+def _choices(hint: Any) -> tuple[Any, ...]:
+    return get_args(hint) if get_origin(hint) is Literal else ()
+
+
+def _converted(what: str, text: str, hint: Any) -> Any:
+    """A written value as its type. Raises `PolicyError`."""
+    choices = {str(choice): choice for choice in _choices(hint)} or (_SWITCH if hint is bool else {})
+    if choices:
+        if text not in choices:
+            raise PolicyError(f"{what} is {text!r}; it is {'yes or no' if hint is bool else ' or '.join(choices)}")
+        return choices[text]
+    if not text:
+        raise PolicyError(f"{what} has no value")
+    if hint in (int, float):
+        try:
+            return hint(text)
+        except ValueError:
+            wanted = "a whole number" if hint is int else "a number"
+            raise PolicyError(f"{what} is {text!r}; it is {wanted}") from None
+    return Path(text).expanduser() if hint is Path else text
+
+
+def _told(error: BaseException) -> str:
+    """An error of a user's own code in one line, with the place where it arose."""
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
+    return " ".join(f"{type(error).__name__}: {error}".split()) + place

@@ -11,7 +11,8 @@ import pytest
 from cognitivedrone.errors import MissingExtra, NonFiniteAction, PolicyError
 from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.plugins import make
-from cognitivedrone.policies.openvla import OpenVla, Options, read_options
+from cognitivedrone.policies import make_policy
+from cognitivedrone.policies.openvla import OpenVla
 from cognitivedrone.types import Observation
 
 torch = pytest.importorskip("torch")
@@ -48,7 +49,7 @@ def test_it_answers_with_commands_within_its_statistics(folder, decoder, length)
 
 
 def test_the_observations_own_instruction_counts(folder):
-    policy = OpenVla(f"{folder},decoder=parallel,device=cpu")
+    policy = make_policy(f"openvla:{folder},decoder=parallel,device=cpu")
     policy.reset(INSTRUCTION)
     one, other = policy.act(seen()), policy.act(seen(instruction="Fly home"))
     assert not np.array_equal(one, other)
@@ -57,12 +58,12 @@ def test_the_observations_own_instruction_counts(folder):
 
 
 def test_capitals_are_not_seen(folder):
-    policy = OpenVla(f"{folder},decoder=parallel,device=cpu")
+    policy = make_policy(f"openvla:{folder},decoder=parallel,device=cpu")
     assert np.array_equal(policy.act(seen()), policy.act(seen(instruction=INSTRUCTION.upper())))
 
 
 def test_bad_observations_are_refused(folder):
-    policy = OpenVla(f"{folder},device=cpu")
+    policy = make_policy(f"openvla:{folder},device=cpu")
     with pytest.raises(PolicyError, match="the instruction is empty"):
         policy.reset(" ")
     small = Observation(np.zeros((10, 10, 3), np.uint8), INSTRUCTION, np.zeros(3), 0.8, 0.0, 0.0)
@@ -82,31 +83,24 @@ def test_an_answer_that_is_not_finite_is_not_flown(tmp_path):
         broken.action_head.leave.bias.fill_(float("nan"))
     save(broken, tmp_path, {"drone": STATISTICS}, tmp_path)
     with pytest.raises(NonFiniteAction, match="nan"):
-        OpenVla(f"{tmp_path},decoder=parallel,device=cpu").act(seen())
-
-
-def test_the_argument_is_read():
-    assert read_options("models/a") == Options(Path("models/a"))
-    assert read_options("a, decoder=parallel,quant=int4,device=cpu,unnorm_key=x") == Options(
-        Path("a"), "parallel", "int4", "cpu", "x"
-    )
+        make_policy(f"openvla:{tmp_path},decoder=parallel,device=cpu").act(seen())
 
 
 @pytest.mark.parametrize(
     ("argument", "says"),
     [
-        (None, "needs a checkpoint's folder first"),
-        ("decoder=ar", "needs a checkpoint's folder first"),
+        (None, "needs folder; write openvla:FOLDER"),
+        ("decoder=ar", "needs folder; write openvla:FOLDER"),
         ("a,decode=ar", "no option 'decode'; did you mean 'decoder'"),
-        ("a,decoder=beam", "decoder=beam; it is ar or parallel"),
-        ("a,quant=", "quant=; it is none or int8 or int4"),
-        ("a,unnorm_key=", "unnorm_key=; it is a name"),
-        ("a,device=cpu,device=cpu", "'device' is given twice"),
+        ("a,decoder=beam", "decoder is 'beam'; it is ar or parallel"),
+        ("a,quant=", "quant is ''; it is none or int8 or int4"),
+        ("a,unnorm_key=", "unnorm_key has no value"),
+        ("a,device=cpu,device=cpu", "device is given twice"),
     ],
 )
 def test_arguments_that_do_not_do(argument, says):
     with pytest.raises(PolicyError, match=says):
-        OpenVla(argument)
+        make_policy("openvla" if argument is None else f"openvla:{argument}")
 
 
 class TestBeforeAnythingHeavyIsLoaded:
@@ -122,12 +116,12 @@ class TestBeforeAnythingHeavyIsLoaded:
     def test_too_little_memory(self, folder, monkeypatch):
         monkeypatch.setattr(checkpoints, "free_memory", lambda: 1_000_000)
         with pytest.raises(PolicyError, match=r"needs 0\.0 GB of memory, has 0\.0 GB free; .*--policy small"):
-            OpenVla(f"{folder},device=cpu")
+            make_policy(f"openvla:{folder},device=cpu")
 
     @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")
     def test_a_gpu_that_is_not_there(self, folder):
         with pytest.raises(PolicyError, match=r"needs 0\.0 GB of GPU memory, and this machine has no GPU .*device=cpu"):
-            OpenVla(f"{folder},device=cuda")
+            make_policy(f"openvla:{folder},device=cuda")
 
     @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")
     def test_a_large_network_and_nothing_but_the_host(self, folder, monkeypatch):
@@ -136,24 +130,24 @@ class TestBeforeAnythingHeavyIsLoaded:
         with pytest.raises(
             PolicyError, match=r"needs 15\.1 GB of GPU memory, .* 64\.0 GB of its own.*device=cpu, at sec"
         ):
-            OpenVla(str(folder))
+            OpenVla(folder)
         with pytest.raises(AssertionError, match="the weights were loaded"):  # whoever asks for it gets it
-            OpenVla(f"{folder},device=cpu")
+            make_policy(f"openvla:{folder},device=cpu")
 
     def test_too_little_of_the_host_to_quantise(self, folder, monkeypatch):
         monkeypatch.setattr(checkpoints, "free_memory", lambda: 1_000_000)
         with pytest.raises(
             PolicyError, match=r"quant=int8: .* read whole .* 0\.0 GB of the host's memory, has 0\.0 GB"
         ):
-            OpenVla(f"{folder},quant=int8,device=cpu")
+            make_policy(f"openvla:{folder},quant=int8,device=cpu")
 
     def test_four_bits_on_the_host(self, folder):
         with pytest.raises(PolicyError, match="quant=int4 is for GPUs"):
-            OpenVla(f"{folder},quant=int4,device=cpu")
+            make_policy(f"openvla:{folder},quant=int4,device=cpu")
 
     def test_an_unknown_key(self, folder):
         with pytest.raises(PolicyError, match="no statistics 'bridge'"):
-            OpenVla(f"{folder},unnorm_key=bridge,device=cpu")
+            make_policy(f"openvla:{folder},unnorm_key=bridge,device=cpu")
 
     def test_no_head_for_chunks(self, folder, tmp_path):
         copy = Path(shutil.copytree(folder, tmp_path / "plain"))
@@ -161,7 +155,7 @@ class TestBeforeAnythingHeavyIsLoaded:
         told["cognitivedrone"]["chunk"] = None
         (copy / "config.json").write_text(json.dumps(told))
         with pytest.raises(PolicyError, match="no head for decoder=parallel; use decoder=ar"):
-            OpenVla(f"{copy},decoder=parallel,device=cpu")
+            make_policy(f"openvla:{copy},decoder=parallel,device=cpu")
 
     @pytest.mark.parametrize("package", ["torch", "transformers", "tokenizers"])
     def test_a_library_that_is_missing(self, folder, monkeypatch, package):
@@ -174,4 +168,4 @@ class TestBeforeAnythingHeavyIsLoaded:
 
         monkeypatch.setattr(importlib, "import_module", without)
         with pytest.raises(MissingExtra, match=rf"{package} is not installed.*cognitivedrone\[openvla\]"):
-            OpenVla(f"{folder},device=cpu")
+            make_policy(f"openvla:{folder},device=cpu")

@@ -8,7 +8,7 @@ import pytest
 
 from cognitivedrone.errors import PolicyError, ReasonerError
 from cognitivedrone.interfaces import Privileged
-from cognitivedrone.reasoners import replay
+from cognitivedrone.reasoners import make_reasoner, replay
 from cognitivedrone.reasoners.replay import FAULTS, Replay
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import DroneState, Guidance, Stage, Truth
@@ -109,8 +109,8 @@ def test_a_bad_line_is_told_with_file_and_number(tmp_path, line, message):
 
 
 def test_a_file_that_cannot_be_is_told(tmp_path, monkeypatch):
-    with pytest.raises(PolicyError, match="needs a file of answers; write replay:FILE"):
-        Replay()
+    with pytest.raises(PolicyError, match="needs path; write replay:PATH"):
+        make_reasoner("replay")
     with pytest.raises(PolicyError, match=r"there is no file .*missing\.jsonl"):
         Replay(str(tmp_path / "missing.jsonl"))
     with pytest.raises(PolicyError, match="there is no file"):

@@ -16,6 +16,7 @@ from chat_server import GOOD, Script, chat, serving
 from PIL import Image
 
 from cognitivedrone.errors import MissingExtra, PolicyError, ReasonerError
+from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.reasoners.prompt import ANSWER_SCHEMA, load_prompt, write_prompt
 from cognitivedrone.reasoners.vlm import Vlm
 from cognitivedrone.types import Guidance
@@ -44,9 +45,8 @@ def make(url) -> Iterator[Callable[..., Vlm]]:
     made: list[Vlm] = []
 
     def build(more: str = "", where: str = url) -> Vlm:
-        made.append(
-            Vlm(f"{where},model=eye-7b,timeout=5{more}" if "timeout" not in more else f"{where},model=eye-7b{more}")
-        )
+        timeout = "" if "timeout" in more else ",timeout=5"
+        made.append(make_reasoner(f"vlm:{where},model=eye-7b{timeout}{more}"))
         return made[-1]
 
     yield build
@@ -111,7 +111,7 @@ def test_the_key_of_another_service_goes_nowhere_else(script, url, make, monkeyp
     monkeypatch.setenv("OPENAI_API_KEY", KEY)
     make().refine(FRAME, INSTRUCTION)
     monkeypatch.setenv("OPENAI_BASE_URL", url)
-    reasoner = Vlm("model=eye-7b")
+    reasoner = make_reasoner("vlm:model=eye-7b")
     reasoner.refine(FRAME, INSTRUCTION)
     reasoner.close()
     assert script.keys == [None, f"Bearer {KEY}"]
@@ -268,7 +268,7 @@ def test_the_check_passes_a_server_without_a_list(script, make):
 
 
 def test_the_check_names_the_models_that_there_are(url):
-    reasoner = Vlm(f"{url},model=eye-8b")
+    reasoner = make_reasoner(f"vlm:{url},model=eye-8b")
     with pytest.raises(PolicyError, match=r"did you mean 'eye-.b' or 'eye-.b'"):
         reasoner.check()
     reasoner.close()
@@ -302,19 +302,19 @@ def test_the_check_does_not_pass_a_server_in_trouble(script, make):
         ("ftp://host/v1,model=x", "no base URL"),
         ("http://host:port/v1,model=x", "no base URL"),
         ("http://me:secret@host/v1,model=x", "COGNITIVEDRONE_VLM_KEY"),
-        ("http://host/v1,model=x,timeout=0", "timeout=0"),
-        ("http://host/v1,model=x,timeout=nan", "timeout=nan"),
-        ("http://host/v1,model=x,timeout=soon", "timeout=soon"),
+        ("http://host/v1,model=x,timeout=0", "timeout=0 is no"),
+        ("http://host/v1,model=x,timeout=nan", "timeout=nan is no"),
+        ("http://host/v1,model=x,timeout=soon", "timeout is 'soon'; it is a number"),
         ("http://host/v1,modle=x", "did you mean 'model'"),
         ("http://host/v1,model=x,key=y", "no option 'key'"),
-        ("http://host/v1,model=", "model=NAME"),
+        ("http://host/v1,model=", "model has no value"),
         ("http://host/v1,model=x,model=y", "twice"),
         ("http://host/v1,model=x,prompt=/nowhere/p.txt", "/nowhere/p.txt"),
     ],
 )
 def test_arguments_that_do_not_do(argument, said):
     with pytest.raises(PolicyError, match=said):
-        Vlm(argument)
+        make_reasoner("vlm" if argument is None else f"vlm:{argument}")
 
 
 @pytest.mark.parametrize(
@@ -325,7 +325,7 @@ def test_prompt_files_that_do_not_do(tmp_path, content, said):
     file = tmp_path / "p.txt"
     file.write_bytes(content)
     with pytest.raises(PolicyError, match=said):
-        load_prompt(str(file))
+        load_prompt(file)
 
 
 def test_the_prompt_of_the_package_asks_for_what_the_schema_has():
@@ -338,4 +338,4 @@ def test_the_prompt_of_the_package_asks_for_what_the_schema_has():
 def test_missing_httpx_names_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "httpx", None)
     with pytest.raises(MissingExtra, match=r"httpx.*cognitivedrone\[vlm\]"):
-        Vlm("http://host/v1,model=x")
+        make_reasoner("vlm:http://host/v1,model=x")

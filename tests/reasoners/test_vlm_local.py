@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cognitivedrone.errors import MissingExtra, PolicyError, ReasonerError
+from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.reasoners.vlm_local import IMAGE_TOKEN, LocalVlm
 from cognitivedrone.types import Guidance
 
@@ -89,7 +90,7 @@ def folder(request, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def reasoner(folder) -> LocalVlm:
-    return LocalVlm(f"{folder},device=cpu")
+    return make_reasoner(f"vlm-local:{folder},device=cpu")
 
 
 def frame(seed: int) -> np.ndarray:
@@ -144,7 +145,7 @@ def test_words_of_the_user_cannot_end_the_conversation(reasoner):
 def test_a_prompt_file_and_bfloat16(folder, tmp_path):
     prompt = tmp_path / "my.txt"
     prompt.write_text("Where is it? {instruction}")
-    reasoner = LocalVlm(f"{folder},device=cpu,dtype=bfloat16,prompt={prompt}")
+    reasoner = make_reasoner(f"vlm-local:{folder},device=cpu,dtype=bfloat16,prompt={prompt}")
     inputs = reasoner.inputs(frame(0), "Find 9")
     assert "Where is it? Find 9" in reasoner._tokenizer.decode(inputs["input_ids"][0])
     assert inputs["pixel_values"].dtype == torch.bfloat16
@@ -154,40 +155,40 @@ def test_a_prompt_file_and_bfloat16(folder, tmp_path):
 def test_quantisation_names_its_extra(folder, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(MissingExtra, match=r"bitsandbytes.*cognitivedrone\[vlm-local\]"):
-        LocalVlm(f"{folder},bits=4,device=cpu")
+        make_reasoner(f"vlm-local:{folder},bits=4,device=cpu")
 
 
 def test_missing_transformers_names_its_extra(folder, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "transformers", None)
     with pytest.raises(MissingExtra, match=r"transformers.*cognitivedrone\[vlm-local\]"):
-        LocalVlm(str(folder))
+        LocalVlm(folder)
 
 
 @pytest.mark.parametrize(
     ("argument", "said"),
     [
-        (None, "needs a model"),
-        ("bits=4", "needs a model"),
-        ("somewhere,bits=3", "bits=3"),
-        ("somewhere,dtype=float16", "dtype=float16"),
+        (None, "needs model; write vlm-local:MODEL"),
+        ("bits=4", "needs model; write vlm-local:MODEL"),
+        ("somewhere,bits=3", "bits is '3'; it is 4 or 8"),
+        ("somewhere,dtype=float16", "dtype is 'float16'"),
         ("somewhere,divice=cuda", "did you mean 'device'"),
         ("somewhere,device=toaster", "toaster"),
     ],
 )
 def test_arguments_that_do_not_do(argument, said):
     with pytest.raises(PolicyError, match=said):
-        LocalVlm(argument)
+        make_reasoner("vlm-local" if argument is None else f"vlm-local:{argument}")
 
 
 def test_a_folder_without_a_model(tmp_path):
     with pytest.raises(PolicyError, match="cannot load"):
-        LocalVlm(f"{tmp_path},device=cpu")
+        make_reasoner(f"vlm-local:{tmp_path},device=cpu")
 
 
 def test_a_model_of_another_kind(tmp_path):
     transformers.BertConfig().save_pretrained(tmp_path)
     with pytest.raises(PolicyError, match=r"'bert'.*qwen2_5_vl"):
-        LocalVlm(f"{tmp_path},device=cpu")
+        make_reasoner(f"vlm-local:{tmp_path},device=cpu")
 
 
 def test_pickled_weights_are_not_read(folder, tmp_path):
@@ -196,4 +197,4 @@ def test_pickled_weights_are_not_read(folder, tmp_path):
             (tmp_path / file.name).write_bytes(file.read_bytes())
     (tmp_path / "pytorch_model.bin").write_bytes(b"\x80\x04.")
     with pytest.raises(PolicyError, match="safetensors"):
-        LocalVlm(f"{tmp_path},device=cpu")
+        make_reasoner(f"vlm-local:{tmp_path},device=cpu")

@@ -1,7 +1,7 @@
 """Policies: image and text in, velocity commands out.
 
 `POLICIES` names those that come with the package; `make_policy` also takes a user's own "module:attribute", and
-"small:PATH" for a model file.
+arguments for either, as `plugins` says.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def model_file(name: str) -> Path | None:
 
 
 def make_policy(name: str) -> Policy:
-    """A new policy by name, "name:argument" or "module:attribute"; raises `PolicyError`."""
+    """A new policy by its name and arguments, in the syntax of `plugins`; raises `PolicyError`."""
     if name.endswith(".onnx") and ":" not in name:
         raise PolicyError(f"policy {name!r} is a model file; write small:{name}")
     policy: Policy = plugins.make("policy", name, POLICIES, ("reset", "act"))

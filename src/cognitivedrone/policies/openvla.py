@@ -5,32 +5,25 @@ from __future__ import annotations
 import importlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from cognitivedrone.errors import MissingExtra, NonFiniteAction, PolicyError, did_you_mean
+from cognitivedrone.errors import MissingExtra, NonFiniteAction, PolicyError
 from cognitivedrone.models.openvla import checkpoint as checkpoints
-from cognitivedrone.models.openvla.checkpoint import Checkpoint, Quantisation
+from cognitivedrone.models.openvla.checkpoint import Checkpoint, DecoderName, Quantisation
 from cognitivedrone.models.openvla.config import IMAGE
 from cognitivedrone.models.openvla.prepare import BEGIN, prompt_ids, read_encoder
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, Observation
 
 if TYPE_CHECKING:
-    from cognitivedrone.models.openvla.decode import Decoder, DecoderName
+    from cognitivedrone.models.openvla.decode import Decoder
 
 _SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 SMALL = 2_000_000_000
 """Bytes up to which a network is flown without a GPU unasked."""
 _USUAL_LENGTHS = (32, 64)
 """Of prompts, in tokens: what a GPU records once for each length, it records before take-off."""
-_VALUES: dict[str, tuple[str, ...]] = {
-    "decoder": ("ar", "parallel"),
-    "quant": get_args(Quantisation),
-    "device": ("cuda", "cpu"),
-    "unnorm_key": (),
-}
-"""What each option may be; empty where it may be anything."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +39,24 @@ class Options:
 
 
 class OpenVla:
-    """Flies an OpenVLA checkpoint: `argument` is the folder's path and options, see `Options`.
+    """Flies the OpenVLA checkpoint in `folder`.
+
+    `device` is a GPU by default where there is one; `unnorm_key` names the action statistics where there are several.
 
     Every decision depends on its observation alone. Raises `PolicyError` for an argument or a checkpoint that does not
     do, or a machine it does not fit on, before the weights are loaded, and `MissingExtra`.
     """
 
-    def __init__(self, argument: str | None = None) -> None:
-        self.options = read_options(argument)
+    def __init__(
+        self,
+        folder: Path | str,
+        *,
+        decoder: DecoderName = "ar",
+        quant: Quantisation = "none",
+        device: Literal["cuda", "cpu"] | None = None,
+        unnorm_key: str | None = None,
+    ) -> None:
+        self.options = Options(Path(folder), decoder, quant, device, unnorm_key)
         self.checkpoint = checkpoints.inspect(self.options.folder, self.options.unnorm_key)
         if self.options.decoder == "parallel" and self.checkpoint.head is None:
             raise PolicyError(
@@ -87,25 +90,6 @@ class OpenVla:
     def _listen(self, text: str) -> None:
         self._ids = prompt_ids(self._encode, text)
         self._text = text
-
-
-def read_options(argument: str | None) -> Options:
-    """The options of "PATH,name=value,..."; raises `PolicyError` where there is no path or an option does not do."""
-    path, *pairs = (part.strip() for part in (argument or "").split(","))
-    if not path or path.partition("=")[0] in _VALUES:
-        raise PolicyError("policy 'openvla' needs a checkpoint's folder first, as in openvla:PATH,decoder=ar")
-    given: dict[str, Any] = {}
-    for pair in pairs:
-        name, _, value = (piece.strip() for piece in pair.partition("="))
-        if name not in _VALUES:
-            raise PolicyError(f"policy 'openvla' has no option {name!r}; {did_you_mean(name, _VALUES)}")
-        if name in given:
-            raise PolicyError(f"policy 'openvla': option {name!r} is given twice")
-        if not value or (_VALUES[name] and value not in _VALUES[name]):
-            choice = " or ".join(_VALUES[name]) or "a name"
-            raise PolicyError(f"policy 'openvla': {name}={value}; it is {choice}")
-        given[name] = value
-    return Options(Path(path).expanduser(), **given)
 
 
 def _decoder(options: Options, checkpoint: Checkpoint) -> Decoder:

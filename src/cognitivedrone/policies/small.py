@@ -31,7 +31,7 @@ class Small:
     warns = True
     """Whether words that the model has never seen are told of."""
 
-    def __init__(self, path: str | None = None) -> None:
+    def __init__(self, path: Path | str | None = None) -> None:
         self.model = SmallModel.load(self.file_of(path))
         self.last: Output | None = None
         """What the network said of the last frame, for viewers: n is 1; none before the first."""
@@ -40,7 +40,7 @@ class Small:
         self._sentences_told = 0
 
     @classmethod
-    def file_of(cls, path: str | None = None) -> Path:
+    def file_of(cls, path: Path | str | None = None) -> Path:
         """The file that a policy made with `path` flies; raises `PolicyError` where there is none."""
         packaged = Path(str(resources.files("cognitivedrone.models") / "weights" / cls.weights))
         if path is None and not packaged.is_file():

@@ -1,7 +1,7 @@
 """Reasoners: image and instruction in, a plain directive out.
 
-`REASONERS` names those that come with the package, some with an argument ("replay:answers.jsonl"); `make_reasoner` also
-takes a user's own "module:attribute".
+`REASONERS` names those that come with the package; `make_reasoner` also takes a user's own "module:attribute", and
+arguments for either, as `plugins` says.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ def reasoner_file(name: str) -> Path | None:
 
     Raises `PolicyError` where the file is missing.
     """
-    return plugins.file_of("reasoner", name, REASONERS)
+    return None if name == NONE else plugins.file_of("reasoner", name, REASONERS)
 
 
 def make_reasoner(name: str) -> Reasoner | None:
-    """A new reasoner by name, "name:argument" or "module:attribute", or none for "none"; raises `PolicyError`."""
+    """A new reasoner by its name and arguments, in the syntax of `plugins`, or none for "none"; raises `PolicyError`."""
     if name == NONE:
         return None
     reasoner: Reasoner = plugins.make("reasoner", name, {**REASONERS, NONE: NONE}, ("refine",))

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from cognitivedrone.errors import PolicyError, did_you_mean
+from cognitivedrone.errors import PolicyError
 from cognitivedrone.tasks import write_directive
 from cognitivedrone.types import CATEGORIES, Guidance, Image, Task, Truth
 
@@ -19,66 +16,37 @@ PUBLISHED_ACCURACY: Final = 153 / 218
 Source: its own published record of answers, which names the right gate's colour in 153 of 218 tasks. One number for
 all three categories.
 """
-EACH: Final = "each"
-
-
-@dataclass(frozen=True, slots=True)
-class Profile:
-    """How often a noisy oracle is right."""
-
-    accuracy: Mapping[str, float]
-    """By category, 0 to 1."""
-    each: bool
-    """Whether every answer is drawn anew, instead of one for all answers of a stage."""
-
-
-def read_profile(argument: str | None) -> Profile:
-    """The profile that an argument describes: comma-separated words, in any order.
-
-    A number holds for all categories, `category=number` for one, and `each` draws every answer anew; categories that
-    nothing is said of have `PUBLISHED_ACCURACY`. Raises `PolicyError` for anything else.
-    """
-    everywhere = PUBLISHED_ACCURACY
-    special: dict[str, float] = {}
-    seen: set[str] = set()
-    for word in argument.split(",") if argument is not None else ():
-        name, equals, number = (part.strip() for part in word.partition("="))
-        if equals:
-            if name not in CATEGORIES:
-                raise PolicyError(f"noisy-oracle: unknown category {name!r}; {did_you_mean(name, CATEGORIES)}")
-            special[name] = _probability(number, argument)
-        elif name != EACH:
-            everywhere = _probability(name, argument)
-        key = name if equals or name == EACH else "the number for all categories"
-        if key in seen:
-            raise PolicyError(f"noisy-oracle: {key} is given twice in {argument!r}; keep one")
-        seen.add(key)
-    return Profile({**dict.fromkeys(CATEGORIES, everywhere), **special}, EACH in seen)
-
-
-def _probability(text: str, argument: str | None) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 <= value <= 1.0:
-        raise PolicyError(
-            f"noisy-oracle: {text!r} in {argument!r} is no accuracy; give a number from 0 to 1, such as 0.8, or one a"
-            " category, such as reasoning=0.6"
-        )
-    return value
 
 
 class NoisyOracle:
     """Gives the gold directive with a given probability, else that of one of the other two gates.
 
-    The draw is made once a stage: who misunderstands keeps misunderstanding. With the word `each` it is made anew at
-    every answer. A gate that stands alone is never mistaken. Of two noisy oracles of one seed, the one that is right
+    The draw is made once a stage: who misunderstands keeps misunderstanding. With `each` it is made anew at every
+    answer. A gate that stands alone is never mistaken. Of two noisy oracles of one seed, the one that is right
     more often is right wherever the other is: a sweep over accuracies compares like with like.
     """
 
-    def __init__(self, argument: str | None = None) -> None:
-        self.profile = read_profile(argument)
+    def __init__(
+        self,
+        accuracy: float = PUBLISHED_ACCURACY,
+        *,
+        each: bool = False,
+        human_recognition: float | None = None,
+        symbol_understanding: float | None = None,
+        reasoning: float | None = None,
+    ) -> None:
+        """Probabilities of being right, 0 to 1: `accuracy`, and in single categories. Raises `PolicyError`."""
+        special = (human_recognition, symbol_understanding, reasoning)
+        self.accuracy: dict[str, float] = {
+            category: accuracy if own is None else own for category, own in zip(CATEGORIES, special, strict=True)
+        }
+        for value in (accuracy, *self.accuracy.values()):
+            if not 0.0 <= value <= 1.0:
+                raise PolicyError(
+                    f"noisy-oracle: {value:g} is no accuracy; give a number from 0 to 1, such as 0.8, or one a"
+                    " category, such as reasoning=0.6"
+                )
+        self.each = each
         self._rng = np.random.default_rng(0)
         self._task: Task | None = None
         self._gate = 0
@@ -90,7 +58,7 @@ class NoisyOracle:
     def brief(self, truth: Truth) -> None:
         """Take the task at hand, and draw whether it is understood."""
         self._task = truth.task
-        if not self.profile.each:
+        if not self.each:
             self._gate = self._draw(truth.task)
 
     def refine(self, image: Image, instruction: str) -> Guidance:
@@ -98,7 +66,7 @@ class NoisyOracle:
         task = self._task
         if task is None:
             raise PolicyError("the noisy-oracle reasoner needs the simulator's truth, which this flight does not have")
-        if self.profile.each:
+        if self.each:
             self._gate = self._draw(task)
         directive = task.directive if self._gate == task.target else write_directive(task.gates[self._gate])
         return Guidance(directive, self._gate, 1.0)
@@ -107,5 +75,5 @@ class NoisyOracle:
         """Index of the gate to name. Takes the same numbers from the generator whatever comes out."""
         luck, other = self._rng.uniform(), int(self._rng.integers(1, 3))
         # Races, the one category without an accuracy, ask for no choice.
-        right = task.only is not None or luck < self.profile.accuracy.get(task.category, 1.0)
+        right = task.only is not None or luck < self.accuracy.get(task.category, 1.0)
         return task.target if right else (task.target + other) % 3

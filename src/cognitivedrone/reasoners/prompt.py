@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from cognitivedrone.errors import PolicyError, ReasonerError, did_you_mean
+from cognitivedrone.errors import PolicyError, ReasonerError
 from cognitivedrone.types import COLORS, SHAPES, SIZES
 
 PLACEHOLDER = "{instruction}"
@@ -33,7 +32,7 @@ ANSWER_SCHEMA: dict[str, Any] = {
 """JSON schema of the answer."""
 
 
-def load_prompt(path: str | None = None) -> str:
+def load_prompt(path: Path | None = None) -> str:
     """The prompt's text: that of the package, or a file of the user's, which must hold `{instruction}`.
 
     Raises `PolicyError` where the file cannot be read, is too long, or lacks the placeholder.
@@ -41,7 +40,7 @@ def load_prompt(path: str | None = None) -> str:
     if path is None:
         return (files("cognitivedrone.reasoners") / "prompts" / "gate.txt").read_text(encoding="utf-8")
     try:
-        with Path(path).open("rb") as file:
+        with path.open("rb") as file:
             content = file.read(MAX_PROMPT_BYTES + 1)
         text = content.decode("utf-8")
     except OSError as error:
@@ -68,25 +67,3 @@ def write_prompt(template: str, instruction: str) -> str:
             "too_long", f"the instruction has {len(line)} characters; shorten it to {MAX_INSTRUCTION} at most"
         )
     return template.replace(PLACEHOLDER, line).strip()
-
-
-def read_options(reasoner: str, argument: str | None, known: Mapping[str, str]) -> tuple[str | None, dict[str, str]]:
-    """An argument "FIRST,name=value,name=value" as its first part, where there is one, and its options.
-
-    `known` says what each option is for. Raises `PolicyError` for an option that is unknown, empty or said twice.
-    """
-    first: str | None = None
-    options: dict[str, str] = {}
-    for index, part in enumerate((argument or "").split(",")):
-        name, equals, value = (piece.strip() for piece in part.partition("="))
-        if index == 0 and (not equals or "/" in name):
-            first = part.strip() or None
-        elif name not in known:
-            raise PolicyError(f"reasoner {reasoner!r} has no option {name!r}; {did_you_mean(name, known)}")
-        elif not value:
-            raise PolicyError(f"reasoner {reasoner!r}: option {name!r} needs a value, {name}={known[name]}")
-        elif name in options:
-            raise PolicyError(f"reasoner {reasoner!r}: option {name!r} is given twice")
-        else:
-            options[name] = value
-    return first, options

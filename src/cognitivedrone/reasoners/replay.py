@@ -84,20 +84,16 @@ class Replay:
     file does not have as `unsure`.
     """
 
-    def __init__(self, argument: str | None = None) -> None:
-        self.path = self.file_of(argument)
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
         self.answers = read_answers(self.path)
         self._task: str | None = None
         self._given = 0
 
     @classmethod
-    def file_of(cls, argument: str | None = None) -> Path:
-        """The file of answers; raises `PolicyError` where none is named."""
-        if argument is None:
-            raise PolicyError(
-                "the replay reasoner needs a file of answers; write replay:FILE, such as replay:reason.jsonl"
-            )
-        return Path(argument)
+    def file_of(cls, path: Path | str) -> Path:
+        """The file of answers, which a run is identified by."""
+        return Path(path)
 
     def brief(self, truth: Truth) -> None:
         """Take the id of the task at hand, and begin with its first answer."""

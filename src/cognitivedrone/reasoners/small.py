@@ -56,7 +56,7 @@ class _Stage:
 class SmallReasoner:
     """The packaged reasoner, or the one in a folder with `eyes.onnx` and `mind.onnx`."""
 
-    def __init__(self, folder: str | None = None) -> None:
+    def __init__(self, folder: Path | str | None = None) -> None:
         """Raises `PolicyError` where a file is missing, or the two do not belong together."""
         place = _place_of(folder)
         self.eyes, self.mind = EyesModel.load(place / EYES_FILE), MindModel.load(place / MIND_FILE)
@@ -68,7 +68,7 @@ class SmallReasoner:
         self._earlier: list[list[tuple[Floats, int]]] = []
 
     @classmethod
-    def file_of(cls, folder: str | None = None) -> Path:
+    def file_of(cls, folder: Path | str | None = None) -> Path:
         """The file of the eyes, which a run is told by; raises `PolicyError` where it is missing."""
         return _place_of(folder) / EYES_FILE
 
@@ -210,10 +210,8 @@ def _by_place(stage: _Stage) -> list[tuple[int, _Gate]]:
     return sorted(stage.gates.items(), key=lambda item: item[1].u)
 
 
-def _place_of(folder: str | None) -> Path:
-    place = (
-        Path(str(resources.files("cognitivedrone.models") / "weights" / "reasoner")) if folder is None else Path(folder)
-    )
+def _place_of(folder: Path | str | None) -> Path:
+    place = Path(folder or str(resources.files("cognitivedrone.models") / "weights" / "reasoner"))
     if not (place / EYES_FILE).is_file() or not (place / MIND_FILE).is_file():
         raise PolicyError(
             f"there is no {EYES_FILE} and {MIND_FILE} in {place}; reinstall cognitivedrone, or train them with"

@@ -13,13 +13,14 @@ import json
 import os
 import time
 import warnings
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 from PIL import Image as PillowImage
 
 from cognitivedrone.errors import MissingExtra, PolicyError, ReasonerError, ReasonerFault, did_you_mean
-from cognitivedrone.reasoners.prompt import ANSWER_SCHEMA, MAX_TOKENS, load_prompt, read_options, write_prompt
+from cognitivedrone.reasoners.prompt import ANSWER_SCHEMA, MAX_TOKENS, load_prompt, write_prompt
 from cognitivedrone.reasoners.reply import quote, read_reply
 from cognitivedrone.types import Guidance, Image
 
@@ -32,7 +33,6 @@ RETRIES = 2
 FIRST_WAIT_S = 0.1
 """Before the first retry; doubled before the next."""
 
-_OPTIONS = {"model": "NAME", "timeout": "SECONDS", "prompt": "FILE"}
 _BUSY = (429, 500, 502, 503, 504)
 _REFUSED_FORMAT = (400, 422)
 
@@ -40,23 +40,30 @@ _REFUSED_FORMAT = (400, 422)
 class Vlm:
     """Image and instruction to a vision-language model's answer.
 
-    `argument` is "URL,model=NAME,timeout=SECONDS,prompt=FILE", each part optional. The environment fills in the rest:
-    COGNITIVEDRONE_VLM_URL, COGNITIVEDRONE_VLM_MODEL and COGNITIVEDRONE_VLM_KEY; where no URL is given by either,
-    OPENAI_BASE_URL with OPENAI_API_KEY. The key comes from the environment alone, so that no result tells it.
+    `url` is the base URL of the server, `timeout` in s, `prompt` a file with a prompt of your own. The environment
+    fills in the rest: COGNITIVEDRONE_VLM_URL, COGNITIVEDRONE_VLM_MODEL and COGNITIVEDRONE_VLM_KEY; where no URL is
+    given by either, OPENAI_BASE_URL with OPENAI_API_KEY. The key comes from the environment alone, so that no result
+    tells it.
 
     Raises `PolicyError` for an argument that does not do, `MissingExtra` where httpx is not installed.
     """
 
-    def __init__(self, argument: str | None = None) -> None:
-        url, options = read_options("vlm", argument, _OPTIONS)
+    def __init__(
+        self,
+        url: str | None = None,
+        *,
+        model: str | None = None,
+        timeout: float = DEFAULT_TIMEOUT_S,
+        prompt: Path | None = None,
+    ) -> None:
         self._url, self._key = _server(url)
-        self._model = options.get("model") or os.environ.get("COGNITIVEDRONE_VLM_MODEL") or ""
+        self._model = model or os.environ.get("COGNITIVEDRONE_VLM_MODEL") or ""
         if not self._model:
             raise PolicyError(
                 "reasoner 'vlm' needs a model's name: 'vlm:URL,model=NAME', or COGNITIVEDRONE_VLM_MODEL set"
             )
-        self._timeout = _seconds(options.get("timeout"))
-        self._template = load_prompt(options.get("prompt"))
+        self._timeout = _checked(timeout)
+        self._template = load_prompt(prompt)
         self._constrain = True
         self._warned: set[ReasonerFault] = set()
         self._httpx = _import_httpx()
@@ -248,16 +255,10 @@ def _server(url: str | None) -> tuple[str, str]:
     return url, key
 
 
-def _seconds(text: str | None) -> float:
-    if text is None:
-        return DEFAULT_TIMEOUT_S
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = 0.0
-    if not 0 < seconds <= 600:
-        raise PolicyError(f"reasoner 'vlm': timeout={text} is no number of seconds from 0 to 600")
-    return seconds
+def _checked(timeout: float) -> float:
+    if not 0 < timeout <= 600:
+        raise PolicyError(f"reasoner 'vlm': timeout={timeout:g} is no number of seconds from 0 to 600")
+    return timeout
 
 
 def _model_names(body: bytes) -> list[str]:

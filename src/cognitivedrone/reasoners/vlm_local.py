@@ -9,10 +9,10 @@ from __future__ import annotations
 import importlib
 import importlib.util
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from cognitivedrone.errors import MissingExtra, PolicyError, did_you_mean
-from cognitivedrone.reasoners.prompt import MAX_TOKENS, load_prompt, read_options, write_prompt
+from cognitivedrone.reasoners.prompt import MAX_TOKENS, load_prompt, write_prompt
 from cognitivedrone.reasoners.reply import read_reply
 from cognitivedrone.types import Guidance, Image
 
@@ -26,46 +26,42 @@ IMAGE_TOKEN = "<|image_pad|>"  # noqa: S105 - a word of the model's vocabulary
 _OPENING = "<|im_start|>user\n<|vision_start|>"
 _AFTER_IMAGE = "<|vision_end|>"
 _CLOSING = "<|im_end|>\n<|im_start|>assistant\n"
-_OPTIONS = {
-    "bits": "4 or 8",
-    "device": "cuda or cpu",
-    "dtype": "bfloat16 or float32",
-    "prompt": "FILE",
-    "download": "yes or no",
-}
 
 
 class LocalVlm:
     """Image and instruction to the answer of a model in this process.
 
-    `argument` is "PATH_OR_NAME,bits=4|8,device=cuda|cpu,dtype=bfloat16|float32,prompt=FILE,download=yes". Nothing is
-    downloaded unless `download=yes`; weights are read from safetensors, and no code that comes with a model is run.
+    `model` is a folder, or a name on the hub. Nothing is downloaded unless `download` is true; weights are read from
+    safetensors, and no code that comes with a model is run.
 
     Raises `PolicyError` for an argument that does not do or a model that cannot be loaded, `MissingExtra`.
     """
 
-    def __init__(self, argument: str | None = None) -> None:
-        name, options = read_options("vlm-local", argument, _OPTIONS)
-        if name is None:
-            raise PolicyError("reasoner 'vlm-local' needs a model: 'vlm-local:FOLDER' or 'vlm-local:NAME,download=yes'")
-        for option, values in (("bits", ("4", "8")), ("dtype", ("bfloat16", "float32")), ("download", ("yes", "no"))):
-            if options.get(option, values[0]) not in values:
-                raise PolicyError(f"reasoner 'vlm-local': {option}={options[option]}; it is {' or '.join(values)}")
-        self._template = load_prompt(options.get("prompt"))
+    def __init__(
+        self,
+        model: str,
+        *,
+        bits: Literal[4, 8] | None = None,
+        device: str | None = None,
+        dtype: Literal["bfloat16", "float32"] | None = None,
+        prompt: Path | None = None,
+        download: bool = False,
+    ) -> None:
+        self._template = load_prompt(prompt)
         self._torch = _import("torch")
         self._transformers = _import("transformers")
-        device = options.get("device") or ("cuda" if self._torch.cuda.is_available() else "cpu")
-        dtype = options.get("dtype") or ("float32" if device == "cpu" else "bfloat16")
+        device = device or ("cuda" if self._torch.cuda.is_available() else "cpu")
+        dtype = dtype or ("float32" if device == "cpu" else "bfloat16")
         loading = {
-            "local_files_only": options.get("download", "no") == "no",
+            "local_files_only": not download,
             "trust_remote_code": False,
         }
         try:
-            self._load(str(Path(name).expanduser()), loading, self._torch.device(device), dtype, options.get("bits"))
+            self._load(str(Path(model).expanduser()), loading, self._torch.device(device), dtype, bits)
         except (OSError, ValueError, RuntimeError, KeyError) as error:
             line = " ".join(str(error).split())[:300]
             raise PolicyError(
-                f"reasoner 'vlm-local' cannot load {name!r} on {device!r}: {line} (give a folder with config.json, the"
+                f"reasoner 'vlm-local' cannot load {model!r} on {device!r}: {line} (give a folder with config.json, the"
                 " tokenizer's and the image processor's files and *.safetensors; or add download=yes)"
             ) from None
 
@@ -107,7 +103,7 @@ class LocalVlm:
         tokens: list[int] = self._tokenizer(text, add_special_tokens=False, split_special_tokens=not special).input_ids
         return tokens
 
-    def _load(self, name: str, loading: dict[str, Any], device: Any, dtype: str, bits: str | None) -> None:
+    def _load(self, name: str, loading: dict[str, Any], device: Any, dtype: str, bits: int | None) -> None:
         """Set the model, its tokenizer and its image processor."""
         library = self._transformers
         config = library.AutoConfig.from_pretrained(name, **loading)
@@ -133,14 +129,14 @@ class LocalVlm:
         )
 
 
-def _quantised(library: Any, torch: Any, bits: str, device: Any) -> dict[str, Any]:
+def _quantised(library: Any, torch: Any, bits: int, device: Any) -> dict[str, Any]:
     """What loading in 8 or 4 bits takes; raises `MissingExtra`."""
     for package in ("bitsandbytes", "accelerate"):
         if importlib.util.find_spec(package) is None:
             raise MissingExtra(package, "vlm-local")
     config = library.BitsAndBytesConfig(
-        load_in_8bit=bits == "8",
-        load_in_4bit=bits == "4",
+        load_in_8bit=bits == 8,
+        load_in_4bit=bits == 4,
         bnb_4bit_quant_type="nf4",
         bnb_4bit_compute_dtype=torch.bfloat16,
     )

@@ -25,6 +25,7 @@ from cognitivedrone.models.openvla.prepare import ImagePreparation, check_tokeni
 from cognitivedrone.models.openvla.tensors import Shapes, check_tensors, head_tensors, unused_tensors, used_tensors
 
 Quantisation = Literal["none", "int8", "int4"]
+DecoderName = Literal["ar", "parallel"]
 
 CONFIG = "config.json"
 WEIGHTS = "model.safetensors"

@@ -10,7 +10,7 @@ stream of their own with priority: a reasoner that thinks on the same card in an
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Literal, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 import torch
@@ -21,7 +21,6 @@ from cognitivedrone.models.openvla.config import ACTION_SIZE, PADDING, PATCHES, 
 from cognitivedrone.models.openvla.network import OpenVlaNetwork
 from cognitivedrone.types import FloatArray
 
-DecoderName = Literal["ar", "parallel"]
 LENGTHS = (32, 64, 128, 256, 512, 1024)
 """That prompts are padded to, in tokens."""
 FIRST = -1
