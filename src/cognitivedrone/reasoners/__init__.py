@@ -32,7 +32,7 @@ def reasoner_file(name: str) -> Path | None:
 
 
 def make_reasoner(name: str) -> Reasoner | None:
-    """A new reasoner by its name and arguments, in the syntax of `plugins`, or none for "none"; raises `PolicyError`."""
+    """A new reasoner by name and arguments, in the syntax of `plugins`, or none for "none"; raises `PolicyError`."""
     if name == NONE:
         return None
     reasoner: Reasoner = plugins.make("reasoner", name, {**REASONERS, NONE: NONE}, ("refine",))
