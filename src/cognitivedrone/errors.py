@@ -5,7 +5,8 @@ CognitiveDroneError
 ├── LabelError       an unknown label, pack or style, an unreadable image
 ├── RenderError      no OpenGL to render with
 ├── PolicyError      an unknown policy or reasoner, a model that cannot be loaded, or an action that cannot be flown
-│   └── NonFiniteAction
+│   ├── NonFiniteAction
+│   └── PolicyRaised
 ├── ReasonerError    one answer of a reasoner that did not come or cannot be used; the flight goes on
 ├── RunError         a benchmark run that cannot start, go on or be read
 ├── DataError        a data set that cannot be written, read or trusted
@@ -24,10 +25,11 @@ from collections.abc import Iterable
 from typing import Literal
 
 ReasonerFault = Literal[
-    "unreachable", "timeout", "http", "too_long", "garbage", "schema", "refusal", "no_such_gate", "unsure"
+    "unreachable", "timeout", "http", "too_long", "garbage", "schema", "refusal", "no_such_gate", "unsure", "raised"
 ]
 """What was wrong with an answer: no connection, too late, an HTTP error, more text than anybody needs, not JSON and not
-a sentence about a gate, JSON of another shape, a polite refusal, a gate that there is not, "cannot tell"."""
+a sentence about a gate, a value of another shape, a polite refusal, a gate that there is not, "cannot tell", an
+exception of the reasoner's own."""
 
 
 class CognitiveDroneError(Exception):
@@ -54,15 +56,29 @@ class NonFiniteAction(PolicyError):
     """The policy asked for a NaN or an infinite velocity: the flight ends, a run of many goes on."""
 
 
+class PolicyRaised(PolicyError):
+    """A policy or reasoner raised an exception that is not of this package: the flight ends, a run of many goes on."""
+
+    def __init__(self, message: str, trace: str) -> None:
+        super().__init__(message)
+        self.trace = trace
+        """The traceback."""
+
+    def __reduce__(self) -> tuple[type[PolicyRaised], tuple[str, str]]:
+        return PolicyRaised, (str(self), self.trace)
+
+
 class ReasonerError(CognitiveDroneError):
     """One answer of a reasoner that did not come or cannot be used: counted by `kind`, and the flight goes on."""
 
-    def __init__(self, kind: ReasonerFault, message: str) -> None:
+    def __init__(self, kind: ReasonerFault, message: str, trace: str = "") -> None:
         super().__init__(message)
         self.kind: ReasonerFault = kind
+        self.trace = trace
+        """The traceback, where the reasoner raised an exception of its own."""
 
-    def __reduce__(self) -> tuple[type[ReasonerError], tuple[ReasonerFault, str]]:
-        return ReasonerError, (self.kind, str(self))
+    def __reduce__(self) -> tuple[type[ReasonerError], tuple[ReasonerFault, str, str]]:
+        return ReasonerError, (self.kind, str(self), self.trace)
 
 
 class RunError(CognitiveDroneError):

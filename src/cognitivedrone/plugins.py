@@ -64,7 +64,7 @@ def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
     except AttributeError:
         raise PolicyError(f"{kind} {name!r}: module {module_name!r} has no {attribute!r}") from None
     except (Exception, SystemExit) as error:
-        raise PolicyError(f"{kind} {name!r}: module {module_name!r} cannot be imported: {_told(error)}") from error
+        raise PolicyError(f"{kind} {name!r}: module {module_name!r} cannot be imported: {one_line(error)}") from error
     if not callable(factory):
         raise PolicyError(f"{kind} {name!r}: {attribute!r} is not a class or function that makes a {kind}")
     result: Callable[..., Any] = factory
@@ -96,7 +96,7 @@ def make(kind: str, text: str, table: Mapping[str, str], methods: tuple[str, ...
     except (Exception, SystemExit) as error:
         if not own:
             raise
-        raise PolicyError(f"{kind} {text!r} cannot be made: {_told(error)}") from error
+        raise PolicyError(f"{kind} {text!r} cannot be made: {one_line(error)}") from error
     missing = [method for method in methods if not callable(getattr(made, method, None))]
     if missing:
         raise PolicyError(f"{kind} {text!r} has no method {missing[0]}(); see cognitivedrone.interfaces")
@@ -108,6 +108,8 @@ def file_of(kind: str, text: str, table: Mapping[str, str]) -> Path | None:
 
     Raises `PolicyError` where the file is missing.
     """
+    if text not in table and ":" not in text:
+        return None  # whoever makes it says that there is no such name
     call = call_of(kind, text, table)
     ask = getattr(call.factory, "file_of", None)
     found: Path | None = ask(**call.arguments) if ask else None
@@ -224,8 +226,8 @@ def _converted(what: str, text: str, hint: Any) -> Any:
     return Path(text).expanduser() if hint is Path else text
 
 
-def _told(error: BaseException) -> str:
+def one_line(error: BaseException) -> str:
     """An error of a user's own code in one line, with the place where it arose."""
     frames = traceback.extract_tb(error.__traceback__)
-    place = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
-    return " ".join(f"{type(error).__name__}: {error}".split()) + place
+    place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    return " ".join(f"{type(error).__name__}: {error}".split())[:300] + place

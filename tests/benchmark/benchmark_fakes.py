@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import signal
+from dataclasses import replace
 
 import numpy as np
 
 from cognitivedrone.benchmark.run_types import Flown, RunConfig, Trace
 from cognitivedrone.errors import LabelError
+from cognitivedrone.flight.calls import NO_WATCH, Watch, calling
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import EpisodeResult, Outcome, Stage, StageResult, Task
 from cognitivedrone.world import geometry
@@ -22,9 +25,10 @@ class FakeFlyer:
 
     renderer = "imagination"
 
-    def __init__(self, config: RunConfig, suite: Suite) -> None:
+    def __init__(self, config: RunConfig, suite: Suite, watch: Watch = NO_WATCH) -> None:
         self.config = config
         self.suite = suite
+        self.watch = watch
 
     def fly(self, episode: int, *, film: bool) -> Flown:
         digest = hashlib.sha256(f"{self.suite.digest} {self.config.policy}".encode()).digest()
@@ -74,17 +78,64 @@ class BuggyFlyer(FakeFlyer):
         return super().fly(episode, film=film)
 
 
+class HangingFlyer(FakeFlyer):
+    """Its policy never answers in episode 5, and keeps the interpreter to itself."""
+
+    def fly(self, episode: int, *, film: bool) -> Flown:
+        if episode == 5:
+            with calling("the policy", self.watch):
+                re.match(r"(a+)+$", "a" * 60 + "b")
+        return super().fly(episode, film=film)
+
+
+class QuittingFlyer(FakeFlyer):
+    """Its policy ends the process in episode 5, as if all were well."""
+
+    def fly(self, episode: int, *, film: bool) -> Flown:
+        if episode == 5:
+            with calling("the policy", self.watch):
+                os._exit(0)
+        return super().fly(episode, film=film)
+
+
+class CrashingFlyer(FakeFlyer):
+    """Its policy brings the process down in episode 5."""
+
+    def fly(self, episode: int, *, film: bool) -> Flown:
+        if episode == 5:
+            with calling("the policy", self.watch):
+                os.kill(os.getpid(), signal.SIGSEGV)
+        return super().fly(episode, film=film)
+
+
+class LeavingFlyer(FakeFlyer):
+    """Its process ends in episode 5, in good order, and nobody's policy is to blame."""
+
+    def fly(self, episode: int, *, film: bool) -> Flown:
+        if episode == 5:
+            os._exit(0)
+        return super().fly(episode, film=film)
+
+
+class RaisingFlyer(FakeFlyer):
+    """Its reasoner raises in episode 5, and the flight goes on."""
+
+    def fly(self, episode: int, *, film: bool) -> Flown:
+        flown = super().fly(episode, film=film)
+        return replace(flown, error="Traceback of a reasoner") if episode == 5 else flown
+
+
 class UnlabelledFlyer(FakeFlyer):
     """Cannot be made."""
 
-    def __init__(self, config: RunConfig, suite: Suite) -> None:
+    def __init__(self, config: RunConfig, suite: Suite, watch: Watch = NO_WATCH) -> None:
         raise LabelError("label 'zebr' is not in the pack; did you mean 'zebra'?")
 
 
 class StillbornFlyer(FakeFlyer):
     """Takes its process down while it is made."""
 
-    def __init__(self, config: RunConfig, suite: Suite) -> None:
+    def __init__(self, config: RunConfig, suite: Suite, watch: Watch = NO_WATCH) -> None:
         os._exit(3)
 
 

@@ -14,4 +14,4 @@ sys.path.insert(0, str(Path(__file__).parent))
 @pytest.fixture
 def config(tmp_path: Path) -> RunConfig:
     """Twenty quick episodes in this process, without films."""
-    return RunConfig(policy="fake", suite="open-v1:train", episodes=20, workers=1, out=tmp_path / "run", clips=0)
+    return RunConfig(policy="fake", suite="open-v1:train", episodes=20, workers=0, out=tmp_path / "run", clips=0)

@@ -27,7 +27,7 @@ BIG = Gate("big", "round", "red")
 def flown(tmp_path_factory):
     """Results and records of two races that the oracle flew."""
     out = tmp_path_factory.mktemp("race") / "run"
-    config = RunConfig(policy="oracle", suite="open-v1:race", episodes=2, workers=1, out=out, clips=1)
+    config = RunConfig(policy="oracle", suite="open-v1:race", episodes=2, workers=0, out=out, clips=1)
     return run(config, progress=False), read_records(out)
 
 

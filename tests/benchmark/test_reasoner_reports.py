@@ -41,7 +41,7 @@ def flown(answers, tmp_path_factory):
         "colour_seeker",
         f"replay:{answers}",
         "open-v1:smoke",
-        workers=1,
+        workers=0,
         episodes=EPISODES,
         latency="policy=30ms,reasoner=300ms",
         out=out,
@@ -86,7 +86,7 @@ def test_the_file_of_results_holds_it_and_what_it_came_from(flown, answers):
 
 
 def test_results_with_reasoners_are_read_back(flown, tmp_path):
-    config = RunConfig("colour_seeker", "oracle", "open-v1:smoke", workers=1, episodes=2, out=tmp_path / "run", clips=0)
+    config = RunConfig("colour_seeker", "oracle", "open-v1:smoke", workers=0, episodes=2, out=tmp_path / "run", clips=0)
     done = run(config, progress=False)
     assert read_results(tmp_path / "run") == done
     assert done.summary().overall.reasoner.gate == 1.0
@@ -108,7 +108,7 @@ def test_latency_that_cannot_be_read_stops_before_take_off(tmp_path):
 
 def test_a_sweep_flies_each_latency_once_and_plots(tmp_path):
     config = SweepConfig(
-        tmp_path / "sweep", "colour_seeker", "oracle", "open-v1:smoke", ms=(2000, 0), episodes=3, workers=1
+        tmp_path / "sweep", "colour_seeker", "oracle", "open-v1:smoke", ms=(2000, 0), episodes=3, workers=0
     )
     points = sweep(config, progress=False)
     assert [ms for ms, _ in points] == [0, 2000]

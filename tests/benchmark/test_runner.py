@@ -68,7 +68,7 @@ def test_the_seed_changes_the_flights(config, tmp_path):
 
 
 def test_a_killed_run_goes_on_and_ends_as_if_nothing_had_happened(config, tmp_path):
-    killed = in_new_process(config, "benchmark_fakes:DyingFlyer", workers=1)
+    killed = in_new_process(config, "benchmark_fakes:DyingFlyer", workers=0)
     assert killed.returncode == -signal.SIGKILL
     assert sorted(read_records(config.out)) == [0, 1, 2, 3, 4]
     assert not (config.out / "results.json").exists()
@@ -115,6 +115,58 @@ def test_a_worker_that_dies_is_told_with_its_episode_and_the_rest_is_kept(config
     assert run(replace(config, resume=True), progress=False, flyer=FLYER).summary().overall.n == 20
 
 
+@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize(
+    ("flyer", "says", "trace"),
+    [
+        ("HangingFlyer", "took longer than 1 s", "benchmark_fakes.py"),
+        ("QuittingFlyer", "ended with exit code 0 in the middle of a call of policy or reasoner", "exit code 0"),
+        ("CrashingFlyer", "was killed by SIGSEGV in the middle of a call", "Segmentation fault"),
+    ],
+)
+def test_a_worker_that_a_policy_takes_down_costs_one_episode(config, flyer, says, trace, workers):
+    config = replace(config, workers=workers, decision_timeout=1.0)
+    results = run(config, progress=False, flyer=f"benchmark_fakes:{flyer}")
+    (failed,) = (episode for episode in results.episodes if episode.message)
+    assert failed.episode == 5
+    assert [stage.outcome for stage in failed.stages] == ["policy_error"]
+    assert says in failed.message
+    assert [file.name for file in (config.out / "errors").iterdir()] == ["episode-0005.txt"]
+    assert trace in (config.out / "errors" / "episode-0005.txt").read_text()
+    assert results.summary().overall.outcomes["policy_error"] == 1
+    # What the others flew is what they fly without it.
+    whole = run(replace(config, workers=0, out=config.out / "whole"), progress=False, flyer=FLYER)
+    assert [e for e in results.episodes if e.episode != 5] == [e for e in whole.episodes if e.episode != 5]
+
+
+def test_a_worker_that_leaves_on_its_own_never_ends_a_run_well(config):
+    with pytest.raises(RunError, match=r"the worker of episode 5 .* ended with exit code 0; give --resume"):
+        run(replace(config, workers=1), progress=False, flyer="benchmark_fakes:LeavingFlyer")
+    assert not (config.out / "results.json").exists()
+
+
+def test_fail_fast_stops_at_the_first_exception_and_records_nothing_of_its_episode(config):
+    with pytest.raises(RunError, match=r"episode 5: the reasoner raised an exception; its traceback is in .*0005\.txt"):
+        run(replace(config, fail_fast=True), progress=False, flyer="benchmark_fakes:RaisingFlyer")
+    assert sorted(read_records(config.out)) == [0, 1, 2, 3, 4]
+    assert run(replace(config, resume=True), progress=False, flyer=FLYER).summary().overall.n == 20
+
+
+def test_a_pilot_that_cannot_be_made_costs_no_earlier_run(config):
+    run(config, progress=False, flyer=FLYER)
+    before = lasting(config.out)
+    with pytest.raises(CognitiveDroneError, match="zebr"):
+        run(replace(config, overwrite=True), progress=False, flyer="benchmark_fakes:UnlabelledFlyer")
+    assert lasting(config.out) == before
+
+
+def test_overwriting_takes_old_tracebacks_away(config):
+    run(config, progress=False, flyer="benchmark_fakes:RaisingFlyer")
+    assert (config.out / "errors").exists()
+    run(replace(config, overwrite=True), progress=False, flyer=FLYER)
+    assert not (config.out / "errors").exists()
+
+
 def test_a_bug_in_a_worker_is_told_with_its_episode_and_its_traceback_is_kept(config):
     with pytest.raises(RunError, match=r"episode 5 .* failed: ZeroDivisionError: a bug in a policy.*error\.txt"):
         run(replace(config, workers=2), progress=False, flyer="benchmark_fakes:BuggyFlyer")
@@ -122,11 +174,11 @@ def test_a_bug_in_a_worker_is_told_with_its_episode_and_its_traceback_is_kept(co
 
 
 def test_a_worker_that_cannot_start_is_told(config):
-    with pytest.raises(RunError, match="a worker ended with exit code 3 before it was ready; --workers 1"):
+    with pytest.raises(RunError, match="a worker ended with exit code 3 before it was ready; --workers 0"):
         run(replace(config, workers=2), progress=False, flyer="benchmark_fakes:StillbornFlyer")
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [0, 1, 2])
 def test_an_error_of_ours_arrives_as_its_own_sentence(config, workers):
     with pytest.raises(CognitiveDroneError, match=r"^label 'zebr' is not in the pack; did you mean 'zebra'\?$"):
         run(replace(config, workers=workers), progress=False, flyer="benchmark_fakes:UnlabelledFlyer")
@@ -139,7 +191,8 @@ def test_no_more_workers_than_episodes(config):
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"workers": 0}, "--workers is 0"),
+        ({"workers": -1}, "--workers is -1"),
+        ({"decision_timeout": 0}, "--decision-timeout is 0"),
         ({"episodes": 0}, "--episodes is 0|size 0"),
         ({"wind": -0.5}, "--wind is -0.5"),
         ({"wind": float("inf")}, "--wind is inf"),

@@ -28,7 +28,7 @@ def flown(script, out, timeout=2.0, latency="none"):
             "colour_seeker",
             f"vlm:{url},model=eye-7b,timeout={timeout}",
             "open-v1:smoke",
-            workers=1,
+            workers=0,
             episodes=1,
             latency=latency,
             out=out,

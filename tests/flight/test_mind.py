@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 
 import numpy as np
@@ -59,21 +60,59 @@ def test_an_answer_comes_once():
     assert mind.idle(0.3)
 
 
-def test_a_fault_is_an_answer_and_a_mistake_is_not():
+class Mistaken:
+    def refine(self, image, instruction):
+        raise KeyError("oops")
+
+
+def test_faults_are_answers():
     class Faulty:
         def refine(self, image, instruction):
             raise ReasonerError("garbage", "it said <html>")
-
-    class Mistaken:
-        def refine(self, image, instruction):
-            raise KeyError("oops")
 
     mind = SimulatedMind(Faulty())
     mind.ask(question())
     answer = mind.answer(0.0)
     assert (answer.guidance, answer.fault, answer.message) == (None, "garbage", "it said <html>")
-    with pytest.raises(KeyError):
-        SimulatedMind(Mistaken()).ask(question())
+    assert mind.trace == ""
+
+
+def test_an_exception_of_the_reasoners_own_is_a_fault_whose_traceback_is_kept():
+    mind = SimulatedMind(Mistaken())
+    mind.ask(question())
+    answer = mind.answer(0.0)
+    assert (answer.guidance, answer.fault) == (None, "raised")
+    assert re.fullmatch(r"the reasoner raised KeyError: 'oops' \(test_mind.py, line \d+\)", answer.message)
+    assert "in refine" in mind.trace
+
+
+@pytest.mark.parametrize(
+    ("returned", "fault"),
+    [
+        ("Fly through the red gate", "schema"),
+        (None, "schema"),
+        (Guidance(7, None, 1.0), "schema"),
+        (Guidance("Fly through the \ud800 gate", None, 1.0), "garbage"),
+        (Guidance("Fly \x1b[31m", None, 1.0), "garbage"),
+        (Guidance(" ", None, 1.0), "garbage"),
+        (Guidance("Fly " * 400, None, 1.0), "too_long"),
+        (Guidance("Fly through the red gate", 3, 1.0), "no_such_gate"),
+        (Guidance("Fly through the red gate", "1", 1.0), "no_such_gate"),
+        (Guidance("Fly through the red gate", None, float("nan")), "schema"),
+        (Guidance("Fly through the red gate", None, "sure"), "schema"),
+        (Guidance("Fly through the red gate", None, None), "schema"),
+    ],
+)
+def test_what_is_no_answer_is_a_fault(returned, fault):
+    class Returns:
+        def refine(self, image, instruction):
+            return returned
+
+    mind = SimulatedMind(Returns())
+    mind.ask(question())
+    answer = mind.answer(0.0)
+    assert (answer.guidance, answer.fault) == (None, fault)
+    assert answer.message.isprintable()
 
 
 def test_a_thread_thinks_beside_the_loop():
@@ -97,13 +136,8 @@ def test_a_thread_thinks_beside_the_loop():
     mind.close()
 
 
-def test_a_mistake_in_the_thread_reaches_the_loop():
-    class Mistaken:
-        def refine(self, image, instruction):
-            raise KeyError("oops")
-
+def test_an_exception_in_the_thread_is_a_fault_too():
     mind = ThreadMind(Mistaken())
     mind.ask(question())
-    with pytest.raises(KeyError):
-        wait(mind)
+    assert wait(mind).fault == "raised"
     mind.close()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import traceback
 from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,11 +14,12 @@ from cognitivedrone.benchmark.links import autopilot_file, open_link
 from cognitivedrone.benchmark.run_types import Flown, RunConfig
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import SimulatedDrone
-from cognitivedrone.errors import NonFiniteAction, PolicyError, did_you_mean
+from cognitivedrone.errors import PolicyError, PolicyRaised, did_you_mean
+from cognitivedrone.flight.calls import NO_WATCH, Watch, calling
 from cognitivedrone.flight.latency import TimedPolicy, parse_delays
 from cognitivedrone.flight.loop import Leg, fly
 from cognitivedrone.flight.mind import SimulatedMind
-from cognitivedrone.interfaces import Checked, LabelPack, Seeded
+from cognitivedrone.interfaces import Checked, LabelPack, Policy, Reasoner, Seeded
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
@@ -25,17 +29,11 @@ from cognitivedrone.types import EpisodeResult
 
 
 def preflight(config: RunConfig, suite: Suite) -> None:
-    """Find what would stop a run, before anything is written: raises `PolicyError` or `LabelError`."""
+    """Find what would stop a run, before a process is started: raises `PolicyError` or `LabelError`."""
     if config.airframe not in AIRFRAMES:
         raise PolicyError(f"unknown airframe {config.airframe!r}; {did_you_mean(config.airframe, AIRFRAMES)}")
     autopilot_file(config)
     parse_delays(config.latency)
-    for part in (make_policy(config.policy), make_reasoner(config.reasoner)):
-        try:
-            if isinstance(part, Checked):
-                part.check()
-        finally:
-            _close(part)
     if config.tasks is None and config.labels is None:
         return  # the shipped pack draws every shipped suite
     pack = labels_of(config)
@@ -56,15 +54,42 @@ def _close(part: object) -> None:
         close()
 
 
-class EpisodeFlyer:
-    """A simulator, a policy and a reasoner, made once and used for any number of episodes in any order."""
+@dataclass(frozen=True, slots=True)
+class Pilot:
+    """What flies."""
 
-    def __init__(self, config: RunConfig, suite: Suite) -> None:
+    policy: Policy
+    reasoner: Reasoner | None = None
+    lent: bool = False
+    """Whether somebody else closes them."""
+
+
+class EpisodeFlyer:
+    """A simulator, a policy and a reasoner, made once and used for any number of episodes in any order.
+
+    `watch` is told of every call of policy and reasoner. `pilot` gives objects to fly instead of the options' names.
+    Raises `PolicyError` where one cannot be made, or says that it could not fly.
+    """
+
+    def __init__(self, config: RunConfig, suite: Suite, watch: Watch = NO_WATCH, pilot: Pilot | None = None) -> None:
         self.config = config
         self.suite = suite
-        self.policy = make_policy(config.policy)
-        self.reasoner = make_reasoner(config.reasoner)
+        self._watch = watch
         self._undo = ExitStack()
+        try:
+            self._prepare(pilot or Pilot(make_policy(config.policy), make_reasoner(config.reasoner)))
+        except BaseException:
+            self._undo.close()
+            raise
+
+    def _prepare(self, pilot: Pilot) -> None:
+        config = self.config
+        self.policy, self.reasoner = pilot.policy, pilot.reasoner
+        for part in (self.policy, self.reasoner):
+            if not pilot.lent:
+                self._undo.callback(_close, part)
+            if isinstance(part, Checked):
+                part.check()
         self._link = open_link(config, self._undo)
         self.simulator = self._link.simulator
         self.course = Course(self.simulator, 0, labels_of(config), CourseConfig(look=config.look, wind_m_s=config.wind))
@@ -82,32 +107,35 @@ class EpisodeFlyer:
         rng = episode_rng(self.suite.digest, episode, self.config.seed)
         self.course.begin(self.suite.tracks[episode], rng)
         # The reasoner first: what it draws must not depend on the policy that it flies with.
-        for part in (self.reasoner, self.policy):
-            if isinstance(part, Seeded):
-                part.seed(int(rng.integers(2**31)))
+        parts: tuple[Any, ...] = (self.reasoner, self.policy)
+        seeds = [(part, int(rng.integers(2**31))) for part in parts if isinstance(part, Seeded)]
         thinking = np.random.default_rng(int(rng.integers(2**31)))
-        mind = SimulatedMind(self.reasoner, self.delays.reasoner.charge(thinking)) if self.reasoner else None
+        charge = self.delays.reasoner.charge(thinking)
+        mind = SimulatedMind(self.reasoner, charge, self._watch) if self.reasoner else None
         log = FlightLog(self.simulator, self.course, keep_frames=film)
-        timed = TimedPolicy(self.policy)
+        timed = TimedPolicy(self.policy, self._watch)
         charge = self.delays.policy.charge(thinking)
-        message = ""
+        message = trace = ""
         try:
+            for part, seed in seeds:
+                with calling("the reasoner" if part is self.reasoner else "the policy", self._watch):
+                    part.seed(seed)
             fly(self.drone, timed, self.drone, self._mission, mind=mind, recorder=log, charge=charge)
-        except NonFiniteAction as error:
+        except PolicyError as error:
             self.course.end("policy_error")
             message = str(error)
+            trace = error.trace if isinstance(error, PolicyRaised) else traceback.format_exc()
         if any(result.outcome == "invalid" for result in self.course.results):
             message = self._link.trouble or "the physics diverged"
         result = EpisodeResult(episode, self.config.seed, log.results(), len(log.path), message)
-        trace = log.trace(sum(timed.took_s) / max(len(timed.took_s), 1))
+        way = log.trace(sum(timed.took_s) / max(len(timed.took_s), 1))
         link = self._link.report - before
-        return Flown(result, trace, log.frames if film else None, link if link.frames else None)
+        trace = trace or (mind.trace if mind else "")
+        return Flown(result, way, log.frames if film else None, link if link.frames else None, trace)
 
     def close(self) -> None:
-        """Free the renderer, and whatever policy and reasoner hold open."""
+        """Free the renderer, and whatever policy and reasoner hold open, where they were made here."""
         self._undo.close()
-        _close(self.policy)
-        _close(self.reasoner)
 
     def _mission(self) -> Leg | None:
         if self.course.finished:

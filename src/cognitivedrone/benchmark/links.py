@@ -74,7 +74,7 @@ def _check_gazebo(config: RunConfig) -> None:
         raise RunError("--link gazebo flies the Iris, which is modelled there; add --airframe iris")
     if config.wind:
         raise RunError("no wind blows in the world that Gazebo runs; leave --wind out")
-    if config.workers not in (None, 1):
+    if config.workers not in (None, 0, 1):
         raise RunError(f"one vehicle flies in Gazebo, so --workers {config.workers} is too many; leave it out")
 
 

@@ -28,8 +28,9 @@ from cognitivedrone.benchmark.runner import Interrupted, facts_of, results_folde
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.envs.course import Course, CourseConfig, draw_start, episode_rng, scenery_of, stage_of
 from cognitivedrone.errors import PolicyError, ReasonerError, RunError
+from cognitivedrone.flight.mind import asking, check_guidance
 from cognitivedrone.frames import rotate_yaw
-from cognitivedrone.interfaces import Privileged, Reasoner, Remembering, Seeded
+from cognitivedrone.interfaces import Checked, Privileged, Reasoner, Remembering, Seeded
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.sim.simulator import TICKS_PER_CONTROL, Simulator, Start
@@ -123,6 +124,8 @@ def score_reasoner(config: ReasonConfig, *, progress: bool = True) -> ReasonResu
     if reasoner is None:
         raise PolicyError(f"--reasoner {config.reasoner} gives no answer to score; name one, such as oracle")
     preflight(run, suite)
+    if isinstance(reasoner, Checked):
+        reasoner.check()
     out = out_of(config)
     answers: list[Answer] = []
     with _open_answers(out, overwrite=config.overwrite) as file:
@@ -223,7 +226,9 @@ def _ask(reasoner: Reasoner, view: View, frames: int) -> Answer:
         image = view.look()
         begin = time.perf_counter()
         try:
-            guidance = _checked(reasoner.refine(image, task.instruction))
+            with asking():
+                returned = reasoner.refine(image, task.instruction)
+            guidance = check_guidance(returned)
         except ReasonerError as error:
             fault = error
         seconds = time.perf_counter() - begin
@@ -248,21 +253,6 @@ def _ask(reasoner: Reasoner, view: View, frames: int) -> Answer:
         image_sha256=hashlib.sha256(image.tobytes()).hexdigest(),
         seconds=seconds,
     )
-
-
-def _checked(guidance: Guidance) -> Guidance:
-    """The answer, if a file of answers can hold it.
-
-    Raises `ReasonerError` for a gate that there is not, `PolicyError` for what no working reasoner says.
-    """
-    if guidance.gate not in (None, 0, 1, 2):
-        raise ReasonerError("no_such_gate", f"the reasoner means gate {guidance.gate!r:.40}; gates are 0, 1 and 2")
-    if not isinstance(guidance.directive, str) or not 0 <= guidance.confidence <= 1:
-        raise PolicyError(
-            f"the reasoner returned the directive {guidance.directive!r:.60} with a confidence of"
-            f" {guidance.confidence!r:.40}; expected a sentence and a number from 0 to 1"
-        )
-    return guidance
 
 
 def _as_run(config: ReasonConfig) -> RunConfig:

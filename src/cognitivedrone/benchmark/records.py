@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import shutil
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,8 @@ RUN_FILE: Final = "run.json"
 EPISODES_FILE: Final = "episodes.jsonl"
 PRODUCTS: Final = ("results.json", "report.html", "error.txt")
 """What else a run writes into its folder."""
+ERRORS_FOLDER: Final = "errors"
+"""Tracebacks of policies and reasoners, a file an episode."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,17 +46,8 @@ class RunFolder:
     """
 
     def __init__(self, path: Path, facts: RunFacts, *, resume: bool = False, overwrite: bool = False) -> None:
-        if resume and overwrite:
-            raise RunError("--resume and --overwrite contradict each other; give one of them")
         self.path = path
-        exists = _holds_run(path)
-        if exists and not overwrite:
-            if not resume:
-                raise RunError(
-                    f"{path} already holds a run; give --resume to go on with it, --overwrite to throw it away, "
-                    "or another --out"
-                )
-            _same_run(path, facts)
+        exists = _check(path, facts, resume=resume, overwrite=overwrite)
         path.mkdir(parents=True, exist_ok=True)
         self._file = _lock(path / EPISODES_FILE)
         try:
@@ -71,6 +65,7 @@ class RunFolder:
         self._file.truncate(0)
         for name in PRODUCTS:
             (self.path / name).unlink(missing_ok=True)
+        shutil.rmtree(self.path / ERRORS_FOLDER, ignore_errors=True)
         write_whole(self.path / RUN_FILE, dumps(facts, indent=1) + "\n")
 
     records: dict[int, Record]
@@ -94,6 +89,27 @@ class RunFolder:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+def check_folder(path: Path, facts: RunFacts, *, resume: bool = False, overwrite: bool = False) -> frozenset[int]:
+    """The episodes that a `RunFolder` opened so would have on record. Changes nothing, and raises as that would."""
+    exists = _check(path, facts, resume=resume, overwrite=overwrite)
+    return frozenset(read_records(path)) if exists and resume and (path / EPISODES_FILE).exists() else frozenset()
+
+
+def _check(path: Path, facts: RunFacts, *, resume: bool, overwrite: bool) -> bool:
+    """Whether a run is in the folder; raises `RunError` where a run of these facts must not be written there."""
+    if resume and overwrite:
+        raise RunError("--resume and --overwrite contradict each other; give one of them")
+    exists = _holds_run(path)
+    if exists and not overwrite:
+        if not resume:
+            raise RunError(
+                f"{path} already holds a run; give --resume to go on with it, --overwrite to throw it away, "
+                "or another --out"
+            )
+        _same_run(path, facts)
+    return exists
 
 
 def read_records(path: Path) -> dict[int, Record]:

@@ -34,7 +34,8 @@ class RunConfig:
     labels: Path | None = None
     """Folder of label images that come before the shipped ones."""
     workers: int | None = None
-    """Processes that fly; as many as there are cores by default. Results do not depend on it."""
+    """Processes that fly; as many as there are cores by default. Results do not depend on it. 0 flies in this process,
+    for debuggers: then nothing ends a policy that hangs."""
     track: bool = False
     """Chain single tasks into tracks of five, flown in one go."""
     seed: int = 0
@@ -64,6 +65,11 @@ class RunConfig:
     """Throw away the run in that folder and start anew."""
     clips: int = 12
     """At most so many films in the report."""
+    decision_timeout: float = 60.0
+    """Seconds that one call of policy or reasoner may take; then its process is ended, and the episode counts as
+    policy_error."""
+    fail_fast: bool = False
+    """Stop at the first exception of policy or reasoner instead of counting it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +96,8 @@ class Flown:
     """First-person frames at 10 Hz, where they were asked for."""
     link: LinkReport | None = None
     """What happened on the link meanwhile, where an autopilot in another process flew."""
+    error: str = ""
+    """Traceback of the policy's or the reasoner's first exception; empty where there was none."""
 
 
 class Flyer(Protocol):

@@ -11,6 +11,7 @@ import shlex
 import statistics
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -18,10 +19,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from cognitivedrone.benchmark.clips import Clip, choose_clips, make_clip
-from cognitivedrone.benchmark.crew import FLYER, Alone, Crew, Team, WorkerCrash
-from cognitivedrone.benchmark.episode import preflight
+from cognitivedrone.benchmark.crew import FLYER, Alone, Crew, Team, WorkerCrash, make_flyer
+from cognitivedrone.benchmark.episode import EpisodeFlyer, Pilot, preflight
 from cognitivedrone.benchmark.links import autopilot_file
-from cognitivedrone.benchmark.records import Record, RunFolder
+from cognitivedrone.benchmark.records import ERRORS_FOLDER, Record, RunFolder, check_folder
 from cognitivedrone.benchmark.report import REPORT_FILE, render_report
 from cognitivedrone.benchmark.results import (
     RESULTS_FILE,
@@ -36,7 +37,7 @@ from cognitivedrone.benchmark.results import (
     write_results,
     write_whole,
 )
-from cognitivedrone.benchmark.run_types import RunConfig
+from cognitivedrone.benchmark.run_types import Flown, RunConfig
 from cognitivedrone.benchmark.scoring import counts, passes
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.errors import RunError
@@ -54,31 +55,37 @@ class Interrupted(KeyboardInterrupt):
     """Ctrl-C in the middle of a run; the message says how to go on. A command line prints it and exits with 130."""
 
 
-def run(config: RunConfig, *, progress: bool = True, flyer: str = FLYER) -> Results:
-    """Fly, score and report; the folder's content is told in docs/results.md.
+def run(config: RunConfig, *, progress: bool = True, flyer: str = FLYER, pilot: Pilot | None = None) -> Results:
+    """Fly, score and report; the folder's content is described in docs/results.md.
 
-    `flyer` is the module:attribute of what makes a `Flyer` from (RunConfig, Suite). Raises `RunError` where the run
-    cannot start, go on or be read, and `Interrupted` on Ctrl-C; all finished episodes are kept in either case.
+    `flyer` is the module:attribute of what makes a `Flyer` from (RunConfig, Suite, Watch). `pilot` gives objects that
+    fly, in this process, instead of those that the configuration names. Raises `RunError` where the run cannot start,
+    go on or be read, `PolicyError` where the pilot cannot be made, and `Interrupted` on Ctrl-C; all finished episodes
+    are kept in either case.
     """
     began = time.perf_counter()
     suite = suite_of(config)
-    facts = facts_of(config, suite)
+    facts = facts_of(config, suite, named=pilot is None)
     path = out_of(config)
     if flyer == FLYER:
         preflight(config, suite)
     episodes = range(len(suite.tracks) if config.episodes is None else min(config.episodes, len(suite.tracks)))
-    with RunFolder(path, facts, resume=config.resume, overwrite=config.overwrite) as folder:
-        missing = [episode for episode in episodes if episode not in folder.records]
-        if not missing and (path / RESULTS_FILE).exists() and (path / REPORT_FILE).exists():
-            finished = read_results(path)
-            if finished.rule == config.rule:
-                return finished
-        workers = min(_workers(config), max(len(missing), 1))
+    flown_before = check_folder(path, facts, resume=config.resume, overwrite=config.overwrite)
+    missing = [episode for episode in episodes if episode not in flown_before]
+    if not missing and (path / RESULTS_FILE).exists() and (path / REPORT_FILE).exists():
+        finished = read_results(path)
+        if finished.rule == config.rule:
+            return finished
+    workers = min(_workers(config), max(len(missing), 1))
+    with ExitStack() as stack:
+        # Nothing is written before somebody can fly: a pilot that cannot be made changes no folder.
+        with Console(stderr=True, quiet=not progress).status("starting the simulators"):
+            crew: Alone | Team = stack.enter_context(_crew(config, suite, workers, flyer, pilot))
+        folder = stack.enter_context(RunFolder(path, facts, resume=config.resume, overwrite=config.overwrite))
         try:
-            with _crew(config, suite, workers, flyer) as crew:
-                link = _fly_missing(crew, folder, missing, len(episodes), config, show=progress)
-                records = [folder.records[episode] for episode in episodes]
-                clips = _film(crew, suite, records, config)
+            link = _fly_missing(crew, folder, missing, len(episodes), config, show=progress)
+            records = [folder.records[episode] for episode in episodes]
+            clips = _film(crew, suite, records, config)
         except KeyboardInterrupt:
             raise Interrupted(
                 f"stopped after {len(folder.records)} of {len(episodes)} episodes, all kept in {path}; "
@@ -93,7 +100,7 @@ def run(config: RunConfig, *, progress: bool = True, flyer: str = FLYER) -> Resu
             rule=config.rule,
             episodes=tuple(record.result for record in records),
             platform=platform_facts(command_of(config)),
-            timing=_timing(records, workers, len(missing), time.perf_counter() - began, link),
+            timing=_timing(records, max(workers, 1), len(missing), time.perf_counter() - began, link),
         )
         report = render_report(results, [record.trace for record in records], clips)
         write_whole(path / REPORT_FILE, report)
@@ -102,16 +109,21 @@ def run(config: RunConfig, *, progress: bool = True, flyer: str = FLYER) -> Resu
     return results
 
 
-def facts_of(config: RunConfig, suite: Suite) -> RunFacts:
-    """The identity of a run. Raises `RunError` for options that cannot be."""
-    for name, value in (("episodes", config.episodes), ("workers", config.workers)):
-        if value is not None and value < 1:
-            raise RunError(f"--{name} is {value}; it must be at least 1")
+def facts_of(config: RunConfig, suite: Suite, *, named: bool = True) -> RunFacts:
+    """The identity of a run. Raises `RunError` for options that cannot be.
+
+    Where the pilot is not `named` but given as objects, its files are not known.
+    """
+    for name, value, least in (("episodes", config.episodes, 1), ("workers", config.workers, 0)):
+        if value is not None and value < least:
+            raise RunError(f"--{name} is {value}; it must be at least {least}")
+    if not 0 < config.decision_timeout < math.inf:
+        raise RunError(f"--decision-timeout is {config.decision_timeout}; it is a number of seconds above 0")
     if config.labels is not None and not config.labels.is_dir():
         raise RunError(f"--labels {config.labels} is not a folder of images")
     if not 0 <= config.wind < math.inf:
         raise RunError(f"--wind is {config.wind}; it is a speed in m/s, 0 or more")
-    model, answers = model_file(config.policy), reasoner_file(config.reasoner)
+    model, answers = (model_file(config.policy), reasoner_file(config.reasoner)) if named else (None, None)
     autopilot = autopilot_file(config)
     return RunFacts(
         suite=SuiteFacts(suite.name, suite.digest, suite.n_tasks),
@@ -166,7 +178,7 @@ def command_of(config: RunConfig) -> str:
 
 def _workers(config: RunConfig) -> int:
     if config.link == "gazebo":
-        return 1
+        return 0
     if config.workers is not None:
         return config.workers
     if hasattr(os, "sched_getaffinity"):
@@ -174,10 +186,19 @@ def _workers(config: RunConfig) -> int:
     return os.cpu_count() or 1
 
 
-def _crew(config: RunConfig, suite: Suite, workers: int, flyer: str) -> Alone | Team:
-    if workers == 1:
-        return Alone(config, suite, flyer)
-    return Team(config, suite, workers, flyer, name_of=lambda episode: suite.tracks[episode][0].id)
+def _crew(config: RunConfig, suite: Suite, workers: int, flyer: str, pilot: Pilot | None) -> Alone | Team:
+    """Who flies, when at least one can."""
+    if pilot is not None:
+        return Alone(EpisodeFlyer(config, suite, pilot=pilot))
+    if workers == 0:
+        return Alone(make_flyer(flyer, config, suite))
+    team = Team(config, suite, workers, flyer)
+    try:
+        team.ready()
+    except BaseException:
+        team.stop()
+        raise
+    return team
 
 
 def _fly_missing(
@@ -191,6 +212,7 @@ def _fly_missing(
         task = bar.add_task("flying", total=total, completed=total - len(missing), speed="", rate="")
         began = time.perf_counter()
         for flown_now, (flown, renderer) in enumerate(crew.fly(missing), start=1):
+            _keep_error(flown, folder.path, stop=config.fail_fast)
             folder.append(flown, renderer)
             if flown.link is not None:
                 link = (link or LinkReport()) + flown.link
@@ -205,17 +227,32 @@ def _fly_missing(
     return link
 
 
+def _keep_error(flown: Flown, path: Path, *, stop: bool) -> None:
+    """Put the traceback of a policy or reasoner beside the results. Raises `RunError` where the run is to `stop`."""
+    if not flown.error:
+        return
+    file = path / ERRORS_FOLDER / f"episode-{flown.result.episode:04}.txt"
+    file.parent.mkdir(exist_ok=True)
+    write_whole(file, flown.error)
+    if stop:
+        what = flown.result.message or "the reasoner raised an exception"
+        raise RunError(f"episode {flown.result.episode}: {what}; its traceback is in {file}")
+
+
 def _film(crew: Crew, suite: Suite, records: Sequence[Record], config: RunConfig) -> list[Clip]:
     """Fly the most telling episodes once more, with a film: the same seed gives the same flight."""
     if config.link == "gazebo":
         return []  # in real time no flight is flown twice alike
     results: dict[int, EpisodeResult] = {record.result.episode: record.result for record in records}
-    chosen = choose_clips(list(results.values()), config.clips)
+    # Of a flight whose process was lost there is nothing to see, and it might be lost again.
+    lost = {record.result.episode for record in records if not record.trace.stages}
+    chosen = choose_clips([result for episode, result in results.items() if episode not in lost], config.clips)
     clips = {
         flown.result.episode: make_clip(flown, suite.tracks[flown.result.episode], results[flown.result.episode])
         for flown, _ in crew.fly(chosen, film=True)
+        if flown.film is not None
     }
-    return [clips[episode] for episode in chosen]
+    return [clips[episode] for episode in chosen if episode in clips]
 
 
 @contextlib.contextmanager

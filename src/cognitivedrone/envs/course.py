@@ -138,7 +138,7 @@ class Course:
         result = self._result(outcome, chosen, clearance_m)
         self.results.append(result)
         for task in self.track[len(self.results) :]:
-            self.results.append(_not_reached(task))
+            self.results.append(unflown(task, "not_reached"))
         return result
 
     def _judged(self, verdict: Verdict) -> StageResult:
@@ -177,13 +177,14 @@ class Course:
         )
 
 
-def _not_reached(task: Task) -> StageResult:
+def unflown(task: Task, outcome: Outcome) -> StageResult:
+    """The result of a stage in which nothing was flown."""
     return StageResult(
         task_id=task.id,
         category=task.category,
         family=task.family,
         target=task.target,
-        outcome="not_reached",
+        outcome=outcome,
         chosen=None,
         time_s=0.0,
         path_m=0.0,

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from cognitivedrone.errors import PolicyError
+from cognitivedrone.flight.calls import NO_WATCH, Watch, calling
 from cognitivedrone.interfaces import Policy, Privileged
 from cognitivedrone.types import ActionChunk, Observation, Truth
 
@@ -31,26 +32,33 @@ Charge = Callable[[float], float]
 
 
 class TimedPolicy:
-    """A policy whose decisions are measured; told whatever the policy in it is told."""
+    """A policy whose decisions are measured, and watched; told whatever the policy in it is told.
 
-    def __init__(self, policy: Policy) -> None:
+    Each method raises `PolicyRaised` where the policy raises something that is not an error of this package.
+    """
+
+    def __init__(self, policy: Policy, watch: Watch = NO_WATCH) -> None:
         self.policy = policy
+        self._watch = watch
         self.took_s: list[float] = []
         """Of each decision, s on this machine's clock."""
 
     def reset(self, instruction: str) -> None:
         """Begin anew."""
-        self.policy.reset(instruction)
+        with calling("the policy", self._watch):
+            self.policy.reset(instruction)
 
     def brief(self, truth: Truth) -> None:
         """Tell the truth to a policy that takes it."""
         if isinstance(self.policy, Privileged):
-            self.policy.brief(truth)
+            with calling("the policy", self._watch):
+                self.policy.brief(truth)
 
     def act(self, observation: Observation) -> ActionChunk:
         """Decide, and measure it."""
         begin = time.perf_counter()
-        chunk = self.policy.act(observation)
+        with calling("the policy", self._watch):
+            chunk = self.policy.act(observation)
         self.took_s.append(time.perf_counter() - begin)
         return chunk
 

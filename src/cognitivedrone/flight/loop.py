@@ -57,7 +57,12 @@ def check_chunk(chunk: ActionChunk) -> ActionChunk:
 
     Raises `PolicyError` where it has another shape, `NonFiniteAction` where a number is NaN or infinite.
     """
-    array = np.asarray(chunk, dtype=np.float32)
+    try:
+        array = np.asarray(chunk, dtype=np.float32)
+    except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor that is not on the host
+        raise PolicyError(
+            f"the policy returned {type(chunk).__name__!r}, which is no array of numbers; expected (k, 4) float32"
+        ) from None
     if array.ndim != 2 or array.shape[0] < 1 or array.shape[1] != 4:
         raise PolicyError(
             f"the policy returned an action of shape {array.shape};"

@@ -8,14 +8,22 @@ while it thinks, nothing is asked, and then it is asked about the newest frame.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
-from cognitivedrone.errors import ReasonerError, ReasonerFault
+import numpy as np
+
+from cognitivedrone.errors import PolicyRaised, ReasonerError, ReasonerFault
+from cognitivedrone.flight.calls import NO_WATCH, Watch, calling
 from cognitivedrone.flight.latency import Charge
 from cognitivedrone.interfaces import Privileged, Reasoner, Remembering
 from cognitivedrone.types import Guidance, Image, Truth
+
+LONGEST_DIRECTIVE = 1000
+"""Characters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +48,8 @@ class Answer:
     guidance: Guidance | None
     fault: ReasonerFault | None = None
     message: str = ""
+    trace: str = ""
+    """Of an exception of the reasoner's own."""
 
 
 class Mind(Protocol):
@@ -65,9 +75,11 @@ class Mind(Protocol):
 class SimulatedMind:
     """Thinks in no time and answers after the time that is charged for it."""
 
-    def __init__(self, reasoner: Reasoner, charge: Charge = lambda _: 0.0) -> None:
-        self._thinker = _Thinker(reasoner)
+    def __init__(self, reasoner: Reasoner, charge: Charge = lambda _: 0.0, watch: Watch = NO_WATCH) -> None:
+        self._thinker = _Thinker(reasoner, watch)
         self._charge = charge
+        self.trace = ""
+        """The first traceback of the reasoner's own exceptions; empty where it raised none."""
         self._pending: tuple[float, Answer] | None = None
 
     def idle(self, now: float) -> bool:  # noqa: ARG002
@@ -78,6 +90,7 @@ class SimulatedMind:
         """Think."""
         begin = time.perf_counter()
         answer = self._thinker.think(question)
+        self.trace = self.trace or answer.trace
         self._pending = question.time + self._charge(time.perf_counter() - begin), answer
 
     def answer(self, now: float) -> Answer | None:
@@ -110,7 +123,7 @@ class ThreadMind:
         self._pending = self._pool.submit(self._thinker.think, question)
 
     def answer(self, now: float) -> Answer | None:  # noqa: ARG002
-        """The answer, when the thread has it; raises what the reasoner raised by mistake."""
+        """The answer, when the thread has it."""
         if self._pending is None or not self._pending.done():
             return None
         answer = self._pending.result()
@@ -125,11 +138,21 @@ class ThreadMind:
 class _Thinker:
     """Asks a reasoner, telling it of flights and stages, and turns its faults into answers."""
 
-    def __init__(self, reasoner: Reasoner) -> None:
+    def __init__(self, reasoner: Reasoner, watch: Watch = NO_WATCH) -> None:
         self._reasoner = reasoner
+        self._watch = watch
         self._leg: int | None = None
 
     def think(self, question: Question) -> Answer:
+        """An answer in any case: whatever the reasoner raises or returns is a fault, and the flight goes on."""
+        try:
+            with asking(self._watch):
+                guidance = self._ask(question)
+            return Answer(question, check_guidance(guidance))
+        except ReasonerError as error:
+            return Answer(question, None, error.kind, str(error), error.trace)
+
+    def _ask(self, question: Question) -> Guidance:
         reasoner = self._reasoner
         if question.leg != self._leg:
             if isinstance(reasoner, Remembering):
@@ -137,7 +160,33 @@ class _Thinker:
             if question.truth is not None and isinstance(reasoner, Privileged):
                 reasoner.brief(question.truth)
             self._leg = question.leg
-        try:
-            return Answer(question, reasoner.refine(question.image, question.instruction))
-        except ReasonerError as error:
-            return Answer(question, None, error.kind, str(error))
+        return reasoner.refine(question.image, question.instruction)
+
+
+@contextmanager
+def asking(watch: Watch = NO_WATCH) -> Iterator[None]:
+    """Call a reasoner in the block; an exception of its own becomes a `ReasonerError` of the kind `raised`."""
+    try:
+        with calling("the reasoner", watch):
+            yield
+    except PolicyRaised as error:
+        raise ReasonerError("raised", str(error), error.trace) from error
+
+
+def check_guidance(guidance: object) -> Guidance:
+    """A reasoner's answer, as it was returned. Raises `ReasonerError` where it is none that can be flown by."""
+    if not isinstance(guidance, Guidance):
+        found = type(guidance).__name__
+        raise ReasonerError("schema", f"the reasoner returned {found!r}; expected cognitivedrone.types.Guidance")
+    directive, gate, confidence = guidance.directive, guidance.gate, guidance.confidence
+    if not isinstance(directive, str):
+        raise ReasonerError("schema", f"the directive is {type(directive).__name__!r}; expected a sentence")
+    if len(directive) > LONGEST_DIRECTIVE:
+        raise ReasonerError("too_long", f"the directive has {len(directive)} characters; at most {LONGEST_DIRECTIVE}")
+    if not directive.strip() or not directive.isprintable():
+        raise ReasonerError("garbage", f"the directive {directive[:60]!a} is no line of printable text")
+    if gate is not None and gate not in range(3):
+        raise ReasonerError("no_such_gate", f"the gate is {gate!r}; expected 0, 1, 2 or None")
+    if not isinstance(confidence, (int, float, np.floating)) or not 0 <= confidence <= 1:
+        raise ReasonerError("schema", f"the confidence is {confidence!r}; expected a number from 0 to 1")
+    return guidance

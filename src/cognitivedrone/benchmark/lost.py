@@ -1,0 +1,20 @@
+"""The result of a flight whose process was lost in a call of policy or reasoner: nothing else is left of it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cognitivedrone.benchmark.run_types import Flown, Trace
+from cognitivedrone.envs.course import unflown
+from cognitivedrone.tasks import Suite
+from cognitivedrone.types import EpisodeResult
+
+
+def lost_flight(suite: Suite, episode: int, seed: int, message: str, trace: str) -> Flown:
+    """A `policy_error` in the first stage of the episode; the stages behind it count as not reached."""
+    first, *others = suite.tracks[episode]
+    stages = (unflown(first, "policy_error"), *(unflown(task, "not_reached") for task in others))
+    nowhere = Trace(np.empty((0, 3), np.float32), (), (), math.nan)
+    return Flown(EpisodeResult(episode, seed, stages, 0, message), nowhere, error=trace)
