@@ -53,8 +53,9 @@ def test_what_it_links_to_exists(page):
     assert (ROOT / page).is_file()
 
 
-def test_its_python_runs():
-    """The Gymnasium lines, as they stand."""
-    code = next(b for b in re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL) if "gymnasium.make" in b)
+@pytest.mark.parametrize("part", ["gymnasium.make", "evaluate("])
+def test_its_python_runs(part):
+    """As it stands."""
+    code = next(b for b in re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL) if part in b)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr

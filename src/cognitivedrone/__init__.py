@@ -1,7 +1,25 @@
 """CognitiveDrone: language-driven drones, from benchmark to flight.
 
-Importing the package is light: it loads no simulator and no learning framework. The parts are reached by their rooms,
-for example `cognitivedrone.tasks` or `cognitivedrone.benchmark`.
+    from cognitivedrone import evaluate
+
+    print(evaluate(MyPolicy(), suite="open-v1:smoke").table())
+
+Importing the package is light: it loads no simulator and no learning framework until `evaluate` is asked for. The parts
+are reached by their rooms, for example `cognitivedrone.tasks` or `cognitivedrone.benchmark`.
 """
 
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cognitivedrone.benchmark.evaluate import evaluate
+
+__all__ = ["__version__", "evaluate"]
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> Any:
+    if name == "evaluate":
+        from cognitivedrone.benchmark.evaluate import evaluate
+
+        return evaluate
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

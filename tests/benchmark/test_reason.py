@@ -111,6 +111,12 @@ def test_a_replay_of_faults_has_the_same_faults(config, tmp_path):
     )
 
 
+def test_what_is_no_answer_is_counted_and_written_and_the_next_task_is_asked(config):
+    nonsense = asked(replace(config, reasoner="reason_fakes:Boaster"))
+    assert nonsense.summary.overall.faults == {"schema": nonsense.summary.overall.n}
+    assert "the confidence is 2.0; expected a number from 0 to 1" in (nonsense.out / "reason.jsonl").read_text()
+
+
 @pytest.mark.parametrize("look", ["plain", "varied"])
 def test_it_sees_what_a_flight_of_the_same_seed_sees_first(config, look):
     answer = asked(replace(config, look=look, seed=5, episodes=2)).answers[1]
@@ -216,7 +222,6 @@ def test_nothing_asked_nothing_scored():
     [
         ({"reasoner": "none"}, PolicyError, "none gives no answer to score; name one"),
         ({"reasoner": "orakle"}, PolicyError, "unknown reasoner 'orakle'; did you mean 'oracle'"),
-        ({"reasoner": "reason_fakes:Boaster"}, PolicyError, r"with a confidence of 2\.0; expected a sentence"),
         ({"frames": 0}, RunError, "--frames is 0; it must be at least 1"),
         ({"episodes": 0}, RunError, "--episodes is 0; it must be at least 1"),
         ({"labels": Path("nowhere")}, RunError, "--labels nowhere is not a folder of images"),

@@ -107,8 +107,8 @@ class EpisodeFlyer:
         rng = episode_rng(self.suite.digest, episode, self.config.seed)
         self.course.begin(self.suite.tracks[episode], rng)
         # The reasoner first: what it draws must not depend on the policy that it flies with.
-        parts: tuple[Any, ...] = (self.reasoner, self.policy)
-        seeds = [(part, int(rng.integers(2**31))) for part in parts if isinstance(part, Seeded)]
+        parts: dict[str, Any] = {"the reasoner": self.reasoner, "the policy": self.policy}
+        seeds = {what: int(rng.integers(2**31)) for what, part in parts.items() if isinstance(part, Seeded)}
         thinking = np.random.default_rng(int(rng.integers(2**31)))
         charge = self.delays.reasoner.charge(thinking)
         mind = SimulatedMind(self.reasoner, charge, self._watch) if self.reasoner else None
@@ -117,9 +117,9 @@ class EpisodeFlyer:
         charge = self.delays.policy.charge(thinking)
         message = trace = ""
         try:
-            for part, seed in seeds:
-                with calling("the reasoner" if part is self.reasoner else "the policy", self._watch):
-                    part.seed(seed)
+            for what, seed in seeds.items():
+                with calling(what, self._watch):
+                    parts[what].seed(seed)
             fly(self.drone, timed, self.drone, self._mission, mind=mind, recorder=log, charge=charge)
         except PolicyError as error:
             self.course.end("policy_error")

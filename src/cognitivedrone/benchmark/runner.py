@@ -80,7 +80,8 @@ def run(config: RunConfig, *, progress: bool = True, flyer: str = FLYER, pilot: 
     with ExitStack() as stack:
         # Nothing is written before somebody can fly: a pilot that cannot be made changes no folder.
         with Console(stderr=True, quiet=not progress).status("starting the simulators"):
-            crew: Alone | Team = stack.enter_context(_crew(config, suite, workers, flyer, pilot))
+            crew = _crew(config, suite, workers, flyer, pilot)
+        stack.enter_context(crew)
         folder = stack.enter_context(RunFolder(path, facts, resume=config.resume, overwrite=config.overwrite))
         try:
             link = _fly_missing(crew, folder, missing, len(episodes), config, show=progress)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final, TypeVar
 
 from rich import box
-from rich.console import Group, RenderableType
+from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -20,6 +21,14 @@ DASH = "–"
 Part = TypeVar("Part")
 PUBLISHED: Final = (("CognitiveDrone-R1", 0.772), ("CognitiveDrone", 0.596), ("RaceVLA", 0.313))
 """Overall success rates that arXiv 2503.01378 reports in its abstract."""
+
+
+def as_text(table: RenderableType, width: int = 80) -> str:
+    """A table as plain text."""
+    console = Console(width=width, file=io.StringIO())
+    with console.capture() as captured:
+        console.print(table)
+    return captured.get()
 
 
 def results_table(results: Results, rule: Rule | None = None) -> RenderableType:

@@ -1,0 +1,84 @@
+"""Scoring from a script or a notebook."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import user_pilots
+
+from cognitivedrone import evaluate
+from cognitivedrone.benchmark.results import read_results
+from cognitivedrone.errors import PolicyError, RunError, TaskError
+from cognitivedrone.reasoners.oracle import Oracle
+from cognitivedrone.tasks import load_suite, write_tasks
+
+
+def score(policy, **options):
+    return evaluate(policy, episodes=2, progress=False, **options)
+
+
+def test_an_object_a_class_and_a_name_fly_alike(tmp_path):
+    by_object = score(user_pilots.Straight(1.0))
+    by_function = score(lambda: user_pilots.Straight(1.0))
+    by_name = score("user_pilots:Straight:1.0", workers=0)
+    assert by_object.episodes == by_function.episodes == by_name.episodes
+    assert by_object.summary().overall.n == 2
+    assert by_object.run.policy == "user_pilots.Straight"
+    assert by_name.run.policy == "user_pilots:Straight:1.0"
+
+
+def test_a_class_of_a_module_flies_in_other_processes(tmp_path):
+    results = score(user_pilots.Straight, workers=2, out=tmp_path / "run")
+    assert results.timing.workers == 2
+    assert results.run.policy == "user_pilots:Straight"
+    assert read_results(tmp_path / "run") == results
+
+
+def test_a_reasoner_may_be_an_object_too():
+    gold = score("colour_seeker", reasoner=Oracle())
+    assert gold.summary().overall.passed == 2
+    assert gold.summary().overall.reasoner.gate == 1.0
+
+
+def test_objects_stay_in_one_process_and_that_is_said(capsys):
+    evaluate(user_pilots.Straight(), episodes=1)
+    assert "the policy can be used in this process alone" in capsys.readouterr().err
+    with pytest.raises(RunError, match="workers=2, but the policy can be used in this process alone"):
+        score(user_pilots.Straight(), workers=2)
+
+
+def test_a_task_file_is_a_suite(tmp_path):
+    write_tasks(tmp_path / "mine.json", [task for (task,) in load_suite("open-v1:smoke").tracks[:2]])
+    assert evaluate("oracle", tmp_path / "mine.json", workers=0, progress=False).summary().overall.n == 2
+
+
+def test_what_cannot_be_flown_is_said():
+    with pytest.raises(PolicyError, match=r"the policy builtins.object has no method reset\(\)"):
+        score(object())
+    with pytest.raises(TaskError, match="open-v1:smok"):
+        evaluate("hover", "open-v1:smok")
+
+
+def test_the_table_is_text_of_eighty_columns():
+    table = score("oracle", workers=0).table()
+    assert "overall" in table
+    assert max(len(line) for line in table.splitlines()) <= 80
+
+
+def test_a_script_of_three_lines_scores_its_own_class(tmp_path):
+    """Defined in the script itself, without a guard around the call."""
+    script = tmp_path / "score.py"
+    script.write_text(
+        Path(user_pilots.__file__).read_text()
+        + "\nfrom cognitivedrone import evaluate\n"
+        + "results = evaluate(Straight(), suite='open-v1:smoke', episodes=1)\n"
+        + "print(results.table())\n"
+        + "print(evaluate(Straight, episodes=1).summary().overall.n)\n"
+    )
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=120, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "overall" in done.stdout
+    assert done.stdout.splitlines()[-1] == "1"

@@ -1,0 +1,81 @@
+"""Mistakes in users' own policies and reasoners are counted, and the run goes on; in the real simulator."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from cognitivedrone import evaluate
+from cognitivedrone.errors import PolicyError, RunError
+
+
+def lasting(folder):
+    document = json.loads((folder / "results.json").read_text())
+    return {key: value for key, value in document.items() if key not in ("timing", "platform")}
+
+
+@pytest.mark.parametrize(
+    ("how", "says", "trace"),
+    [
+        ("raise", r"the policy raised RuntimeError: CUDA out of memory (user_pilots.py, line", "in misbehave"),
+        ("exit", "the policy raised SystemExit: 0 (user_pilots.py, line", "in misbehave"),
+        ("shape", "the policy returned an action of shape (4,)", "check_chunk"),
+        ("words", "the policy returned 'str', which is no array of numbers", "check_chunk"),
+        ("nothing", "the policy returned", "check_chunk"),
+        ("nan", "not all of it is a finite number", "check_chunk"),
+    ],
+)
+def test_a_mistake_is_a_policy_error_with_its_traceback(tmp_path, how, says, trace):
+    results = evaluate(
+        f"user_pilots:Faulty:{how}", episodes=2, workers=0, out=tmp_path / "run", clips=1, progress=False
+    )
+    assert results.summary().overall.outcomes["policy_error"] == 2
+    for episode in results.episodes:
+        assert says in episode.message
+        assert episode.steps == 2
+    kept = (tmp_path / "run" / "errors" / "episode-0001.txt").read_text()
+    assert trace in kept
+    assert "policy errors, counted as not passed: 2" in " ".join(results.table().split())
+
+
+@pytest.mark.parametrize("how", ["raise", "quit", "hang"])
+def test_mistakes_count_the_same_with_one_worker_and_with_two(tmp_path, how):
+    for workers in (1, 2):
+        evaluate(
+            f"user_pilots:Faulty:{how}", episodes=2, workers=workers, decision_timeout=3.0,
+            out=tmp_path / str(workers), clips=1, progress=False,
+        )  # fmt: skip
+    assert lasting(tmp_path / "1") == lasting(tmp_path / "2")
+    assert lasting(tmp_path / "1")["scores"]["through"]["overall"]["outcomes"]["policy_error"] == 2
+    assert (tmp_path / "1" / "report.html").exists()
+
+
+def test_on_a_track_what_was_flown_before_the_mistake_stays(tmp_path):
+    results = evaluate("user_pilots:Faulty", "open-v1:track", episodes=1, workers=0, progress=False)
+    (episode,) = results.episodes
+    assert [stage.outcome for stage in episode.stages] == ["policy_error", *["not_reached"] * 4]
+
+
+def test_fail_fast_stops_with_the_traceback(tmp_path):
+    with pytest.raises(RunError, match=r"episode 0: the policy raised RuntimeError.*traceback is in .*0000\.txt"):
+        evaluate("user_pilots:Faulty", episodes=2, workers=0, out=tmp_path / "run", fail_fast=True, progress=False)
+    assert "CUDA out of memory" in (tmp_path / "run" / "errors" / "episode-0000.txt").read_text()
+
+
+@pytest.mark.parametrize(("how", "fault"), [("text", "schema"), ("surrogate", "garbage"), ("raise", "raised")])
+def test_a_reasoner_that_returns_nonsense_is_counted_and_the_policy_flies_on(tmp_path, how, fault):
+    results = evaluate(
+        "user_pilots:Straight", reasoner=f"user_pilots:Reasons:{how}", episodes=1, workers=0,
+        out=tmp_path / "run", clips=1, progress=False,
+    )  # fmt: skip
+    overall = results.summary().overall
+    assert overall.outcomes["policy_error"] == 0
+    assert set(overall.reasoner.faults) == {fault}
+    assert (tmp_path / "run" / "errors").exists() == (how == "raise")
+
+
+def test_a_policy_that_cannot_be_made_is_one_sentence_and_writes_nothing(tmp_path):
+    with pytest.raises(PolicyError, match="speed is 'fast'; it is a number"):
+        evaluate("user_pilots:Straight:fast", out=tmp_path / "run", progress=False)
+    assert not (tmp_path / "run").exists()
