@@ -2,12 +2,15 @@
 
 Run: python benchmarks/environment.py
 
-Prints medians over repetitions, and their ratio to 38 control steps/s: what gym-pybullet-drones is reported to reach
-with frames of this size on two cores (a figure from outside, not measured by this script).
+Prints medians over repetitions, and their ratio to gym-pybullet-drones (github.com/learnsyslab/gym-pybullet-drones).
+Where that can be imported it flies in the same repetitions, turn by turn; else the ratio is to a figure that was
+measured before, named with its date. It flies as is fastest for it: one drone, rotor speeds instead of
+velocities, and a frame of the same size at every control step.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import platform
 import statistics
@@ -16,68 +19,99 @@ from collections.abc import Callable
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from cognitivedrone.sim.gl import renderer_name
+from cognitivedrone.types import IMAGE_SIZE
 
-REFERENCE_STEPS_S = 38
+PEER = "gym-pybullet-drones"
+PEER_STEPS_S = 44.0
+PEER_MEASURED = "2026-11-22, 2 cores of an AMD EPYC"
+"""When and where `PEER_STEPS_S` was measured."""
+ID = "cognitivedrone.envs:CognitiveDrone-v1"
 REPETITIONS = 7
 STEPS = 30
+RESETS = 60
 ACTION = np.array([0.4, 0.0, 0.0, 0.1], np.float32)
 
 
-def median_seconds(work: Callable[[], object], repetitions: int = REPETITIONS) -> float:
-    times = []
-    for _ in range(repetitions):
-        begin = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - begin)
-    return statistics.median(times)
-
-
-def flown_steps(env, action: NDArray[np.float32]) -> float:
-    """Steps a second of an environment that has been reset, after some to warm up; it is closed then."""
-
-    def fly() -> None:
-        for _ in range(STEPS):
-            env.step(action)
-
-    fly()
-    seconds = median_seconds(fly)
-    env.close()
-    return STEPS / seconds
-
-
-def vector_steps(worlds: int) -> float:
-    """Control steps a second of `worlds` worlds together."""
-    env = gymnasium.make_vec("cognitivedrone.envs:CognitiveDrone-v1", num_envs=worlds, copy=False)
+def single() -> Callable[[], object]:
+    env = gymnasium.make(ID, disable_env_checker=True).unwrapped
     env.reset(seed=0)
-    return worlds * flown_steps(env, np.tile(ACTION, (worlds, 1)))
+    return lambda: env.step(ACTION)
 
 
-def single_steps() -> float:
-    env = gymnasium.make("cognitivedrone.envs:CognitiveDrone-v1", disable_env_checker=True).unwrapped
+def vector(worlds: int) -> Callable[[], object]:
+    env = gymnasium.make_vec(ID, num_envs=worlds, copy=False)
     env.reset(seed=0)
-    return flown_steps(env, ACTION)
+    actions = np.tile(ACTION, (worlds, 1))
+    return lambda: env.step(actions)
+
+
+def peer() -> Callable[[], object]:
+    """One drone of gym-pybullet-drones: 24 control steps a second of its time, each of 10 ticks and with a frame."""
+    from gym_pybullet_drones.envs import HoverAviary
+    from gym_pybullet_drones.utils.enums import ActionType, ObservationType
+
+    env = HoverAviary(pyb_freq=240, ctrl_freq=24, obs=ObservationType.RGB, act=ActionType.RPM)
+    # It draws 64x48, whatever it is asked for.
+    env.IMG_RES = np.array([IMAGE_SIZE, IMAGE_SIZE])
+    env.rgb = np.zeros((1, IMAGE_SIZE, IMAGE_SIZE, 4))
+    env.dep, env.seg = np.ones(env.rgb.shape[:3]), np.zeros(env.rgb.shape[:3])
+    env.reset(seed=0)
+    hover = np.zeros((1, 4), np.float32)
+    drawn = env.step(hover)[0]
+    if drawn.shape != env.rgb.shape or not np.ptp(drawn[..., :3]):
+        raise RuntimeError(f"{PEER} drew no frame of {IMAGE_SIZE}x{IMAGE_SIZE}: {drawn.shape}")
+    return lambda: env.step(hover)
+
+
+def timed(step: Callable[[], object]) -> float:
+    begin = time.perf_counter()
+    for _ in range(STEPS):
+        step()
+    return time.perf_counter() - begin
+
+
+def steps_per_second(contenders: dict[str, Callable[[], object]]) -> dict[str, float]:
+    """Median control steps a second of each. They take turns, so that a busy machine is busy for all of them."""
+    seconds: dict[str, list[float]] = {name: [] for name in contenders}
+    for repetition in range(REPETITIONS + 1):
+        for name, step in contenders.items():
+            took = timed(step)
+            if repetition:  # the first warms up
+                seconds[name].append(took)
+    return {name: STEPS / statistics.median(took) for name, took in seconds.items()}
 
 
 def reset_seconds() -> float:
     """Task change: from reset to the first frame."""
-    env = gymnasium.make("cognitivedrone.envs:CognitiveDrone-v1", disable_env_checker=True).unwrapped
-    seconds = [median_seconds(lambda seed=seed: env.reset(seed=seed), 1) for seed in range(60)]
+    env = gymnasium.make(ID, disable_env_checker=True).unwrapped
+    times = []
+    for seed in range(RESETS):
+        begin = time.perf_counter()
+        env.reset(seed=seed)
+        times.append(time.perf_counter() - begin)
     env.close()
-    return statistics.median(seconds)
+    return statistics.median(times)
 
 
 def main() -> None:
-    print(f"{platform.machine()}, {len(os.sched_getaffinity(0))} cores, {renderer_name()}")
-    one = single_steps()
-    print(f"one world               {one:8.0f} control steps/s   {one / REFERENCE_STEPS_S:6.1f} x gym-pybullet-drones")
-    for worlds in (4, 16):
-        many = vector_steps(worlds)
-        ratios = f"{many / REFERENCE_STEPS_S:6.1f} x, {many / one:.1f} x one world"
-        print(f"vector of {worlds:2d} worlds     {many:8.0f} control steps/s   {ratios}")
-    print(f"task change             {reset_seconds() * 1e3:8.1f} ms from reset to first frame (median of 60 tasks)")
+    cores = len(os.sched_getaffinity(0))
+    print(f"{platform.machine()}, {cores} cores, {renderer_name()}, {os.getloadavg()[0]:.1f} processes running already")
+    contenders = {"one world": single(), "vector of 4": vector(4), "vector of 16": vector(16)}
+    worlds = dict(zip(contenders, (1, 4, 16), strict=True))
+    together = importlib.util.find_spec("gym_pybullet_drones") is not None
+    if together:
+        contenders[PEER] = peer()
+    calls = steps_per_second(contenders)
+    rate = calls.get(PEER, PEER_STEPS_S)
+    for name, count in worlds.items():
+        steps = count * calls[name]
+        ratios = f"{steps / rate:6.1f} x {PEER}   {steps / calls['one world']:5.1f} x one world"
+        print(f"{name:20} {steps:8.0f} control steps/s   {ratios}")
+    source = "flown here, turn by turn" if together else f"not installed here; measured {PEER_MEASURED}"
+    print(f"{PEER:20} {rate:8.0f} control steps/s   {source}")
+    print(f"{'task change':20} {reset_seconds() * 1e3:8.1f} ms from reset to first frame (median of {RESETS} tasks)")
 
 
 if __name__ == "__main__":

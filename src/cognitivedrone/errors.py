@@ -4,6 +4,7 @@ CognitiveDroneError
 ├── TaskError        a malformed task or task file, an unknown family or suite
 ├── LabelError       an unknown label, pack or style, an unreadable image
 ├── RenderError      no OpenGL to render with
+├── SimulationError  flight conditions that cannot be simulated: an unknown airframe or look, a negative wind
 ├── PolicyError      an unknown policy or reasoner, a model that cannot be loaded, or an action that cannot be flown
 │   ├── NonFiniteAction
 │   └── PolicyRaised
@@ -46,6 +47,10 @@ class LabelError(CognitiveDroneError):
 
 class RenderError(CognitiveDroneError):
     """No OpenGL to render with."""
+
+
+class SimulationError(CognitiveDroneError):
+    """Flight conditions that cannot be simulated: an unknown airframe or look, a negative wind."""
 
 
 class PolicyError(CognitiveDroneError):

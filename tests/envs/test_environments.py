@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 
+import av
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import RecordVideo
 
-import cognitivedrone.envs  # noqa: F401 - registers CognitiveDrone-v1
-from cognitivedrone.errors import PolicyError, TaskError
+from cognitivedrone.envs.gym import CognitiveDroneEnv
+from cognitivedrone.envs.spaces import observation_space
+from cognitivedrone.envs.vector import CognitiveDroneVectorEnv
+from cognitivedrone.errors import LabelError, PolicyError, SimulationError, TaskError
 from cognitivedrone.policies.expert import Expert
+from cognitivedrone.tasks import train_task
 
 
 @pytest.fixture(scope="module")
@@ -28,11 +34,65 @@ def vector():
     made.close()
 
 
-def test_gymnasiums_own_checker_is_content():
-    made = gymnasium.make("CognitiveDrone-v1", suite="open-v1:smoke")
+@pytest.mark.parametrize("render_mode", [None, "rgb_array"])
+def test_gymnasiums_own_checker_is_content(render_mode):
+    made = gymnasium.make("CognitiveDrone-v1", suite="open-v1:smoke", render_mode=render_mode)
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*(infinity|normalized space)")
-        check_env(made.unwrapped, skip_render_check=True)
+        # Actions are velocities in m/s; RescaleAction makes them -1 to 1 for who wants that.
+        warnings.filterwarnings("ignore", message=".*normalized space")
+        check_env(made.unwrapped)
+    made.close()
+
+
+def test_without_a_render_mode_nothing_is_rendered(env, vector):
+    env.reset(seed=0)
+    assert env.render().shape == (256, 256, 3)
+    bare = gymnasium.make("CognitiveDrone-v1", suite="open-v1:smoke").unwrapped
+    bare.reset(seed=0)
+    assert bare.render() is None
+    bare.close()
+    vector.reset(seed=0)
+    assert vector.render() is None
+    drawn = gymnasium.make_vec("CognitiveDrone-v1", num_envs=2, suite="open-v1:smoke", render_mode="rgb_array")
+    seen, _ = drawn.reset(seed=0)
+    assert np.array_equal(drawn.render(), seen["image"])
+    drawn.close()
+
+
+def test_a_film_is_recorded(tmp_path):
+    pytest.importorskip("moviepy", reason="Gymnasium's RecordVideo needs moviepy")
+    made = gymnasium.make("CognitiveDrone-v1", suite="open-v1:smoke", time_limit_s=0.5, render_mode="rgb_array")
+    recorded = RecordVideo(made, str(tmp_path / "films"), episode_trigger=lambda _: True)
+    recorded.reset(seed=0)
+    for _ in range(5):
+        recorded.step(np.array([1, 0, 0, 0], np.float32))
+    recorded.close()
+    (film,) = (tmp_path / "films").glob("*.mp4")
+    with av.open(str(film)) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert [frame.shape for frame in frames] == [(256, 256, 3)] * 6
+    assert np.ptp(frames[0]) > 50
+    assert not np.array_equal(frames[0], frames[-1])
+
+
+def test_training_goes_on_without_end():
+    made = gymnasium.make_vec("CognitiveDrone-v1", num_envs=2, suite="open-v1:train", time_limit_s=0.1)
+
+    def drawn(seed):
+        ids = [task.id for task in made.reset(seed=seed)[1]["task"]]
+        for _ in range(40):
+            ids += [task.id for task in made.step(np.zeros((2, 4), np.float32))[4]["task"]]
+        return ids
+
+    ids = drawn(7)
+    assert len(set(ids)) == 2 * 21, "a new task for every episode"
+    assert min(int(name.rpartition("-")[2]) for name in ids) > 300
+    assert drawn(7) == ids
+    assert not set(drawn(9)) & set(ids)
+    alone = gymnasium.make("CognitiveDrone-v1", suite="open-v1:train")
+    assert [alone.reset(seed=seed)[1]["task"].id for seed in (7, 8)] == ids[:2]
+    assert alone.reset(options={"episode": 123_456_789})[1]["task"] == train_task(123_456_789)
+    alone.close()
     made.close()
 
 
@@ -124,5 +184,43 @@ def test_bad_input_is_refused(env, vector):
         vector.step(actions)
     with pytest.raises(TaskError, match="episodes 0 to 29, not 30"):
         env.reset(options={"episode": 30})
+    with pytest.raises(TaskError, match="not 'first'"):
+        env.reset(options={"episode": "first"})
     with pytest.raises(TaskError):
         gymnasium.make("CognitiveDrone-v1", suite="open-v1:tset")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "says"),
+    [
+        ({"airframe": "dji"}, SimulationError, "unknown airframe 'dji'; known: iris, racer"),
+        ({"airframe": "race"}, SimulationError, "did you mean 'racer'?"),
+        ({"look": "plane"}, SimulationError, "unknown look 'plane'; did you mean 'plain'?"),
+        ({"labels": "open-v2"}, LabelError, "no label pack 'open-v2'"),
+        ({"wind_m_s": -1.0}, SimulationError, "wind_m_s is -1.0; it is a speed in m/s, 0 or more"),
+        ({"wind_m_s": float("nan")}, SimulationError, "wind_m_s is nan"),
+        ({"time_limit_s": 0.0}, SimulationError, "time_limit_s is 0.0; it is a time in seconds, more than 0"),
+        ({"suite": "open-v1:trian"}, TaskError, "did you mean 'open-v1:train'"),
+    ],
+)
+@pytest.mark.parametrize("make", [CognitiveDroneEnv, CognitiveDroneVectorEnv])
+def test_conditions_that_cannot_be_are_sentences(make, wrong, error, says):
+    with pytest.raises(error, match=re.escape(says)):
+        make(**wrong)
+
+
+def test_actions_of_another_shape_are_refused(env, vector):
+    env.reset(seed=0)
+    with pytest.raises(PolicyError, match=r"shape \(3,\); the action space has \(4,\)"):
+        env.unwrapped.step(np.zeros(3, np.float32))
+    vector.reset(seed=0)
+    with pytest.raises(PolicyError, match=r"shape \(4,\); the action space has \(3, 4\)"):
+        vector.step(np.zeros(4, np.float32))
+    with pytest.raises(SimulationError, match="num_envs is 0"):
+        CognitiveDroneVectorEnv(0)
+
+
+def test_the_bounds_of_the_space_are_where_a_flight_diverges():
+    space = observation_space()
+    for key, limit in (("velocity", 100 * 2**0.5), ("height", 1e4), ("yaw_rate", 300.0)):
+        assert np.allclose([space[key].low, space[key].high], np.array([[-limit], [limit]]))

@@ -15,6 +15,7 @@ from cognitivedrone.tasks import (
     BASE_FAMILIES,
     HARD_FAMILIES,
     SUITES,
+    UNLIMITED,
     Suite,
     load_suite,
     suite_from_files,
@@ -102,6 +103,9 @@ def test_train_grows_to_any_size_and_each_task_stays_what_it_is() -> None:
     assert suite.digest != load_suite("open-v1:train", size=10**9, seed=4).digest
     assert suite.digest == load_suite("open-v1:train", size=10**9, seed=3).digest
     assert load_suite("open-v1:train").n_tasks == 300
+    assert load_suite("open-v1:train", size=UNLIMITED).tracks[-1][0] == train_task(UNLIMITED - 1)
+    for name in FIXED:
+        assert load_suite(name, size=UNLIMITED) is load_suite(name)
 
 
 def test_the_beginning_of_a_fixed_suite_has_a_name_and_digest_of_its_own() -> None:

@@ -6,10 +6,12 @@ The bridge between tasks and the simulator: here a verdict ("through gate 2") me
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from cognitivedrone.errors import SimulationError, did_you_mean
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.sim.referee import Verdict
 from cognitivedrone.sim.simulator import Scenery, Simulator, Start
@@ -24,7 +26,7 @@ FLOOR_ROOM_M = 0.05
 
 @dataclass(frozen=True, slots=True)
 class CourseConfig:
-    """The conditions of a flight."""
+    """The conditions of a flight. Raises `SimulationError` where they cannot be simulated."""
 
     look: str = "plain"
     """`plain` as published, or `varied`: floor, walls, light, colours and camera noise drawn from the seed."""
@@ -32,6 +34,14 @@ class CourseConfig:
     """For each stage."""
     wind_m_s: float = 0.0
     """Speed of a steady wind; its direction is drawn from the seed."""
+
+    def __post_init__(self) -> None:
+        if self.look not in LOOKS:
+            raise SimulationError(f"unknown look {self.look!r}; {did_you_mean(str(self.look), LOOKS)}")
+        if not self.time_limit_s > 0:
+            raise SimulationError(f"time_limit_s is {self.time_limit_s}; it is a time in seconds, more than 0")
+        if not 0 <= self.wind_m_s < math.inf:
+            raise SimulationError(f"wind_m_s is {self.wind_m_s}; it is a speed in m/s, 0 or more")
 
 
 def episode_rng(suite_digest: str, episode: int, seed: int) -> np.random.Generator:
@@ -71,8 +81,6 @@ class Course:
     """
 
     def __init__(self, simulator: Simulator, world: int, labels: LabelPack, config: CourseConfig) -> None:
-        if config.look not in LOOKS:
-            raise ValueError(f"unknown look {config.look!r}; known: {', '.join(LOOKS)}")
         self.simulator = simulator
         self.world = world
         self.labels = labels

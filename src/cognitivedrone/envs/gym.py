@@ -9,21 +9,24 @@ import numpy as np
 
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import clip_action, proprioception
-from cognitivedrone.envs.spaces import Info, action_space, observation_space
-from cognitivedrone.errors import PolicyError, TaskError
+from cognitivedrone.envs.spaces import Info, action_space, check_actions, observation_space
+from cognitivedrone.errors import TaskError
 from cognitivedrone.labels import load_pack
-from cognitivedrone.sim.airframe import AIRFRAMES
+from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.sim.simulator import Simulator
-from cognitivedrone.tasks import Suite, load_suite
+from cognitivedrone.tasks import UNLIMITED, Suite, load_suite
 from cognitivedrone.types import CONTROL_HZ, Action, StageResult, Truth
 
 
 class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
     """One episode is one track of the suite; a single task is a track of one stage.
 
+    `suite` is a name or a `Suite`; every episode of "open-v1:train" is a new task, without end.
+
     Reward: 1 for every stage flown through the right gate. `terminated` when the track is done or the flight ended by
     contact, miss or leaving the stage; `truncated` when the stage's time ran out. `info` holds `task`, and the
     `StageResult`s so far as `results`. `reset(options={"episode": i})` flies one chosen episode of the suite.
+    Raises `TaskError`, `LabelError` or `SimulationError` for a suite, labels or conditions that cannot be.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
@@ -42,13 +45,14 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         wind_m_s: float = 0.0,
         render_mode: str | None = None,
     ) -> None:
-        self.suite = load_suite(suite) if isinstance(suite, str) else suite
+        self.suite = load_suite(suite, size=UNLIMITED) if isinstance(suite, str) else suite
         self.observation_space = observation_space()
         self.action_space = action_space()  # type: ignore[assignment]
         self.render_mode = render_mode
-        self.simulator = Simulator(1, airframe=AIRFRAMES[airframe])
         config = CourseConfig(look=look, time_limit_s=time_limit_s, wind_m_s=wind_m_s)
-        self.course = Course(self.simulator, 0, load_pack(labels), config)
+        pack = load_pack(labels)
+        self.simulator = Simulator(1, airframe=find_airframe(airframe))
+        self.course = Course(self.simulator, 0, pack, config)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], Info]:
         """Begin an episode, drawn from the seed or given as `options["episode"]`."""
@@ -60,16 +64,15 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
 
     def step(self, action: Action) -> tuple[dict[str, Any], float, bool, bool, Info]:
         """Fly one control period, 0.1 s."""
-        if not np.isfinite(action).all():
-            raise PolicyError(f"action {np.asarray(action).tolist()} holds a number that is not finite")
+        check_actions(action, (4,))
         self.simulator.command(0, clip_action(action))
         result = self.course.update(self.simulator.advance()[0])
         reward, terminated, truncated = score(result, self.course.finished)
         return self._observe(), reward, terminated, truncated, self._info()
 
     def render(self) -> Any:
-        """The first-person view, (256, 256, 3) uint8."""
-        return self.simulator.frames()[0]
+        """The first-person view, (256, 256, 3) uint8; none without a `render_mode`."""
+        return None if self.render_mode is None else self.simulator.frames()[0]
 
     def close(self) -> None:
         """Free the renderer."""
@@ -98,10 +101,10 @@ def pick_episode(suite: Suite, rng: np.random.Generator, options: dict[str, Any]
     count = len(suite.tracks)
     if not options or "episode" not in options:
         return int(rng.integers(count))
-    episode = int(options["episode"])
-    if not 0 <= episode < count:
-        raise TaskError(f"suite {suite.name!r} has episodes 0 to {count - 1}, not {episode}")
-    return episode
+    episode = options["episode"]
+    if not isinstance(episode, int | np.integer) or not 0 <= episode < count:
+        raise TaskError(f"suite {suite.name!r} has episodes 0 to {count - 1}, not {episode!r}")
+    return int(episode)
 
 
 def score(result: StageResult | None, finished: bool) -> tuple[float, bool, bool]:

@@ -1,18 +1,59 @@
-"""The observation and action spaces that both environments share."""
+"""The observation and action spaces that both environments share, and what they check of actions."""
 
 from __future__ import annotations
 
+import math
 import string
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector.utils import batch_differing_spaces, read_from_shared_memory, write_to_shared_memory
+from numpy.typing import NDArray
 
-from cognitivedrone.types import ACTION_LIMITS, IMAGE_SIZE
+from cognitivedrone.errors import PolicyError
+from cognitivedrone.sim.dynamics import MAX_BODY_RATE_RAD_S, MAX_POSITION_M, MAX_VELOCITY_M_S
+from cognitivedrone.tasks.validate import MAX_TEXT
+from cognitivedrone.types import ACTION_LIMITS, IMAGE_SIZE, FloatArray
 
-MAX_INSTRUCTION = 400
-"""Characters."""
-CHARSET = string.ascii_letters + string.digits + string.punctuation + " "
+Info = dict[str, Any]
+
+
+class InstructionSpace(spaces.Text):
+    """Sentences of 1 to 1000 characters, in any language; samples are of printable ASCII.
+
+    Under `AsyncVectorEnv` with shared memory the instructions arrive as one array (num_envs,) of `str`. Gymnasium's own
+    `Text` decodes that memory once, before anything is written there, and every observation then holds "aaaa...".
+    """
+
+    def __init__(self, seed: int | np.random.Generator | None = None) -> None:
+        charset = string.ascii_letters + string.digits + string.punctuation + " "
+        super().__init__(max_length=MAX_TEXT, charset=charset, seed=seed)
+
+    def contains(self, x: Any) -> bool:
+        """Whether this is a sentence of a possible length."""
+        return isinstance(x, str) and self.min_length <= len(x) <= self.max_length
+
+
+@read_from_shared_memory.register(InstructionSpace)
+def _read_instructions(space: InstructionSpace, shared_memory: Any, n: int = 1) -> NDArray[np.str_]:
+    """The instructions (n,), as an array that shows what is in the memory now, as those of `Box` do."""
+    return _strings(space, shared_memory)[:n]
+
+
+@write_to_shared_memory.register(InstructionSpace)
+def _write_instruction(space: InstructionSpace, index: int, value: str, shared_memory: Any) -> None:
+    _strings(space, shared_memory)[index] = value
+
+
+def _strings(space: InstructionSpace, shared_memory: Any) -> NDArray[np.str_]:
+    """A view of the memory that Gymnasium makes for `Text`: 4 bytes a character, as NumPy has them."""
+    view: NDArray[np.str_] = np.frombuffer(shared_memory.get_obj(), dtype=f"U{space.max_length}")
+    return view
+
+
+# The one function of Gymnasium's that looks a space's class up by itself and so misses its base class.
+batch_differing_spaces.register(InstructionSpace, batch_differing_spaces.dispatch(spaces.Text))
 
 
 def action_space() -> spaces.Box:
@@ -22,17 +63,30 @@ def action_space() -> spaces.Box:
 
 
 def observation_space() -> spaces.Dict:
-    """What a policy may see, as in `Observation`, for one world."""
-    far = np.float32(np.inf)
+    """What a policy may see, as in `Observation`, for one world. The bounds are where a flight counts as diverged."""
+    # The heading frame turns the world's x and y, so a component can be as large as both together.
+    fastest = math.sqrt(2) * MAX_VELOCITY_M_S
     return spaces.Dict(
         {
             "image": spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8),
-            "instruction": spaces.Text(max_length=MAX_INSTRUCTION, charset=CHARSET),
-            "velocity": spaces.Box(-far, far, (3,), np.float32),
-            "height": spaces.Box(-far, far, (1,), np.float32),
-            "yaw_rate": spaces.Box(-far, far, (1,), np.float32),
+            "instruction": InstructionSpace(),
+            "velocity": _within(fastest, 3),
+            "height": _within(MAX_POSITION_M, 1),
+            "yaw_rate": _within(MAX_BODY_RATE_RAD_S, 1),
         }
     )
 
 
-Info = dict[str, Any]
+def check_actions(actions: FloatArray, shape: tuple[int, ...]) -> None:
+    """Raises `PolicyError` unless the actions are of this shape, (4,) or (worlds, 4), and finite."""
+    given = np.asarray(actions)
+    if given.shape != shape:
+        raise PolicyError(f"the action has shape {given.shape}; the action space has {shape}")
+    if not np.isfinite(given).all():
+        if len(shape) == 1:
+            raise PolicyError(f"action {given.tolist()} holds a number that is not finite")
+        raise PolicyError(f"world {int(np.argmax(~np.isfinite(given).all(axis=1)))}: the action is not finite")
+
+
+def _within(limit: float, size: int) -> spaces.Box:
+    return spaces.Box(-limit, limit, (size,), np.float32)

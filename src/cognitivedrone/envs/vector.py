@@ -12,21 +12,20 @@ from gymnasium.vector.utils import batch_space
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import clip_action
 from cognitivedrone.envs.gym import pick_episode, score
-from cognitivedrone.envs.spaces import action_space, observation_space
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.envs.spaces import Info, action_space, check_actions, observation_space
+from cognitivedrone.errors import SimulationError
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.labels import load_pack
-from cognitivedrone.sim.airframe import AIRFRAMES
+from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.sim.simulator import Simulator
-from cognitivedrone.tasks import Suite, load_suite
+from cognitivedrone.tasks import UNLIMITED, Suite, load_suite
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, FloatArray, StageResult, Truth
-
-VectorInfo = dict[str, Any]
 
 
 class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray]):
     """`num_envs` worlds of `CognitiveDroneEnv`, with the same spaces, rewards and endings.
 
+    Takes what `CognitiveDroneEnv` takes, and `threads`: as many as there are cores where none are given.
     A world whose episode ended begins a new one in the next step, whose action it ignores (Gymnasium's next-step mode).
     Observations are views of buffers that the next step overwrites, unless `copy` is asked for.
     """
@@ -51,8 +50,12 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         copy: bool = True,
         render_mode: str | None = None,
     ) -> None:
+        if num_envs < 1:
+            raise SimulationError(f"num_envs is {num_envs}; it must be at least 1")
+        config = CourseConfig(look=look, time_limit_s=time_limit_s, wind_m_s=wind_m_s)
+        pack = load_pack(labels)
         self.num_envs = num_envs
-        self.suite = load_suite(suite) if isinstance(suite, str) else suite
+        self.suite = load_suite(suite, size=UNLIMITED) if isinstance(suite, str) else suite
         self.render_mode = render_mode
         self.single_observation_space = observation_space()
         self.single_action_space = action_space()
@@ -60,9 +63,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._copy = copy
         threads = threads or min(len(os.sched_getaffinity(0)), num_envs)
-        self.simulator = Simulator(num_envs, airframe=AIRFRAMES[airframe], threads=threads)
-        config = CourseConfig(look=look, time_limit_s=time_limit_s, wind_m_s=wind_m_s)
-        pack = load_pack(labels)
+        self.simulator = Simulator(num_envs, airframe=find_airframe(airframe), threads=threads)
         self.courses = [Course(self.simulator, world, pack, config) for world in range(num_envs)]
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
         self._ended = np.zeros(num_envs, dtype=np.bool_)
@@ -70,7 +71,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], VectorInfo]:
+    ) -> tuple[dict[str, Any], Info]:
         """Begin an episode in every world; world i is seeded by `seed + i`, or by the i-th of a list of seeds."""
         if seed is not None:
             seeds = [seed + world for world in range(self.num_envs)] if isinstance(seed, int) else seed
@@ -82,10 +83,9 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
 
     def step(
         self, actions: FloatArray
-    ) -> tuple[dict[str, Any], FloatArray, np.ndarray[Any, Any], np.ndarray[Any, Any], VectorInfo]:
+    ) -> tuple[dict[str, Any], FloatArray, np.ndarray[Any, Any], np.ndarray[Any, Any], Info]:
         """Fly all worlds for one control period, 0.1 s."""
-        if not np.isfinite(actions).all():
-            raise PolicyError(f"world {int(np.argmax(~np.isfinite(actions).all(axis=1)))}: the action is not finite")
+        check_actions(actions, (self.num_envs, 4))
         self.simulator.flight.command(clip_action(actions))
         verdicts = self.simulator.advance()
         rewards = np.zeros(self.num_envs)
@@ -102,12 +102,14 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         return self._observe(), rewards, terminated, truncated, self._info(results)
 
     def render(self) -> Any:
-        """The first-person views, a tuple of (256, 256, 3) uint8."""
-        return tuple(self.simulator.frames())
+        """The first-person views, a tuple of (256, 256, 3) uint8; none without a `render_mode`."""
+        return None if self.render_mode is None else tuple(self.simulator.frames())
 
     def close_extras(self, **_: Any) -> None:
         """Free the renderers."""
-        self.simulator.close()
+        # Gymnasium closes what is deleted, also one whose making was refused.
+        if hasattr(self, "simulator"):
+            self.simulator.close()
 
     def truths(self) -> list[Truth]:
         """What privileged pilots are told in each world: for experts that make training data."""
@@ -130,7 +132,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
             "yaw_rate": flight.body_rates[:, 2:].astype(np.float32),
         }
 
-    def _info(self, results: list[StageResult | None]) -> VectorInfo:
+    def _info(self, results: list[StageResult | None]) -> Info:
         tasks = np.empty(self.num_envs, dtype=object)
         tasks[:] = [course.task for course in self.courses]
         ended = np.empty(self.num_envs, dtype=object)

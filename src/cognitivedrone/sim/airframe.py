@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from cognitivedrone.errors import SimulationError, did_you_mean
 from cognitivedrone.world.engine import mujoco
 
 GRAVITY = 9.81
@@ -86,6 +87,13 @@ IRIS = Airframe(
 """The 1.5 kg quadrotor of ArduPilot's and Gazebo's simulations, thrust to weight 2.96."""
 
 AIRFRAMES: dict[str, Airframe] = {"racer": RACER, "iris": IRIS}
+
+
+def find_airframe(name: str) -> Airframe:
+    """The airframe of that name. Raises `SimulationError` where there is none."""
+    if name not in AIRFRAMES:
+        raise SimulationError(f"unknown airframe {name!r}; {did_you_mean(str(name), AIRFRAMES)}")
+    return AIRFRAMES[name]
 
 
 def build_model(airframe: Airframe, timestep: float) -> Any:

@@ -12,7 +12,11 @@ from cognitivedrone.sim.autopilot import GUIDE_S, Autopilot, AutopilotGains, tri
 from cognitivedrone.types import DroneState, FloatArray
 from cognitivedrone.world.engine import Batch, mujoco
 
-_LIMITS = np.array([1e4] * 3 + [2.0] * 4 + [100.0] * 3 + [300.0] * 3)[:, None]
+MAX_POSITION_M = 1e4
+MAX_VELOCITY_M_S = 100.0
+MAX_BODY_RATE_RAD_S = 300.0
+"""Largest magnitudes, on each axis, of a flight that has not diverged."""
+_LIMITS = np.array([MAX_POSITION_M] * 3 + [2.0] * 4 + [MAX_VELOCITY_M_S] * 3 + [MAX_BODY_RATE_RAD_S] * 3)[:, None]
 """What no sane flight exceeds: m, quaternion, m/s, rad/s."""
 
 _WORLDS_PER_THREAD = 32

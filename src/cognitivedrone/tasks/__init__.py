@@ -4,7 +4,7 @@ from cognitivedrone.tasks.directives import parse_directive, write_directive
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, TASKS
 from cognitivedrone.tasks.format import read_tasks, task_from_json, task_to_json, write_tasks
 from cognitivedrone.tasks.racing import race_task
-from cognitivedrone.tasks.suites import SUITES, Suite, load_suite, suite_from_files, train_task
+from cognitivedrone.tasks.suites import SUITES, UNLIMITED, Suite, load_suite, suite_from_files, train_task
 from cognitivedrone.tasks.validate import validate_task
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "HARD_FAMILIES",
     "SUITES",
     "TASKS",
+    "UNLIMITED",
     "Suite",
     "load_suite",
     "parse_directive",

@@ -25,6 +25,8 @@ TRAIN_NAME = f"{VERSION}:train"
 FIXED: tuple[str, ...] = ("test", "unseen", "smoke", "track", "hard", "race")
 SUITES: tuple[str, ...] = tuple(f"{VERSION}:{name}" for name in ("train", *FIXED))
 DEFAULT_TRAIN_SIZE = 300
+UNLIMITED = 10**9
+"""A size that no suite of files has, and more training tasks than anybody flies: asks for all there is."""
 
 _GATE_LOOKS = tuple((size, shape) for size in SIZES for shape in SHAPES)
 _COLOR_ORDERS = tuple((a, b, c) for a in COLORS for b in COLORS for c in COLORS if len({a, b, c}) == 3)
@@ -114,6 +116,7 @@ def load_suite(name: str, *, size: int | None = None, seed: int = 0) -> Suite:
 
     `open-v1:train` has `size` tasks (300 by default), of which task i depends on (seed, i) alone; its digest covers
     name, seed, size and the first tasks. Of a fixed suite, `size` keeps the first tracks and `seed` says nothing.
+    A size of `UNLIMITED` asks for all there is.
     Raises `TaskError` for an unknown name, a bad size, or a suite file whose content does not match its hash.
     """
     if name not in SUITES:
