@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from cognitivedrone.benchmark.run_types import Flown, RunConfig, Trace
+from cognitivedrone.benchmark.run_types import FilmFrame, Flown, RunConfig, Trace
 from cognitivedrone.errors import LabelError
 from cognitivedrone.flight.calls import NO_WATCH, Watch, calling
 from cognitivedrone.tasks import Suite
-from cognitivedrone.types import EpisodeResult, Outcome, Stage, StageResult, Task
+from cognitivedrone.types import EpisodeResult, Guidance, Outcome, Stage, StageResult, Task
 from cognitivedrone.world import geometry
 
 ENDINGS: tuple[Outcome, ...] = ("wrong_gate", "collision", "missed", "out_of_bounds", "timeout")
@@ -53,8 +53,7 @@ class FakeFlyer:
             stage = Stage(gates=task.gates, labels=task.labels, origin=origin, yaw=yaw)
         result = EpisodeResult(episode, self.config.seed, tuple(results), len(path))
         trace = Trace(path.astype(np.float32), tuple(stages), tuple(starts), float(os.getpid()) * 1e-9)
-        frames = [np.full((64, 64, 3), 4 * k % 256, dtype=np.uint8) for k in range(20)] if film else None
-        return Flown(result, trace, frames)
+        return Flown(result, trace, [frame_of(track[0], k) for k in range(8)] if film else None)
 
     def close(self) -> None:
         """Nothing to free."""
@@ -174,6 +173,12 @@ class FickleFlyer(FakeFlyer):
         self.suite = Suite(self.suite.name, f"{self.suite.digest}{self.flights}", self.suite.tracks)
         self.flights += 1
         return super().fly(episode, film=film)
+
+
+def frame_of(task: Task, step: int) -> FilmFrame:
+    image = np.full((64, 64, 3), 4 * step % 256, dtype=np.uint8)
+    guidance = Guidance(task.directive, task.target, 0.5)
+    return FilmFrame(image, task.directive, guidance, np.array([1.0, -0.5, 0.1, 0.2], np.float32), step / 10, 0)
 
 
 def ended(task: Task, outcome: Outcome, gate: int, rng: np.random.Generator) -> StageResult:

@@ -125,7 +125,7 @@ def test_it_sees_what_a_flight_of_the_same_seed_sees_first(config, look):
     film = flyer.fly(1, film=True).film
     flyer.close()
     assert film is not None
-    assert hashlib.sha256(film[0].tobytes()).hexdigest() == answer.image_sha256
+    assert hashlib.sha256(film[0].image.tobytes()).hexdigest() == answer.image_sha256
 
 
 def test_free_words_count_for_what_they_say(config):

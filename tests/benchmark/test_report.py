@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import html
 import io
 import re
 from dataclasses import replace
@@ -91,24 +92,110 @@ def test_confusions_are_shown_where_something_failed(pieces):
         counts = [str(count) for count in score.outcomes.values() if count]
         row = next(line for line in table.partition("endings")[2].splitlines() if words(family) in line)
         assert row.replace(words(family), "").split() == counts
-        shown = re.search(rf"<tr><td>{words(family)}</td>(.*?)</tr>", text).group(1)
-        assert re.findall(r">(\d+)<", shown) == counts
+        failed = [f"{n} {words(o)}" for o, n in score.outcomes.items() if n and o != "passed"]
+        shown = re.search(rf'<tr class="family"><td>{words(family)}</td>(.*?)</tr>', text, flags=re.DOTALL)
+        assert (", ".join(failed) in shown.group(1)) if failed else shown is None
     for gate, row in enumerate(summary.choices, start=1):
         line = next(line for line in table.splitlines() if line.startswith(f"gate {gate}"))
         assert line.split()[2:] == [str(count) for count in row]
-        shown = re.search(rf"<tr><td>gate {gate}</td>(.*?)</tr>", text).group(1)
+        shown = re.search(rf"<tr><th>right: gate {gate}</th>(.*?)</tr>", text).group(1)
         assert re.findall(r">(\d+)<", shown) == [str(count) for count in row if count]
 
 
-def test_a_run_without_failures_prints_no_confusion(pieces):
-    results, _, _ = pieces
+def without_failures(results):
     passed = tuple(
         replace(e, stages=tuple(replace(s, outcome="passed", chosen=s.target) for s in e.stages))
         for e in results.episodes
     )
+    return replace(results, episodes=passed)
+
+
+def table_rows(text):
+    """Cells of the table of scores, without markup, row by row."""
+    table = text.partition("<h2>Scores</h2>")[2].partition("</table>")[0]
+    rows = re.findall(r"<tr.*?</tr>", table, flags=re.DOTALL)
+    return [[re.sub("<.*?>", "  ", cell).strip() for cell in re.findall(r"<td.*?</td>", row)] for row in rows[1:]]
+
+
+def test_a_run_without_failures_prints_no_confusion(pieces):
+    results, _, _ = pieces
     console = Console(width=100, record=True, file=io.StringIO())
-    console.print(results_table(replace(results, episodes=passed)))
+    console.print(results_table(without_failures(results)))
     assert "endings" not in console.export_text()
+
+
+def test_where_nothing_failed_a_category_is_one_row_without_a_bar(pieces):
+    results, traces, clips = pieces
+    results = without_failures(results)
+    text = render_report(results, traces, clips)
+    rows = table_rows(text)
+    assert len(rows) == len(results.summary().categories) == 3
+    assert all("100.0 %" in row for row in rows)
+    for family in results.summary().families:
+        assert sum(words(family) in re.split(r", |  +", row[0]) for row in rows) == 1
+    table = text.partition("<h2>Scores</h2>")[2].partition("</table>")[0]
+    assert "<svg" not in table
+    assert "What went wrong" not in text
+
+
+def test_families_that_passed_everything_share_a_row(pieces):
+    results, traces, clips = pieces
+    families = results.summary().families
+    perfect = {family for family, score in families.items() if score.passed == score.n}
+    assert perfect
+    assert set(families) - perfect
+    rows = table_rows(render_report(results, traces, clips))
+    for family in set(families) - perfect:
+        assert [row[0] for row in rows].count(words(family)) == 1
+    for family in perfect:
+        assert sum(words(family) in re.split(r", |  +", row[0]) for row in rows) == 1
+    for name in ("human recognition", "symbol understanding", "reasoning"):
+        row = next(row for row in rows if row[0].startswith(name))
+        score = results.summary().categories[name.replace(" ", "_")]
+        assert f"{score.passed} / {score.n}" in row
+
+
+def test_films_stand_over_the_tables_failures_first_and_loop(config):
+    run(replace(config, clips=12), progress=False, flyer=FLYER)
+    text = (config.out / "report.html").read_text()
+    assert text.index("<video") < text.index("<h3>Passed") < text.index("<table")
+    assert text.index("<h3>Not passed") < text.index("<h3>Passed")
+    for tag in re.findall(r"<video [^>]*>", text):
+        assert {"loop", "muted", "autoplay", "playsinline"} <= set(tag.split())
+
+
+def test_the_instruction_of_every_failure_is_told(config):
+    results = run(replace(config, clips=0), progress=False, flyer=FLYER)
+    listed = (config.out / "report.html").read_text().partition("Every stage not passed")[2].partition("</table>")[0]
+    tracks = suite_of(config).tracks
+    failed = [e.episode for e in results.episodes if e.stages[0].outcome != "passed"]
+    assert failed
+    for episode in failed:
+        assert tracks[episode][0].instruction in html.unescape(listed)
+
+
+def test_the_paper_stands_beside_shipped_suites_alone(pieces):
+    results, traces, clips = pieces
+    text = render_report(results, traces, clips).partition("Beside the paper")[2]
+    row = next(row for row in re.findall(r"<tr>.*?</tr>", text) if "human recognition" in row)
+    assert re.findall(r"\d+\.\d %", row)[1:] == ["76.8 %", "45.2 %", "23.1 %"]
+    own = replace(results, run=replace(results.run, suite=replace(results.run.suite, name="my_tasks.json")))
+    assert "77.2 %" not in render_report(own, traces, clips)
+
+
+def test_what_a_rerun_needs_is_told(pieces):
+    results, traces, clips = pieces
+    facts = {
+        "command": "PYTHONPATH='my code' cognitivedrone bench --policy mine:Mine",
+        "commit": "0123abcd-dirty",
+        "policy_file": "my code/mine.py",
+        "policy_sha256": "feed" * 16,
+    }
+    text = html.unescape(render_report(replace(results, platform={**results.platform, **facts}), traces, clips))
+    for part in (facts["command"], "0123abcd</code> <strong>with uncommitted changes", "my code/mine.py", "feed" * 16):
+        assert part in text
+    old = {key: value for key, value in results.platform.items() if key != "commit"}
+    assert "not run from a git checkout" in render_report(replace(results, platform=old), traces, clips)
 
 
 def test_every_text_of_a_task_or_a_user_is_escaped(pieces):
@@ -162,7 +249,7 @@ def test_a_page_of_tracks_draws_every_stage(config):
     run(replace(config, track=True, clips=4), progress=False, flyer=FLYER)
     text = (config.out / "report.html").read_text()
     Page(text)
-    assert "tracks flown to the end" in text
+    assert "episodes completed" in text
     assert "not reached" in text
 
 
@@ -221,10 +308,23 @@ def test_a_map_shows_each_flight_in_the_frame_of_its_stage(config):
             assert (
                 np.hypot(path.end_x - marks[flight.result.chosen][0], path.end_y - marks[flight.result.chosen][1]) < 1.5
             )
-    whole = episode_map(flown.result, flown.trace)
+    whole = episode_map(flown.result, flown.trace, ["a", "b", "c"])
+    assert not any(gate.name for gate in whole.gates)
     assert len(whole.gates) == 3 * len(flights)
     assert sum(gate.is_target for gate in whole.gates) == len(flights)
     x, y, width, height = (float(number) for number in whole.view_box.split())
     for path in whole.paths:
         assert x < path.end_x < x + width
         assert y < path.end_y < y + height
+
+
+def test_a_map_of_one_stage_names_its_gates_and_points_along_the_flight(flown):
+    one = next(one for one in flown if one.result.stages[0].outcome == "passed")
+    drawn = episode_map(one.result, one.trace, ["cat", "dog", "an option of a great length"])
+    assert [gate.name for gate in drawn.gates] == ["cat", "dog", ""]
+    assert [gate.number - 1 for gate in drawn.gates if gate.is_target] == [one.result.stages[0].target]
+    (path,) = drawn.paths
+    goal = drawn.gates[one.result.stages[0].target]
+    # It flew up the page, to the side of its gate.
+    assert abs(path.heading) < 90
+    assert goal.number == 2 or (path.heading < 0) == (goal.number == 1)

@@ -12,13 +12,16 @@ import av
 import numpy as np
 import PIL.Image
 
+from cognitivedrone.benchmark.film import compose
 from cognitivedrone.benchmark.run_types import Flown, Trace
 from cognitivedrone.types import CONTROL_HZ, EpisodeResult, Image, Outcome, Track
 
 FAILURES: Final = 6
 """At most so many of the clips show failures, as long as there are passes to show."""
-QUALITY: Final = "30"
-"""x264's constant rate factor: about 10 kB a second at 256x256 and 10 frames/s."""
+ENCODER: Final = {"crf": "30", "preset": "veryfast", "threads": "1"}
+"""For x264: about 10 kB a second of what `film` draws. One thread, because the output depends on their number."""
+POSTER_STEP: Final = 5
+"""The still picture is that of this step: half a second into the flight, when the reasoner has answered."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +35,7 @@ class Clip:
     video: bytes
     """MP4; empty where there was no frame."""
     poster: bytes
-    """JPEG of the first frame; empty where there was none."""
+    """JPEG of an early frame; empty where there was none."""
     repeats: bool
     """Whether the filmed flight ended as the scored one did; a policy that is not deterministic may fly differently."""
 
@@ -57,8 +60,9 @@ def choose_clips(results: Sequence[EpisodeResult], limit: int) -> list[int]:
 def make_clip(flown: Flown, track: Track, scored: EpisodeResult) -> Clip:
     """A clip of a filmed flight; `scored` is the result of the same episode that entered the score."""
     same = [stage.outcome for stage in flown.result.stages] == [stage.outcome for stage in scored.stages]
-    film = flown.film or []
-    return Clip(flown.result, track, flown.trace, encode_mp4(film), encode_jpeg(film[0]) if film else b"", same)
+    film = [compose(frame, len(track)) for frame in flown.film or []]
+    poster = encode_jpeg(film[min(POSTER_STEP, len(film) - 1)]) if film else b""
+    return Clip(flown.result, track, flown.trace, encode_mp4(film), poster, same)
 
 
 def encode_mp4(frames: Sequence[Image], fps: int = CONTROL_HZ) -> bytes:
@@ -67,8 +71,7 @@ def encode_mp4(frames: Sequence[Image], fps: int = CONTROL_HZ) -> bytes:
         return b""
     buffer = io.BytesIO()
     with av.open(buffer, "w", format="mp4") as container:
-        # One thread, because x264's output depends on their number.
-        stream = container.add_stream("libx264", rate=fps, options={"crf": QUALITY, "preset": "slow", "threads": "1"})
+        stream = container.add_stream("libx264", rate=fps, options=ENCODER)
         stream.height, stream.width = frames[0].shape[:2]
         stream.pix_fmt = "yuv420p"
         for frame in frames:

@@ -5,6 +5,7 @@ A map is drawn in the frame of a stage, in metres: the drone starts at the botto
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -20,12 +21,16 @@ from cognitivedrone.world import geometry
 Points = NDArray[np.floating[Any]]
 STEP_M: Final = 0.08
 """Points of a path closer than this to the last one are left out of the drawing."""
+HEADING_M: Final = 0.5
+"""The arrow at a path's end points along the last part of it that is as long as this."""
 TEXT_SHARE: Final = 0.05
-"""Height of a gate's number over the larger side of its map."""
+"""Height of the text over the larger side of its map."""
 MARGIN_M: Final = 0.8
-"""Around the gates and the path of an episode's map, beside room for the numbers."""
-STAGE_BOX: Final = (-5.6, -6.4, 11.2, 9.0)
-"""x, y, width and height of a map of one stage, m: start box, gates and a metre beyond."""
+"""Around the gates and the path of a track's map, beside room for the numbers."""
+STAGE_BOX: Final = (-7.3, -8.0, 14.6, 11.2)
+"""x, y, width and height of a map of one stage, m: start box, gates, their numbers and names."""
+NAME_LENGTH: Final = 12
+"""Longer names of options are left out of a map."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +44,9 @@ class GateMark:
     y2: float
     label_x: float
     label_y: float
-    """Where its number stands, behind it."""
+    """Middle of its number, behind it."""
+    name: str
+    """Of its option, over the number; may be empty."""
     color: Color
     is_target: bool
 
@@ -52,6 +59,8 @@ class PathMark:
     """Data of an SVG path."""
     end_x: float
     end_y: float
+    heading: float
+    """Of its last half metre, degrees clockwise from up the page."""
     outcome: Outcome
 
 
@@ -61,7 +70,7 @@ class Map:
 
     view_box: str
     text: float
-    """Height of the gates' numbers, m."""
+    """Height of the text, m."""
     gates: tuple[GateMark, ...]
     paths: tuple[PathMark, ...]
 
@@ -77,17 +86,20 @@ class StageFlight:
 
 
 def overlay(flights: Sequence[StageFlight]) -> Map:
-    """Many flights of one stage each, laid over each other in the frame of their stage. The gates are big ones."""
+    """Many flights of one stage each, laid over each other in the frame of their stage, those not passed on top. The
+    gates are big ones.
+    """
     big = Gate("big", "round", "red")
     nominal = Stage(gates=(big, big, big), labels=("", "", ""))
-    paths = tuple(_path_mark(_to_page(flight.points, flight.stage), flight.result.outcome) for flight in flights)
+    paths = [_path_mark(_to_page(flight.points, flight.stage), flight.result.outcome) for flight in flights]
     text = TEXT_SHARE * STAGE_BOX[2]
     gates = _gate_marks(nominal, nominal, None, text)
-    return Map(_box(*STAGE_BOX), text, gates, tuple(path for path in paths if path))
+    shown = sorted((path for path in paths if path), key=lambda path: path.outcome != "passed")
+    return Map(_box(*STAGE_BOX), text, gates, tuple(shown))
 
 
-def episode_map(result: EpisodeResult, trace: Trace) -> Map:
-    """One episode with all its stages, in the frame of the first."""
+def episode_map(result: EpisodeResult, trace: Trace, options: Sequence[str] = ()) -> Map:
+    """One episode with all its stages, in the frame of the first. `options` are names for the gates of a single one."""
     base = trace.stages[0]
     flights = list(stage_flights(result, trace))
     marks = (_path_mark(_to_page(flight.points, base), flight.result.outcome) for flight in flights)
@@ -96,10 +108,18 @@ def episode_map(result: EpisodeResult, trace: Trace) -> Map:
     every = np.concatenate([*corners, _to_page(trace.path, base)])
     every = every[np.isfinite(every).all(axis=1)]
     low, high = every.min(axis=0), every.max(axis=0)
-    text = round(TEXT_SHARE * float((high - low).max()), 2)
-    margin = MARGIN_M + 2 * text
-    low, high = low - margin, high + margin
-    gates = tuple(mark for flight in flights for mark in _gate_marks(flight.stage, base, flight.result.target, text))
+    if len(trace.stages) == 1:
+        box = np.array(STAGE_BOX)
+        low, high = np.minimum(low, box[:2]), np.maximum(high, box[:2] + box[2:])
+        text = round(TEXT_SHARE * float((high - low).max()), 2)
+    else:
+        text = round(TEXT_SHARE * float((high - low).max()), 2)
+        margin = MARGIN_M + 2 * text
+        low, high = low - margin, high + margin
+    names = options if len(trace.stages) == 1 and base.only is None else ()
+    gates = tuple(
+        mark for flight in flights for mark in _gate_marks(flight.stage, base, flight.result.target, text, names)
+    )
     return Map(_box(*low, *(high - low)), text, gates, tuple(mark for mark in marks if mark))
 
 
@@ -116,17 +136,20 @@ def _to_page(points: Points, stage: Stage) -> FloatArray:
     return -local[:, ::-1]
 
 
-def _gate_marks(stage: Stage, base: Stage, target: int | None, text: float) -> tuple[GateMark, ...]:
-    """The gates that stand on `stage` on the page of `base`, with numbers of height `text`, m."""
+def _gate_marks(
+    stage: Stage, base: Stage, target: int | None, text: float, names: Sequence[str] = ()
+) -> tuple[GateMark, ...]:
+    """The gates that stand on `stage` on the page of `base`, with numbers of height `text`, m, and short `names`."""
     marks = []
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
     for index in geometry.standing(stage):
         gate = stage.gates[index]
         half = float(np.abs(geometry.opening_outline(gate, grow=geometry.BAR_WIDTH)[:, 0]).max())
-        offsets = np.array([[0.0, half, 0.0], [0.0, -half, 0.0], [1.25 * text, 0.0, 0.0]])
+        offsets = np.array([[0.0, half, 0.0], [0.0, -half, 0.0], [1.8 * text, 0.0, 0.0]])
         world = centers[index] + rotate_yaw(offsets, float(yaws[index]))
         (x1, y1), (x2, y2), (label_x, label_y) = _to_page(world, base).round(2).tolist()
-        marks.append(GateMark(index + 1, x1, y1, x2, y2, label_x, label_y, gate.color, index == target))
+        name = names[index] if names and len(names[index]) <= NAME_LENGTH else ""
+        marks.append(GateMark(index + 1, x1, y1, x2, y2, label_x, label_y, name, gate.color, index == target))
     return tuple(marks)
 
 
@@ -141,7 +164,10 @@ def _path_mark(page: FloatArray, outcome: Outcome) -> PathMark | None:
             kept.append(point)
     kept.append(page[-1])
     text = "L".join(f"{_short(x)} {_short(y)}" for x, y in kept)
-    return PathMark("M" + text, round(float(page[-1, 0]), 2), round(float(page[-1, 1]), 2), outcome)
+    before = page[np.hypot(*(page - page[-1]).T) >= HEADING_M]
+    x, y = page[-1] - (before[-1] if len(before) else page[0])
+    heading = round(math.degrees(math.atan2(x, -y)), 1)
+    return PathMark("M" + text, round(float(page[-1, 0]), 2), round(float(page[-1, 1]), 2), heading, outcome)
 
 
 def _start_corners(stage: Stage) -> FloatArray:

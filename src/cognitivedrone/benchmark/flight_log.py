@@ -10,7 +10,7 @@ from typing import get_args
 
 import numpy as np
 
-from cognitivedrone.benchmark.run_types import Trace
+from cognitivedrone.benchmark.run_types import FilmFrame, Trace
 from cognitivedrone.envs.course import Course
 from cognitivedrone.errors import ReasonerFault
 from cognitivedrone.sim.simulator import Simulator
@@ -21,7 +21,6 @@ from cognitivedrone.types import (
     FloatArray,
     Gate,
     Guidance,
-    Image,
     Observation,
     ReasonerReport,
     StageResult,
@@ -50,14 +49,15 @@ class FlightLog:
         self.course = course
         self.keep_frames = keep_frames
         self.path: list[FloatArray] = []
-        self.frames: list[Image] = []
+        self.frames: list[FilmFrame] = []
         self._stages: list[_Stage] = []
 
-    def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:  # noqa: ARG002
+    def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:
         """One control step."""
         self.path.append(self.simulator.state(0).position.copy())
         if self.keep_frames:
-            self.frames.append(observation.image.copy())
+            image, told = observation.image.copy(), observation.instruction
+            self.frames.append(FilmFrame(image, told, guidance, action, observation.time, len(self._stages) - 1))
         if guidance is not None:
             self._stages[-1].directive = guidance.directive
             self._stages[-1].ages_s.append(guidance.age)

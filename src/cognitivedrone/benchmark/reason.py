@@ -21,8 +21,9 @@ from rich.progress import track as progress_of
 
 from cognitivedrone.benchmark.codec import dumps
 from cognitivedrone.benchmark.episode import labels_of, preflight
+from cognitivedrone.benchmark.provenance import platform_facts
 from cognitivedrone.benchmark.reason_scoring import Answer, ReasonSummary, judge, summarize_answers
-from cognitivedrone.benchmark.results import Options, SuiteFacts, platform_facts, versions, write_whole
+from cognitivedrone.benchmark.results import Options, SuiteFacts, versions, write_whole
 from cognitivedrone.benchmark.run_types import LookName, RunConfig
 from cognitivedrone.benchmark.runner import Interrupted, facts_of, results_folder
 from cognitivedrone.benchmark.suites import suite_of
@@ -296,7 +297,7 @@ def _document(results: ReasonResults, options: Options) -> Mapping[str, object]:
         "versions": versions(),
         "renderer": results.renderer,
         "scores": results.summary,
-        "platform": platform_facts(_command_of(config)),
+        "platform": platform_facts(_command_of(config), reasoner=config.reasoner),
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "wall_s": round(results.wall_s, 3),
     }

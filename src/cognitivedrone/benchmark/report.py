@@ -7,8 +7,7 @@ lays it out.
 from __future__ import annotations
 
 import base64
-import textwrap
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -17,36 +16,37 @@ import jinja2
 
 from cognitivedrone.benchmark import drawing
 from cognitivedrone.benchmark.clips import Clip
+from cognitivedrone.benchmark.published import PUBLISHED, comparable
 from cognitivedrone.benchmark.results import Results
-from cognitivedrone.benchmark.run_types import Trace
-from cognitivedrone.benchmark.scoring import OUTCOMES, PUBLISHED_REACH_M, RULES, Score, Summary
-from cognitivedrone.benchmark.tables import DASH, PUBLISHED, interval, percent, words
-from cognitivedrone.types import EpisodeResult, Outcome, StageResult
+from cognitivedrone.benchmark.run_types import Rule, Trace
+from cognitivedrone.benchmark.scoring import OUTCOMES, PUBLISHED_REACH_M, RULES, Score, Summary, score
+from cognitivedrone.benchmark.tables import DASH, interval, percent, words
+from cognitivedrone.envs.captions import readable
+from cognitivedrone.types import Category, EpisodeResult, Outcome, StageResult, Track
 
 REPORT_FILE: Final = "report.html"
 CLIP_BUDGET: Final = 3_500_000
 """Bytes of film in one report; in base64 they take a third more."""
 PATHS_PER_MAP: Final = 60
 FAILURES_LISTED: Final = 200
+FAILURES_OPEN: Final = 12
+"""So many failures are shown at once; a longer list is opened by a click."""
 CHANCE: Final = 1 / 3
 """A guess among three gates; where single gates alone were flown, there is nothing to guess."""
 
 
 @dataclass(frozen=True, slots=True)
-class Bar:
-    """A rate with its interval, as text and as percentages of the full width."""
+class Row:
+    """A line of the table of scores."""
 
     name: str
     level: str
-    """`overall`, `category`, `family`, `run` or `published`."""
-    rate: float | None
-    """Per cent."""
-    low: float | None
-    high: float | None
-    text: str
-    interval: str
-    points: str
-    """Such as "61 / 100"."""
+    """`category` or `family`; `passed` for several families of a category in which nothing failed."""
+    families: str
+    """Of a category whose families have no rows: there is one, or nothing failed in any."""
+    score: Score
+    failed: str
+    """How the stages ended that were not passed, such as "2 wrong gate, 1 timeout"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,14 +68,28 @@ class FilmView:
     """Base64, as the poster."""
     poster: str
     map: drawing.Map
+    passed: bool
     not_reached: int
     """Stages after the one that ended the flight."""
 
 
-def render_report(results: Results, traces: Sequence[Trace], clips: Sequence[Clip]) -> str:
-    """The page. `traces` belong to `results.episodes`, one each, in the same order."""
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """A stage that was flown and not passed."""
+
+    episode: int
+    stage: StageResult
+    instruction: str
+    """Empty where the task is not known."""
+
+
+def render_report(
+    results: Results, traces: Sequence[Trace], clips: Sequence[Clip], tracks: Sequence[Track] = ()
+) -> str:
+    """The page. `traces` belong to `results.episodes`, one each, in the same order; `tracks` are those of the suite."""
     summary = results.summary()
-    films = _within_budget(clips)
+    films = [_film_view(clip) for clip in _within_budget(clips)]
+    failures = list(_failures(results.episodes, tracks))
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("cognitivedrone.benchmark"),
         autoescape=True,
@@ -85,9 +99,10 @@ def render_report(results: Results, traces: Sequence[Trace], clips: Sequence[Cli
     )
     environment.filters |= {
         "words": words,
-        "option": _option,
+        "option": readable,
         "percent": percent,
         "interval": interval,
+        "hundred": _hundred,
         "number": _number,
     }
     return environment.get_template("report.html.j2").render(
@@ -96,86 +111,81 @@ def render_report(results: Results, traces: Sequence[Trace], clips: Sequence[Cli
         rule=results.rule,
         reach=PUBLISHED_REACH_M,
         summary=summary,
-        chance=100 * CHANCE if summary.mean_of_categories.categories else None,
-        scores=list(_score_bars(summary, results.episodes)),
-        published=list(_published_bars(summary.overall)),
-        rules=[(rule, results.summary(rule).overall) for rule in RULES],
-        outcomes=[(name, level, score.outcomes, _segments(score)) for name, level, score in _outcome_rows(summary)],
-        outcomes_seen=[outcome for outcome in OUTCOMES if summary.overall.outcomes[outcome]],
+        overall=summary.overall,
+        chance=CHANCE if summary.mean_of_categories.categories else None,
+        rows=list(_rows(summary, results.episodes, results.rule)),
+        outcomes=OUTCOMES,
+        segments=_segments(summary.overall),
+        other_rule=next((rule, results.summary(rule).overall) for rule in RULES if rule != results.rule),
+        published=PUBLISHED if comparable(results) else (),
         mind=summary.overall.reasoner,
-        minds=[(name, level, score.reasoner) for name, level, score in _outcome_rows(summary) if score.reasoner],
-        maps=list(_family_maps(results.episodes, traces, summary)),
-        films=[_film_view(clip) for clip in films],
+        maps=list(_maps(results.episodes, traces, summary)),
+        failed_films=[film for film in films if not film.passed],
+        passed_films=[film for film in films if film.passed],
         films_left_out=len(clips) - len(films),
-        failures=list(_failures(results.episodes))[:FAILURES_LISTED],
-        n_failures=sum(1 for _ in _failures(results.episodes)),
+        failures=failures[:FAILURES_LISTED],
+        failures_open=len(failures) <= FAILURES_OPEN,
+        n_failures=len(failures),
         messages=[(episode.episode, episode.message) for episode in results.episodes if episode.message],
         on_tracks=any(len(episode.stages) > 1 for episode in results.episodes),
     )
 
 
-def _score_bars(summary: Summary, episodes: Sequence[EpisodeResult]) -> Iterator[Bar]:
-    """Overall, then every category with its families."""
-    home = {stage.family: stage.category for episode in episodes for stage in episode.stages}
-    yield _bar("overall", "overall", summary.overall)
-    for category, score in summary.categories.items():
-        yield _bar(words(category), "category", score)
-        for family, family_score in summary.families.items():
-            if home[family] == category:
-                yield _bar(words(family), "family", family_score)
+def _rows(summary: Summary, episodes: Sequence[EpisodeResult], rule: Rule) -> Iterator[Row]:
+    """Every category with its families; those in which nothing failed share one row."""
+    stages: dict[Category, dict[str, list[StageResult]]] = defaultdict(lambda: defaultdict(list))
+    for episode in episodes:
+        for stage in episode.stages:
+            stages[stage.category][stage.family].append(stage)
+    for category, category_score in summary.categories.items():
+        families = stages[category]
+        scores = {family: summary.families[family] for family in summary.families if family in families}
+        perfect = [family for family, part in scores.items() if part.n and part.passed == part.n]
+        names = ", ".join(words(family) for family in perfect)
+        if len(scores) == 1 or len(perfect) == len(scores):  # rows of families would repeat the category's numbers
+            yield _row(words(category), "category", category_score, ", ".join(words(family) for family in scores))
+            continue
+        yield _row(words(category), "category", category_score)
+        for family, part in scores.items():
+            if family not in perfect:
+                yield _row(words(family), "family", part)
+        if perfect:
+            together = score([stage for family in perfect for stage in families[family]], rule)
+            yield _row(names, "passed", together)
 
 
-def _bar(name: str, level: str, score: Score) -> Bar:
-    return Bar(
-        name,
-        level,
-        _hundred(score.rate),
-        _hundred(score.ci95[0] if score.ci95 else None),
-        _hundred(score.ci95[1] if score.ci95 else None),
-        percent(score.rate),
-        interval(score.ci95),
-        f"{score.passed} / {score.n}",
-    )
+def _row(name: str, level: str, part: Score, families: str = "") -> Row:
+    ended = {outcome: count for outcome, count in part.outcomes.items() if count and outcome != "passed"}
+    return Row(name, level, families, part, ", ".join(f"{count} {words(outcome)}" for outcome, count in ended.items()))
 
 
-def _published_bars(overall: Score) -> Iterator[Bar]:
-    yield _bar("this run", "run", overall)
-    for name, rate in PUBLISHED:
-        yield Bar(name, "published", _hundred(rate), None, None, percent(rate), DASH, "")
-
-
-def _outcome_rows(summary: Summary) -> Iterator[tuple[str, str, Score]]:
-    """Name, level and score of every row of the outcomes."""
-    yield "overall", "overall", summary.overall
-    for level, scores in (("category", summary.categories), ("family", summary.families)):
-        for name, score in scores.items():
-            yield words(name), level, score
-
-
-def _segments(score: Score) -> list[Segment]:
-    total = sum(score.outcomes.values())
+def _segments(part: Score) -> list[Segment]:
+    total = sum(part.outcomes.values())
     segments: list[Segment] = []
     start = 0
     for outcome in OUTCOMES:
-        count = score.outcomes[outcome]
+        count = part.outcomes[outcome]
         if count:
             segments.append(Segment(outcome, round(100 * start / total, 3), round(100 * count / total, 3), count))
             start += count
     return segments
 
 
-def _family_maps(
+def _maps(
     episodes: Sequence[EpisodeResult], traces: Sequence[Trace], summary: Summary
-) -> Iterator[tuple[str, int, drawing.Map]]:
-    """Name of every family that was flown, number of flights drawn, and the map."""
-    flights: dict[str, list[drawing.StageFlight]] = defaultdict(list)
+) -> Iterator[tuple[str, str, drawing.Map]]:
+    """Name of every category that was flown, the outcomes drawn in words, and the map."""
+    flights: dict[Category, list[drawing.StageFlight]] = defaultdict(list)
     for episode, trace in zip(episodes, traces, strict=True):
         for flight in drawing.stage_flights(episode, trace):
-            flights[flight.result.family].append(flight)
-    for family in summary.families:
-        drawn = flights[family][:PATHS_PER_MAP]
-        if drawn:
-            yield words(family), len(drawn), drawing.overlay(drawn)
+            flights[flight.result.category].append(flight)
+    for category in summary.categories:
+        # Those that failed first: they are what one looks for where not all are drawn.
+        chosen = sorted(flights[category], key=lambda flight: flight.result.outcome == "passed")[:PATHS_PER_MAP]
+        if chosen:
+            tally = Counter(flight.result.outcome for flight in chosen)
+            drawn = ", ".join(f"{tally[outcome]} {words(outcome)}" for outcome in OUTCOMES if tally[outcome])
+            yield words(category), drawn, drawing.overlay(chosen)
 
 
 def _within_budget(clips: Sequence[Clip]) -> list[Clip]:
@@ -194,22 +204,19 @@ def _film_view(clip: Clip) -> FilmView:
         clip=clip,
         video=base64.b64encode(clip.video).decode("ascii"),
         poster=base64.b64encode(clip.poster).decode("ascii"),
-        map=drawing.episode_map(clip.result, clip.trace),
+        map=drawing.episode_map(clip.result, clip.trace, [readable(option) for option in clip.track[0].options]),
+        passed=all(stage.outcome == "passed" for stage in clip.result.stages),
         not_reached=sum(stage.outcome == "not_reached" for stage in clip.result.stages),
     )
 
 
-def _failures(episodes: Sequence[EpisodeResult]) -> Iterator[tuple[int, StageResult]]:
-    """Episode and result of every stage that was flown and not passed."""
+def _failures(episodes: Sequence[EpisodeResult], tracks: Sequence[Track]) -> Iterator[Failure]:
+    """Every stage that was flown and not passed."""
+    instructions = {task.id: task.instruction for track in tracks for task in track}
     for episode in episodes:
         for stage in episode.stages:
             if stage.outcome not in ("passed", "not_reached"):
-                yield episode.episode, stage
-
-
-def _option(option: str) -> str:
-    """An option as one reads it: people are described at length, in places where a line can break."""
-    return textwrap.shorten(words(option).replace(",", ", ").replace("=", " "), width=70, placeholder=" ...")
+                yield Failure(episode.episode, stage, instructions.get(stage.task_id, ""))
 
 
 def _hundred(rate: float | None) -> float | None:

@@ -8,7 +8,6 @@ import os
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -121,17 +120,6 @@ def versions() -> dict[str, str]:
     return {"cognitivedrone": cognitivedrone.__version__, "python": platform.python_version(), **packages}
 
 
-def platform_facts(command: str) -> dict[str, str]:
-    """The machine, in words, and the command that was run on it."""
-    return {
-        "command": command,
-        "system": platform.system(),
-        "machine": platform.machine(),
-        "processor": _processor(),
-        "cores": str(os.cpu_count() or 1),
-    }
-
-
 def results_to_json(results: Results) -> dict[str, Any]:
     """The content of results.json. All but `platform` and `timing` is the same on every repetition of the run."""
     return {
@@ -189,14 +177,3 @@ def write_whole(path: Path, text: str) -> None:
         file.flush()
         os.fsync(file.fileno())
     temporary.replace(path)
-
-
-@lru_cache(maxsize=1)
-def _processor() -> str:
-    """The processor's name; Linux tells it only in /proc."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or "unknown"

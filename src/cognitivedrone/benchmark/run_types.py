@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.links.one_drone import LinkReport
-from cognitivedrone.types import EpisodeResult, Image, Stage
+from cognitivedrone.types import Action, EpisodeResult, Guidance, Image, Stage
 
 Rule = Literal["through", "within_1m"]
 """`through`: the drone's centre crosses the right gate's plane inside its opening. `within_1m`: the published rule, the
@@ -87,13 +87,31 @@ class Trace:
 
 
 @dataclass(frozen=True, slots=True)
+class FilmFrame:
+    """One control step of a filmed flight."""
+
+    image: Image
+    """First-person."""
+    instruction: str
+    """What the policy was told: the instruction, or the directive of `guidance`."""
+    guidance: Guidance | None
+    """The reasoner's answer that was flown by, if there was one."""
+    action: Action
+    """As it was flown."""
+    time: float
+    """Since the start of the flight, s."""
+    stage: int
+    """Index in the track."""
+
+
+@dataclass(frozen=True, slots=True)
 class Flown:
     """One flown episode."""
 
     result: EpisodeResult
     trace: Trace
-    film: list[Image] | None = None
-    """First-person frames at 10 Hz, where they were asked for."""
+    film: list[FilmFrame] | None = None
+    """Every control step, where a film was asked for."""
     link: LinkReport | None = None
     """What happened on the link meanwhile, where an autopilot in another process flew."""
     error: str = ""

@@ -22,6 +22,7 @@ from cognitivedrone.benchmark.clips import Clip, choose_clips, make_clip
 from cognitivedrone.benchmark.crew import FLYER, Alone, Crew, Team, WorkerCrash, make_flyer
 from cognitivedrone.benchmark.episode import EpisodeFlyer, Pilot, preflight
 from cognitivedrone.benchmark.links import autopilot_file
+from cognitivedrone.benchmark.provenance import platform_facts
 from cognitivedrone.benchmark.records import ERRORS_FOLDER, Record, RunFolder, check_folder
 from cognitivedrone.benchmark.report import REPORT_FILE, render_report
 from cognitivedrone.benchmark.results import (
@@ -31,7 +32,6 @@ from cognitivedrone.benchmark.results import (
     RunFacts,
     SuiteFacts,
     Timing,
-    platform_facts,
     read_results,
     versions,
     write_results,
@@ -100,10 +100,10 @@ def run(config: RunConfig, *, progress: bool = True, flyer: str = FLYER, pilot: 
             renderer=" and ".join(sorted({record.renderer for record in records})),
             rule=config.rule,
             episodes=tuple(record.result for record in records),
-            platform=platform_facts(command_of(config)),
+            platform=platform_facts(command_of(config), config.policy, config.reasoner),
             timing=_timing(records, max(workers, 1), len(missing), time.perf_counter() - began, link),
         )
-        report = render_report(results, [record.trace for record in records], clips)
+        report = render_report(results, [record.trace for record in records], clips, suite.tracks)
         write_whole(path / REPORT_FILE, report)
         # Last, because with it the run is complete.
         write_results(path / RESULTS_FILE, results)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Final, TypeVar
+from typing import TypeVar
 
 from rich import box
 from rich.console import Console, Group, RenderableType
@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cognitivedrone.benchmark.compare import Comparison, Difference
+from cognitivedrone.benchmark.published import PUBLISHED
 from cognitivedrone.benchmark.results import Results
 from cognitivedrone.benchmark.run_types import Rule
 from cognitivedrone.benchmark.scoring import Interval, Score, Summary
@@ -19,8 +20,6 @@ from cognitivedrone.types import Category
 
 DASH = "–"
 Part = TypeVar("Part")
-PUBLISHED: Final = (("CognitiveDrone-R1", 0.772), ("CognitiveDrone", 0.596), ("RaceVLA", 0.313))
-"""Overall success rates that arXiv 2503.01378 reports in its abstract."""
 
 
 def as_text(table: RenderableType, width: int = 80) -> str:
@@ -186,12 +185,12 @@ def _notes(results: Results, rule: Rule) -> list[Text]:
     if overall.mean_time_s is not None:
         parts = [f"{overall.mean_time_s:.1f} s"]
         if overall.mean_path_ratio is not None:
-            parts.append(f"{overall.mean_path_ratio:.2f} of the straight path")
+            parts.append(f"path ratio {overall.mean_path_ratio:.2f}")
         if overall.mean_clearance_m is not None:
-            parts.append(f"{100 * overall.mean_clearance_m:.0f} cm clearance")
+            parts.append(f"clearance {100 * overall.mean_clearance_m:.0f} cm")
         notes.append(Text("passed stages, on average: " + ", ".join(parts)))
     if any(len(episode.stages) > 1 for episode in results.episodes):
-        notes.append(Text(f"tracks flown to the end: {summary.episodes_completed} of {summary.episodes}"))
+        notes.append(Text(f"episodes completed: {summary.episodes_completed} of {summary.episodes}"))
     if overall.outcomes["invalid"]:
         why = "the physics diverged" if results.run.options.link == "sim" else "the vehicle was lost"
         notes.append(Text(f"not counted: {overall.outcomes['invalid']} invalid ({why})", style="yellow"))
@@ -200,7 +199,7 @@ def _notes(results: Results, rule: Rule) -> list[Text]:
         count = overall.outcomes["policy_error"]
         text = f"policy errors, counted as not passed: {count}; the first in episode {first.episode}: {first.message}"
         notes.append(Text(text, style="yellow"))
-    published = ", ".join(f"{name} {percent(rate)}" for name, rate in PUBLISHED)
+    published = ", ".join(f"{score.name} {percent(score.overall)}" for score in PUBLISHED)
     notes.append(Text(f"the paper (arXiv 2503.01378), on its own tasks and simulator: {published}"))
     if (link := results.timing.link) is not None:
         what = f"ArduCopter: {link.frames} frames of physics, {link.lost} lost"

@@ -20,7 +20,7 @@ import numpy as np
 
 from cognitivedrone.data.episode import Encoding, decode_image, encode_image
 from cognitivedrone.errors import MissingExtra
-from cognitivedrone.sim.camera import FIELD_OF_VIEW
+from cognitivedrone.sim.views import FIELD_OF_VIEW
 from cognitivedrone.types import IMAGE_SIZE, FloatArray
 
 IMAGE_TYPE: Final = "sensor_msgs/msg/CompressedImage"

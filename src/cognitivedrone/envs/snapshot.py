@@ -1,44 +1,145 @@
-"""A picture of one task: what the drone sees at the start, a chase view and the stage from above, side by side."""
+"""A picture of one task for people: what is asked, what the drone sees at the start, a top and a chase view."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from PIL import Image as PillowImage
+from PIL import ImageDraw
 
-from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
-from cognitivedrone.errors import RunError, TaskError
+from cognitivedrone.envs.captions import font, readable, wrap
+from cognitivedrone.envs.course import LOOKS, Course, CourseConfig, episode_rng
+from cognitivedrone.errors import RunError, TaskError, did_you_mean
+from cognitivedrone.frames import FloatArray
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.sim.views import View, chase_view, first_person_view, top_view
 from cognitivedrone.tasks import Suite
-from cognitivedrone.types import IMAGE_SIZE, Image, Task
+from cognitivedrone.types import IMAGE_SIZE, Gate, Image, Task
+from cognitivedrone.world import geometry
 
-SCALE = 2
-"""The views from outside are drawn at this many times the first-person view's size."""
+SIDE: Final = 2 * IMAGE_SIZE
+"""Of the two square views, pixels."""
+_GAP: Final = 24
+_WIDTH: Final = 2 * SIDE + 3 * _GAP
+_CHASE_SIZE: Final = (2 * SIDE + _GAP, 480)
+_PAPER, _INK, _SOFT, _RIGHT = (255, 255, 255), (20, 23, 31), (91, 98, 115), (18, 134, 95)
+_BADGE: Final = 20
+"""Radius of a gate's number, pixels."""
 
 
 def snapshot(suite: Suite, episode: int, out: Path, *, look: str, labels: str, seed: int) -> Task:
     """Write the picture to `out` and return the task that it shows."""
     if not 0 <= episode < len(suite.tracks):
         raise TaskError(f"suite {suite.name!r} has episodes 0 to {len(suite.tracks) - 1}, not {episode}")
+    if look not in LOOKS:
+        raise RunError(f"unknown look {look!r}; {did_you_mean(look, LOOKS)}")
     if not out.parent.is_dir():
         raise RunError(f"cannot write {out}: there is no folder {out.parent}")
+    if out.suffix.lower() not in PillowImage.registered_extensions():
+        raise RunError(f"cannot write {out}: {out.suffix or 'no suffix'} is no kind of picture; end its name in .png")
     simulator = Simulator(1)
-    course = Course(simulator, 0, load_pack(labels), CourseConfig(look=look))
-    course.begin(suite.tracks[episode], episode_rng(suite.digest, episode, seed))
-    PillowImage.fromarray(triptych(simulator, course)).save(out)
-    simulator.close()
+    try:
+        course = Course(simulator, 0, load_pack(labels), CourseConfig(look=look))
+        course.begin(suite.tracks[episode], episode_rng(suite.digest, episode, seed))
+        where = f"{suite.name}, episode {episode}"
+        if len(suite.tracks[episode]) > 1:
+            where += f", stage 1 of {len(suite.tracks[episode])}"
+        picture = draw(simulator, course, where)
+    finally:
+        simulator.close()
+    try:
+        PillowImage.fromarray(picture).save(out)
+    except OSError as error:
+        raise RunError(f"cannot write {out}: {error.strerror or error}") from None
     return course.task
 
 
-def triptych(simulator: Simulator, course: Course) -> Image:
-    """First-person, chase and top view of one world, (2 * 256, 6 * 256, 3)."""
+def draw(simulator: Simulator, course: Course, where: str) -> Image:
+    """The task that a course is at, with its three views and gates named: (h, 1096, 3). `where` says which it is."""
     if simulator.cameras is None:
         raise ValueError("this simulator was made without cameras")
-    side = SCALE * IMAGE_SIZE
-    state = simulator.state(course.world)
-    own = simulator.frames(worlds=[course.world])[0].repeat(SCALE, axis=0).repeat(SCALE, axis=1)
-    chase = simulator.cameras.chase(course.world, state, (side, side))
-    top = simulator.cameras.top(course.world, state, (side, side))
-    return np.concatenate([own, chase, top], axis=1)
+    state, stage = simulator.state(course.world), course.stage
+    seen = simulator.frames(worlds=[course.world])[0].repeat(2, axis=0).repeat(2, axis=1)
+    top = simulator.cameras.top(course.world, state, (SIDE, SIDE))
+    chase = simulator.cameras.chase(course.world, state, _CHASE_SIZE)
+    heading = _heading(course.task, where)
+    titles = 34
+    rows = (heading.height, heading.height + titles + SIDE + _GAP)
+    page = PillowImage.new("RGB", (_WIDTH, rows[1] + titles + _CHASE_SIZE[1] + _GAP), _PAPER)
+    page.paste(heading)
+    pen = ImageDraw.Draw(page)
+    for title, picture, view, left, row in (
+        (f"What the drone sees ({IMAGE_SIZE} x {IMAGE_SIZE})", seen, first_person_view(state), _GAP, rows[0]),
+        ("From above", top, top_view(stage), 2 * _GAP + SIDE, rows[0]),
+        ("From behind", chase, chase_view(state), _GAP, rows[1]),
+    ):
+        pen.text((left, row), title, _SOFT, font(24))
+        marked = PillowImage.fromarray(picture)
+        _mark_gates(marked, view, course)
+        page.paste(marked, (left, row + titles))
+        box = (left - 1, row + titles - 1, left + marked.width, row + titles + marked.height)
+        pen.rectangle(box, outline=(200, 204, 214))
+    return np.asarray(page)
+
+
+def _heading(task: Task, where: str) -> PillowImage.Image:
+    """The instruction, which task this is, and a line for each gate."""
+    page = PillowImage.new("RGB", (_WIDTH, 1200), _PAPER)
+    pen = ImageDraw.Draw(page)
+    top = _GAP
+    for line in wrap(task.instruction, _WIDTH - 2 * _GAP, font(42), 6):
+        pen.text((_GAP, top), line, _INK, font(42))
+        top += 52
+    about = f"{where}: {task.family.replace('_', ' ')}, {task.category.replace('_', ' ')}"
+    if task.board is not None:
+        about += f"; the board shows {readable(task.board.partition('@')[0])}"
+    for line in wrap(about, _WIDTH - 2 * _GAP, font(24), 2):
+        pen.text((_GAP, top + 2), line, _SOFT, font(24))
+        top += 32
+    top += 14
+    for index in range(3):
+        if task.only not in (None, index):
+            continue
+        right = index == task.target
+        _badge(pen, _GAP + _BADGE, top + _BADGE, index + 1, right=right)
+        text = _look(task.gates[index])
+        if task.only is None:
+            text += f": {readable(task.options[index], 200)}"
+        lines = wrap(text + ("  (right)" if right else ""), _WIDTH - 3 * _GAP - 2 * _BADGE, font(26), 2)
+        for number, line in enumerate(lines):
+            pen.text((2 * _GAP + 2 * _BADGE, top + 4 + 32 * number), line, _RIGHT if right else _INK, font(26))
+        top += 18 + 32 * len(lines)
+    return page.crop((0, 0, _WIDTH, top + 14))
+
+
+def _look(gate: Gate) -> str:
+    return f"{gate.size} {gate.color} {gate.shape} gate"
+
+
+def _mark_gates(picture: PillowImage.Image, view: View, course: Course) -> None:
+    """The gates' numbers under them, as far as the gates are in the picture."""
+    pen = ImageDraw.Draw(picture)
+    for index in geometry.standing(course.stage):
+        x, y = view.project(_under(course, index), picture.size)[0]
+        if not (0 <= x <= picture.width and 0 <= y <= picture.height):
+            continue
+        x = min(max(x, _BADGE + 3), picture.width - _BADGE - 3)
+        y = min(y + _BADGE, picture.height - _BADGE - 3)
+        _badge(pen, x, y, index + 1, right=index == course.task.target)
+
+
+def _under(course: Course, index: int) -> FloatArray:
+    """(1, 3) world: the lowest point of a gate's frame, in its middle, m."""
+    outline = geometry.opening_outline(course.stage.gates[index], grow=geometry.BAR_WIDTH)
+    lowest: FloatArray = geometry.gate_centers(course.stage)[[index]] + [0.0, 0.0, outline[:, 1].min()]
+    return lowest
+
+
+def _badge(pen: ImageDraw.ImageDraw, x: float, y: float, number: int, *, right: bool) -> None:
+    """A gate's number in a circle, green for the right gate."""
+    edges = (x - _BADGE, y - _BADGE, x + _BADGE, y + _BADGE)
+    pen.ellipse(edges, fill=_RIGHT if right else _PAPER, outline=_RIGHT if right else _INK, width=3)
+    pen.text((x, y), str(number), _PAPER if right else _INK, font(28), anchor="mm")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from cognitivedrone.policies.guidance import Pursuit, pursue
-from cognitivedrone.sim.camera import FIELD_OF_VIEW, MOUNT
+from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.tasks.directives import parse_directive
 from cognitivedrone.types import COLORS, IMAGE_SIZE, ActionChunk, Color, FloatArray, Image, Observation, Shape, Size
 from cognitivedrone.world.geometry import BAR_WIDTH, GATE_HEIGHT

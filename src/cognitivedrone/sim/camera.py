@@ -12,30 +12,23 @@ import zlib
 from collections.abc import Sequence
 from concurrent.futures import wait
 from functools import partial
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image as PillowImage
 
 from cognitivedrone.errors import RenderError
-from cognitivedrone.frames import FloatArray, rotate_yaw, rotation_matrix, yaw_of
+from cognitivedrone.frames import FloatArray, rotation_matrix
 from cognitivedrone.sim.gl import GLThread
+from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT, View, chase_view, top_view
 from cognitivedrone.types import IMAGE_SIZE, DroneState, Image, Stage
 from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture
 from cognitivedrone.world.engine import mujoco
 from cognitivedrone.world.look import PLAIN, Look, expose
 from cognitivedrone.world.scene import add_drone, fill_scene, new_scene
 
-FIELD_OF_VIEW: Final = 1.85
-"""Of the first-person camera, horizontal and, as images are square, vertical, rad."""
-MOUNT: Final = (0.1, 0.0, 0.3)
-"""The camera's place on the vehicle, body FLU, m. It looks along the body's x axis and tilts with the body."""
-
 _NEAR, _FAR = 0.03, 200.0
-_VIEW_FIELD_OF_VIEW = 1.1  # of the views for people, vertical, rad
-_CHASE_EYE, _CHASE_TARGET = (-2.0, 0.0, 0.8), (2.0, 0.0, 0.5)  # from the drone, heading frame, m
-_TOP_EYE, _TOP_TARGET = (-6.0, 0.0, 9.0), (2.2, 0.0, 1.0)  # stage frame, m
 _TOP_DRONE_SCALE = 3.0
 _SUPERSAMPLE = 2  # views for people are drawn this many times larger and reduced, for smooth edges
 
@@ -127,21 +120,15 @@ class Cameras:
 
     def chase(self, slot: int, state: DroneState, size: tuple[int, int] = (640, 480)) -> Image:
         """The drone and what lies before it, from behind and above: (h, w, 3) for `size` (w, h) in pixels."""
-        heading = yaw_of(np.asarray(state.quaternion, dtype=np.float64))
-        eye, target = (state.position + rotate_yaw(np.array(point), heading) for point in (_CHASE_EYE, _CHASE_TARGET))
-        eye[2] = max(eye[2], 0.1)
         thread, renderer, own = self._owner(slot)
-        return thread.call(partial(renderer.overlook, own, state, 1.0, size, eye, target)).result()
+        return thread.call(partial(renderer.overlook, own, state, 1.0, size, chase_view(state))).result()
 
     def top(self, slot: int, state: DroneState, size: tuple[int, int] = (640, 480)) -> Image:
         """The whole stage from high above its start, the drone drawn three times its size: (h, w, 3)."""
         thread, renderer, own = self._owner(slot)
 
         def draw() -> Image:
-            stage = renderer.stage(own)
-            home = np.array([*stage.origin, 0.0])
-            eye, target = (home + rotate_yaw(np.array(point), stage.yaw) for point in (_TOP_EYE, _TOP_TARGET))
-            return renderer.overlook(own, state, _TOP_DRONE_SCALE, size, eye, target)
+            return renderer.overlook(own, state, _TOP_DRONE_SCALE, size, top_view(renderer.stage(own)))
 
         return thread.call(draw).result()
 
@@ -203,20 +190,16 @@ class _Renderer:
             pose = np.concatenate([eye[index], forward[index], up[index]])
             expose(out[index], look, zlib.crc32(pose.tobytes()))
 
-    def overlook(
-        self, slot: int, state: DroneState, scale: float, size: tuple[int, int], eye: FloatArray, target: FloatArray
-    ) -> Image:
-        """A view for people, from `eye` to `target`, with the drone in it: (h, w, 3)."""
+    def overlook(self, slot: int, state: DroneState, scale: float, size: tuple[int, int], view: View) -> Image:
+        """A view for people, with the drone in it: (h, w, 3)."""
         self.stage(slot)
         scene = self._scenes[slot]
         width, height = (_SUPERSAMPLE * side for side in size)
         stage_geoms = scene.ngeom
         pixels = np.empty((height, width, 3), np.uint8)
-        forward = (target - eye) / np.linalg.norm(target - eye)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
         add_drone(scene, state, scale)
-        _set_lens(scene, _VIEW_FIELD_OF_VIEW)
-        _aim(scene, eye, forward, np.cross(right / np.linalg.norm(right), forward))
+        _set_lens(scene, view.field_of_view)
+        _aim(scene, view.eye, view.forward, view.up)
         mujoco.mjr_resizeOffscreen(width, height, self._context)
         try:
             self._draw(scene, mujoco.MjrRect(0, 0, width, height), pixels)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import subprocess
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,6 +18,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
+from cognitivedrone import checkout
 from cognitivedrone.models.onnx_file import Provenance
 from cognitivedrone.models.small_file import ActionStatistics, Description, SmallModel, describe
 from cognitivedrone.models.small_vla import STATE, SmallVLA
@@ -67,7 +67,7 @@ def provenance_of(facts: Mapping[str, Any], scores: Mapping[str, Any] | None = N
     return Provenance(
         recipe=recipe["name"],
         data=facts.get("data") or made,
-        commit=_commit(),
+        commit=checkout.commit() or "unknown",
         trained=datetime.now(UTC).isoformat(timespec="seconds"),
         steps=int(facts["step"]),
         scores=dict(scores or {}),
@@ -154,15 +154,3 @@ def _forget_the_making(model: Any) -> None:
         part.ClearField("doc_string")
     # Shapes inside the graph are found again on loading.
     graph.ClearField("value_info")
-
-
-def _commit() -> str:
-    """Of the checkout this code lies in; "unknown" where it is none."""
-    here = Path(__file__).resolve().parent
-    done = subprocess.run(  # noqa: S603
-        ["git", "-C", str(here), "rev-parse", "HEAD"],  # noqa: S607
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return done.stdout.strip() or "unknown"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.frames import rotate_yaw, rotation_matrix, world_to_heading, wrap_angle, yaw_of
 from cognitivedrone.policies.expert import ExpertConfig, intent
-from cognitivedrone.sim.camera import FIELD_OF_VIEW, MOUNT
+from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.types import ACTION_LIMITS, CONTROL_HZ, IMAGE_SIZE, FloatArray, Stage
 from cognitivedrone.world import geometry
 

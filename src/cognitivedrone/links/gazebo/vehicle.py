@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 
 from cognitivedrone.links.gazebo.sdf import add, material, numbers
 from cognitivedrone.sim.airframe import GRAVITY, IRIS, ROTORS, Airframe
-from cognitivedrone.sim.camera import FIELD_OF_VIEW, MOUNT
+from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.types import IMAGE_SIZE
 from cognitivedrone.world.look import RGB, Look
 

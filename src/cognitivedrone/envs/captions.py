@@ -1,0 +1,66 @@
+"""Text on pictures for people: a font at any size, lines that fit into a width, options as one reads them."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections import deque
+from collections.abc import Callable
+from functools import lru_cache
+
+from PIL import ImageFont
+
+Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
+ELLIPSIS = "..."
+LONGEST = 200
+"""Letters of a word that may fit into a line."""
+
+
+@lru_cache(maxsize=16)
+def font(size: int) -> Font:
+    """The font that comes with Pillow, `size` pixels high. It has Latin letters; others become boxes."""
+    return ImageFont.load_default(size)
+
+
+def wrap(text: str, width: float, face: Font, lines: int) -> list[str]:
+    """`text` as at most `lines` lines of at most `width` pixels. Words that are too long are broken, and what does not
+    fit ends in an ellipsis.
+    """
+    return _wrap(text, width, face.getlength, lines)
+
+
+def _wrap(text: str, width: float, length: Callable[[str], float], lines: int) -> list[str]:
+    wrapped: list[str] = []
+    line = ""
+    words = deque(text.encode("utf-8", "replace").decode().split())
+    while words and len(wrapped) <= lines:
+        word = words.popleft()
+        longer = f"{line} {word[:LONGEST]}".lstrip()
+        if len(word) <= LONGEST and length(longer) <= width:
+            line = longer
+        elif line:
+            wrapped.append(line)
+            line = ""
+            words.appendleft(word)
+        else:
+            fits = next((k for k in range(1, len(word)) if length(word[: k + 1]) > width), len(word))
+            wrapped.append(word[:fits])
+            if word[fits:]:
+                words.appendleft(word[fits:])
+    wrapped += [line] if line else []
+    if len(wrapped) <= lines:
+        return wrapped
+    last = wrapped[lines - 1]
+    while last and length(last + ELLIPSIS) > width:
+        last = last[:-1]
+    return [*wrapped[: lines - 1], last.rstrip() + ELLIPSIS]
+
+
+def readable(option: str, length: int = 70) -> str:
+    """An option as one reads it, cut after `length` characters.
+
+    "polar_bear" as "polar bear", "animal/cat=3+food/apple=1" as "cat 3, apple 1", "hair=bun,beard=none" as "hair bun,
+    beard none".
+    """
+    read = re.sub(r"\w+/(?=\w)", "", option).replace("_", " ").replace("+", ", ").replace("=", " ")
+    return textwrap.shorten(re.sub(r",\s*", ", ", read), length, placeholder=" " + ELLIPSIS)

@@ -1,0 +1,74 @@
+"""Where a picture is taken from, and where in it a point of the world is. Pure numpy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cognitivedrone.frames import FloatArray, rotate_yaw, rotation_matrix, yaw_of
+from cognitivedrone.types import DroneState, Stage
+
+FIELD_OF_VIEW: Final = 1.85
+"""Of the first-person camera, horizontal and, as images are square, vertical, rad."""
+MOUNT: Final = (0.1, 0.0, 0.3)
+"""The camera's place on the vehicle, body FLU, m. It looks along the body's x axis and tilts with the body."""
+
+_OVERLOOK_FIELD_OF_VIEW: Final = 1.1  # of the views for people, vertical, rad
+_CHASE_EYE, _CHASE_TARGET = (-2.0, 0.0, 0.8), (2.0, 0.0, 0.5)  # from the drone, heading frame, m
+_TOP_EYE, _TOP_TARGET = (-6.0, 0.0, 9.0), (2.2, 0.0, 1.0)  # stage frame, m
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A pinhole camera in the world. `forward` and `up` are unit vectors at a right angle."""
+
+    eye: FloatArray
+    """(3,) m"""
+    forward: FloatArray
+    """(3,)"""
+    up: FloatArray
+    """(3,)"""
+    field_of_view: float
+    """Vertical, rad."""
+
+    def project(self, points: FloatArray, size: tuple[int, int]) -> FloatArray:
+        """World points (n, 3) as pixels (n, 2), x to the right and y down, of a picture of `size` (w, h).
+
+        What is outside the picture gets pixels outside of it; what is behind the camera NaN.
+        """
+        width, height = size
+        offset = np.asarray(points, dtype=np.float64) - self.eye
+        depth = offset @ self.forward
+        depth = np.where(depth > 0, depth, np.nan)
+        focal = height / 2 / np.tan(self.field_of_view / 2)
+        right = offset @ np.cross(self.forward, self.up)
+        return np.column_stack([width / 2 + focal * right / depth, height / 2 - focal * (offset @ self.up) / depth])
+
+
+def first_person_view(state: DroneState) -> View:
+    """What the drone's own camera sees."""
+    axes = rotation_matrix(np.asarray(state.quaternion, dtype=np.float64))
+    return View(state.position + axes @ np.array(MOUNT), axes[:, 0], axes[:, 2], FIELD_OF_VIEW)
+
+
+def chase_view(state: DroneState) -> View:
+    """The drone and what lies before it, from behind and above."""
+    heading = yaw_of(np.asarray(state.quaternion, dtype=np.float64))
+    eye, target = (state.position + rotate_yaw(np.array(point), heading) for point in (_CHASE_EYE, _CHASE_TARGET))
+    eye[2] = max(eye[2], 0.1)
+    return _looking_at(eye, target)
+
+
+def top_view(stage: Stage) -> View:
+    """The whole stage from high above its start."""
+    home = np.array([*stage.origin, 0.0])
+    eye, target = (home + rotate_yaw(np.array(point), stage.yaw) for point in (_TOP_EYE, _TOP_TARGET))
+    return _looking_at(eye, target)
+
+
+def _looking_at(eye: FloatArray, target: FloatArray) -> View:
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    return View(eye, forward, np.cross(right / np.linalg.norm(right), forward), _OVERLOOK_FIELD_OF_VIEW)

@@ -1,0 +1,36 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cognitivedrone.benchmark.episode import EpisodeFlyer
+from cognitivedrone.benchmark.run_types import RunConfig
+from cognitivedrone.benchmark.suites import suite_of
+from cognitivedrone.types import ACTION_LIMITS
+
+
+@pytest.mark.parametrize("reasoner", ["none", "oracle"])
+def test_a_film_holds_what_every_step_was_flown_by(reasoner):
+    config = RunConfig(policy="colour_seeker", reasoner=reasoner, suite="open-v1:smoke")
+    suite = suite_of(config)
+    flyer = EpisodeFlyer(config, suite)
+    try:
+        flown, plain = flyer.fly(0, film=True), flyer.fly(0, film=False)
+    finally:
+        flyer.close()
+    # Filming changes nothing of the flight.
+    assert flown.result == plain.result
+    assert plain.film is None
+    film = flown.film
+    assert film is not None
+    assert len(film) == flown.result.steps
+    task = suite.tracks[0][0]
+    told = task.instruction if reasoner == "none" else task.directive
+    assert {frame.instruction for frame in film} == {told}
+    assert all((frame.guidance is None) == (reasoner == "none") for frame in film)
+    assert np.diff([frame.time for frame in film]) == pytest.approx(0.1)
+    actions = np.array([frame.action for frame in film])
+    assert (np.abs(actions) <= ACTION_LIMITS).all()
+    assert actions[:, 0].max() > 0.5
+    # Frames are copies: the first is not overwritten by the last.
+    assert (film[0].image != film[-1].image).any()

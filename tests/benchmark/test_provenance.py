@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import hashlib
+import shlex
+import sys
+
+import pytest
+
+from cognitivedrone import checkout
+from cognitivedrone.benchmark.provenance import platform_facts
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """A user's modules in a folder with a blank in its name, below the current folder."""
+    folder = tmp_path / "my code"
+    (folder / "pilots").mkdir(parents=True)
+    (folder / "straight_on.py").write_text("class Straight: ...\n")
+    (folder / "pilots" / "__init__.py").write_text("")
+    (folder / "pilots" / "best.py").write_text("class Best: ...\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [str(folder), *sys.path])
+    yield folder
+    for name in ("pilots", "pilots.best", "straight_on"):
+        sys.modules.pop(name, None)
+
+
+def test_an_own_policy_is_told_with_its_file_its_hash_and_how_to_find_it(own):
+    facts = platform_facts("cognitivedrone bench --policy straight_on:Straight", "straight_on:Straight", "none")
+    assert facts["policy_file"] == "my code/straight_on.py"
+    assert facts["policy_sha256"] == hashlib.sha256((own / "straight_on.py").read_bytes()).hexdigest()
+    words = shlex.split(facts["command"])
+    assert words[:3] == ["PYTHONPATH=my code", "cognitivedrone", "bench"]
+    assert "reasoner_file" not in facts
+
+
+def test_modules_of_packages_are_found_from_the_packages_folder(own):
+    facts = platform_facts("cognitivedrone bench", "small", "pilots.best:Best")
+    assert facts["reasoner_file"] == "my code/pilots/best.py"
+    assert shlex.split(facts["command"])[0] == "PYTHONPATH=my code"
+    assert "policy_file" not in facts
+
+
+@pytest.mark.parametrize("policy", ["small", "small:weights.onnx", "no_such_module:Policy", "json:loads"])
+def test_policies_that_need_no_path_leave_the_command_as_it_is(policy):
+    assert platform_facts("cognitivedrone bench", policy, "none")["command"] == "cognitivedrone bench"
+
+
+def test_the_commit_is_told(monkeypatch):
+    monkeypatch.setattr(checkout, "commit", lambda: "abc-dirty")
+    assert platform_facts("x")["commit"] == "abc-dirty"
+    monkeypatch.setattr(checkout, "commit", lambda: None)
+    assert platform_facts("x")["commit"] == "none"

@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cognitivedrone.benchmark.published import PUBLISHED, comparable
+from cognitivedrone.benchmark.runner import run
+
+ROOT = Path(__file__).parents[2]
+SYSTEMS = {score.name: score for score in PUBLISHED}
+
+
+def percent(rate):
+    return f"{100 * rate:.1f}"
+
+
+def test_the_numbers_are_the_papers():
+    table = {
+        "CognitiveDrone": (59.6, {"reasoning": 70.7, "human_recognition": 45.2, "symbol_understanding": 57.7}),
+        "CognitiveDrone-R1": (77.2, {"reasoning": 75.9, "human_recognition": 76.8, "symbol_understanding": 78.9}),
+        "RaceVLA": (31.3, {"reasoning": 36.2, "human_recognition": 23.1, "symbol_understanding": 34.6}),
+    }
+    assert {
+        name: (100 * s.overall, {category: 100 * rate for category, rate in s.categories.items()})
+        for name, s in SYSTEMS.items()
+    } == {name: (pytest.approx(overall), pytest.approx(parts)) for name, (overall, parts) in table.items()}
+
+
+def test_the_model_cards_rows_are_the_papers():
+    """The last column of the table of docs/small.md."""
+    page = (ROOT / "docs" / "small.md").read_text()
+    rows = {"overall": SYSTEMS["CognitiveDrone"].overall}
+    rows |= {name.replace("_", " "): rate for name, rate in SYSTEMS["CognitiveDrone"].categories.items()}
+    for name, rate in rows.items():
+        cells = [
+            cell.strip() for cell in re.search(rf"^\| {name} \|(.*)\|$", page, flags=re.MULTILINE).group(1).split("|")
+        ]
+        assert cells[-1] == f"{percent(rate)} %", name
+
+
+def test_the_page_of_r1_has_the_papers_numbers_in_the_order_of_its_sentence():
+    page = (ROOT / "docs" / "r1.md").read_text().replace("\n", " ")
+    order = ("human_recognition", "symbol_understanding", "reasoning")
+    numbers = [percent(SYSTEMS["CognitiveDrone-R1"].categories[category]) for category in order]
+    told = "{}, {} and {} %".format(*numbers)
+    assert re.search(rf"% of human recognition, symbol understanding and reasoning; the paper's R1 {told}", page)
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/small.md"])
+def test_other_pages_name_the_overall_rates(page):
+    text = (ROOT / page).read_text()
+    assert f"{percent(SYSTEMS['RaceVLA'].overall)} %" in text
+    assert f"{percent(SYSTEMS['CognitiveDrone'].overall)} %" in text
+
+
+def test_only_shipped_suites_with_all_categories_are_compared(config):
+    results = run(config, progress=False, flyer="benchmark_fakes:FakeFlyer")
+    assert comparable(results)
+    assert not comparable(replace(results, run=replace(results.run, suite=replace(results.run.suite, name="own.json"))))
+    some = tuple(e for e in results.episodes if e.stages[0].category != "reasoning")
+    assert not comparable(replace(results, episodes=some))

@@ -1,0 +1,90 @@
+"""The picture of `view`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cognitivedrone.envs.snapshot import snapshot
+from cognitivedrone.errors import RunError, TaskError
+from cognitivedrone.tasks import Suite, load_suite
+
+GREEN = (18, 134, 95)
+
+
+@pytest.fixture(scope="module")
+def smoke():
+    return load_suite("open-v1:smoke")
+
+
+def picture_of(suite, out: Path, episode=0, labels="open-v1"):
+    task = snapshot(suite, episode, out, look="plain", labels=labels, seed=0)
+    with Image.open(out) as image:
+        return task, np.asarray(image.convert("RGB"))
+
+
+def green_rows(picture):
+    return (picture == GREEN).all(axis=2)
+
+
+def test_the_right_gate_is_marked_in_every_view_and_the_list(smoke, tmp_path):
+    """As many green badges as there are views beside that of the list, at another place for another answer."""
+    task, picture = picture_of(smoke, tmp_path / "a.png")
+    other = Suite(smoke.name, smoke.digest, ((replace(task, target=(task.target + 1) % 3),), *smoke.tracks[1:]))
+    _, moved = picture_of(other, tmp_path / "b.png")
+    assert picture.shape == moved.shape
+    changed = (picture != moved).any(axis=2)
+    # Nothing but the marks changes: the scene is the same.
+    assert 0 < changed.mean() < 0.05
+    top_of_views = picture.shape[0] - 480 - 24 - 34 - 24 - 512
+    for rows in (slice(0, top_of_views), slice(top_of_views, top_of_views + 512), slice(-504, None)):
+        assert green_rows(picture)[rows].sum() > 300
+        assert (green_rows(picture)[rows] != green_rows(moved)[rows]).any()
+
+
+def test_a_long_instruction_is_wrapped(smoke, tmp_path):
+    long = replace(smoke.tracks[0][0], instruction="Fly, where the road bends twice, to the gate with a picture " * 4)
+    _, short_picture = picture_of(smoke, tmp_path / "a.png")
+    _, picture = picture_of(Suite("mine", smoke.digest, ((long,),)), tmp_path / "b.png")
+    assert picture.shape[1] == short_picture.shape[1]
+    assert picture.shape[0] > short_picture.shape[0] + 100
+    # Nothing is written beyond the margin.
+    assert (picture[:200, -16:] == 255).all()
+
+
+def test_own_pictures_of_any_shape_are_shown(smoke, tmp_path):
+    folder = tmp_path / "labels" / "flags"
+    folder.mkdir(parents=True)
+    for name, size in (("wide", (300, 100)), ("tall", (60, 240)), ("square", (80, 80))):
+        Image.new("RGB", size, (200, 0, 200)).save(folder / f"{name}.png")
+    task = replace(smoke.tracks[0][0], labels=("flags/wide", "flags/tall", "flags/square"))
+    _, picture = picture_of(Suite("mine", "0" * 64, ((task,),)), tmp_path / "a.png", labels=str(tmp_path / "labels"))
+    assert (picture == (200, 0, 200)).all(axis=2).sum() > 5000
+
+
+def test_a_gate_that_stands_alone_is_the_only_one_listed(tmp_path):
+    _, race = picture_of(load_suite("open-v1:race"), tmp_path / "a.png")
+    _, choice = picture_of(load_suite("open-v1:smoke"), tmp_path / "b.png")
+    assert race.shape[0] < choice.shape[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"episode": 30}, TaskError, "has episodes 0 to 29, not 30"),
+        ({"look": "vareid"}, RunError, "unknown look 'vareid'; did you mean 'varied'"),
+        ({"out": "nowhere/view.png"}, RunError, "there is no folder"),
+        ({"out": "view.xyz"}, RunError, "no kind of picture; end its name in .png"),
+        ({"out": "folder.png"}, RunError, "cannot write"),
+    ],
+)
+def test_what_cannot_be_drawn_is_one_sentence(smoke, tmp_path, change, error, message):
+    (tmp_path / "folder.png").mkdir()
+    options = {"episode": 0, "out": "view.png", "look": "plain", "labels": "open-v1", "seed": 0, **change}
+    out = tmp_path / options.pop("out")
+    with pytest.raises(error, match=message):
+        snapshot(smoke, options.pop("episode"), out, **options)
