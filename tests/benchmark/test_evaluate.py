@@ -27,6 +27,7 @@ def test_an_object_a_class_and_a_name_fly_alike(tmp_path):
     assert by_object.episodes == by_function.episodes == by_name.episodes
     assert by_object.summary().overall.n == 2
     assert by_object.run.policy == "user_pilots.Straight"
+    assert by_object.platform["command"] == "evaluate(user_pilots.Straight, 'open-v1:smoke', episodes=2)"
     assert by_name.run.policy == "user_pilots:Straight:1.0"
 
 

@@ -62,6 +62,8 @@ class Pilot:
     reasoner: Reasoner | None = None
     lent: bool = False
     """Whether somebody else closes them."""
+    command: str = ""
+    """What repeats the run, in words: a command line cannot give objects."""
 
 
 class EpisodeFlyer:

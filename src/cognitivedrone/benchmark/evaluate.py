@@ -89,7 +89,7 @@ def evaluate(
     if here:
         _one_process(" and ".join(here), workers, progress)
         config = replace(config, workers=0)
-        pilot = _pilot(policy, reasoner)
+        pilot = replace(_pilot(policy, reasoner), command=_call_of(config))
     if out is not None:
         return run(config, progress=progress, pilot=pilot)
     with tempfile.TemporaryDirectory(prefix="cognitivedrone-") as folder:
@@ -114,6 +114,15 @@ def _description(part: object) -> str:
     """What the results call an object of the user's."""
     kind = part if hasattr(part, "__qualname__") else type(part)
     return f"{kind.__module__}.{kind.__qualname__}"
+
+
+def _call_of(config: RunConfig) -> str:
+    """The call that repeats a run of objects: without what does not change its results."""
+    default = RunConfig(policy="", suite="")
+    shown = ["seed", "track", "episodes", "look", "airframe", "wind", "latency", "labels"]
+    options = [f"{name}={value!r}" for name in shown if (value := getattr(config, name)) != getattr(default, name)]
+    reasoner = [] if config.reasoner == NONE else [f"reasoner={config.reasoner}"]
+    return f"evaluate({', '.join([config.policy, repr(str(config.tasks or config.suite)), *reasoner, *options])})"
 
 
 def _one_process(what: str, workers: int | None, progress: bool) -> None:

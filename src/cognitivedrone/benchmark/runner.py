@@ -100,7 +100,7 @@ def run(config: RunConfig, *, progress: bool = True, flyer: str = FLYER, pilot: 
             renderer=" and ".join(sorted({record.renderer for record in records})),
             rule=config.rule,
             episodes=tuple(record.result for record in records),
-            platform=platform_facts(command_of(config), config.policy, config.reasoner),
+            platform=platform_facts(pilot.command if pilot else command_of(config), config.policy, config.reasoner),
             timing=_timing(records, max(workers, 1), len(missing), time.perf_counter() - began, link),
         )
         report = render_report(results, [record.trace for record in records], clips, suite.tracks)
