@@ -3,11 +3,26 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
+import platform
+from importlib import metadata
+from pathlib import Path
 
 import pytest
+from rich.console import Console
 
-from cognitivedrone.cli import main
+import cognitivedrone
+from cognitivedrone import checkout
+from cognitivedrone.benchmark.config import ReasonConfig, RunConfig, SweepConfig
+from cognitivedrone.benchmark.suites import how_many, suite_of
+from cognitivedrone.benchmark.sweep import run_config
+from cognitivedrone.cli import FIRST, TARGETS, help_text, load, main
+from cognitivedrone.collect.collector import collect
+from cognitivedrone.collect.config import CollectConfig
+from cognitivedrone.data.store_writer import EPISODES_PER_SHARD
+from cognitivedrone.progress import progress_bar
+from cognitivedrone.tasks import load_suite, write_tasks
 
 
 def bench(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -15,9 +30,9 @@ def bench(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     return capsys.readouterr().out
 
 
-def mistake(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+def mistake(capsys: pytest.CaptureFixture[str], *arguments: object, command: str = "bench") -> str:
     with pytest.raises(SystemExit) as stop:
-        main(["bench", *map(str, arguments)])
+        main([*command.split(), *map(str, arguments)])
     assert stop.value.code == 2
     said = capsys.readouterr().err
     assert said.startswith("cognitivedrone: ")
@@ -75,6 +90,216 @@ def test_a_mistake_is_said_in_one_sentence(capsys, tmp_path, monkeypatch, argume
     assert not (tmp_path / "out").exists()
 
 
-def test_the_models_are_listed(capsys):
+def test_plug_ins_are_listed_as_they_are_written(capsys):
     main(["list"])
-    assert "small, race" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    for written in ("small[:PATH]", "race[:PATH]", "replay:PATH", "hover", "MODULE:ATTRIBUTE:VALUE,option=value"):
+        assert written in said
+    assert "Stays where it is." in said
+    assert "(--airframe): racer, iris" in said
+
+
+def printed(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    main(list(arguments))
+    return capsys.readouterr().out
+
+
+def test_alone_it_teaches_what_to_try(capsys):
+    said = printed(capsys)
+    assert said == printed(capsys, "--help") == printed(capsys, "-h")
+    for command, effect in FIRST:
+        assert f"cognitivedrone {command}" in said
+        assert effect in said
+    assert all(f"  {name}" in said for name in TARGETS)
+    assert max(map(len, said.splitlines())) <= 80
+
+
+def test_the_first_commands_to_try_are_commands():
+    assert len(FIRST) == 3
+    assert {command.split()[0] for command, _ in FIRST} <= TARGETS.keys()
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_every_command_has_a_function_and_its_own_help(capsys, name):
+    assert callable(load(name))
+    with pytest.raises(SystemExit) as end:
+        main([*name.split(), "--help"])
+    assert end.value.code == 0
+    said = capsys.readouterr().out
+    assert f"usage: cognitivedrone {name}" in said
+
+
+def test_commands_that_share_a_word_are_helped_together(capsys):
+    said = printed(capsys, "data")
+    assert said == printed(capsys, "data", "--help")
+    assert "data verify" in said
+    assert "bench" not in said
+    assert "try first" not in said
+    assert help_text("gazebo").count("gazebo ") >= 3
+
+
+def test_the_version_says_what_is_installed(capsys, monkeypatch):
+    python, mujoco = platform.python_version(), metadata.version("mujoco")
+    monkeypatch.setattr(checkout, "commit", lambda: "abc-dirty")
+    assert printed(capsys, "--version") == (
+        f"cognitivedrone {cognitivedrone.__version__} (git abc-dirty), Python {python}, MuJoCo {mujoco}\n"
+    )
+    monkeypatch.setattr(checkout, "commit", lambda: None)
+    assert printed(capsys, "--version").startswith(f"cognitivedrone {cognitivedrone.__version__}, Python {python}")
+
+
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        ("benc", "unknown command 'benc'; did you mean 'bench'?"),
+        ("data shw", "unknown command 'data shw'; did you mean 'show'?"),
+        ("--verson", "unknown option '--verson'"),
+    ],
+)
+def test_a_misspelt_command_is_said_in_one_sentence(capsys, command, says):
+    assert says in mistake(capsys, command=command)
+
+
+@pytest.mark.parametrize(("command", "typo", "meant"), [("bench", "--suit", "--suite"), ("fly", "--seeed", "--seed")])
+def test_a_misspelt_option_is_answered_with_those_of_its_command_alone(capsys, command, typo, meant):
+    with pytest.raises(SystemExit) as end:
+        main([command, typo, "1"])
+    assert end.value.code == 2
+    said = capsys.readouterr().err
+    assert meant in said
+    others = {name for name in TARGETS if name != command}
+    assert not any(f"cognitivedrone {name}" in said for name in others)
+    assert "[...]" not in said
+
+
+@pytest.mark.parametrize(
+    ("suite", "says"),
+    [
+        ("smoke", "unknown suite 'smoke'; did you mean 'open-v1:smoke'?"),
+        ("test", "did you mean 'open-v1:test'?"),
+        ("open-v1:tset", "did you mean 'open-v1:test'?"),
+        ("Race", "did you mean 'open-v1:race'?"),
+        ("animals", "'animals' is a family of tasks, not a suite; 'open-v1:test' holds such tasks"),
+        ("counting", "'open-v1:hard' holds such tasks"),
+        ("my/tasks.json", "there is no suite and no task file 'my/tasks.json'"),
+        ("nonsense", "known: open-v1:hard"),
+    ],
+)
+@pytest.mark.parametrize("command", ["bench", "reason", "view", "fly"])
+def test_a_misspelt_suite_is_answered_with_the_near_one(capsys, tmp_path, monkeypatch, command, suite, says):
+    monkeypatch.chdir(tmp_path)
+    assert says in mistake(capsys, "--suite", suite, command=command)
+
+
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        ("bench --airframe dji", "unknown airframe 'dji'; known: iris, racer"),
+        ("bench --airframe racr", "did you mean 'racer'?"),
+        ("bench --policy smal", "did you mean 'small'?"),
+        ("bench --reasoner orcale", "did you mean 'oracle'?"),
+        ("collect --out x --recipe debugg", "did you mean 'debug'?"),
+        ("gazebo export --out x --task y --version harmonc", "did you mean 'harmonic'?"),
+        ("view --labels nowhere", "no label pack 'nowhere'"),
+    ],
+)
+def test_an_unknown_name_is_a_sentence(capsys, tmp_path, monkeypatch, command, says):
+    monkeypatch.chdir(tmp_path)
+    assert says in mistake(capsys, command=command)
+
+
+def test_ctrl_c_without_words_says_that_it_stopped(capsys, monkeypatch):
+    def stopped() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cognitivedrone.cli.load", lambda _: stopped)
+    with pytest.raises(SystemExit) as end:
+        main(["list"])
+    assert end.value.code == 130
+    assert capsys.readouterr().err == "cognitivedrone: stopped\n"
+
+
+WITH_TASKS = ("bench", "reason", "sweep", "collect", "view", "fly", "sim", "gazebo export")
+
+
+@pytest.mark.parametrize("name", WITH_TASKS)
+def test_every_command_that_takes_a_suite_takes_tasks(capsys, name):
+    with pytest.raises(SystemExit):
+        main([*name.split(), "--help"])
+    said = capsys.readouterr().out
+    assert "--suite" in said
+    assert "--tasks" in said
+    assert "Task file, or folder of them" in " ".join(said.replace("│", " ").split())
+
+
+def test_no_other_command_takes_a_suite(capsys):
+    for name in TARGETS.keys() - set(WITH_TASKS):
+        with pytest.raises(SystemExit):
+            main([*name.split(), "--help"])
+        assert "--suite" not in capsys.readouterr().out, name
+
+
+@pytest.fixture
+def own_tasks(tmp_path: Path) -> Path:
+    tasks = [track[0] for track in load_suite("open-v1:test").tracks[:3]]
+    write_tasks(tmp_path / "mine.json", tasks)
+    return tmp_path / "mine.json"
+
+
+def test_tasks_are_flown_asked_drawn_and_exported(capsys, tmp_path, own_tasks):
+    first = load_suite("open-v1:test").tracks[0][0]
+    sweep = run_config(SweepConfig(tmp_path, tasks=own_tasks, labels=tmp_path), 0)
+    assert (sweep.tasks, sweep.labels) == (own_tasks, tmp_path)
+    for config in (RunConfig(tasks=own_tasks), RunConfig(suite=str(own_tasks)), sweep):
+        assert suite_of(config).n_tasks == 3
+    assert "tasks" in ReasonConfig.__slots__
+    said = printed(capsys, "view", "--tasks", str(own_tasks), "--out", str(tmp_path / "view.png"))
+    assert first.instruction in said
+    out = tmp_path / "gazebo"
+    said = printed(capsys, "gazebo", "export", "--tasks", str(own_tasks), "--task", first.id, "--out", str(out))
+    assert first.instruction in said
+
+
+def test_a_suite_may_still_be_a_file(capsys, tmp_path, own_tasks):
+    for option in ("--tasks", "--suite"):
+        out = tmp_path / option[2:]
+        main(["bench", option, str(own_tasks), "--policy", "hover", "--workers", "1", "--episodes", "1",
+              "--clips", "0", "--out", str(out)])  # fmt: skip
+        said = capsys.readouterr().out
+        assert "mine.json: hover" in said
+        assert "the paper" not in said  # own tasks are not compared with it
+
+
+def test_own_tasks_are_collected(tmp_path, own_tasks):
+    report = collect(CollectConfig(tmp_path / "set", "debug", episodes=2, tasks=own_tasks, workers=1), progress=False)
+    assert report.episodes == 2
+    manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())
+    assert "mine.json" in json.dumps(manifest)
+
+
+def test_a_suite_without_an_end_says_how_much_of_it_is_flown(capsys, tmp_path):
+    assert how_many(RunConfig()) == ""
+    assert how_many(RunConfig(suite="open-v1:train", tasks=tmp_path)) == ""
+    assert "its first 300 tasks of seed 0 are flown, --episodes N" in how_many(RunConfig(suite="open-v1:train"))
+    assert len(suite_of(RunConfig(suite="open-v1:train")).tracks) == 300
+    main(["bench", "--suite", "open-v1:train", "--policy", "hover", "--episodes", "1", "--workers", "1",
+          "--clips", "0", "--out", str(tmp_path)])  # fmt: skip
+    assert "its first 1 tasks of seed 0 are flown" in capsys.readouterr().out
+
+
+def test_defaults_that_are_written_twice_are_the_same():
+    assert CollectConfig(Path()).episodes_per_shard == EPISODES_PER_SHARD
+
+
+def test_a_progress_bar_fits_into_80_columns_from_its_first_moment():
+    out = io.StringIO()
+    console = Console(file=out, width=80, force_terminal=True, color_system=None, legacy_windows=False)
+    with progress_bar("speed", "rate", console=console) as bar:
+        task = bar.add_task("flying", total=8062, speed="starting", rate="")
+        bar.refresh()
+        bar.update(task, completed=8000, speed="1234.5/s", rate="choice accuracy 0.123456, " * 4)
+        bar.refresh()
+    lines = [line for line in out.getvalue().replace("\r", "\n").splitlines() if "flying" in line]
+    assert any("starting" in line for line in lines)
+    assert any("8000/8062" in line and "1234.5/s" in line and "…" in line for line in lines)
+    assert max(len(line.rstrip("\x1b[2K")) for line in lines) <= 90  # with control characters

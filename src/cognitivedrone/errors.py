@@ -1,6 +1,7 @@
 """The error tree. Every message names the place and the way out; the CLI prints it alone and exits with 2.
 
 CognitiveDroneError
+├── UsageError       an unknown command
 ├── TaskError        a malformed task or task file, an unknown family or suite
 ├── LabelError       an unknown label, pack or style, an unreadable image
 ├── RenderError      no OpenGL to render with
@@ -35,6 +36,10 @@ exception of the reasoner's own."""
 
 class CognitiveDroneError(Exception):
     """Base of everything this package raises on purpose."""
+
+
+class UsageError(CognitiveDroneError):
+    """A command that there is not."""
 
 
 class TaskError(CognitiveDroneError):

@@ -167,6 +167,8 @@ class Guidance:
     """0 to 1."""
     age: float = 0.0
     """Seconds between the frame it was read from and now."""
+    present: float | None = None
+    """How likely what is asked for is shown at any gate, 0 to 1; none where the reasoner cannot tell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +178,8 @@ class Event:
     time: float
     """Since the start of the flight, s."""
     kind: str
-    """`leg`, `asked`, `adopted`, `agreed`, `kept`, `stale`, `late`, or a `ReasonerFault`."""
+    """`leg`, `asked`, `adopted`, `agreed`, `kept`, `stale`, `late`, or a `ReasonerFault`; of `fly` also `guard`, `hold`
+    and `sure` (it hovers since it is unsure, and flies on), `over`, `landed`."""
     text: str = ""
     """An instruction, a directive, or what went wrong."""
     age_s: float | None = None

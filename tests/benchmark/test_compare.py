@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from cognitivedrone.benchmark.compare import compare
+from cognitivedrone.benchmark.comparison import compare
 from cognitivedrone.benchmark.results import read_results, write_results
 from cognitivedrone.benchmark.runner import run
 from cognitivedrone.benchmark.tables import comparison_table, results_table
@@ -114,3 +114,30 @@ def test_errors_of_the_policy_and_of_the_physics_stand_below_the_table(two):
     text = text_of(results_table(replace(a, episodes=(bad, lost, *rest))))
     assert "not counted: 1 invalid" in text
     assert "not a finite number" in " ".join(text.split())
+
+
+@pytest.mark.parametrize(
+    ("suite", "categories", "told"),
+    [
+        ("open-v1:test", 3, True),
+        ("open-v1:hard", 3, True),
+        ("open-v1:unseen", 3, True),
+        ("open-v1:unseen", 2, False),
+        ("open-v1:smoke", 3, False),
+        ("open-v1:race", 3, False),
+        ("open-v1:track", 3, False),
+        ("open-v1:train", 3, False),
+        ("mine.json", 3, False),
+    ],
+)
+def test_only_suites_like_the_papers_are_told_beside_it(two, suite, categories, told):
+    results = two[0]
+    stages = [episode.stages[0] for episode in results.episodes[:3]]
+    kinds = ["human_recognition", "symbol_understanding", "reasoning"][:categories]
+    episodes = tuple(
+        replace(episode, stages=(replace(stage, category=kinds[number % categories]),))
+        for number, (episode, stage) in enumerate(zip(results.episodes[:3], stages, strict=True))
+    )
+    run = replace(results.run, suite=replace(results.run.suite, name=suite))
+    text = text_of(results_table(replace(results, run=run, episodes=episodes)))
+    assert ("2503.01378" in text) is told

@@ -73,7 +73,6 @@ def test_the_page_is_whole_and_loads_nothing(pieces):
     assert "script" not in page.tags
     assert f"{100 * results.summary().overall.rate:.1f} %" in text
     assert results.run.suite.digest in text
-    assert "77.2 %" in text
 
 
 def test_the_page_is_the_same_for_the_same_run(pieces):
@@ -176,6 +175,8 @@ def test_the_instruction_of_every_failure_is_told(config):
 
 def test_the_paper_stands_beside_shipped_suites_alone(pieces):
     results, traces, clips = pieces
+    assert "77.2 %" not in render_report(results, traces, clips)
+    results = replace(results, run=replace(results.run, suite=replace(results.run.suite, name="open-v1:test")))
     text = render_report(results, traces, clips).partition("Beside the paper")[2]
     row = next(row for row in re.findall(r"<tr>.*?</tr>", text) if "human recognition" in row)
     assert re.findall(r"\d+\.\d %", row)[1:] == ["76.8 %", "45.2 %", "23.1 %"]

@@ -13,9 +13,9 @@ import pytest
 from cognitivedrone.benchmark.records import read_records
 from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.runner import Interrupted, command_of, out_of, run
-from cognitivedrone.benchmark.suites import chain, open_suite, suite_of
+from cognitivedrone.benchmark.suites import chain, suite_of
 from cognitivedrone.errors import CognitiveDroneError, RunError
-from cognitivedrone.tasks import load_suite, write_tasks
+from cognitivedrone.tasks import load_suite, open_suite, write_tasks
 
 FLYER = "benchmark_fakes:FakeFlyer"
 

@@ -22,6 +22,13 @@ class Echo:
         return Guidance(f"Fly through the {instruction.split()[-1]} gate", None, 0.9)
 
 
+class Doubtful:
+    """Sure of cats alone; directs to the red gate."""
+
+    def refine(self, image: Image, instruction: str) -> Guidance:
+        return Guidance("Fly through the red gate", None, 0.9 if "cat" in instruction else 0.2)
+
+
 class Typist(Hover):
     """Stays where it is, and types lines when it has decided so often: {decisions: line}."""
 
@@ -34,8 +41,17 @@ class Typist(Hover):
 
     def act(self, observation: Observation) -> ActionChunk:
         self.decisions += 1
-        os.write(self.keyboard, self.lines.get(self.decisions, b""))
+        if self.decisions in self.lines:
+            os.write(self.keyboard, self.lines[self.decisions])
         return super().act(observation)
+
+
+class Eager(Typist):
+    """Types as well, but flies slowly forward."""
+
+    def act(self, observation: Observation) -> ActionChunk:
+        super().act(observation)
+        return np.array([[0.5, 0.0, 0.0, 0.0]], dtype=np.float32)
 
 
 class Broken:

@@ -162,3 +162,31 @@ def test_a_gate_is_named_by_what_is_likeliest():
 def test_missing_files_are_said(tmp_path):
     with pytest.raises(PolicyError, match=r"no eyes\.onnx and mind\.onnx in"):
         SmallReasoner(str(tmp_path))
+
+
+ANIMALS = ("animal/owl@noto", "animal/cat@noto", "animal/horse@noto")
+PEOPLE = ("person/skin=tan,hat=hat@sky", "person/skin=dark@sky", "person/skin=light,glasses=eyepatch@sky")
+
+
+@pytest.mark.parametrize(
+    ("labels", "instruction", "present"),
+    [
+        (ANIMALS, "Fly through the gate with the bird", True),
+        (PEOPLE, "Fly through the gate with the bird", False),
+        (ANIMALS, "Fly through the gate with the dolphin", False),
+        (ANIMALS, "the animal that lives in the sea", True),  # which animal it is, is the mind's to tell
+        (PEOPLE, "somebody with an eyepatch", True),
+        (LETTERS, "somebody with an eyepatch", False),
+        (("number/3@inter", "number/7@inter", "sum/3*3@inter"), "the answer to 3 + 4", True),
+        (LETTERS, "the answer to 3 + 4", False),
+        (LETTERS, "Fly through the red gate", None),
+        (PEOPLE, "the gate that shows no bird", None),
+    ],
+)
+def test_it_tells_whether_what_is_named_is_shown_at_all(made, labels, instruction, present):
+    guidance = made(Scripted(sight(labels))).refine(FRAME, instruction)
+    assert guidance.confidence == pytest.approx(0.8)
+    if present is None:
+        assert guidance.present is None
+    else:
+        assert (guidance.present > 0.9) if present else (guidance.present < 0.1)

@@ -35,7 +35,7 @@ def batch() -> Batch:
     recipe = replace(DEBUG.stream, batch=12, worlds=8, chunk=3, varied=0.0)
     rehearsal = Rehearsal(recipe, VOCABULARY, DEBUG.network)
     try:
-        for made in itertools.islice(rehearsal.batches((3,)), 200):
+        for made in itertools.islice(rehearsal((3,)), 200):
             if made["legible"][:, SLOTS].any():
                 return made
     finally:

@@ -41,7 +41,7 @@ def batches(
 ) -> list[Batch]:
     rehearsal = Rehearsal(recipe, vocabulary, NETWORK)
     try:
-        return list(itertools.islice(rehearsal.batches(seed, learner), count))  # type: ignore[arg-type]
+        return list(itertools.islice(rehearsal(seed, learner), count))  # type: ignore[arg-type]
     finally:
         rehearsal.close()
 
@@ -138,7 +138,7 @@ def test_a_batch_has_its_layout(vocabulary: Vocabulary) -> None:
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(vocabulary: Vocabulary) -> None:
     rehearsal = Rehearsal(RECIPE, vocabulary, NETWORK)
     try:
-        first, other, again = (list(itertools.islice(rehearsal.batches((seed,)), 3)) for seed in (5, 6, 5))
+        first, other, again = (list(itertools.islice(rehearsal((seed,)), 3)) for seed in (5, 6, 5))
     finally:
         rehearsal.close()
     # Neither a used rehearsal nor a new one makes a difference.

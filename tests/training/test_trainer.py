@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import signal
 import subprocess
 import sys
@@ -21,10 +22,11 @@ from cognitivedrone.models.small_vla import Head, SmallVLA
 from cognitivedrone.training import policy
 from cognitivedrone.training.checkpoint import read_checkpoint
 from cognitivedrone.training.curves import DIMENSIONS, action_measures, draw_curves, read_rows
-from cognitivedrone.training.feed import learner_path
+from cognitivedrone.training.feed import Feed, learner_path
 from cognitivedrone.training.policy import load_trained, policy_subject
 from cognitivedrone.training.recipes import RECIPES, TrainRecipe, find_recipe
-from cognitivedrone.training.trainer import CHECKPOINT, METRICS, TrainConfig, learning_rate, train
+from cognitivedrone.training.subject import Watched
+from cognitivedrone.training.trainer import CHECKPOINT, METRICS, TrainConfig, learning_rate, train, what_is_left
 
 # Trials once, at the end, and few words: the rest of the time goes into processes that start.
 RECIPE = replace(RECIPES["debug"], fly_every=6, fly_tasks=2)
@@ -288,3 +290,59 @@ def test_the_learning_rate_warms_up_stays_and_falls_to_nothing() -> None:
     assert rates[recipe.warmup_steps : level] == [recipe.learning_rate] * (level - recipe.warmup_steps)
     assert all(earlier >= later for earlier, later in zip(rates[level:], rates[level + 1 :], strict=False))
     assert rates[-1] == 0
+
+
+def test_what_is_left_of_a_stopped_training_is_said(runs: Runs, tmp_path: Path) -> None:
+    assert what_is_left(tmp_path, " at step 3") == (
+        f"stopped at step 3, before the first checkpoint; there is nothing in {tmp_path} to resume, start again"
+    )
+    assert what_is_left(runs.whole) == (
+        f"stopped; the checkpoint of step 6 is kept in {runs.whole}, the same command with --resume goes on"
+    )
+
+
+def test_ctrl_c_before_the_first_checkpoint_says_that_there_is_nothing_to_resume(tmp_path: Path) -> None:
+    class Stopped:
+        def __init__(self, *_: object) -> None:
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cognitivedrone.training.trainer._Keeper", Stopped)
+        with pytest.raises(KeyboardInterrupt, match=r"stopped at step 0, before the first checkpoint; .*start again"):
+            train(TrainConfig(tmp_path / "run", policy_subject(RECIPE), seed=3))
+
+
+def test_the_stream_tells_how_it_begins(tmp_path: Path) -> None:
+    """The process starts, its first flights fill the buffer, and only then comes a batch; Ctrl-C is not its own."""
+    told: list[str] = []
+    subject = policy_subject(RECIPE)
+    with Feed(subject, tmp_path, seed=3, rank=0, first_round=0, waiting=told.append) as feed:
+        next(iter(feed))
+        size = RECIPE.stream.batch * RECIPE.stream.pool
+        assert feed._filled[1] == size
+        assert _ignores_ctrl_c(feed._process.pid)
+    assert told
+    assert told[0] == "starting the stream"
+    allowed = {"starting the stream", "waiting for a batch"}
+    assert all(text in allowed or re.fullmatch(rf"flying: \d+ of {size} samples", text) for text in told)
+
+
+def _ignores_ctrl_c(pid: int | None) -> bool:
+    """Whether a process blocks SIGINT, as the kernel tells."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    blocked = int(re.search(r"SigBlk:\s*([0-9a-f]+)", status)[1], 16)  # type: ignore[index]
+    return bool(blocked & 1 << (signal.SIGINT - 1))
+
+
+def test_a_buffer_tells_how_it_fills() -> None:
+    subject = policy_subject(RECIPE)
+    told: list[tuple[int, int]] = []
+    batches = subject.batches()
+    assert isinstance(batches, Watched)
+    batches.watch(lambda made, wanted: told.append((made, wanted)))
+    next(batches((3, 0, 0)))
+    size = RECIPE.stream.batch * RECIPE.stream.pool
+    made = [count for count, wanted in told if wanted == size]
+    assert made[0] == 0
+    assert made == sorted(made)
+    assert made[-1] == size

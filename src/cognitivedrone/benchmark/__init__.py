@@ -1,13 +1,21 @@
 """The benchmark: fly a policy through a suite, score it, report it, compare two runs.
 
-`run(RunConfig(...))` does it all and returns `Results`; `compare(a, b)` pairs two run folders.
+`run(RunConfig(...))` does it all and returns `Results`; `compare(a, b)` pairs two run folders. What is named here is
+loaded when it is first used, so that the options of a command can be read without loading a simulator.
 """
 
-from cognitivedrone.benchmark.compare import Comparison, compare
-from cognitivedrone.benchmark.results import Results, read_results
-from cognitivedrone.benchmark.run_types import Flown, RunConfig, Trace
-from cognitivedrone.benchmark.runner import Interrupted, run
-from cognitivedrone.benchmark.scoring import Score, Summary, summarize
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cognitivedrone.benchmark.comparison import Comparison, compare
+    from cognitivedrone.benchmark.config import RunConfig
+    from cognitivedrone.benchmark.results import Results, read_results
+    from cognitivedrone.benchmark.run_types import Flown, Trace
+    from cognitivedrone.benchmark.runner import Interrupted, run
+    from cognitivedrone.benchmark.scoring import Score, Summary, summarize
 
 __all__ = [
     "Comparison",
@@ -23,3 +31,19 @@ __all__ = [
     "run",
     "summarize",
 ]
+
+_ROOMS = {
+    "comparison": ("Comparison", "compare"),
+    "config": ("RunConfig",),
+    "results": ("Results", "read_results"),
+    "run_types": ("Flown", "Trace"),
+    "runner": ("Interrupted", "run"),
+    "scoring": ("Score", "Summary", "summarize"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _ROOMS.items():
+        if name in names:
+            return getattr(importlib.import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Mapping
+
 from rich.console import Group, RenderableType
 from rich.table import Table
+from rich.text import Text
 
+from cognitivedrone.errors import PolicyError
+from cognitivedrone.plugins import load, usage
 from cognitivedrone.policies import POLICIES
 from cognitivedrone.reasoners import NONE, REASONERS
 from cognitivedrone.sim.airframe import AIRFRAMES
@@ -21,8 +27,27 @@ def catalogue() -> RenderableType:
     families = Table("family", "category", title="Task families", title_justify="left")
     for family, category in FAMILIES.items():
         families.add_row(family, category)
-    names = Table("plug-in", "names", title="Pilots", title_justify="left")
-    names.add_row("--policy", ", ".join(POLICIES))
-    names.add_row("--reasoner", ", ".join([NONE, *REASONERS]))
-    names.add_row("--airframe", ", ".join(AIRFRAMES))
-    return Group(suites, families, names)
+    airframes = f"Airframes (--airframe): {', '.join(AIRFRAMES)}"
+    policies = _plugins("Policies (--policy)", "policy", POLICIES)
+    reasoners = _plugins("Reasoners (--reasoner)", "reasoner", REASONERS)
+    reasoners.add_row(_entry(NONE, "Flies by the instruction as it is."))
+    own = "Your own: MODULE:ATTRIBUTE, or MODULE:ATTRIBUTE:VALUE,option=value with arguments."
+    return Group(suites, families, policies, reasoners, own, airframes)
+
+
+def _plugins(title: str, kind: str, table: Mapping[str, str]) -> Table:
+    """Every plug-in as it is written, arguments in brackets where they may be left out, and what it does."""
+    rows = Table("written, and what it does", title=title, title_justify="left")
+    for name in table:
+        try:
+            factory = load(kind, name, table)
+        except PolicyError as error:
+            rows.add_row(_entry(name, str(error)))
+            continue
+        doc = " ".join((inspect.getdoc(factory) or "").partition("\n\n")[0].split())
+        rows.add_row(_entry(usage(name, factory), doc))
+    return rows
+
+
+def _entry(written: str, doc: str) -> Text:
+    return Text.assemble((written, "bold"), "\n", doc, overflow="fold")

@@ -24,7 +24,7 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.airframe import AIRFRAMES
-from cognitivedrone.tasks import Suite
+from cognitivedrone.tasks import SUITES, Suite
 from cognitivedrone.types import EpisodeResult
 
 
@@ -34,7 +34,7 @@ def preflight(config: RunConfig, suite: Suite) -> None:
         raise PolicyError(f"unknown airframe {config.airframe!r}; {did_you_mean(config.airframe, AIRFRAMES)}")
     autopilot_file(config)
     parse_delays(config.latency)
-    if config.tasks is None and config.labels is None:
+    if config.labels is None and suite.name in SUITES:
         return  # the shipped pack draws every shipped suite
     pack = labels_of(config)
     tasks = [task for track in suite.tracks[: config.episodes] for task in track]

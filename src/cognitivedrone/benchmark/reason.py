@@ -16,15 +16,13 @@ from pathlib import Path
 from typing import Final, TextIO
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track as progress_of
 
 from cognitivedrone.benchmark.codec import dumps
+from cognitivedrone.benchmark.config import ReasonConfig, RunConfig
 from cognitivedrone.benchmark.episode import labels_of, preflight
 from cognitivedrone.benchmark.provenance import platform_facts
 from cognitivedrone.benchmark.reason_scoring import Answer, ReasonSummary, judge, summarize_answers
 from cognitivedrone.benchmark.results import Options, SuiteFacts, versions, write_whole
-from cognitivedrone.benchmark.run_types import LookName, RunConfig
 from cognitivedrone.benchmark.runner import Interrupted, facts_of, results_folder
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.envs.course import Course, CourseConfig, draw_start, episode_rng, scenery_of, stage_of
@@ -32,6 +30,7 @@ from cognitivedrone.errors import PolicyError, ReasonerError, RunError
 from cognitivedrone.flight.mind import asking, check_guidance
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import Checked, Privileged, Reasoner, Remembering, Seeded
+from cognitivedrone.progress import counted
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.sim.simulator import TICKS_PER_CONTROL, Simulator, Start
@@ -44,34 +43,6 @@ ANSWERS_FILE: Final = "reason.jsonl"
 SUMMARY_FILE: Final = "reason.json"
 LOOK_HZ: Final = 2
 """How often a hovering drone's reasoner gets a new frame, as in flight."""
-
-
-@dataclass(frozen=True, slots=True)
-class ReasonConfig:
-    """Ask a reasoner about the first frame of every task, and score its answers."""
-
-    reasoner: str = "oracle"
-    """Name of a reasoner, with its argument where it takes one, or your own as module:attribute."""
-    suite: str = "open-v1:test"
-    """Name of a suite of tasks."""
-    tasks: Path | None = None
-    """Task file, or folder of them, asked instead of a suite."""
-    labels: Path | None = None
-    """Folder of label images that come before the shipped ones."""
-    track: bool = False
-    """Chain single tasks into tracks of five, which the reasoner may remember."""
-    seed: int = 0
-    """Draws starts and looks, as in a flight of the same seed."""
-    episodes: int | None = None
-    """Ask only about so many episodes, from the first."""
-    look: LookName = "plain"
-    """How the room looks: as published, or varied from episode to episode."""
-    frames: int = 1
-    """Frames to look at in each stage, half a second apart while the drone hovers; the last answer counts."""
-    out: Path | None = None
-    """Folder for the answers; results/reason-<suite>-<reasoner> by default."""
-    overwrite: bool = False
-    """Throw away the answers in that folder."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,8 +173,7 @@ def _ask_all(
 ) -> Iterator[Answer]:
     """The answers to every stage, in order; the reasoner is told what a flight would tell it."""
     count = len(suite.tracks) if config.episodes is None else min(config.episodes, len(suite.tracks))
-    console = Console(stderr=True)
-    for episode in progress_of(range(count), description="reasoning", console=console, disable=not progress):
+    for episode in counted(range(count), "reasoning", count, show=progress):
         rng = episode_rng(suite.digest, episode, config.seed)
         for view in views(course, suite, episode, rng):
             if view.index == 0:

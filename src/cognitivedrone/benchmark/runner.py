@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import math
 import os
@@ -10,13 +9,12 @@ import re
 import shlex
 import statistics
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from cognitivedrone.benchmark.clips import Clip, choose_clips, make_clip
 from cognitivedrone.benchmark.crew import FLYER, Alone, Crew, Team, WorkerCrash, make_flyer
@@ -44,6 +42,7 @@ from cognitivedrone.errors import RunError
 from cognitivedrone.flight.latency import parse_delays
 from cognitivedrone.links.one_drone import LinkReport
 from cognitivedrone.policies import model_file
+from cognitivedrone.progress import progress_bar
 from cognitivedrone.reasoners import reasoner_file
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import EpisodeResult
@@ -209,8 +208,8 @@ def _fly_missing(
     link: LinkReport | None = None
     stages = [stage for record in folder.records.values() for stage in record.result.stages if counts(stage)]
     passed, counted = sum(passes(stage, config.rule) for stage in stages), len(stages)
-    with _progress_bar(show) as bar:
-        task = bar.add_task("flying", total=total, completed=total - len(missing), speed="", rate="")
+    with progress_bar("speed", "rate", show=show) as bar:
+        task = bar.add_task("flying", total=total, completed=total - len(missing), speed="starting", rate="")
         began = time.perf_counter()
         for flown_now, (flown, renderer) in enumerate(crew.fly(missing), start=1):
             _keep_error(flown, folder.path, stop=config.fail_fast)
@@ -222,7 +221,7 @@ def _fly_missing(
             bar.update(
                 task,
                 advance=1,
-                speed=f"{flown_now / (time.perf_counter() - began):.1f} episodes/s",
+                speed=f"{flown_now / (time.perf_counter() - began):.1f}/s",
                 rate=f"{passed / counted:.1%} passed" if counted else "",
             )
     return link
@@ -254,20 +253,6 @@ def _film(crew: Crew, suite: Suite, records: Sequence[Record], config: RunConfig
         if flown.film is not None
     }
     return [clips[episode] for episode in chosen if episode in clips]
-
-
-@contextlib.contextmanager
-def _progress_bar(show: bool) -> Iterator[Progress]:
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=None),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[speed]}"),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), disable=not show) as bar:
-        yield bar
 
 
 def _timing(records: Sequence[Record], workers: int, flown: int, wall_s: float, link: LinkReport | None) -> Timing:

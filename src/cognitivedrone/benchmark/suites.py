@@ -3,36 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
-from cognitivedrone.benchmark.run_types import RunConfig
-from cognitivedrone.tasks import Suite, load_suite, suite_from_files
-from cognitivedrone.tasks.suites import TRAIN_NAME
+from cognitivedrone.benchmark.config import RunConfig
+from cognitivedrone.tasks import Suite, open_suite
+from cognitivedrone.tasks.suites import DEFAULT_TRAIN_SIZE, TRAIN_NAME
 from cognitivedrone.types import Track
 
 TRACK_LENGTH = 5
 """Stages of a track that --track makes."""
 
 
-def open_suite(name: str, *, size: int | None = None, seed: int = 0) -> Suite:
-    """A suite by its name, or the tasks of a file or folder.
-
-    `size` and `seed` are for suites that are generated. Raises `TaskError` for unknown names and malformed files.
-    """
-    path = Path(name)
-    return suite_from_files(path) if path.exists() else load_suite(name, size=size, seed=seed)
-
-
 def suite_of(config: RunConfig) -> Suite:
     """The tasks that a run flies, chained into tracks where it asks for that."""
-    if config.tasks is not None:
-        suite = suite_from_files(config.tasks)
-    elif config.suite == TRAIN_NAME:
-        suite = load_suite(config.suite, size=config.episodes, seed=config.seed)
-    else:
-        # Not `size=config.episodes`: the first episodes of a suite are the same flights, however many follow.
-        suite = load_suite(config.suite)
+    # Of a fixed suite no size is asked for: its first episodes are the same flights, however many follow.
+    size = config.episodes or DEFAULT_TRAIN_SIZE if config.suite == TRAIN_NAME else None
+    suite = open_suite(config.suite, config.tasks, size=size, seed=config.seed)
     return chain(suite) if config.track else suite
+
+
+def how_many(config: RunConfig) -> str:
+    """What to say of a suite without an end: how much of it a run flies; nothing of others."""
+    if config.tasks is not None or config.suite != TRAIN_NAME:
+        return ""
+    count = config.episodes or DEFAULT_TRAIN_SIZE
+    return f"{TRAIN_NAME} has no end; its first {count} tasks of seed {config.seed} are flown, --episodes N for others"
 
 
 def chain(suite: Suite, length: int = TRACK_LENGTH) -> Suite:

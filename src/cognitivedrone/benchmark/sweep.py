@@ -4,45 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Final, Literal
+from html import escape
+from typing import Final
 
+from cognitivedrone.benchmark.config import RunConfig, SweepConfig
 from cognitivedrone.benchmark.results import Results, write_whole
-from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.runner import run
 from cognitivedrone.errors import RunError
 
-Part = Literal["policy", "reasoner"]
 PLOT_FILE: Final = "sweep.svg"
 _WIDTH, _HEIGHT = 640, 360
 _LEFT, _RIGHT, _TOP, _BOTTOM = 60, 20, 40, 50
-
-
-@dataclass(frozen=True, slots=True)
-class SweepConfig:
-    """Fly a suite with growing latency and plot the success against it."""
-
-    out: Path
-    """Folder of the runs and of the plot."""
-    policy: str = "small"
-    """Name of a policy."""
-    reasoner: str = "oracle"
-    """Name of a reasoner."""
-    suite: str = "open-v1:test"
-    """Name of a suite of tasks."""
-    part: Part = "reasoner"
-    """Whose latency grows."""
-    ms: tuple[float, ...] = (0, 200, 500, 1000, 2000, 4000)
-    """The latencies, ms."""
-    other_ms: float = 0
-    """Latency of the other part, ms."""
-    episodes: int | None = None
-    """Fly only so many episodes, from the first."""
-    seed: int = 0
-    """Seed of the runs."""
-    workers: int | None = None
-    """Processes that fly; as many as there are cores by default."""
 
 
 Points = Sequence[tuple[float, Results]]
@@ -67,6 +39,8 @@ def run_config(config: SweepConfig, ms: float) -> RunConfig:
         policy=config.policy,
         reasoner=config.reasoner,
         suite=config.suite,
+        tasks=config.tasks,
+        labels=config.labels,
         workers=config.workers,
         seed=config.seed,
         episodes=config.episodes,
@@ -82,10 +56,11 @@ def plot(points: Points, config: SweepConfig) -> str:
     longest = max(ms for ms, _ in points) or 1.0
     scores = [results.summary().overall for _, results in points]
     xs = [_LEFT + ms / longest * (_WIDTH - _LEFT - _RIGHT) for ms, _ in points]
+    title = escape(config.suite if config.tasks is None else config.tasks.name)
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" font-family="sans-serif" '
         'font-size="12"><rect width="100%" height="100%" fill="white"/>',
-        f'<text x="{_LEFT}" y="20" font-size="14">{config.suite}: {config.policy}, reasoner {config.reasoner}</text>',
+        f'<text x="{_LEFT}" y="20" font-size="14">{title}: {config.policy}, reasoner {config.reasoner}</text>',
     ]
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         y = _y(share)

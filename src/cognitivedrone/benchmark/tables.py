@@ -11,8 +11,8 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from cognitivedrone.benchmark.compare import Comparison, Difference
-from cognitivedrone.benchmark.published import PUBLISHED
+from cognitivedrone.benchmark.comparison import Comparison, Difference
+from cognitivedrone.benchmark.published import PUBLISHED, comparable
 from cognitivedrone.benchmark.results import Results
 from cognitivedrone.benchmark.run_types import Rule
 from cognitivedrone.benchmark.scoring import Interval, Score, Summary
@@ -199,8 +199,9 @@ def _notes(results: Results, rule: Rule) -> list[Text]:
         count = overall.outcomes["policy_error"]
         text = f"policy errors, counted as not passed: {count}; the first in episode {first.episode}: {first.message}"
         notes.append(Text(text, style="yellow"))
-    published = ", ".join(f"{score.name} {percent(score.overall)}" for score in PUBLISHED)
-    notes.append(Text(f"the paper (arXiv 2503.01378), on its own tasks and simulator: {published}"))
+    if comparable(results):
+        published = ", ".join(f"{score.name} {percent(score.overall)}" for score in PUBLISHED)
+        notes.append(Text(f"the paper (arXiv 2503.01378), on its own tasks and simulator: {published}"))
     if (link := results.timing.link) is not None:
         what = f"ArduCopter: {link.frames} frames of physics, {link.lost} lost"
         if results.run.options.link == "gazebo":

@@ -1,39 +1,120 @@
-"""The `cognitivedrone` command."""
+"""The `cognitivedrone` command: its table of commands, its help, and what a mistake looks like.
+
+The module of a command is loaded when that command is run, and its parser knows that command's options alone: so help
+is quick, and a misspelt option is answered with those of the command at hand.
+"""
 
 from __future__ import annotations
 
+import importlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import tyro
 
-from cognitivedrone.cli import data, flying, scoring, training
-from cognitivedrone.errors import CognitiveDroneError, warn_plainly
+from cognitivedrone.errors import CognitiveDroneError, UsageError, did_you_mean, warn_plainly
 
-app = tyro.extras.SubcommandApp()
-app.command(scoring.bench)
-app.command(scoring.reason)
-app.command(scoring.sweep)
-app.command(scoring.compare)
-app.command(scoring.view)
-app.command(data.collect)
-app.command(training.train)
-app.command(training.train_openvla)
-app.command(data.data, name="data", help="Look at, check, convert and replay data sets.")
-app.command(flying.fly)
-app.command(flying.sim)
-app.command(flying.gazebo, name="gazebo", help="Worlds for Gazebo: the same tasks, flown by ArduPilot.")
-app.command(name="list")(scoring.list_names)
+PROGRAM = "cognitivedrone"
+COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
+    "score pilots": {
+        "bench": ("scoring:bench", "fly a policy through a suite of tasks and score it"),
+        "compare": ("scoring:compare", "compare two runs, task by task"),
+        "view": ("scoring:view", "draw what the drone sees at the start of a task"),
+        "reason": ("scoring:reason", "score a reasoner alone, without flying"),
+        "sweep": ("scoring:sweep", "fly a suite with growing latency and plot the success"),
+        "list": ("scoring:list_names", "names for the options: suites, policies, reasoners, airframes"),
+    },
+    "fly": {
+        "fly": ("flying:fly", "fly the simulator, ArduPilot or a real drone by a sentence"),
+        "sim": ("flying:sim", "serve the simulator as a MAVLink vehicle"),
+        "gazebo export": ("flying:export_world", "write tasks as worlds for Gazebo"),
+        "gazebo check": ("flying:check_world", "have worlds checked by Gazebo's own parser"),
+        "gazebo import": ("flying:import_models", "take the published Gazebo tasks"),
+    },
+    "make data and train": {
+        "collect": ("data:collect", "collect a data set of expert flights"),
+        "data show": ("data:show", "counts, lengths and actions of a data set"),
+        "data report": ("data:report_card", "a page with film strips and statistics"),
+        "data verify": ("data:verify", "check every shard against its hash"),
+        "data export": ("data:export", "write a data set as RLDS, LeRobot, published or MCAP"),
+        "data import": ("data:import_", "take a data set of another format"),
+        "data replay": ("data:replay", "fly a recorded episode again"),
+        "train": ("training:train", "train a small model"),
+        "train-openvla": ("training:train_openvla", "fine-tune OpenVLA-7B"),
+    },
+}
+"""Module and function in this package, and one line of help, of every command; words of a command are blank-separated.
+The keys are the headings of the help."""
+TARGETS = {name: target for group in COMMANDS.values() for name, (target, _) in group.items()}
+FIRST = (
+    ("bench --suite open-v1:smoke", "score the small VLA on 30 tasks"),
+    ("view --suite open-v1:test --episode 29", "see a task as the drone does: view.png"),
+    ('fly "Fly through the gate with the bird"', "say where to fly, and watch"),
+)
+"""What to try first."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; a mistake of the user's ends in one sentence and exit code 2."""
     warn_plainly()
     try:
-        app.cli(prog="cognitivedrone", description=__doc__, args=arguments)
+        _run(list(sys.argv[1:] if arguments is None else arguments))
     except CognitiveDroneError as error:
-        print(f"cognitivedrone: {error}", file=sys.stderr)  # noqa: T201
+        print(f"{PROGRAM}: {error}", file=sys.stderr)  # noqa: T201
         sys.exit(2)
     except KeyboardInterrupt as stop:
-        print(f"cognitivedrone: {stop or 'stopped'}", file=sys.stderr)  # noqa: T201
+        print(f"{PROGRAM}: {str(stop) or 'stopped'}", file=sys.stderr)  # noqa: T201
         sys.exit(130)
+
+
+def _run(arguments: list[str]) -> None:
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(help_text())  # noqa: T201
+        return
+    if arguments[0] == "--version":
+        from cognitivedrone.version import version_line
+
+        print(version_line())  # noqa: T201
+        return
+    name = next((name for name in (" ".join(arguments[:2]), arguments[0]) if name in TARGETS), None)
+    if name is None:
+        _explain(arguments)
+        return
+    tyro.cli(load(name), prog=f"{PROGRAM} {name}", args=arguments[len(name.split()) :])
+
+
+def load(name: str) -> Callable[..., Any]:
+    """The function of a command, such as "bench" or "data show"."""
+    module, _, function = TARGETS[name].partition(":")
+    loaded: Callable[..., Any] = getattr(importlib.import_module(f"{__name__}.{module}"), function)
+    return loaded
+
+
+def help_text(first_word: str = "") -> str:
+    """The commands under their headings, or those that begin with a word such as "data"."""
+    lines = [f"usage: {PROGRAM} {first_word or 'COMMAND'} ..."]
+    if not first_word:
+        lines += ["", "Language-driven drones: score pilots, fly them, make data, train.", "", "try first:"]
+        for command, effect in FIRST:
+            lines += [f"  {PROGRAM} {command}", f"      {effect}"]
+    for heading, commands in COMMANDS.items():
+        shown = {name: text for name, (_, text) in commands.items() if first_word in ("", name.partition(" ")[0])}
+        if shown:
+            lines += ["", f"{heading}:", *(f"  {name:<15}{text}" for name, text in shown.items())]
+    lines += ["", "COMMAND --help tells the options of a command; --version what is installed."]
+    return "\n".join(lines)
+
+
+def _explain(arguments: list[str]) -> None:
+    """Help for a first word that several commands share; raises `UsageError` for what is no command."""
+    first = arguments[0]
+    second = {name.partition(" ")[2] for name in TARGETS if name.startswith(f"{first} ")}
+    if second and (len(arguments) == 1 or arguments[1] in ("-h", "--help")):
+        print(help_text(first))  # noqa: T201
+        return
+    if second:
+        raise UsageError(f"unknown command '{first} {arguments[1]}'; {did_you_mean(arguments[1], second)}")
+    known = {name.partition(" ")[0] for name in TARGETS}
+    what = "option" if first.startswith("-") else "command"
+    raise UsageError(f"unknown {what} {first!r}; {did_you_mean(first, known)}")

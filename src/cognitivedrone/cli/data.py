@@ -7,12 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
-from rich.progress import track
 
-from cognitivedrone.collect.collector import CollectConfig
-
-data = tyro.extras.SubcommandApp()
+from cognitivedrone.collect.config import CollectConfig
 
 
 def collect(config: Annotated[CollectConfig, tyro.conf.arg(name="")]) -> None:
@@ -23,6 +19,8 @@ def collect(config: Annotated[CollectConfig, tyro.conf.arg(name="")]) -> None:
       cognitivedrone collect --out data/paper
       cognitivedrone collect --recipe robust --episodes 500 --out data/robust
     """
+    from rich.console import Console
+
     from cognitivedrone.collect.collector import collect as collect_set
 
     report = collect_set(config, progress=True)
@@ -35,19 +33,19 @@ def collect(config: Annotated[CollectConfig, tyro.conf.arg(name="")]) -> None:
     )
 
 
-@data.command
 def show(folder: tyro.conf.Positional[Path]) -> None:
     """Print counts by family, lengths and action histograms of a data set.
 
     Args:
         folder: The data set.
     """
+    from rich.console import Console
+
     from cognitivedrone.data.summary import summary
 
     Console().print(summary(folder))
 
 
-@data.command(name="report")
 def report_card(folder: tyro.conf.Positional[Path], out: Path = Path("card.html")) -> None:
     """Write a self-contained HTML card of a data set: film strips, actions, splits, statistics.
 
@@ -61,7 +59,6 @@ def report_card(folder: tyro.conf.Positional[Path], out: Path = Path("card.html"
     print(out)  # noqa: T201
 
 
-@data.command
 def verify(folder: tyro.conf.Positional[Path]) -> None:
     """Check every shard of a data set against its hash; exit code 1 where something is missing, cut short or altered.
 
@@ -78,7 +75,6 @@ def verify(folder: tyro.conf.Positional[Path]) -> None:
     print(f"{folder}: whole")  # noqa: T201
 
 
-@data.command
 def export(folder: tyro.conf.Positional[Path], to: str, out: Path) -> None:
     """Write a data set in a format that trainers read.
 
@@ -89,13 +85,13 @@ def export(folder: tyro.conf.Positional[Path], to: str, out: Path) -> None:
     """
     from cognitivedrone.data.formats import export as export_set
     from cognitivedrone.data.store import Store
+    from cognitivedrone.progress import counted
 
     store = Store.open(folder)
-    count = export_set(track(store.labelled(), "exporting", total=len(store)), to, out)
+    count = export_set(counted(store.labelled(), "exporting", len(store)), to, out)
     print(f"{out}: {count} episodes as {to}")  # noqa: T201
 
 
-@data.command(name="import")
 def import_(source: tyro.conf.Positional[Path], form: Annotated[str, tyro.conf.arg(name="from")], out: Path) -> None:
     """Take a data set of another format into a store of ours.
 
@@ -109,7 +105,6 @@ def import_(source: tyro.conf.Positional[Path], form: Annotated[str, tyro.conf.a
     print(f"{out}: {import_set(source, form, out)} episodes")  # noqa: T201
 
 
-@data.command
 def replay(folder: tyro.conf.Positional[Path], episode: tyro.conf.Positional[int]) -> None:
     """Fly the recorded commands of an episode again and say how far the end is from the record.
 

@@ -7,11 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from cognitivedrone.cockpit.config import FlyConfig, SimConfig
-
-gazebo = tyro.extras.SubcommandApp()
 
 
 def fly(config: Annotated[FlyConfig, tyro.conf.arg(name="")]) -> None:
@@ -26,6 +23,8 @@ def fly(config: Annotated[FlyConfig, tyro.conf.arg(name="")]) -> None:
 
     A real drone needs more than a command: read docs/real-drone.md.
     """
+    from rich.console import Console
+
     from cognitivedrone.cockpit.fly import fly_mission
     from cognitivedrone.cockpit.view import summary_table
 
@@ -49,10 +48,10 @@ def sim(config: Annotated[SimConfig, tyro.conf.arg(name="")]) -> None:
     print(f"stopped; the vehicle fell {lost:.1f} s behind the clock")  # noqa: T201
 
 
-@gazebo.command(name="export")
 def export_world(
     out: Path,
     suite: str = "open-v1:smoke",
+    tasks: Path | None = None,
     task: str | None = None,
     track: str | None = None,
     version: str = "harmonic",
@@ -67,7 +66,8 @@ def export_world(
 
     Args:
         out: New folder to write.
-        suite: Name of the suite, or a task file.
+        suite: Name of a suite of tasks.
+        tasks: Task file, or folder of them, instead of a suite.
         task: Id of one task.
         track: Number of a track, from 0, or the id of a task in it.
         version: Release of Gazebo that the README of the folder tells to install: harmonic, ionic or jetty.
@@ -75,12 +75,11 @@ def export_world(
     """
     from cognitivedrone.links.gazebo.export import export as export_to
 
-    done = export_to(suite, out=out, task=task, track=track, version=version, labels=labels)
+    done = export_to(suite, tasks=tasks, out=out, task=task, track=track, version=version, labels=labels)
     for world, shown in zip(done.worlds, done.track, strict=True):
         print(f"{world}: {shown.instruction}  (right: gate {shown.target + 1})")  # noqa: T201
 
 
-@gazebo.command(name="check")
 def check_world(files: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     """Have SDF files checked by libsdformat, Gazebo's own parser.
 
@@ -92,7 +91,6 @@ def check_world(files: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     print(f"{len(files)} passed {check_files(files)}")  # noqa: T201
 
 
-@gazebo.command(name="import")
 def import_models(source: tyro.conf.Positional[Path], out: Path) -> None:
     """Take tasks and panels of the published Gazebo classic collector into a task file and a folder of labels.
 

@@ -6,11 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
-from cognitivedrone.benchmark.reason import ReasonConfig
-from cognitivedrone.benchmark.run_types import RunConfig
-from cognitivedrone.benchmark.sweep import SweepConfig
+from cognitivedrone.benchmark.config import LookName, ReasonConfig, RunConfig, SweepConfig
 
 
 def bench(config: Annotated[RunConfig, tyro.conf.arg(name="")]) -> None:
@@ -24,10 +21,15 @@ def bench(config: Annotated[RunConfig, tyro.conf.arg(name="")]) -> None:
       cognitivedrone bench --policy my_package.my_module:MyPolicy --suite open-v1:test
       cognitivedrone bench --tasks my_tasks.json --labels my_pictures/
     """
+    from rich.console import Console
+
     from cognitivedrone.benchmark.runner import out_of, run
+    from cognitivedrone.benchmark.suites import how_many
     from cognitivedrone.benchmark.tables import results_table
 
     console = Console()
+    if told := how_many(config):
+        console.print(told, highlight=False)
     console.print(results_table(run(config, progress=True)))
     console.print(f"report: {out_of(config) / 'report.html'}", highlight=False)
 
@@ -40,6 +42,8 @@ def reason(config: Annotated[ReasonConfig, tyro.conf.arg(name="")]) -> None:
       cognitivedrone reason --suite open-v1:test --reasoner noisy-oracle
       cognitivedrone reason --suite open-v1:track --reasoner my_module:MyReasoner --out answers
     """
+    from rich.console import Console
+
     from cognitivedrone.benchmark.reason import ANSWERS_FILE, score_reasoner
     from cognitivedrone.benchmark.reason_table import reason_table
 
@@ -57,6 +61,8 @@ def sweep(config: Annotated[SweepConfig, tyro.conf.arg(name="")]) -> None:
 
       cognitivedrone sweep --policy small --reasoner oracle --ms 0 500 2000 --out results/sweep
     """
+    from rich.console import Console
+
     from cognitivedrone.benchmark.sweep import PLOT_FILE
     from cognitivedrone.benchmark.sweep import sweep as fly_all
     from cognitivedrone.benchmark.tables import sweep_table
@@ -76,7 +82,9 @@ def compare(
         a: Folder or results.json of the first run.
         b: Folder or results.json of the second run.
     """
-    from cognitivedrone.benchmark.compare import compare as compare_runs
+    from rich.console import Console
+
+    from cognitivedrone.benchmark.comparison import compare as compare_runs
     from cognitivedrone.benchmark.tables import comparison_table
 
     Console().print(comparison_table(compare_runs(a, b)))
@@ -84,31 +92,35 @@ def compare(
 
 def view(
     suite: str = "open-v1:smoke",
+    tasks: Path | None = None,
     episode: int = 0,
     out: Path = Path("view.png"),
-    look: str = "plain",
+    look: LookName = "plain",
     labels: str = "open-v1",
     seed: int = 0,
 ) -> None:
     """Draw what the drone sees at the start of a task, with a chase and a top view beside it.
 
     Args:
-        suite: Name of the suite, or a task file.
+        suite: Name of a suite of tasks.
+        tasks: Task file, or folder of them, instead of a suite.
         episode: Which of its tasks, from 0.
         out: Picture to write.
         look: plain or varied.
         labels: Label pack, or a folder of pictures.
         seed: Draws start and look.
     """
-    from cognitivedrone.benchmark.suites import open_suite
     from cognitivedrone.envs.snapshot import snapshot
+    from cognitivedrone.tasks import open_suite
 
-    task = snapshot(open_suite(suite), episode, out, look=look, labels=labels, seed=seed)
+    task = snapshot(open_suite(suite, tasks), episode, out, look=look, labels=labels, seed=seed)
     print(f"{out}: {task.instruction}  (right: gate {task.target + 1}, {task.options[task.target]})")  # noqa: T201
 
 
 def list_names() -> None:
-    """List the suites, task families, policies and reasoners that come with the package."""
+    """List suites, task families, airframes, and policies and reasoners with how their arguments are written."""
+    from rich.console import Console
+
     from cognitivedrone.benchmark.catalogue import catalogue
 
     Console().print(catalogue())

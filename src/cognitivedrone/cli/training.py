@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from cognitivedrone.errors import MissingExtra
@@ -38,6 +39,7 @@ def train(
         processes: Processes that share each batch: the number of CPU cores, or of GPUs.
         threads: CPU threads of each process's network.
     """
+    print("loading PyTorch and the vocabulary", file=sys.stderr, flush=True)  # noqa: T201
     try:
         from cognitivedrone.training.launch import TrainOptions, run
     except ModuleNotFoundError as error:

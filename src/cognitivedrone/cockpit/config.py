@@ -1,4 +1,4 @@
-"""The options of the commands `fly` and `sim`; the docstrings of the fields are their help."""
+"""The options of the commands `fly` and `sim`; the docstrings of the fields are their help. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Literal
 
 import tyro
 
-from cognitivedrone.errors import LinkError, TaskError, did_you_mean
-from cognitivedrone.tasks import Suite, load_suite, suite_from_files
+from cognitivedrone.errors import LinkError, did_you_mean
 
 LINKS = ("sim", "sitl", "mavlink")
 LOOPBACK = ("127.", "localhost:", "::1:", "[::1]:")
@@ -32,12 +31,19 @@ class FlyConfig:
     camera: str = ""
     """With mavlink: /dev/videoN, an rtsp:// or http:// URL, a video file, a folder of images, or gazebo:TOPIC of a
     running Gazebo, such as gazebo:/cognitivedrone/camera."""
-    suite: str = "open-v1:smoke"
-    """With sim and sitl: the suite, or task file, that the scene is from."""
-    episode: int = 0
-    """Which of its tasks, from 0."""
+    suite: str | None = None
+    """With sim and sitl: the suite that the scene is from; open-v1:smoke, or for an instruction of your own whichever
+    shows what it asks for."""
+    tasks: Path | None = None
+    """Task file, or folder of them, instead of a suite."""
+    labels: Path | None = None
+    """Folder of label images that come before the shipped ones."""
+    episode: int | None = None
+    """Which of its tasks, from 0; left out the first, or for an instruction of your own the one that fits it best."""
     seed: int = 0
-    """Draws start and look of the scene."""
+    """Draws start and look of the scene, and which of several that fit."""
+    hold_below: float = 0.5
+    """Hover while the reasoner is less sure than this, 0 to 1, that what is asked for is there; 0 never hovers."""
     time_limit: float = 60.0
     """Seconds of flight, then it lands."""
     out: Path | None = None
@@ -84,6 +90,8 @@ class FlyConfig:
             )
         if not self.fence_radius > 0:
             raise LinkError(f"--fence-radius is {self.fence_radius}; it is a number of metres above 0")
+        if not 0 <= self.hold_below <= 1:
+            raise LinkError(f"--hold-below is {self.hold_below}; it is a confidence from 0 to 1")
         if not 0.1 <= self.policy_patience <= 5:
             raise LinkError(f"--policy-patience is {self.policy_patience}; give 0.1 to 5 seconds")
         if self.is_mavlink and not self.instruction.strip():
@@ -125,22 +133,14 @@ class SimConfig:
     camera_hz: float = 20.0
     """Frames a second of the wall clock."""
     suite: str = "open-v1:smoke"
-    """The suite, or task file, that the scene is from."""
+    """The suite that the scene is from."""
+    tasks: Path | None = None
+    """Task file, or folder of them, instead of a suite."""
+    labels: Path | None = None
+    """Folder of label images that come before the shipped ones."""
     episode: int = 0
     """Which of its tasks, from 0."""
     seed: int = 0
     """Draws start and look of the scene."""
     speed: float = 1.0
     """How many times as fast as the wall clock, up to 100."""
-
-
-def task_suite(name: str) -> Suite:
-    """A suite by its name, or the tasks of a file; raises `TaskError`."""
-    path = Path(name)
-    return suite_from_files(path) if path.exists() else load_suite(name)
-
-
-def check_episode(suite: Suite, episode: int) -> None:
-    """Raise `TaskError` for an episode that there is not."""
-    if not 0 <= episode < len(suite.tracks):
-        raise TaskError(f"suite {suite.name!r} has episodes 0 to {len(suite.tracks) - 1}, not {episode}")

@@ -16,6 +16,7 @@ from cognitivedrone.links.camera import Camera, Shot
 from cognitivedrone.links.mavlink import MavlinkDrone
 from cognitivedrone.links.preflight import Checklist
 from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.tasks.matching import asks_the_same
 from cognitivedrone.types import StageResult, Truth
 
 Confirm = Callable[[Checklist], bool]
@@ -75,10 +76,11 @@ class Craft(Protocol):
 class SimulatedCraft:
     """One world of the simulator, flown in real time through the stages of a course that has begun.
 
-    `own_words` tells whether the user's own instruction is flown: then nobody but the user knows which gate is right.
+    `own_words` tells the user's own instruction, "" where the scene's is flown. Where it asks for something else than
+    the scene does, nobody but the user knows which gate is right.
     """
 
-    def __init__(self, simulator: Simulator, course: Course, own_words: Callable[[], bool]) -> None:
+    def __init__(self, simulator: Simulator, course: Course, own_words: Callable[[], str]) -> None:
         self._simulator = simulator
         self._course = course
         self._own_words = own_words
@@ -105,11 +107,16 @@ class SimulatedCraft:
         """Over with the last stage, or where a stage ended otherwise than by a gate."""
         if not self._course.finished:
             return None
-        flown = [result for result in self._course.results if result.outcome != "not_reached"]
         own_words = self._own_words()
-        good = ("passed", "wrong_gate") if own_words else ("passed",)
-        passed = all(result.outcome in good for result in flown)
-        return Ending("passed" if passed else "missed", "; ".join(_told(result, own_words) for result in flown))
+        flown = [
+            (result, not own_words or asks_the_same(own_words, task))
+            for result, task in zip(self._course.results, self._course.track, strict=True)
+            if result.outcome != "not_reached"
+        ]
+        told = "; ".join(_told(result, judged=judged) for result, judged in flown)
+        if any(result.outcome != "passed" and (judged or result.outcome != "wrong_gate") for result, judged in flown):
+            return Ending("missed", told)
+        return Ending("passed" if all(judged for _, judged in flown) else "flown", told)
 
     def out_of_time(self, seconds: float) -> Ending:
         """No gate was passed in time."""
@@ -213,12 +220,14 @@ class Eyes:
         self._camera.close()
 
 
-def _told(result: StageResult, own_words: bool) -> str:
+def _told(result: StageResult, *, judged: bool) -> str:
     """How a stage ended, in words."""
+    if not judged and result.chosen is not None and result.outcome in ("passed", "wrong_gate"):
+        return f"flew through gate {result.chosen + 1} (not judged), after {result.time_s:.1f} s"
     gate = "no gate" if result.chosen is None else f"gate {result.chosen + 1}"
     how = {
         "passed": f"through {gate}",
-        "wrong_gate": f"through {gate}" if own_words else f"through {gate}, the right one was {result.target + 1}",
+        "wrong_gate": f"through {gate}, the right one was {result.target + 1}",
         "collision": f"collided, flying at {gate}",
         "missed": f"flew past the gates, at {gate}",
         "out_of_bounds": f"left the stage, flying at {gate}",

@@ -19,10 +19,12 @@ from cognitivedrone.cockpit.craft import Craft
 from cognitivedrone.cockpit.log import TLOG_FILE, FlightLog, check_free
 from cognitivedrone.cockpit.opening import open_craft
 from cognitivedrone.cockpit.orders import Keyboard, Orders, landing_on_interrupt
+from cognitivedrone.cockpit.scene import ChosenScene, choose_scene
 from cognitivedrone.cockpit.values import Ending, Instrument, Step, Summary
 from cognitivedrone.cockpit.view import Instruments, Printer
 from cognitivedrone.data.bags import Ros
 from cognitivedrone.errors import PolicyError
+from cognitivedrone.flight.hold import HeedingMind, HeldDrone, Hold, HoldRule
 from cognitivedrone.flight.latency import TimedPolicy
 from cognitivedrone.flight.loop import Leg, fly
 from cognitivedrone.flight.mind import ThreadMind
@@ -51,11 +53,14 @@ def fly_mission(config: FlyConfig, *, console: Console | None = None, keyboard: 
         reasoner = _ready(stack, make_reasoner(config.reasoner))
         ros = Ros() if config.record == "mcap" else None
         check_free(out)
+        scene = None if config.is_mavlink else choose_scene(config)
         log, summary, error = None, None, ""
         try:
-            craft = open_craft(config, out / TLOG_FILE, lambda: bool(config.instruction or orders.given[0]))
+            craft = open_craft(config, out / TLOG_FILE, scene, lambda: orders.given[1] or config.instruction.strip())
             with closing(craft):
-                log = FlightLog(out, _about(config), ros)
+                if scene is not None:
+                    console.print(scene.told, markup=False, highlight=False, soft_wrap=True)
+                log = FlightLog(out, _about(config, scene), ros)
                 summary = _fly(config, craft, policy, reasoner, log, orders, console, keyboard)
         except BaseException as stop:
             error = str(stop) or type(stop).__name__
@@ -81,7 +86,8 @@ def _fly(
     if config.link != "sim":
         console.print("connected; waiting until the vehicle is ready, ctrl-C stops", highlight=False)
     drone = craft.take_off(lambda checklist: _confirm(checklist, craft, console, keyboard))
-    mission = _Mission(config, craft, orders, drone.now)
+    hold = Hold(HoldRule(below=config.hold_below))
+    mission = _Mission(config, craft, orders, drone.now, hold)
     timed = TimedPolicy(policy)
     with ExitStack() as stack:
         stack.enter_context(landing_on_interrupt(orders))
@@ -90,10 +96,10 @@ def _fly(
         if config.view and console.is_terminal:
             shown = Instruments(f"{config.policy} + {config.reasoner} on {config.link}", lambda: keys.typed)
             stack.enter_context(Live(shown, console=console, refresh_per_second=REDRAWN_HZ))
-        recorder = _Recorder((log, shown), mission, craft, timed)
-        mind = ThreadMind(reasoner) if reasoner is not None else None
+        recorder = _Recorder((log, shown), mission, craft, timed, hold)
+        mind = HeedingMind(ThreadMind(reasoner), hold) if reasoner is not None else None
         try:
-            steps = fly(drone, timed, drone, mission, mind=mind, recorder=recorder)
+            steps = fly(HeldDrone(drone, hold), timed, drone, mission, mind=mind, recorder=recorder)
             ending, seconds = mission.ending or Ending("told", ""), drone.now()
             recorder.note(Event(seconds, "over", ending.reason))
             if craft.land():
@@ -109,21 +115,24 @@ def _fly(
 class _Mission:
     """The leg at hand: the newest of what was typed, asked for at the start, or written in the scene."""
 
-    def __init__(self, config: FlyConfig, craft: Craft, orders: Orders, now: Callable[[], float]) -> None:
+    def __init__(self, config: FlyConfig, craft: Craft, orders: Orders, now: Callable[[], float], hold: Hold) -> None:
         self.leg: Leg | None = None
         self.ending: Ending | None = None
-        self._config, self._craft, self._orders, self._now = config, craft, orders, now
+        self._config, self._craft, self._orders, self._now, self._hold = config, craft, orders, now, hold
 
     def __call__(self) -> Leg | None:
         self.ending = self._orders.ending or self._craft.ending()
         if self.ending is None and self._now() >= self._config.time_limit:
             self.ending = self._craft.out_of_time(self._config.time_limit)
+            if self._hold.active:
+                self.ending = Ending("unsure", f"{self.ending.reason}; it hovered, only {_doubt(self._hold)}")
         if self.ending is not None:
             return None
         scene = self._craft.scene()
         count, typed = self._orders.given
         index, truth = (scene.index, scene.truth) if scene is not None else (0, None)
         of_scene = truth.task.instruction if truth is not None else ""
+        self._hold.begin(index + count)
         self.leg = Leg(index + count, typed or self._config.instruction or of_scene, truth)
         return self.leg
 
@@ -131,12 +140,15 @@ class _Mission:
 class _Recorder:
     """Puts what the loop tells together with how the craft is, and gives it to the instruments."""
 
-    def __init__(self, instruments: Sequence[Instrument], mission: _Mission, craft: Craft, timed: TimedPolicy) -> None:
+    def __init__(
+        self, instruments: Sequence[Instrument], mission: _Mission, craft: Craft, timed: TimedPolicy, hold: Hold
+    ) -> None:
         self.late = 0
         self.answers_s: list[float] = []
         self._instruments, self._mission, self._craft, self._timed = instruments, mission, craft, timed
         self._decisions = 0
         self._decision = "fly"
+        self._hold, self._held = hold, False
 
     def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:
         leg, status = self._mission.leg, self._craft.status()
@@ -145,6 +157,10 @@ class _Recorder:
         if status.decision != self._decision:
             self._decision = status.decision
             self.note(Event(observation.time, "guard", f"{status.decision}: {status.reason}".rstrip(": ")))
+        if self._hold.active != self._held:
+            self._held = self._hold.active
+            told = f"{'hovering' if self._held else 'flying on'}, {_doubt(self._hold)}"
+            self.note(Event(observation.time, "hold" if self._held else "sure", told))
         thought = self._timed.took_s[-1] if len(self._timed.took_s) > self._decisions else None
         self._decisions = len(self._timed.took_s)
         step = Step(observation.time, leg.index, leg.instruction, observation, action, guidance, thought, status)
@@ -186,9 +202,17 @@ def _confirm(checklist: Checklist, craft: Craft, console: Console, keyboard: Tex
     return keyboard.readline().strip() == CONFIRMATION
 
 
-def _about(config: FlyConfig) -> dict[str, object]:
+def _doubt(hold: Hold) -> str:
+    """How sure the pilot is, in words."""
+    return f"{hold.sure:.0%} sure that what is asked is here"
+
+
+def _about(config: FlyConfig, scene: ChosenScene | None) -> dict[str, object]:
     """What the log says of how it was flown."""
-    return {"config": {name: getattr(config, name) for name in config.__slots__}, "began": datetime.now().isoformat()}
+    about: dict[str, object] = {"config": {name: getattr(config, name) for name in config.__slots__}}
+    if scene is not None:
+        about["scene"] = {"suite": scene.suite.name, "episode": scene.episode, "told": scene.told}
+    return about | {"began": datetime.now().isoformat()}
 
 
 def _spread_ms(samples_s: Sequence[float]) -> tuple[float, float]:

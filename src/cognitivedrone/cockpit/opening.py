@@ -6,13 +6,13 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from cognitivedrone.cockpit.config import FlyConfig, check_episode, task_suite
+from cognitivedrone.cockpit.config import FlyConfig
 from cognitivedrone.cockpit.craft import Craft, Eyes, MavlinkCraft, SimulatedCraft
+from cognitivedrone.cockpit.scene import ChosenScene, labels_of
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.errors import CameraError, LinkError
 from cognitivedrone.flight.fence import Fence
 from cognitivedrone.flight.safety import Guard, Patience, SafetyConfig
-from cognitivedrone.labels import load_pack
 from cognitivedrone.links.camera import Camera, open_camera
 from cognitivedrone.links.gazebo.bindings import load_bindings
 from cognitivedrone.links.gazebo.sight import GazeboCamera
@@ -24,28 +24,32 @@ FLAG = "--i-understand-this-flies-a-real-drone"
 GAZEBO = "gazebo:"
 
 
-def open_course(suite_name: str, episode: int, seed: int, *, render: bool = True) -> Course:
-    """A simulator, and the scene of an episode begun in it; raises `TaskError`."""
-    suite = task_suite(suite_name)
-    check_episode(suite, episode)
-    course = Course(Simulator(1, render=render), 0, load_pack("open-v1"), CourseConfig(time_limit_s=math.inf))
-    course.begin(suite.tracks[episode], episode_rng(suite.digest, episode, seed))
+def open_course(scene: ChosenScene, labels: Path | None, seed: int, *, render: bool = True) -> Course:
+    """A simulator, and the scene begun in it; raises `TaskError` or `LabelError`."""
+    track, pack = scene.track, labels_of(labels)
+    course = Course(Simulator(1, render=render), 0, pack, CourseConfig(time_limit_s=math.inf))
+    try:
+        course.begin(track, episode_rng(scene.suite.digest, scene.episode, seed))
+    except BaseException:
+        course.simulator.close()
+        raise
     return course
 
 
-def open_craft(config: FlyConfig, tlog: Path, own_words: Callable[[], bool]) -> Craft:
+def open_craft(config: FlyConfig, tlog: Path, scene: ChosenScene | None, own_words: Callable[[], str]) -> Craft:
     """What the options ask to fly, on the ground, with nothing armed.
 
-    Raises `LinkError`, `CameraError`, `TaskError` or `MissingExtra`. What is not known to be simulated is refused
-    without the flag that consents; what is not inside this machine is not even talked to.
+    `scene` is that of a simulated flight, and `own_words` tells the instruction that the user gave last, if any. Raises
+    `LinkError`, `CameraError`, `TaskError` or `MissingExtra`. What is not known to be simulated is refused without the
+    flag that consents; what is not inside this machine is not even talked to.
     """
-    if config.link == "sim":
-        course = open_course(config.suite, config.episode, config.seed)
+    if config.link == "sim" and scene is not None:
+        course = open_course(scene, config.labels, config.seed)
         return SimulatedCraft(course.simulator, course, own_words)
-    if config.link == "sitl":
+    if config.link == "sitl" and scene is not None:
         from cognitivedrone.cockpit.sitl import open_sitl
 
-        return open_sitl(config, tlog)
+        return open_sitl(config, scene, tlog)
     consent = config.i_understand_this_flies_a_real_drone
     if not (consent or config.on_loopback):
         raise LinkError(f"{config.link} may be a real drone: read docs/real-drone.md, then add {FLAG}")

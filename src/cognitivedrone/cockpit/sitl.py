@@ -10,6 +10,7 @@ from pathlib import Path
 from cognitivedrone.cockpit.config import FlyConfig
 from cognitivedrone.cockpit.craft import Craft, Eyes, MavlinkCraft, Scene
 from cognitivedrone.cockpit.opening import open_course, safety, vehicle_config
+from cognitivedrone.cockpit.scene import ChosenScene
 from cognitivedrone.envs.course import Course
 from cognitivedrone.errors import CameraError
 from cognitivedrone.flight.safety import Guard
@@ -50,14 +51,14 @@ class PlantCamera:
         """Nothing is open."""
 
 
-def open_sitl(config: FlyConfig, tlog: Path) -> Craft:
+def open_sitl(config: FlyConfig, chosen: ChosenScene, tlog: Path) -> Craft:
     """Start physics and autopilot, and connect; closing the craft ends both.
 
     Raises `LinkError` where the binary cannot be run or cannot be reached, `RunError` where the port is taken.
     """
     binary = find_binary(config.sitl, f"give --sitl PATH or set {BINARY_VARIABLE}")
     with ExitStack() as undo:
-        course = open_course(config.suite, config.episode, config.seed)
+        course = open_course(chosen, config.labels, config.seed)
         undo.callback(course.simulator.close)
         plant = Plant(start=course.start.position[:2])
         camera = PlantCamera(course, plant)

@@ -9,11 +9,12 @@ from typing import Literal, Protocol
 
 from cognitivedrone.types import Action, Event, FloatArray, Guidance, Observation
 
-EndKind = Literal["passed", "missed", "told", "time", "vehicle", "interrupted"]
-"""Through a gate; the scene was ended otherwise; landed by order; by the time limit; by the rules of safety, by the
-vehicle or its pilot; by ctrl-C or a request to terminate."""
+EndKind = Literal["passed", "flown", "missed", "unsure", "told", "time", "vehicle", "interrupted"]
+"""Through the right gate; through a gate of which nobody but the user knows whether it was meant; the scene was ended
+otherwise; by the time limit while it hovered, unsure; landed by order; by the time limit; by the rules of safety, by
+the vehicle or its pilot; by ctrl-C or a request to terminate."""
 EXIT_CODES: dict[EndKind, int] = {
-    "passed": 0, "told": 0, "time": 0, "missed": 1, "vehicle": 1, "interrupted": 130
+    "passed": 0, "flown": 0, "told": 0, "time": 0, "missed": 1, "unsure": 1, "vehicle": 1, "interrupted": 130
 }  # fmt: skip
 
 

@@ -12,8 +12,10 @@ from dataclasses import dataclass
 from cognitivedrone.cockpit.config import SimConfig
 from cognitivedrone.cockpit.mjpeg import FrameServer
 from cognitivedrone.cockpit.opening import open_course
+from cognitivedrone.cockpit.scene import ChosenScene
 from cognitivedrone.errors import RunError
 from cognitivedrone.links.vehicle import SimulatedVehicle, VehicleConfig, serve
+from cognitivedrone.tasks import open_suite
 from cognitivedrone.types import Task
 
 LOOK_FOR_VIEWERS_S = 0.1
@@ -56,13 +58,14 @@ def serve_vehicle(config: SimConfig, stop: Callable[[], bool], announce: Callabl
     """Serve until `stop()` is true; returns the seconds that the vehicle fell behind the clock.
 
     The vehicle stands on the floor under the start of the episode, before its first stage. Raises `RunError`,
-    `TaskError`, `CameraError` or `MissingExtra`.
+    `TaskError`, `LabelError`, `CameraError` or `MissingExtra`.
     """
     if not config.mavlink:
         raise RunError("say how to serve the simulator: cognitivedrone sim --mavlink")
     if not 0 < config.camera_hz <= 60:
         raise RunError(f"--camera-hz is {config.camera_hz}; give more than 0, at most 60")
-    course = open_course(config.suite, config.episode, config.seed, render=config.camera_port is not None)
+    scene = ChosenScene(open_suite(config.suite, config.tasks), config.episode, "")
+    course = open_course(scene, config.labels, config.seed, render=config.camera_port is not None)
     simulator = course.simulator
     try:
         with SimulatedVehicle(simulator, VehicleConfig(links=config.links)) as vehicle, _camera(config, vehicle) as url:

@@ -40,6 +40,8 @@ class Instruments:
         self._policy_s: deque[float] = deque(maxlen=WINDOW)
         self._reasoner_s: float | None = None
         self._late = 0
+        self._hold = ""
+        """Why it hovers, while it does."""
         self._events: deque[Event] = deque(maxlen=EVENTS_SHOWN)
 
     def step(self, step: Step) -> None:
@@ -53,6 +55,8 @@ class Instruments:
         """Show an event."""
         if event.kind in ("adopted", "agreed", "kept"):
             self._reasoner_s = event.age_s
+        if event.kind in ("hold", "sure", "leg"):
+            self._hold = event.text if event.kind == "hold" else ""
         self._late += event.kind == "late"
         if event.kind not in SILENT:
             self._events.append(event)
@@ -78,6 +82,8 @@ class Instruments:
         if guidance is not None:
             told = f"{guidance.directive} ({guidance.confidence:.0%} sure, its frame is {guidance.age:.1f} s old)"
             lines.add_row("directive", told)
+        if self._hold:
+            lines.add_row("pilot", Text(self._hold, style="bold yellow"))
         lines.add_row("action", f"{_velocity(step.sent[:3])} m/s, turn {step.sent[3]:+.2f} rad/s")
         lines.add_row("velocity", f"{_velocity(seen.velocity)} m/s, turn {seen.yaw_rate:+.2f} rad/s")
         where = "not known" if status.position is None else "{:+.2f} {:+.2f} {:+.2f} m".format(*status.position)
@@ -115,7 +121,8 @@ def summary_table(summary: Summary) -> Table:
     table = Table.grid(padding=(0, 2))
     table.add_column(style="dim", justify="right")
     table.add_column(overflow="fold")
-    table.add_row("ended", f"{summary.ending.kind}: {summary.ending.reason}")
+    kind, reason = summary.ending.kind, summary.ending.reason
+    table.add_row("ended", reason if kind == "flown" else f"{kind}: {reason}")
     table.add_row("flown", f"{summary.seconds:.1f} s, {summary.steps} commands, {summary.late} late")
     for who, (median, p95) in (("policy", summary.policy_ms), ("reasoner", summary.reasoner_ms)):
         if not math.isnan(median):

@@ -7,40 +7,16 @@ import time
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from cognitivedrone import plugins
+from cognitivedrone.collect.config import CollectConfig
 from cognitivedrone.collect.executors import EXECUTORS, Executor, Job, import_ray, open_suite
 from cognitivedrone.collect.recipe import find_recipe
-from cognitivedrone.data.store_writer import EPISODES_PER_SHARD, StoreWriter
+from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.errors import DataError, did_you_mean
-
-
-@dataclass(frozen=True, slots=True)
-class CollectConfig:
-    """What to collect, and where to."""
-
-    out: Path
-    """Folder of the store."""
-    recipe: str = "paper"
-    """`paper`, `robust` or `debug`."""
-    episodes: int | None = None
-    """How many; as many as the recipe says where left out (paper: 8,062)."""
-    suite: str = "open-v1:train"
-    """Name of a suite of single tasks, or a task file."""
-    workers: int | None = None
-    """Processes, or shards under way on a cluster; one for each CPU where left out."""
-    seed: int = 0
-    """Draws the tasks of open-v1:train, and the conditions of every flight."""
-    resume: bool = False
-    """Go on with what is in the folder."""
-    episodes_per_shard: int = EPISODES_PER_SHARD
-    """Flown, stored and resumed as one."""
-    executor: Literal["local", "ray"] = "local"
-    """`local` processes, or the machines of a `ray` cluster."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +69,7 @@ def collect(config: CollectConfig, progress: bool = True) -> CollectReport:
     dropped: Counter[str] = Counter()
     begin = time.perf_counter()
     with _bar(progress) as bar:
-        line = bar.add_task(f"{config.recipe}, {config.suite}", total=wanted, speed="")
+        line = bar.add_task(f"{config.recipe}, {suite.name}", total=wanted, speed="")
         flown = 0
         try:
             for shard in executor(job, missing, min(workers, max(len(missing), 1))):
@@ -128,7 +104,8 @@ def _prepare(config: CollectConfig) -> tuple[Job, Executor, int]:
     if config.executor == "ray":
         import_ray()
     executor = plugins.load("executor", config.executor, EXECUTORS)
-    job = Job(config.suite, replace(recipe, episodes=episodes), config.seed, config.episodes_per_shard)
+    suite = config.suite if config.tasks is None else str(config.tasks)
+    job = Job(suite, replace(recipe, episodes=episodes), config.seed, config.episodes_per_shard)
     return job, executor, workers
 
 

@@ -16,13 +16,13 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from itertools import islice
-from pathlib import Path
 from typing import Any
 
+from cognitivedrone import tasks
 from cognitivedrone.collect.fleet import Fleet, Flown
 from cognitivedrone.collect.recipe import Recipe
 from cognitivedrone.errors import DataError, MissingExtra
-from cognitivedrone.tasks import SUITES, Suite, load_suite, suite_from_files
+from cognitivedrone.tasks import Suite
 
 QUEUED = 2
 """Shards under way for each worker, so that none waits for the next while the last is written."""
@@ -38,7 +38,7 @@ class Job:
     """All that decides what is in a shard."""
 
     suite: str
-    """Name of a suite, or a task file that every machine has."""
+    """Name of a suite, or a task file or folder that every machine has."""
     recipe: Recipe
     seed: int
     episodes_per_shard: int
@@ -75,10 +75,7 @@ def open_suite(job: Job) -> Suite:
 
     Tasks of `open-v1:train` are drawn by the seed of the collection.
     """
-    if job.suite in SUITES or not Path(job.suite).exists():
-        suite = load_suite(job.suite, size=job.episodes, seed=job.seed)
-    else:
-        suite = suite_from_files(Path(job.suite))
+    suite = tasks.open_suite(job.suite, size=job.episodes, seed=job.seed)
     if len(suite.tracks) < job.episodes:
         raise DataError(f"suite {job.suite!r} has {len(suite.tracks)} tasks; ask for that many episodes or fewer")
     if any(len(track) != 1 for track in suite.tracks[: min(job.episodes, 100)]):

@@ -11,12 +11,12 @@ from PIL import ImageDraw
 
 from cognitivedrone.envs.captions import font, readable, wrap
 from cognitivedrone.envs.course import LOOKS, Course, CourseConfig, episode_rng
-from cognitivedrone.errors import RunError, TaskError, did_you_mean
+from cognitivedrone.errors import RunError, did_you_mean
 from cognitivedrone.frames import FloatArray
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.sim.views import View, chase_view, first_person_view, top_view
-from cognitivedrone.tasks import Suite
+from cognitivedrone.tasks import Suite, track_at
 from cognitivedrone.types import IMAGE_SIZE, Gate, Image, Task
 from cognitivedrone.world import geometry
 
@@ -32,8 +32,7 @@ _BADGE: Final = 20
 
 def snapshot(suite: Suite, episode: int, out: Path, *, look: str, labels: str, seed: int) -> Task:
     """Write the picture to `out` and return the task that it shows."""
-    if not 0 <= episode < len(suite.tracks):
-        raise TaskError(f"suite {suite.name!r} has episodes 0 to {len(suite.tracks) - 1}, not {episode}")
+    track = track_at(suite, episode)
     if look not in LOOKS:
         raise RunError(f"unknown look {look!r}; {did_you_mean(look, LOOKS)}")
     if not out.parent.is_dir():
@@ -43,10 +42,10 @@ def snapshot(suite: Suite, episode: int, out: Path, *, look: str, labels: str, s
     simulator = Simulator(1)
     try:
         course = Course(simulator, 0, load_pack(labels), CourseConfig(look=look))
-        course.begin(suite.tracks[episode], episode_rng(suite.digest, episode, seed))
+        course.begin(track, episode_rng(suite.digest, episode, seed))
         where = f"{suite.name}, episode {episode}"
-        if len(suite.tracks[episode]) > 1:
-            where += f", stage 1 of {len(suite.tracks[episode])}"
+        if len(track) > 1:
+            where += f", stage 1 of {len(track)}"
         picture = draw(simulator, course, where)
     finally:
         simulator.close()

@@ -18,6 +18,8 @@ from cognitivedrone.errors import PolicyError, ReasonerError
 from cognitivedrone.models.reasoner_file import EYES_FILE, LOOKS, MIND_FILE, REMEMBERED, EyesModel, MindModel, Sight
 from cognitivedrone.reasoners.calculator import calculate
 from cognitivedrone.tasks.directives import write_directive
+from cognitivedrone.tasks.facts import KIND_OF
+from cognitivedrone.tasks.matching import asked_concepts, asked_kinds
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Guidance, Image
 
 LARGEST_VALUE = 20
@@ -66,6 +68,8 @@ class SmallReasoner:
         self._groups = self.eyes.facets.groups
         self._stage = self._new()
         self._earlier: list[list[tuple[Floats, int]]] = []
+        self._named: dict[str, NDArray[np.intp] | None] = {}
+        """Facets that the newest instruction names."""
 
     @classmethod
     def file_of(cls, folder: Path | str | None = None) -> Path:
@@ -113,7 +117,30 @@ class SmallReasoner:
         if chosen[best] < _UNSURE:
             raise ReasonerError("unsure", f"no gate is likely: {', '.join(f'{share:.0%}' for share in chosen)}")
         self._stage.chosen = gates[best][0]
-        return Guidance(write_directive(gate_of(looks[best])), best, float(chosen[best]))
+        directive = write_directive(gate_of(looks[best]))
+        return Guidance(directive, best, float(chosen[best]), present=self._presence(instruction, panels))
+
+    def _presence(self, instruction: str, panels: Floats) -> float | None:
+        """How likely one of the panels (n, F) shows what the instruction names; none where no word tells what."""
+        if instruction not in self._named:
+            self._named = {instruction: self._facets_named(instruction)}
+        named = self._named[instruction]
+        return None if named is None else min(1.0, float(panels[:, named].sum(axis=1).max()))
+
+    def _facets_named(self, instruction: str) -> NDArray[np.intp] | None:
+        """Of the things, or else the kinds, that an instruction names, and of kinds that can show anything."""
+        if calculate(instruction) is not None:
+            instruction = "the number"
+        kinds, concepts = asked_kinds(instruction), asked_concepts(instruction)
+        if kinds is None:
+            return None
+        if concepts is None:
+            concepts = frozenset(f"{kind}/{concept}" for concept, kind in KIND_OF.items() if kind in kinds)
+            kinds -= _THINGS
+        else:
+            kinds = frozenset()
+        names = {_facet_of(concept) for concept in concepts} | {f"kind/{kind}" for kind in (*kinds, "sum", "several")}
+        return np.array([i for i, name in enumerate(self._names) if name in names])
 
     def _new(self) -> _Stage:
         return _Stage(np.zeros(len(self._names), np.float32))
@@ -182,6 +209,7 @@ class SmallReasoner:
         return remembered, stages
 
 
+_THINGS = frozenset(KIND_OF.values())
 _SUM = ("first", "sign", "second")
 _PERSON = ("person",)
 _KINDS_OF = {
@@ -190,6 +218,12 @@ _KINDS_OF = {
     **dict.fromkeys(("thing_a", "count_a", "thing_b", "count_b"), ("several",)),
 }
 """Kinds of picture of which a group tells something; the other groups tell of people."""
+
+
+def _facet_of(label: str) -> str:
+    """The facet of a label `kind/concept`."""
+    kind, _, concept = label.partition("/")
+    return f"concept/{'thing' if kind in _THINGS else kind}:{concept}"
 
 
 def value_index(value: int | None) -> int:

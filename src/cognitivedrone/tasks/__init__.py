@@ -4,7 +4,16 @@ from cognitivedrone.tasks.directives import parse_directive, write_directive
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, TASKS
 from cognitivedrone.tasks.format import read_tasks, task_from_json, task_to_json, write_tasks
 from cognitivedrone.tasks.racing import race_task
-from cognitivedrone.tasks.suites import SUITES, UNLIMITED, Suite, load_suite, suite_from_files, train_task
+from cognitivedrone.tasks.suites import (
+    SUITES,
+    UNLIMITED,
+    Suite,
+    load_suite,
+    open_suite,
+    suite_from_files,
+    track_at,
+    train_task,
+)
 from cognitivedrone.tasks.validate import validate_task
 
 __all__ = [
@@ -16,12 +25,14 @@ __all__ = [
     "UNLIMITED",
     "Suite",
     "load_suite",
+    "open_suite",
     "parse_directive",
     "race_task",
     "read_tasks",
     "suite_from_files",
     "task_from_json",
     "task_to_json",
+    "track_at",
     "train_task",
     "validate_task",
     "write_directive",

@@ -75,6 +75,29 @@ _THINGS = (
 _ANIMALS = _MAMMALS | _BIRDS | _INSECTS | _REPTILES | _FISH | _names("whale dolphin octopus spider frog snail worm")
 _FOODS = _FRUIT | _VEGETABLES | _DRINKS | _SWEETS | _MEAT | _DISHES | _BAKED | _names("cheese butter egg rice corn")
 
+GROUPS: dict[str, frozenset[str]] = {
+    "bird": _BIRDS | {"chick"},
+    "mammal": _MAMMALS,
+    "insect": _INSECTS,
+    "reptile": _REPTILES,
+    "fish": _FISH,
+    "fruit": _FRUIT,
+    "vegetable": _VEGETABLES,
+    "drink": _DRINKS,
+    "dessert": _SWEETS,
+    "meat": _MEAT,
+    "dish": _DISHES,
+    "pastry": _BAKED,
+    "tool": _TOOLS,
+    "furniture": _FURNITURE,
+    "clothing": _CLOTHES,
+    "vehicle": _ROAD | _names("train bicycle motorcycle ambulance fire_engine police_car airplane helicopter sailboat"),
+    "instrument": _INSTRUMENTS,
+    "ball": _BALLS,
+    "flower": _names("sunflower rose tulip"),
+}
+"""Concepts by what one would call them together. No group claims to be complete."""
+
 HEALTHY: tuple[str, ...] = (
     "apple", "green_apple", "pear", "orange", "banana", "watermelon", "grapes", "strawberry", "blueberries",
     "melon", "cherries", "peach", "mango", "pineapple", "kiwi", "tomato", "avocado", "broccoli", "lettuce",

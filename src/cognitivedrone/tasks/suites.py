@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import functools
 import hashlib
 import json
@@ -15,9 +16,9 @@ import numpy as np
 
 from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.tasks.directives import write_directive
-from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, generator
+from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, generator
 from cognitivedrone.tasks.format import read_tasks, task_from_json, task_to_json
-from cognitivedrone.tasks.generate import TRAIN, Draw, Pools, Puzzle
+from cognitivedrone.tasks.generate import TRAIN, Draw, Generator, Pools, Puzzle
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task, Track
 
 VERSION = "open-v1"
@@ -82,13 +83,20 @@ def train_task(index: int, seed: int = 0) -> Task:
     return drawn_task(family, np.random.default_rng([1, seed, index]), f"{TRAIN_NAME}/{seed}-{index}")
 
 
-def drawn_task(family: str, rng: np.random.Generator, task_id: str, pools: Pools = TRAIN) -> Task:
-    """A task of a family with everything about it drawn, from the ingredients of training or others."""
+def drawn_task(
+    family: str, rng: np.random.Generator, task_id: str, pools: Pools = TRAIN, make: Generator | None = None
+) -> Task:
+    """A task of a family with everything about it drawn, from the ingredients of training or others.
+
+    `make` makes its puzzle in place of the family's own generator.
+    """
     draw = Draw(rng, pools, target=int(rng.integers(3)))
     colors = draw.pick(_COLOR_ORDERS)
     looks = [draw.pick(_GATE_LOOKS) for _ in colors]
     a, b, c = (Gate(size, shape, color) for (size, shape), color in zip(looks, colors, strict=True))
-    return finish(generator(family)(draw), task_id=task_id, family=family, target=draw.target, gates=(a, b, c))
+    return finish(
+        (make or generator(family))(draw), task_id=task_id, family=family, target=draw.target, gates=(a, b, c)
+    )
 
 
 class TrainTracks(Sequence[Track]):
@@ -111,6 +119,12 @@ class TrainTracks(Sequence[Track]):
         return (train_task(self._indices[index], self._seed),)
 
 
+def suite_of_tasks(name: str, tasks: Iterable[Task]) -> Suite:
+    """A suite of single tasks, each a track of one."""
+    tracks = tuple((task,) for task in tasks)
+    return Suite(name, digest_of([task_to_json(task)] for (task,) in tracks), tracks)
+
+
 def load_suite(name: str, *, size: int | None = None, seed: int = 0) -> Suite:
     """A suite by its name, such as "open-v1:test".
 
@@ -120,7 +134,7 @@ def load_suite(name: str, *, size: int | None = None, seed: int = 0) -> Suite:
     Raises `TaskError` for an unknown name, a bad size, or a suite file whose content does not match its hash.
     """
     if name not in SUITES:
-        raise TaskError(f"unknown suite {name!r}; {did_you_mean(name, SUITES)}")
+        raise _unknown(name)
     if size is not None and size < 1:
         raise TaskError(f"suite {name!r}: size {size} must be at least 1")
     if name == TRAIN_NAME:
@@ -132,6 +146,39 @@ def load_suite(name: str, *, size: int | None = None, seed: int = 0) -> Suite:
         return suite
     kept = suite.tracks[:size]
     return Suite(f"{name}[:{size}]", digest_of([task_to_json(t) for t in track] for track in kept), kept)
+
+
+def open_suite(name: str, tasks: Path | None = None, *, size: int | None = None, seed: int = 0) -> Suite:
+    """What the options --suite and --tasks name: the tasks of a file or folder, or a suite by its name.
+
+    `tasks` comes before `name`, which may be a file or folder as well; `size` and `seed` are those of `load_suite`.
+    Raises `TaskError` for unknown names and malformed files.
+    """
+    path = Path(name) if tasks is None else tasks
+    if tasks is not None or (name not in SUITES and path.exists()):
+        return suite_from_files(path)
+    return load_suite(name, size=size, seed=seed)
+
+
+def track_at(suite: Suite, episode: int) -> Track:
+    """The tasks of an episode, from 0; raises `TaskError` for one that there is not."""
+    if not 0 <= episode < len(suite.tracks):
+        raise TaskError(f"suite {suite.name!r} has episodes 0 to {len(suite.tracks) - 1}, not {episode}")
+    return suite.tracks[episode]
+
+
+def _unknown(name: str) -> TaskError:
+    """What to say of a name that no suite has."""
+    bare = {suite.partition(":")[2]: suite for suite in SUITES}
+    near = difflib.get_close_matches(name.rpartition(":")[2].lower(), bare, n=1, cutoff=0.6)
+    if name in FAMILIES:
+        where = {"race": "race"}.get(name, "hard" if name in HARD_FAMILIES else "test")
+        return TaskError(f"{name!r} is a family of tasks, not a suite; '{VERSION}:{where}' holds such tasks")
+    if near:
+        return TaskError(f"unknown suite {name!r}; did you mean {bare[near[0]]!r}?")
+    if "/" in name or name.endswith(".json"):
+        return TaskError(f"there is no suite and no task file {name!r}; {did_you_mean(name, SUITES)}")
+    return TaskError(f"unknown suite {name!r}; {did_you_mean(name, SUITES)}")
 
 
 @functools.cache
@@ -167,5 +214,4 @@ def suite_from_files(path: Path) -> Suite:
             if task.id in tasks:
                 raise TaskError(f"{file}[{index}]: the id {task.id!r} is taken by an earlier task; give it another")
             tasks[task.id] = task
-    tracks = tuple((task,) for task in tasks.values())
-    return Suite(path.name or str(path), digest_of([task_to_json(task)] for (task,) in tracks), tracks)
+    return suite_of_tasks(path.name or str(path), tasks.values())

@@ -51,7 +51,12 @@ def run(options: TrainOptions) -> Path:
         return _work(options)
     if options.processes < 1:
         raise TrainingError(f"{options.processes} processes cannot train; give at least 1")
-    done = subprocess.run(command_of(options), env={"OMP_NUM_THREADS": "1", **os.environ}, check=False)  # noqa: S603
+    try:
+        done = subprocess.run(command_of(options), env={"OMP_NUM_THREADS": "1", **os.environ}, check=False)  # noqa: S603
+    except KeyboardInterrupt:
+        from cognitivedrone.training.trainer import what_is_left
+
+        raise KeyboardInterrupt(what_is_left(options.out)) from None
     if done.returncode:
         raise TrainingError(f"the training ended with exit code {done.returncode}; its messages are above")
     return _model_of(options)
@@ -88,8 +93,6 @@ def _model_of(options: TrainOptions) -> Path:
 
 def _work(options: TrainOptions) -> Path:
     """This process's part."""
-    from cognitivedrone.training.export import export
-    from cognitivedrone.training.export_reasoner import export_eyes, export_mind
     from cognitivedrone.training.trainer import TrainConfig, train
 
     _check(options)
@@ -97,6 +100,19 @@ def _work(options: TrainOptions) -> Path:
     model = _model_of(options)
     if os.environ.get("RANK", "0") != "0":
         return model
+    print(f"writing {model.name}")  # noqa: T201
+    try:
+        return _export(options, checkpoint, model)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"stopped while {model} was written; the training is whole, the same command with --resume writes it"
+        ) from None
+
+
+def _export(options: TrainOptions, checkpoint: Path, model: Path) -> Path:
+    from cognitivedrone.training.export import export
+    from cognitivedrone.training.export_reasoner import export_eyes, export_mind
+
     if model.name == EYES_FILE and options.start is not None:
         return export_eyes(options.start, checkpoint, options.out)
     if model.name == MIND_FILE:
@@ -127,6 +143,8 @@ def main() -> None:
     except CognitiveDroneError as error:
         print(f"cognitivedrone: {error}", file=sys.stderr)  # noqa: T201
         sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)  # the process that launched this one says what is left
 
 
 if __name__ == "__main__":

@@ -146,7 +146,7 @@ def training_batches(
 ) -> Batches:
     """Batches from a split of a data set or, without one, from flights made now, whose seeds are their splits."""
     if data is None:
-        return Rehearsal(stream, vocabulary, network).batches
+        return Rehearsal(stream, vocabulary, network)
     return Recorded(data, stream, vocabulary, network, "val" if validation else "train").batches
 
 

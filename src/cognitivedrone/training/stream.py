@@ -28,7 +28,7 @@ from cognitivedrone.sim.simulator import Simulator, Start
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.racing import crowded_task, race_task
 from cognitivedrone.training.sampling import Batch, Sampler, Setting, StreamRecipe
-from cognitivedrone.training.subject import Learner
+from cognitivedrone.training.subject import Filling, Learner
 from cognitivedrone.training.truth import Poses
 from cognitivedrone.types import CONTROL_HZ, FloatArray, Image, Stage, Task
 from cognitivedrone.world import geometry
@@ -61,12 +61,17 @@ class Rehearsal:
         self._rng = np.random.default_rng()
         self._learner: Learner | None = None
         self._flights: list[_Flight] = []
+        self._told: Filling = lambda *_: None
+
+    def watch(self, told: Filling) -> None:
+        """Tell from now on how the buffer fills that the next batches are drawn from."""
+        self._told = told
 
     def close(self) -> None:
         """Free the renderer."""
         self._simulator.close()
 
-    def batches(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
+    def __call__(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
         """Batches without end, from flights that all begin now; `learner` flies some where given."""
         self._rng, self._learner = np.random.default_rng(seed), learner
         self._sampler.begin()
@@ -74,8 +79,10 @@ class Rehearsal:
         pool: list[Batch] = []
         size = self.recipe.batch * self.recipe.pool
         while True:
-            while sum(len(part["flown"]) for part in pool) < size:
+            while (made := sum(len(part["flown"]) for part in pool)) < size:
+                self._told(made, size)
                 pool.extend(self._step())
+            self._told(size, size)
             together = {name: np.concatenate([part[name] for part in pool]) for name in pool[0]}
             order = self._rng.permutation(len(together["flown"]))
             for first in range(0, size, self.recipe.batch):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +56,19 @@ class Batches(Protocol):
 
     def __call__(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
         """A learner flies some of the flights, where there are flights."""
+        ...
+
+
+Filling: TypeAlias = Callable[[int, int], None]
+"""Told how many samples were made, and how many there must be before the next batches can be drawn from them."""
+
+
+@runtime_checkable
+class Watched(Protocol):
+    """Batches that take a while to begin, and tell how far they are."""
+
+    def watch(self, told: Filling) -> None:
+        """Tell from now on."""
         ...
 
 

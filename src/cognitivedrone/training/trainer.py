@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 from accelerate import Accelerator
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TaskID, TimeElapsedColumn
 from torch import nn
 from torch.utils.tensorboard import SummaryWriter
 
 from cognitivedrone.errors import TrainingError
+from cognitivedrone.progress import progress_bar
 from cognitivedrone.training.checkpoint import read_checkpoint, restore, save_checkpoint
 from cognitivedrone.training.curves import draw_curves, read_rows
 from cognitivedrone.training.feed import Feed, learner_path
@@ -72,22 +76,27 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
         return out / CHECKPOINT
     lesson, optimizer = accelerator.prepare(subject.lesson(network), optimizer)
     part = subject.share(accelerator.num_processes)
-    keeper = _Keeper(config, accelerator, report) if accelerator.is_main_process else None
     first_round, rank = step // schedule.round_steps, accelerator.process_index
     with (
-        Feed(part, out, seed=config.seed, rank=rank, first_round=first_round) as feed,
-        _progress(enabled=keeper is not None and accelerator.is_main_process) as progress,
+        _told_when_stopped(out, lambda: step),
+        _progress(enabled=accelerator.is_main_process) as progress,
+        ExitStack() as stack,
     ):
-        bar = progress.add_task(schedule.name, total=schedule.steps, completed=step, note="")
+        bar = progress.add_task(schedule.name, total=schedule.steps, completed=step, note="drawing validation data")
+        waiting = functools.partial(_wait, progress, bar)
+        feed = Feed(part, out, seed=config.seed, rank=rank, first_round=first_round, waiting=waiting)
+        stack.enter_context(feed)
+        keeper = _Keeper(config, accelerator, report) if accelerator.is_main_process else None
         for batch in feed:
             _seed_step(config.seed, rank, step)
             measures = _step(lesson, optimizer, accelerator, batch, schedule, step)
             step += 1
             if keeper is not None:
                 keeper.follow(measures)
-                progress.update(bar, completed=step, note=keeper.note())
+                progress.update(bar, completed=step, note=keeper.note() or "training")
             if step % schedule.round_steps == 0 or step == schedule.steps:
                 if keeper is not None:
+                    progress.update(bar, note="validating, writing")
                     keeper.end_round(accelerator.unwrap_model(lesson), optimizer, step)
                 accelerator.wait_for_everyone()
             if step == schedule.steps:
@@ -158,16 +167,30 @@ def _parts(network: nn.Module) -> list[list[nn.Parameter]]:
 
 
 def _progress(*, enabled: bool) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
-        disable=not enabled,
-        refresh_per_second=1,
-    )
+    # On standard output, as the lines of the rounds, which it lets pass above itself.
+    columns = (SpinnerColumn(), TimeElapsedColumn())
+    return progress_bar("note", show=enabled, columns=columns, console=Console())
+
+
+def _wait(progress: Progress, bar: TaskID, doing: str) -> None:
+    progress.update(bar, note=doing)
+
+
+@contextmanager
+def _told_when_stopped(out: Path, step: Callable[[], int]) -> Iterator[None]:
+    """Inside, Ctrl-C says what is left of the training."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(what_is_left(out, f" at step {step()}")) from None
+
+
+def what_is_left(out: Path, where: str = "") -> str:
+    """Of a training that was stopped, in words: the step of its checkpoint, or that there is none."""
+    if not (out / CHECKPOINT).exists():
+        return f"stopped{where}, before the first checkpoint; there is nothing in {out} to resume, start again"
+    step = read_checkpoint(out / CHECKPOINT)[1]["step"]
+    return f"stopped{where}; the checkpoint of step {step} is kept in {out}, the same command with --resume goes on"
 
 
 class _Keeper:
@@ -191,7 +214,7 @@ class _Keeper:
         self._count += 1
         if self._count % 10 == 0:
             means = {name: value / self._count for name, value in self._sums.items()}
-            self._recent = ", ".join(f"{name} {means[name]:.3f}" for name in _HEADLINES if name in means)
+            self._recent = ", ".join(f"{name} {means[name]:.3f}" for name in _HEADLINES[:2] if name in means)
 
     def note(self) -> str:
         """What stands beside the progress bar."""

@@ -29,7 +29,7 @@ from cognitivedrone.links.gazebo.meshes import obj_text, world_meshes
 from cognitivedrone.links.gazebo.release import Release, release_named
 from cognitivedrone.links.gazebo.sdf import Picture, Prop, document, pattern_file, props_of, world
 from cognitivedrone.links.gazebo.vehicle import iris, parameters
-from cognitivedrone.tasks import Suite, load_suite, suite_from_files
+from cognitivedrone.tasks import Suite, open_suite
 from cognitivedrone.types import Image, Stage, Task, Track
 from cognitivedrone.world import geometry
 from cognitivedrone.world.look import PATTERNS, PLAIN, Look, pattern_texture
@@ -51,6 +51,7 @@ class Exported:
 def export(
     suite: str,
     *,
+    tasks: Path | None = None,
     out: Path,
     task: str | None = None,
     track: str | None = None,
@@ -60,12 +61,13 @@ def export(
 ) -> Exported:
     """Write the task of that id, or the track of that number or with a task of that id, into a new folder.
 
-    `suite` is a suite's name or a task file, `labels` a label pack or a folder of pictures. Raises `TaskError` or
-    `LabelError` with near names, `GazeboError` for a release that is none or a folder that cannot be written.
+    They are of the suite of that name or, where given, of the file or folder `tasks`; `labels` is a label pack or a
+    folder of pictures. Raises `TaskError` or `LabelError` with near names, `GazeboError` for a release that is none or
+    a folder that cannot be written.
     """
     release = release_named(version)
-    tasks = find_track(_open_suite(suite), task=task, track=track)
-    return write(tasks, out, load_pack(labels), release, look)
+    found = find_track(open_suite(suite, tasks), task=task, track=track)
+    return write(found, out, load_pack(labels), release, look)
 
 
 def find_track(suite: Suite, *, task: str | None = None, track: str | None = None) -> Track:
@@ -145,11 +147,6 @@ def write_pictures(stage: Stage, labels: LabelPack, look: Look, out: Path) -> tu
         if name is not None and pattern in (look.floor_pattern, look.surroundings_pattern):
             Pictures.fromarray(pattern_texture(pattern)).save(folder / name)
     return props_of(stage, pictures, board, look)
-
-
-def _open_suite(name: str) -> Suite:
-    path = Path(name)
-    return suite_from_files(path) if path.exists() else load_suite(name)
 
 
 def _write_label(reference: str, image: Image, folder: Path) -> Picture:

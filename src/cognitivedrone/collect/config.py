@@ -1,0 +1,33 @@
+"""The options of the command `collect`; the docstrings of the fields are its help. Imports nothing heavy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True)
+class CollectConfig:
+    """What to collect, and where to."""
+
+    out: Path
+    """Folder of the store."""
+    recipe: str = "paper"
+    """`paper`, `robust` or `debug`."""
+    episodes: int | None = None
+    """How many; as many as the recipe says where left out (paper: 8,062)."""
+    suite: str = "open-v1:train"
+    """Name of a suite of single tasks."""
+    tasks: Path | None = None
+    """Task file, or folder of them, flown instead of a suite."""
+    workers: int | None = None
+    """Processes, or shards under way on a cluster; one for each CPU where left out."""
+    seed: int = 0
+    """Draws the tasks of open-v1:train, and the conditions of every flight."""
+    resume: bool = False
+    """Go on with what is in the folder."""
+    episodes_per_shard: int = 64
+    """Flown, stored and resumed as one."""
+    executor: Literal["local", "ray"] = "local"
+    """`local` processes, or the machines of a `ray` cluster."""

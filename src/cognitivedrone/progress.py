@@ -1,0 +1,49 @@
+"""Progress bars on standard error that fit into 80 columns: what is done, of how much, how fast, time left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+T = TypeVar("T")
+BAR_WIDTH = 16
+
+
+def progress_bar(
+    *fields: str, show: bool = True, columns: Iterable[ProgressColumn] = (), console: Console | None = None
+) -> Progress:
+    """A bar of tasks; `fields` are texts that `update` changes, `columns` come before the remaining time."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=BAR_WIDTH),
+        MofNCompleteColumn(),
+        *columns,
+        TimeRemainingColumn(compact=True),
+        *map(_Field, fields),
+        console=console or Console(stderr=True),
+        disable=not show,
+    )
+
+
+class _Field(ProgressColumn):
+    """A text of the task's; where the line is too long it is the first to be cut."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self._name = name
+
+    def render(self, task: Task) -> Text:
+        return Text(str(task.fields[self._name]), no_wrap=True, overflow="ellipsis")
+
+
+def counted(items: Iterable[T], description: str, total: int, *, show: bool = True) -> Iterator[T]:
+    """The items, while a bar counts them."""
+    with progress_bar(show=show) as bar:
+        task = bar.add_task(description, total=total)
+        for item in items:
+            yield item
+            bar.advance(task)

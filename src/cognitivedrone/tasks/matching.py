@@ -1,0 +1,324 @@
+"""What a sentence of the user's asks for, and which scene shows it: by words, from the vocabulary and the facts.
+
+No understanding is claimed. The words of a sentence are compared with those that are true of a panel: its name ("polar
+bear"), what one calls such things ("bird", "fruit"), and the words of the facts that hold ("lays eggs").
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cognitivedrone.tasks import vocabulary
+from cognitivedrone.tasks.directives import fitting_gate, parse_directive, write_directive
+from cognitivedrone.tasks.facts import FACTS, GROUPS, HEALTHY, UNHEALTHY
+from cognitivedrone.tasks.generate import Draw, Panel, Puzzle
+from cognitivedrone.tasks.people import CAST, FEATURES, parse_person, seen
+from cognitivedrone.tasks.suites import drawn_task
+from cognitivedrone.tasks.symbols import RIVALS, logo_name
+from cognitivedrone.tasks.wording import NUMBER_WORDS
+from cognitivedrone.types import Task
+
+NAME, GROUP, FACT = 4, 3, 1
+"""How much a shared word counts: a thing's name, a word of a longer name or of what one calls such things, a word of a
+fact about it."""
+_ORDERS = re.compile(
+    r"^\W*(?:(?:please|now|could you|can you|would you|i want you to|you should)\W+)*"
+    r"(?:fly|go|head|move|race|find|look|take|aim|pass|cross|steer|navigate|search)\b|"
+    r"\band (?:then )?(?:fly|go|head|move|pass)\b.*$",
+    re.IGNORECASE,
+)
+
+
+def _names(words: str) -> frozenset[str]:
+    return frozenset(words.split())
+
+
+_SAYS_LITTLE = _names(
+    "a an the this that these those one some any of with without to at in on under below above over by for from into "
+    "through toward towards and or then which who whose whom what is are was be being has have had can could do does "
+    "it its it's there here you your me my our i gate gates panel picture drawing label sign showing show shows shown "
+    "marked labelled named called want please need something thing"
+)
+_MODIFIERS = _names(
+    "red green blue yellow black white gray grey pink brown blond big large small little tiny round square triangular "
+    "triangle long short left right middle first second third"
+)
+"""Words that alone say nothing of what a panel shows."""
+_DENIALS = frozenset({"not", "no", "without", "but", "except", "neither", "nor", "never", "none", "cannot", "unable"})
+_KINDS = {"animal": "animal", "food": "food", "object": "object", "letter": "letter", "number": "number",
+          "numeral": "number", "digit": "number", "logo": "logo", "brand": "logo", "person": "person",
+          "somebody": "person", "someone": "person", "man": "person", "woman": "person", "portrait": "person",
+          "people": "person", "face": "person"}  # fmt: skip
+
+_CONCEPTS: dict[str, tuple[str, ...]] = {
+    "animal": vocabulary.ANIMALS,
+    "food": vocabulary.FOODS,
+    "object": vocabulary.OBJECTS,
+    "logo": vocabulary.LOGOS,
+    "letter": vocabulary.LETTERS,
+    "number": tuple(map(str, range(len(NUMBER_WORDS)))),
+}
+_FAMILY_OF = {
+    "animal": "animals", "food": "association", "object": "association", "logo": "logos", "letter": "letters",
+    "number": "digits",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """How a scene fits a sentence."""
+
+    gate: int
+    """Index of the gate that fits best, 0 to 2."""
+    words: tuple[str, ...]
+    """Of the sentence, that are true of that gate's panel."""
+    missing: tuple[str, ...]
+    """The other words that say something."""
+    weight: int
+    margin: int
+    """How much more than for the next gate."""
+    target: bool
+    """Whether the scene's own instruction means that gate."""
+    shown: bool = True
+    """Whether the words are of the gate's panel, not of the gate itself."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether every word fits, and one gate alone fits best."""
+        return not self.missing and self.margin > 0
+
+    def better_than(self, other: Match) -> bool:
+        """Whether a sentence fits here better than there."""
+        return _rank(self) > _rank(other)
+
+
+def asked_words(sentence: str) -> tuple[str, ...]:
+    """The words of a sentence that may say what is asked for, in order; single letters are upper-case."""
+    text = _ORDERS.sub(" ", sentence.strip())
+    parts = re.findall(r"[A-Za-z][A-Za-z'-]*|\d+", text)
+    words: list[str] = []
+    for position, part in enumerate(parts):
+        word = part.lower()
+        if len(part) == 1 and part.isalpha():
+            named = position > 0 and parts[position - 1].lower() in ("letter", "character")
+            if named or (part.isupper() and part not in "AI"):
+                words.append(part.upper())
+        elif word not in _SAYS_LITTLE and not _of_gate(parts, position):
+            words.append(_stem(word))
+    return tuple(dict.fromkeys(words))
+
+
+def best_scene(sentence: str, tasks: Iterable[Task], seed: int) -> tuple[int, Match] | None:
+    """Index and match of a task that shows what a sentence asks for; none where no task does.
+
+    Of equally good ones `seed` draws. A gate that is named by its look alone ("the red gate") is in every scene.
+    """
+    asked = asked_words(sentence)
+    looks = not asked and any(parse_directive(sentence))
+    found: list[tuple[int, Match]] = []
+    for index, task in enumerate(tasks):
+        match = _look_match(sentence, task) if looks else match_task(asked, task)
+        if match is None:
+            continue
+        if not found or _rank(match) > _rank(found[0][1]):
+            found = []
+        if not found or _rank(match) == _rank(found[0][1]):
+            found.append((index, match))
+    return found[int(np.random.default_rng(seed).integers(len(found)))] if found else None
+
+
+def match_task(asked: Sequence[str], task: Task) -> Match | None:
+    """How the panels of a task fit the words that are asked for; none where they do not."""
+    if task.only is not None:
+        return None
+    weights = [_weights(asked, panel_words(task, gate)) for gate in range(3)]
+    totals = [sum(each.values()) for each in weights]
+    order = sorted(range(3), key=lambda gate: -totals[gate])
+    best = order[0]
+    words = tuple(weights[best])
+    if not set(words) - _MODIFIERS:
+        return None
+    missing = tuple(word for word in asked if word not in words)
+    margin = totals[best] - totals[order[1]]
+    return Match(best, words, missing, totals[best], margin, best == task.target)
+
+
+def panel_words(task: Task, gate: int) -> Mapping[str, int]:
+    """The words that are true of a gate's panel, with what they count."""
+    words = dict(label_words(task.labels[gate]))
+    if task.family == "people":
+        words |= dict.fromkeys(_stems(task.options[gate]), NAME)
+    if gate == task.target:
+        words = dict.fromkeys(asked_words(task.instruction), FACT) | words
+    return words
+
+
+@functools.cache
+def label_words(label: str) -> Mapping[str, int]:
+    """The words that are true of what a label reference shows, with what they count."""
+    kind, _, rest = label.partition("/")
+    concept = rest.rpartition("@")[0] or rest
+    words: dict[str, int] = {}
+    for weight, texts in _said_of(kind, concept):
+        for text in texts:
+            for word in [text] if len(text) == 1 else _stems(text):
+                words[word] = max(words.get(word, 0), weight)
+    return words
+
+
+def asked_kinds(sentence: str) -> frozenset[str] | None:
+    """Kinds of label of which one must be shown for a sentence to make sense; none where no word tells.
+
+    Nothing is said of sentences with a denial, which ask for what is not something.
+    """
+    asked = asked_words(sentence)
+    if set(re.findall(r"[a-z]+", sentence.lower())) & _DENIALS:
+        return None
+    if len(asked) > 1 and not {"number", "numeral", "digit"}.intersection(asked):
+        asked = tuple(word for word in asked if not word.isdecimal() and word not in NUMBER_WORDS)
+    kinds = [kinds for word in asked if word not in _MODIFIERS and (kinds := _kinds_by_word().get(word))]
+    return frozenset().union(*kinds) if kinds else None
+
+
+def asked_concepts(sentence: str) -> frozenset[str] | None:
+    """The labels `kind/concept` of which one must be shown, where a sentence only names them ("the bird", "letter Q").
+
+    Animals that could be taken for one another count as one. None where it says anything else, or speaks of people.
+    """
+    words = asked_words(sentence)
+    asked = [word for word in words if word not in _KINDS]
+    if not asked or set(re.findall(r"[a-z]+", sentence.lower())) & _DENIALS:
+        return None
+    kinds = {_KINDS[word] for word in words if word in _KINDS} or set(_CONCEPTS)
+    if "person" in kinds or any("person" in _kinds_by_word().get(word, ()) for word in asked):
+        return None
+    fits: set[str] = set()
+    for kind in kinds:
+        for concept in _CONCEPTS[kind]:
+            if all(label_words(f"{kind}/{concept}").get(word, 0) >= GROUP for word in asked):
+                fits |= {f"{kind}/{name}" for name in {concept, *RIVALS.get(concept, ())}}
+    return frozenset(fits) or None
+
+
+def made_scene(sentence: str, seed: int) -> Task | None:
+    """A task drawn for a sentence that only names a thing, between two others of its kind; none for other sentences."""
+    named = asked_concepts(sentence)
+    if named is None:
+        return None
+    asked = asked_words(sentence)
+    fits = {label: sum(_weights(asked, label_words(label)).values()) for label in sorted(named)}
+    rng = np.random.default_rng(seed)
+    best = [label for label, weight in fits.items() if weight == max(fits.values())]
+    kind, _, concept = best[int(rng.integers(len(best)))].partition("/")
+
+    def make(draw: Draw) -> Puzzle:
+        others = [name for name in _CONCEPTS[kind] if f"{kind}/{name}" not in named]
+        panels = [_panel(draw, kind, name) for name in (concept, *draw.sample(others, 2))]
+        return draw.puzzle(sentence, panels[0], panels[1:])
+
+    return drawn_task(_FAMILY_OF[kind], rng, f"made/{concept}-{seed}", make=make)
+
+
+def _panel(draw: Draw, kind: str, name: str) -> Panel:
+    if kind == "logo":
+        return Panel(name, f"logo/{name}@{vocabulary.LOGO_STYLE}")
+    return draw.glyph(kind, name) if kind in ("letter", "number") else draw.drawing(kind, name)
+
+
+def asks_the_same(sentence: str, task: Task) -> bool:
+    """Whether a sentence asks what a task asks: its own words, its directive, or the look of its right gate alone."""
+    said = _plain(sentence)
+    if said in (_plain(task.instruction), _plain(task.directive), _plain(write_directive(task.gates[task.target]))):
+        return True
+    return not asked_words(sentence) and fitting_gate(sentence, task.gates) == task.target
+
+
+def _rank(match: Match) -> tuple[int, bool, int, bool]:
+    return match.weight, match.margin > 0, -len(match.missing), match.target
+
+
+def _look_match(sentence: str, task: Task) -> Match | None:
+    """The gate that a sentence names by its look."""
+    gate = fitting_gate(sentence, task.gates)
+    words = tuple(str(word) for word in parse_directive(sentence) if word)
+    if gate is None or task.only is not None:
+        return None
+    return Match(gate, words, (), len(words), len(words), gate == task.target, shown=False)
+
+
+def _weights(asked: Sequence[str], words: Mapping[str, int]) -> dict[str, int]:
+    return {word: words[word] for word in asked if word in words}
+
+
+def _of_gate(parts: Sequence[str], position: int) -> bool:
+    """Whether a word describes the gate itself, as in "the big red gate"."""
+    for part in parts[position:]:
+        if part.lower() in ("gate", "gates"):
+            return True
+        if not any(parse_directive(part)):
+            return False
+    return False
+
+
+def _said_of(kind: str, concept: str) -> Iterator[tuple[int, Iterable[str]]]:
+    """Texts that are true of a label, with what their words count."""
+    if kind == "person" and "=" in concept:
+        look = seen(parse_person(concept))
+        yield FACT, (word for word, of in _KINDS.items() if of == kind)
+        yield GROUP, (feature.phrase for feature in FEATURES if feature.shows(look))
+    elif kind == "letter":
+        yield FACT, ("letter",)
+        yield NAME, (concept.upper(),)
+    elif kind == "number":
+        yield FACT, (word for word, of in _KINDS.items() if of == kind)
+        yield NAME, (f"{concept} {dict(enumerate(NUMBER_WORDS)).get(_number(concept), '')}",)
+    elif kind == "logo":
+        yield FACT, ("logo", "brand")
+        yield NAME, (concept.replace("_", " "), logo_name(concept))
+    else:
+        yield FACT, (kind,)
+        yield GROUP if "_" in concept else NAME, (concept.replace("_", " "),)
+        yield GROUP, (name for name, members in GROUPS.items() if concept in members)
+        yield GROUP, ("healthy",) * (concept in HEALTHY) + ("unhealthy",) * (concept in UNHEALTHY)
+        phrases = (phrase for fact in FACTS if concept in fact.true for phrase in fact.phrases)
+        yield FACT, (phrase for phrase in phrases if not set(phrase.split()) & _DENIALS)
+
+
+def _number(concept: str) -> int:
+    return int(concept) if concept.isdecimal() else -1
+
+
+@functools.cache
+def _kinds_by_word() -> Mapping[str, frozenset[str]]:
+    """Of every word that names something, the kinds of label that may be meant."""
+    found: dict[str, set[str]] = {word: {kind} for word, kind in _KINDS.items()}
+    for kind, concepts in _CONCEPTS.items():
+        for concept in concepts:
+            for word, weight in label_words(f"{kind}/{concept}").items():
+                if weight >= GROUP:
+                    found.setdefault(word, set()).add(kind)
+    for text in (*CAST, *(feature.phrase for feature in FEATURES)):
+        for word in _stems(text):
+            found.setdefault(word, set()).add("person")
+    return {word: frozenset(kinds) for word, kinds in found.items()}
+
+
+def _stems(text: str) -> list[str]:
+    return [_stem(word) for word in re.findall(r"[a-z0-9'-]+", text.lower()) if word not in _SAYS_LITTLE]
+
+
+def _stem(word: str) -> str:
+    """A word without the plural's ending, roughly."""
+    word = word.removesuffix("'s")
+    if word.endswith("ies") and len(word) > 4:
+        return word[:-3] + "y"
+    return word[:-1] if word.endswith("s") and not word.endswith(("ss", "us", "is")) and len(word) > 3 else word
+
+
+def _plain(text: str) -> str:
+    return " ".join(re.findall(r"[^\W_]+", text.casefold()))
