@@ -26,6 +26,8 @@ import warnings
 from collections.abc import Iterable
 from typing import Literal
 
+from cognitivedrone.printable import visible
+
 ReasonerFault = Literal[
     "unreachable", "timeout", "http", "too_long", "garbage", "schema", "refusal", "no_such_gate", "unsure", "raised"
 ]
@@ -135,4 +137,4 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 def warn_plainly() -> None:
     """Print the warnings of this process as sentences, without places in the code: for commands."""
-    warnings.formatwarning = lambda message, *_args, **_more: f"warning: {message}\n"
+    warnings.formatwarning = lambda message, *_args, **_more: f"warning: {visible(str(message))}\n"

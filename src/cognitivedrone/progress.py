@@ -9,12 +9,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from cognitivedrone.terminal import console
+
 T = TypeVar("T")
 BAR_WIDTH = 16
 
 
 def progress_bar(
-    *fields: str, show: bool = True, columns: Iterable[ProgressColumn] = (), console: Console | None = None
+    *fields: str, show: bool = True, columns: Iterable[ProgressColumn] = (), screen: Console | None = None
 ) -> Progress:
     """A bar of tasks; `fields` are texts that `update` changes, `columns` come before the remaining time."""
     return Progress(
@@ -24,7 +26,7 @@ def progress_bar(
         *columns,
         TimeRemainingColumn(compact=True),
         *map(_Field, fields),
-        console=console or Console(stderr=True),
+        console=screen or console(stderr=True),
         disable=not show,
     )
 

@@ -10,6 +10,7 @@ import sys
 import termios
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -21,13 +22,14 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from cockpit_fakes import camera
 
+from cognitivedrone.cockpit.config import FlyConfig
 from cognitivedrone.cockpit.log import FlightLog
 from cognitivedrone.cockpit.mjpeg import MOST_VIEWERS, FrameServer
 from cognitivedrone.cockpit.orders import Keyboard, Orders, landing_on_interrupt
 from cognitivedrone.cockpit.values import Ending, Status, Step, Summary
 from cognitivedrone.cockpit.vehicle import until_interrupted
 from cognitivedrone.cockpit.view import EVENTS_SHOWN, Instruments, Printer, summary_table
-from cognitivedrone.errors import CameraError
+from cognitivedrone.errors import CameraError, LinkError, RunError
 from cognitivedrone.links.camera import open_camera
 from cognitivedrone.types import Event, Guidance, Observation
 
@@ -219,3 +221,30 @@ def test_the_film_can_be_seen_where_the_flight_was_cut_short(tmp_path):
 
     soon(readable)
     log.close(error="cut")
+
+
+def test_what_is_typed_said_and_told_is_no_markup() -> None:
+    evil, shown = "[/f] [bold]x \x1b[2J\u202e", r"[/f] [bold]x \x1b[2J\u202e"
+    view = Instruments(evil, lambda: evil)
+    one = step(0.1, mode=evil, reason=evil)
+    view.step(replace(one, instruction=evil, guidance=Guidance(evil, 1, 0.8, 0.3)))
+    view.event(Event(0.1, "adopted", evil, 0.1))
+    page = drawn(view)
+    assert page.count(shown) == 7  # title, instruction, directive, mode, reason, event, typed
+    assert "\x1b" not in page
+    summary = Summary(Ending("told", evil), 3, 0.3, 0, (1.0, 2.0), (1.0, 2.0), Path(evil))
+    assert drawn(summary_table(summary)).count(shown) == 2
+
+
+@pytest.mark.parametrize("evil", ["red\x1b[2J", "red\ud800", "red\u202e"])
+def test_an_instruction_is_a_text_that_can_be_shown_and_written(evil: str) -> None:
+    with pytest.raises(LinkError, match=r"the instruction holds the .*; say it without"):
+        FlyConfig(instruction=evil)
+
+
+def test_a_log_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
+    log = FlightLog(tmp_path, {})
+    (tmp_path / "steps.parquet").mkdir()
+    with pytest.raises(RunError, match=r"cannot write .*; make room there or give another place") as told:
+        log.close()
+    assert "\n" not in str(told.value)

@@ -1,7 +1,9 @@
 """Folders of images as label packs, tidy ones, odd ones and hostile ones."""
 
 import json
+import os
 import pickle
+import socket
 from pathlib import Path
 
 import numpy as np
@@ -121,7 +123,7 @@ def test_images_beyond_the_limits_are_not_decoded(tmp_path, monkeypatch):
     with pytest.raises(LabelError, match="300x200 pixels"):
         pack.image("animal/wide")
     monkeypatch.setattr(images, "MAX_FILE_BYTES", 10)
-    with pytest.raises(LabelError, match=r"wide\.png has"):
+    with pytest.raises(LabelError, match=r"wide\.png cannot be read: it has [0-9,]+ bytes"):
         pack.image("animal/wide")
 
 
@@ -166,3 +168,53 @@ def test_published_folder_shows_every_option_but_the_six_missing_images():
             image = pack.image(reference)
             assert max(image.shape) <= 256
             assert np.ptp(image) > 0
+
+
+@pytest.mark.parametrize("kind", ["pipe", "socket", "device", "folder", "link", "loop"])
+def test_what_is_named_like_an_image_and_is_none_is_refused_at_once(tmp_path, kind):
+    save(tmp_path / "labels" / "animal" / "cat.png")
+    odd = tmp_path / "labels" / "animal" / "dog.png"
+    if kind == "pipe":
+        os.mkfifo(odd)
+    elif kind == "socket":
+        with socket.socket(socket.AF_UNIX) as listener:
+            listener.bind(str(odd))
+    elif kind == "folder":
+        odd.mkdir()
+    else:
+        odd.symlink_to({"device": Path("/dev/zero"), "link": tmp_path / "nowhere", "loop": odd}[kind])
+    says = "it is a link to nothing" if kind in ("link", "loop") else f"it is a {kind}, not a file"
+    with pytest.raises(LabelError) as told:
+        load_pack(str(tmp_path / "labels"))
+    assert str(told.value) == f"label image {odd} cannot be read: {says}; take it out of the folder"
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_a_file_that_is_exchanged_later_is_not_waited_for(tmp_path, kind):
+    path = save(tmp_path / "animal" / "cat.png")
+    pack = load_pack(str(tmp_path))
+    path.unlink()
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    with pytest.raises(LabelError, match=rf"cat\.png cannot be read: it is a {kind}"):
+        pack.image("animal/cat")
+
+
+@pytest.mark.parametrize(
+    "evil", ["../../secret", "/etc/passwd", "..", "a\x00b", "secret.png", "x" * 1000, "../outside/secret", "..@.."]
+)
+@pytest.mark.parametrize("kind", ["animal", "letter", "person", "logo", "sum", "several", "..", "", "\x00"])
+def test_no_reference_leads_out_of_a_pack(tmp_path, kind, evil):
+    save(tmp_path / "outside" / "secret.png")
+    save(tmp_path / "labels" / "animal" / "cat.png")
+    for pack in (load_pack(str(tmp_path / "labels")), load_pack()):
+        for reference in (f"{kind}/{evil}", f"{kind}/{evil}@noto", f"{kind}/zebra@{evil}"):
+            with pytest.raises(LabelError):
+                pack.image(reference)
+
+
+def test_names_that_are_no_utf_8_have_a_digest(tmp_path):
+    save(tmp_path / "animal" / os.fsdecode(b"c\xffat.png"))
+    assert len(load_pack(str(tmp_path)).digest) == 64

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 
 import numpy as np
@@ -13,6 +14,7 @@ from tiny import DESCRIPTION, INPUTS, OUTPUTS, graph, tiny_model
 
 from cognitivedrone.errors import MissingExtra, PolicyError
 from cognitivedrone.models import onnx_file
+from cognitivedrone.models.checksum import BLANK, seal
 from cognitivedrone.models.onnx_file import KEY
 from cognitivedrone.models.small_file import SmallModel, describe, read_description
 
@@ -29,11 +31,13 @@ def with_metadata(path, metadata: str):
     model = graph()
     onnx.helper.set_model_props(model, {KEY: metadata})
     onnx.save(model, str(path))
+    if BLANK in metadata:
+        seal(path)
     return path
 
 
 def changed(**fields):
-    return json.dumps({"format": 1, "kind": "small-vla", **DESCRIPTION.table(), **fields})
+    return json.dumps({"format": 2, "checksum": BLANK, "kind": "small-vla", **DESCRIPTION.table(), **fields})
 
 
 def changed_action(**fields):
@@ -118,8 +122,9 @@ def test_a_file_that_was_cut_short(tmp_path, tiny_model_file, kept):
     content = tiny_model_file.read_bytes()
     path = tmp_path / "cut.onnx"
     path.write_bytes(content[: int(len(content) * kept)])
-    assert "cut short" in refused(path)
-    with pytest.raises(PolicyError, match="cut short"):
+    says = "cut short|does not match its checksum"
+    assert re.search(says, refused(path))
+    with pytest.raises(PolicyError, match=says):
         read_description(path)
 
 
@@ -154,7 +159,7 @@ def test_a_file_that_does_not_describe_itself(tmp_path):
     [
         ("{", "is not JSON"),
         ("[]", "format None"),
-        (changed(format=2), "format 2 and this version reads format 1"),
+        (changed(format=3), "format 3 and this version reads formats 1 and 2"),
         (changed(kind="reasoner"), "kind 'reasoner'"),
         (changed(vocabulary=["fly"]), "begins with"),
         (changed(vocabulary=["<pad>", 1]), "no word"),

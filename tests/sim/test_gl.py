@@ -114,10 +114,28 @@ def test_quitting_without_closing_prints_nothing() -> None:
     assert (child.returncode, child.stdout, child.stderr) == (0, "32\n", "")
 
 
-def test_a_broken_choice_of_the_users_is_one_sentence_even_on_import() -> None:
-    program = "import cognitivedrone.sim.camera"
-    environment = {**os.environ, "MUJOCO_GL": "nonsense"}
+@pytest.mark.parametrize("name", ["nonsense", "osmesa"])
+def test_a_broken_choice_of_the_users_breaks_nothing_until_something_is_drawn(name: str) -> None:
+    program = (
+        "import sys\n"
+        "sys.modules['OpenGL.osmesa'] = None  # also where it is installed\n"
+        "from cognitivedrone.cli import main\n"
+        "main(['list'])\n"
+        "from cognitivedrone.sim import gl\n"
+        "gl._probe = lambda name: None\n"
+        "main(['view'])\n"
+    )
+    environment = {**os.environ, "MUJOCO_GL": name, gl._REMEMBERED: ""}
     child = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment, timeout=60)
-    last = child.stderr.splitlines()[-1]
-    assert "RenderError: MuJoCo does not start with MUJOCO_GL=nonsense" in last
-    assert "Unset it" in last
+    assert child.returncode == 2
+    assert "--reasoner" in child.stdout
+    assert child.stderr.startswith(f"cognitivedrone: MUJOCO_GL={name} ")
+    assert "unset it" in child.stderr
+    assert child.stderr.count("\n") == 1
+
+
+def test_the_users_choice_that_is_not_installed_says_what_installs_it(fresh: pytest.MonkeyPatch) -> None:
+    fresh.setattr(gl, "_probe", lambda name: None)
+    fresh.setenv("MUJOCO_GL", "osmesa")
+    with pytest.raises(RenderError, match=r"MUJOCO_GL=osmesa does not start .* apt-get install -y libosmesa6"):
+        gl.backend()

@@ -112,7 +112,7 @@ def test_what_is_no_task_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     path.write_text(json.dumps([PUBLISHED] * 3))
     with pytest.raises(TaskError, match="3 tasks are too many"):
         read_tasks(path)
-    with pytest.raises(TaskError, match="too much for a task file"):
+    with pytest.raises(TaskError, match="and at most 10 are read"):
         task_format.read_json(path, max_bytes=10)
 
 

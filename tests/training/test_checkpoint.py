@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -159,3 +160,24 @@ def test_another_network(saved: tuple[Path, nn.Module, object]) -> None:
     del tensors["network.0.weight"]
     with pytest.raises(TrainingError, match="of another network"):
         restore(tensors, network(), None)
+
+
+def test_a_changed_number_is_found(saved: tuple[Path, nn.Module, object]) -> None:
+    path = saved[0]
+    whole = path.read_bytes()
+    for at in range(len(whole) - 1, 0, -(len(whole) // 50)):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+        with pytest.raises(TrainingError, match=r"not a whole checkpoint|no.* checkpoint of this project"):
+            read_checkpoint(path)
+
+
+def test_a_checkpoint_of_an_older_version_is_read(saved: tuple[Path, nn.Module, object]) -> None:
+    path = saved[0]
+    save_file(load_file(path), path, metadata={"cognitivedrone": json.dumps({"format": FORMAT, **FACTS})})
+    assert read_checkpoint(path)[1] == {"format": FORMAT, **FACTS}
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(TrainingError, match="it is a pipe, not a file"):
+        read_checkpoint(tmp_path / "pipe")

@@ -17,6 +17,7 @@ from cognitivedrone.benchmark.runner import run
 from cognitivedrone.errors import PolicyError, RunError
 from cognitivedrone.interfaces import Policy, Reasoner
 from cognitivedrone.policies import make_policy
+from cognitivedrone.printable import visible
 from cognitivedrone.reasoners import NONE, make_reasoner
 
 Part = TypeVar("Part")
@@ -133,7 +134,7 @@ def _one_process(what: str, workers: int | None, progress: bool) -> None:
     if workers not in (None, 0, 1):
         raise RunError(f"workers={workers}, but {why}")
     if progress:
-        print(why, file=sys.stderr)  # noqa: T201
+        print(visible(why), file=sys.stderr)  # noqa: T201
 
 
 def _pilot(policy: Any, reasoner: Any) -> Pilot:

@@ -10,10 +10,11 @@ import hashlib
 import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final, TextIO
+from typing import Final
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from cognitivedrone.benchmark.runner import Interrupted, facts_of, results_folde
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.envs.course import Course, CourseConfig, draw_start, episode_rng, scenery_of, stage_of
 from cognitivedrone.errors import PolicyError, ReasonerError, RunError
+from cognitivedrone.files import writing
 from cognitivedrone.flight.mind import asking, check_guidance
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import Checked, Privileged, Reasoner, Remembering, Seeded
@@ -100,14 +102,13 @@ def score_reasoner(config: ReasonConfig, *, progress: bool = True) -> ReasonResu
         reasoner.check()
     out = out_of(config)
     answers: list[Answer] = []
-    with _open_answers(out, overwrite=config.overwrite) as file:
+    with _open_answers(out, overwrite=config.overwrite) as keep:
         simulator = Simulator(1)
         course = Course(simulator, 0, labels, CourseConfig(look=config.look))
         try:
             for answer in _ask_all(reasoner, course, suite, config, progress):
                 answers.append(answer)
-                file.write(dumps(answer) + "\n")
-                file.flush()
+                keep(answer)
             renderer = renderer_name()
         except KeyboardInterrupt:
             raise Interrupted(f"stopped after {len(answers)} answers, all kept in {out / ANSWERS_FILE}") from None
@@ -240,19 +241,35 @@ def _as_run(config: ReasonConfig) -> RunConfig:
     )
 
 
-def _open_answers(out: Path, *, overwrite: bool) -> TextIO:
-    """The file of the answers, empty. Raises `RunError` where there are some already and `overwrite` is not given."""
-    file = out / ANSWERS_FILE
+@contextmanager
+def _open_answers(out: Path, *, overwrite: bool) -> Iterator[Callable[[Answer], None]]:
+    """Begin the file of the answers, and give what puts an answer into it, whole or not at all.
+
+    Raises `RunError` where there are some already and `overwrite` is not given, and where nothing can be written.
+    """
+    path = out / ANSWERS_FILE
     if out.exists() and not out.is_dir():
         raise RunError(f"{out} is a file; give a folder as --out")
-    if file.exists() and not overwrite:
+    if path.exists() and not overwrite:
         raise RunError(f"{out} already holds answers; give --overwrite to throw them away, or another --out")
-    try:
+    with writing(path, RunError, "give another --out"):
         out.mkdir(parents=True, exist_ok=True)
         (out / SUMMARY_FILE).unlink(missing_ok=True)
-        return file.open("w", encoding="utf-8")
-    except OSError as error:
-        raise RunError(f"cannot write {file}: {error.strerror}; give another --out") from None
+        file = path.open("wb", buffering=0)
+
+    def keep(answer: Answer) -> None:
+        line = (dumps(answer) + "\n").encode("utf-8", "backslashreplace")
+        whole = file.tell()
+        with writing(path, RunError, "make room there and ask again; the answers before are kept"):
+            try:
+                while line:
+                    line = line[file.write(line) :]
+            except OSError:
+                file.truncate(whole)
+                raise
+
+    with file:
+        yield keep
 
 
 def _document(results: ReasonResults, options: Options) -> Mapping[str, object]:

@@ -6,7 +6,7 @@ short is dropped when the run is resumed, and its episode is flown again.
 
 from __future__ import annotations
 
-import fcntl
+import contextlib
 import json
 import os
 import shutil
@@ -19,6 +19,7 @@ from cognitivedrone.benchmark.codec import decode, dumps, encode
 from cognitivedrone.benchmark.results import RunFacts, write_whole
 from cognitivedrone.benchmark.run_types import Flown, Trace
 from cognitivedrone.errors import RunError
+from cognitivedrone.files import take_lock, writing
 from cognitivedrone.types import EpisodeResult
 
 RUN_FILE: Final = "run.json"
@@ -47,6 +48,11 @@ class RunFolder:
 
     def __init__(self, path: Path, facts: RunFacts, *, resume: bool = False, overwrite: bool = False) -> None:
         self.path = path
+        with writing(path, RunError, "give another --out"):
+            self._open(facts, resume=resume, overwrite=overwrite)
+
+    def _open(self, facts: RunFacts, *, resume: bool, overwrite: bool) -> None:
+        path = self.path
         exists = _check(path, facts, resume=resume, overwrite=overwrite)
         path.mkdir(parents=True, exist_ok=True)
         self._file = _lock(path / EPISODES_FILE)
@@ -74,15 +80,19 @@ class RunFolder:
     def append(self, flown: Flown, renderer: str) -> None:
         """Put one episode on the disk."""
         line = _line(Record(flown.result, flown.trace, renderer))
-        self._file.write(line)
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        kept = "make room there, then the same command with --resume goes on: what was flown before is kept"
+        with writing(self.path / EPISODES_FILE, RunError, kept):
+            self._file.write(line)
+            self._file.flush()
+            os.fsync(self._file.fileno())
         # What is kept is what a later resume would read, to the last digit.
         self.records[flown.result.episode] = _parse(line, "the record just written")
 
     def close(self) -> None:
         """Let other processes write to the folder."""
-        self._file.close()
+        # What a full disk did not take is offered to it once more here; `append` has told of it.
+        with contextlib.suppress(OSError):
+            self._file.close()
 
     def __enter__(self) -> RunFolder:
         return self
@@ -93,7 +103,8 @@ class RunFolder:
 
 def check_folder(path: Path, facts: RunFacts, *, resume: bool = False, overwrite: bool = False) -> frozenset[int]:
     """The episodes that a `RunFolder` opened so would have on record. Changes nothing, and raises as that would."""
-    exists = _check(path, facts, resume=resume, overwrite=overwrite)
+    with writing(path, RunError, "give another --out"):
+        exists = _check(path, facts, resume=resume, overwrite=overwrite)
     return frozenset(read_records(path)) if exists and resume and (path / EPISODES_FILE).exists() else frozenset()
 
 
@@ -161,13 +172,9 @@ def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
 
 def _lock(path: Path) -> BinaryIO:
     file = path.open("a+b")
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+    if not take_lock(file.fileno()):
         file.close()
-        raise RunError(
-            f"another run is writing to {path.parent} right now; wait for it, or give another --out"
-        ) from None
+        raise RunError(f"another run is writing to {path.parent} right now; wait for it, or give another --out")
     return file
 
 

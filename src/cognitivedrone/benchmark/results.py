@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
-import os
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,11 +15,13 @@ from cognitivedrone.benchmark.codec import decode, dumps, encode
 from cognitivedrone.benchmark.run_types import LinkName, LookName, Rule
 from cognitivedrone.benchmark.scoring import RULES, Summary, summarize
 from cognitivedrone.errors import RunError
+from cognitivedrone.files import read_regular, reason_of, replace_file, writing
 from cognitivedrone.links.one_drone import LinkReport
 from cognitivedrone.types import EpisodeResult
 
 SCHEMA: Final = "cognitivedrone.results/1"
 RESULTS_FILE: Final = "results.json"
+MAX_FILE_BYTES: Final = 2**30
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,19 +162,21 @@ def read_results(path: Path) -> Results:
     """Read results.json, given itself or its folder. Raises `RunError` for what is missing or malformed."""
     path = path / RESULTS_FILE if path.is_dir() else path
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(read_regular(path, MAX_FILE_BYTES).decode("utf-8"))
     except FileNotFoundError:
         raise RunError(f"{path} does not exist; give the --out folder of a finished run") from None
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise RunError(f"{path} cannot be read ({reason_of(error)}); give the --out folder of a finished run") from None
+    except (ValueError, RecursionError) as error:
         raise RunError(f"{path} cannot be read: {error}") from None
     return results_from_json(document, str(path))
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a file so that a kill at any moment leaves the old one or the new one."""
-    temporary = path.with_name(path.name + ".tmp")
-    with temporary.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
+    """Write a file so that a kill at any moment leaves the old one or the new one.
+
+    Raises `RunError` where it cannot be written; then the old one stays, and nothing is left beside it.
+    """
+    with writing(path, RunError):
+        # What a policy says may hold lone surrogates, which no encoding has.
+        replace_file(path, text.encode("utf-8", "backslashreplace"))

@@ -14,8 +14,6 @@ from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 
-from rich.console import Console
-
 from cognitivedrone.benchmark.clips import Clip, choose_clips, make_clip
 from cognitivedrone.benchmark.crew import FLYER, Alone, Crew, Team, WorkerCrash, make_flyer
 from cognitivedrone.benchmark.episode import EpisodeFlyer, Pilot, preflight
@@ -39,12 +37,14 @@ from cognitivedrone.benchmark.run_types import Flown, RunConfig
 from cognitivedrone.benchmark.scoring import counts, passes
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.errors import RunError
+from cognitivedrone.files import safe_name, writing
 from cognitivedrone.flight.latency import parse_delays
 from cognitivedrone.links.one_drone import LinkReport
 from cognitivedrone.policies import model_file
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.reasoners import reasoner_file
 from cognitivedrone.tasks import Suite
+from cognitivedrone.terminal import console
 from cognitivedrone.types import EpisodeResult
 
 ERROR_FILE = "error.txt"
@@ -78,7 +78,7 @@ def run(config: RunConfig, *, progress: bool = True, flyer: str = FLYER, pilot: 
     workers = min(_workers(config), max(len(missing), 1))
     with ExitStack() as stack:
         # Nothing is written before somebody can fly: a pilot that cannot be made changes no folder.
-        with Console(stderr=True, quiet=not progress).status("starting the simulators"):
+        with console(stderr=True, quiet=not progress).status("starting the simulators"):
             crew = _crew(config, suite, workers, flyer, pilot)
         stack.enter_context(crew)
         folder = stack.enter_context(RunFolder(path, facts, resume=config.resume, overwrite=config.overwrite))
@@ -158,7 +158,7 @@ def out_of(config: RunConfig) -> Path:
 
 def results_folder(*names: str) -> Path:
     """Where results go that no folder was asked for: named after what they are of."""
-    return Path("results", "-".join(re.sub(r"[^\w.]+", "-", name).strip("-") for name in names))
+    return Path("results", safe_name("-".join(re.sub(r"[^\w.]+", "-", name).strip("-") for name in names)))
 
 
 def command_of(config: RunConfig) -> str:
@@ -232,7 +232,8 @@ def _keep_error(flown: Flown, path: Path, *, stop: bool) -> None:
     if not flown.error:
         return
     file = path / ERRORS_FOLDER / f"episode-{flown.result.episode:04}.txt"
-    file.parent.mkdir(exist_ok=True)
+    with writing(file, RunError):
+        file.parent.mkdir(exist_ok=True)
     write_whole(file, flown.error)
     if stop:
         what = flown.result.message or "the reasoner raised an exception"
@@ -277,6 +278,6 @@ def _folder_digest(folder: Path) -> str:
     digest = hashlib.sha256()
     for file in sorted(path for path in folder.rglob("*") if path.is_file()):
         content = file.read_bytes()
-        digest.update(f"{file.relative_to(folder).as_posix()}\0{len(content)}\0".encode())
+        digest.update(f"{file.relative_to(folder).as_posix()}\0{len(content)}\0".encode(errors="surrogateescape"))
         digest.update(content)
     return digest.hexdigest()

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TypeVar
 
 from rich import box
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -16,6 +16,7 @@ from cognitivedrone.benchmark.published import PUBLISHED, comparable
 from cognitivedrone.benchmark.results import Results
 from cognitivedrone.benchmark.run_types import Rule
 from cognitivedrone.benchmark.scoring import Interval, Score, Summary
+from cognitivedrone.terminal import console
 from cognitivedrone.types import Category
 
 DASH = "–"
@@ -24,9 +25,9 @@ Part = TypeVar("Part")
 
 def as_text(table: RenderableType, width: int = 80) -> str:
     """A table as plain text."""
-    console = Console(width=width, file=io.StringIO())
-    with console.capture() as captured:
-        console.print(table)
+    screen = console(width=width, file=io.StringIO())
+    with screen.capture() as captured:
+        screen.print(table)
     return captured.get()
 
 

@@ -6,14 +6,18 @@ is quick, and a misspelt option is answered with those of the command at hand.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import os
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import tyro
 
 from cognitivedrone.errors import CognitiveDroneError, UsageError, did_you_mean, warn_plainly
+from cognitivedrone.files import reason_of
+from cognitivedrone.printable import visible
 
 PROGRAM = "cognitivedrone"
 COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
@@ -60,11 +64,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     warn_plainly()
     try:
         _run(list(sys.argv[1:] if arguments is None else arguments))
+        sys.stdout.flush()  # a full disk behind it shows here, not after the last line
     except CognitiveDroneError as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)  # noqa: T201
-        sys.exit(2)
+        _end(str(error))
+    except BrokenPipeError:
+        _drop_output()  # whoever read it has seen enough
+        sys.exit(1)
+    except OSError as error:
+        place = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
+        _drop_output()
+        _end(f"{place}{reason_of(error)}; is there room, and may it be read and written?")
     except KeyboardInterrupt as stop:
-        print(f"{PROGRAM}: {str(stop) or 'stopped'}", file=sys.stderr)  # noqa: T201
+        print(visible(f"{PROGRAM}: {str(stop) or 'stopped'}"), file=sys.stderr)  # noqa: T201
         sys.exit(130)
 
 
@@ -118,3 +129,17 @@ def _explain(arguments: list[str]) -> None:
     known = {name.partition(" ")[0] for name in TARGETS}
     what = "option" if first.startswith("-") else "command"
     raise UsageError(f"unknown {what} {first!r}; {did_you_mean(first, known)}")
+
+
+def _end(sentence: str) -> NoReturn:
+    print(visible(f"{PROGRAM}: {sentence}"), file=sys.stderr)  # noqa: T201
+    sys.exit(2)
+
+
+def _drop_output() -> None:
+    """Forget what standard output does not take, so that the end of the process does not complain of it once more."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

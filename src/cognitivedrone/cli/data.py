@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from cognitivedrone.collect.config import CollectConfig
+from cognitivedrone.printable import visible
 
 
 def collect(config: Annotated[CollectConfig, tyro.conf.arg(name="")]) -> None:
@@ -19,13 +20,12 @@ def collect(config: Annotated[CollectConfig, tyro.conf.arg(name="")]) -> None:
       cognitivedrone collect --out data/paper
       cognitivedrone collect --recipe robust --episodes 500 --out data/robust
     """
-    from rich.console import Console
-
     from cognitivedrone.collect.collector import collect as collect_set
+    from cognitivedrone.terminal import console
 
     report = collect_set(config, progress=True)
     dropped = ", ".join(f"{outcome} {count}" for outcome, count in sorted(report.dropped.items())) or "none"
-    Console().print(
+    console().print(
         f"{report.episodes} episodes in {report.out}; this run flew {report.flown} in {report.seconds:.1f} s"
         f" ({report.episodes_per_s:.1f} episodes/s), {report.success_rate:.2%} of its flights passed,"
         f" dropped: {dropped}",
@@ -39,11 +39,10 @@ def show(folder: tyro.conf.Positional[Path]) -> None:
     Args:
         folder: The data set.
     """
-    from rich.console import Console
-
     from cognitivedrone.data.summary import summary
+    from cognitivedrone.terminal import console
 
-    Console().print(summary(folder))
+    console().print(summary(folder))
 
 
 def report_card(folder: tyro.conf.Positional[Path], out: Path = Path("card.html")) -> None:
@@ -56,7 +55,7 @@ def report_card(folder: tyro.conf.Positional[Path], out: Path = Path("card.html"
     from cognitivedrone.data.card import card
 
     card(folder, out)
-    print(out)  # noqa: T201
+    print(visible(str(out)))  # noqa: T201
 
 
 def verify(folder: tyro.conf.Positional[Path]) -> None:
@@ -69,10 +68,10 @@ def verify(folder: tyro.conf.Positional[Path]) -> None:
 
     problems = problems_of(folder)
     for problem in problems:
-        print(problem)  # noqa: T201
+        print(visible(str(problem)))  # noqa: T201
     if problems:
         sys.exit(1)
-    print(f"{folder}: whole")  # noqa: T201
+    print(visible(f"{folder}: whole"))  # noqa: T201
 
 
 def export(folder: tyro.conf.Positional[Path], to: str, out: Path) -> None:
@@ -89,7 +88,7 @@ def export(folder: tyro.conf.Positional[Path], to: str, out: Path) -> None:
 
     store = Store.open(folder)
     count = export_set(counted(store.labelled(), "exporting", len(store)), to, out)
-    print(f"{out}: {count} episodes as {to}")  # noqa: T201
+    print(visible(f"{out}: {count} episodes as {to}"))  # noqa: T201
 
 
 def import_(source: tyro.conf.Positional[Path], form: Annotated[str, tyro.conf.arg(name="from")], out: Path) -> None:
@@ -102,7 +101,7 @@ def import_(source: tyro.conf.Positional[Path], form: Annotated[str, tyro.conf.a
     """
     from cognitivedrone.collect.importing import import_set
 
-    print(f"{out}: {import_set(source, form, out)} episodes")  # noqa: T201
+    print(visible(f"{out}: {import_set(source, form, out)} episodes"))  # noqa: T201
 
 
 def replay(folder: tyro.conf.Positional[Path], episode: tyro.conf.Positional[int]) -> None:

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from cognitivedrone.cockpit.config import FlyConfig, SimConfig
+from cognitivedrone.printable import visible
 
 
 def fly(config: Annotated[FlyConfig, tyro.conf.arg(name="")]) -> None:
@@ -23,14 +24,13 @@ def fly(config: Annotated[FlyConfig, tyro.conf.arg(name="")]) -> None:
 
     A real drone needs more than a command: read docs/real-drone.md.
     """
-    from rich.console import Console
-
     from cognitivedrone.cockpit.fly import fly_mission
     from cognitivedrone.cockpit.view import summary_table
+    from cognitivedrone.terminal import console
 
-    console = Console()
-    summary = fly_mission(config, console=console)
-    console.print(summary_table(summary), highlight=False)
+    screen = console()
+    summary = fly_mission(config, console=screen)
+    screen.print(summary_table(summary))
     sys.exit(summary.exit_code)
 
 
@@ -44,7 +44,7 @@ def sim(config: Annotated[SimConfig, tyro.conf.arg(name="")]) -> None:
     from cognitivedrone.cockpit.vehicle import serve_vehicle, until_interrupted
 
     with until_interrupted() as stop:
-        lost = serve_vehicle(config, stop, lambda served: print(served, flush=True))  # noqa: T201
+        lost = serve_vehicle(config, stop, lambda served: print(visible(str(served)), flush=True))  # noqa: T201
     print(f"stopped; the vehicle fell {lost:.1f} s behind the clock")  # noqa: T201
 
 
@@ -77,7 +77,7 @@ def export_world(
 
     done = export_to(suite, tasks=tasks, out=out, task=task, track=track, version=version, labels=labels)
     for world, shown in zip(done.worlds, done.track, strict=True):
-        print(f"{world}: {shown.instruction}  (right: gate {shown.target + 1})")  # noqa: T201
+        print(visible(f"{world}: {shown.instruction}  (right: gate {shown.target + 1})"))  # noqa: T201
 
 
 def check_world(files: tyro.conf.Positional[tuple[Path, ...]]) -> None:
@@ -88,7 +88,7 @@ def check_world(files: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     """
     from cognitivedrone.links.gazebo.check import check as check_files
 
-    print(f"{len(files)} passed {check_files(files)}")  # noqa: T201
+    print(visible(f"{len(files)} passed {check_files(files)}"))  # noqa: T201
 
 
 def import_models(source: tyro.conf.Positional[Path], out: Path) -> None:
@@ -106,5 +106,5 @@ def import_models(source: tyro.conf.Positional[Path], out: Path) -> None:
 
     done = import_collector(source, out)
     for kind, (tasks, pictures) in done.counts.items():
-        print(f"{kind}: {tasks} tasks, {pictures} labels")  # noqa: T201
-    print(f"fly them: cognitivedrone bench --tasks {done.tasks} --labels {done.labels}")  # noqa: T201
+        print(visible(f"{kind}: {tasks} tasks, {pictures} labels"))  # noqa: T201
+    print(visible(f"fly them: cognitivedrone bench --tasks {done.tasks} --labels {done.labels}"))  # noqa: T201

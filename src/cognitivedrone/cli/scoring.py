@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from cognitivedrone.benchmark.config import LookName, ReasonConfig, RunConfig, SweepConfig
+from cognitivedrone.printable import visible
 
 
 def bench(config: Annotated[RunConfig, tyro.conf.arg(name="")]) -> None:
@@ -21,17 +22,16 @@ def bench(config: Annotated[RunConfig, tyro.conf.arg(name="")]) -> None:
       cognitivedrone bench --policy my_package.my_module:MyPolicy --suite open-v1:test
       cognitivedrone bench --tasks my_tasks.json --labels my_pictures/
     """
-    from rich.console import Console
-
     from cognitivedrone.benchmark.runner import out_of, run
     from cognitivedrone.benchmark.suites import how_many
     from cognitivedrone.benchmark.tables import results_table
+    from cognitivedrone.terminal import console
 
-    console = Console()
+    screen = console()
     if told := how_many(config):
-        console.print(told, highlight=False)
-    console.print(results_table(run(config, progress=True)))
-    console.print(f"report: {out_of(config) / 'report.html'}", highlight=False)
+        screen.print(told)
+    screen.print(results_table(run(config, progress=True)))
+    screen.print(f"report: {out_of(config) / 'report.html'}")
 
 
 def reason(config: Annotated[ReasonConfig, tyro.conf.arg(name="")]) -> None:
@@ -42,15 +42,14 @@ def reason(config: Annotated[ReasonConfig, tyro.conf.arg(name="")]) -> None:
       cognitivedrone reason --suite open-v1:test --reasoner noisy-oracle
       cognitivedrone reason --suite open-v1:track --reasoner my_module:MyReasoner --out answers
     """
-    from rich.console import Console
-
     from cognitivedrone.benchmark.reason import ANSWERS_FILE, score_reasoner
     from cognitivedrone.benchmark.reason_table import reason_table
+    from cognitivedrone.terminal import console
 
-    console = Console()
+    screen = console()
     results = score_reasoner(config)
-    console.print(reason_table(results))
-    console.print(f"answers: {results.out / ANSWERS_FILE}", highlight=False)
+    screen.print(reason_table(results))
+    screen.print(f"answers: {results.out / ANSWERS_FILE}")
 
 
 def sweep(config: Annotated[SweepConfig, tyro.conf.arg(name="")]) -> None:
@@ -61,15 +60,14 @@ def sweep(config: Annotated[SweepConfig, tyro.conf.arg(name="")]) -> None:
 
       cognitivedrone sweep --policy small --reasoner oracle --ms 0 500 2000 --out results/sweep
     """
-    from rich.console import Console
-
     from cognitivedrone.benchmark.sweep import PLOT_FILE
     from cognitivedrone.benchmark.sweep import sweep as fly_all
     from cognitivedrone.benchmark.tables import sweep_table
+    from cognitivedrone.terminal import console
 
-    console = Console()
-    console.print(sweep_table(fly_all(config), config.part))
-    console.print(f"plot: {config.out / PLOT_FILE}", highlight=False)
+    screen = console()
+    screen.print(sweep_table(fly_all(config), config.part))
+    screen.print(f"plot: {config.out / PLOT_FILE}")
 
 
 def compare(
@@ -82,12 +80,11 @@ def compare(
         a: Folder or results.json of the first run.
         b: Folder or results.json of the second run.
     """
-    from rich.console import Console
-
     from cognitivedrone.benchmark.comparison import compare as compare_runs
     from cognitivedrone.benchmark.tables import comparison_table
+    from cognitivedrone.terminal import console
 
-    Console().print(comparison_table(compare_runs(a, b)))
+    console().print(comparison_table(compare_runs(a, b)))
 
 
 def view(
@@ -114,13 +111,12 @@ def view(
     from cognitivedrone.tasks import open_suite
 
     task = snapshot(open_suite(suite, tasks), episode, out, look=look, labels=labels, seed=seed)
-    print(f"{out}: {task.instruction}  (right: gate {task.target + 1}, {task.options[task.target]})")  # noqa: T201
+    print(visible(f"{out}: {task.instruction}  (right: gate {task.target + 1}, {task.options[task.target]})"))  # noqa: T201
 
 
 def list_names() -> None:
     """List suites, task families, airframes, and policies and reasoners with how their arguments are written."""
-    from rich.console import Console
-
     from cognitivedrone.benchmark.catalogue import catalogue
+    from cognitivedrone.terminal import console
 
-    Console().print(catalogue())
+    console().print(catalogue())

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from cognitivedrone.errors import MissingExtra
+from cognitivedrone.printable import visible
 
 
 def train(
@@ -46,7 +47,7 @@ def train(
         raise MissingExtra(str(error.name), "train") from None
     model = run(TrainOptions(out, recipe, data, start, seed, resume, processes, threads))
     hint = f"; fly it with --policy small:{model}" if model.name == "model.onnx" else ""
-    print(f"{model}{hint}")  # noqa: T201
+    print(visible(f"{model}{hint}"))  # noqa: T201
 
 
 def train_openvla(
@@ -94,4 +95,4 @@ def train_openvla(
         raise MissingExtra(str(error.name), "openvla,train") from None
     config = openvla_lora.FineTuning(base, data, out, chosen, seed, resume, shard, key)
     merged = openvla_lora.merge(config) if merge else openvla_lora.fine_tune(config)
-    print(f"{merged}; fly it with --policy openvla:{merged}")  # noqa: T201
+    print(visible(f"{merged}; fly it with --policy openvla:{merged}"))  # noqa: T201

@@ -9,6 +9,7 @@ from typing import Literal
 import tyro
 
 from cognitivedrone.errors import LinkError, did_you_mean
+from cognitivedrone.printable import unprintable
 
 LINKS = ("sim", "sitl", "mavlink")
 LOOPBACK = ("127.", "localhost:", "::1:", "[::1]:")
@@ -94,6 +95,8 @@ class FlyConfig:
             raise LinkError(f"--hold-below is {self.hold_below}; it is a confidence from 0 to 1")
         if not 0.1 <= self.policy_patience <= 5:
             raise LinkError(f"--policy-patience is {self.policy_patience}; give 0.1 to 5 seconds")
+        if problem := unprintable(self.instruction):
+            raise LinkError(f"the instruction holds {problem}; say it without")
         if self.is_mavlink and not self.instruction.strip():
             raise LinkError('say what to do, such as: cognitivedrone fly --link ... "Fly through the red gate"')
         if self.is_mavlink and not self.camera:

@@ -14,6 +14,7 @@ import numpy as np
 from rich.console import Console
 from rich.live import Live
 
+from cognitivedrone import terminal
 from cognitivedrone.cockpit.config import FlyConfig
 from cognitivedrone.cockpit.craft import Craft
 from cognitivedrone.cockpit.log import TLOG_FILE, FlightLog, check_free
@@ -45,7 +46,7 @@ def fly_mission(config: FlyConfig, *, console: Console | None = None, keyboard: 
     `keyboard` is where confirmation and instructions are typed, standard input by default. Raises what cannot be
     flown as one of the package's errors; a drone that is in the air then is landed first.
     """
-    console, keyboard = console or Console(), keyboard or sys.stdin
+    console, keyboard = console or terminal.console(), keyboard or sys.stdin
     out = config.out or Path("flights") / datetime.now().strftime("%Y-%m-%d-%H%M%S")
     orders = Orders()
     with ExitStack() as stack:

@@ -30,6 +30,7 @@ from cognitivedrone.cockpit.bag import BagLog
 from cognitivedrone.cockpit.values import Step, Summary
 from cognitivedrone.data.bags import Ros
 from cognitivedrone.errors import RunError
+from cognitivedrone.files import writing
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Event, Image
 
 STEPS_FILE, EVENTS_FILE, FILM_FILE, TLOG_FILE, BAG_FOLDER, ABOUT_FILE = (
@@ -72,9 +73,10 @@ class FlightLog:
         self._events: list[dict[str, Any]] = []
         check_free(out)
         _make(out)
-        (out / ABOUT_FILE).write_text(json.dumps(self._about, indent=2, default=str) + "\n")
-        self._bag = None if ros is None else BagLog(out / BAG_FOLDER, ros, self._about)
-        self._film = _Film(out / FILM_FILE)
+        with writing(out, RunError, "give another folder with --out"):
+            (out / ABOUT_FILE).write_text(json.dumps(self._about, indent=2, default=str) + "\n")
+            self._bag = None if ros is None else BagLog(out / BAG_FOLDER, ros, self._about)
+            self._film = _Film(out / FILM_FILE)
 
     def step(self, step: Step) -> None:
         """Keep a control step."""
@@ -94,6 +96,10 @@ class FlightLog:
         self._film.close()
         if self._bag is not None:
             self._bag.close()
+        with writing(self.out, RunError):
+            self._write_tables(summary, error)
+
+    def _write_tables(self, summary: Summary | None, error: str) -> None:
         pq.write_table(pa.Table.from_pylist(self._steps, STEP_COLUMNS), self.out / STEPS_FILE)
         pq.write_table(pa.Table.from_pylist(self._events, EVENT_COLUMNS), self.out / EVENTS_FILE)
         ended: dict[str, Any] = {"steps": len(self._steps), "frames_dropped": self.dropped, "error": error or None}

@@ -17,6 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cognitivedrone.cockpit.values import Step, Summary
+from cognitivedrone.printable import visible
 from cognitivedrone.types import Event, FloatArray
 
 EVENTS_SHOWN = 6
@@ -70,20 +71,20 @@ class Instruments:
             lines.add_row("", "waiting for the first command")
         else:
             self._fill(lines, step)
-        events = [Text(event_line(event), overflow="ellipsis", no_wrap=True) for event in list(self._events)]
-        prompt = Text.assemble(("> ", "bold"), self._typed(), ("_", "blink"))
+        events = [Text(visible(event_line(event)), overflow="ellipsis", no_wrap=True) for event in list(self._events)]
+        prompt = Text.assemble(("> ", "bold"), visible(self._typed()), ("_", "blink"))
         hint = "type a new instruction or land; ctrl-C lands"
-        return Panel(Group(lines, Text(), *events, Text(), prompt), title=self.title, subtitle=hint)
+        return Panel(Group(lines, Text(), *events, Text(), prompt), title=Text(visible(self.title)), subtitle=hint)
 
     def _fill(self, lines: Table, step: Step) -> None:
         status, seen, guidance = step.status, step.observation, step.guidance
         lines.add_row("time", f"{step.time:.1f} s, {_rate(list(self._times))} Hz, {self._late} late")
-        lines.add_row("instruction", step.instruction)
+        lines.add_row("instruction", _told(step.instruction))
         if guidance is not None:
             told = f"{guidance.directive} ({guidance.confidence:.0%} sure, its frame is {guidance.age:.1f} s old)"
-            lines.add_row("directive", told)
+            lines.add_row("directive", _told(told))
         if self._hold:
-            lines.add_row("pilot", Text(self._hold, style="bold yellow"))
+            lines.add_row("pilot", Text(visible(self._hold), style="bold yellow"))
         lines.add_row("action", f"{_velocity(step.sent[:3])} m/s, turn {step.sent[3]:+.2f} rad/s")
         lines.add_row("velocity", f"{_velocity(seen.velocity)} m/s, turn {seen.yaw_rate:+.2f} rad/s")
         where = "not known" if status.position is None else "{:+.2f} {:+.2f} {:+.2f} m".format(*status.position)
@@ -91,14 +92,14 @@ class Instruments:
         lines.add_row("position", f"{where}{heading}, height {seen.height:.2f} m")
         battery = "not told" if status.battery is None else f"{status.battery:.0%}"
         armed = "armed" if status.armed else "not armed"
-        lines.add_row("vehicle", f"{status.mode}, {armed}, battery {battery}")
+        lines.add_row("vehicle", _told(f"{status.mode}, {armed}, battery {battery}"))
         lines.add_row("frame age", _age(status.frame_age_s, GOOD_FRAME_S))
         lines.add_row("link age", _age(status.link_age_s, GOOD_LINK_S))
         thinking = _milliseconds(statistics.median(self._policy_s)) if self._policy_s else "-"
         answering = "-" if self._reasoner_s is None else _milliseconds(self._reasoner_s)
         lines.add_row("thinking", f"policy {thinking}, reasoner {answering}")
         decision = Text(status.decision, style=_STYLES.get(status.decision, ""))
-        lines.add_row("guard", decision.append(f": {status.reason}" if status.reason else ""))
+        lines.add_row("guard", decision.append(visible(f": {status.reason}") if status.reason else ""))
 
 
 class Printer:
@@ -113,7 +114,7 @@ class Printer:
     def event(self, event: Event) -> None:
         """Write a line."""
         if event.kind not in SILENT:
-            self._console.print(event_line(event), markup=False, highlight=False, soft_wrap=True)
+            self._console.print(visible(event_line(event)), markup=False, highlight=False, soft_wrap=True)
 
 
 def summary_table(summary: Summary) -> Table:
@@ -122,12 +123,12 @@ def summary_table(summary: Summary) -> Table:
     table.add_column(style="dim", justify="right")
     table.add_column(overflow="fold")
     kind, reason = summary.ending.kind, summary.ending.reason
-    table.add_row("ended", reason if kind == "flown" else f"{kind}: {reason}")
+    table.add_row("ended", _told(reason if kind == "flown" else f"{kind}: {reason}"))
     table.add_row("flown", f"{summary.seconds:.1f} s, {summary.steps} commands, {summary.late} late")
     for who, (median, p95) in (("policy", summary.policy_ms), ("reasoner", summary.reasoner_ms)):
         if not math.isnan(median):
             table.add_row(who, f"{median:.0f} ms (median), {p95:.0f} ms (95 %)")
-    table.add_row("log", str(summary.out))
+    table.add_row("log", _told(str(summary.out)))
     return table
 
 
@@ -148,6 +149,11 @@ def _velocity(vector: FloatArray) -> str:
     """Of (3,) in the heading frame, m/s."""
     x, y, z = vector
     return f"forward {x:+.2f}, left {y:+.2f}, up {z:+.2f}"
+
+
+def _told(text: str) -> Text:
+    """What people, models and vehicles say, shown as it is: no markup, no control characters."""
+    return Text(visible(text))
 
 
 def _age(seconds: float, good: float) -> Text:

@@ -8,7 +8,6 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from cognitivedrone import plugins
@@ -17,6 +16,7 @@ from cognitivedrone.collect.executors import EXECUTORS, Executor, Job, import_ra
 from cognitivedrone.collect.recipe import find_recipe
 from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.errors import DataError, did_you_mean
+from cognitivedrone.terminal import console
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ def _bar(visible: bool) -> Progress:
         TextColumn("{task.fields[speed]}"),
         TextColumn("time left"),
         TimeRemainingColumn(),
-        console=Console(stderr=True),
+        console=console(stderr=True),
         disable=not visible,
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -18,7 +19,13 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.data.episode import Conditions, Encoding, Episode, Split
 from cognitivedrone.errors import DataError, TaskError
+from cognitivedrone.files import check_regular, read_regular, reason_of
 from cognitivedrone.tasks import task_from_json, task_to_json
+
+MAX_SIDE = 2048
+"""Pixels a side of a frame that is imported; ours have 256."""
+MAX_FRAME_BYTES = 32 * 2**20
+MAX_JSON_BYTES = 256 * 2**20
 
 STEP_ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "action": (np.float32, (4,)),
@@ -47,7 +54,9 @@ def new_folder(out: Path) -> Iterator[Path]:
         partial.rename(out)
     except OSError as error:
         place = error.filename or out
-        raise DataError(f"{place}: cannot be written ({error.strerror}); nothing was left at {out}") from error
+        raise DataError(f"{place}: cannot be written ({reason_of(error)}); nothing was left at {out}") from error
+    except (UnicodeEncodeError, UnicodeDecodeError) as error:
+        raise DataError(f"{out}: cannot be written, a text of the data has no UTF-8 ({error.reason})") from None
     finally:
         shutil.rmtree(partial, ignore_errors=True)
 
@@ -103,7 +112,7 @@ def episode_from(
         )
     except TaskError as error:
         raise DataError(str(error)) from None
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise DataError(f"{where}: not an episode of this format ({type(error).__name__}: {error})") from None
     if facts.get("split") not in ("train", "val"):
         raise DataError(f"{where}: split is {facts.get('split')!r}; it must be train or val")
@@ -119,26 +128,60 @@ def encoding_of(images: tuple[bytes, ...], where: str) -> Encoding:
         first = _magic(images[0])
         number = next(i for i, image in enumerate(images) if first is None or _magic(image) != first)
         raise DataError(f"{where}: frame {number} is broken or encoded unlike the first; export the episode again")
+    for number, image in enumerate(images):
+        check_size(image, f"{where}, frame {number}")
     return cast(Encoding, found.pop())
 
 
 def check_image(data: bytes, where: str) -> None:
-    """Raises `DataError` where a frame cannot be decoded in full."""
+    """Raises `DataError` where a frame is larger than any drone's, by its header, or cannot be decoded in full."""
     try:
-        with PillowImage.open(BytesIO(data)) as picture:
+        with _opened(data, where) as picture:
             picture.load()
     except (OSError, SyntaxError, ValueError) as error:
         raise DataError(f"{where}: not a whole image ({error})") from None
 
 
-def read_json(path: Path) -> Any:
-    """The content of a JSON file; `DataError` where it is missing or malformed."""
+def check_size(data: bytes, where: str) -> None:
+    """Raises `DataError` where a frame is no image, or a larger one than any drone's; only its header is read."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        _opened(data, where).close()
+    except (OSError, SyntaxError, ValueError) as error:
+        raise DataError(f"{where}: not an image ({error})") from None
+
+
+def _opened(data: bytes, where: str) -> PillowImage.Image:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PillowImage.DecompressionBombWarning)  # the limit below is stricter
+        try:
+            picture = PillowImage.open(BytesIO(data), formats=("JPEG", "PNG", "WEBP"))
+        except PillowImage.DecompressionBombError as error:
+            raise DataError(f"{where}: {error}; a frame has at most {MAX_SIDE} pixels a side") from None
+    if max(picture.size) > MAX_SIDE:
+        raise DataError(
+            f"{where}: has {picture.width} x {picture.height} pixels; a frame has at most {MAX_SIDE} a side"
+        )
+    return picture
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file; `DataError` where it is missing, no ordinary file, too large or malformed."""
+    try:
+        return json.loads(read_regular(path, MAX_JSON_BYTES).decode("utf-8"))
     except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror}); is this the folder of a whole data set?") from None
-    except ValueError as error:
+        raise DataError(
+            f"{path}: cannot be read ({reason_of(error)}); is this the folder of a whole data set?"
+        ) from None
+    except (ValueError, RecursionError) as error:
         raise DataError(f"{path}: not JSON ({str(error)[:80]})") from None
+
+
+def check_file(path: Path) -> None:
+    """Raises `DataError` unless `path` is an ordinary file: what is handed to a library must not be waited for."""
+    try:
+        check_regular(path)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({reason_of(error)}); copy or export the data set again") from None
 
 
 def write_json(path: Path, content: Any) -> None:

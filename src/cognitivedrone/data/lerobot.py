@@ -25,7 +25,15 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from cognitivedrone.data.episode import Episode, Split, encode_image
-from cognitivedrone.data.exchange import episode_from, new_folder, plain_facts, read_json, record_of, write_json
+from cognitivedrone.data.exchange import (
+    check_file,
+    episode_from,
+    new_folder,
+    plain_facts,
+    read_json,
+    record_of,
+    write_json,
+)
 from cognitivedrone.data.lerobot_stats import Statistics
 from cognitivedrone.data.lerobot_video import PIXELS, VideoWriter, read_frames
 from cognitivedrone.data.shards import ShardFile, write_shard_file
@@ -296,36 +304,65 @@ def read(path: Path) -> Iterator[tuple[Split, Episode]]:
     """
     info_path = path / "meta/info.json"
     info = read_json(info_path)
+    if not isinstance(info, dict):
+        raise DataError(f"{info_path}: is not the description of a data set")
     version = str(info.get("codebase_version"))
     if not version.startswith("v3."):
         raise DataError(f"{info_path}: layout {version} cannot be read, only v3; convert it with LeRobot's own tools")
-    features = info.get("features", {})
-    is_video = features.get(IMAGE_KEY, {}).get("dtype") == "video"
+    features = info.get("features")
+    image = features.get(IMAGE_KEY) if isinstance(features, dict) else None
+    is_video = isinstance(image, dict) and image.get("dtype") == "video"
     rows = _read_table(path / EPISODES_PATH).to_pylist()
     if rows and "record" not in rows[0]:
         raise DataError(f"{path / EPISODES_PATH}: has no column 'record'; only own exports can be imported")
     opened: Path | None = None
     for row in rows:
-        place = {name: row[f"data/{name}"] for name in ("chunk_index", "file_index")}
+        place = _place_of(row, path / EPISODES_PATH)
         data_path = path / DATA_PATH.format(**place)
         video_path = path / VIDEO_PATH.format(video_key=IMAGE_KEY, **place)
         if data_path != opened:
             table, opened = _read_table(data_path), data_path
             frames = read_frames(video_path) if is_video else None
-        steps = table.filter(pc.equal(table["episode_index"], row["episode_index"])).sort_by("frame_index")
-        where = f"{data_path}, episode {row['episode_index']}"
-        if len(steps) != row["length"]:
-            raise DataError(f"{where}: holds {len(steps)} of {row['length']} steps; copy or export it again")
+        try:
+            number, length, record = row["episode_index"], row["length"], json.loads(row["record"])
+            steps = table.filter(pc.equal(table["episode_index"], number)).sort_by("frame_index")
+            arrays = _step_arrays(steps)
+        except (KeyError, TypeError, ValueError, AttributeError, pa.ArrowException) as error:
+            raise DataError(
+                f"{data_path}: not an export of this package ({str(error)[:80]}); export it again"
+            ) from None
+        where = f"{data_path}, episode {number}"
+        if len(steps) != length:
+            raise DataError(f"{where}: holds {len(steps)} of {length} steps; copy or export it again")
         if frames is None:
-            images = tuple(entry["bytes"] for entry in steps[IMAGE_KEY].to_pylist())
+            images = _images(steps, where)
         else:
             images = tuple(encode_image(frame, "jpeg") for frame in islice(frames, len(steps)))
             if len(images) != len(steps):
-                raise DataError(f"{video_path}: ends within episode {row['episode_index']}; copy or export it again")
-        yield episode_from(json.loads(row["record"]), images, _step_arrays(steps), where)
+                raise DataError(f"{video_path}: ends within episode {number}; copy or export it again")
+        yield episode_from(record, images, arrays, where)
+
+
+def _images(steps: pa.Table, where: str) -> tuple[bytes, ...]:
+    """The encoded frames of an episode; raises `DataError` where they do not lie in the file."""
+    column = steps[IMAGE_KEY].to_pylist() if IMAGE_KEY in steps.column_names else [None] * len(steps)
+    images = [entry.get("bytes") if isinstance(entry, dict) else None for entry in column]
+    if not all(isinstance(image, bytes) for image in images):
+        raise DataError(f"{where}: lacks the bytes of its frames; export it again")
+    return tuple(cast("list[bytes]", images))
+
+
+def _place_of(row: dict[str, Any], where: Path) -> dict[str, int]:
+    """In which file an episode lies; raises `DataError`. The numbers become parts of paths."""
+    place = {name: row.get(f"data/{name}") for name in ("chunk_index", "file_index")}
+    for name, number in place.items():
+        if not isinstance(number, int) or number < 0:
+            raise DataError(f"{where}: data/{name} is {str(number)[:40]!r}; it must be a number from 0")
+    return cast("dict[str, int]", place)
 
 
 def _read_table(path: Path) -> pa.Table:
+    check_file(path)
     try:
         return pq.read_table(path)
     except (OSError, pa.ArrowException) as error:

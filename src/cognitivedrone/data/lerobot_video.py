@@ -10,6 +10,7 @@ import av
 import numpy as np
 
 from cognitivedrone.data.episode import decode_image
+from cognitivedrone.data.exchange import MAX_SIDE, check_file
 from cognitivedrone.errors import DataError
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Image
 
@@ -50,9 +51,15 @@ class VideoWriter:
 
 def read_frames(path: Path) -> Iterator[Image]:
     """The frames of a file in order, (256, 256, 3) RGB; `DataError` where it cannot be decoded."""
+    check_file(path)
     try:
         with av.open(str(path)) as container:
+            size = container.streams.video[0].codec_context
+            if max(size.width, size.height) > MAX_SIDE:
+                raise DataError(
+                    f"{path}: has {size.width} x {size.height} pixels; a frame has at most {MAX_SIDE} a side"
+                )
             for frame in container.decode(video=0):
                 yield frame.to_ndarray(format="rgb24")
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, IndexError) as error:
         raise DataError(f"{path}: not a whole video ({error}); copy or export it again") from None

@@ -40,7 +40,7 @@ from cognitivedrone.data.bags import (
     Ros,
 )
 from cognitivedrone.data.episode import Episode, Split
-from cognitivedrone.data.exchange import episode_from, new_folder, record_of
+from cognitivedrone.data.exchange import check_file, episode_from, new_folder, record_of
 from cognitivedrone.errors import DataError
 from cognitivedrone.types import CONTROL_HZ, FloatArray
 
@@ -80,6 +80,8 @@ def read(path: Path) -> Iterator[tuple[Split, Episode]]:
 
 def _read_one(ros: Ros, folder: Path) -> tuple[Split, Episode]:
     """The episode of one bag."""
+    for part in sorted(folder.iterdir()):
+        check_file(part)
     try:
         found = {topic: [message for _, message in messages] for topic, messages in ros.read(folder).items()}
         record = json.loads(found[EPISODE][0].data)

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Iterator, Mapping
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,8 @@ from numpy.typing import NDArray
 
 from cognitivedrone.data.episode import Conditions, Episode, Split, decode_image, encode_image
 from cognitivedrone.data.exchange import (
+    MAX_FRAME_BYTES,
+    MAX_JSON_BYTES,
     STEP_ARRAYS,
     check_image,
     encoding_of,
@@ -37,6 +40,7 @@ from cognitivedrone.data.exchange import (
     write_json,
 )
 from cognitivedrone.errors import DataError, TaskError
+from cognitivedrone.files import read_regular, reason_of, safe_name
 from cognitivedrone.frames import world_to_heading, wrap_angle, yaw_of
 from cognitivedrone.tasks import task_from_json, task_to_json
 from cognitivedrone.tasks.format import PUBLISHED_TYPES
@@ -63,7 +67,7 @@ def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
     with new_folder(out) as partial:
         for split, episode in episodes:
             family = episode.task.family
-            folder = partial / _TYPES.get(family, family.title()) / f"{episode.index:08d}"
+            folder = partial / safe_name(_TYPES.get(family, family.title())) / f"{episode.index:08d}"
             (folder / "images").mkdir(parents=True)
             _write_flight(folder, split, episode)
             count += 1
@@ -136,9 +140,12 @@ def _frame_path(folder: Path, number: int) -> Path:
 def _read_rows(path: Path) -> NDArray[np.float64]:
     """(T, 12) the table; frames must count 1, 2, 3, ... without a gap."""
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            header, *lines = [[cell.strip() for cell in line] for line in csv.reader(file) if line] or [[]]
-    except (OSError, ValueError, csv.Error) as error:
+        text = read_regular(path, MAX_JSON_BYTES).decode("utf-8-sig")
+        rows_of_text = csv.reader(StringIO(text, newline=""))
+        header, *lines = [[cell.strip() for cell in line] for line in rows_of_text if line] or [[]]
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({reason_of(error)})") from None
+    except (ValueError, csv.Error) as error:
         raise DataError(f"{path}: cannot be read ({error})") from None
     missing = [name for name in COLUMNS if name not in header]
     if missing:
@@ -165,9 +172,10 @@ def _read_rows(path: Path) -> NDArray[np.float64]:
 def _read_frame(folder: Path, number: int) -> bytes:
     path = _frame_path(folder, number)
     try:
-        data = path.read_bytes()
+        data = read_regular(path, MAX_FRAME_BYTES)
     except OSError as error:
-        raise DataError(f"{path}: the frame of row {number} of data.csv cannot be read ({error.strerror})") from None
+        reason = reason_of(error)
+        raise DataError(f"{path}: the frame of row {number} of data.csv cannot be read ({reason})") from None
     check_image(data, str(path))
     return data
 

@@ -19,7 +19,15 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from cognitivedrone.data.episode import Episode, Split, decode_image, encode_image
-from cognitivedrone.data.exchange import episode_from, new_folder, plain_facts, read_json, record_of, write_json
+from cognitivedrone.data.exchange import (
+    check_file,
+    episode_from,
+    new_folder,
+    plain_facts,
+    read_json,
+    record_of,
+    write_json,
+)
 from cognitivedrone.data.tfrecord import (
     FRAME_BYTES,
     HEAD_BYTES,
@@ -103,16 +111,28 @@ def records(path: Path) -> Iterator[Record]:
     if not isinstance(info, dict) or info.get("name") != NAME:
         name = info.get("name") if isinstance(info, dict) else None
         raise DataError(f"{folder}: is data set {name!r}; only own exports, named {NAME!r}, can be read")
-    for split in info["splits"]:
-        lengths = [int(length) for length in split["shardLengths"]]
+    for name, lengths in _splits(info, folder / INFO):
         for number, length in enumerate(lengths):
-            shard = folder / _shard_name(split["name"], number, len(lengths))
+            shard = folder / _shard_name(name, number, len(lengths))
+            check_file(shard)
             count, at = 0, HEAD_BYTES
             for count, payload in enumerate(read_records(shard), 1):
                 yield Record(shard, at, payload, *_episode_of(payload, f"{shard}, record {count - 1}"))
                 at += len(payload) + FRAME_BYTES
             if count != length:
                 raise DataError(f"{shard}: holds {count} of {length} episodes; copy or export it again")
+
+
+def _splits(info: dict[str, Any], where: Path) -> list[tuple[Split, list[int]]]:
+    """Name and episodes of every shard of each split; raises `DataError`. The names become parts of paths."""
+    try:
+        found = [(split["name"], [int(length) for length in split["shardLengths"]]) for split in info["splits"]]
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(f"{where}: does not list its splits ({type(error).__name__}: {error}); export again") from None
+    for name, _ in found:
+        if name not in ("train", "val"):
+            raise DataError(f"{where}: has a split {str(name)[:40]!r}; only train and val can be imported")
+    return found
 
 
 def _inner(path: Path) -> Path:
@@ -210,7 +230,7 @@ def _episode_of(payload: bytes, where: str) -> tuple[Split, Episode]:
             "yaw_rate": state[:, 4],
         }
         facts = json.loads(record)
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, TypeError, AttributeError, IndexError, RecursionError) as error:
         raise DataError(f"{where}: not an episode that this package exported ({error})") from None
     return episode_from(facts, images, arrays, where)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +13,7 @@ from PIL import ImageDraw
 from cognitivedrone.envs.captions import font, readable, wrap
 from cognitivedrone.envs.course import LOOKS, Course, CourseConfig, episode_rng
 from cognitivedrone.errors import RunError, did_you_mean
+from cognitivedrone.files import replace_file, writing
 from cognitivedrone.frames import FloatArray
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.simulator import Simulator
@@ -37,7 +39,8 @@ def snapshot(suite: Suite, episode: int, out: Path, *, look: str, labels: str, s
         raise RunError(f"unknown look {look!r}; {did_you_mean(look, LOOKS)}")
     if not out.parent.is_dir():
         raise RunError(f"cannot write {out}: there is no folder {out.parent}")
-    if out.suffix.lower() not in PillowImage.registered_extensions():
+    form = PillowImage.registered_extensions().get(out.suffix.lower())
+    if form not in PillowImage.SAVE:
         raise RunError(f"cannot write {out}: {out.suffix or 'no suffix'} is no kind of picture; end its name in .png")
     simulator = Simulator(1)
     try:
@@ -49,10 +52,10 @@ def snapshot(suite: Suite, episode: int, out: Path, *, look: str, labels: str, s
         picture = draw(simulator, course, where)
     finally:
         simulator.close()
-    try:
-        PillowImage.fromarray(picture).save(out)
-    except OSError as error:
-        raise RunError(f"cannot write {out}: {error.strerror or error}") from None
+    coded = BytesIO()
+    PillowImage.fromarray(picture).save(coded, format=form)
+    with writing(out, RunError):
+        replace_file(out, coded.getvalue())
     return course.task
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from cognitivedrone import types
 from cognitivedrone.errors import LabelError, did_you_mean
+from cognitivedrone.files import check_regular, reason_of
 from cognitivedrone.labels.images import SUFFIXES, draw_several, frozen_array, read_image
 from cognitivedrone.labels.reference import Reference, parse_reference
 
@@ -69,7 +70,9 @@ class FolderPack:
         digest = hashlib.sha256(self._fallback.digest.encode())
         paths = (path for concepts in self._files.values() for files in concepts.values() for path in files.values())
         for path in sorted(paths):
-            digest.update(f"{path.relative_to(self._folder).as_posix()}\0{path.stat().st_size}\0".encode())
+            digest.update(
+                f"{path.relative_to(self._folder).as_posix()}\0{path.stat().st_size}\0".encode(errors="surrogateescape")
+            )
             digest.update(path.read_bytes())
         return digest.hexdigest()
 
@@ -101,17 +104,32 @@ class FolderPack:
         return path
 
 
+def _check_image_file(path: Path) -> None:
+    """Raise `LabelError` for what is named like an image and is none: nothing of it is opened."""
+    try:
+        check_regular(path)
+    except OSError as error:
+        link = "it is a link to nothing" if path.is_symlink() and not path.exists() else reason_of(error)
+        raise LabelError(f"label image {path} cannot be read: {link}; take it out of the folder") from None
+
+
 def _scan(folder: Path) -> dict[str, dict[str, dict[str, Path]]]:
-    """Kind to concept (casefolded) to style ("" for none) to file. Links that lead out of the folder are left out."""
+    """Kind to concept (casefolded) to style ("" for none) to file. Links that lead out of the folder are left out.
+
+    Raises `LabelError` for a pipe, device, socket, folder or dangling link that is named like an image.
+    """
     root = folder.resolve()
     found: dict[str, dict[str, dict[str, Path]]] = {}
     count = 0
     for parent, folders, names in os.walk(folder):
         folders.sort()
-        for name in sorted(names):
+        for name in sorted([*names, *folders]):
             path = Path(parent) / name
+            if path.suffix.lower() not in SUFFIXES:
+                continue
             kind, _, rest = path.relative_to(folder).as_posix().partition("/")
-            if not rest or path.suffix.lower() not in SUFFIXES or not path.resolve().is_relative_to(root):
+            _check_image_file(path)
+            if not rest or not path.resolve().is_relative_to(root):
                 continue
             count += 1
             if count > MAX_FILES:

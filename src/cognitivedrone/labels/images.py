@@ -7,6 +7,7 @@ import math
 import re
 import warnings
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from cognitivedrone import types
 from cognitivedrone.errors import LabelError
+from cognitivedrone.files import read_regular, reason_of
 
 SIDE = 256
 """The longer side of what packs return is at most this, px."""
@@ -38,13 +40,14 @@ def read_image(path: Path) -> Image.Image:
 
     Raises `LabelError` naming the file where it is too large or no such image.
     """
-    size = path.stat().st_size
-    if size > MAX_FILE_BYTES:
-        raise LabelError(f"label image {path} has {size / 1e6:.0f} MB; at most {MAX_FILE_BYTES / 1e6:.0f} MB are read")
+    try:
+        content = read_regular(path, MAX_FILE_BYTES)
+    except OSError as error:
+        raise LabelError(f"label image {path} cannot be read: {reason_of(error)}") from None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit below is stricter
-            opened = Image.open(path, formats=("PNG", "JPEG", "WEBP"))
+            opened = Image.open(BytesIO(content), formats=("PNG", "JPEG", "WEBP"))
         with opened:
             if opened.width * opened.height > MAX_PIXELS:
                 raise LabelError(

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import importlib
 import json
+import multiprocessing
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from cognitivedrone.errors import MissingExtra, PolicyError
+from cognitivedrone.files import read_regular, reason_of
+from cognitivedrone.models.checksum import BLANK, check, seal
 from cognitivedrone.models.text import Vocabulary
 
 KEY = "cognitivedrone"
 """Of the metadata."""
-FORMAT = 1
+FORMAT = 2
+"""Of the description. Format 1 is the same without a checksum, and is read as well."""
 LARGEST_BYTES = 256 * 2**20
 """A file that is larger is refused before it is read."""
 
@@ -40,7 +45,7 @@ class Provenance:
 
 
 def write_table(path: str | Path, kind: str, table: Mapping[str, Any]) -> None:
-    """Write a description into an ONNX file, in place of any it has.
+    """Write a description and a checksum into an ONNX file, in place of any it has.
 
     Raises `MissingExtra` where the `onnx` package is not installed.
     """
@@ -50,49 +55,45 @@ def write_table(path: str | Path, kind: str, table: Mapping[str, Any]) -> None:
         raise MissingExtra("onnx", "train") from None
     model = onnx.load(str(path))
     others = {entry.key: entry.value for entry in model.metadata_props if entry.key != KEY}
-    text = json.dumps({"format": FORMAT, "kind": kind, **table}, ensure_ascii=False)
+    text = json.dumps({"format": FORMAT, "checksum": BLANK, "kind": kind, **table}, ensure_ascii=False)
     onnx.helper.set_model_props(model, {**others, KEY: text})
     whole = Path(f"{path}.part")
     onnx.save(model, str(whole))
+    seal(whole)
     whole.replace(path)
 
 
-def read_table(session: Any, kind: str, where: str) -> dict[str, Any]:
-    """The description in an open file, of this format and kind; raises `PolicyError` for any other."""
-    text = session.get_modelmeta().custom_metadata_map.get(KEY)
-    if text is None:
-        raise PolicyError(
-            f"{where} does not describe itself: it lacks the metadata {KEY!r} that `cognitivedrone train` writes"
-        )
-    return table_of(text, kind, where)
+def open_model(path: Path, kind: str, *, threads: int, optimise: bool) -> tuple[Any, dict[str, Any]]:
+    """An inference session of a model file of this kind, run on the CPU, and its description.
 
-
-def table_of(text: str, kind: str, where: str) -> dict[str, Any]:
-    """The description in a text; raises `PolicyError`."""
-    try:
-        table = json.loads(text)
-    except ValueError as error:
-        raise PolicyError(f"the description in {where} is not JSON: {error}") from None
-    version = table.get("format") if isinstance(table, dict) else None
-    if version != FORMAT:
-        raise PolicyError(
-            f"{where} is a model file of format {version!r} and this version reads format {FORMAT};"
-            " take a file and a release of cognitivedrone that belong together"
-        )
-    if table.get("kind") != kind:
-        raise PolicyError(f"{where} is a model of kind {table.get('kind')!r}, not {kind!r}")
-    found: dict[str, Any] = table
-    return found
-
-
-def open_session(path: Path, *, threads: int, optimise: bool) -> Any:
-    """An inference session of a file, run on the CPU; raises `PolicyError` where it cannot be loaded."""
+    Raises `PolicyError` where it cannot be loaded, does not match its checksum, or is of another kind or format; warns
+    where it has no checksum.
+    """
     if not path.is_file():
         raise PolicyError(f"there is no model file {path}")
     if path.stat().st_size > LARGEST_BYTES:
         raise PolicyError(
             f"{path} has {path.stat().st_size / 2**20:.0f} MB; a small model has at most {LARGEST_BYTES / 2**20:.0f} MB"
         )
+    try:
+        content = read_regular(path, LARGEST_BYTES)
+    except OSError as error:
+        raise PolicyError(f"{path} cannot be read: {reason_of(error)}") from None
+    if (finding := check(content)) == "damaged":
+        raise PolicyError(f"{path} does not match its checksum, so it is damaged; fetch or train it anew")
+    # The bytes that were checked, not what the file holds by now.
+    session = _open_session(content, path, threads=threads, optimise=optimise)
+    table = _read_table(session, kind, str(path))
+    if finding == "unknown" and table["format"] == FORMAT:
+        raise PolicyError(f"{path} has lost its checksum, so it is damaged; fetch or train it anew")
+    if finding == "unknown" and multiprocessing.parent_process() is None:  # once, not in every worker
+        warnings.warn(
+            f"{path} was written before model files had checksums: damage to it would not be noticed", stacklevel=4
+        )
+    return session, table
+
+
+def _open_session(content: bytes, path: Path, *, threads: int, optimise: bool) -> Any:
     ort: Any = importlib.import_module("onnxruntime")
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
@@ -106,12 +107,35 @@ def open_session(path: Path, *, threads: int, optimise: bool) -> Any:
     # The arena grows by what is asked for instead of doubling.
     provider = ("CPUExecutionProvider", {"arena_extend_strategy": "kSameAsRequested"})
     try:
-        return ort.InferenceSession(str(path), options, providers=[provider])
+        return ort.InferenceSession(content, options, providers=[provider])
     except Exception as error:  # its errors have no public common type
-        reason = str(error).splitlines()[0]
-        if type(error).__name__ == "InvalidProtobuf" or "No graph was found" in reason:
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+        if type(error).__name__ == "InvalidProtobuf" or "No graph was found" in reason or not content:
             raise PolicyError(f"{path} is not an ONNX file, or it was cut short; fetch or train it anew") from None
         raise PolicyError(f"ONNX Runtime {ort.__version__} cannot load {path}: {reason}") from None
+
+
+def _read_table(session: Any, kind: str, where: str) -> dict[str, Any]:
+    """The description in an open file, of a format read here and of this kind; raises `PolicyError` for any other."""
+    try:
+        text = session.get_modelmeta().custom_metadata_map.get(KEY)
+        table = None if text is None else json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise PolicyError(f"the description in {where} is not JSON: {error}") from None
+    if text is None:
+        raise PolicyError(
+            f"{where} does not describe itself: it lacks the metadata {KEY!r} that `cognitivedrone train` writes"
+        )
+    version = table.get("format") if isinstance(table, dict) else None
+    if version not in (1, FORMAT):
+        raise PolicyError(
+            f"{where} is a model file of format {version!r} and this version reads formats 1 and {FORMAT};"
+            " take a file and a release of cognitivedrone that belong together"
+        )
+    found = cast(dict[str, Any], table)
+    if found.get("kind") != kind:
+        raise PolicyError(f"{where} is a model of kind {found.get('kind')!r}, not {kind!r}")
+    return found
 
 
 def check_graph(session: Any, inputs: Tensors, outputs: Tensors, where: str) -> None:

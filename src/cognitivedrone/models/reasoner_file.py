@@ -25,9 +25,8 @@ from cognitivedrone.models.onnx_file import (
     check_graph,
     count_of,
     field_of,
-    open_session,
+    open_model,
     provenance_of,
-    read_table,
     vocabulary_of,
 )
 from cognitivedrone.models.text import Vocabulary
@@ -83,8 +82,7 @@ class EyesModel:
     @classmethod
     def load(cls, path: Path, *, threads: int = 1) -> EyesModel:
         """Load a file; raises `PolicyError` where it is missing, broken or of another kind."""
-        session = open_session(path, threads=threads, optimise=True)
-        table = read_table(session, EYES, str(path))
+        session, table = open_model(path, EYES, threads=threads, optimise=True)
         facets = _facets(table, str(path))
         outputs = {
             "facets": ("tensor(float)", (4, len(facets.names))),
@@ -116,9 +114,8 @@ class MindModel:
     @classmethod
     def load(cls, path: Path, *, threads: int = 1) -> MindModel:
         """Load a file; raises `PolicyError` where it is missing, broken or of another kind."""
-        session = open_session(path, threads=threads, optimise=True)
+        session, table = open_model(path, MIND, threads=threads, optimise=True)
         where = str(path)
-        table = read_table(session, MIND, where)
         facets, length = _facets(table, where), count_of(table, "text_length", where)
         count = len(facets.names)
         inputs = {

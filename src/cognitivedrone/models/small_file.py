@@ -28,9 +28,8 @@ from cognitivedrone.models.onnx_file import (
     check_graph,
     count_of,
     field_of,
-    open_session,
+    open_model,
     provenance_of,
-    read_table,
     vocabulary_of,
     write_table,
 )
@@ -117,7 +116,7 @@ class Output:
 
 
 def describe(path: str | Path, description: Description) -> None:
-    """Write the description into an ONNX file, in place of any it has.
+    """Write the description and a checksum into an ONNX file, in place of any it has.
 
     Raises `MissingExtra` where the `onnx` package is not installed.
     """
@@ -126,8 +125,8 @@ def describe(path: str | Path, description: Description) -> None:
 
 def read_description(path: str | Path) -> Description:
     """What the model in the file says of itself; raises `PolicyError` as `SmallModel.load` does."""
-    session = open_session(Path(path), threads=1, optimise=False)
-    return Description.of(read_table(session, KIND, str(path)), str(path))
+    _, table = open_model(Path(path), KIND, threads=1, optimise=False)
+    return Description.of(table, str(path))
 
 
 class SmallModel:
@@ -142,10 +141,10 @@ class SmallModel:
     def load(cls, path: str | Path, *, threads: int = 1) -> SmallModel:
         """Load a model file, to be run on `threads` cores.
 
-        Raises `PolicyError` where the file is missing, too large, cut short, or does not keep to the contract.
+        Raises `PolicyError` where the file is missing, too large, damaged, cut short, or does not keep to the contract.
         """
-        session = open_session(Path(path), threads=threads, optimise=True)
-        description = Description.of(read_table(session, KIND, str(path)), str(path))
+        session, table = open_model(Path(path), KIND, threads=threads, optimise=True)
+        description = Description.of(table, str(path))
         _check_graph(session, description, str(path))
         return cls(session, description)
 

@@ -26,6 +26,7 @@ from cognitivedrone.errors import RenderError
 BACKENDS: Final = ("egl", "osmesa")
 _REMEMBERED: Final = "COGNITIVEDRONE_GL"
 _INSTALL: Final = "apt-get install -y libegl1 libgl1-mesa-dri libopengl0"
+_INSTALLS: Final = {"egl": _INSTALL, "osmesa": "apt-get install -y libosmesa6"}
 _EGL_PLATFORM_SURFACELESS_MESA: Final = 0x31DD  # EGL_MESA_platform_surfaceless
 _PROBE: Final = """
 import sys
@@ -64,7 +65,7 @@ def backend() -> Backend:
     if wanted and wanted not in BACKENDS:
         raise RenderError(f"MUJOCO_GL={wanted} cannot render without a screen; unset it, or set it to egl or osmesa.")
     if _chosen is None or (wanted and wanted != _chosen.name):
-        _chosen = _remembered(wanted) or _find((wanted,) if wanted else BACKENDS)
+        _chosen = _remembered(wanted) or _find(wanted)
         os.environ[_REMEMBERED] = f"{_chosen.name}:{_chosen.renderer}"
     return _chosen
 
@@ -188,12 +189,17 @@ def _remembered(wanted: str) -> Backend | None:
     return Backend(name, renderer) if name in BACKENDS and wanted in ("", name) else None
 
 
-def _find(names: tuple[str, ...]) -> Backend:
-    """The first backend of `names` that works in a child process."""
+def _find(wanted: str) -> Backend:
+    """The first backend that works in a child process; only the wanted one, where one is."""
+    names = (wanted,) if wanted else BACKENDS
     for name in names:
         renderer = _probe(name)
         if renderer is not None:
             return Backend(name, renderer)
+    if wanted:
+        raise RenderError(
+            f"MUJOCO_GL={wanted} does not start on this machine; unset it, or install it: {_INSTALLS[wanted]}"
+        )
     raise RenderError(f"no OpenGL to render with: tried {' and '.join(names)}. To install it: {_INSTALL}")
 
 

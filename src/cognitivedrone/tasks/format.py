@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from cognitivedrone.errors import TaskError
+from cognitivedrone.files import read_regular, reason_of
+from cognitivedrone.printable import unprintable
 from cognitivedrone.tasks.families import FAMILIES
 from cognitivedrone.tasks.validate import check_text, validate_task
 from cognitivedrone.types import ALL_CATEGORIES, Category, Gate, Task
@@ -33,9 +35,12 @@ PUBLISHED_TYPES: dict[str, tuple[Category, str]] = {
 }
 """Category and family of published files, by the file's stem."""
 
-_BOARD = re.compile(r"sum/(\d+)([-+*])(\d+)@")
+_SUM = re.compile(r"([0-9]+)([-+*])([0-9]+)")
+_BOARD = re.compile(rf"sum/{_SUM.pattern}@")
 _SUM_IN_PROMPT = re.compile(r"\d\s*[-+*]\s*\d")
 _KEYS = ("prompt", "prompt_simpler", "options", "correct", "gates", "background")
+_OPTIONAL = ("task", "id", "category", "family", "labels", "board", "only")
+_PLAIN = {re.sub("[^a-z]", "", key): key for key in (*_KEYS, *_OPTIONAL)}
 
 
 def task_to_json(task: Task) -> dict[str, Any]:
@@ -73,6 +78,7 @@ def task_from_json(obj: object, *, where: str, kind: str | None = None, default_
     for key in _KEYS:
         if key not in obj:
             raise TaskError(f"{where}: key {key!r} is missing; a task has {', '.join(_KEYS)}")
+    _check_keys(obj, where)
     correct = obj["correct"]
     if type(correct) is not int or not 1 <= correct <= 3:
         raise TaskError(f"{where}: correct is {correct!r}; it must be 1, 2 or 3, the number of the right gate")
@@ -99,6 +105,16 @@ def task_from_json(obj: object, *, where: str, kind: str | None = None, default_
     )
     validate_task(task, where)
     return task
+
+
+def _check_keys(obj: Mapping[str, Any], where: str) -> None:
+    """Raise `TaskError` for a key that is meant to be one of ours and is not; other keys are left alone."""
+    for key in obj:
+        known = _PLAIN.get(re.sub("[^a-z]", "", key.casefold()))
+        if known is not None and key != known:
+            raise TaskError(f"{where}: unknown key {key[:40]!r}; did you mean {known!r}?")
+        if problem := unprintable(key):
+            raise TaskError(f"{where}: the key {key[:40]!r} holds {problem}; take it out")
 
 
 def _three(value: object, what: str, where: str) -> tuple[str, str, str]:
@@ -143,16 +159,19 @@ def _board(obj: Mapping[str, Any], where: str) -> str | None:
     board: object = obj.get("board")
     if board is not None:
         check_text(board, "board", where)
-        return cast(str, board)
     operation = obj.get("task")
     if operation is None:
-        return None
+        return cast("str | None", board)
     if not isinstance(operation, dict) or not all(key in operation for key in ("d1", "operator", "d2")):
         raise TaskError(f"{where}: task must have d1, operator and d2, the sum on the board")
-    board = f"sum/{operation['d1']}{operation['operator']}{operation['d2']}@inter"
-    if not _BOARD.match(board):
-        raise TaskError(f"{where}: the sum on the board reads {board[4:-6][:40]!r}; use two numbers and +, - or *")
-    return board
+    sum_ = f"{operation['d1']}{operation['operator']}{operation['d2']}"
+    if not _SUM.fullmatch(sum_):
+        raise TaskError(f"{where}: the sum on the board reads {sum_[:40]!r}; use two numbers and +, - or *")
+    if board is None:
+        return f"sum/{sum_}@inter"
+    if not cast(str, board).startswith(f"sum/{sum_}@"):
+        raise TaskError(f"{where}: task asks {sum_[:40]}, but board shows {board!r}; correct one of them")
+    return cast(str, board)
 
 
 def _category_and_family(obj: Mapping[str, Any], kind: str | None, where: str) -> tuple[Category, str]:
@@ -169,16 +188,27 @@ def _category_and_family(obj: Mapping[str, Any], kind: str | None, where: str) -
 
 
 def read_json(path: Path, max_bytes: int = MAX_FILE_BYTES) -> object:
-    """What a JSON file holds; `TaskError` where it cannot be read, is too large or is not JSON."""
+    """What a JSON file holds.
+
+    Raises `TaskError` where it cannot be read, is no ordinary file, is too large, is not JSON, or gives a key twice.
+    """
     try:
-        size = path.stat().st_size
-        if size > max_bytes:
-            raise TaskError(f"{path}: {size / 2**20:.0f} MB is too much for a task file; split it")
-        return json.loads(path.read_text(encoding="utf-8"))
+        content = read_regular(path, max_bytes)
+        return json.loads(content.decode("utf-8"), object_pairs_hook=_each_key_once)
     except OSError as error:
-        raise TaskError(f"{path}: cannot be read ({error.strerror}); give a task file or a folder of them") from None
+        raise TaskError(f"{path}: cannot be read ({reason_of(error)}); give a task file or a folder of them") from None
     except (ValueError, RecursionError) as error:
         raise TaskError(f"{path}: not JSON ({str(error)[:80]}); a task file is a list of tasks") from None
+
+
+def _each_key_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """The object of these keys and values: of two values for one key, nobody knows which is meant."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        seen: set[str] = set()
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        raise ValueError(f"the key {twice[:40]!r} stands twice in one object")
+    return found
 
 
 def read_tasks(path: Path) -> list[Task]:
@@ -191,6 +221,8 @@ def read_tasks(path: Path) -> list[Task]:
     if len(content) > MAX_TASKS:
         raise TaskError(f"{path}: {len(content)} tasks are too many for one file; split it at {MAX_TASKS}")
     kind = path.stem
+    if problem := unprintable(path.name):
+        raise TaskError(f"{path}: the file's name holds {problem}; give it another name")
     return [
         task_from_json(obj, where=f"{path}[{index}]", kind=kind, default_id=f"{kind}/{index:04d}")
         for index, obj in enumerate(content)

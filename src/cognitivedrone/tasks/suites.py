@@ -15,6 +15,7 @@ from typing import Any, overload
 import numpy as np
 
 from cognitivedrone.errors import TaskError, did_you_mean
+from cognitivedrone.printable import unprintable
 from cognitivedrone.tasks.directives import write_directive
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, generator
 from cognitivedrone.tasks.format import read_tasks, task_from_json, task_to_json
@@ -203,6 +204,8 @@ def suite_from_files(path: Path) -> Suite:
     Every task is a track of one. Raises `TaskError` naming file, index and fix.
     """
     path = Path(path)
+    if problem := unprintable(path.name):
+        raise TaskError(f"{path}: the name holds {problem}; give the file or folder another name")
     files = [path]
     if path.is_dir():
         files = sorted(path.glob("*.json")) or sorted(p for p in path.rglob("*.json") if p.stem == p.parent.name)

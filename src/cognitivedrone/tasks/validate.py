@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cognitivedrone.errors import TaskError, did_you_mean
+from cognitivedrone.printable import unprintable
 from cognitivedrone.tasks.directives import parse_directive
 from cognitivedrone.types import ALL_CATEGORIES, COLORS, SHAPES, SIZES, Gate, Task
 
@@ -17,13 +18,15 @@ def check_word(value: object, known: tuple[str, ...], what: str, where: str) -> 
 
 
 def check_text(value: object, what: str, where: str) -> None:
-    """Raises `TaskError` unless `value` is a sentence or name of reasonable length."""
+    """Raises `TaskError` unless `value` is a sentence or name of reasonable length that can be shown and written."""
     if not isinstance(value, str):
         raise TaskError(f"{where}: {what} must be a string, not {type(value).__name__}")
     if not value.strip():
         raise TaskError(f"{where}: {what} is empty; write it down")
     if len(value) > MAX_TEXT:
         raise TaskError(f"{where}: {what} has {len(value)} characters; shorten it to {MAX_TEXT} at most")
+    if problem := unprintable(value):
+        raise TaskError(f"{where}: {what} holds {problem}; take it out")
 
 
 def check_gates(gates: tuple[Gate, Gate, Gate], where: str) -> None:

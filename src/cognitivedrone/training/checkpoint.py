@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import mmap
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from cognitivedrone.errors import TrainingError
+from cognitivedrone.files import check_regular, reason_of
+from cognitivedrone.models.checksum import BLANK, Finding, check_own, seal
 
 FORMAT = 1
 _KEY = "cognitivedrone"
@@ -27,25 +30,47 @@ def save_checkpoint(
             tensors |= {f"optimizer.{number}.{name}": value for name, value in state.items()}
     whole = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
     beside = path.with_suffix(".part")
-    save_file(whole, beside, metadata={_KEY: json.dumps({"format": FORMAT, **facts})})
+    save_file(whole, beside, metadata={_KEY: json.dumps({"format": FORMAT, **facts}), "checksum": BLANK})
+    seal(beside)
     beside.replace(path)
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """All tensors by name, and the facts; raises `TrainingError` for what is no whole checkpoint of this format."""
+    """All tensors by name, and the facts.
+
+    Raises `TrainingError` for what is no whole checkpoint of this format, or does not match the checksum that it holds;
+    older ones hold none.
+    """
     try:
+        check_regular(path)
+        finding = _finding(path)
         with safe_open(path, "pt") as file:
-            facts = json.loads((file.metadata() or {})[_KEY])
+            metadata = file.metadata() or {}
+            if finding == "damaged" or (finding == "unknown" and "checksum" in metadata):
+                raise TrainingError(
+                    f"{path}: not a whole checkpoint (it does not match its checksum); delete it or take an earlier one"
+                )
+            facts = json.loads(metadata[_KEY])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
     except FileNotFoundError:
         raise TrainingError(f"{path}: no such checkpoint") from None
-    except (SafetensorError, OSError) as error:
+    except OSError as error:
+        reason = reason_of(error)
+        raise TrainingError(f"{path}: not a whole checkpoint ({reason}); delete it or take an earlier one") from None
+    except SafetensorError as error:
         raise TrainingError(f"{path}: not a whole checkpoint ({error}); delete it or take an earlier one") from None
     except (KeyError, ValueError):
         raise TrainingError(f"{path}: a safetensors file, but not a checkpoint of this project") from None
     if facts.get("format") != FORMAT:
         raise TrainingError(f"{path}: checkpoint of format {facts.get('format')}; this version reads {FORMAT}")
     return tensors, facts
+
+
+def _finding(path: Path) -> Finding:
+    if not path.stat().st_size:
+        return "unknown"  # safetensors says what is wrong with an empty file
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        return check_own(content)
 
 
 def restore(tensors: dict[str, Tensor], network: nn.Module, optimizer: torch.optim.Optimizer | None) -> None:

@@ -15,6 +15,7 @@ import tyro
 
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
 from cognitivedrone.models.reasoner_file import EYES_FILE, MIND_FILE
+from cognitivedrone.printable import visible
 from cognitivedrone.training.mind import MindRecipe, mind_subject
 from cognitivedrone.training.reader import ReaderRecipe, reader_subject
 from cognitivedrone.training.recipes import LanguageRecipe, TrainRecipe, find_recipe
@@ -141,7 +142,7 @@ def main() -> None:
     try:
         _work(tyro.cli(TrainOptions))
     except CognitiveDroneError as error:
-        print(f"cognitivedrone: {error}", file=sys.stderr)  # noqa: T201
+        print(visible(f"cognitivedrone: {error}"), file=sys.stderr)  # noqa: T201
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)  # the process that launched this one says what is left

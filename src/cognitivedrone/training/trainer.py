@@ -15,13 +15,13 @@ from typing import Any
 
 import torch
 from accelerate import Accelerator
-from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TaskID, TimeElapsedColumn
 from torch import nn
 from torch.utils.tensorboard import SummaryWriter
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.progress import progress_bar
+from cognitivedrone.terminal import console
 from cognitivedrone.training.checkpoint import read_checkpoint, restore, save_checkpoint
 from cognitivedrone.training.curves import draw_curves, read_rows
 from cognitivedrone.training.feed import Feed, learner_path
@@ -169,7 +169,7 @@ def _parts(network: nn.Module) -> list[list[nn.Parameter]]:
 def _progress(*, enabled: bool) -> Progress:
     # On standard output, as the lines of the rounds, which it lets pass above itself.
     columns = (SpinnerColumn(), TimeElapsedColumn())
-    return progress_bar("note", show=enabled, columns=columns, console=Console())
+    return progress_bar("note", show=enabled, columns=columns, screen=console())
 
 
 def _wait(progress: Progress, bar: TaskID, doing: str) -> None:

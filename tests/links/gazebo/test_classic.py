@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -156,3 +157,37 @@ def test_other_folders_are_no_collectors(collector, tmp_path):
     (collector / "Copy" / "animals.json").write_text("[]")
     with pytest.raises(CognitiveDroneError, match="are of one type"):
         import_collector(collector, tmp_path / "out")
+
+
+@pytest.mark.parametrize("odd", ["Animals/fox.dae", "Animals/fox.PNG", "Animals.json"])
+@pytest.mark.parametrize("kind", ["pipe", "device", "link"])
+def test_what_is_no_file_is_not_waited_for(collector, tmp_path, odd, kind):
+    path = collector / "Reasoning" / odd
+    path.unlink()
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero" if kind == "device" else tmp_path / "nowhere")
+    with pytest.raises(CognitiveDroneError) as told:
+        import_collector(collector, tmp_path / "out")
+    assert "\n" not in str(told.value)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "option", ["../Food/x.dae", "/etc/passwd", "..", ".", "a\x00b", "x" * 900, "x" * 900 + "/x", "a\nb"]
+)
+def test_no_option_leads_out_of_its_folder(collector, tmp_path, option):
+    (collector / "Reasoning/Animals.json").write_text(json.dumps([task([option, "owl.dae", "fox.dae"])]))
+    with pytest.raises(CognitiveDroneError) as told:
+        import_collector(collector, tmp_path / "out")
+    assert "\n" not in str(told.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_type_is_called_after_a_file_that_could_be_a_folder(collector, tmp_path):
+    evil = collector / "Reasoning" / "Animals" / "...json"
+    evil.write_text(json.dumps([task(["fox.dae", "owl.dae", "cheetah.dae"])]))
+    with pytest.raises(CognitiveDroneError, match="a type is called after its file"):
+        import_collector(collector, tmp_path / "out")
+    assert not (tmp_path / "out").exists()

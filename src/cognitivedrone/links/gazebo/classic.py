@@ -23,6 +23,7 @@ from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
 from cognitivedrone.errors import GazeboError, did_you_mean
+from cognitivedrone.files import read_regular, reason_of, safe_name
 from cognitivedrone.labels.images import SUFFIXES, read_image
 from cognitivedrone.tasks.format import PUBLISHED_TYPES, read_json, task_from_json, write_tasks
 from cognitivedrone.types import CATEGORIES, Task
@@ -54,12 +55,15 @@ def import_collector(source: Path, out: Path) -> Imported:
     tasks: list[Task] = []
     pictures: dict[PurePosixPath, Path] = {}
     counts: dict[str, tuple[int, int]] = {}
-    for file in _task_files(source):
-        own = list(_tasks_of(file))
-        shown = _pictures_of(file, own)
-        counts[file.stem] = len(own), len(shown)
-        tasks += own
-        pictures |= shown
+    try:
+        for file in _task_files(source):
+            own = list(_tasks_of(file))
+            shown = _pictures_of(file, own)
+            counts[file.stem] = len(own), len(shown)
+            tasks += own
+            pictures |= shown
+    except OSError as error:
+        raise GazeboError(f"cannot read {error.filename or source}: {reason_of(error)}") from None
     labels = out / LABELS_FOLDER
     try:
         for name, picture in pictures.items():
@@ -77,10 +81,10 @@ def picture_of(model: Path) -> str:
     Raises `GazeboError` where it is no COLLADA, or shows none.
     """
     try:
-        if model.stat().st_size > MAX_MODEL_BYTES:
-            raise GazeboError(f"{model}: too large for a panel, at most {MAX_MODEL_BYTES / 1e6:.0f} MB are read")
-        root = ET.fromstring(model.read_bytes())  # noqa: S314 - expat bounds what entities expand to
-    except (OSError, ET.ParseError) as error:
+        root = ET.fromstring(read_regular(model, MAX_MODEL_BYTES))  # noqa: S314 - expat bounds what entities expand to
+    except OSError as error:
+        raise GazeboError(f"{model}: cannot be read as a COLLADA model ({reason_of(error)})") from None
+    except ET.ParseError as error:
         raise GazeboError(f"{model}: cannot be read as a COLLADA model ({error})") from None
     named = {image.get("id"): image.findtext(f"{_COLLADA}init_from") for image in root.iter(f"{_COLLADA}image")}
     used = [surface.findtext(f"{_COLLADA}init_from") for surface in root.iter(f"{_COLLADA}surface")]
@@ -103,6 +107,8 @@ def _task_files(source: Path) -> list[Path]:
         )
     by_type: dict[str, Path] = {}
     for file in files:
+        if safe_name(file.stem) != file.stem:
+            raise GazeboError(f"{file}: a type is called after its file, and no folder can be called that; rename it")
         if (other := by_type.setdefault(file.stem.casefold(), file)) != file:
             raise GazeboError(f"{other} and {file} are of one type; labels go by type, so rename one of them")
     return files
@@ -138,7 +144,7 @@ def _pictures_of(file: Path, tasks: Iterable[Task]) -> dict[PurePosixPath, Path]
 def _picture(folder: Path, option: str, where: str) -> Path:
     """The file that shows an option; names a little different from what they should be are forgiven."""
     path = PurePosixPath(option)
-    if path.is_absolute() or ".." in path.parts:
+    if path.is_absolute() or ".." in path.parts or not path.name:
         raise GazeboError(f"{where}: option {option!r} leads out of {folder}; name a panel in it")
     stem = path.name.removesuffix(MODEL)
     there = folder / path.parent

@@ -1,0 +1,127 @@
+"""Files and folders whose names or contents come from somebody else, and disks that refuse.
+
+`safe_name` is the only way from a text of some data to a part of a path, `read_regular` the way to read a file that
+could be a pipe, a device or endless, `writing` the way to tell in one sentence that a disk is full, and `take_lock` the
+lock of a folder that has one writer.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import os
+import stat
+import unicodedata
+from collections.abc import Iterator
+from pathlib import Path
+
+from cognitivedrone.errors import CognitiveDroneError
+
+LONGEST_NAME = 100
+"""Bytes of a name that `safe_name` gives, in UTF-8; file systems take 255."""
+_HASHED = 8
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+def safe_name(text: str) -> str:
+    """A name for one file or folder that says what `text` says, whatever that holds: never a path, hidden or empty.
+
+    Letters, digits, space and `._-` stay. A text that had to be changed or cut gets a part of its hash, so that
+    `a/b` and `a_b` do not fall together.
+    """
+    composed = unicodedata.normalize("NFKC", text)
+    kept = "".join(each if _fits(each) else "_" for each in composed).strip(" .")
+    short = kept.encode()[: LONGEST_NAME - _HASHED - 1].decode(errors="ignore").strip(" .")
+    if kept == text and len(kept.encode()) <= LONGEST_NAME and kept:
+        return kept
+    digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:_HASHED]
+    return f"{short or 'unnamed'}-{digest}"
+
+
+def _fits(character: str) -> bool:
+    return character in "._- " or unicodedata.category(character)[0] in "LMN"
+
+
+def check_regular(path: Path) -> None:
+    """Raise `OSError` whose `strerror` says what is at `path`, unless that is an ordinary file; opens nothing."""
+    _refuse_others(path.stat().st_mode, path)
+
+
+def read_regular(path: Path, max_bytes: int) -> bytes:
+    """The content of an ordinary file of at most that size.
+
+    Raises `OSError` whose `strerror` says why not: for what cannot be read, for folders, pipes, devices and sockets,
+    which are never waited for, and for larger files.
+    """
+    check_regular(path)
+    # It may be another by now; and without O_NONBLOCK, opening a pipe waits for somebody to write into it.
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    with open(descriptor, "rb") as file:  # noqa: PTH123 - of a descriptor
+        facts = os.fstat(descriptor)
+        _refuse_others(facts.st_mode, path)
+        content = file.read(max_bytes + 1)
+    if len(content) > max_bytes:
+        size = max(facts.st_size, len(content))
+        raise OSError(errno.EFBIG, f"it has {size:,} bytes, and at most {max_bytes:,} are read", str(path))
+    return content
+
+
+def _refuse_others(mode: int, path: Path) -> None:
+    if not stat.S_ISREG(mode):
+        kind = next((name for is_kind, name in _KINDS if is_kind(mode)), "something else")
+        raise OSError(errno.EINVAL, f"it is {kind}, not a file", str(path))
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Write a file such that a kill or a full disk at any moment leaves the old one or the new one, and nothing beside.
+
+    Raises `OSError`.
+    """
+    temporary = path.with_name(path.name + ".tmp")
+    try:
+        with temporary.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+
+
+def take_lock(descriptor: int) -> bool:
+    """Take the exclusive lock of an open file or folder; false where another process has it.
+
+    The operating system frees it when the last copy of the descriptor is closed, however its process ends. Raises
+    `OSError` where the file system has no locks.
+    """
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+@contextlib.contextmanager
+def writing(
+    path: Path, error: type[CognitiveDroneError], then: str = "make room there or give another place"
+) -> Iterator[None]:
+    """Turn what the operating system says of writing to `path` into one `error` that ends with what to do."""
+    try:
+        yield
+    except OSError as refused:
+        raise error(f"cannot write {path}: {reason_of(refused)}; {then}") from None
+
+
+def reason_of(error: OSError) -> str:
+    """What the operating system said, without its number and the file's name."""
+    return error.strerror or str(error) or type(error).__name__

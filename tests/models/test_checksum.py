@@ -1,0 +1,142 @@
+"""Damage to a model file is found when it is loaded; the full table is printed by benchmarks/faults_input.py."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from tiny import DESCRIPTION, graph, tiny_model
+
+from cognitivedrone.errors import PolicyError
+from cognitivedrone.models import checksum
+from cognitivedrone.models.checksum import BLANK, MARK, check, check_own, seal
+from cognitivedrone.models.onnx_file import KEY
+from cognitivedrone.models.reasoner_file import EyesModel, MindModel
+from cognitivedrone.models.small_file import SmallModel, describe, read_description
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+import faults_input
+
+WEIGHTS = faults_input.WEIGHTS
+
+
+def old_model(path: Path) -> Path:
+    """A file as it was written before there were checksums."""
+    model = graph()
+    onnx.helper.set_model_props(model, {KEY: json.dumps({"format": 1, "kind": "small-vla", **DESCRIPTION.table()})})
+    onnx.save(model, str(path))
+    return path
+
+
+def test_a_sample_of_damaged_files_is_found(tmp_path: Path) -> None:
+    found = faults_input.weight_files(50, seed=1, folder=tmp_path)
+    assert len(found) == len(faults_input.DAMAGES)
+    assert faults_input.bad(found, {"found"}) == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "load"),
+    [
+        ("small.onnx", SmallModel.load),
+        ("race.onnx", SmallModel.load),
+        ("reasoner/eyes.onnx", EyesModel.load),
+        ("reasoner/mind.onnx", MindModel.load),
+    ],
+)
+def test_a_shipped_file_is_known_wherever_it_is_and_whole(tmp_path: Path, name: str, load: object) -> None:
+    assert check((WEIGHTS / name).read_bytes()) == "sound"
+    copy = tmp_path / "anything.onnx"
+    shutil.copyfile(WEIGHTS / name, copy)
+    load(copy)
+    content = bytearray(copy.read_bytes())
+    content[len(content) // 2] ^= 1  # in the middle of the weights
+    copy.write_bytes(content)
+    with pytest.raises(PolicyError, match=r"anything\.onnx does not match its checksum, so it is damaged"):
+        load(copy)
+
+
+def test_every_shipped_file_is_listed_or_holds_a_checksum() -> None:
+    listed = json.loads((WEIGHTS / "checksums.json").read_text())
+    for file in WEIGHTS.rglob("*.onnx"):
+        assert check(file.read_bytes()) == "sound", file
+        assert (file.relative_to(WEIGHTS).as_posix() in listed) == (check_own(file.read_bytes()) == "unknown")
+
+
+def test_the_list_is_what_the_command_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(WEIGHTS, tmp_path / "weights")
+    tiny_model(tmp_path / "weights" / "sealed.onnx")
+    (tmp_path / "weights" / "checksums.json").unlink()
+    checksum.main(tmp_path / "weights")
+    assert (tmp_path / "weights" / "checksums.json").read_bytes() == (WEIGHTS / "checksums.json").read_bytes()
+    assert "checksums.json" in capsys.readouterr().out
+
+
+def test_every_byte_of_a_new_file_is_covered(tmp_path: Path) -> None:
+    path = tiny_model(tmp_path / "model.onnx")
+    whole = path.read_bytes()
+    assert check(whole) == "sound"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for at in range(0, len(whole), 7):
+            damaged = bytearray(whole)
+            damaged[at] ^= 1 << at % 8
+            path.write_bytes(damaged)
+            with pytest.raises(PolicyError) as told:
+                SmallModel.load(path)
+            assert "\n" not in str(told.value)
+
+
+def test_a_file_of_an_older_version_is_flown_with_one_warning(tmp_path: Path) -> None:
+    path = old_model(tmp_path / "old.onnx")
+    with pytest.warns(UserWarning, match="checksums") as told:
+        model = SmallModel.load(path)
+    assert [str(warning.message) for warning in told] == [
+        f"{path} was written before model files had checksums: damage to it would not be noticed"
+    ]
+    assert model.description == DESCRIPTION
+    with pytest.warns(UserWarning, match="before model files had checksums"):
+        assert read_description(path) == DESCRIPTION
+
+
+def test_describing_an_older_file_gives_it_a_checksum(tmp_path: Path) -> None:
+    path = old_model(tmp_path / "old.onnx")
+    describe(path, DESCRIPTION)
+    assert check_own(path.read_bytes()) == "sound"
+    assert SmallModel.load(path).description == DESCRIPTION
+
+
+def test_describing_a_shipped_file_again_makes_a_sound_one_with_the_same_weights(tmp_path: Path) -> None:
+    path = faults_input._written_anew(tmp_path / "again.onnx")
+    assert check_own(path.read_bytes()) == "sound"
+    shipped, again = SmallModel.load(WEIGHTS / "small.onnx"), SmallModel.load(path)
+    assert again.description == shipped.description
+    frame = np.random.default_rng(0).integers(0, 256, (1, 256, 256, 3), dtype=np.uint8)
+    answers = [model.run(frame, np.zeros((1, 5), np.float32), ["Fly"]) for model in (shipped, again)]
+    assert np.array_equal(answers[0].action, answers[1].action)
+
+
+def test_another_training_of_the_same_network_is_no_damaged_copy() -> None:
+    shipped = (WEIGHTS / "race.onnx").read_bytes()
+    graph_bytes = 40_000
+    other = shipped[:graph_bytes] + np.random.default_rng(0).bytes(len(shipped) - graph_bytes)
+    assert check(other) == "unknown"
+
+
+def test_sealing_needs_one_empty_place(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    for content in (b"nothing", BLANK.encode() * 2):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match="exactly once"):
+            seal(path)
+    path.write_bytes(b"before" + BLANK.encode() + b"after")
+    seal(path)
+    assert path.read_bytes().startswith(b"before" + MARK.encode())
+    assert check_own(path.read_bytes()) == "sound"
+    assert check_own(path.read_bytes() + b" ") == "damaged"

@@ -1,0 +1,55 @@
+"""Texts from outside: what must not be in them is named, and shown as an escape sequence where it is."""
+
+from __future__ import annotations
+
+import unicodedata
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cognitivedrone.printable import unprintable, visible
+
+ANY = st.text(st.characters(codec=None, exclude_categories=()), max_size=40)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("a\x1b[31mred", "the control character U+001B at position 2"),
+        ("a\nb", "the control character U+000A at position 2"),
+        ("\x9b31m", "the control character U+009B at position 1"),
+        ("nul\x00", "the control character U+0000 at position 4"),
+        ("a\u2028b", "the line separator U+2028 at position 2"),
+        ("\ud800", "the lone surrogate U+D800 at position 1"),
+        ("fly\u202eder", "the bidirectional override U+202E at position 4"),
+        ("fly\u2066", "the bidirectional override U+2066 at position 4"),
+        ("red\u200b", "the invisible character U+200B at position 4"),
+        ("red\U000e0041", "the invisible character U+E0041 at position 4"),
+    ],
+)
+def test_the_first_unfit_character_is_named(text: str, says: str) -> None:
+    assert unprintable(text) == says
+    assert unprintable(visible(text)) is None
+
+
+@pytest.mark.parametrize(
+    "text", ["Fly through the red gate", "[bold] 7 × 9", "лети", "می‌خواهم", "שלום‏", "👩‍🚀", "é", "e\u0301"]
+)
+def test_words_of_every_language_are_fit(text: str) -> None:
+    assert unprintable(text) is None
+    assert visible(text) == text
+
+
+def test_escape_sequences_are_those_of_python() -> None:
+    assert visible("a\x1b[0m\u202e\ud800\U000e0041") == r"a\x1b[0m\u202e\ud800\U000e0041"
+    assert visible("a\nb\x07", keep="\n") == "a\nb\\x07"
+
+
+@given(ANY)
+def test_what_is_shown_can_be_encoded_and_moves_no_cursor(text: str) -> None:
+    shown = visible(text)
+    shown.encode("utf-8")
+    assert not any(unicodedata.category(each) in ("Cc", "Cs", "Zl", "Zp") for each in shown)
+    assert visible(shown) == shown
+    assert (unprintable(text) is None) == (shown == text)
