@@ -320,11 +320,11 @@ def _cut_short(rng: Rng, content: bytes) -> bytes:
     return content[: rng.integers(len(content))]
 
 
-def _without_description(rng: Rng, content: bytes) -> bytes:  # noqa: ARG001
+def _without_description(rng: Rng, content: bytes) -> bytes:
     return content[: content.rindex(b'{"format"')]
 
 
-def _description_of_another(rng: Rng, content: bytes) -> bytes:  # noqa: ARG001
+def _description_of_another(rng: Rng, content: bytes) -> bytes:
     import onnx
 
     model, other = onnx.load_from_string(content), onnx.load(str(WEIGHTS / "race.onnx"))

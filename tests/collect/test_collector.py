@@ -9,16 +9,18 @@ import signal
 import subprocess
 import sys
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cognitivedrone.collect import executors
+from cognitivedrone.collect import collector, executors
 from cognitivedrone.collect.collector import CollectConfig, collect
-from cognitivedrone.collect.executors import Job, fly_local, fly_shard
+from cognitivedrone.collect.executors import Job, fly_here, fly_local
 from cognitivedrone.collect.recipe import RECIPES
+from cognitivedrone.data.layout import sole_writer
 from cognitivedrone.data.store import Store
-from cognitivedrone.errors import CognitiveDroneError, DataError, MissingExtra, TaskError
+from cognitivedrone.errors import DataError, MissingExtra, PolicyError, TaskError
 
 
 def config(out, **changes):
@@ -30,16 +32,17 @@ def digests(folder):
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
-def fly_here(job, shards, workers):
-    """An executor in this process, backwards."""
-    yield from (fly_shard(job, number) for number in reversed(list(shards)))
+def fly_backwards(job, batches, workers):
+    """An executor in this process."""
+    for batch in reversed(batches):
+        yield from fly_here(job, batch[::-1])
 
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     out = tmp_path_factory.mktemp("collect") / "set"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(executors, "fly_local", fly_here)
+        patch.setattr(executors, "fly_local", fly_backwards)
         return collect(config(out), progress=False)
 
 
@@ -65,11 +68,11 @@ def test_a_killed_collection_is_resumed_to_the_same_bytes(flown, tmp_path):
 import os, signal
 from pathlib import Path
 from cognitivedrone.collect import collector, executors
-def fly(job, shards, workers):
-    for count, number in enumerate(shards):
+def fly(job, batches, workers):
+    for count, batch in enumerate(batches):
         if count == 2:
             os.kill(os.getpid(), signal.SIGKILL)
-        yield executors.fly_shard(job, number)
+        yield from executors.fly_here(job, batch)
 executors.fly_local = fly
 collector.collect(collector.CollectConfig(Path({str(out)!r}), "debug", 10, episodes_per_shard=3), progress=False)
 """
@@ -78,7 +81,7 @@ collector.collect(collector.CollectConfig(Path({str(out)!r}), "debug", 10, episo
     with pytest.raises(DataError, match="not finished"):
         Store.open(out)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(executors, "fly_local", fly_here)
+        patch.setattr(executors, "fly_local", fly_backwards)
         report = collect(config(out, resume=True), progress=False)
     assert (report.flown, report.episodes) == (4, 10)
     assert digests(out) == digests(flown.out)
@@ -97,18 +100,68 @@ def test_a_folder_of_another_making_is_refused(flown, changes):
         collect(config(flown.out, resume=True, **changes), progress=False)
 
 
-def test_ctrl_c_says_how_to_go_on(tmp_path, monkeypatch):
-    def stopped(job, shards, workers):
-        yield fly_shard(job, 0)
-        raise KeyboardInterrupt
+def stopped_after(count, error):
+    """An executor that flies so many episodes, and then raises."""
 
-    monkeypatch.setattr(executors, "fly_local", stopped)
-    with pytest.raises(KeyboardInterrupt, match=r"3 of 10 episodes .* --resume"):
-        collect(config(tmp_path / "set"), progress=False)
+    def fly(job, batches, workers):
+        flown = (each for batch in batches for each in fly_here(job, batch))
+        yield from (next(flown) for _ in range(count))
+        raise error
+
+    return fly
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), DataError("a worker was killed")])
+def test_ctrl_c_and_a_dead_worker_keep_every_finished_episode(flown, tmp_path, monkeypatch, error):
+    out = tmp_path / "set"
+    monkeypatch.setattr(executors, "fly_local", stopped_after(5, error))
+    said = r"stopped; 5 of 10 episodes are kept in .*--resume" if isinstance(error, KeyboardInterrupt) else "killed"
+    with pytest.raises(type(error), match=said):
+        collect(config(out), progress=False)
+    monkeypatch.setattr(executors, "fly_local", stopped_after(3, KeyboardInterrupt()))
+    with pytest.raises(KeyboardInterrupt, match="8 of 10"):
+        collect(config(out, resume=True), progress=False)
+    monkeypatch.setattr(executors, "fly_local", fly_backwards)
+    report = collect(config(out, resume=True), progress=False)
+    assert (report.flown, report.episodes) == (2, 10)
+    assert digests(out) == digests(flown.out)
+
+
+def test_progress_counts_episodes_while_a_shard_is_under_way(tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr(collector, "_advance", lambda bar, line, gathered, begin: seen.append(gathered.there))
+    collect(config(tmp_path / "set", episodes=4, episodes_per_shard=64, workers=1), progress=False)
+    assert seen == [1, 2, 3, 4]
+
+
+def test_the_bar_is_readable_at_80_columns(tmp_path, monkeypatch, capfd):
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr(executors, "fly_local", fly_backwards)
+    collect(config(tmp_path / "set", episodes=1), progress=True)
+    lines = capfd.readouterr().err.splitlines()
+    (line,) = [line for line in lines if "episodes/s" in line]
+    assert len(line) <= 80
+    assert "1/1" in line
+
+
+@pytest.mark.parametrize("place", ["/proc/set", "FILE", "FILE/set"])
+def test_a_place_that_cannot_be_written_is_told_in_one_sentence(tmp_path, place):
+    (tmp_path / "file").write_text("mine")
+    out = Path(place.replace("FILE", str(tmp_path / "file")))
+    with pytest.raises(DataError, match=r"is a file; give a new folder|cannot be written") as told:
+        collect(config(out), progress=False)
+    assert "\n" not in str(told.value)
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_two_collections_into_one_folder_are_refused(flown, tmp_path):
+    with sole_writer(flown.out), pytest.raises(DataError, match="another process is writing this data set; wait for"):
+        collect(config(flown.out, resume=True), progress=False)
+    assert collect(config(flown.out, resume=True), progress=False).flown == 0
 
 
 def test_progress_goes_to_the_error_stream(tmp_path, monkeypatch, capfd):
-    monkeypatch.setattr(executors, "fly_local", fly_here)
+    monkeypatch.setattr(executors, "fly_local", fly_backwards)
     collect(config(tmp_path / "set", episodes=1))
     output = capfd.readouterr()
     assert "1/1" in output.err
@@ -123,6 +176,10 @@ def test_progress_goes_to_the_error_stream(tmp_path, monkeypatch, capfd):
         ({"episodes": 0}, DataError, "--episodes 0"),
         ({"workers": 0}, DataError, "--workers 0"),
         ({"seed": -1}, DataError, "--seed -1"),
+        ({"beta": 0.5}, DataError, "give a --policy"),
+        ({"beta": 1.5, "policy": "hover"}, DataError, "--beta 1.5: must be a probability"),
+        ({"policy": "hovr"}, PolicyError, "did you mean 'hover'"),
+        ({"policy": "small:no/such.onnx"}, PolicyError, "no model file no/such.onnx"),
         ({"episodes_per_shard": 0}, DataError, "--episodes-per-shard 0"),
         ({"executor": "rai"}, DataError, "unknown executor"),
         ({"suite": "open-v1:smok"}, TaskError, "did you mean 'open-v1:smoke'"),
@@ -138,13 +195,13 @@ def test_mistakes_are_told_before_anything_is_written(tmp_path, changes, error, 
 
 def test_a_mistake_in_a_worker_comes_through(tmp_path):
     job = Job("open-v1:nowhere", RECIPES["debug"], 0, 5)
-    with pytest.raises(CognitiveDroneError, match="nowhere"):
-        list(fly_local(job, [0], 1))
+    with pytest.raises(TaskError, match="nowhere"):
+        list(fly_local(job, [[0]], 1))
 
 
 def test_a_killed_worker_is_told_of():
-    flying = fly_local(Job("open-v1:train", RECIPES["debug"], 0, 1), range(20), 1)
-    assert next(flying).number == 0
+    flying = fly_local(Job("open-v1:train", RECIPES["debug"], 0, 1), [[index] for index in range(20)], 1)
+    assert next(flying).episode.index == 0
     (worker,) = multiprocessing.active_children()
     worker.kill()
     with pytest.raises(DataError, match=r"worker was killed.*--resume"):

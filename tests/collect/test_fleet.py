@@ -13,7 +13,7 @@ from cognitivedrone.collect.perturbation import disturb, draw_beginning, draw_di
 from cognitivedrone.collect.recipe import RECIPES, find_recipe
 from cognitivedrone.collect.replay import replay
 from cognitivedrone.data.episode import decode_image
-from cognitivedrone.errors import DataError
+from cognitivedrone.errors import DataError, PolicyError
 from cognitivedrone.policies.blind import Hover
 from cognitivedrone.tasks import BASE_FAMILIES, load_suite
 
@@ -24,7 +24,7 @@ ROBUST = replace(RECIPES["robust"], kicks_per_s=0.6, wrongs_per_s=0.6, speed_m_s
 def fly(recipe, indices, worlds):
     fleet = Fleet(SUITE, recipe, seed=5, worlds=worlds)
     try:
-        return fleet.fly(indices)
+        return sorted((flown.episode for flown in fleet.fly(indices)), key=lambda episode: episode.index)
     finally:
         fleet.close()
 
@@ -47,60 +47,60 @@ def assert_same(a, b):
 
 
 def test_every_task_is_passed_once_in_order_and_all_families_alike(clean):
-    assert [episode.index for episode in clean.episodes] == list(range(20))
-    families = [episode.task.family for episode in clean.episodes]
+    assert [episode.index for episode in clean] == list(range(20))
+    families = [episode.task.family for episode in clean]
     assert {families.count(family) for family in BASE_FAMILIES} == {2}
 
 
 def test_an_episode_does_not_depend_on_its_company(clean):
-    (alone,) = fly(RECIPES["paper"], [7], 1).episodes
-    assert_same(alone, clean.episodes[7])
+    (alone,) = fly(RECIPES["paper"], [7], 1)
+    assert_same(alone, clean[7])
 
 
 def test_a_disturbed_episode_does_not_depend_on_its_company(disturbed):
-    (alone,) = fly(ROBUST, [3], 1).episodes
-    assert_same(alone, disturbed.episodes[3])
+    (alone,) = fly(ROBUST, [3], 1)
+    assert_same(alone, disturbed[3])
 
 
 def test_another_seed_is_another_flight(clean):
     fleet = Fleet(SUITE, RECIPES["paper"], seed=6, worlds=1)
-    (other,) = fleet.fly([0]).episodes
+    (other,) = fleet.fly([0])
     fleet.close()
-    assert other.conditions.start_position != clean.episodes[0].conditions.start_position
+    assert other.episode.conditions.start_position != clean[0].conditions.start_position
 
 
 def test_replays_are_the_same_bits(clean, disturbed):
-    for episode in (*clean.episodes[:4], *disturbed.episodes[:4]):
+    for episode in (*clean[:4], *disturbed[:4]):
         report = replay(episode)
         assert report.same_bits
         assert (report.end_error_m, report.path_error_m, report.steps) == (0.0, 0.0, len(episode))
 
 
 def test_a_replay_tells_of_altered_actions(clean):
-    sent = clean.episodes[0].sent.copy()
+    sent = clean[0].sent.copy()
     sent[-10:, 0] += 0.5
-    report = replay(replace(clean.episodes[0], sent=sent))
+    report = replay(replace(clean[0], sent=sent))
     assert not report.same_bits
     assert report.end_error_m > 0.001
 
 
 def test_a_replay_of_an_unknown_airframe_says_so(clean):
-    episode = clean.episodes[0]
+    episode = clean[0]
     with pytest.raises(DataError, match=r"racr.*did you mean 'racer'"):
         replay(replace(episode, conditions=replace(episode.conditions, airframe="racr")))
 
 
 def test_clean_flights_send_the_label_and_disturbed_ones_keep_it(clean, disturbed):
-    for episode in clean.episodes:
+    for episode in clean:
         assert np.array_equal(episode.action, episode.sent)
-    pushed = np.concatenate([np.any(episode.action != episode.sent, axis=1) for episode in disturbed.episodes])
+    pushed = np.concatenate([np.any(episode.action != episode.sent, axis=1) for episode in disturbed])
     assert 0.1 < pushed.mean() < 0.9
-    labels = np.concatenate([episode.action for episode in disturbed.episodes])
+    labels = np.concatenate([episode.action for episode in disturbed])
     assert np.linalg.norm(labels[:, :3], axis=1).max() < 2.6  # never a kick
 
 
 def test_records_are_whole(clean):
-    for episode in clean.episodes[:3]:
+    for episode in clean[:3]:
         count = len(episode)
         assert count == len(episode.action) == len(episode.position) == len(episode.quaternion)
         assert episode.state.shape == (count, 5)
@@ -108,7 +108,7 @@ def test_records_are_whole(clean):
         assert decode_image(episode.images[0]).shape == (256, 256, 3)
         assert np.abs(np.diff(episode.position, axis=0)).max() < 0.3
         assert episode.velocity[0] == pytest.approx(np.zeros(3), abs=1e-9)
-    speeds = [np.linalg.norm(episode.velocity, axis=1).max() for episode in clean.episodes]
+    speeds = [np.linalg.norm(episode.velocity, axis=1).max() for episode in clean]
     assert max(speeds) - min(speeds) > 0.5
 
 
@@ -165,3 +165,61 @@ def test_starts_are_published_or_off_track_and_windy_by_recipe():
 def test_an_unknown_recipe_is_an_error_with_near_names():
     with pytest.raises(DataError, match="did you mean 'robust'"):
         find_recipe("robst")
+
+
+class Once:
+    """A policy that flies forward three steps at a time, and counts how often it is asked."""
+
+    asked = 0
+
+    def reset(self, instruction):
+        self.steps = 0
+
+    def act(self, observation):
+        Once.asked += 1
+        return np.tile(np.array([0.5, 0.1, 0.0, 0.0], np.float32), (3, 1))
+
+
+class NotANumber(Once):
+    def act(self, observation):
+        return np.full((1, 4), np.nan, np.float32)
+
+
+class Failing(Once):
+    def act(self, observation):
+        raise ZeroDivisionError("a bug")
+
+
+SHORT = replace(RECIPES["debug"], kicks_per_s=0.0, time_limit_s=2.0)
+
+
+def test_a_mixed_flight_sends_the_experts_commands_at_its_share_of_steps():
+    (alone,) = relabel(Once, SUITE, SHORT, 0, [4], worlds=1)
+    assert (alone.sent == np.array([0.5, 0.1, 0.0, 0.0], np.float32)).all()
+    Once.asked = 0
+    mixed = list(relabel(Once, SUITE, SHORT, 0, range(12), worlds=3, beta=0.3))
+    steps = sum(map(len, mixed))
+    assert Once.asked == sum(-(-len(episode) // 3) for episode in mixed)
+    expert = sum(int((episode.sent == episode.action).all(axis=1).sum()) for episode in mixed)
+    assert 0.2 < expert / steps < 0.4
+    for episode in mixed:
+        sent = episode.sent
+        own = (sent == np.array([0.5, 0.1, 0.0, 0.0], np.float32)).all(axis=1)
+        assert (own | (sent == episode.action).all(axis=1)).all()
+        assert replay(episode).same_bits
+    (again,) = relabel(Once, SUITE, SHORT, 0, [7], worlds=1, beta=0.3)
+    assert_same(again, mixed[7])
+
+
+def test_all_of_the_experts_share_is_the_experts_flight(clean):
+    flown = list(relabel(Hover, SUITE, RECIPES["paper"], 5, range(3), worlds=1, beta=1.0))
+    for ours, theirs in zip(flown, clean, strict=False):
+        assert_same(ours, theirs)
+
+
+def test_a_policy_without_a_finite_command_or_with_a_bug_is_told_of(monkeypatch):
+    monkeypatch.setattr(fleet_module, "MAX_ATTEMPTS", 2)
+    with pytest.raises(DataError, match=r"in 2 flights the policy gave no finite command"):
+        list(relabel(NotANumber, SUITE, SHORT, 0, [0], worlds=1))
+    with pytest.raises(PolicyError, match=r"Failing failed in episode 0 at step 0 \(ZeroDivisionError: a bug\)"):
+        list(relabel(Failing, SUITE, SHORT, 0, [0], worlds=1))

@@ -27,7 +27,7 @@ def test_a_cluster_makes_the_same_bytes_as_local_workers(tmp_path):
         for executor, out in folders.items():
             collect(CollectConfig(out, "debug", 8, workers=2, episodes_per_shard=2, executor=executor), progress=False)
         with pytest.raises(TaskError, match="nowhere"):
-            list(fly_ray(Job("open-v1:nowhere", RECIPES["debug"], 0, 5), [0], 1))
+            list(fly_ray(Job("open-v1:nowhere", RECIPES["debug"], 0, 5), [[0]], 1))
     finally:
         ray.shutdown()
         cluster.shutdown()

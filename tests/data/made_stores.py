@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from hashlib import sha256
 from pathlib import Path
 
+from cognitivedrone.data.checksums import SUMS, sums_text
 from cognitivedrone.data.episode import Episode
 from cognitivedrone.data.store_writer import StoreWriter
 
@@ -24,3 +26,24 @@ def write_store(path: Path, episodes: Sequence[Episode]) -> Path:
         writer.write_shard(number, episodes[PER_SHARD * number : PER_SHARD * (number + 1)], {"collision": number})
     writer.finish()
     return path
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    """Every file of a folder, by name."""
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def seal(store: Path) -> None:
+    """Write the checksums of what is there now: for stores that were forged with care."""
+    hashes = {name: sha256(content).hexdigest() for name, content in files_of(store).items() if name != SUMS}
+    (store / SUMS).write_text(sums_text(hashes))
+
+
+def age(store: Path) -> Path:
+    """Make a store into one of the first releases, which had no checksums and receipts of no making."""
+    (store / SUMS).unlink()
+    for receipt in (store / "shards").glob("*.json"):
+        lines = receipt.read_text().splitlines()
+        at = next(number for number, line in enumerate(lines) if line.startswith(' "making"'))
+        receipt.write_text("\n".join([*lines[: at - 1], lines[at - 1].removesuffix(","), *lines[at + 1 :]]) + "\n")
+    return store

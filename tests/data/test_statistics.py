@@ -1,4 +1,4 @@
-"""Statistics say what the actions are; splits are fixed and have every family."""
+"""Statistics say what the actions are; splits are fixed, as large as they say, and have their share of every family."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cognitivedrone.data.episode import Episode
-from cognitivedrone.data.statistics import draw_of, spread, validation_indices
+from cognitivedrone.data.statistics import EXACT, draw_of, draw_splits, splits_again, spread, threshold_indices
 from cognitivedrone.data.store import Store
 from cognitivedrone.tasks import BASE_FAMILIES
 
@@ -44,21 +44,61 @@ def test_spread_of_a_known_sample() -> None:
     assert (found["min"], found["max"]) == ([0, -200], [100, 0])
 
 
-def test_a_large_set_has_a_twentieth_to_validate() -> None:
+def test_a_large_set_has_a_twentieth_to_validate_and_says_nothing_of_it() -> None:
     families = {index: BASE_FAMILIES[index % 10] for index in range(8062)}
-    val = validation_indices("ab" * 32, families)
+    splits = draw_splits("ab" * 32, families)
+    val = splits["val"]
     assert 0.04 < len(val) / 8062 < 0.06
-    assert val == [index for index in range(8062) if draw_of("ab" * 32, index) < 0.05]
+    assert splits == {"train": 8062 - len(val), "val": [i for i in range(8062) if draw_of("ab" * 32, i) < 0.05]}
     assert {families[index] for index in val} == set(BASE_FAMILIES)
-    assert val != validation_indices("cd" * 32, families)
+    assert val != draw_splits("cd" * 32, families)["val"]
+
+
+@pytest.mark.parametrize(
+    ("episodes", "wanted"), [(1, 0), (2, 1), (20, 1), (24, 1), (30, 2), (49, 2), (50, 3), (300, 15), (999, 50)]
+)
+def test_a_small_set_has_exactly_a_twentieth_to_validate(episodes: int, wanted: int) -> None:
+    families = {index: BASE_FAMILIES[index % 10] for index in range(episodes)}
+    splits = draw_splits("ab" * 32, families)
+    assert splits["rule"] == EXACT
+    assert len(splits["val"]) == wanted
+    assert splits["train"] == episodes - wanted
+    each = [sum(families[index] == family for index in splits["val"]) for family in BASE_FAMILIES]
+    assert max(each) - min(each) <= 1
+    if episodes > 1:
+        assert splits["val"] != [0]
+
+
+def test_families_of_unlike_size_have_their_share() -> None:
+    families = {index: "letters" if index % 3 else "digits" for index in range(600)}
+    val = draw_splits("ab" * 32, families)["val"]
+    assert [sum(families[index] == name for index in val) for name in ("letters", "digits")] == [20, 10]
+
+
+def test_the_split_of_an_old_small_set_is_known_again() -> None:
+    families = {index: BASE_FAMILIES[index % 10] for index in range(24)}
+    said = {"train": 14, "val": threshold_indices("ab" * 32, families)}
+    assert len(said["val"]) == 10
+    assert splits_again(said, "ab" * 32, families) == said
+    new = draw_splits("ab" * 32, families)
+    assert splits_again(new, "ab" * 32, families) == new != said
 
 
 @given(st.dictionaries(st.integers(0, 10_000), FAMILY_NAMES, max_size=60), st.text("0123456789abcdef", min_size=4))
-def test_families_of_two_or_more_are_in_both_splits(families: dict[int, str], digest: str) -> None:
-    val = validation_indices(digest, families)
+def test_splits_depend_on_what_is_in_the_set_alone(families: dict[int, str], digest: str) -> None:
+    splits = draw_splits(digest, families)
+    val = splits["val"]
+    assert val == sorted(set(val) & families.keys())
+    assert splits["train"] + len(val) == len(families)
+    assert abs(len(val) - len(families) / 20) <= 0.5 or len(val) == 1
+    assert splits == draw_splits(digest, dict(reversed(families.items())))
+
+
+@given(st.dictionaries(st.integers(0, 10_000), FAMILY_NAMES, max_size=60), st.text("0123456789abcdef", min_size=4))
+def test_by_the_threshold_families_of_two_or_more_are_in_both_splits(families: dict[int, str], digest: str) -> None:
+    val = threshold_indices(digest, families)
     assert val == sorted(set(val) & families.keys())
     for family in set(families.values()):
         members = {index for index, name in families.items() if name == family}
         if len(members) > 1:
             assert 0 < len(members & set(val)) < len(members)
-    assert val == validation_indices(digest, dict(reversed(families.items())))

@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from factory import assert_same_episode, make_episode
-from made_stores import RECIPE, write_store, writer_at
+from made_stores import RECIPE, files_of, seal, write_store, writer_at
 
 from cognitivedrone.data.episode import Encoding, Episode, decode_image, encode_image
 from cognitivedrone.data.store import Store
@@ -25,10 +25,6 @@ from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.data.verify import verify
 from cognitivedrone.errors import DataError
 from cognitivedrone.tasks.format import read_tasks
-
-
-def files_of(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 def test_every_bit_comes_back(sound_store: Path, flights: list[Episode]) -> None:
@@ -83,7 +79,8 @@ def test_splits_part_the_episodes(sound_store: Path) -> None:
     store = Store.open(sound_store)
     train, val = store.indices("train"), store.indices("val")
     assert sorted(train + val) == store.indices()
-    assert {store.episode(i).task.family for i in val} == {store.episode(i).task.family for i in train}
+    assert len(val) == 2
+    assert len({store.episode(i).task.family for i in val}) == 2
     steps = np.concatenate([store.step_numbers("train"), store.step_numbers("val")])
     np.testing.assert_array_equal(np.sort(steps), np.arange(store.n_steps))
     assert [(split, episode.index) for split, episode in store.labelled()] == [
@@ -235,6 +232,7 @@ def test_another_version_does_not_open(tmp_path: Path, flights: list[Episode]) -
     path = write_store(tmp_path / "store", flights[:8])
     manifest = path / "manifest.json"
     manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"version": 7}))
+    seal(path)
     with pytest.raises(DataError, match=r"manifest\.json: the store has version 7, this release reads 1"):
         Store.open(path)
     with pytest.raises(DataError, match="version 7"):
@@ -307,7 +305,7 @@ def test_flights_that_do_not_fit_are_refused(tmp_path: Path, flights: list[Episo
     ]:
         with pytest.raises(DataError, match=message):
             writer.write_shard(0, [bad], {})
-    with pytest.raises(DataError, match="shard 0: episode 0 comes twice"):
+    with pytest.raises(DataError, match=r"shard-00000\.parquet: episode 0 comes twice"):
         writer.write_shard(0, [flight, flight], {})
     writer.write_shard(0, [flight], {})
     writer.write_shard(1, [flight], {})

@@ -12,7 +12,10 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_stores import age, files_of, seal, writer_at
 
+from cognitivedrone.data.episode import Episode
+from cognitivedrone.data.store import Store
 from cognitivedrone.data.verify import Problem, verify
 from cognitivedrone.errors import DataError
 
@@ -20,9 +23,11 @@ SHARD = "shards/shard-00002.parquet"
 
 
 def edit(path: Path, change: Callable[[Any], object]) -> None:
+    """Forge a file of a store, its checksum too."""
     content = json.loads(path.read_text())
     change(content)
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+    seal(path.parent if path.parent.name != "shards" else path.parents[1])
 
 
 @pytest.fixture
@@ -70,9 +75,9 @@ def test_a_shard_in_the_place_of_another_with_its_hash_forged(store: Path) -> No
     content = (store / SHARD).read_bytes()
     forged = {"sha256": hashlib.sha256(content).hexdigest(), "bytes": len(content)}
     edit(store / "manifest.json", lambda manifest: manifest["shards"][2].update(forged))
-    (problem,) = verify(store)
-    assert problem.file == SHARD
-    assert "other episodes" in problem.message
+    problems = verify(store)
+    assert [problem.file for problem in problems] == [SHARD, "shards/shard-00002.json"]
+    assert "other episodes" in problems[0].message
 
 
 def test_a_duplicated_episode(store: Path) -> None:
@@ -101,5 +106,92 @@ def test_a_damaged_manifest(store: Path) -> None:
     edit(store / "manifest.json", lambda manifest: manifest.pop("splits"))
     assert verify(store) == [Problem("manifest.json", "is damaged (no usable 'splits')")]
     (store / "manifest.json").write_text('{"format": ')
-    with pytest.raises(DataError, match=r"manifest\.json: cannot be read"):
-        verify(store)
+    assert verify(store) == [Problem("manifest.json", "is damaged: it is not JSON")]
+    (store / "manifest.json").unlink()
+    assert verify(store) == [Problem("manifest.json", "is missing")]
+
+
+def test_a_store_of_the_first_releases_is_sound_and_is_sealed_when_it_is_resumed(store: Path) -> None:
+    new = files_of(store)
+    assert verify(age(store)) == []
+    assert len(Store.open(store)) == 40
+    writer = writer_at(store, resume=True)
+    assert writer.missing_shards(5) == []
+    writer.finish(5)
+    assert files_of(store) == new
+
+
+FILES = ("manifest.json", "statistics.json", "tasks.json", "SHA256SUMS", SHARD, "shards/shard-00002.json")
+SPOILT: dict[str, Callable[[Path], object]] = {
+    "empty": lambda path: path.write_bytes(b""),
+    "{}": lambda path: path.write_bytes(b"{}"),
+    "deleted": lambda path: path.unlink(),
+    "a space more": lambda path: path.write_bytes(path.read_bytes() + b" "),
+    "another digit": lambda path: path.write_bytes(path.read_bytes().replace(b"3", b"4", 1)),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("how", SPOILT)
+def test_every_file_is_checked_and_mended(store: Path, flights: list[Episode], name: str, how: str) -> None:
+    whole = files_of(store)
+    SPOILT[how](store / name)
+    named = {problem.file for problem in verify(store)}
+    assert name in named or (name == "SHA256SUMS" and named)  # a wrong hash may be blamed on what it is of
+    writer = writer_at(store, resume=True)
+    missing = writer.missing_shards(5)
+    assert missing == ([2] if name.startswith("shards/") else [])
+    for number in missing:
+        writer.write_shard(number, flights[8 * number : 8 * number + 8], {"collision": number})
+    writer.finish(5)
+    assert files_of(store) == whole
+    assert verify(store) == []
+
+
+def test_an_altered_manifest_or_statistics_is_not_read(store: Path) -> None:
+    manifest = store / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"seed": 3', '"seed": 4'))
+    with pytest.raises(DataError, match=r"manifest\.json: does not match its checksum in SHA256SUMS"):
+        Store.open(store)
+    manifest.write_text(manifest.read_text().replace('"seed": 4', '"seed": 3'))
+    (store / "statistics.json").write_text("{}")
+    with pytest.raises(DataError, match=r"statistics\.json: does not match its checksum"):
+        Store.open(store).statistics()
+
+
+def test_what_a_killed_writer_left_is_told_and_removed(store: Path) -> None:
+    whole = files_of(store)
+    (store / ".statistics.json.77.tmp").write_text("half")
+    (store / "shards/.shard-00001.parquet.77.tmp").write_text("half")
+    shutil.copytree(store / "shards", store / "partial")
+    shutil.copy(store / "shards/shard-00001.json", store / "shards/shard-00009.json")
+    assert len(verify(store)) == 2 + 11 + 1
+    writer_at(store, resume=True).finish(5)
+    assert files_of(store) == whole
+    assert not (store / "partial").exists()
+
+
+def test_a_manifest_is_not_made_up_for_the_shards_of_another_set(store: Path) -> None:
+    (store / "manifest.json").unlink()
+    before = files_of(store)
+    with pytest.raises(DataError, match="the shards beside it were not made with these settings"):
+        writer_at(store, resume=True, seed=4)
+    with pytest.raises(DataError, match="holds a data set already"):
+        writer_at(store)
+    (store / "manifest.json").write_text("{}")
+    (store / "thesis.txt").write_text("mine")
+    with pytest.raises(DataError, match="is not the manifest of a data set of ours"):
+        writer_at(store, resume=True)
+    (store / "manifest.json").unlink()
+    (store / "thesis.txt").unlink()
+    assert files_of(store) == before
+
+
+def test_a_shard_of_another_set_is_not_taken_for_ours(tmp_path: Path, flights: list[Episode]) -> None:
+    ours, theirs = writer_at(tmp_path / "ours"), writer_at(tmp_path / "theirs", seed=4)
+    for writer in (ours, theirs):
+        for number in (0, 1):
+            writer.write_shard(number, flights[8 * number : 8 * number + 8], {})
+    for name in ("shard-00001.parquet", "shard-00001.json"):
+        shutil.copy(theirs.path / "shards" / name, ours.path / "shards" / name)
+    assert writer_at(tmp_path / "ours", resume=True).missing_shards(2) == [1]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from cognitivedrone.collect.collector import CollectConfig, collect
+from cognitivedrone.collect.recipe import RECIPES as COLLECTED
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.text import Vocabulary
@@ -85,3 +86,17 @@ def test_a_training_from_a_data_set_says_so_and_does_not_go_on_with_another(
     assert all(value.isfinite().all() for value in tensors.values())
     with pytest.raises(TrainingError, match="another recipe, seed or data"):
         train(TrainConfig(tmp_path / "run", policy_subject(recipe), resume=True))
+
+
+def test_a_learners_relabelled_flights_are_a_data_set_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recipe = replace(COLLECTED["debug"], kicks_per_s=0.0, time_limit_s=1.0)
+    monkeypatch.setitem(COLLECTED, "debug", recipe)
+    folder = tmp_path / "dagger"
+    config = CollectConfig(folder, "debug", 4, workers=1, episodes_per_shard=2, policy="hover", beta=0.2)
+    collect(config, progress=False)
+    monkeypatch.setattr(policy, "_SENTENCES", 300)
+    short = replace(RECIPES["debug"], steps=2, fly_every=2, fly_tasks=1)
+    train(TrainConfig(tmp_path / "run", policy_subject(short, folder)), lambda _: None)
+    tensors, facts = read_checkpoint(tmp_path / "run" / CHECKPOINT)
+    assert facts["data"] == f"store {Store(folder).content_hash()}"
+    assert all(value.isfinite().all() for value in tensors.values())

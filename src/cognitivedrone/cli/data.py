@@ -15,10 +15,12 @@ from cognitivedrone.printable import visible
 def collect(config: Annotated[CollectConfig, tyro.conf.arg(name="")]) -> None:
     """Collect a data set: the expert flies the tasks of a suite, frames and actions go into a store.
 
-    A run that was stopped goes on with --resume. Examples:
+    A run that was stopped goes on with --resume. With --policy the policy flies, and the expert says at every step what
+    it would have done (DAgger). Examples:
 
       cognitivedrone collect --out data/paper
       cognitivedrone collect --recipe robust --episodes 500 --out data/robust
+      cognitivedrone collect --policy small:runs/a/model.onnx --beta 0.3 --episodes 500 --out data/dagger
     """
     from cognitivedrone.collect.collector import collect as collect_set
     from cognitivedrone.terminal import console
@@ -70,6 +72,8 @@ def verify(folder: tyro.conf.Positional[Path]) -> None:
     for problem in problems:
         print(visible(str(problem)))  # noqa: T201
     if problems:
+        again = "collect it again with --resume and the settings it was made with; an import is imported again"
+        print(f"{folder}: {len(problems)} problems; to mend them, {again}", file=sys.stderr)  # noqa: T201
         sys.exit(1)
     print(visible(f"{folder}: whole"))  # noqa: T201
 

@@ -1,22 +1,27 @@
-"""Collects a data set: the expert flies the tasks of a suite, shard by shard, into a store."""
+"""Collects a data set: the expert, or a policy that it relabels, flies the tasks of a suite into a store."""
 
 from __future__ import annotations
 
 import os
 import time
 from collections import Counter
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import Progress, SpinnerColumn, TaskID, TimeElapsedColumn
 
 from cognitivedrone import plugins
 from cognitivedrone.collect.config import CollectConfig
-from cognitivedrone.collect.executors import EXECUTORS, Executor, Job, import_ray, open_suite
+from cognitivedrone.collect.executors import EXECUTORS, Executor, Job, import_ray, learner_of, open_suite
+from cognitivedrone.collect.fleet import FlownEpisode
 from cognitivedrone.collect.recipe import find_recipe
+from cognitivedrone.data.episode import Episode
+from cognitivedrone.data.layout import sole_writer
 from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.errors import DataError, did_you_mean
-from cognitivedrone.terminal import console
+from cognitivedrone.policies import make_policy
+from cognitivedrone.progress import progress_bar
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +34,9 @@ class CollectReport:
     flown: int
     """Flown and kept in this run."""
     dropped: dict[str, int]
-    """Flights of this run that failed and were flown again, by outcome."""
+    """Flights of this run that were not kept and flown again, by outcome."""
+    outcomes: dict[str, int]
+    """Flights of this run that were kept, by outcome: all passed where the expert flew."""
     seconds: float
     """Wall time of this run."""
 
@@ -37,7 +44,7 @@ class CollectReport:
     def success_rate(self) -> float:
         """Share of this run's flights that were passed."""
         flights = self.flown + sum(self.dropped.values())
-        return self.flown / flights if flights else 1.0
+        return self.outcomes.get("passed", 0) / flights if flights else 1.0
 
     @property
     def episodes_per_s(self) -> float:
@@ -48,42 +55,125 @@ class CollectReport:
 def collect(config: CollectConfig, progress: bool = True) -> CollectReport:
     """Fill a store with exactly the episodes that are asked for, task by task of the suite.
 
-    What is in the store depends on suite, recipe, episodes and seed alone, not on workers, executor or interruptions.
-    Shards are written whole, so a run that was stopped at any moment goes on with `resume`. Raises `DataError` for a
-    configuration or a folder that does not do, `TaskError` for a suite, `MissingExtra` for Ray that is not installed,
-    and `KeyboardInterrupt` with a hint on Ctrl-C.
+    What is in the store depends on suite, recipe, policy, episodes and seed alone, not on workers, executor or
+    interruptions. A run that was stopped at any moment goes on with `resume`. Raises `DataError` for a configuration or
+    a folder that does not do, `TaskError` for a suite, `PolicyError` for a policy, `MissingExtra` for Ray that is not
+    installed, and `KeyboardInterrupt` on Ctrl-C, which says how many episodes are kept.
     """
     job, executor, workers = _prepare(config)
     suite = open_suite(job)
-    writer = StoreWriter(
-        config.out,
-        job.recipe.facts(),
-        suite.name,
-        suite.digest,
-        config.seed,
-        episodes_per_shard=job.episodes_per_shard,
-        resume=config.resume,
-    )
-    missing = list(writer.missing_shards(job.shards))
-    wanted = sum(len(job.indices(number)) for number in missing)
-    dropped: Counter[str] = Counter()
     begin = time.perf_counter()
-    with _bar(progress) as bar:
-        line = bar.add_task(f"{config.recipe}, {suite.name}", total=wanted, speed="")
-        flown = 0
+    columns = (SpinnerColumn(), TimeElapsedColumn())
+    with sole_writer(config.out), progress_bar("speed", show=progress, columns=columns) as bar:
+        line = bar.add_task("checking", total=job.episodes, speed="")
+        writer = StoreWriter(
+            config.out,
+            job.recipe.facts(),
+            suite.name,
+            suite.digest,
+            config.seed,
+            episodes_per_shard=job.episodes_per_shard,
+            policy=job.learner.facts() if job.learner else None,
+            resume=config.resume,
+        )
+        gathered = _Gathered(writer, job)
+        bar.update(line, description="starting", completed=gathered.there)
+        batches = gathered.missing()
         try:
-            for shard in executor(job, missing, min(workers, max(len(missing), 1))):
-                writer.write_shard(shard.number, shard.flown.episodes, shard.flown.dropped)
-                flown += len(shard.flown.episodes)
-                dropped.update(shard.flown.dropped)
-                _advance(bar, line, flown, begin)
+            for flown in executor(job, batches, min(workers, max(len(batches), 1))):
+                gathered.add(flown)
+                _advance(bar, line, gathered, begin)
+            bar.update(line, description="finishing", completed=job.episodes)
+            writer.finish(job.shards)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
-                f"stopped with {job.episodes - wanted + flown} of {job.episodes} episodes in {config.out};"
-                " go on with --resume"
+                f"stopped; {gathered.keep()} of {job.episodes} episodes are kept in {config.out},"
+                " the same command with --resume does the rest"
             ) from None
-    writer.finish()
-    return CollectReport(config.out, job.episodes, flown, dict(dropped), time.perf_counter() - begin)
+        except BaseException:
+            gathered.keep()
+            raise
+    return CollectReport(
+        out=config.out,
+        episodes=job.episodes,
+        flown=gathered.flown,
+        dropped=dict(gathered.dropped),
+        outcomes=dict(gathered.outcomes),
+        seconds=time.perf_counter() - begin,
+    )
+
+
+@dataclass(slots=True)
+class _Part:
+    """What is there of a shard that is not whole yet."""
+
+    episodes: list[Episode] = field(default_factory=list)
+    dropped: Counter[str] = field(default_factory=Counter)
+
+
+class _Gathered:
+    """The episodes of a collection, gathered into shards, which are written as soon as they are whole."""
+
+    def __init__(self, writer: StoreWriter, job: Job) -> None:
+        self._writer = writer
+        self._job = job
+        self.flown = 0
+        self.dropped: Counter[str] = Counter()
+        self.outcomes: Counter[str] = Counter()
+        self._parts: dict[int, _Part] = {}
+        for number in writer.missing_shards(job.shards):
+            episodes, dropped = writer.kept(number)
+            self._parts[number] = _Part(episodes, Counter(dropped))
+            self._write_if_whole(number)
+
+    @property
+    def there(self) -> int:
+        """How many episodes there are, on disk or in memory."""
+        return self._written() + sum(len(part.episodes) for part in self._parts.values())
+
+    def missing(self) -> list[list[int]]:
+        """The indices that are left to fly, by shard."""
+        return [self._left(number) for number in self._parts]
+
+    def add(self, flown: FlownEpisode) -> None:
+        """Take in an episode. Raises `DataError` where its shard is whole and cannot be written."""
+        number = flown.episode.index // self._job.episodes_per_shard
+        part = self._parts[number]
+        part.episodes.append(flown.episode)
+        part.dropped.update(flown.dropped)
+        self.flown += 1
+        self.dropped.update(flown.dropped)
+        self.outcomes[flown.outcome] += 1
+        self._write_if_whole(number)
+
+    def keep(self) -> int:
+        """Put what is in memory on the disk as well as that goes; how many episodes are there then."""
+        kept = self._written()
+        for number, part in self._parts.items():
+            try:
+                if part.episodes:
+                    self._writer.keep(number, part.episodes, part.dropped)
+                    kept += len(part.episodes)
+            except DataError:
+                break  # a full disk, most likely, which whoever stopped this has said already
+        return kept
+
+    def _write_if_whole(self, number: int) -> None:
+        if not self._left(number):
+            part = self._parts[number]
+            self._writer.write_shard(number, part.episodes, part.dropped)
+            del self._parts[number]
+
+    def _left(self, number: int) -> list[int]:
+        there = {episode.index for episode in self._parts[number].episodes}
+        return [index for index in self._job.indices(number) if index not in there]
+
+    def _written(self) -> int:
+        return self._job.episodes - _count(self._job.indices(number) for number in self._parts)
+
+
+def _count(ranges: Iterable[range]) -> int:
+    return sum(map(len, ranges))
 
 
 def _prepare(config: CollectConfig) -> tuple[Job, Executor, int]:
@@ -99,29 +189,24 @@ def _prepare(config: CollectConfig) -> tuple[Job, Executor, int]:
     for name, value, least in numbers:
         if value < least:
             raise DataError(f"{name} {value}: must be at least {least}")
+    if not 0 <= config.beta <= 1:
+        raise DataError(f"--beta {config.beta}: must be a probability, from 0 to 1")
+    if config.beta and config.policy is None:
+        raise DataError("--beta is the expert's share of a policy's flights; give a --policy, or leave it out")
     if config.executor not in EXECUTORS:
         raise DataError(f"unknown executor {config.executor!r}; {did_you_mean(config.executor, EXECUTORS)}")
     if config.executor == "ray":
         import_ray()
     executor = plugins.load("executor", config.executor, EXECUTORS)
+    learner = None
+    if config.policy is not None:
+        learner = learner_of(config.policy, config.beta)
+        make_policy(config.policy)  # fails here, before anything is written
     suite = config.suite if config.tasks is None else str(config.tasks)
-    job = Job(suite, replace(recipe, episodes=episodes), config.seed, config.episodes_per_shard)
+    job = Job(suite, replace(recipe, episodes=episodes), config.seed, config.episodes_per_shard, learner)
     return job, executor, workers
 
 
-def _bar(visible: bool) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[speed]}"),
-        TextColumn("time left"),
-        TimeRemainingColumn(),
-        console=console(stderr=True),
-        disable=not visible,
-    )
-
-
-def _advance(bar: Progress, line: TaskID, flown: int, begin: float) -> None:
-    speed = flown / max(time.perf_counter() - begin, 1e-9)
-    bar.update(line, completed=flown, speed=f"{speed:.1f} episodes/s")
+def _advance(bar: Progress, line: TaskID, gathered: _Gathered, begin: float) -> None:
+    speed = gathered.flown / max(time.perf_counter() - begin, 1e-9)
+    bar.update(line, description="flying", completed=gathered.there, speed=f"{speed:.1f} episodes/s")

@@ -31,3 +31,9 @@ class CollectConfig:
     """Flown, stored and resumed as one."""
     executor: Literal["local", "ray"] = "local"
     """`local` processes, or the machines of a `ray` cluster."""
+    policy: str | None = None
+    """Fly this policy instead of the expert, and record beside its commands what the expert would have done (DAgger).
+    A name, small:MODEL.onnx, or your own as module:attribute. Flights are kept however they end."""
+    beta: float = 0.0
+    """With --policy: the expert's share. At each control step the expert's command is flown with this probability, the
+    policy's otherwise."""

@@ -1,36 +1,62 @@
-"""Where shards are flown: in processes of this machine, or on the machines of a Ray cluster.
+"""Where episodes are flown: in processes of this machine, or on the machines of a Ray cluster.
 
-An executor is a function from a `Job`, shard numbers and a number of workers to an iterator over `FlownShard`, in any
-order. Who flies a shard does not matter to what is in it.
+An executor is a function from a `Job`, batches of episode indices and a number of workers to an iterator over
+`FlownEpisode`, in any order, each as soon as it has ended. Who flies an episode does not matter to what is in it.
 """
 
 from __future__ import annotations
 
 import functools
+import hashlib
 import multiprocessing
-import os
 import signal
-import threading
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
-from itertools import islice
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 from cognitivedrone import tasks
-from cognitivedrone.collect.fleet import Fleet, Flown
+from cognitivedrone.collect.fleet import Fleet, FlownEpisode
 from cognitivedrone.collect.recipe import Recipe
-from cognitivedrone.errors import DataError, MissingExtra
+from cognitivedrone.errors import CognitiveDroneError, DataError, MissingExtra, warn_plainly
+from cognitivedrone.policies import make_policy, model_file
 from cognitivedrone.tasks import Suite
-
-QUEUED = 2
-"""Shards under way for each worker, so that none waits for the next while the last is written."""
 
 EXECUTORS: dict[str, str] = {
     "local": "cognitivedrone.collect.executors:fly_local",
     "ray": "cognitivedrone.collect.executors:fly_ray",
 }
+PATIENCE_S = 5.0
+"""How long a worker may take to end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Learner:
+    """A policy whose flights the expert relabels."""
+
+    policy: str
+    """As `make_policy` takes it."""
+    beta: float
+    """Chance of each control step that the expert's command is sent instead of the policy's."""
+    model: str | None
+    """SHA-256 of the policy's model file; none where it has none that is known."""
+
+    def facts(self) -> dict[str, Any]:
+        """What the manifest says of it."""
+        return asdict(self)
+
+
+def learner_of(policy: str, beta: float) -> Learner:
+    """The learner by the name of a policy. Raises `PolicyError` where its model file is missing."""
+    file = model_file(policy)
+    if file is None:
+        return Learner(policy, beta, None)
+    with file.open("rb") as stream:
+        return Learner(policy, beta, hashlib.file_digest(stream, "sha256").hexdigest())
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +68,8 @@ class Job:
     recipe: Recipe
     seed: int
     episodes_per_shard: int
+    learner: Learner | None = None
+    """Who flies in the expert's place."""
 
     @property
     def episodes(self) -> int:
@@ -59,15 +87,7 @@ class Job:
         return range(begin, min(begin + self.episodes_per_shard, self.episodes))
 
 
-@dataclass(frozen=True, slots=True)
-class FlownShard:
-    """A shard, flown."""
-
-    number: int
-    flown: Flown
-
-
-Executor = Callable[[Job, Iterable[int], int], Iterator[FlownShard]]
+Executor = Callable[[Job, Sequence[Sequence[int]], int], Iterator[FlownEpisode]]
 
 
 def open_suite(job: Job) -> Suite:
@@ -83,51 +103,128 @@ def open_suite(job: Job) -> Suite:
     return suite
 
 
-def fly_shard(job: Job, number: int) -> FlownShard:
-    """Fly one shard in this process, with a fleet that is kept for the next."""
-    return FlownShard(number, _fleet(job).fly(job.indices(number)))
+def fly_here(job: Job, indices: Sequence[int]) -> Iterator[FlownEpisode]:
+    """Fly some episodes in this process, with a fleet that is kept for the next."""
+    yield from _fleet(job).fly(indices)
 
 
 @functools.lru_cache(maxsize=1)
 def _fleet(job: Job) -> Fleet:
-    return Fleet(open_suite(job), job.recipe, job.seed)
-
-
-def fly_local(job: Job, shards: Iterable[int], workers: int) -> Iterator[FlownShard]:
-    """In `workers` processes of this machine. Processes end with the iterator, and with the parent however it ends."""
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker)
-    remaining = iter(shards)
-    pending: set[Future[FlownShard]] = set()
-    try:
-        pending |= {pool.submit(fly_shard, job, number) for number in islice(remaining, QUEUED * workers)}
-        while pending:
-            done, pending = wait(pending, return_when=FIRST_COMPLETED)
-            pending |= {pool.submit(fly_shard, job, number) for number in islice(remaining, len(done))}
-            for future in done:
-                yield future.result()
-    except BrokenProcessPool:
+    suite, learner = open_suite(job), job.learner
+    if learner is None:
+        return Fleet(suite, job.recipe, job.seed)
+    if learner_of(learner.policy, learner.beta) != learner:
         raise DataError(
-            "a worker was killed, perhaps for want of memory; go on with --resume, or fewer --workers"
-        ) from None
+            f"policy {learner.policy!r}: its model file is another one on this machine, or has changed since the start;"
+            " give the same file everywhere, and start anew"
+        )
+    # One world: a policy may fill the memory, and it decides one frame at a time anyway.
+    return Fleet(suite, job.recipe, job.seed, worlds=1, learner=lambda: make_policy(learner.policy), beta=learner.beta)
+
+
+@dataclass(frozen=True, slots=True)
+class _Done:
+    """A worker has flown its batch."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Failed:
+    """What a worker raised."""
+
+    error: CognitiveDroneError | None
+    """None for what was not raised on purpose."""
+    trace: str
+
+
+def fly_local(job: Job, batches: Sequence[Sequence[int]], workers: int) -> Iterator[FlownEpisode]:
+    """In `workers` processes of this machine. Processes end with the iterator, and with the parent however it ends.
+
+    Raises `DataError` where a worker is killed, and whatever of this package's errors it raises.
+    """
+    todo = deque(batches)
+    team = _start(job, min(workers, len(todo)))
+    try:
+        busy = {ours: process for ours, process in team.items() if _give(ours, todo)}
+        while busy:
+            for ours in wait(list(busy)):
+                assert isinstance(ours, Connection)  # noqa: S101  (tells the type checker)
+                answer = _hear(ours, busy[ours])
+                if isinstance(answer, FlownEpisode):
+                    yield answer
+                elif not _give(ours, todo):
+                    del busy[ours]
     finally:
-        # Whoever is in the middle of a shard is not waited for: Ctrl-C answers at once.
-        for process in list((pool._processes or {}).values()):
+        # Whoever is in the middle of a flight is not waited for: Ctrl-C answers at once.
+        for ours, process in team.items():
             process.terminate()
-        pool.shutdown(wait=True, cancel_futures=True)
+            process.join(PATIENCE_S)
+            ours.close()
 
 
-def _begin_worker() -> None:
-    """Leave Ctrl-C to the parent, and do not outlive it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_follow, args=(parent,), daemon=True).start()
+def _start(job: Job, workers: int) -> dict[Connection, BaseProcess]:
+    """Processes that wait for batches, by the stream to each.
+
+    They inherit from their first instant that Ctrl-C, which reaches the whole process group, is left to this process.
+    Starting the tracker would lift that, so it goes first.
+    """
+    context = multiprocessing.get_context("spawn")
+    team: dict[Connection, BaseProcess] = {}
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        for _ in range(workers):
+            ours, theirs = context.Pipe()
+            process = context.Process(target=_work, args=(theirs, job), daemon=True)
+            process.start()
+            theirs.close()  # so that the death of a worker is the end of its stream
+            team[ours] = process
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return team
 
 
-def _follow(parent: Any) -> None:
-    parent.join()
-    os._exit(1)
+def _give(ours: Connection, todo: deque[Sequence[int]]) -> bool:
+    """Give out the next batch; false where there is none."""
+    if not todo:
+        return False
+    try:
+        ours.send(todo.popleft())
+    except OSError:
+        raise _killed() from None
+    return True
+
+
+def _hear(ours: Connection, process: BaseProcess) -> FlownEpisode | _Done:
+    try:
+        answer: FlownEpisode | _Done | _Failed = ours.recv()
+    except (EOFError, OSError):
+        process.join(PATIENCE_S)
+        raise _killed() from None
+    if not isinstance(answer, _Failed):
+        return answer
+    if answer.error is not None:
+        raise answer.error
+    raise RuntimeError(f"a worker failed:\n{answer.trace}")
+
+
+def _killed() -> DataError:
+    return DataError("a worker was killed, perhaps for want of memory; go on with --resume, or fewer --workers")
+
+
+def _work(theirs: Connection, job: Job) -> None:
+    """Life of a worker process: fly what is asked, end when the stream does."""
+    warn_plainly()
+    try:
+        while True:
+            for flown in fly_here(job, theirs.recv()):
+                theirs.send(flown)
+            theirs.send(_Done())
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        return
+    except CognitiveDroneError as error:
+        theirs.send(_Failed(error, ""))
+    except Exception:
+        theirs.send(_Failed(None, traceback.format_exc()))
 
 
 def import_ray() -> Any:
@@ -139,28 +236,31 @@ def import_ray() -> Any:
     return ray
 
 
-def fly_ray(job: Job, shards: Iterable[int], workers: int) -> Iterator[FlownShard]:
+def fly_ray(job: Job, batches: Sequence[Sequence[int]], workers: int) -> Iterator[FlownEpisode]:
     """As tasks of a Ray cluster: the one that `RAY_ADDRESS` names, or one of this machine.
 
-    `workers` shards are under way at a time, one CPU each; the package must be installed on every node. Raises
+    `workers` batches are under way at a time, one CPU each; the package must be installed on every node. Raises
     `MissingExtra` where Ray is not installed here.
     """
     ray = import_ray()
     started = not ray.is_initialized()
     if started:
         ray.init(log_to_driver=False)
-    fly: Any = ray.remote(num_cpus=1)(fly_shard)
-    remaining = iter(shards)
+    fly: Any = ray.remote(num_cpus=1, num_returns="streaming")(fly_here)
+    todo = deque(batches)
+    pending = [fly.remote(job, todo.popleft()) for _ in range(min(workers, len(todo)))]
     try:
-        pending = [fly.remote(job, number) for number in islice(remaining, workers)]
         while pending:
-            (done,), pending = ray.wait(pending, num_returns=1)
-            pending += [fly.remote(job, number) for number in islice(remaining, 1)]
+            (ready,), pending = ray.wait(pending, num_returns=1)
             try:
-                shard: FlownShard = ray.get(done)
+                flown: FlownEpisode = ray.get(next(ready))
+            except StopIteration:
+                pending += [fly.remote(job, todo.popleft())] if todo else []
+                continue
             except ray.exceptions.RayTaskError as error:
                 raise error.cause from None
-            yield shard
+            pending.append(ready)
+            yield flown
     finally:
         if started:
             ray.shutdown()

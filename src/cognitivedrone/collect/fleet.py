@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cognitivedrone.collect.perturbation import Disturbance, disturb, draw_beginning, draw_disturbances
 from cognitivedrone.collect.recipe import Recipe
 from cognitivedrone.data.episode import Conditions, Episode, encode_image
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import clip_action, proprioception
-from cognitivedrone.errors import DataError
+from cognitivedrone.errors import CognitiveDroneError, DataError, NonFiniteAction, PolicyError
 from cognitivedrone.flight.loop import check_chunk
 from cognitivedrone.interfaces import Policy, Privileged, Seeded
 from cognitivedrone.labels import load_pack
@@ -21,7 +23,7 @@ from cognitivedrone.policies.expert import Expert, ExpertConfig
 from cognitivedrone.sim.airframe import AIRFRAMES
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite
-from cognitivedrone.types import IMAGE_SIZE, Action, FloatArray, Image, Observation
+from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Action, FloatArray, Image, Observation
 
 AIRFRAME = "racer"
 WORLDS = 16
@@ -33,13 +35,14 @@ Learner = Callable[[], Policy]
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
-    """What came of some tasks of a suite."""
+class FlownEpisode:
+    """One episode that is kept."""
 
-    episodes: tuple[Episode, ...]
-    """One for each task, in the order of their indices."""
+    episode: Episode
+    outcome: str
+    """How it ended; "passed" where the expert flew."""
     dropped: Mapping[str, int]
-    """Flights that were flown again, by outcome."""
+    """Flights of its task that were not kept, by outcome: it was flown again after each."""
 
 
 @dataclass(slots=True)
@@ -51,6 +54,9 @@ class _Flight:
     expert: Expert
     disturbances: tuple[Disturbance, ...]
     learner: Policy | None
+    expert_flies: NDArray[np.bool_]
+    """By control step, of a learner's flight: whether the expert's command is sent in place of the learner's."""
+    dropped: Counter[str]
     pending: list[Action] = field(default_factory=list)
     images: list[bytes] = field(default_factory=list)
     action: list[Action] = field(default_factory=list)
@@ -71,48 +77,57 @@ class Fleet:
 
     An episode depends on suite, index, seed and recipe alone, to the last bit: not on the other worlds. A flight of the
     expert that fails is dropped and its task flown again from new conditions, until it is passed: a set has exactly the
-    episodes that were asked for. A learner's flights are kept however they end.
+    episodes that were asked for. A learner's flights are kept however they end, but for those that physics or the
+    learner's own numbers ended.
     """
 
     def __init__(
-        self, suite: Suite, recipe: Recipe, seed: int, *, worlds: int = WORLDS, learner: Learner | None = None
+        self,
+        suite: Suite,
+        recipe: Recipe,
+        seed: int,
+        *,
+        worlds: int = WORLDS,
+        learner: Learner | None = None,
+        beta: float = 0.0,
     ) -> None:
+        """`beta`: of a learner's flight, the chance of each control step that the expert's command is sent instead."""
         self.suite = suite
         self.recipe = recipe
         self.seed = seed
+        self.beta = beta
+        self._learners = [learner() for _ in range(worlds)] if learner else None
         self._simulator = Simulator(worlds, airframe=AIRFRAMES[AIRFRAME])
         pack = load_pack("open-v1")
         config = CourseConfig(look=recipe.look, time_limit_s=recipe.time_limit_s)
         self._courses = [Course(self._simulator, world, pack, config) for world in range(worlds)]
-        self._learners = [learner() for _ in range(worlds)] if learner else None
         self._frames = np.empty((worlds, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)
 
     def close(self) -> None:
         """Free the renderer."""
         self._simulator.close()
 
-    def fly(self, indices: Iterable[int]) -> Flown:
-        """Fly these tasks; raises `DataError` for one that cannot be flown."""
-        waiting = deque((index, 0) for index in indices)
+    def fly(self, indices: Iterable[int]) -> Iterator[FlownEpisode]:
+        """Fly these tasks; each episode is given back as it ends. Raises `DataError` for one that cannot be flown."""
+        waiting = deque((index, 0, Counter[str]()) for index in indices)
         flights: dict[int, _Flight] = {}
-        episodes: list[Episode] = []
-        dropped: Counter[str] = Counter()
         while waiting or flights:
             for world in range(self._simulator.worlds):
                 if world not in flights and waiting:
                     flights[world] = self._begin(world, *waiting.popleft())
             for world, flight, outcome in self._step(flights):
                 del flights[world]
-                if outcome == "passed" or (flight.learner is not None and outcome != "invalid"):
-                    episodes.append(self._episode(world, flight))
+                if outcome == "passed" or (flight.learner is not None and outcome not in ("invalid", "policy_error")):
+                    yield FlownEpisode(self._episode(world, flight), outcome, dict(flight.dropped))
                 else:
-                    dropped[outcome] += 1
-                    waiting.appendleft((flight.index, flight.attempt + 1))
-        return Flown(tuple(sorted(episodes, key=lambda episode: episode.index)), dict(dropped))
+                    flight.dropped[outcome] += 1
+                    waiting.appendleft((flight.index, flight.attempt + 1, flight.dropped))
 
-    def _begin(self, world: int, index: int, attempt: int) -> _Flight:
+    def _begin(self, world: int, index: int, attempt: int, dropped: Counter[str]) -> _Flight:
         if attempt == MAX_ATTEMPTS:
             task = self.suite.tracks[index][0]
+            if self._learners:
+                raise DataError(f"task {task.id}: in {attempt} flights the policy gave no finite command; mend it")
             raise DataError(f"task {task.id}: no flight out of {attempt} was passed; make the recipe gentler")
         rng = attempt_rng(self.suite.digest, index, self.seed, attempt)
         course = self._courses[world]
@@ -121,25 +136,35 @@ class Fleet:
         disturbances = draw_disturbances(rng, self.recipe)
         learner = self._learners[world] if self._learners else None
         course.begin(self.suite.tracks[index], rng, start)
-        if isinstance(learner, Seeded):
-            learner.seed(int(rng.integers(2**31)))
         expert = Expert(ExpertConfig(speed_m_s=speed))
-        for pilot in (expert, learner):
-            if pilot is not None:
-                pilot.reset(course.task.instruction)
-            if isinstance(pilot, Privileged):
-                pilot.brief(course.truth())
-        return _Flight(index, attempt, expert, disturbances, learner)
+        expert.reset(course.task.instruction)
+        expert.brief(course.truth())
+        expert_flies = np.zeros(int(self.recipe.time_limit_s * CONTROL_HZ) + 2, np.bool_)
+        if learner is not None:
+            with _told_of(learner, index, 0):
+                if isinstance(learner, Seeded):
+                    learner.seed(int(rng.integers(2**31)))
+                learner.reset(course.task.instruction)
+                if isinstance(learner, Privileged):
+                    learner.brief(course.truth())
+            if self.beta:
+                expert_flies = rng.random(len(expert_flies)) < self.beta
+        return _Flight(index, attempt, expert, disturbances, learner, expert_flies, dropped)
 
     def _step(self, flights: Mapping[int, _Flight]) -> Iterator[tuple[int, _Flight, str]]:
         """One control step of all worlds; yields those that ended, with their outcome."""
         worlds = list(flights)
         frames = self._simulator.frames(self._frames[: len(worlds)], worlds)
+        undecided = set()
         for world, frame in zip(worlds, frames, strict=True):
-            self._decide(world, flights[world], frame)
+            try:
+                self._decide(world, flights[world], frame)
+            except NonFiniteAction:
+                undecided.add(world)
         verdicts = self._simulator.advance()
         for world in worlds:
-            result = self._courses[world].update(verdicts[world])
+            course = self._courses[world]
+            result = course.end("policy_error") if world in undecided else course.update(verdicts[world])
             if result is not None:
                 yield world, flights[world], result.outcome
 
@@ -153,8 +178,11 @@ class Fleet:
             if not flight.pending:
                 instruction = self._courses[world].task.instruction
                 seen = Observation(frame, instruction, velocity, height, yaw_rate, simulator.time(world))
-                flight.pending = list(check_chunk(flight.learner.act(seen)))
-            sent = clip_action(flight.pending.pop(0))
+                with _told_of(flight.learner, flight.index, len(flight.sent)):
+                    flight.pending = list(check_chunk(flight.learner.act(seen)))
+            learned = clip_action(flight.pending.pop(0))
+            # The learner is asked at every step, so that its own clock and memory run on.
+            sent = action if flight.expert_flies[len(flight.sent)] else learned
         sent = clip_action(disturb(sent, len(flight.sent), flight.disturbances))
         simulator.command(world, sent)
         flight.images.append(encode_image(frame, self.recipe.encoding, self.recipe.quality))
@@ -185,18 +213,39 @@ class Fleet:
         )
 
 
+@contextmanager
+def _told_of(learner: Policy, index: int, step: int) -> Iterator[None]:
+    """Turn whatever a policy raises into a `PolicyError` that says where."""
+    try:
+        yield
+    except CognitiveDroneError:
+        raise
+    except Exception as error:
+        name, reason = type(learner).__name__, f"{type(error).__name__}: {error}"
+        raise PolicyError(f"policy {name} failed in episode {index} at step {step} ({reason}); mend it") from error
+
+
 def relabel(
-    learner: Learner, suite: Suite, recipe: Recipe, seed: int, indices: Iterable[int], *, worlds: int = WORLDS
+    learner: Learner,
+    suite: Suite,
+    recipe: Recipe,
+    seed: int,
+    indices: Iterable[int],
+    *,
+    worlds: int = WORLDS,
+    beta: float = 0.0,
 ) -> Iterator[Episode]:
     """Fly a learner and record what the expert would have done in its place (DAgger; Ross et al., AISTATS 2011).
 
-    `learner` makes one policy for each world. Of the episodes, `sent` is the learner's command and `action` the
-    expert's; flights are kept however they end, and come in the order of `indices`, some at a time.
+    `learner` makes one policy for each world; `beta` is the paper's, the expert's share of the control steps. Of the
+    episodes, `sent` is what was flown and `action` the expert's; flights are kept however they end, and come in the
+    order of `indices`, some at a time.
     """
-    fleet = Fleet(suite, recipe, seed, worlds=worlds, learner=learner)
+    fleet = Fleet(suite, recipe, seed, worlds=worlds, learner=learner, beta=beta)
     try:
         waiting = list(indices)
         for begin in range(0, len(waiting), 4 * worlds):
-            yield from fleet.fly(waiting[begin : begin + 4 * worlds]).episodes
+            flown = fleet.fly(waiting[begin : begin + 4 * worlds])
+            yield from sorted((each.episode for each in flown), key=lambda episode: episode.index)
     finally:
         fleet.close()

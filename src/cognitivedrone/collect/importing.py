@@ -8,6 +8,7 @@ from itertools import count, islice
 from pathlib import Path
 
 from cognitivedrone.data.formats import import_
+from cognitivedrone.data.layout import sole_writer
 from cognitivedrone.data.store_writer import EPISODES_PER_SHARD, StoreWriter
 from cognitivedrone.errors import DataError
 
@@ -22,15 +23,16 @@ def import_set(source: Path, form: str, out: Path) -> int:
         raise DataError(f"{source}: there is no such file or folder")
     name = f"{form}:{source.resolve().name}"
     recipe = {"name": "imported", "format": form, "source": source.resolve().name}
-    writer = StoreWriter(out, recipe, name, hashlib.sha256(name.encode()).hexdigest(), seed=0)
     flights = import_(source, form)
     taken = 0
-    for number in count():
-        read = [episode for _, episode in islice(flights, EPISODES_PER_SHARD)]
-        shard = [replace(episode, index=taken + offset) for offset, episode in enumerate(read)]
-        if not shard:
-            break
-        writer.write_shard(number, shard, {})
-        taken += len(shard)
-    writer.finish()
+    with sole_writer(out):
+        writer = StoreWriter(out, recipe, name, hashlib.sha256(name.encode()).hexdigest(), seed=0)
+        for number in count():
+            read = [episode for _, episode in islice(flights, EPISODES_PER_SHARD)]
+            shard = [replace(episode, index=taken + offset) for offset, episode in enumerate(read)]
+            if not shard:
+                break
+            writer.write_shard(number, shard, {})
+            taken += len(shard)
+        writer.finish()
     return taken

@@ -53,7 +53,7 @@ def new_folder(out: Path) -> Iterator[Path]:
         yield partial
         partial.rename(out)
     except OSError as error:
-        place = error.filename or out
+        place = str(error.filename or out).replace(str(partial), str(out))
         raise DataError(f"{place}: cannot be written ({reason_of(error)}); nothing was left at {out}") from error
     except (UnicodeEncodeError, UnicodeDecodeError) as error:
         raise DataError(f"{out}: cannot be written, a text of the data has no UTF-8 ({error.reason})") from None

@@ -70,6 +70,8 @@ def clear_errors(path: Path, doing: str) -> Iterator[None]:
 def _way_out(doing: str) -> str:
     if doing == "written":
         return "make room there or give another place"
+    if doing == "locked":
+        return "give a folder on a file system that has locks"
     return "run `cognitivedrone data verify` on the store"
 
 
@@ -85,23 +87,45 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
             with temporary.open("rb") as file:
                 os.fsync(file.fileno())
             temporary.replace(path)
-            folder = os.open(path.parent, os.O_RDONLY)
-            try:
+            with folder_descriptor(path.parent) as folder:
                 os.fsync(folder)  # the new name must outlive a power cut as well
-            finally:
-                os.close(folder)
         finally:
             temporary.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def folder_descriptor(path: Path) -> Iterator[int]:
+    """A folder, opened to be synced or locked."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def remove_left_over(folder: Path) -> None:
+    """Remove what writers that were killed have left in a folder."""
+    for path in folder.glob(".*.tmp"):
+        path.unlink(missing_ok=True)
+
+
+def json_text(content: object) -> str:
+    """JSON for people and diffs: indented, stable order, no NaN."""
+    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
 def write_json(path: Path, content: object) -> None:
-    """JSON for people and diffs: indented, stable order, no NaN. Raises `DataError`."""
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    write_atomically(path, lambda temporary: _write_text(temporary, text))
+    """`json_text` as a file. Raises `DataError`."""
+    write_text(path, json_text(content))
 
 
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+def write_text(path: Path, text: str) -> None:
+    """A text as a file, whole or not at all. Raises `DataError`."""
+
+    def write(temporary: Path) -> None:
+        temporary.write_text(text, encoding="utf-8")
+
+    write_atomically(path, write)
 
 
 def read_json(path: Path) -> Any:

@@ -15,6 +15,10 @@ from cognitivedrone.data.episode import Split
 
 VAL_SHARE: Final = 0.05
 SPLITS: Final[tuple[Split, ...]] = ("train", "val")
+LARGE: Final = 1000
+"""Episodes from which on a hash alone decides who is in `val`: of ten families, each has some there."""
+EXACT: Final = "exactly 5 %"
+"""What the manifest of a smaller set calls its rule."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,20 +40,62 @@ def draw_of(suite_digest: str, index: int) -> float:
     return int.from_bytes(digest[:8], "big") / 2**64
 
 
-def validation_indices(suite_digest: str, families: Mapping[int, str]) -> list[int]:
-    """The episodes of the `val` split, in order; `families` names the family of every episode index.
+def draw_splits(suite_digest: str, families: Mapping[int, str]) -> dict[str, Any]:
+    """The splits of a set as its manifest tells them; `families` names the family of every episode index.
 
-    An episode is in `val` where its draw is below 5 %. So that small sets have all families in both splits too, a
-    family of two episodes or more that would be missing from a split lends it the episode whose draw lies nearest.
+    A set of `LARGE` episodes or more is split by `threshold_indices`, and of `rule` nothing is said. A smaller one has
+    exactly 5 % to validate, by `exact_indices`.
+    """
+    if len(families) >= LARGE:
+        val = threshold_indices(suite_digest, families)
+        return {"train": len(families) - len(val), "val": val}
+    val = exact_indices(suite_digest, families)
+    return {"train": len(families) - len(val), "val": val, "rule": EXACT}
+
+
+def splits_again(said: Mapping[str, Any], suite_digest: str, families: Mapping[int, str]) -> dict[str, Any]:
+    """What a manifest with these splits must say, by its own rule: small sets of old have the one of large ones."""
+    if "rule" in said:
+        return draw_splits(suite_digest, families)
+    val = threshold_indices(suite_digest, families)
+    return {"train": len(families) - len(val), "val": val}
+
+
+def threshold_indices(suite_digest: str, families: Mapping[int, str]) -> list[int]:
+    """The episodes whose draw is below 5 %, in order: about 5 %, and for good, whatever else is in the set.
+
+    A family of two episodes or more that would be missing from a split lends it the episode whose draw lies nearest.
     """
     val: set[int] = set()
-    for family in set(families.values()):
-        members = sorted((draw_of(suite_digest, index), index) for index, name in families.items() if name == family)
+    for members in _by_draw(suite_digest, families).values():
         below = sum(draw < VAL_SHARE for draw, _ in members)
         if len(members) > 1:
             below = min(max(below, 1), len(members) - 1)
         val.update(index for _, index in members[:below])
     return sorted(val)
+
+
+def exact_indices(suite_digest: str, families: Mapping[int, str]) -> list[int]:
+    """5 % of the episodes to the nearest whole number, one at least where there are two or more; in order.
+
+    Families have their share of them as nearly as whole numbers can. Within a family the lowest draws are taken.
+    """
+    count = len(families)
+    wanted = max((count + 10) // 20, 1) if count > 1 else 0
+    places = sorted(
+        ((rank + 0.5) / len(members), draw, index)
+        for members in _by_draw(suite_digest, families).values()
+        for rank, (draw, index) in enumerate(members)
+    )
+    return sorted(index for *_, index in places[:wanted])
+
+
+def _by_draw(suite_digest: str, families: Mapping[int, str]) -> dict[str, list[tuple[float, int]]]:
+    """Draws and indices of every family, in order of the draws."""
+    members: dict[str, list[tuple[float, int]]] = {}
+    for index, family in families.items():
+        members.setdefault(family, []).append((draw_of(suite_digest, index), index))
+    return {family: sorted(drawn) for family, drawn in members.items()}
 
 
 def statistics(episodes: Sequence[Flown], val: Iterable[int]) -> dict[str, dict[str, Any]]:

@@ -5,12 +5,14 @@ DIR/
   manifest.json              format version, recipe, suite, seed, versions; once finished: splits, shards, hashes
   statistics.json            by split: counts, lengths, the spread of actions and states
   tasks.json                 the task of every episode, in order of index, in the published layout
+  SHA256SUMS                 hashes of all other files, written last
   shards/shard-00012.parquet 64 episodes, see `shards.py`
-  shards/shard-00012.json    its receipt, written after it: hash, size, which episodes
+  shards/shard-00012.json    its receipt, written after it: hash, size, which episodes, of which making
+  partial/                   while it is collected: what Ctrl-C has cut short, in the same form
 ```
 
-A shard counts from the moment its receipt is there. Every file appears whole under its name or not at all, so a
-collection that dies at any moment is finished by writing the shards that have no receipt.
+A shard counts from the moment its receipt is there and fits. Every file appears whole under its name or not at all, so
+a collection that dies at any moment is finished by writing the shards that have none.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.data.episode import Episode, Split, decode_image
-from cognitivedrone.data.layout import MANIFEST, STATISTICS, flown_in, read_manifest
+from cognitivedrone.data.layout import MANIFEST, STATISTICS, check_sum, flown_in, read_manifest
 from cognitivedrone.data.shards import ShardFile, read_json, sha256_of
 from cognitivedrone.data.statistics import SPLITS
 from cognitivedrone.errors import DataError, did_you_mean
@@ -117,8 +119,9 @@ class Store:
         return "val" if index in self._val else "train"
 
     def statistics(self) -> dict[str, Any]:
-        """What statistics.json says, by split and for `all`."""
+        """What statistics.json says, by split and for `all`. Raises `DataError` where it was altered."""
         content: dict[str, Any] = read_json(self.path / STATISTICS)
+        check_sum(self.path, STATISTICS)
         return content
 
     def episode(self, index: int) -> Episode:

@@ -1,41 +1,55 @@
-"""Writes the store of `store.py`, shard by shard, in any order; what is there is not made again."""
+"""Writes the store of `store.py`, shard by shard, in any order; what is there and sound is not made again."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
+from cognitivedrone.data.checksums import SUMS, sums_text
 from cognitivedrone.data.episode import Episode
 from cognitivedrone.data.layout import (
     FORMAT,
     FORMAT_VERSION,
     MANIFEST,
+    PARTIAL,
+    SHARDS,
     STATISTICS,
     TASKS,
+    check_format,
     check_same_making,
     flown_in,
+    head_of,
+    is_sound,
+    making_of,
+    receipt_name,
+    receipt_of,
+    receipt_text,
     shard_name,
 )
 from cognitivedrone.data.shards import (
     ShardFile,
     clear_errors,
+    json_text,
     read_json,
+    remove_left_over,
     sha256_of,
     write_atomically,
     write_json,
     write_shard_file,
+    write_text,
 )
-from cognitivedrone.data.statistics import statistics, validation_indices
+from cognitivedrone.data.statistics import draw_splits, statistics
 from cognitivedrone.errors import DataError
 from cognitivedrone.tasks.format import write_tasks
 
 EPISODES_PER_SHARD: Final = 64
 PACKAGES: Final = ("cognitivedrone", "mujoco", "numpy", "pillow", "pyarrow")
 """Whose version can change a bit of the data."""
+_NAMES: Final = {MANIFEST, STATISTICS, TASKS, SUMS, SHARDS, PARTIAL}
 
 
 class StoreWriter:
@@ -50,116 +64,248 @@ class StoreWriter:
         seed: int,
         *,
         episodes_per_shard: int = EPISODES_PER_SHARD,
+        policy: Mapping[str, Any] | None = None,
         resume: bool = False,
     ) -> None:
         """Start a store in a folder that is new or empty or, with `resume`, go on with one of the same making.
 
-        `recipe` is plain JSON. Raises `DataError` for a folder that holds anything else, or cannot be written.
+        `recipe` and `policy`, which says who flew where it was not the expert, are plain JSON. A manifest that is
+        missing or damaged is written anew on `resume`. Raises `DataError` for a folder that holds anything else, or
+        cannot be written.
         """
         self.path = Path(path)
         self._suite_digest = suite_digest
-        self._head = {
+        head = {
             "format": FORMAT,
             "version": FORMAT_VERSION,
-            "recipe": json.loads(json.dumps(dict(recipe))),  # as it comes back: tuples are lists
+            "recipe": dict(recipe),
             "suite": {"name": suite_name, "digest": suite_digest},
             "seed": seed,
             "episodes_per_shard": episodes_per_shard,
             "versions": {package: version(package) for package in PACKAGES},
-        }
+        } | ({"policy": dict(policy)} if policy else {})
+        self._head = json.loads(json.dumps(head))  # as it comes back: tuples are lists
+        self._making = making_of(self._head)
+        self._receipts: dict[int, dict[str, Any]] = {}
+        """Of the shards that were written, or found to be sound."""
         with clear_errors(self.path, "written"):
             self._start(resume)
 
     def _start(self, resume: bool) -> None:
+        if self.path.exists() and not self.path.is_dir():
+            raise DataError(f"{self.path}: is a file; give a new folder")
         manifest = self.path / MANIFEST
-        if manifest.exists():
+        if not self._only_left_over():
+            if not manifest.exists() and not self._looks_like_a_store():
+                raise DataError(f"{self.path}: is not empty and no data set of ours; give a new folder")
             if not resume:
                 raise DataError(f"{self.path}: holds a data set already; go on with --resume or give another folder")
-            check_same_making(self.path, read_json(manifest), self._head)
-            for left_over in self.path.rglob(".*.tmp"):
-                left_over.unlink(missing_ok=True)
-            return
-        if self.path.is_dir() and any(self.path.iterdir()) and not self._only_leftovers():
-            raise DataError(f"{self.path}: is not empty and no data set of ours; give a new folder")
-        (self.path / "shards").mkdir(parents=True, exist_ok=True)
-        write_json(manifest, self._head | {"complete": False})
+            if self._is_begun():
+                self._clear_up()
+                return
+            self._check_shards_are_ours()
+        (self.path / SHARDS).mkdir(parents=True, exist_ok=True)
+        self._clear_up()
+        write_json(manifest, {**self._head, "complete": False, "making": self._making})
 
-    def _only_leftovers(self) -> bool:
-        """Whether the folder is of a collection that died before its manifest was there."""
-        return all(
-            entry.name.startswith(f".{MANIFEST}.") or (entry.name == "shards" and not any(entry.iterdir()))
+    def _only_left_over(self) -> bool:
+        """Whether the folder is new, or of a collection that died before its manifest was there."""
+        return not self.path.exists() or all(
+            entry.name.startswith(f".{MANIFEST}.") or (entry.name == SHARDS and not any(entry.iterdir()))
             for entry in self.path.iterdir()
         )
 
+    def _looks_like_a_store(self) -> bool:
+        names = {entry.name for entry in self.path.iterdir() if not entry.name.endswith(".tmp")}
+        return SHARDS in names and names <= _NAMES
+
+    def _is_begun(self) -> bool:
+        """Whether a sound manifest of this making is there; raises `DataError` where it is of another."""
+        if not (self.path / MANIFEST).exists():
+            return False
+        try:
+            found = read_json(self.path / MANIFEST)
+        except DataError:
+            found = None
+        if is_sound(self.path, found):
+            check_format(self.path, found)
+            if self._makings_said() != {self._making}:  # else it is the manifest that does not belong here
+                check_same_making(self.path, found, self._head)
+            return making_of(head_of(found)) == self._making
+        if not self._looks_like_a_store():
+            check_format(self.path, found)
+        return False
+
+    def _check_shards_are_ours(self) -> None:
+        """Raise `DataError` where there is no manifest to trust, and the receipts are those of another set."""
+        makings = self._makings_said()
+        if makings and self._making not in makings:
+            raise DataError(
+                f"{self.path / MANIFEST}: is missing or damaged, and the shards beside it were not made with these "
+                "settings; give another folder, or the same settings as before"
+            )
+
+    def _makings_said(self) -> set[str]:
+        """Whose shards the receipts say they are of, "" where they do not say it."""
+        said = (_making_said(path) for path in (self.path / SHARDS).glob("shard-*.json"))
+        return {making for making in said if making is not None}
+
+    def _clear_up(self) -> None:
+        """Remove what a killed process has left."""
+        for folder in (self.path, self.path / SHARDS, self.path / PARTIAL):
+            remove_left_over(folder)
+
     def missing_shards(self, total: int) -> list[int]:
-        """Of the shards 0 to total - 1, those that are not on disk whole: what is left to fly."""
+        """Of the shards 0 to total - 1, those that are not on disk as they were written: what is left to fly.
+
+        Reads every byte of those that this writer has not seen yet.
+        """
         return [number for number in range(total) if not self._is_there(number)]
 
     def _is_there(self, number: int) -> bool:
-        receipt = self._receipt_path(number)
-        if not receipt.exists():
-            return False
-        shard = self.path / shard_name(number)
-        return shard.exists() and shard.stat().st_size == read_json(receipt)["bytes"]
+        if number not in self._receipts:
+            receipt = self._sound_receipt(shard_name(number))
+            if receipt is None:
+                return False
+            self._receipts[number] = receipt
+        return True
 
-    def _receipt_path(self, number: int) -> Path:
-        return (self.path / shard_name(number)).with_suffix(".json")
+    def _sound_receipt(self, shard: str) -> dict[str, Any] | None:
+        """The receipt of a shard that is there to the last bit, and so is its receipt; none otherwise."""
+        path = self.path / receipt_name(shard)
+        try:
+            said = path.read_bytes()
+            digest = sha256_of(self.path / shard)
+            if not _is_of(said, digest):
+                return None
+            receipt = receipt_of(self.path / shard, shard, digest)
+        except (DataError, OSError):
+            return None
+        text = receipt_text(receipt, self._making)
+        if said == json_text(receipt).encode():  # of a release that did not say whose it is
+            write_text(path, text)
+        elif said != text.encode():
+            return None
+        return receipt
 
     def write_shard(self, number: int, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> None:
         """Store the episodes of shard `number`; `dropped` counts flights that were not kept, by outcome.
 
         The same episodes give the same bytes, in whatever order they come. Raises `DataError`; then there is no shard.
         """
+        self._receipts.pop(number, None)
+        self._receipts[number] = self._write(shard_name(number), episodes, dropped)
+        self._remove(shard_name(number, PARTIAL))
+
+    def _write(self, shard: str, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> dict[str, Any]:
         ordered = sorted(episodes, key=lambda episode: episode.index)
-        indices = [episode.index for episode in ordered]
-        if len(set(indices)) < len(indices):
-            twice = Counter(indices).most_common(1)[0][0]
-            raise DataError(f"shard {number}: episode {twice} comes twice; give every index once")
-        path = self.path / shard_name(number)
+        indices = Counter(episode.index for episode in ordered)
+        if len(indices) < len(ordered):
+            raise DataError(f"{shard}: episode {indices.most_common(1)[0][0]} comes twice; give every index once")
+        path, receipt = self.path / shard, self.path / receipt_name(shard)
         with clear_errors(path, "written"):
-            self._receipt_path(number).unlink(missing_ok=True)
+            path.parent.mkdir(exist_ok=True)
+            receipt.unlink(missing_ok=True)
         write_shard_file(path, ordered, dropped)
-        receipt = {
-            "file": shard_name(number),
-            "sha256": sha256_of(path),
-            "bytes": path.stat().st_size,
-            "episodes": indices,
-            "lengths": [len(episode) for episode in ordered],
-            "dropped": dict(sorted(dropped.items())),
-        }
-        write_json(self._receipt_path(number), receipt)
+        content = receipt_of(path, shard, sha256_of(path))
+        write_text(receipt, receipt_text(content, self._making))
+        return content
 
-    def finish(self) -> None:
-        """Write statistics, task list and the manifest that makes the store readable.
+    def _remove(self, shard: str) -> None:
+        for name in (receipt_name(shard), shard):
+            (self.path / name).unlink(missing_ok=True)
 
-        Raises `DataError` where a shard is missing between the first and the last, or an episode is in two of them.
+    def keep(self, number: int, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> None:
+        """Put some episodes of shard `number` aside, for whoever resumes. Raises `DataError`."""
+        self._write(shard_name(number, PARTIAL), episodes, dropped)
+
+    def kept(self, number: int) -> tuple[list[Episode], dict[str, int]]:
+        """What was put aside of shard `number`; what is damaged is not given back."""
+        shard = shard_name(number, PARTIAL)
+        if self._sound_receipt(shard) is None:
+            return [], {}
+        file = ShardFile(self.path / shard)
+        return [file.episode(facts["index"]) for facts in file.facts], file.dropped
+
+    def finish(self, total: int | None = None) -> None:
+        """Write statistics, task list, the manifest that makes the store readable, and the checksums of all files.
+
+        `total` is the number of shards; those beyond it are removed. Without it, the shards up to the last are all.
+        Raises `DataError` where a shard is missing, or an episode is in two of them.
         """
-        numbers = sorted(int(path.stem[-5:]) for path in self.path.glob("shards/shard-*.json"))
-        total = numbers[-1] + 1 if numbers else 0
+        if total is None:
+            total = max(self._numbers_there(), default=-1) + 1
         missing = self.missing_shards(total)
         if missing or not total:
             raise DataError(f"{self.path}: shard {missing[0] if missing else 0} is missing; go on with --resume")
-        receipts = [read_json(self._receipt_path(number)) for number in range(total)]
+        receipts = [self._receipts[number] for number in range(total)]
+        _check_once_each(self.path, receipts)
+        with clear_errors(self.path, "written"):
+            self._remove_strays(total)
         shards = [ShardFile(self.path / receipt["file"]) for receipt in receipts]
-        homes: dict[int, str] = {}
-        for receipt in receipts:
-            for index in receipt["episodes"]:
-                if index in homes:
-                    raise DataError(f"{self.path}: episode {index} is in {homes[index]} and in {receipt['file']}")
-                homes[index] = receipt["file"]
         flown = flown_in(shards)
-        val = validation_indices(self._suite_digest, {episode.index: episode.family for episode in flown})
+        splits = draw_splits(self._suite_digest, {episode.index: episode.family for episode in flown})
         facts = sorted(((fact, shard) for shard in shards for fact in shard.facts), key=lambda pair: pair[0]["index"])
         tasks = [shard.task(fact) for fact, shard in facts]
         dropped = sum((Counter(receipt["dropped"]) for receipt in receipts), Counter[str]())
-        write_json(self.path / STATISTICS, statistics(flown, val))
+        write_json(self.path / STATISTICS, statistics(flown, splits["val"]))
         write_atomically(self.path / TASKS, lambda temporary: write_tasks(temporary, tasks))
         content = {
             "complete": True,
             "episodes": len(flown),
             "steps": sum(len(episode.action) for episode in flown),
             "dropped": dict(sorted(dropped.items())),
-            "splits": {"train": len(flown) - len(val), "val": val},
+            "splits": splits,
             "shards": receipts,
         }
         write_json(self.path / MANIFEST, self._head | content)
+        write_text(self.path / SUMS, sums_text(dict(self._hashes(receipts))))
+
+    def _hashes(self, receipts: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+        for receipt in receipts:
+            yield receipt["file"], receipt["sha256"]
+        for name in (*(receipt_name(receipt["file"]) for receipt in receipts), MANIFEST, STATISTICS, TASKS):
+            yield name, sha256_of(self.path / name)
+
+    def _numbers_there(self) -> list[int]:
+        stems = (path.stem.removeprefix("shard-") for path in self.path.glob(f"{SHARDS}/shard-*.*"))
+        return [int(stem) for stem in stems if stem.isdecimal()]
+
+    def _remove_strays(self, total: int) -> None:
+        """Remove shards that are not of this set, and what was put aside of those that are whole now."""
+        for number in self._numbers_there():
+            if number >= total:
+                self._remove(shard_name(number))
+        partial = self.path / PARTIAL
+        if partial.is_dir():
+            for path in partial.glob("shard-*"):
+                path.unlink()
+            if not any(partial.iterdir()):
+                partial.rmdir()
+
+
+def _is_of(receipt: bytes, digest: str) -> bool:
+    """Whether a receipt tells of a file of this hash: no other file needs to be opened."""
+    try:
+        content = json.loads(receipt)
+    except ValueError:
+        return False
+    return isinstance(content, dict) and content.get("sha256") == digest
+
+
+def _making_said(receipt: Path) -> str | None:
+    """Whose shard a receipt says it is of: "" for one that does not say it, none for one that cannot be read."""
+    try:
+        content = read_json(receipt)
+    except DataError:
+        return None
+    return str(content.get("making", "")) if isinstance(content, dict) and "sha256" in content else None
+
+
+def _check_once_each(path: Path, receipts: Sequence[Mapping[str, Any]]) -> None:
+    homes: dict[int, str] = {}
+    for receipt in receipts:
+        for index in receipt["episodes"]:
+            if index in homes:
+                raise DataError(f"{path}: episode {index} is in {homes[index]} and in {receipt['file']}")
+            homes[index] = receipt["file"]

@@ -4,19 +4,37 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from cognitivedrone.data.layout import MANIFEST, STATISTICS, TASKS, flown_in, read_manifest
-from cognitivedrone.data.shards import ShardFile, read_json, sha256_of
-from cognitivedrone.data.statistics import statistics, validation_indices
+from cognitivedrone.data.checksums import SUMS, read_sums
+from cognitivedrone.data.layout import (
+    MANIFEST,
+    PARTIAL,
+    SHARDS,
+    STATISTICS,
+    TASKS,
+    check_format,
+    flown_in,
+    head_of,
+    making_of,
+    read_manifest,
+    receipt_name,
+    receipt_text,
+)
+from cognitivedrone.data.shards import ShardFile, json_text, read_json, sha256_of
+from cognitivedrone.data.statistics import splits_again, statistics
 from cognitivedrone.errors import CognitiveDroneError, DataError
 from cognitivedrone.tasks.format import read_tasks
 
 TOLERANCE = 1e-9
 """Relative; other releases of NumPy may add up in another order."""
+
+_Hashes = Callable[[str], str | None]
+"""The hash of a file by its name in the store; none where it is missing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,35 +50,72 @@ class Problem:
 
 
 def verify(path: Path | str) -> list[Problem]:
-    """Everything that is wrong with the store at `path`, in order of its files; an empty list where it is sound.
+    """Everything that is wrong with the store at `path`; an empty list where it is sound.
 
-    Reads every byte once. What is computed from the shards (statistics, splits, tasks) is compared only where the
-    shards themselves are sound. Raises `DataError` where there is no finished store of this version to speak of.
+    Every byte is read, and belongs to a file that a checksum covers. What is computed from the shards (statistics,
+    splits, tasks) is compared only where the files themselves are sound. Raises `DataError` where there is no finished
+    store of this version to speak of.
     """
     root = Path(path)
-    manifest = read_manifest(root)
+
+    @cache
+    def hash_of(name: str) -> str | None:
+        return sha256_of(root / name) if (root / name).is_file() else None
+
+    sums, problems = _checksums(root)
+    manifest = _manifest(root, sums, hash_of)
+    if isinstance(manifest, Problem):
+        return [*problems, manifest, *_altered(sums or {}, hash_of, {MANIFEST})]
     try:
-        problems = [*_shard_problems(root, manifest), *_stray_files(root, manifest)]
-        problems += _episode_problems(manifest)
+        problems += [*_shard_problems(root, manifest, hash_of), *_receipt_problems(root, manifest, sums)]
+        problems += [*_stray_files(root, manifest), *_episode_problems(manifest)]
+        problems += _sum_problems(manifest, sums or {}, hash_of, problems)
         return problems or list(_derived_problems(root, manifest))
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
         return [Problem(MANIFEST, f"is damaged (no usable {error})")]
 
 
-def _shard_problems(root: Path, manifest: dict[str, Any]) -> Iterator[Problem]:
+def _checksums(root: Path) -> tuple[dict[str, str] | None, list[Problem]]:
+    """Hashes by file, none for a store of old; and what is wrong with them."""
+    if not (root / SUMS).exists():
+        return None, []
+    try:
+        return read_sums(root), []
+    except DataError:
+        return {}, [Problem(SUMS, "is damaged")]
+
+
+def _manifest(root: Path, sums: Mapping[str, str] | None, hash_of: _Hashes) -> dict[str, Any] | Problem:
+    """The manifest, or what is wrong with it. Raises `DataError` where the folder is no finished store."""
+    if sums is None and not (root / SHARDS).is_dir():
+        return read_manifest(root)
+    if hash_of(MANIFEST) is None:
+        return Problem(MANIFEST, "is missing")
+    try:
+        manifest = read_json(root / MANIFEST)
+    except DataError:
+        return Problem(MANIFEST, "is damaged: it is not JSON")
+    if isinstance(manifest, dict) and manifest.get("complete") is False:
+        return read_manifest(root)  # which says that it is not finished
+    if sums and sums.get(MANIFEST) != hash_of(MANIFEST):
+        return Problem(MANIFEST, f"is altered: its content does not match the hash in {SUMS}")
+    check_format(root, manifest)
+    return manifest if manifest.get("complete") is True else Problem(MANIFEST, "is damaged (no usable 'complete')")
+
+
+def _shard_problems(root: Path, manifest: dict[str, Any], hash_of: _Hashes) -> Iterator[Problem]:
     for receipt in manifest["shards"]:
         name = receipt["file"]
-        file = root / name
-        if not file.exists():
+        if hash_of(name) is None:
             yield Problem(name, "is missing")
             continue
-        size = file.stat().st_size
+        size = (root / name).stat().st_size
         if size < receipt["bytes"]:
             yield Problem(name, f"is truncated: {size} of {receipt['bytes']} bytes")
-        elif sha256_of(file) != receipt["sha256"]:
+        elif hash_of(name) != receipt["sha256"]:
             yield Problem(name, "is altered: its content does not match the hash in the manifest")
         else:
-            yield from _content_problems(file, receipt)
+            yield from _content_problems(root / name, receipt)
 
 
 def _content_problems(file: Path, receipt: dict[str, Any]) -> Iterator[Problem]:
@@ -75,12 +130,34 @@ def _content_problems(file: Path, receipt: dict[str, Any]) -> Iterator[Problem]:
         yield Problem(receipt["file"], "holds other episodes, or other lengths, than the manifest says")
 
 
+def _receipt_problems(root: Path, manifest: dict[str, Any], sums: Mapping[str, str] | None) -> Iterator[Problem]:
+    making = making_of(head_of(manifest))
+    of_old = True
+    for receipt in manifest["shards"]:
+        file = root / receipt_name(receipt["file"])
+        name = file.relative_to(root).as_posix()
+        if not file.is_file():
+            yield Problem(name, "is missing")
+            continue
+        content = file.read_bytes()
+        if sums is None and content == json_text(receipt).encode():
+            continue
+        of_old = False
+        if content != receipt_text(receipt, making).encode():
+            yield Problem(name, "is altered: it does not say what the manifest says")
+    if sums is None and not of_old:
+        yield Problem(SUMS, "is missing")
+
+
 def _stray_files(root: Path, manifest: dict[str, Any]) -> Iterator[Problem]:
-    known = {receipt["file"] for receipt in manifest["shards"]}
-    for file in sorted(root.glob("shards/*.parquet")):
+    shards = {receipt["file"] for receipt in manifest["shards"]}
+    known = shards | {receipt_name(name) for name in shards}
+    for file in sorted((*root.glob(f"{SHARDS}/shard-*"), *root.glob(f"{PARTIAL}/*"))):
         name = file.relative_to(root).as_posix()
         if name not in known:
             yield Problem(name, "is not in the manifest")
+    for file in sorted((*root.glob(".*.tmp"), *root.glob(f"{SHARDS}/.*.tmp"))):
+        yield Problem(file.relative_to(root).as_posix(), "was left by a writer that was killed")
 
 
 def _episode_problems(manifest: dict[str, Any]) -> Iterator[Problem]:
@@ -93,16 +170,40 @@ def _episode_problems(manifest: dict[str, Any]) -> Iterator[Problem]:
         yield Problem(MANIFEST, f"lists {listed} episodes in its shards, but counts {manifest['episodes']}")
 
 
+def _sum_problems(
+    manifest: dict[str, Any], sums: Mapping[str, str], hash_of: _Hashes, found: list[Problem]
+) -> Iterator[Problem]:
+    """Of files with which nothing else is wrong: where their checksums are not theirs."""
+    if not sums:
+        return
+    shards = {receipt["file"] for receipt in manifest["shards"]}
+    shards |= {receipt_name(name) for name in shards}
+    if sums.keys() != {MANIFEST, STATISTICS, TASKS, *shards}:
+        yield Problem(SUMS, "lists other files than the data set has")
+    for problem in _altered(sums, hash_of, {problem.file for problem in found}):
+        wrong = problem.file in shards  # which the manifest says is right
+        yield Problem(SUMS, f"has another hash of {problem.file} than the manifest") if wrong else problem
+
+
+def _altered(sums: Mapping[str, str], hash_of: _Hashes, known: set[str]) -> Iterator[Problem]:
+    """Files other than the `known` that are not what their checksums say."""
+    for name, digest in sums.items():
+        if name not in known and hash_of(name) is None:
+            yield Problem(name, "is missing")
+        elif name not in known and hash_of(name) != digest:
+            yield Problem(name, f"is altered: its content does not match the hash in {SUMS}")
+
+
 def _derived_problems(root: Path, manifest: dict[str, Any]) -> Iterator[Problem]:
     shards = [ShardFile(root / receipt["file"]) for receipt in manifest["shards"]]
     flown = flown_in(shards)
-    val = validation_indices(manifest["suite"]["digest"], {episode.index: episode.family for episode in flown})
-    if val != manifest["splits"]["val"]:
+    families = {episode.index: episode.family for episode in flown}
+    if splits_again(manifest["splits"], manifest["suite"]["digest"], families) != manifest["splits"]:
         yield Problem(MANIFEST, "its val split is not the one that suite and indices give")
     if sum(len(episode.action) for episode in flown) != manifest["steps"]:
         yield Problem(MANIFEST, f"counts {manifest['steps']} steps, but the shards hold another number")
     try:
-        if not _alike(read_json(root / STATISTICS), statistics(flown, val)):
+        if not _alike(read_json(root / STATISTICS), statistics(flown, manifest["splits"]["val"])):
             yield Problem(STATISTICS, "does not follow from the shards")
     except DataError as error:
         yield Problem(STATISTICS, str(error))

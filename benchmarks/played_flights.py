@@ -1,0 +1,198 @@
+"""A small collection and a small benchmark run, flown once and then played back to the code that writes them."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from hashlib import sha256
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from cognitivedrone.benchmark.episode import EpisodeFlyer
+from cognitivedrone.benchmark.run_types import Flown, RunConfig
+from cognitivedrone.benchmark.runner import run as bench
+from cognitivedrone.benchmark.suites import suite_of
+from cognitivedrone.collect import executors
+from cognitivedrone.collect.collector import CollectConfig, collect
+from cognitivedrone.collect.executors import Job, fly_here
+from cognitivedrone.collect.fleet import FlownEpisode
+from cognitivedrone.collect.recipe import RECIPES
+from cognitivedrone.tasks import Suite
+
+EPISODES = 6
+PER_SHARD = 2
+BENCH_EPISODES = 20
+WHERE = "COGNITIVEDRONE_FAULTS"
+"""Environment variable: the folder of recorded flights."""
+
+
+def record_collection(folder: Path) -> None:
+    """Fly the two collections that are played back."""
+    jobs = {
+        seed: Job("open-v1:train", replace(RECIPES["debug"], episodes=EPISODES), seed, PER_SHARD) for seed in (0, 1)
+    }
+    for seed, job in jobs.items():
+        dump(folder / f"collect-{seed}", {each.episode.index: each for each in fly_here(job, range(EPISODES))})
+
+
+def record_run(folder: Path) -> None:
+    """Fly the benchmark run that is played back."""
+    config = _bench_config(folder)
+    flyer = EpisodeFlyer(config, suite_of(config))
+    dump(folder / "bench", {episode: _short_film(flyer.fly(episode, film=True)) for episode in range(BENCH_EPISODES)})
+    dump(folder / "renderer", flyer.renderer)
+
+
+def _short_film(flown: Flown) -> Flown:
+    return replace(flown, film=(flown.film or [])[:3])
+
+
+def play_back(job: Job, batches: Sequence[Sequence[int]], workers: int) -> Iterator[FlownEpisode]:
+    """An executor that flies nothing."""
+    flights = load(Path(os.environ[WHERE]) / f"collect-{job.seed}")
+    return (flights[index] for batch in batches for index in batch)
+
+
+class PlayedFlyer:
+    """A flyer that flies nothing."""
+
+    def __init__(self, config: RunConfig, suite: Suite, watch: object = None) -> None:
+        folder = Path(os.environ[WHERE])
+        self._flights: dict[int, Flown] = load(folder / "bench")
+        self.renderer: str = load(folder / "renderer")
+
+    def fly(self, episode: int, *, film: bool) -> Flown:
+        flown = self._flights[episode]
+        return flown if film else replace(flown, film=None)
+
+    def close(self) -> None:
+        pass
+
+
+def collect_into(out: Path, executor: Callable[..., Iterator[FlownEpisode]] = play_back, seed: int = 0) -> None:
+    """A small collection, or what is left of it."""
+    executors.fly_local = executor
+    config = CollectConfig(out, "debug", EPISODES, seed=seed, workers=1, resume=True, episodes_per_shard=PER_SHARD)
+    collect(config, progress=False)
+
+
+def collect_twice(out: Path) -> None:
+    """A collection that somebody stops by Ctrl-C in the middle of its second shard, and goes on with."""
+
+    def stopped(*arguments: Any) -> Iterator[FlownEpisode]:
+        yield from islice(play_back(*arguments), PER_SHARD + 1)
+        raise KeyboardInterrupt
+
+    with suppress(KeyboardInterrupt):
+        collect_into(out, stopped)
+    collect_into(out)
+
+
+def collect_over_damage(out: Path, whole: Path) -> None:
+    """The resumption of a finished set that has lost a shard and its manifest."""
+    if not out.exists():
+        shutil.copytree(whole, out)
+        (out / "shards/shard-00001.parquet").write_bytes(b"")
+        (out / "manifest.json").unlink()
+    collect_into(out)
+
+
+def bench_into(out: Path) -> None:
+    """A small benchmark run, or what is left of it."""
+    bench(_bench_config(out), progress=False, flyer="played_flights:PlayedFlyer")
+
+
+def state(folder: Path) -> dict[str, str]:
+    """The hash of every file of a folder, by name."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def run_state(folder: Path) -> dict[str, str]:
+    """The same for a benchmark run, without the clock: timing, and the lines of the report that show it."""
+    found = state(folder)
+    for name in ("results.json", "report.html", "episodes.jsonl"):
+        path = folder / name
+        if not path.exists():
+            continue
+        text = path.read_text(encoding="utf-8")
+        if name == "results.json":
+            text = json.dumps({**json.loads(text), "timing": None, "platform": None})
+        elif name == "report.html":
+            text = "\n".join(line for line in text.splitlines() if "<dt>finished</dt>" not in line)
+        else:
+            records = [json.loads(line)["record"] for line in text.splitlines()]
+            text = json.dumps([{**each, "trace": {**each["trace"], "decision_s": None}} for each in records])
+        found[name] = sha256(text.encode()).hexdigest()
+    return found
+
+
+def _bench_config(out: Path, episodes: int = BENCH_EPISODES) -> RunConfig:
+    return RunConfig(
+        policy="colour_seeker",
+        suite="open-v1:smoke",
+        workers=1,
+        episodes=episodes,
+        out=out,
+        resume=True,
+        clips=2,
+    )
+
+
+def fly_all(job: Job, batches: Sequence[Sequence[int]], workers: int) -> Iterator[FlownEpisode]:
+    """An executor in this process, which can be forked."""
+    for batch in batches:
+        yield from fly_here(job, batch)
+
+
+def bench_for_real(out: Path) -> None:
+    """A benchmark run of fewer episodes, flown."""
+    bench(_bench_config(out, episodes=4), progress=False)
+
+
+def _command_words(out: Path) -> list[str]:
+    settings = f"--recipe debug --episodes {EPISODES} --episodes-per-shard {PER_SHARD} --workers 2 --resume"
+    return [sys.executable, "-m", "cognitivedrone", "collect", "--out", str(out), *settings.split()]
+
+
+def command(out: Path) -> None:
+    subprocess.run(_command_words(out), check=True, capture_output=True)
+
+
+def kill_command(out: Path, moment: float) -> None:
+    with subprocess.Popen(
+        _command_words(out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    ) as process:
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(moment)
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+def unfinish(begun: Path) -> None:
+    """Give an unfinished set the manifest of one: what a collection writes first."""
+
+    def stopped(*_: Any) -> Iterator[FlownEpisode]:
+        raise KeyboardInterrupt
+        yield
+
+    with suppress(KeyboardInterrupt):
+        collect_into(begun.parent / "first", stopped)
+    shutil.copy(begun.parent / "first/manifest.json", begun / "manifest.json")
+
+
+def dump(path: Path, content: object) -> None:
+    path.write_bytes(pickle.dumps(content))
+
+
+def load(path: Path) -> Any:
+    return pickle.loads(path.read_bytes())  # noqa: S301  (our own)
