@@ -3,13 +3,18 @@
 Usage: python3 scripts/setup.py [EXTRA ...]
 
 Works where Debian's python3 comes without `venv`, and looks for an OpenGL library for off-screen rendering and, for
-the tests, for libsdformat: where there is none, it installs one as root, or prints the line to type.
+the tests, for libsdformat. System packages are installed by root alone: asked for at a terminal, said beforehand
+elsewhere. Everybody else is shown the line to type.
+
+The extra `dev` brings PyTorch and what is tested with it, unless that means CUDA's gigabytes for a machine without a
+GPU; with TORCH=1 in the environment always.
 """
 
 from __future__ import annotations
 
 import ctypes.util
 import hashlib
+import json
 import os
 import shutil
 import subprocess
@@ -20,37 +25,56 @@ ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv"
 PYTHON = VENV / "bin" / "python"
 GL_PACKAGES = ["libegl1", "libgl1-mesa-dri", "libopengl0"]
+SDFORMAT = "libsdformat12-12"
+TORCH = "torch==2.13.0"  # as in the extra dev-torch
+WITHOUT_TORCH = """\
+PyTorch is left out: what pip would install here is the build with CUDA's libraries, about 3 GB to download, and this
+machine has no NVIDIA GPU. The tests that need it are skipped. To have it all the same: make test TORCH=1
+(with the CPU build, a tenth of that, where pip is given its index: docs/install.md)."""
 
 
 def run(*command: object) -> bool:
     return subprocess.run([str(part) for part in command], check=False).returncode == 0
 
 
-def apt_install(packages: list[str], purpose: str) -> bool:
-    """Install Debian packages if this user can; otherwise say what to type."""
-    line = f"apt-get install -y {' '.join(packages)}"
-    if os.geteuid() == 0 and shutil.which("apt-get"):
-        print(f"Installing {' '.join(packages)} for {purpose} ...", flush=True)
+def apt_install(packages: list[str], purpose: str, without: str) -> bool:
+    """Install Debian packages as root, with consent or after saying so; show anybody else the line to type."""
+    line = f"apt-get install -y --no-install-recommends {' '.join(packages)}"
+    root = os.geteuid() == 0 and shutil.which("apt-get") is not None
+    if root and sys.stdin.isatty():
+        root = input(f"For {purpose}, system-wide: {line}\nInstall now? [Y/n] ").strip().lower() in ("", "y", "yes")
+    if root:
+        print(f"Installing system-wide, for {purpose}: {line}", flush=True)
         env = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
         quiet = {"stdout": subprocess.DEVNULL, "env": env, "check": False}
         subprocess.run(["apt-get", "update"], **quiet)
         if subprocess.run(line.split(), **quiet).returncode == 0:
             return True
     print(
-        f"{purpose[0].upper()}{purpose[1:]} needs system packages. Please type:\n\n    sudo {line}\n", file=sys.stderr
+        f"Not installed: system packages for {purpose}. Without them {without}.\n"
+        f"On Debian and Ubuntu, type:\n\n    sudo {line}\n",
+        file=sys.stderr,
+        flush=True,
     )
     return False
 
 
+def make_venv_with_pip() -> bool:
+    return subprocess.run([sys.executable, "-m", "venv", VENV], check=False, capture_output=True).returncode == 0
+
+
 def make_venv() -> None:
-    if PYTHON.exists() and run(PYTHON, "-m", "pip", "--version", "-q"):
+    if PYTHON.exists() and run(PYTHON, "-c", "import pip"):
         return
     shutil.rmtree(VENV, ignore_errors=True)
-    if subprocess.run([sys.executable, "-m", "venv", VENV], check=False, capture_output=True).returncode == 0:
+    if make_venv_with_pip():
         return
     shutil.rmtree(VENV, ignore_errors=True)
-    version = f"python{sys.version_info.major}.{sys.version_info.minor}-venv"
-    if not (apt_install([version], "a Python environment") and run(sys.executable, "-m", "venv", VENV)):
+    packages = [f"python{sys.version_info.major}.{sys.version_info.minor}-venv"]
+    if ctypes.util.find_library("EGL") is None:  # all that will be needed, in one line
+        packages += GL_PACKAGES
+    without = "no environment can be made (with uv one can: uv venv --seed .venv)"
+    if not (apt_install(packages, "the Python environment and pictures", without) and make_venv_with_pip()):
         sys.exit(2)
 
 
@@ -59,15 +83,40 @@ def stamp_of(extras: list[str]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def install(extras: list[str]) -> None:
+def installed(extras: list[str]) -> bool:
     stamp = VENV / ("installed-" + ("-".join(extras) or "base"))
-    if stamp.exists() and stamp.read_text() == stamp_of(extras):
+    return stamp.exists() and stamp.read_text() == stamp_of(extras)
+
+
+def install(extras: list[str]) -> None:
+    if installed(extras):
         return
     print("Installing cognitivedrone and its dependencies into .venv ...", flush=True)
     target = f"{ROOT}[{','.join(extras)}]" if extras else str(ROOT)
     if not run(PYTHON, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-e", target):
         sys.exit("The installation failed; the lines above say why.")
-    stamp.write_text(stamp_of(extras))
+    (VENV / ("installed-" + ("-".join(extras) or "base"))).write_text(stamp_of(extras))
+
+
+def brings_cuda() -> bool:
+    """Whether the PyTorch that pip would install here depends on CUDA's libraries."""
+    ask = [PYTHON, "-m", "pip", "install", "--quiet", "--dry-run", "--no-deps", "--report", "-", TORCH]
+    done = subprocess.run(ask, check=False, capture_output=True, text=True)
+    if done.returncode != 0:
+        return False  # the installation will say what is wrong
+    report = json.loads(done.stdout)["install"]
+    return any(
+        need.startswith(("nvidia-", "cuda-")) for found in report for need in found["metadata"].get("requires_dist", [])
+    )
+
+
+def with_torch(extras: list[str]) -> list[str]:
+    """What `dev` means on this machine: with the extra `dev-torch`, or without it, and said."""
+    full = sorted([*extras, "dev-torch"])
+    if installed(full) or os.environ.get("TORCH") == "1" or shutil.which("nvidia-smi") or not brings_cuda():
+        return full
+    print(WITHOUT_TORCH, flush=True)
+    return extras
 
 
 def ensure_opengl() -> None:
@@ -76,27 +125,32 @@ def ensure_opengl() -> None:
     if stamp.exists():
         return
     probe = [str(PYTHON), "-c", "from cognitivedrone.sim.gl import backend; backend()"]
+    without = "no picture can be rendered, so only policies that look at none can be scored (oracle, hover)"
     for attempt in range(2):
         if subprocess.run(probe, check=False, capture_output=True).returncode == 0:
             stamp.touch()
             return
-        if attempt or not apt_install(GL_PACKAGES, "off-screen rendering"):
+        if attempt or not apt_install(GL_PACKAGES, "off-screen rendering", without):
             return  # what needs no pictures works all the same; what does says what is missing
 
 
 def ensure_sdformat() -> None:
     """The parser that checks exported Gazebo worlds in the tests; without it those are skipped."""
-    if not any(ctypes.util.find_library(f"sdformat{version}") for version in range(12, 17)):
-        apt_install(["libsdformat12-12"], "checking Gazebo worlds")
+    if any(ctypes.util.find_library(f"sdformat{version}") for version in range(12, 17)) or not shutil.which("apt-get"):
+        return
+    shown = subprocess.run(["apt-cache", "show", SDFORMAT], check=False, capture_output=True)
+    if shown.returncode == 0:  # Debian 12 alone has it
+        apt_install([SDFORMAT], "the tests of exported Gazebo worlds", "those tests are skipped")
 
 
 def main() -> None:
     if sys.version_info < (3, 11):  # noqa: UP036 - the reader's Python may be any
         sys.exit(f"Python 3.11 or newer is needed; this is {sys.version.split()[0]}.")
+    extras = sorted(sys.argv[1:])
     make_venv()
-    install(sorted(sys.argv[1:]))
+    install(with_torch(extras) if "dev" in extras else extras)
     ensure_opengl()
-    if "dev" in sys.argv[1:]:
+    if "dev" in extras:
         ensure_sdformat()
 
 

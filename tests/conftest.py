@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import importlib.util
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+from cognitivedrone.errors import MissingExtra
 
 # Tests load models/tiny.py and what lies in support/ by their names.
 for folder in ("models", "support"):
@@ -16,6 +19,53 @@ for folder in ("models", "support"):
 # A busy machine makes no example wrong.
 settings.register_profile("no deadline", deadline=None)
 settings.load_profile("no deadline")
+
+OPTIONAL = ("accelerate", "httpx", "matplotlib", "peft", "pymavlink", "rosbags", "safetensors", "serial", "tensorboard")
+OPTIONAL += ("tokenizers", "torch", "torchao", "transformers")
+ABSENT = {name for name in OPTIONAL if importlib.util.find_spec(name) is None}
+
+
+def absent(error: BaseException | None) -> str | None:
+    """Why a test cannot run here, where the reason is a package of an extra that is not installed; else none."""
+    if isinstance(error, ModuleNotFoundError) and str(error.name).partition(".")[0] in ABSENT:
+        return f"{error.name} is not installed"
+    return str(error) if isinstance(error, MissingExtra) and str(error).split()[0].partition(".")[0] in ABSENT else None
+
+
+class ModuleOfTests(pytest.Module):
+    """Tests whose imports need an absent extra are skipped as a whole."""
+
+    def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
+        try:
+            return super().collect()
+        except self.CollectError as error:
+            if reason := absent(error.__cause__):
+                pytest.skip(reason, allow_module_level=True)
+            raise
+
+
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> ModuleOfTests:
+    return ModuleOfTests.from_parent(parent, path=module_path)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item: pytest.Item) -> Iterator[None]:
+    yield from skipping_absent()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    yield from skipping_absent()
+
+
+def skipping_absent() -> Iterator[None]:
+    """Skip a test, or a fixture of one, that meets an absent extra while it runs."""
+    try:
+        return (yield)
+    except (ModuleNotFoundError, MissingExtra) as error:
+        if reason := absent(error):
+            pytest.skip(reason)
+        raise
 
 
 @pytest.fixture(scope="session")

@@ -294,7 +294,7 @@ def test_defaults_that_are_written_twice_are_the_same():
 def test_a_progress_bar_fits_into_80_columns_from_its_first_moment():
     out = io.StringIO()
     console = Console(file=out, width=80, force_terminal=True, color_system=None, legacy_windows=False)
-    with progress_bar("speed", "rate", console=console) as bar:
+    with progress_bar("speed", "rate", screen=console) as bar:
         task = bar.add_task("flying", total=8062, speed="starting", rate="")
         bar.refresh()
         bar.update(task, completed=8000, speed="1234.5/s", rate="choice accuracy 0.123456, " * 4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
 import subprocess
@@ -25,11 +26,23 @@ def test_both_commands_of_the_first_screen_are_targets_of_make(target):
     assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)
 
 
+def test_what_must_be_there_is_what_the_set_up_would_ask_for():
+    (line,) = (line for line in shell_lines() if line.startswith("sudo apt-get install"))
+    packages = re.search(r"GL_PACKAGES = (\[.*\])", (ROOT / "scripts" / "setup.py").read_text())[1]
+    assert {*ast.literal_eval(packages), "python3-venv", "git", "make"} == set(line.split()[3:])
+
+
+def test_no_page_installs_from_an_index():
+    """No index has the package: extras come from the checkout."""
+    for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+        assert not re.search(r"pip install '?cognitivedrone", page.read_text()), page
+
+
 def test_its_commands_run(tmp_path):
-    """In the README's order, in a folder of their own; `make` itself is what runs this test."""
+    """In the README's order, in a folder of their own; `make` is what runs this test, apt-get what came before."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     bench = next(line for line in (ROOT / "Makefile").read_text().splitlines() if "cognitivedrone bench" in line)
-    lines = [bench.split("/", 1)[1], *(line for line in shell_lines() if not line.startswith("make"))]
+    lines = [bench.split("/", 1)[1], *(line for line in shell_lines() if not line.startswith(("make", "sudo")))]
     assert len(lines) >= 5
     for line in lines:
         words = shlex.split(line.replace(".venv/bin/cognitivedrone", "cognitivedrone"))

@@ -22,9 +22,14 @@ CognitiveDroneError
 from __future__ import annotations
 
 import difflib
+import json
+import shlex
+import sys
 import warnings
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Literal
+from urllib.parse import unquote, urlsplit
 
 from cognitivedrone.printable import visible
 
@@ -121,7 +126,30 @@ class MissingExtra(CognitiveDroneError):
     """An optional dependency is not installed."""
 
     def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"{package} is not installed; it comes with: pip install 'cognitivedrone[{extra}]'")
+        super().__init__(f"{package} is not installed; it comes with cognitivedrone[{extra}]: {install_command(extra)}")
+
+
+def install_command(extra: str) -> str:
+    """The line that adds an extra to this installation: from where it was installed, by what installed it.
+
+    A checkout, a wheel and a repository are installed from there again; an index is asked only where it was before.
+    """
+    from importlib import metadata
+
+    installer, origin = "pip", "{}"
+    with suppress(metadata.PackageNotFoundError):  # sources that were put on the path, never installed
+        this = metadata.distribution("cognitivedrone")
+        installer = (this.read_text("INSTALLER") or "pip").strip()
+        origin = this.read_text("direct_url.json") or "{}"
+    python = shlex.quote(sys.executable)
+    command = f"uv pip install --python {python}" if installer == "uv" else f"{python} -m pip install"
+    source = json.loads(origin)
+    url = source.get("url", "")
+    if source.get("dir_info", {}).get("editable"):
+        return f"{command} -e {shlex.quote(unquote(urlsplit(url).path) + f'[{extra}]')}"
+    if revision := source.get("vcs_info"):
+        url = f"{revision['vcs']}+{url}@{revision['commit_id']}"
+    return f"{command} {shlex.quote(f'cognitivedrone[{extra}]' + (f' @ {url}' if url else ''))}"
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -25,6 +25,7 @@ def sitl(tmp_path) -> RunConfig:
 
 
 def test_a_task_is_flown_on_another_autopilot_and_the_run_tells_so(sitl, tmp_path, monkeypatch):
+    pytest.importorskip("pymavlink")
     monkeypatch.setenv("ARDUCOPTER", str(played_arducopter(tmp_path)))
     results = run(sitl, progress=False)
     (stage,) = results.episodes[0].stages

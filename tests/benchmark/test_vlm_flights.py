@@ -111,6 +111,7 @@ def test_a_wrong_key_or_model_stops_before_take_off(models, says, tmp_path):
 
 
 def test_a_server_that_is_down_stops_before_take_off(tmp_path):
+    pytest.importorskip("httpx")
     config = RunConfig("hover", "vlm:http://127.0.0.1:9/v1,model=eye-7b", "open-v1:smoke", out=tmp_path / "run")
     with pytest.raises(PolicyError, match=r"127\.0\.0\.1:9"):
         run(config, progress=False)

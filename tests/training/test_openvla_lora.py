@@ -234,26 +234,35 @@ def test_gradients_of_micro_batches_add_up(base: Path, flights: Path, tmp_path: 
     assert 0 < difference < 0.02**2 * sum(float(value.square().sum()) for value in whole.values())
 
 
-def test_two_processes_learn_what_one_does_by_the_command(base: Path, flights: Path, tmp_path: Path) -> None:
-    made = {}
-    for count in (1, 2):
-        out = tmp_path / str(count)
-        flags = ["--base", base, "--data", flights, "--out", out, "--recipe", "debug", "--micro-batch", "2"]
+def test_two_processes_learn_what_one_does_with_the_weights_copied_and_sharded(
+    base: Path, flights: Path, tmp_path: Path
+) -> None:
+    """By the command: DDP and FSDP over gloo, between two processes on this CPU."""
+    launcher = ["torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "cognitivedrone"]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    rows, moments = {}, {}
+    for kind, more in (("one", []), ("copied", []), ("sharded", ["--shard"])):
+        out = tmp_path / kind
+        flags = ["--base", base, "--data", flights, "--out", out, "--recipe", "debug", "--micro-batch", "2", *more]
         command = ["train-openvla", *map(str, flags)]
-        if count == 1:
+        if kind == "one":
             main(command)
         else:
-            launcher = ["torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "cognitivedrone"]
-            environment = {**os.environ, "OMP_NUM_THREADS": "1"}
             subprocess.run([sys.executable, "-m", *launcher, *command], env=environment, timeout=240, check=True)
         assert inspect(out / MERGED).statistics_key == "cognitivedrone"
-        made[count] = read_rows(out / METRICS)
-    for one, two in zip(made[1], made[2], strict=True):
-        # The same samples, summed in another order.
-        assert two["train loss"] == pytest.approx(one["train loss"], rel=1e-3)
-        assert two.keys() == one.keys()
-    assert made[2][-1]["cross-entropy"] == pytest.approx(made[1][-1]["cross-entropy"], rel=1e-3)
-    assert made[2][-1]["baseline l1"] == made[1][-1]["baseline l1"]
+        rows[kind] = read_rows(out / METRICS)
+        tensors, _ = read_checkpoint(out / CHECKPOINT)
+        moments[kind] = {name: value for name, value in tensors.items() if "/" in name}
+    for kind in ("copied", "sharded"):
+        for one, two in zip(rows["one"], rows[kind], strict=True):
+            # The same samples, summed in another order.
+            assert two["train loss"] == pytest.approx(one["train loss"], rel=1e-3)
+            assert two.keys() == one.keys()
+        assert rows[kind][-1]["cross-entropy"] == pytest.approx(rows["one"][-1]["cross-entropy"], rel=1e-3)
+        assert rows[kind][-1]["baseline l1"] == rows["one"][-1]["baseline l1"]
+        # What each process held a part of is written whole.
+        shapes = {name: value.shape for name, value in moments["one"].items()}
+        assert {name: value.shape for name, value in moments[kind].items()} == shapes
 
 
 # ---- samples

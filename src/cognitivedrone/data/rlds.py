@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -61,13 +62,12 @@ def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
         splits: tuple[Split, ...] = ("train", "val")
         writers = {split: _SplitWriter(folder, split) for split in splits}
         only_jpeg = True
-        try:
+        with ExitStack() as closing:  # all of them, even where the disk is full and closing one fails
+            for writer in writers.values():
+                closing.callback(writer.close)
             for split, episode in episodes:
                 writers[split].write(encode_example(_features_of(split, episode)))
                 only_jpeg &= episode.encoding == "jpeg"
-        finally:
-            for writer in writers.values():
-                writer.close()
         count = sum(sum(writer.lengths) for writer in writers.values())
         if not count:
             raise DataError(f"{out}: there is no episode to export")

@@ -110,7 +110,8 @@ def _open_session(content: bytes, path: Path, *, threads: int, optimise: bool) -
         return ort.InferenceSession(content, options, providers=[provider])
     except Exception as error:  # its errors have no public common type
         reason = next(iter(str(error).splitlines()), type(error).__name__)
-        if type(error).__name__ == "InvalidProtobuf" or "No graph was found" in reason or not content:
+        no_graph = "No graph was found" in reason or "does not have a graph" in reason  # the latter until 1.23
+        if type(error).__name__ == "InvalidProtobuf" or no_graph or not content:
             raise PolicyError(f"{path} is not an ONNX file, or it was cut short; fetch or train it anew") from None
         raise PolicyError(f"ONNX Runtime {ort.__version__} cannot load {path}: {reason}") from None
 

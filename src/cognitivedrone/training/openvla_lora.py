@@ -26,7 +26,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import torch
-from accelerate import Accelerator, FullyShardedDataParallelPlugin
+from accelerate import Accelerator, DistributedType, FullyShardedDataParallelPlugin
 from rich.progress import Progress
 from torch import Tensor, nn
 from torch.distributed.fsdp import MixedPrecisionPolicy
@@ -190,6 +190,11 @@ def _accelerator(config: FineTuning) -> Accelerator:
             cpu_ram_efficient_loading=False,
         )
     accelerator = Accelerator(mixed_precision="bf16", cpu=not torch.cuda.is_available(), fsdp_plugin=plugin)
+    if plugin is not None and accelerator.distributed_type == DistributedType.MULTI_CPU:
+        # Accelerate looks at its plugin on GPUs only; PyTorch shards on CPUs by the same calls.
+        plugin.set_mixed_precision("bf16")
+        accelerator.state.fsdp_plugin = plugin
+        accelerator.state.distributed_type = DistributedType.FSDP
     if config.shard and not accelerator.is_fsdp2:
         raise TrainingError("--shard spreads the weights over several GPUs; start it by torchrun on as many")
     return accelerator

@@ -1,5 +1,6 @@
 """Folders of checkpoints: what is read, and what is said of those that do not do."""
 
+import copy
 import json
 import shutil
 import struct
@@ -13,7 +14,14 @@ import pytest
 from openvla_files import STATISTICS, write_tokenizer
 
 from cognitivedrone.errors import MissingExtra, PolicyError
-from cognitivedrone.models.openvla.checkpoint import check_memory, free_memory, inspect, needed_bytes, read_header
+from cognitivedrone.models.openvla.checkpoint import (
+    GROUP,
+    check_memory,
+    free_memory,
+    inspect,
+    needed_bytes,
+    read_header,
+)
 from cognitivedrone.models.openvla.config import Config, read_config, tiny_config, write_config
 from cognitivedrone.models.openvla.prepare import (
     BEGIN,
@@ -121,6 +129,43 @@ class TestLoading:
         monkeypatch.setitem(sys.modules, "torchao.quantization", library)
         network = weights.load(inspect(made_folder), "cpu", torch.bfloat16, bits)
         assert asked == [(network.language_model.model.layers, config, "cpu")]
+
+    def test_torchao_makes_them_small_and_the_answers_stay(self, made_folder):
+        """The real library, on the CPU."""
+        pytest.importorskip("torchao")
+        found = inspect(made_folder)
+        whole, small = (weights.load(found, "cpu", torch.bfloat16, bits) for bits in ("none", "int8"))
+        for name, layer in small.language_model.model.layers.named_modules():
+            if isinstance(layer, torch.nn.Linear):
+                assert type(layer.weight).__module__.startswith("torchao"), name
+                assert layer.weight.qdata.dtype == torch.int8
+        kinds = {type(value) for name, value in small.named_parameters() if "model.layers" not in name}
+        assert kinds == {torch.nn.Parameter}
+        images = torch.randn((1, 6, 224, 224), generator=torch.Generator().manual_seed(0)).to(torch.bfloat16)
+        ids = torch.tensor([[1, 512, 29_871]])
+        with torch.inference_mode():
+            exact, near = (network(ids, images, torch.ones_like(ids)).logits.float() for network in (whole, small))
+        error = (near - exact).norm() / exact.norm()
+        assert 0 < error < 0.05
+
+    @pytest.mark.skipif(not torch.cuda.is_available(), reason="torchao packs 4 bits for GPUs only")
+    def test_torchao_packs_four_bits_on_a_gpu(self):
+        pytest.importorskip("torchao")
+        exact = torch.nn.Sequential(torch.nn.Linear(256, 256, bias=False)).to("cuda", torch.bfloat16)
+        small = copy.deepcopy(exact)
+        weights.quantise(small, "int4", "cuda")
+        pixels = torch.randn((4, 256), device="cuda", dtype=torch.bfloat16)
+        error = (small(pixels) - exact(pixels)).float().norm() / exact(pixels).float().norm()
+        assert 0 < error < 0.2
+
+    def test_torchao_knows_the_four_bits_that_are_asked_for(self, monkeypatch):
+        """As far as a machine without a GPU can tell: the real library takes the configuration."""
+        library = pytest.importorskip("torchao.quantization")
+        asked = []
+        monkeypatch.setattr(library, "quantize_", lambda layers, config, device: asked.append(config))
+        weights.quantise(torch.nn.Linear(128, 128), "int4", "cpu")
+        assert asked[0].group_size == GROUP
+        assert asked[0].int4_packing_format == "tile_packed_to_4d"
 
 
 class TestFaults:

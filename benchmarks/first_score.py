@@ -1,0 +1,53 @@
+"""Seconds from a clone to the score of one's own policy, by the README's commands, on each Python that is named.
+
+The last column is the time of all cores together, which other programs on the machine do not lengthen much.
+
+Usage: python benchmarks/first_score.py python3.11 python3.12 python3.13
+
+pip's cache is used as it is: run it twice, the second time is with a warm cache. What is not committed is not cloned.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+BENCH = "cognitivedrone bench --policy own_policy:Straight --suite open-v1:smoke --out results/straight"
+
+
+def cpu_time() -> float:
+    """Of the commands that have ended, seconds."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def main() -> None:
+    print(f"{'':<16}{'clone':>8}{'install':>10}{'bench':>8}{'in all':>9}{'CPU':>8}   s; load {os.getloadavg()[0]:.1f}")
+    for python in sys.argv[1:] or [sys.executable]:
+        with tempfile.TemporaryDirectory() as name:
+            checkout = Path(name) / "cognitivedrone"
+            environment = {**os.environ, "PYTHONPATH": "examples"}
+            marks, before = [time.monotonic()], cpu_time()
+            for command in (
+                ["git", "clone", "--quiet", ROOT, checkout],
+                [python, "scripts/setup.py"],
+                [checkout / ".venv" / "bin" / "cognitivedrone", *BENCH.split()[1:]],
+            ):
+                cwd = checkout if checkout.exists() else ROOT
+                subprocess.run(command, cwd=cwd, env=environment, check=True, stdout=subprocess.DEVNULL)
+                marks.append(time.monotonic())
+        took = [end - begin for begin, end in itertools.pairwise(marks)]
+        cpu = cpu_time() - before
+        version = subprocess.run([python, "--version"], capture_output=True, text=True, check=True).stdout.strip()
+        print(f"{version:<16}{took[0]:8.1f}{took[1]:10.1f}{took[2]:8.1f}{sum(took):9.1f}{cpu:8.1f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

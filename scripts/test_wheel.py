@@ -1,0 +1,75 @@
+"""Try the built wheel in a fresh environment: the smoke suite, then the fast tests. Standard library only.
+
+Usage: PYTHON scripts/test_wheel.py [--lowest]
+
+The environment is of the Python that runs this script, lies in a temporary folder, and has the light extras: tests of
+PyTorch and Ray are skipped. With --lowest every dependency that pyproject.toml names comes in the lowest
+version that it allows, as uv finds it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+EXTRAS = ["mavlink", "ros", "test", "vlm"]  # those that bring no PyTorch and no Ray
+FAST_TESTS = ["benchmark", "contract", "data", "envs", "flight", "labels", "models", "policies", "reasoners", "sim"]
+FAST_TESTS += ["tasks", "world", "test_cli.py", "test_errors.py", "test_frames.py", "test_imports.py"]
+WHERE = "import pathlib, cognitivedrone; print(pathlib.Path(cognitivedrone.__file__).parent)"
+
+
+def step(what: str, *command: object, cwd: Path = ROOT) -> None:
+    """Run a command and say how long it took; end with its exit status where it fails."""
+    print(f"== {what}", flush=True)
+    began = time.monotonic()
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    status = subprocess.run([str(part) for part in command], cwd=cwd, env=environment, check=False).returncode
+    if status != 0:
+        sys.exit(f"{what} failed with exit status {status}: {' '.join(map(str, command))}")
+    print(f"== {what}: {time.monotonic() - began:.0f} s", flush=True)
+
+
+def pinned_to_lowest(pip: list[object], folder: Path) -> list[object]:
+    """Arguments of pip for the lowest version of every direct dependency."""
+    uv = shutil.which("uv") or folder / "venv" / "bin" / "uv"
+    if not Path(uv).exists():
+        step("uv", *pip, "install", "--quiet", "uv")
+    python = folder / "venv" / "bin" / "python"
+    compiling = [uv, "pip", "compile", "--quiet", "--resolution", "lowest-direct"]
+    compiling += [f"--extra={extra}" for extra in EXTRAS]
+    step("lowest versions", *compiling, "--python", python, "-o", folder / "lowest.txt", ROOT / "pyproject.toml")
+    return ["--requirement", folder / "lowest.txt"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--lowest", action="store_true", help="the lowest allowed version of each dependency")
+    lowest = parser.parse_args().lowest
+    with tempfile.TemporaryDirectory(prefix="cognitivedrone-wheel-") as name:
+        folder = Path(name)
+        binaries = folder / "venv" / "bin"
+        pip: list[object] = [binaries / "python", "-m", "pip", "--disable-pip-version-check"]
+        print(f"Python {sys.version.split()[0]}, {'lowest' if lowest else 'newest'} versions", flush=True)
+        step("environment", sys.executable, "-m", "venv", folder / "venv")
+        step("wheel", *pip, "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, ROOT)
+        pins = pinned_to_lowest(pip, folder) if lowest else []
+        (wheel,) = folder.glob("cognitivedrone-*.whl")
+        step("installation", *pip, "install", "--quiet", f"{wheel}[{','.join(EXTRAS)}]", *pins)
+        imported = subprocess.run([binaries / "python", "-c", WHERE], cwd=folder, capture_output=True, text=True)
+        if not imported.stdout.startswith(str(folder / "venv")):
+            sys.exit(f"the installed package is not what is imported: {imported.stdout}{imported.stderr}")
+        step("versions", *pip, "freeze")
+        step("smoke suite", binaries / "cognitivedrone", "bench", "--suite", "open-v1:smoke", "--out", folder / "smoke")
+        tests = [ROOT / "tests" / part for part in FAST_TESTS]
+        step("fast tests", binaries / "python", "-m", "pytest", "-q", "-n", "2", "-p", "no:cacheprovider", *tests)
+
+
+if __name__ == "__main__":
+    main()

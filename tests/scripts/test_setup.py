@@ -1,0 +1,130 @@
+"""What the set-up does to a machine: system packages are asked for or announced, PyTorch may be left out."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import json
+import subprocess
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import pytest
+
+FILE = Path(__file__).resolve().parents[2] / "scripts" / "setup.py"
+LINE = "apt-get install -y --no-install-recommends libegl1"
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def setup(tmp_path, monkeypatch) -> ModuleType:
+    """The script as a module, with an environment of its own, on a machine with apt-get and without a GPU."""
+    spec = importlib.util.spec_from_file_location("setup_script", FILE)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    monkeypatch.setattr(module, "VENV", tmp_path)
+    monkeypatch.setattr(module.shutil, "which", lambda name: "/usr/bin/apt-get" if name == "apt-get" else None)
+    monkeypatch.delenv("TORCH", raising=False)
+    return module
+
+
+@pytest.fixture
+def ran(setup, monkeypatch, capsys) -> list[tuple[list[str], str]]:
+    """Every command that was run, and what had been printed until then. All of them succeed."""
+    commands: list[tuple[list[str], str]] = []
+    printed: list[str] = []
+
+    def run(command, **_):
+        printed.append(capsys.readouterr().out)
+        commands.append(([str(part) for part in command], "".join(printed)))
+        return subprocess.CompletedProcess(command, 0, stdout="", stderr="")
+
+    monkeypatch.setattr(setup.subprocess, "run", run)
+    return commands
+
+
+def user(monkeypatch, setup, uid: int, stdin: io.StringIO) -> None:
+    monkeypatch.setattr(setup.os, "geteuid", lambda: uid)
+    monkeypatch.setattr(setup.sys, "stdin", stdin)
+
+
+def test_an_ordinary_user_is_shown_the_line_and_what_works_without_it(setup, ran, monkeypatch, capsys):
+    user(monkeypatch, setup, 1000, Terminal())
+    assert not setup.apt_install(["libegl1"], "pictures", "nothing can be seen")
+    assert ran == []
+    shown = capsys.readouterr().err
+    assert f"sudo {LINE}" in shown
+    assert "Without them nothing can be seen." in shown
+
+
+def test_root_without_a_terminal_is_told_before_anything_is_installed(setup, ran, monkeypatch):
+    user(monkeypatch, setup, 0, io.StringIO())
+    assert setup.apt_install(["libegl1"], "pictures", "nothing can be seen")
+    assert [command for command, _ in ran] == [["apt-get", "update"], LINE.split()]
+    assert f"Installing system-wide, for pictures: {LINE}" in ran[0][1]
+
+
+@pytest.mark.parametrize(("answer", "installs"), [("\n", True), ("y\n", True), ("n\n", False), ("what?\n", False)])
+def test_root_at_a_terminal_is_asked(setup, ran, monkeypatch, capsys, answer, installs):
+    user(monkeypatch, setup, 0, Terminal(answer))
+    assert setup.apt_install(["libegl1"], "pictures", "nothing can be seen") == installs
+    assert bool(ran) == installs
+    said = ran[0][1] if installs else capsys.readouterr().out
+    assert f"{LINE}\nInstall now? [Y/n]" in said
+
+
+def test_a_machine_without_venv_is_asked_for_all_that_it_will_need_at_once(setup, monkeypatch):
+    asked = []
+    monkeypatch.setattr(setup, "PYTHON", Path("/nowhere/python"))
+    monkeypatch.setattr(setup, "make_venv_with_pip", lambda: False)
+    monkeypatch.setattr(setup.ctypes.util, "find_library", lambda name: None)
+    monkeypatch.setattr(setup, "apt_install", lambda packages, *_: asked.append(packages))
+    with pytest.raises(SystemExit):
+        setup.make_venv()
+    assert asked[0][0].endswith("-venv")
+    assert asked[0][1:] == setup.GL_PACKAGES
+
+
+def report(*needs: str) -> SimpleNamespace:
+    told = {"install": [{"metadata": {"name": "torch", "requires_dist": ["filelock", *needs]}}]}
+    return SimpleNamespace(returncode=0, stdout=json.dumps(told))
+
+
+def offer(monkeypatch, setup, done: SimpleNamespace) -> None:
+    monkeypatch.setattr(setup.subprocess, "run", lambda *_, **__: done)
+
+
+def test_pytorch_with_cuda_is_left_out_where_there_is_no_gpu(setup, monkeypatch, capsys):
+    offer(monkeypatch, setup, report('nvidia-cudnn-cu13==9.20.0.48; platform_system == "Linux"'))
+    assert setup.with_torch(["dev"]) == ["dev"]
+    assert "make test TORCH=1" in capsys.readouterr().out
+
+
+def test_it_is_installed_where_it_is_asked_for_or_there_is_a_gpu(setup, monkeypatch):
+    offer(monkeypatch, setup, report("cuda-toolkit[cublas]==13.0.3"))
+    with monkeypatch.context() as asked:
+        asked.setenv("TORCH", "1")
+        assert setup.with_torch(["dev"]) == ["dev", "dev-torch"]
+    monkeypatch.setattr(setup.shutil, "which", lambda name: f"/usr/bin/{name}")
+    assert setup.with_torch(["dev"]) == ["dev", "dev-torch"]
+
+
+@pytest.mark.parametrize(
+    "done",
+    [report(), SimpleNamespace(returncode=0, stdout='{"install": []}'), SimpleNamespace(returncode=1, stdout="")],
+    ids=["a build for CPUs", "installed already", "pip will say what is wrong"],
+)
+def test_it_is_installed_where_it_is_light(setup, monkeypatch, done):
+    offer(monkeypatch, setup, done)
+    assert setup.with_torch(["dev"]) == ["dev", "dev-torch"]
+
+
+def test_the_version_that_is_asked_about_is_the_one_of_the_extra(setup):
+    import tomllib
+
+    told = tomllib.loads((FILE.parents[1] / "pyproject.toml").read_text())
+    assert setup.TORCH in told["project"]["optional-dependencies"]["dev-torch"]
