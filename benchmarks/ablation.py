@@ -15,11 +15,11 @@ from pathlib import Path
 import tyro
 
 from cognitivedrone.benchmark import Results, RunConfig, run
-from cognitivedrone.training.curves import read_rows
+from cognitivedrone.training.common.curves import read_rows
+from cognitivedrone.training.common.trainer import METRICS
 from cognitivedrone.training.launch import TrainOptions
 from cognitivedrone.training.launch import run as train
 from cognitivedrone.training.recipes import RECIPES
-from cognitivedrone.training.trainer import METRICS
 
 PREFIX = "ablation-"
 SUITE = "open-v1:test"

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "links"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "vehicles"))
 
 from peer import MODES, Peer, StillCamera, playing
 
-from cognitivedrone.flight.safety import Guard
-from cognitivedrone.links.mavlink import MavlinkDrone
+from cognitivedrone.control.safety import Guard
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 
 FORWARD = np.array([1, 0, 0, 0], dtype=np.float32)
 FLIGHTS = 7

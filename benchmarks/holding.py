@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 import tyro
 
+from cognitivedrone.control.async_reasoner import SimulatedMind
+from cognitivedrone.control.hold import HeedingMind, HeldDrone, Hold, HoldRule
+from cognitivedrone.control.loop import Leg, fly
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import SimulatedDrone
-from cognitivedrone.flight.hold import HeedingMind, HeldDrone, Hold, HoldRule
-from cognitivedrone.flight.loop import Leg, fly
-from cognitivedrone.flight.mind import SimulatedMind
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners.small import SmallReasoner

@@ -16,8 +16,8 @@ from torch.nn import functional as F  # noqa: N812
 from cognitivedrone.models.openvla.config import ACTION_SIZE, IMAGE, PADDING, PATCHES, WORDS
 from cognitivedrone.models.openvla.network import IGNORED, OpenVlaNetwork
 from cognitivedrone.models.openvla.prepare import BEGIN, END, SPACE
-from cognitivedrone.training.openvla_adapters import add_adapters
-from cognitivedrone.training.openvla_recipes import PAPER
+from cognitivedrone.training.openvla.adapters import add_adapters
+from cognitivedrone.training.openvla.recipes import PAPER
 
 BATCHES = (1, 2, 4, 8, 16, 32)
 """Tried on a GPU, each way up to the first that does not fit."""

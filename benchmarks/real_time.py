@@ -15,11 +15,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import tyro
 
+from cognitivedrone.control.async_reasoner import SimulatedMind, ThreadMind
+from cognitivedrone.control.latency import TimedPolicy
+from cognitivedrone.control.loop import Leg, fly
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import PacedDrone, SimulatedDrone
-from cognitivedrone.flight.latency import TimedPolicy
-from cognitivedrone.flight.loop import Leg, fly
-from cognitivedrone.flight.mind import SimulatedMind, ThreadMind
 from cognitivedrone.interfaces import Privileged, Reasoner
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy

@@ -16,8 +16,8 @@ from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.sim.camera import Cameras
 from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Stage
+from cognitivedrone.world.appearance import PLAIN, Look, varied_look
 from cognitivedrone.world.geometry import START
-from cognitivedrone.world.look import PLAIN, Look, varied_look
 
 WORLDS = 16
 

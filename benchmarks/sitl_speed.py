@@ -19,13 +19,13 @@ import numpy as np
 
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.labels import load_pack
-from cognitivedrone.links.arducopter import BINARY_VARIABLE
-from cognitivedrone.links.sitl import SitlServer
-from cognitivedrone.links.sitl_flight import SitlFlight
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import CONTROL_HZ
+from cognitivedrone.vehicles.sitl.arducopter import BINARY_VARIABLE
+from cognitivedrone.vehicles.sitl.flight import SitlFlight
+from cognitivedrone.vehicles.sitl.json_interface import SitlServer
 
 RATE_HZ = 1200
 FRAMES = 4000

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cognitivedrone.links.arducopter import BINARY_VARIABLE
-from cognitivedrone.links.sitl_flight import SitlFlight
 from cognitivedrone.sim.airframe import AIRFRAMES, IRIS
 from cognitivedrone.sim.responses import ARDUCOPTER, STEPS, Figures, Trace, fly, measure
 from cognitivedrone.types import FloatArray
+from cognitivedrone.vehicles.sitl.arducopter import BINARY_VARIABLE
+from cognitivedrone.vehicles.sitl.flight import SitlFlight
 
 COLORS = ("#1f77b4", "#d62728")
 

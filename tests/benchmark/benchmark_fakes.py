@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from cognitivedrone.benchmark.run_types import FilmFrame, Flown, RunConfig, Trace
+from cognitivedrone.control.calls import NO_WATCH, Watch, calling
 from cognitivedrone.errors import LabelError
-from cognitivedrone.flight.calls import NO_WATCH, Watch, calling
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import EpisodeResult, Guidance, Outcome, Stage, StageResult, Task
 from cognitivedrone.world import geometry

@@ -13,7 +13,7 @@ from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.runner import command_of, run
 from cognitivedrone.benchmark.tables import results_table
 from cognitivedrone.errors import CognitiveDroneError
-from cognitivedrone.links.one_drone import LinkReport
+from cognitivedrone.vehicles.one_drone import LinkReport
 
 
 @pytest.fixture

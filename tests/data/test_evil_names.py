@@ -20,9 +20,8 @@ from made_stores import write_store
 
 from cognitivedrone.cli import main
 from cognitivedrone.collect.importing import import_set
-from cognitivedrone.data import lerobot, rlds
 from cognitivedrone.data.episode import Episode
-from cognitivedrone.data.formats import EXPORTS, export, import_
+from cognitivedrone.data.formats import EXPORTS, export, import_, lerobot, rlds
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
 

@@ -6,7 +6,7 @@ from types import ModuleType
 
 import pytest
 
-from cognitivedrone.data import rlds
+from cognitivedrone.data.formats import rlds
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "openvla_registration.py"
 

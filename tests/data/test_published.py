@@ -9,7 +9,7 @@ from factory import assert_same_episode, make_episode
 
 from cognitivedrone.data.episode import decode_image
 from cognitivedrone.data.formats import export, import_
-from cognitivedrone.data.published import published_actions, read, velocities
+from cognitivedrone.data.formats.published import published_actions, read, velocities
 from cognitivedrone.errors import DataError
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.tasks import read_tasks

@@ -9,9 +9,8 @@ from factory import assert_same_episode, make_episode
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cognitivedrone.data import rlds, tfrecord
 from cognitivedrone.data.episode import decode_image
-from cognitivedrone.data.formats import export, import_
+from cognitivedrone.data.formats import export, import_, rlds, tfrecord
 from cognitivedrone.errors import DataError
 
 TENSORFLOW_RECORD = "090000000000000037f97139636f676e69746976651bbcacaf"

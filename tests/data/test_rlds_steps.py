@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cognitivedrone.data import rlds
-from cognitivedrone.data.formats import export
-from cognitivedrone.data.rlds_steps import RldsSteps
+from cognitivedrone.data.formats import export, rlds
+from cognitivedrone.data.formats.rlds_steps import RldsSteps
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
 

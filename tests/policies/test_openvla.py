@@ -10,9 +10,9 @@ import pytest
 
 from cognitivedrone.errors import MissingExtra, NonFiniteAction, PolicyError
 from cognitivedrone.models.openvla import checkpoint as checkpoints
-from cognitivedrone.plugins import make
 from cognitivedrone.policies import make_policy
 from cognitivedrone.policies.openvla import OpenVla
+from cognitivedrone.registry import make
 from cognitivedrone.types import Observation
 
 torch = pytest.importorskip("torch")

@@ -8,7 +8,7 @@ import pytest
 from cognitivedrone.errors import PolicyError, ReasonerError
 from cognitivedrone.models.reasoner_file import Facets, Sight
 from cognitivedrone.reasoners.small import SmallReasoner, gate_of, value_index
-from cognitivedrone.training.reading import SEEN, seen_facets
+from cognitivedrone.training.reasoner.reading import SEEN, seen_facets
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 
 FRAME = np.zeros((256, 256, 3), np.uint8)

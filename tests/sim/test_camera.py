@@ -11,7 +11,7 @@ from cognitivedrone.sim.camera import Cameras
 from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.types import IMAGE_SIZE, DroneState, Gate, Image, Stage
 from cognitivedrone.world import geometry
-from cognitivedrone.world.look import varied_look
+from cognitivedrone.world.appearance import varied_look
 
 STAGE = Stage(
     gates=(Gate("big", "round", "red"), Gate("small", "square", "green"), Gate("big", "triangle", "blue")),

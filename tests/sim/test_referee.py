@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cognitivedrone.sim.referee import Referee, judge
+from cognitivedrone.sim.gate_monitor import Referee, judge
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Stage
 from cognitivedrone.world import geometry
 

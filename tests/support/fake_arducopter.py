@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from cognitivedrone.frames import enu_to_ned, flu_to_frd, ned_quaternion
-from cognitivedrone.links.sitl_physics import LINEAR_THRUST, PWM_HIGH, PWM_LOW
-from cognitivedrone.links.vehicle import SimulatedVehicle, VehicleConfig, serve
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.dynamics import Flight
 from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.vehicles.mavlink.server.vehicle import SimulatedVehicle, VehicleConfig, serve
+from cognitivedrone.vehicles.sitl.physics import LINEAR_THRUST, PWM_HIGH, PWM_LOW
 
 LEAST_SPEED = 6
 

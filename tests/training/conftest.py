@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from cognitivedrone.training import policy
-from cognitivedrone.training.checkpoint import save_checkpoint
+from cognitivedrone.training.common.checkpoint import save_checkpoint
+from cognitivedrone.training.common.trainer import CHECKPOINT
 from cognitivedrone.training.recipes import RECIPES
-from cognitivedrone.training.trainer import CHECKPOINT
+from cognitivedrone.training.small_vla import policy
 
 
 @pytest.fixture(scope="session")

@@ -10,8 +10,8 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import BASE_FAMILIES
-from cognitivedrone.training.cards import SHARES, Cards, glimpse_of
-from cognitivedrone.training.facets import FACETS, PANEL_GROUPS, panel_facets
+from cognitivedrone.training.common.attributes import FACETS, PANEL_GROUPS, panel_facets
+from cognitivedrone.training.common.panel_crops import SHARES, Cards, glimpse_of
 
 SIZE = 48
 

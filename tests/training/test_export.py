@@ -13,10 +13,10 @@ from cognitivedrone.models.small_file import SmallModel
 from cognitivedrone.models.small_vla import SmallVLA
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.policies import make_policy
-from cognitivedrone.training.checkpoint import save_checkpoint
-from cognitivedrone.training.export import export
-from cognitivedrone.training.facets import FACETS
+from cognitivedrone.training.common.attributes import FACETS
+from cognitivedrone.training.common.checkpoint import save_checkpoint
 from cognitivedrone.training.recipes import RECIPES
+from cognitivedrone.training.small_vla.export import export
 from cognitivedrone.types import Observation
 
 WORDS = Vocabulary.of(["Fly through the big red round gate with the number 7"])

@@ -7,7 +7,7 @@ import pytest
 
 from cognitivedrone.errors import LabelError
 from cognitivedrone.tasks import facts, load_suite, people, train_task, vocabulary
-from cognitivedrone.training.facets import (
+from cognitivedrone.training.common.attributes import (
     BOARD_GROUPS,
     FACETS,
     GATE_GROUPS,

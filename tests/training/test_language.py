@@ -16,15 +16,15 @@ from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.small_file import SmallModel
 from cognitivedrone.models.text import words_of
 from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES
-from cognitivedrone.training import language
-from cognitivedrone.training.facets import FACETS, panel_facets
-from cognitivedrone.training.language import SHARES, LanguageSubject, draw_told, language_subject
+from cognitivedrone.training.common.attributes import FACETS, panel_facets
+from cognitivedrone.training.common.trainer import CHECKPOINT, METRICS, TrainConfig, train
+from cognitivedrone.training.common.unknown_people import STRANGER
 from cognitivedrone.training.launch import TrainOptions, command_of, run
-from cognitivedrone.training.losses import text_loss, to_tensors, told_embedding
-from cognitivedrone.training.policy import load_trained
 from cognitivedrone.training.recipes import LANGUAGE
-from cognitivedrone.training.strangers import STRANGER
-from cognitivedrone.training.trainer import CHECKPOINT, METRICS, TrainConfig, train
+from cognitivedrone.training.small_vla import language
+from cognitivedrone.training.small_vla.language import SHARES, LanguageSubject, draw_told, language_subject
+from cognitivedrone.training.small_vla.losses import text_loss, to_tensors, told_embedding
+from cognitivedrone.training.small_vla.policy import load_trained
 
 TINY = replace(
     LANGUAGE,

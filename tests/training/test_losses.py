@@ -14,12 +14,19 @@ from torch import Tensor
 from cognitivedrone.models.small_vla import SLOTS, Head, Scene, SmallVLA
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.tasks import train_task
-from cognitivedrone.training import losses
-from cognitivedrone.training.facets import FACETS
-from cognitivedrone.training.losses import Lesson, LossWeights, action_loss, action_targets, to_tensors, true_slots
+from cognitivedrone.training.common.attributes import FACETS
+from cognitivedrone.training.common.sampling import Batch
 from cognitivedrone.training.recipes import RECIPES
-from cognitivedrone.training.sampling import Batch
-from cognitivedrone.training.stream import Rehearsal
+from cognitivedrone.training.small_vla import losses
+from cognitivedrone.training.small_vla.losses import (
+    Lesson,
+    LossWeights,
+    action_loss,
+    action_targets,
+    to_tensors,
+    true_slots,
+)
+from cognitivedrone.training.small_vla.stream import Rehearsal
 
 DEBUG = RECIPES["debug"]
 VOCABULARY = Vocabulary.of(train_task(i, 0).instruction for i in range(500))

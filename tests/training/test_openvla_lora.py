@@ -33,21 +33,21 @@ from cognitivedrone.models.openvla.network import IGNORED
 from cognitivedrone.models.openvla.prepare import END, ImagePreparation, prompt_ids, read_encoder
 from cognitivedrone.models.openvla.tensors import elements, unused_tensors, used_tensors
 from cognitivedrone.models.openvla.weights import load
-from cognitivedrone.training import openvla_lora
-from cognitivedrone.training.checkpoint import read_checkpoint
-from cognitivedrone.training.curves import DIMENSIONS, read_rows
-from cognitivedrone.training.openvla_adapters import add_adapters, take_adapters
-from cognitivedrone.training.openvla_base import (
+from cognitivedrone.training.common.checkpoint import read_checkpoint
+from cognitivedrone.training.common.curves import DIMENSIONS, read_rows
+from cognitivedrone.training.common.trainer import CHECKPOINT, METRICS
+from cognitivedrone.training.openvla import lora as openvla_lora
+from cognitivedrone.training.openvla.adapters import add_adapters, take_adapters
+from cognitivedrone.training.openvla.base import (
     check_machine,
     needed_bytes,
     read_base,
     recomputes,
     trained_weights,
 )
-from cognitivedrone.training.openvla_data import SampleMaker, answer_measures, open_flights, rows_of_step
-from cognitivedrone.training.openvla_lora import MERGED, FineTuning, fine_tune, merge
-from cognitivedrone.training.openvla_recipes import LORA_RECIPES, PAPER, find_lora_recipe
-from cognitivedrone.training.trainer import CHECKPOINT, METRICS
+from cognitivedrone.training.openvla.data import SampleMaker, answer_measures, open_flights, rows_of_step
+from cognitivedrone.training.openvla.lora import MERGED, FineTuning, fine_tune, merge
+from cognitivedrone.training.openvla.recipes import LORA_RECIPES, PAPER, find_lora_recipe
 
 # A rate at which a tiny network changes in six steps.
 RECIPE = replace(LORA_RECIPES["debug"], learning_rate=5e-3, validate_every=4)
@@ -57,8 +57,8 @@ import os, signal, sys
 from dataclasses import replace
 from pathlib import Path
 import torch
-from cognitivedrone.training.openvla_lora import FineTuning, fine_tune
-from cognitivedrone.training.openvla_recipes import LORA_RECIPES
+from cognitivedrone.training.openvla.lora import FineTuning, fine_tune
+from cognitivedrone.training.openvla.recipes import LORA_RECIPES
 
 def report(line):
     # The second row is written before its checkpoint: that is where the power goes.

@@ -16,17 +16,18 @@ from cognitivedrone.models.small_reasoner import Eyes, MindConfig, ReaderConfig
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.tasks import FAMILIES, HARD_FAMILIES
-from cognitivedrone.training import mind, policy
-from cognitivedrone.training.export_reasoner import export_eyes, export_mind
-from cognitivedrone.training.facets import FACETS, GATE_GROUPS, GROUPS
+from cognitivedrone.training.common.attributes import FACETS, GATE_GROUPS, GROUPS
+from cognitivedrone.training.common.sampling import muddled
+from cognitivedrone.training.common.trainer import CHECKPOINT, TrainConfig, train
 from cognitivedrone.training.launch import TrainOptions, run
-from cognitivedrone.training.losses import to_tensors
-from cognitivedrone.training.mind import MIND, Encoder, Problems, load_mind, mind_subject, values_of
-from cognitivedrone.training.reader import READER, draw_any_label, load_reader, reader_subject
-from cognitivedrone.training.reading import SEEN, SEEN_GROUPS, seen_facets
+from cognitivedrone.training.reasoner import selector as mind
+from cognitivedrone.training.reasoner.export import export_eyes, export_mind
+from cognitivedrone.training.reasoner.reader import READER, draw_any_label, load_reader, reader_subject
+from cognitivedrone.training.reasoner.reading import SEEN, SEEN_GROUPS, seen_facets
+from cognitivedrone.training.reasoner.selector import MIND, Encoder, Problems, load_mind, mind_subject, values_of
 from cognitivedrone.training.recipes import RECIPES
-from cognitivedrone.training.sampling import muddled
-from cognitivedrone.training.trainer import CHECKPOINT, TrainConfig, train
+from cognitivedrone.training.small_vla import policy
+from cognitivedrone.training.small_vla.losses import to_tensors
 from cognitivedrone.types import COLORS, SHAPES, SIZES
 
 SMALL_MIND = replace(

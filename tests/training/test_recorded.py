@@ -14,12 +14,12 @@ from cognitivedrone.collect.recipe import RECIPES as COLLECTED
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.text import Vocabulary
-from cognitivedrone.training import policy
-from cognitivedrone.training.checkpoint import read_checkpoint
-from cognitivedrone.training.policy import policy_subject
+from cognitivedrone.training.common.checkpoint import read_checkpoint
+from cognitivedrone.training.common.trainer import CHECKPOINT, TrainConfig, train
 from cognitivedrone.training.recipes import RECIPES
-from cognitivedrone.training.recorded import Recorded
-from cognitivedrone.training.trainer import CHECKPOINT, TrainConfig, train
+from cognitivedrone.training.small_vla import policy
+from cognitivedrone.training.small_vla.policy import policy_subject
+from cognitivedrone.training.small_vla.recorded import Recorded
 
 STREAM = replace(RECIPES["debug"].stream, chunk=3, batch=16)
 NETWORK = RECIPES["debug"].network

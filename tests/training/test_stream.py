@@ -16,13 +16,21 @@ from numpy.typing import NDArray
 from cognitivedrone.models.text import Vocabulary, words_of
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.racing import INSTRUCTIONS
-from cognitivedrone.training import sampling, stream
-from cognitivedrone.training.facets import BOARD_GROUPS, FACETS, GROUPS, PANEL_GROUPS, gate_facets, panel_facets
-from cognitivedrone.training.policy import training_vocabulary
-from cognitivedrone.training.questions import Question, ask
+from cognitivedrone.training.common import sampling
+from cognitivedrone.training.common.attributes import (
+    BOARD_GROUPS,
+    FACETS,
+    GROUPS,
+    PANEL_GROUPS,
+    gate_facets,
+    panel_facets,
+)
+from cognitivedrone.training.common.questions import Question, ask
+from cognitivedrone.training.common.sampling import NONE_IN_VIEW, Batch, StreamRecipe
 from cognitivedrone.training.recipes import RECIPES
-from cognitivedrone.training.sampling import NONE_IN_VIEW, Batch, StreamRecipe
-from cognitivedrone.training.stream import Rehearsal
+from cognitivedrone.training.small_vla import stream
+from cognitivedrone.training.small_vla.policy import training_vocabulary
+from cognitivedrone.training.small_vla.stream import Rehearsal
 from cognitivedrone.types import Gate, Task
 
 RECIPE = RECIPES["debug"].stream

@@ -19,14 +19,14 @@ from PIL import Image
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.small_vla import Head, SmallVLA
-from cognitivedrone.training import policy
-from cognitivedrone.training.checkpoint import read_checkpoint
-from cognitivedrone.training.curves import DIMENSIONS, action_measures, draw_curves, read_rows
-from cognitivedrone.training.feed import Feed, learner_path
-from cognitivedrone.training.policy import load_trained, policy_subject
+from cognitivedrone.training.common.checkpoint import read_checkpoint
+from cognitivedrone.training.common.curves import DIMENSIONS, action_measures, draw_curves, read_rows
+from cognitivedrone.training.common.prefetch import Feed, learner_path
+from cognitivedrone.training.common.trainer import CHECKPOINT, METRICS, TrainConfig, learning_rate, train, what_is_left
+from cognitivedrone.training.common.training_task import Watched
 from cognitivedrone.training.recipes import RECIPES, TrainRecipe, find_recipe
-from cognitivedrone.training.subject import Watched
-from cognitivedrone.training.trainer import CHECKPOINT, METRICS, TrainConfig, learning_rate, train, what_is_left
+from cognitivedrone.training.small_vla import policy
+from cognitivedrone.training.small_vla.policy import load_trained, policy_subject
 
 # Trials once, at the end, and few words: the rest of the time goes into processes that start.
 RECIPE = replace(RECIPES["debug"], fly_every=6, fly_tasks=2)
@@ -36,7 +36,8 @@ KILLED = """
 import os, signal, sys
 from dataclasses import replace
 from pathlib import Path
-from cognitivedrone.training import policy, trainer
+from cognitivedrone.training.small_vla import policy
+from cognitivedrone.training.common import trainer
 from cognitivedrone.training.recipes import RECIPES
 
 def report(line):
@@ -307,7 +308,7 @@ def test_ctrl_c_before_the_first_checkpoint_says_that_there_is_nothing_to_resume
             raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("cognitivedrone.training.trainer._Keeper", Stopped)
+        patch.setattr("cognitivedrone.training.common.trainer._Keeper", Stopped)
         with pytest.raises(KeyboardInterrupt, match=r"stopped at step 0, before the first checkpoint; .*start again"):
             train(TrainConfig(tmp_path / "run", policy_subject(RECIPE), seed=3))
 

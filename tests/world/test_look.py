@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cognitivedrone.world.look import PATTERNS, PLAIN, Pattern, expose, pattern_texture, varied_look
+from cognitivedrone.world.appearance import PATTERNS, PLAIN, Pattern, expose, pattern_texture, varied_look
 
 seeds = st.integers(0, 2**32 - 1)
 

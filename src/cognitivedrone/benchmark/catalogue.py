@@ -10,9 +10,9 @@ from rich.table import Table
 from rich.text import Text
 
 from cognitivedrone.errors import PolicyError
-from cognitivedrone.plugins import load, usage
 from cognitivedrone.policies import POLICIES
 from cognitivedrone.reasoners import NONE, REASONERS
+from cognitivedrone.registry import load, usage
 from cognitivedrone.sim.airframe import AIRFRAMES
 from cognitivedrone.tasks import FAMILIES, SUITES, load_suite
 

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from cognitivedrone.benchmark.flight_log import FlightLog
-from cognitivedrone.benchmark.links import autopilot_file, open_link
 from cognitivedrone.benchmark.run_types import Flown, RunConfig
+from cognitivedrone.benchmark.vehicles import autopilot_file, open_link
+from cognitivedrone.control.async_reasoner import SimulatedMind
+from cognitivedrone.control.calls import NO_WATCH, Watch, calling
+from cognitivedrone.control.latency import TimedPolicy, parse_delays
+from cognitivedrone.control.loop import Leg, fly
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import SimulatedDrone
 from cognitivedrone.errors import PolicyError, PolicyRaised, did_you_mean
-from cognitivedrone.flight.calls import NO_WATCH, Watch, calling
-from cognitivedrone.flight.latency import TimedPolicy, parse_delays
-from cognitivedrone.flight.loop import Leg, fly
-from cognitivedrone.flight.mind import SimulatedMind
 from cognitivedrone.interfaces import Checked, LabelPack, Policy, Reasoner, Seeded
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy

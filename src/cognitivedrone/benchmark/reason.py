@@ -26,10 +26,10 @@ from cognitivedrone.benchmark.reason_scoring import Answer, ReasonSummary, judge
 from cognitivedrone.benchmark.results import Options, SuiteFacts, versions, write_whole
 from cognitivedrone.benchmark.runner import Interrupted, facts_of, results_folder
 from cognitivedrone.benchmark.suites import suite_of
+from cognitivedrone.control.async_reasoner import asking, check_guidance
 from cognitivedrone.envs.course import Course, CourseConfig, draw_start, episode_rng, scenery_of, stage_of
 from cognitivedrone.errors import PolicyError, ReasonerError, RunError
 from cognitivedrone.files import writing
-from cognitivedrone.flight.mind import asking, check_guidance
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import Checked, Privileged, Reasoner, Remembering, Seeded
 from cognitivedrone.progress import counted

@@ -16,8 +16,8 @@ from cognitivedrone.benchmark.run_types import LinkName, LookName, Rule
 from cognitivedrone.benchmark.scoring import RULES, Summary, summarize
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import read_regular, reason_of, replace_file, writing
-from cognitivedrone.links.one_drone import LinkReport
 from cognitivedrone.types import EpisodeResult
+from cognitivedrone.vehicles.one_drone import LinkReport
 
 SCHEMA: Final = "cognitivedrone.results/1"
 RESULTS_FILE: Final = "results.json"

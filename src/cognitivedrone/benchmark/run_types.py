@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.benchmark.config import LinkName, LookName, Rule, RunConfig
-from cognitivedrone.links.one_drone import LinkReport
 from cognitivedrone.types import Action, EpisodeResult, Guidance, Image, Stage
+from cognitivedrone.vehicles.one_drone import LinkReport
 
 __all__ = ["Flown", "Flyer", "LinkName", "LookName", "Rule", "RunConfig", "Trace"]
 

@@ -15,9 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from cognitivedrone.benchmark.clips import Clip, choose_clips, make_clip
-from cognitivedrone.benchmark.crew import FLYER, Alone, Crew, Team, WorkerCrash, make_flyer
 from cognitivedrone.benchmark.episode import EpisodeFlyer, Pilot, preflight
-from cognitivedrone.benchmark.links import autopilot_file
 from cognitivedrone.benchmark.provenance import platform_facts
 from cognitivedrone.benchmark.records import ERRORS_FOLDER, Record, RunFolder, check_folder
 from cognitivedrone.benchmark.report import REPORT_FILE, render_report
@@ -36,16 +34,18 @@ from cognitivedrone.benchmark.results import (
 from cognitivedrone.benchmark.run_types import Flown, RunConfig
 from cognitivedrone.benchmark.scoring import counts, passes
 from cognitivedrone.benchmark.suites import suite_of
+from cognitivedrone.benchmark.vehicles import autopilot_file
+from cognitivedrone.benchmark.workers import FLYER, Alone, Crew, Team, WorkerCrash, make_flyer
+from cognitivedrone.control.latency import parse_delays
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import safe_name, writing
-from cognitivedrone.flight.latency import parse_delays
-from cognitivedrone.links.one_drone import LinkReport
 from cognitivedrone.policies import model_file
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.reasoners import reasoner_file
 from cognitivedrone.tasks import Suite
 from cognitivedrone.terminal import console
 from cognitivedrone.types import EpisodeResult
+from cognitivedrone.vehicles.one_drone import LinkReport
 
 ERROR_FILE = "error.txt"
 

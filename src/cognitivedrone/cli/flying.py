@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from cognitivedrone.cockpit.config import FlyConfig, SimConfig
+from cognitivedrone.apps.config import FlyConfig, SimConfig
 from cognitivedrone.printable import visible
 
 
@@ -24,8 +24,8 @@ def fly(config: Annotated[FlyConfig, tyro.conf.arg(name="")]) -> None:
 
     A real drone needs more than a command: read docs/real-drone.md.
     """
-    from cognitivedrone.cockpit.fly import fly_mission
-    from cognitivedrone.cockpit.view import summary_table
+    from cognitivedrone.apps.fly import fly_mission
+    from cognitivedrone.apps.view import summary_table
     from cognitivedrone.terminal import console
 
     screen = console()
@@ -41,7 +41,7 @@ def sim(config: Annotated[SimConfig, tyro.conf.arg(name="")]) -> None:
 
       cognitivedrone sim --mavlink --camera-port 8090 --suite open-v1:test --episode 3
     """
-    from cognitivedrone.cockpit.vehicle import serve_vehicle, until_interrupted
+    from cognitivedrone.apps.vehicle import serve_vehicle, until_interrupted
 
     with until_interrupted() as stop:
         lost = serve_vehicle(config, stop, lambda served: print(visible(str(served)), flush=True))  # noqa: T201
@@ -73,7 +73,7 @@ def export_world(
         version: Release of Gazebo that the README of the folder tells to install: harmonic, ionic or jetty.
         labels: Label pack, or a folder of pictures.
     """
-    from cognitivedrone.links.gazebo.export import export as export_to
+    from cognitivedrone.vehicles.gazebo.export import export as export_to
 
     done = export_to(suite, tasks=tasks, out=out, task=task, track=track, version=version, labels=labels)
     for world, shown in zip(done.worlds, done.track, strict=True):
@@ -86,7 +86,7 @@ def check_world(files: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     Args:
         files: Worlds or models.
     """
-    from cognitivedrone.links.gazebo.check import check as check_files
+    from cognitivedrone.vehicles.gazebo.check import check as check_files
 
     print(visible(f"{len(files)} passed {check_files(files)}"))  # noqa: T201
 
@@ -102,7 +102,7 @@ def import_models(source: tyro.conf.Positional[Path], out: Path) -> None:
         source: Its folder of models: of every type a task file beside a folder of panels.
         out: New folder to write.
     """
-    from cognitivedrone.links.gazebo.classic import import_collector
+    from cognitivedrone.vehicles.gazebo.classic import import_collector
 
     done = import_collector(source, out)
     for kind, (tasks, pictures) in done.counts.items():

@@ -84,13 +84,13 @@ def train_openvla(
     """
     from dataclasses import replace
 
-    from cognitivedrone.training.openvla_recipes import find_lora_recipe
+    from cognitivedrone.training.openvla.recipes import find_lora_recipe
 
     chosen = find_lora_recipe(recipe)
     if micro_batch is not None:
         chosen = replace(chosen, micro_batch=micro_batch)
     try:
-        from cognitivedrone.training import openvla_lora
+        from cognitivedrone.training.openvla import lora as openvla_lora
     except ModuleNotFoundError as error:
         raise MissingExtra(str(error.name), "openvla,train") from None
     config = openvla_lora.FineTuning(base, data, out, chosen, seed, resume, shard, key)

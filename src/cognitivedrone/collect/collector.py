@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rich.progress import Progress, SpinnerColumn, TaskID, TimeElapsedColumn
 
-from cognitivedrone import plugins
+from cognitivedrone import registry
 from cognitivedrone.collect.config import CollectConfig
 from cognitivedrone.collect.executors import EXECUTORS, Executor, Job, import_ray, learner_of, open_suite
 from cognitivedrone.collect.fleet import FlownEpisode
@@ -197,7 +197,7 @@ def _prepare(config: CollectConfig) -> tuple[Job, Executor, int]:
         raise DataError(f"unknown executor {config.executor!r}; {did_you_mean(config.executor, EXECUTORS)}")
     if config.executor == "ray":
         import_ray()
-    executor = plugins.load("executor", config.executor, EXECUTORS)
+    executor = registry.load("executor", config.executor, EXECUTORS)
     learner = None
     if config.policy is not None:
         learner = learner_of(config.policy, config.beta)

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from cognitivedrone.collect.perturbation import Disturbance, disturb, draw_beginning, draw_disturbances
 from cognitivedrone.collect.recipe import Recipe
+from cognitivedrone.control.loop import check_chunk
 from cognitivedrone.data.episode import Conditions, Episode, encode_image
 from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import clip_action, proprioception
 from cognitivedrone.errors import CognitiveDroneError, DataError, NonFiniteAction, PolicyError
-from cognitivedrone.flight.loop import check_chunk
 from cognitivedrone.interfaces import Policy, Privileged, Seeded
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.expert import Expert, ExpertConfig

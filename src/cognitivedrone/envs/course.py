@@ -13,11 +13,11 @@ import numpy as np
 
 from cognitivedrone.errors import SimulationError, did_you_mean
 from cognitivedrone.interfaces import LabelPack
-from cognitivedrone.sim.referee import Verdict
+from cognitivedrone.sim.gate_monitor import Verdict
 from cognitivedrone.sim.simulator import Scenery, Simulator, Start
 from cognitivedrone.types import Outcome, Stage, StageResult, Task, Track, Truth
 from cognitivedrone.world import geometry
-from cognitivedrone.world.look import PLAIN, Look, varied_look
+from cognitivedrone.world.appearance import PLAIN, Look, varied_look
 
 LOOKS = ("plain", "varied")
 FLOOR_ROOM_M = 0.05

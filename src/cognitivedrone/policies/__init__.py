@@ -1,14 +1,14 @@
 """Policies: image and text in, velocity commands out.
 
 `POLICIES` names those that come with the package; `make_policy` also takes a user's own "module:attribute", and
-arguments for either, as `plugins` says.
+arguments for either, as `registry` says.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from cognitivedrone import plugins
+from cognitivedrone import registry
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.interfaces import Policy
 
@@ -28,12 +28,12 @@ def model_file(name: str) -> Path | None:
 
     Raises `PolicyError` where the file is missing.
     """
-    return plugins.file_of("policy", name, POLICIES)
+    return registry.file_of("policy", name, POLICIES)
 
 
 def make_policy(name: str) -> Policy:
-    """A new policy by its name and arguments, in the syntax of `plugins`; raises `PolicyError`."""
+    """A new policy by its name and arguments, in the syntax of `registry`; raises `PolicyError`."""
     if name.endswith(".onnx") and ":" not in name:
         raise PolicyError(f"policy {name!r} is a model file; write small:{name}")
-    policy: Policy = plugins.make("policy", name, POLICIES, ("reset", "act"))
+    policy: Policy = registry.make("policy", name, POLICIES, ("reset", "act"))
     return policy

@@ -1,14 +1,14 @@
 """Reasoners: image and instruction in, a plain directive out.
 
 `REASONERS` names those that come with the package; `make_reasoner` also takes a user's own "module:attribute", and
-arguments for either, as `plugins` says.
+arguments for either, as `registry` says.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from cognitivedrone import plugins
+from cognitivedrone import registry
 from cognitivedrone.interfaces import Reasoner
 
 REASONERS: dict[str, str] = {
@@ -28,12 +28,12 @@ def reasoner_file(name: str) -> Path | None:
 
     Raises `PolicyError` where the file is missing.
     """
-    return None if name == NONE else plugins.file_of("reasoner", name, REASONERS)
+    return None if name == NONE else registry.file_of("reasoner", name, REASONERS)
 
 
 def make_reasoner(name: str) -> Reasoner | None:
-    """A new reasoner by name and arguments, in the syntax of `plugins`, or none for "none"; raises `PolicyError`."""
+    """A new reasoner by name and arguments, in the syntax of `registry`, or none for "none"; raises `PolicyError`."""
     if name == NONE:
         return None
-    reasoner: Reasoner = plugins.make("reasoner", name, {**REASONERS, NONE: NONE}, ("refine",))
+    reasoner: Reasoner = registry.make("reasoner", name, {**REASONERS, NONE: NONE}, ("refine",))
     return reasoner

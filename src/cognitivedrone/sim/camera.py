@@ -23,9 +23,9 @@ from cognitivedrone.frames import FloatArray, rotation_matrix
 from cognitivedrone.sim.gl import GLThread
 from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT, View, chase_view, top_view
 from cognitivedrone.types import IMAGE_SIZE, DroneState, Image, Stage
+from cognitivedrone.world.appearance import PLAIN, Look, expose
 from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture
 from cognitivedrone.world.engine import mujoco
-from cognitivedrone.world.look import PLAIN, Look, expose
 from cognitivedrone.world.scene import add_drone, fill_scene, new_scene
 
 _NEAR, _FAR = 0.03, 200.0

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.types import DroneState, FloatArray, Image, Stage
-from cognitivedrone.world.look import Look
+from cognitivedrone.world.appearance import Look
 
 
 class Flying(Protocol):

@@ -11,9 +11,9 @@ from cognitivedrone.sim.airframe import RACER, Airframe
 from cognitivedrone.sim.camera import Cameras
 from cognitivedrone.sim.dynamics import Flight
 from cognitivedrone.sim.flying import Flying, Seeing
-from cognitivedrone.sim.referee import Referee, Verdict
+from cognitivedrone.sim.gate_monitor import Referee, Verdict
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, DroneState, FloatArray, Image, Stage
-from cognitivedrone.world.look import PLAIN, Look
+from cognitivedrone.world.appearance import PLAIN, Look
 
 TICKS_PER_CONTROL = round(1 / (CONTROL_HZ * Flight.TICK_S))
 if abs(TICKS_PER_CONTROL * CONTROL_HZ * Flight.TICK_S - 1) > 1e-9:

@@ -16,10 +16,10 @@ import tyro
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
 from cognitivedrone.models.reasoner_file import EYES_FILE, MIND_FILE
 from cognitivedrone.printable import visible
-from cognitivedrone.training.mind import MindRecipe, mind_subject
-from cognitivedrone.training.reader import ReaderRecipe, reader_subject
+from cognitivedrone.training.common.training_task import Subject
+from cognitivedrone.training.reasoner.reader import ReaderRecipe, reader_subject
+from cognitivedrone.training.reasoner.selector import MindRecipe, mind_subject
 from cognitivedrone.training.recipes import LanguageRecipe, TrainRecipe, find_recipe
-from cognitivedrone.training.subject import Subject
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ def run(options: TrainOptions) -> Path:
     try:
         done = subprocess.run(command_of(options), env={"OMP_NUM_THREADS": "1", **os.environ}, check=False)  # noqa: S603
     except KeyboardInterrupt:
-        from cognitivedrone.training.trainer import what_is_left
+        from cognitivedrone.training.common.trainer import what_is_left
 
         raise KeyboardInterrupt(what_is_left(options.out)) from None
     if done.returncode:
@@ -94,7 +94,7 @@ def _model_of(options: TrainOptions) -> Path:
 
 def _work(options: TrainOptions) -> Path:
     """This process's part."""
-    from cognitivedrone.training.trainer import TrainConfig, train
+    from cognitivedrone.training.common.trainer import TrainConfig, train
 
     _check(options)
     checkpoint = train(TrainConfig(options.out, _subject(options), options.seed, options.resume, options.threads))
@@ -111,8 +111,8 @@ def _work(options: TrainOptions) -> Path:
 
 
 def _export(options: TrainOptions, checkpoint: Path, model: Path) -> Path:
-    from cognitivedrone.training.export import export
-    from cognitivedrone.training.export_reasoner import export_eyes, export_mind
+    from cognitivedrone.training.reasoner.export import export_eyes, export_mind
+    from cognitivedrone.training.small_vla.export import export
 
     if model.name == EYES_FILE and options.start is not None:
         return export_eyes(options.start, checkpoint, options.out)
@@ -123,8 +123,8 @@ def _export(options: TrainOptions, checkpoint: Path, model: Path) -> Path:
 
 
 def _subject(options: TrainOptions) -> Subject:
-    from cognitivedrone.training.language import language_subject
-    from cognitivedrone.training.policy import policy_subject
+    from cognitivedrone.training.small_vla.language import language_subject
+    from cognitivedrone.training.small_vla.policy import policy_subject
 
     recipe = find_recipe(options.recipe)
     if isinstance(recipe, MindRecipe):

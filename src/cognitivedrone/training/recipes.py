@@ -7,11 +7,11 @@ from typing import TypeAlias
 
 from cognitivedrone.errors import TrainingError, did_you_mean
 from cognitivedrone.models.small_vla import SmallVLAConfig
-from cognitivedrone.training.losses import LossWeights
-from cognitivedrone.training.mind import MIND, MindRecipe
-from cognitivedrone.training.reader import READER, ReaderRecipe
-from cognitivedrone.training.sampling import StreamRecipe
-from cognitivedrone.training.subject import Schedule
+from cognitivedrone.training.common.sampling import StreamRecipe
+from cognitivedrone.training.common.training_task import Schedule
+from cognitivedrone.training.reasoner.reader import READER, ReaderRecipe
+from cognitivedrone.training.reasoner.selector import MIND, MindRecipe
+from cognitivedrone.training.small_vla.losses import LossWeights
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

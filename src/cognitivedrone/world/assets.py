@@ -16,8 +16,8 @@ from PIL import Image as PillowImage
 from cognitivedrone.frames import FloatArray, rotation_matrix
 from cognitivedrone.types import SHAPES, SIZES, Gate, Image, Shape, Size
 from cognitivedrone.world import geometry
+from cognitivedrone.world.appearance import PATTERNS, Pattern, pattern_texture
 from cognitivedrone.world.engine import mujoco
-from cognitivedrone.world.look import PATTERNS, Pattern, pattern_texture
 
 TEXTURE_SIZE: Final = 256
 """Labels and boards are stored as square textures with sides of this many pixels."""

@@ -14,9 +14,9 @@ import numpy as np
 from cognitivedrone.frames import FloatArray, quaternion_from_yaw, rotate_yaw, rotation_matrix
 from cognitivedrone.types import COLORS, DroneState, Stage
 from cognitivedrone.world import geometry
+from cognitivedrone.world.appearance import RGB, Look
 from cognitivedrone.world.assets import BOARD, Assets, Placed
 from cognitivedrone.world.engine import mujoco
-from cognitivedrone.world.look import RGB, Look
 
 _MAX_GEOMS = 32
 _GATE_GLOW = 0.4  # keeps the faces that light misses nameable

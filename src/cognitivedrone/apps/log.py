@@ -1,0 +1,200 @@
+"""The record of one flight: every control step and event, and a film of what was seen.
+
+| file | |
+|---|---|
+| `steps.parquet` | one row a control step: what was seen, sent, thought and decided (`STEP_COLUMNS`) |
+| `events.parquet` | legs, answers of the reasoner, missed deadlines, decisions of the guard (`EVENT_COLUMNS`) |
+| `flight.mp4` | the frames at the times when they were flown by; readable also where it was cut short |
+| `flight.tlog` | of a MAVLink vehicle: everything received and sent, for ground stations |
+| `bag/` | where it is asked for: a ROS 2 bag (`apps/bag.py`) |
+| `flight.json` | how it was flown and how it ended |
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import threading
+from collections.abc import Mapping
+from contextlib import suppress
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cognitivedrone.apps.bag import BagLog
+from cognitivedrone.apps.values import Step, Summary
+from cognitivedrone.data.formats.bags import Ros
+from cognitivedrone.errors import RunError
+from cognitivedrone.files import writing
+from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Event, Image
+
+STEPS_FILE, EVENTS_FILE, FILM_FILE, TLOG_FILE, BAG_FOLDER, ABOUT_FILE = (
+    "steps.parquet", "events.parquet", "flight.mp4", "flight.tlog", "bag", "flight.json"
+)  # fmt: skip
+_NUMBERS = (
+    "time_s", "x_m", "y_m", "z_m", "yaw_rad", "vx_m_s", "vy_m_s", "vz_m_s", "height_m", "yaw_rate_rad_s",
+    "sent_vx_m_s", "sent_vy_m_s", "sent_vz_m_s", "sent_yaw_rate_rad_s", "directive_age_s", "confidence",
+    "frame_age_s", "link_age_s", "policy_s", "battery",
+)  # fmt: skip
+STEP_COLUMNS = pa.schema(
+    [
+        *((name, pa.float64()) for name in _NUMBERS),
+        ("leg", pa.int32()),
+        ("armed", pa.bool_()),
+        *((name, pa.string()) for name in ("instruction", "directive", "mode", "decision", "reason")),
+    ]
+)
+"""Position ENU, m; velocities of the heading frame; null where it is not known."""
+EVENT_COLUMNS = pa.schema(
+    [("time_s", pa.float64()), ("kind", pa.string()), ("text", pa.string()), ("age_s", pa.float64())]
+)
+_TICKS_PER_S = 1000
+_QUEUED = 5 * CONTROL_HZ
+
+
+class FlightLog:
+    """Writes to a new folder; call `close` in any case, since the tables are written then.
+
+    The film is encoded by a thread of its own: a slow disk drops frames (`dropped`), it never delays a command. With
+    `ros`, a bag is written as well. Raises `RunError` where the folder cannot be written or holds a flight already.
+    """
+
+    def __init__(self, out: Path, about: Mapping[str, Any], ros: Ros | None = None) -> None:
+        self.out = out
+        self.dropped = 0
+        """Frames that are not in the film because the disk was too slow, or full."""
+        self._about = dict(about)
+        self._steps: list[dict[str, Any]] = []
+        self._events: list[dict[str, Any]] = []
+        check_free(out)
+        _make(out)
+        with writing(out, RunError, "give another folder with --out"):
+            (out / ABOUT_FILE).write_text(json.dumps(self._about, indent=2, default=str) + "\n")
+            self._bag = None if ros is None else BagLog(out / BAG_FOLDER, ros, self._about)
+            self._film = _Film(out / FILM_FILE)
+
+    def step(self, step: Step) -> None:
+        """Keep a control step."""
+        self._steps.append(_row(step))
+        self.dropped += not self._film.add(step.time, step.observation.image)
+        if self._bag is not None:
+            self._bag.step(step)
+
+    def event(self, event: Event) -> None:
+        """Keep an event."""
+        self._events.append({"time_s": event.time, "kind": event.kind, "text": event.text, "age_s": event.age_s})
+        if self._bag is not None:
+            self._bag.event(event)
+
+    def close(self, summary: Summary | None = None, error: str = "") -> None:
+        """Write everything, and how the flight ended where that is known."""
+        self._film.close()
+        if self._bag is not None:
+            self._bag.close()
+        with writing(self.out, RunError):
+            self._write_tables(summary, error)
+
+    def _write_tables(self, summary: Summary | None, error: str) -> None:
+        pq.write_table(pa.Table.from_pylist(self._steps, STEP_COLUMNS), self.out / STEPS_FILE)
+        pq.write_table(pa.Table.from_pylist(self._events, EVENT_COLUMNS), self.out / EVENTS_FILE)
+        ended: dict[str, Any] = {"steps": len(self._steps), "frames_dropped": self.dropped, "error": error or None}
+        if self._bag is not None:
+            ended["dropped_from_bag"] = self._bag.dropped
+        if summary is not None:
+            ended |= {
+                "ending": summary.ending.kind,
+                "reason": summary.ending.reason,
+                "seconds": round(summary.seconds, 3),
+                "late": summary.late,
+            }
+        (self.out / ABOUT_FILE).write_text(json.dumps({**self._about, "end": ended}, indent=2, default=str) + "\n")
+
+
+def check_free(out: Path) -> None:
+    """Raise `RunError` where a folder holds a flight already."""
+    if (out / ABOUT_FILE).exists():
+        raise RunError(f"{out} holds a flight already; give another folder with --out")
+
+
+def _make(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunError(f"cannot write the log to {out}: {error.strerror}; give another folder with --out") from None
+
+
+def _row(step: Step) -> dict[str, Any]:
+    status, seen, guidance = step.status, step.observation, step.guidance
+    position = [None] * 3 if status.position is None else status.position.tolist()
+    numbers = (
+        step.time, *position, None if np.isnan(status.yaw) else status.yaw, *seen.velocity.tolist(), seen.height,
+        seen.yaw_rate, *step.sent.tolist(), guidance.age if guidance else None,
+        guidance.confidence if guidance else None, status.frame_age_s, status.link_age_s, step.policy_s, status.battery,
+    )  # fmt: skip
+    return dict(zip(_NUMBERS, numbers, strict=True)) | {
+        "leg": step.leg,
+        "armed": status.armed,
+        "instruction": step.instruction,
+        "directive": guidance.directive if guidance else None,
+        "mode": status.mode,
+        "decision": status.decision,
+        "reason": status.reason,
+    }
+
+
+class _Film:
+    """An MP4 in fragments, so that what was written can be seen even where the end is missing."""
+
+    def __init__(self, path: Path) -> None:
+        options = {"movflags": "frag_keyframe+empty_moov+default_base_moof", "flush_packets": "1"}
+        self._container = av.open(str(path), "w", format="mp4", options=options)
+        encoding = {"crf": "20", "preset": "veryfast", "tune": "zerolatency", "g": str(CONTROL_HZ), "threads": "1"}
+        self._stream = self._container.add_stream("libx264", rate=CONTROL_HZ, options=encoding)
+        self._stream.width = self._stream.height = IMAGE_SIZE
+        self._stream.pix_fmt = "yuv420p"
+        self._stream.codec_context.time_base = Fraction(1, _TICKS_PER_S)
+        self._last = -1
+        self._broken = False
+        self._waiting: queue.Queue[tuple[int, Image] | None] = queue.Queue(_QUEUED)
+        self._thread = threading.Thread(target=self._run, name="film", daemon=True)
+        self._thread.start()
+
+    def add(self, time_s: float, image: Image) -> bool:
+        """Whether the frame (256, 256, 3) will be in the film."""
+        at = max(round(time_s * _TICKS_PER_S), self._last + 1)
+        try:
+            self._waiting.put_nowait((at, image.copy()))
+        except queue.Full:
+            return False
+        self._last = at
+        return not self._broken
+
+    def close(self) -> None:
+        """Encode what still waits."""
+        self._waiting.put(None)
+        self._thread.join()
+        with suppress(av.error.FFmpegError, OSError):
+            self._container.close()
+
+    def _run(self) -> None:
+        while (item := self._waiting.get()) is not None:
+            self._encode(item)
+        self._encode(None)
+
+    def _encode(self, item: tuple[int, Image] | None) -> None:
+        """Write a frame, or what the encoder still holds; a disk that is full ends the film, not the flight."""
+        if self._broken:
+            return
+        frame = None
+        if item is not None:
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(item[1]), format="rgb24")
+            frame.pts, frame.time_base = item[0], Fraction(1, _TICKS_PER_S)
+        try:
+            self._container.mux(self._stream.encode(frame))
+        except (av.error.FFmpegError, OSError):
+            self._broken = True

@@ -1,0 +1,118 @@
+"""Which scene a simulated flight shows: the one that is named, or one that holds what the user asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeAlias
+
+from cognitivedrone.apps.config import FlyConfig
+from cognitivedrone.interfaces import LabelPack
+from cognitivedrone.labels import load_pack
+from cognitivedrone.reasoners.calculator import calculate
+from cognitivedrone.tasks import Suite, load_suite, open_suite, track_at
+from cognitivedrone.tasks.matching import Match, best_scene, made_scene
+from cognitivedrone.tasks.suites import TRAIN_NAME, suite_of_tasks
+from cognitivedrone.types import Task, Track
+
+DEFAULT = "open-v1:smoke"
+SEARCHED = "open-v1:test"
+"""The suite that is searched for what is asked, first."""
+TRAINED = 2000
+"""Tasks of the training suite that are searched after it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenScene:
+    """An episode of a suite."""
+
+    suite: Suite
+    episode: int
+    told: str
+    """Which one and why, in one line for the user."""
+
+    @property
+    def track(self) -> Track:
+        """Its tasks; raises `TaskError` where there is no such episode."""
+        return track_at(self.suite, self.episode)
+
+
+def choose_scene(config: FlyConfig) -> ChosenScene:
+    """The scene of a simulated flight.
+
+    With --episode that one. Without, and with an instruction of the user's own, one that shows what it asks for: of
+    the suite or task file that is given, else of `SEARCHED`, else one that is made for it where it names a thing, else
+    of the training suite. Otherwise the first. Raises `TaskError`.
+    """
+    named = config.suite is not None or config.tasks is not None
+    suite = open_suite(config.suite or DEFAULT, config.tasks)
+    asked = config.instruction.strip()
+    if config.episode is not None or not asked:
+        return _named(suite, config.episode or 0)
+    calculated = calculate(asked)
+    wanted = asked if calculated is None else f"the number {calculated}"
+    best = _best(wanted, suite if named else load_suite(SEARCHED), config.seed)
+    if not named and (best is None or not best[2].complete):
+        made = made_scene(wanted, config.seed)
+        if made is not None:
+            scene = _named(suite_of_tasks("a suite made for this flight", [replace(made, instruction=asked)]), 0)
+            return replace(scene, told=f"{scene.told}; made since no task of {SEARCHED} shows all of it")
+        best = _better(best, _best(wanted, load_suite(TRAIN_NAME, size=TRAINED, seed=config.seed), config.seed))
+    if best is None:
+        scene = _named(suite, 0)
+        return replace(scene, told=f"no scene was found that shows what {asked!r} asks for; {scene.told}")
+    suite, episode, match = best
+    scene = _named(suite, episode)
+    return replace(scene, told=f"{scene.told}; chosen because {_why(match, scene.track[0])}")
+
+
+_Found: TypeAlias = tuple[Suite, int, Match]
+
+
+def _best(wanted: str, suite: Suite, seed: int) -> _Found | None:
+    """The episode of a suite whose first task fits best; none where none fits."""
+    found = best_scene(wanted, [track[0] for track in suite.tracks], seed)
+    return None if found is None else (suite, *found)
+
+
+def _better(a: _Found | None, b: _Found | None) -> _Found | None:
+    if a is None or b is None:
+        return a or b
+    return b if b[2].better_than(a[2]) else a
+
+
+def _why(match: Match, task: Task) -> str:
+    """Why a scene was chosen, in words."""
+    fit = f"{' and '.join(map(repr, match.words))} {'fits' if len(match.words) == 1 else 'fit'} gate {match.gate + 1}"
+    if match.shown:
+        fit = f"{fit}, {_shown(task.options[match.gate], task.labels[match.gate])}"
+    if match.missing:
+        fit = f"{fit}, though {' and '.join(map(repr, match.missing))} {'do' if len(match.missing) > 1 else 'does'} not"
+    return fit
+
+
+def labels_of(folder: Path | None) -> LabelPack:
+    """The pictures on the panels: the user's own before the shipped ones; raises `LabelError`."""
+    return load_pack("open-v1" if folder is None else str(folder))
+
+
+def _named(suite: Suite, episode: int) -> ChosenScene:
+    track = track_at(suite, episode)
+    shown = "; then ".join(map(_panels, track))
+    return ChosenScene(suite, episode, f"scene: episode {episode} of {suite.name}, with {shown}")
+
+
+def _panels(task: Task) -> str:
+    """What the panels of a task show, left to right."""
+    if task.only is not None:
+        return "one gate"
+    names = [_shown(option, label) for option, label in zip(task.options, task.labels, strict=True)]
+    if len(set(names)) == 1:
+        return f"{names[0]} at every gate"
+    return f"{', '.join(names[:-1])} and {names[-1]} from left to right"
+
+
+def _shown(option: str, label: str) -> str:
+    if label.startswith("person/") and "=" in option:
+        return "a person"
+    return option.removesuffix(".dae").replace("_", " ")

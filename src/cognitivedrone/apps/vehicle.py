@@ -1,0 +1,108 @@
+"""The simulator as a vehicle that other programs fly: MAVLink to whoever connects, frames over HTTP."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from cognitivedrone.apps.config import SimConfig
+from cognitivedrone.apps.mjpeg import FrameServer
+from cognitivedrone.apps.opening import open_course
+from cognitivedrone.apps.scene import ChosenScene
+from cognitivedrone.errors import RunError
+from cognitivedrone.tasks import open_suite
+from cognitivedrone.types import Task
+from cognitivedrone.vehicles.mavlink.server.vehicle import SimulatedVehicle, VehicleConfig, serve
+
+LOOK_FOR_VIEWERS_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """What is being served, for the person who starts it."""
+
+    task: Task
+    links: tuple[str, ...]
+    """As bound, in the form that they were given."""
+    camera_url: str | None
+
+    def __str__(self) -> str:
+        """How to connect."""
+        lines = [f"a simulated copter stands before {self.task.id}: {self.task.instruction}"]
+        for link in self.links:
+            kind, _, address = link.partition(":")
+            at = "udp" if kind == "udpout" else "udpout" if kind == "udpin" else "tcp"
+            lines.append(f"MAVLink at {link}: connect with --link mavlink:{at}:{address}")
+        if self.camera_url is not None:
+            lines.append(f"camera at {self.camera_url}: connect with --camera {self.camera_url}")
+        return "\n".join([*lines, "ctrl-C ends it"])
+
+
+@contextmanager
+def until_interrupted() -> Iterator[Callable[[], bool]]:
+    """Whether ctrl-C or a request to terminate has come, inside; only for the main thread."""
+    asked = threading.Event()
+    before = {n: signal.signal(n, lambda *_: asked.set()) for n in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield asked.is_set
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
+
+
+def serve_vehicle(config: SimConfig, stop: Callable[[], bool], announce: Callable[[Served], None]) -> float:
+    """Serve until `stop()` is true; returns the seconds that the vehicle fell behind the clock.
+
+    The vehicle stands on the floor under the start of the episode, before its first stage. Raises `RunError`,
+    `TaskError`, `LabelError`, `CameraError` or `MissingExtra`.
+    """
+    if not config.mavlink:
+        raise RunError("say how to serve the simulator: cognitivedrone sim --mavlink")
+    if not 0 < config.camera_hz <= 60:
+        raise RunError(f"--camera-hz is {config.camera_hz}; give more than 0, at most 60")
+    scene = ChosenScene(open_suite(config.suite, config.tasks), config.episode, "")
+    course = open_course(scene, config.labels, config.seed, render=config.camera_port is not None)
+    simulator = course.simulator
+    try:
+        with SimulatedVehicle(simulator, VehicleConfig(links=config.links)) as vehicle, _camera(config, vehicle) as url:
+            links = tuple(map(_as_bound, config.links, vehicle.addresses))
+            announce(Served(course.task, links, url))
+            return serve(vehicle, stop, speed=config.speed)
+    finally:
+        simulator.close()
+
+
+def _as_bound(link: str, address: tuple[str, int]) -> str:
+    """A link with the port that it got, where it was left open; one that speaks first is reached where it speaks to."""
+    kind = link.partition(":")[0]
+    return link if kind == "udpout" else f"{kind}:{address[0]}:{address[1]}"
+
+
+@contextmanager
+def _camera(config: SimConfig, vehicle: SimulatedVehicle) -> Iterator[str | None]:
+    """Serve what the vehicle sees, rendered while somebody looks; gives the address."""
+    if config.camera_port is None:
+        yield None
+        return
+    stopping = threading.Event()
+
+    def film() -> None:
+        due = time.monotonic()
+        while not stopping.is_set():
+            if frames.wait_for_viewer(LOOK_FOR_VIEWERS_S):
+                frames.show(vehicle.frame())
+                due = max(due + 1 / config.camera_hz, time.monotonic())
+                stopping.wait(due - time.monotonic())
+
+    with FrameServer(config.camera_port) as frames:
+        thread = threading.Thread(target=film, name="film", daemon=True)
+        thread.start()
+        try:
+            yield frames.url
+        finally:
+            stopping.set()
+            thread.join()

@@ -1,0 +1,192 @@
+"""A reasoner beside the control loop: it thinks about the newest frame while the policy flies on.
+
+On a simulated clock (`SimulatedMind`) the reasoner is computed at once and its answer arrives when its time is up; on
+the wall clock (`ThreadMind`) it runs in a thread of its own. Either way there is one question at a time and no queue:
+while it thinks, nothing is asked, and then it is asked about the newest frame.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from cognitivedrone.control.calls import NO_WATCH, Watch, calling
+from cognitivedrone.control.latency import Charge
+from cognitivedrone.errors import PolicyRaised, ReasonerError, ReasonerFault
+from cognitivedrone.interfaces import Privileged, Reasoner, Remembering
+from cognitivedrone.types import Guidance, Image, Truth
+
+LONGEST_DIRECTIVE = 1000
+"""Characters."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What a reasoner is asked."""
+
+    leg: int
+    """Index of the leg that it is about."""
+    instruction: str
+    image: Image
+    time: float
+    """Of the frame, on the loop's clock, s."""
+    truth: Truth | None = None
+    """For privileged reasoners, in the simulator."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What came back: a guidance, or what went wrong."""
+
+    question: Question
+    guidance: Guidance | None
+    fault: ReasonerFault | None = None
+    message: str = ""
+    trace: str = ""
+    """Of an exception of the reasoner's own."""
+
+
+class Mind(Protocol):
+    """Asked and listened to by the control loop; `now` is the loop's clock, s."""
+
+    def idle(self, now: float) -> bool:
+        """Whether it can be asked."""
+        ...
+
+    def ask(self, question: Question) -> None:
+        """Begin to think; only while idle."""
+        ...
+
+    def answer(self, now: float) -> Answer | None:
+        """The answer to the last question, once, when it is there."""
+        ...
+
+    def close(self) -> None:
+        """End the flight."""
+        ...
+
+
+class SimulatedMind:
+    """Thinks in no time and answers after the time that is charged for it."""
+
+    def __init__(self, reasoner: Reasoner, charge: Charge = lambda _: 0.0, watch: Watch = NO_WATCH) -> None:
+        self._thinker = _Thinker(reasoner, watch)
+        self._charge = charge
+        self.trace = ""
+        """The first traceback of the reasoner's own exceptions; empty where it raised none."""
+        self._pending: tuple[float, Answer] | None = None
+
+    def idle(self, now: float) -> bool:  # noqa: ARG002
+        """Whether the last answer was taken."""
+        return self._pending is None
+
+    def ask(self, question: Question) -> None:
+        """Think."""
+        begin = time.perf_counter()
+        answer = self._thinker.think(question)
+        self.trace = self.trace or answer.trace
+        self._pending = question.time + self._charge(time.perf_counter() - begin), answer
+
+    def answer(self, now: float) -> Answer | None:
+        """The answer, when its time has come."""
+        if self._pending is None or self._pending[0] > now + 1e-9:
+            return None
+        _, answer = self._pending
+        self._pending = None
+        return answer
+
+    def close(self) -> None:
+        """Forget what was asked."""
+        self._pending = None
+
+
+class ThreadMind:
+    """Thinks in a thread beside the loop."""
+
+    def __init__(self, reasoner: Reasoner) -> None:
+        self._thinker = _Thinker(reasoner)
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="reasoner")
+        self._pending: Future[Answer] | None = None
+
+    def idle(self, now: float) -> bool:  # noqa: ARG002
+        """Whether the last answer was taken."""
+        return self._pending is None
+
+    def ask(self, question: Question) -> None:
+        """Begin to think."""
+        self._pending = self._pool.submit(self._thinker.think, question)
+
+    def answer(self, now: float) -> Answer | None:  # noqa: ARG002
+        """The answer, when the thread has it."""
+        if self._pending is None or not self._pending.done():
+            return None
+        answer = self._pending.result()
+        self._pending = None
+        return answer
+
+    def close(self) -> None:
+        """Do not wait for what is still thought about."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+
+class _Thinker:
+    """Asks a reasoner, telling it of flights and stages, and turns its faults into answers."""
+
+    def __init__(self, reasoner: Reasoner, watch: Watch = NO_WATCH) -> None:
+        self._reasoner = reasoner
+        self._watch = watch
+        self._leg: int | None = None
+
+    def think(self, question: Question) -> Answer:
+        """An answer in any case: whatever the reasoner raises or returns is a fault, and the flight goes on."""
+        try:
+            with asking(self._watch):
+                guidance = self._ask(question)
+            return Answer(question, check_guidance(guidance))
+        except ReasonerError as error:
+            return Answer(question, None, error.kind, str(error), error.trace)
+
+    def _ask(self, question: Question) -> Guidance:
+        reasoner = self._reasoner
+        if question.leg != self._leg:
+            if isinstance(reasoner, Remembering):
+                (reasoner.new_flight if self._leg is None else reasoner.new_stage)()
+            if question.truth is not None and isinstance(reasoner, Privileged):
+                reasoner.brief(question.truth)
+            self._leg = question.leg
+        return reasoner.refine(question.image, question.instruction)
+
+
+@contextmanager
+def asking(watch: Watch = NO_WATCH) -> Iterator[None]:
+    """Call a reasoner in the block; an exception of its own becomes a `ReasonerError` of the kind `raised`."""
+    try:
+        with calling("the reasoner", watch):
+            yield
+    except PolicyRaised as error:
+        raise ReasonerError("raised", str(error), error.trace) from error
+
+
+def check_guidance(guidance: object) -> Guidance:
+    """A reasoner's answer, as it was returned. Raises `ReasonerError` where it is none that can be flown by."""
+    if not isinstance(guidance, Guidance):
+        found = type(guidance).__name__
+        raise ReasonerError("schema", f"the reasoner returned {found!r}; expected cognitivedrone.types.Guidance")
+    directive, gate, confidence = guidance.directive, guidance.gate, guidance.confidence
+    if not isinstance(directive, str):
+        raise ReasonerError("schema", f"the directive is {type(directive).__name__!r}; expected a sentence")
+    if len(directive) > LONGEST_DIRECTIVE:
+        raise ReasonerError("too_long", f"the directive has {len(directive)} characters; at most {LONGEST_DIRECTIVE}")
+    if not directive.strip() or not directive.isprintable():
+        raise ReasonerError("garbage", f"the directive {directive[:60]!a} is no line of printable text")
+    if gate is not None and gate not in range(3):
+        raise ReasonerError("no_such_gate", f"the gate is {gate!r}; expected 0, 1, 2 or None")
+    if not isinstance(confidence, (int, float, np.floating)) or not 0 <= confidence <= 1:
+        raise ReasonerError("schema", f"the confidence is {confidence!r}; expected a number from 0 to 1")
+    return guidance

@@ -1,0 +1,150 @@
+"""How long the parts of a pilot think: measured, and charged to the clock of a simulated flight.
+
+A simulated clock stands still while a policy or reasoner is computed. To fly as on a real drone the time that they take
+is charged to it: as measured on this machine, as a fixed number, or drawn from samples taken on another machine.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cognitivedrone.control.calls import NO_WATCH, Watch, calling
+from cognitivedrone.errors import PolicyError
+from cognitivedrone.interfaces import Policy, Privileged
+from cognitivedrone.types import ActionChunk, Observation, Truth
+
+LONGEST_S = 60.0
+"""No part may be told to think longer than this."""
+_LARGEST_FILE = 16_000_000
+_UNITS_S = {"ms": 1e-3, "s": 1.0}
+_HOW = "give none, measured, or parts as policy=80ms,reasoner=450ms; a part may also be measured, or a file of ms"
+
+Charge = Callable[[float], float]
+"""From the seconds that were really needed to the seconds that are charged."""
+
+
+class TimedPolicy:
+    """A policy whose decisions are measured, and watched; told whatever the policy in it is told.
+
+    Each method raises `PolicyRaised` where the policy raises something that is not an error of this package.
+    """
+
+    def __init__(self, policy: Policy, watch: Watch = NO_WATCH) -> None:
+        self.policy = policy
+        self._watch = watch
+        self.took_s: list[float] = []
+        """Of each decision, s on this machine's clock."""
+
+    def reset(self, instruction: str) -> None:
+        """Begin anew."""
+        with calling("the policy", self._watch):
+            self.policy.reset(instruction)
+
+    def brief(self, truth: Truth) -> None:
+        """Tell the truth to a policy that takes it."""
+        if isinstance(self.policy, Privileged):
+            with calling("the policy", self._watch):
+                self.policy.brief(truth)
+
+    def act(self, observation: Observation) -> ActionChunk:
+        """Decide, and measure it."""
+        begin = time.perf_counter()
+        with calling("the policy", self._watch):
+            chunk = self.policy.act(observation)
+        self.took_s.append(time.perf_counter() - begin)
+        return chunk
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """What is charged for the decisions of one part."""
+
+    samples_s: tuple[float, ...] = (0.0,)
+    """Drawn from, all equally likely; a single one is a fixed delay."""
+    measured: bool = False
+    """Charge what was really needed instead."""
+
+    def charge(self, rng: np.random.Generator) -> Charge:
+        """What to charge for one decision after another; draws depend on `rng` alone."""
+        if self.measured:
+            return lambda needed_s: needed_s
+        if len(self.samples_s) == 1:
+            return lambda _: self.samples_s[0]
+        return lambda _: self.samples_s[int(rng.integers(len(self.samples_s)))]
+
+
+@dataclass(frozen=True, slots=True)
+class Delays:
+    """What is charged for the decisions of policy and reasoner."""
+
+    policy: Delay = Delay()
+    reasoner: Delay = Delay()
+    identity: str = "none"
+    """As written, with the hash of every file in the place of its name: equal for equal delays."""
+
+
+def parse_delays(text: str) -> Delays:
+    """Delays from "none", "measured", "policy=80ms,reasoner=0.45s", "reasoner=measured" or "reasoner=samples.txt".
+
+    A file holds one delay in ms a line; empty lines and what follows a # are skipped. Raises `PolicyError`.
+    """
+    text = text.strip()
+    if text == "none":
+        return Delays()
+    if text == "measured":
+        return Delays(Delay(measured=True), Delay(measured=True), text)
+    parts: dict[str, Delay] = {}
+    identity = []
+    for item in text.split(","):
+        name, _, value = (word.strip() for word in item.partition("="))
+        if name not in ("policy", "reasoner") or not value or name in parts:
+            raise PolicyError(f"--latency {text}: cannot read {item.strip()!r}; {_HOW}")
+        parts[name], told = _delay(value, text)
+        identity.append(f"{name}={told}")
+    return Delays(**parts, identity=",".join(sorted(identity)))
+
+
+def _delay(value: str, text: str) -> tuple[Delay, str]:
+    """One part's delay, and what identifies it."""
+    if value == "measured":
+        return Delay(measured=True), value
+    number = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)(ms|s)", value)
+    if number:
+        return Delay((_checked(float(number[1]) * _UNITS_S[number[2]], f"--latency {text}"),)), value
+    path = Path(value)
+    if not path.is_file():
+        raise PolicyError(f"--latency {text}: {value!r} is neither a time such as 80ms nor a file; {_HOW}")
+    if path.stat().st_size > _LARGEST_FILE:
+        raise PolicyError(f"--latency {text}: {path} is larger than {_LARGEST_FILE // 10**6} MB; give fewer samples")
+    content = path.read_bytes()
+    samples = tuple(_samples(content.decode("utf-8", errors="replace"), path))
+    if not samples:
+        raise PolicyError(f"--latency {text}: {path} holds no number; write one delay in ms a line")
+    return Delay(samples), f"sha256:{hashlib.sha256(content).hexdigest()}"
+
+
+def _samples(content: str, path: Path) -> list[float]:
+    samples = []
+    for number, line in enumerate(content.splitlines(), start=1):
+        value = line.partition("#")[0].strip()
+        if not value:
+            continue
+        try:
+            samples.append(_checked(float(value) * 1e-3, f"{path}, line {number}"))
+        except ValueError:
+            raise PolicyError(f"{path}, line {number}: {value!r} is no number of ms") from None
+    return samples
+
+
+def _checked(seconds: float, where: str) -> float:
+    if not (math.isfinite(seconds) and 0 <= seconds <= LONGEST_S):
+        raise PolicyError(f"{where}: {seconds:g} s is no delay; it must be from 0 to {LONGEST_S:.0f} s")
+    return seconds

@@ -1,0 +1,161 @@
+"""The one control loop: policy at 10 Hz, reasoner at 2 Hz, on absolute deadlines of whatever clock is given."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cognitivedrone.control.async_reasoner import Mind, Question
+from cognitivedrone.control.directive_filter import Steering
+from cognitivedrone.control.latency import Charge
+from cognitivedrone.errors import NonFiniteAction, PolicyError
+from cognitivedrone.interfaces import Clock, Drone, Policy, Privileged, Recorder
+from cognitivedrone.types import CONTROL_HZ, Action, ActionChunk, Event, Guidance, Observation, Truth
+
+LATE_S = 0.010
+"""A deadline that is missed by less than this counts as kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """What is to be done now."""
+
+    index: int
+    """Counts the instructions given: a new index is a new leg even where the words are the same."""
+    instruction: str
+    truth: Truth | None = None
+    """For privileged pilots, in the simulator."""
+
+
+Mission = Callable[[], Leg | None]
+"""The leg at hand, asked before every control step; none ends the flight."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """How often the parts of a pilot run, Hz; the reasoner's rate divides the policy's."""
+
+    control_hz: int = CONTROL_HZ
+    reasoner_hz: int = 2
+
+    def __post_init__(self) -> None:
+        if self.control_hz % self.reasoner_hz:
+            raise ValueError(f"{self.control_hz} Hz control is no whole multiple of {self.reasoner_hz} Hz reasoning")
+
+    @property
+    def reason_every(self) -> int:
+        """Control steps between two answers of the reasoner."""
+        return self.control_hz // self.reasoner_hz
+
+
+def check_chunk(chunk: ActionChunk) -> ActionChunk:
+    """The chunk as (k, 4) float32.
+
+    Raises `PolicyError` where it has another shape, `NonFiniteAction` where a number is NaN or infinite.
+    """
+    try:
+        array = np.asarray(chunk, dtype=np.float32)
+    except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor that is not on the host
+        raise PolicyError(
+            f"the policy returned {type(chunk).__name__!r}, which is no array of numbers; expected (k, 4) float32"
+        ) from None
+    if array.ndim != 2 or array.shape[0] < 1 or array.shape[1] != 4:
+        raise PolicyError(
+            f"the policy returned an action of shape {array.shape};"
+            " expected (k, 4): vx, vy, vz in m/s and yaw rate in rad/s"
+        )
+    if not np.isfinite(array).all():
+        raise NonFiniteAction(f"the policy returned {array[0].tolist()}: not all of it is a finite number")
+    return array
+
+
+def fly(
+    drone: Drone,
+    policy: Policy,
+    clock: Clock,
+    mission: Mission,
+    *,
+    mind: Mind | None = None,
+    recorder: Recorder | None = None,
+    rates: Rates | None = None,
+    charge: Charge | None = None,
+) -> int:
+    """Fly until the mission ends; returns the number of commands sent.
+
+    The policy decides on absolute deadlines; a deadline that has passed is skipped. Its commands are sent when its
+    thinking is over: on a wall clock that takes its time, on a simulated one what `charge` makes of it. A chunk of
+    actions is flown to its end before the policy is asked again.
+
+    A new leg resets the policy and drops what is left of the chunk. The `mind` is asked then, and `reasoner_hz` times a
+    second, about the newest frame, as soon as it is idle. Its directive is flown by from when it arrives (`Steering`
+    says whether it replaces another); without one, by the instruction.
+    """
+    rates = rates or Rates()
+    log = recorder or _Deaf()
+    start = clock.now()
+    leg_index: int | None = None
+    steering = Steering()
+    pending: list[Action] = []
+    slot = sent_count = 0
+    next_question = 0
+    while (leg := mission()) is not None:
+        late = clock.now() - (start + slot / rates.control_hz)
+        if late > LATE_S:
+            log.note(Event(clock.now() - start, "late", age_s=late))
+        if leg.index != leg_index:
+            leg_index, steering, pending, next_question = leg.index, Steering(), [], slot
+            policy.reset(leg.instruction)
+            if leg.truth is not None and isinstance(policy, Privileged):
+                policy.brief(leg.truth)
+            log.note(Event(clock.now() - start, "leg", leg.instruction))
+        observation = drone.observe()
+        if mind is not None:
+            _listen(mind, steering, leg, start, clock.now(), log)
+            if slot >= next_question and mind.idle(clock.now()):
+                mind.ask(Question(leg.index, leg.instruction, observation.image, clock.now(), leg.truth))
+                log.note(Event(clock.now() - start, "asked", leg.instruction))
+                next_question = slot + rates.reason_every
+                _listen(mind, steering, leg, start, clock.now(), log)
+        guidance = steering.guidance(clock.now())
+        observation = replace(observation, instruction=guidance.directive if guidance else leg.instruction)
+        if not pending:
+            begin = time.perf_counter()
+            pending = list(check_chunk(policy.act(observation)))
+            if charge is not None:
+                clock.sleep_until(clock.now() + charge(time.perf_counter() - begin))
+        sent = drone.send(pending.pop(0))
+        log.record(observation, sent, guidance)
+        sent_count += 1
+        slot = max(slot + 1, math.ceil((clock.now() - start) * rates.control_hz - LATE_S * rates.control_hz))
+        clock.sleep_until(start + slot / rates.control_hz)
+    return sent_count
+
+
+def _listen(mind: Mind, steering: Steering, leg: Leg, start: float, now: float, log: Recorder) -> None:
+    """Take the mind's answer, if it is there."""
+    answer = mind.answer(now)
+    if answer is None:
+        return
+    age = now - answer.question.time
+    if answer.question.leg != leg.index:
+        text = answer.guidance.directive if answer.guidance else answer.message
+        log.note(Event(now - start, "stale", text, age))
+    elif answer.guidance is None:
+        log.note(Event(now - start, answer.fault or "garbage", answer.message, age))
+    else:
+        what = steering.hear(answer.guidance, answer.question.time)
+        log.note(Event(now - start, what, answer.guidance.directive, age))
+
+
+class _Deaf:
+    """A recorder that keeps nothing."""
+
+    def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:
+        pass
+
+    def note(self, event: Event) -> None:
+        pass

@@ -1,0 +1,238 @@
+"""What a flying drone may do, decided from how everything around it is doing. Pure functions; nothing here does I/O.
+
+A `Health` goes in, a `Decision` comes out: fly on, hold (zero velocity), BRAKE, LAND, or hands off. Then `shape` makes
+of the policy's wish the command that is sent. Whoever holds the link asks many times a second, whether the policy does
+or not, and does what the decision says. The rules, worst first:
+
+1. The pilot wins. A mode that we did not order, or stopped motors, is hands off: nothing is sent any more, for good.
+2. A stick that is moved, while we fly, brakes: the pilot wants something.
+3. A battery that stays low lands.
+4. What stays silent (policy, camera, vehicle, its position) is held at once, braked after a while, landed after that.
+5. Outside the fence the outward part of every command is removed; who does not come back is held, then landed.
+
+What brakes or lands never flies again in this run: trust that was lost is given back by a person.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from cognitivedrone.control.fence import Fence, keep_inside, outside_by
+from cognitivedrone.interfaces import Health
+from cognitivedrone.types import ACTION_LIMITS, Action, FloatArray
+
+Kind = Literal["fly", "hold", "brake", "land", "hands_off"]
+SEVERITY: tuple[Kind, ...] = ("fly", "hold", "brake", "land", "hands_off")
+"""From the mildest to the strongest; where several rules speak, the strongest is done."""
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What to do now, and why."""
+
+    kind: Kind
+    reason: str
+    """In words, for the person who watches."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """The most that is ever asked of the vehicle."""
+
+    speed: tuple[float, float, float, float] = ACTION_LIMITS
+    """Largest magnitude of vx, vy, vz in m/s and yaw rate in rad/s."""
+    slew: tuple[float, float, float, float] = (5.0, 5.0, 3.0, 5.0)
+    """Largest change a second of each: m/s2 and rad/s2. Above ArduCopter's own shaping (2.5 and 1 m/s2), so that it
+    catches jumps and does not slow a good policy."""
+    longest_step_s: float = 0.2
+    """A command that comes later than this after the last one changes no more than after this time."""
+
+    def __post_init__(self) -> None:
+        for name, values in (("speed", self.speed), ("slew", self.slew)):
+            if len(values) != 4 or not all(0 < value < np.inf for value in values):
+                raise ValueError(f"{name} limits must be four finite numbers above zero, not {values}")
+
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How long something may be silent."""
+
+    hold_s: float
+    brake_s: float
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.hold_s <= self.brake_s:
+            raise ValueError(f"hold_s {self.hold_s} must be at least 0 and at most brake_s {self.brake_s}")
+
+
+@dataclass(frozen=True, slots=True)
+class SafetyConfig:
+    """Every number of the rules; `docs/real-drone.md` explains them to who flies."""
+
+    limits: Limits = field(default_factory=Limits)
+    fence: Fence = field(default_factory=Fence)
+    policy: Patience = Patience(0.2, 1.0)
+    """For commands, which come every 0.1 s: one that is missed is held."""
+    first_command: Patience = Patience(0.0, 10.0)
+    """For the first command: a policy may load before it flies."""
+    camera: Patience = Patience(0.5, 1.5)
+    link: Patience = Patience(0.15, 1.0)
+    """For any message; attitude and position come 20 times a second."""
+    state: Patience = Patience(0.3, 1.0)
+    """For attitude and position."""
+    land_after_brake_s: float = 4.0
+    """Braked for as long as this, it lands."""
+    low_battery: float = 0.2
+    """Below this part of a full battery it lands."""
+    low_battery_s: float = 2.0
+    """If it stays there as long as this: under load the reading dips."""
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What one decision must know of those before it."""
+
+    floor: Decision = Decision("fly", "")
+    """The strongest latched decision: braking, landing and hands off."""
+    land_at: float = np.inf
+    """When braking turns into landing, by the clock of `Health.time`."""
+    outside_since: float | None = None
+    low_battery_since: float | None = None
+
+
+def decide(health: Health, memory: Memory, config: SafetyConfig) -> tuple[Decision, Memory]:
+    """What to do now, and what to remember for the next time."""
+    if memory.floor.kind == "hands_off":
+        return memory.floor, memory
+    memory = replace(
+        memory,
+        outside_since=_since(memory.outside_since, not outside_by(health.position, config.fence) <= 0, health.time),
+        low_battery_since=_since(memory.low_battery_since, _low(health, config), health.time),
+    )
+    # The first of equals: the rules come worst first, and a latched reason stays the reason.
+    latched = () if memory.floor.kind == "fly" else (memory.floor,)
+    said = (*latched, *_findings(health, memory, config), Decision("fly", ""))
+    decision = max(said, key=lambda d: SEVERITY.index(d.kind))
+    if SEVERITY.index(decision.kind) < SEVERITY.index("brake") or decision == memory.floor:
+        return decision, memory
+    by_pilot = decision.kind == "brake" and health.stick_moved
+    land_at = np.inf if by_pilot else min(memory.land_at, health.time + config.land_after_brake_s)
+    return decision, replace(memory, floor=decision, land_at=land_at)
+
+
+def _findings(health: Health, memory: Memory, config: SafetyConfig) -> Iterator[Decision]:
+    """What each rule says, those that have something to say."""
+    if not health.armed:
+        yield Decision("hands_off", "the motors were stopped")
+    if health.mode not in health.ordered_modes:
+        yield Decision("hands_off", f"the mode became {health.mode}, which was not ordered here: the pilot flies")
+    if memory.floor.kind == "brake" and health.time >= memory.land_at:
+        yield Decision("land", f"still braking because {memory.floor.reason}")
+    if memory.low_battery_since is not None and health.time - memory.low_battery_since >= config.low_battery_s:
+        yield Decision("land", f"the battery is below {config.low_battery:.0%}")
+    if health.stick_moved:
+        yield Decision("brake", "the pilot moved a stick; a change of mode gives control")
+    if health.command is None:
+        yield Decision("hold", "the policy has not asked for anything yet")
+    elif not np.isfinite(health.command).all():
+        yield Decision("hold", "the policy asked for a velocity that is not a number")
+    yield from _silences(health, config)
+    yield from _outside(health, memory, config.fence)
+
+
+def _silences(health: Health, config: SafetyConfig) -> Iterator[Decision]:
+    """What has been silent for too long."""
+    policy = config.first_command if health.command is None else config.policy
+    for who, age, patience in (
+        ("no message from the vehicle", health.link_age_s, config.link),
+        ("no attitude or position from the vehicle", health.state_age_s, config.state),
+        ("no new command from the policy", health.command_age_s, policy),
+        ("no new camera frame", health.frame_age_s, config.camera),
+    ):
+        # An age that is not a number is no proof of life.
+        if not age <= patience.brake_s:
+            yield Decision("brake", f"{who} for {age:.1f} s")
+        elif age > patience.hold_s:
+            yield Decision("hold", f"{who} for {age:.2f} s")
+
+
+def _outside(health: Health, memory: Memory, fence: Fence) -> Iterator[Decision]:
+    """What being outside the fence leads to."""
+    if memory.outside_since is None:
+        return
+    depth, time = outside_by(health.position, fence), health.time - memory.outside_since
+    reason = f"{depth:.1f} m outside the fence for {time:.1f} s"
+    if time >= fence.land_after_s:
+        yield Decision("land", reason)
+    elif time >= fence.hold_after_s or not depth <= fence.margin_m:
+        yield Decision("hold", reason)
+    else:
+        yield Decision("fly", f"{reason}: only inwards")
+
+
+def shape(health: Health, previous: FloatArray, step_s: float, config: SafetyConfig) -> Action:
+    """The policy's command (4,) as it may be sent: within speed and slew limits, and nothing outwards at the fence.
+
+    `previous` (4,) is what was sent `step_s` seconds ago. The fence comes last and outranks the slew limits: what it
+    removes is removed at once.
+    """
+    if health.command is None or not np.isfinite(health.command).all():
+        return np.zeros(4, dtype=np.float32)
+    command = limit(health.command, previous, step_s, config.limits)
+    allowed = keep_inside(command[:3], health.position, health.velocity, health.yaw, config.fence)
+    # Turned away from the fence, a component may have grown beyond its limit; shortening all keeps the direction.
+    over = float((np.abs(allowed) / np.array(config.limits.speed[:3])).max(initial=1.0))
+    return np.append(allowed / over, command[3]).astype(np.float32)
+
+
+def limit(command: FloatArray, previous: FloatArray, step_s: float, limits: Limits) -> Action:
+    """`command` (4,) within the speed limits, and no farther from `previous` than the slew limits allow."""
+    speed = np.array(limits.speed)
+    change = np.array(limits.slew) * min(max(step_s, 0.0), limits.longest_step_s)
+    # A previous command beyond the limits cannot be, but must not let this one be so either.
+    near = np.clip(command, previous - change, previous + change)
+    return np.clip(near, -speed, speed).astype(np.float32)
+
+
+class Guard:
+    """The rules with their memory: what the link asks. Not for several threads at once."""
+
+    def __init__(self, config: SafetyConfig | None = None) -> None:
+        self.config = config or SafetyConfig()
+        self._memory = Memory()
+        self._sent = np.zeros(4, dtype=np.float32)
+        self._sent_at = -np.inf
+
+    def judge(self, health: Health) -> Decision:
+        """What to do now."""
+        decision, self._memory = decide(health, self._memory, self.config)
+        if decision.kind != "fly":
+            self._sent = np.zeros(4, dtype=np.float32)
+        return decision
+
+    def shape(self, health: Health) -> Action:
+        """The command (4,) to send now, after a decision to fly; counted as sent."""
+        step = health.time - self._sent_at
+        self._sent = shape(health, self._sent, step, self.config)
+        self._sent_at = health.time
+        return self._sent
+
+    def land(self, reason: str) -> None:
+        """Decide to land from now on, unless the drone is landing already or no longer ours."""
+        if SEVERITY.index(self._memory.floor.kind) < SEVERITY.index("land"):
+            self._memory = replace(self._memory, floor=Decision("land", reason))
+
+
+def _low(health: Health, config: SafetyConfig) -> bool:
+    return health.battery is not None and health.battery < config.low_battery
+
+
+def _since(since: float | None, holds: bool, now: float) -> float | None:
+    """Since when something holds without a break."""
+    if not holds:
+        return None
+    return now if since is None else since

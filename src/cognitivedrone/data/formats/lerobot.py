@@ -1,0 +1,379 @@
+"""LeRobot v3: the data set layout that `LeRobotDataset` opens.
+
+    meta/{info.json, stats.json, tasks.parquet}, meta/episodes/chunk-000/file-000.parquet,
+    data/chunk-000/file-000.parquet, and with video videos/observation.images.front/chunk-000/file-000.mp4
+
+(https://huggingface.co/docs/lerobot/lerobot-dataset-v3). Frames lie in the parquet files as they were encoded, or by
+choice in H.264 videos. Directive, category, family, right gate and seed are columns; `sent`, `position` and
+`quaternion` are too, and each episode's row in `meta/episodes` has a `record` with the rest, so that the import is
+exact (with video, exact but for the pictures). Split `val` comes after `train`, so that info.json can name both as
+ranges.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from cognitivedrone.data.episode import Episode, Split, encode_image
+from cognitivedrone.data.formats.exchange import (
+    check_file,
+    episode_from,
+    new_folder,
+    plain_facts,
+    read_json,
+    record_of,
+    write_json,
+)
+from cognitivedrone.data.formats.lerobot_stats import Statistics
+from cognitivedrone.data.formats.lerobot_video import PIXELS, VideoWriter, read_frames
+from cognitivedrone.data.shards import ShardFile, write_shard_file
+from cognitivedrone.errors import DataError
+from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE
+
+VERSION = "v3.0"
+IMAGE_KEY = "observation.images.front"
+CHUNK_SIZE = 1000
+"""Files a folder."""
+FILE_MB = 100
+"""A data file is closed when its frames have grown beyond this."""
+
+_FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
+DATA_PATH = f"data/{_FILE}.parquet"
+VIDEO_PATH = f"videos/{{video_key}}/{_FILE}.mp4"
+EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
+
+_MOTION = ["vx", "vy", "vz", "yaw_rate"]
+_FLOATS: dict[str, tuple[str, list[str]]] = {
+    "observation.state": ("float32", ["vx", "vy", "vz", "height", "yaw_rate"]),
+    "action": ("float32", _MOTION),
+    "sent": ("float32", _MOTION),
+    "position": ("float64", ["x", "y", "z"]),
+    "quaternion": ("float64", ["w", "x", "y", "z"]),
+}
+_INTEGERS = ("frame_index", "episode_index", "index", "task_index", "correct_gate", "seed")
+_TEXTS = ("directive", "category", "family")
+
+
+def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
+    """Write the episodes with their frames in the parquet files, losslessly; returns how many.
+
+    One episode is in memory at a time, and the numbers of all for the statistics. Raises `DataError` where `out` is not
+    empty or cannot be written.
+    """
+    return _export(episodes, out, video=False)
+
+
+def export_video(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
+    """As `export`, with the frames in H.264 videos."""
+    return _export(episodes, out, video=True)
+
+
+def _export(episodes: Iterable[tuple[Split, Episode]], out: Path, *, video: bool) -> int:
+    with new_folder(out) as partial:
+        writer = _Writer(partial, video=video)
+        try:
+            for split, episode in _val_last(episodes, partial / "val.part"):
+                writer.write(split, episode)
+        finally:
+            writer.close()
+        if not writer.rows:
+            raise DataError(f"{out}: there is no episode to export")
+        writer.write_meta()
+    return len(writer.rows)
+
+
+def _val_last(episodes: Iterable[tuple[Split, Episode]], spool: Path) -> Iterator[tuple[Split, Episode]]:
+    """The same episodes, those of `val` kept on disk until the others are through."""
+    spool.mkdir()
+    waiting: list[tuple[Path, int]] = []
+    for split, episode in episodes:
+        if split == "train":
+            yield split, episode
+        else:
+            path = spool / f"{len(waiting)}.parquet"
+            write_shard_file(path, [episode], {})
+            waiting.append((path, episode.index))
+    for path, index in waiting:
+        yield "val", ShardFile(path).episode(index)
+        path.unlink()
+    spool.rmdir()
+
+
+class _Writer:
+    """Files of one data set, written in order; the row group of an episode is written at once."""
+
+    def __init__(self, folder: Path, *, video: bool) -> None:
+        self._folder = folder
+        self._is_video = video
+        self._schema = _schema(video=video)
+        self._statistics = Statistics(IMAGE_KEY)
+        self._tasks: dict[str, int] = {}
+        self._frames = 0
+        self._file_number = -1
+        self._file_bytes = 0
+        self._parquet: pq.ParquetWriter | None = None
+        self._video: VideoWriter | None = None
+        self.rows: list[dict[str, Any]] = []
+
+    def write(self, split: Split, episode: Episode) -> None:
+        parquet = self._file()
+        number, first = len(self.rows), self._frames
+        task_index = self._tasks.setdefault(episode.task.instruction, len(self._tasks))
+        columns = _columns(episode, number, first, task_index)
+        stats = self._statistics.add({n: v for n, v in columns.items() if n not in _TEXTS}, episode.images)
+        place = {"chunk_index": self._file_number // CHUNK_SIZE, "file_index": self._file_number % CHUNK_SIZE}
+        row: dict[str, Any] = {
+            "episode_index": number,
+            "tasks": [episode.task.instruction],
+            "length": len(episode),
+            "dataset_from_index": first,
+            "dataset_to_index": first + len(episode),
+            "meta/episodes/chunk_index": 0,
+            "meta/episodes/file_index": 0,
+        } | {f"data/{name}": value for name, value in place.items()}
+        if self._video is not None:
+            start = self._video.frames / CONTROL_HZ
+            row |= {f"videos/{IMAGE_KEY}/{name}": value for name, value in place.items()}
+            row[f"videos/{IMAGE_KEY}/from_timestamp"] = start
+            row[f"videos/{IMAGE_KEY}/to_timestamp"] = start + len(episode) / CONTROL_HZ
+            self._video.add(episode.images)
+        row |= plain_facts(episode) | {"record": json.dumps(record_of(split, episode), ensure_ascii=False)}
+        row |= {f"stats/{name}/{what}": v for name, values in stats.items() for what, v in values.items()}
+        parquet.write_table(_table(columns, episode, self._schema))
+        self._file_bytes += sum(map(len, episode.images))
+        self._frames += len(episode)
+        self.rows.append(row | {"split": split})
+
+    def close(self) -> None:
+        """Close the open files."""
+        if self._parquet is not None:
+            self._parquet.close()
+            self._parquet = None
+        if self._video is not None:
+            self._video.close()
+            self._video = None
+
+    def write_meta(self) -> None:
+        """The folder `meta`, once all episodes are written."""
+        (self._folder / EPISODES_PATH).parent.mkdir(parents=True)
+        pq.write_table(pa.Table.from_pylist(self.rows), self._folder / EPISODES_PATH)
+        pq.write_table(_task_table(list(self._tasks)), self._folder / "meta/tasks.parquet")
+        write_json(self._folder / "meta/stats.json", self._statistics.total())
+        write_json(self._folder / "meta/info.json", self._info())
+
+    def _file(self) -> pq.ParquetWriter:
+        """The data file to write into: the open one, or the next where that has grown enough."""
+        if self._parquet is not None and self._file_bytes <= FILE_MB * 2**20:
+            return self._parquet
+        self.close()
+        self._file_number += 1
+        self._file_bytes = 0
+        place = {"chunk_index": self._file_number // CHUNK_SIZE, "file_index": self._file_number % CHUNK_SIZE}
+        path = self._folder / DATA_PATH.format(**place)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._parquet = pq.ParquetWriter(path, self._schema, use_dictionary=list(_TEXTS))
+        if self._is_video:
+            self._video = VideoWriter(self._folder / VIDEO_PATH.format(video_key=IMAGE_KEY, **place))
+        return self._parquet
+
+    def _info(self) -> dict[str, Any]:
+        train = sum(row["split"] == "train" for row in self.rows)
+        ranges = {"train": (0, train), "val": (train, len(self.rows))}
+        return {
+            "codebase_version": VERSION,
+            "robot_type": "drone",
+            "total_episodes": len(self.rows),
+            "total_frames": self._frames,
+            "total_tasks": len(self._tasks),
+            "chunks_size": CHUNK_SIZE,
+            "data_files_size_in_mb": FILE_MB,
+            "video_files_size_in_mb": FILE_MB,
+            "fps": CONTROL_HZ,
+            "splits": {name: f"{start}:{stop}" for name, (start, stop) in ranges.items() if stop > start},
+            "data_path": DATA_PATH,
+            "video_path": VIDEO_PATH if self._is_video else None,
+            "features": feature_spec(video=self._is_video),
+        }
+
+
+def feature_spec(*, video: bool) -> dict[str, Any]:
+    """`features` of info.json."""
+    image: dict[str, Any] = {
+        "dtype": "video" if video else "image",
+        "shape": [IMAGE_SIZE, IMAGE_SIZE, 3],
+        "names": ["height", "width", "channels"],
+    }
+    if video:
+        image["info"] = {
+            "video.height": IMAGE_SIZE,
+            "video.width": IMAGE_SIZE,
+            "video.codec": "h264",
+            "video.pix_fmt": PIXELS,
+            "video.is_depth_map": False,
+            "video.fps": CONTROL_HZ,
+            "video.channels": 3,
+            "has_audio": False,
+        }
+    features = {IMAGE_KEY: image}
+    for name, (dtype, names) in _FLOATS.items():
+        features[name] = {"dtype": dtype, "shape": [len(names)], "names": names}
+    scalars = {"timestamp": "float32"} | dict.fromkeys(_INTEGERS, "int64") | dict.fromkeys(_TEXTS, "string")
+    return features | {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in scalars.items()}
+
+
+def _schema(*, video: bool) -> pa.Schema:
+    """Of the data files: columns in the order of `feature_spec`, none for the frames of a video."""
+    fields = [] if video else [pa.field(IMAGE_KEY, pa.struct({"bytes": pa.binary(), "path": pa.string()}))]
+    for name, (dtype, names) in _FLOATS.items():
+        fields.append(pa.field(name, pa.list_(pa.type_for_alias(dtype), len(names))))
+    fields.append(pa.field("timestamp", pa.float32()))
+    fields += [pa.field(name, pa.int64()) for name in _INTEGERS]
+    fields += [pa.field(name, pa.string()) for name in _TEXTS]
+    return pa.schema(fields)
+
+
+def _columns(episode: Episode, number: int, first: int, task_index: int) -> dict[str, NDArray[Any]]:
+    length = len(episode)
+    facts = plain_facts(episode) | {"episode_index": number, "task_index": task_index}
+    frame = np.arange(length)
+    return {
+        "observation.state": episode.state,
+        **{name: getattr(episode, name) for name in _FLOATS if name != "observation.state"},
+        "timestamp": (frame / CONTROL_HZ).astype(np.float32),
+        "frame_index": frame,
+        "index": first + frame,
+        **{name: np.full(length, facts[name]) for name in (*_INTEGERS, *_TEXTS) if name in facts and name != "index"},
+    }
+
+
+def _table(columns: dict[str, NDArray[Any]], episode: Episode, schema: pa.Schema) -> pa.Table:
+    arrays = []
+    for field in schema:
+        if field.name == IMAGE_KEY:
+            arrays.append(pa.array([{"bytes": image, "path": None} for image in episode.images], field.type))
+        elif field.name in _FLOATS:
+            values = np.ascontiguousarray(columns[field.name])
+            arrays.append(pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1]))
+        else:
+            arrays.append(pa.array(columns[field.name], field.type))
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def _task_table(tasks: list[str]) -> pa.Table:
+    """tasks.parquet: the sentence is the index of a pandas table, which only the schema's metadata can say."""
+    index = "__index_level_0__"
+    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), index: pa.array(tasks, pa.string())})
+
+    def column(name: str | None, field: str, kind: str, numpy_kind: str) -> dict[str, Any]:
+        return {
+            "name": name,
+            "field_name": field,
+            "pandas_type": kind,
+            "numpy_type": numpy_kind,
+            "metadata": None,
+        }
+
+    pandas = {
+        "index_columns": [index],
+        "column_indexes": [column(None, "None", "unicode", "object") | {"metadata": {"encoding": "UTF-8"}}],
+        "columns": [
+            column("task_index", "task_index", "int64", "int64"),
+            column(None, index, "unicode", "object"),
+        ],
+        "pandas_version": "2.0.0",
+        "creator": {"library": "pyarrow", "version": pa.__version__},
+    }
+    return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
+
+
+def read(path: Path) -> Iterator[tuple[Split, Episode]]:
+    """The episodes of an export, in order; a data file at a time is in memory. Frames of videos become JPEG.
+
+    Raises `DataError` naming the file for whatever is missing or broken, for another version of the layout, and for a
+    data set made by others: it lacks the tasks and conditions.
+    """
+    info_path = path / "meta/info.json"
+    info = read_json(info_path)
+    if not isinstance(info, dict):
+        raise DataError(f"{info_path}: is not the description of a data set")
+    version = str(info.get("codebase_version"))
+    if not version.startswith("v3."):
+        raise DataError(f"{info_path}: layout {version} cannot be read, only v3; convert it with LeRobot's own tools")
+    features = info.get("features")
+    image = features.get(IMAGE_KEY) if isinstance(features, dict) else None
+    is_video = isinstance(image, dict) and image.get("dtype") == "video"
+    rows = _read_table(path / EPISODES_PATH).to_pylist()
+    if rows and "record" not in rows[0]:
+        raise DataError(f"{path / EPISODES_PATH}: has no column 'record'; only own exports can be imported")
+    opened: Path | None = None
+    for row in rows:
+        place = _place_of(row, path / EPISODES_PATH)
+        data_path = path / DATA_PATH.format(**place)
+        video_path = path / VIDEO_PATH.format(video_key=IMAGE_KEY, **place)
+        if data_path != opened:
+            table, opened = _read_table(data_path), data_path
+            frames = read_frames(video_path) if is_video else None
+        try:
+            number, length, record = row["episode_index"], row["length"], json.loads(row["record"])
+            steps = table.filter(pc.equal(table["episode_index"], number)).sort_by("frame_index")
+            arrays = _step_arrays(steps)
+        except (KeyError, TypeError, ValueError, AttributeError, pa.ArrowException) as error:
+            raise DataError(
+                f"{data_path}: not an export of this package ({str(error)[:80]}); export it again"
+            ) from None
+        where = f"{data_path}, episode {number}"
+        if len(steps) != length:
+            raise DataError(f"{where}: holds {len(steps)} of {length} steps; copy or export it again")
+        if frames is None:
+            images = _images(steps, where)
+        else:
+            images = tuple(encode_image(frame, "jpeg") for frame in islice(frames, len(steps)))
+            if len(images) != len(steps):
+                raise DataError(f"{video_path}: ends within episode {number}; copy or export it again")
+        yield episode_from(record, images, arrays, where)
+
+
+def _images(steps: pa.Table, where: str) -> tuple[bytes, ...]:
+    """The encoded frames of an episode; raises `DataError` where they do not lie in the file."""
+    column = steps[IMAGE_KEY].to_pylist() if IMAGE_KEY in steps.column_names else [None] * len(steps)
+    images = [entry.get("bytes") if isinstance(entry, dict) else None for entry in column]
+    if not all(isinstance(image, bytes) for image in images):
+        raise DataError(f"{where}: lacks the bytes of its frames; export it again")
+    return tuple(cast("list[bytes]", images))
+
+
+def _place_of(row: dict[str, Any], where: Path) -> dict[str, int]:
+    """In which file an episode lies; raises `DataError`. The numbers become parts of paths."""
+    place = {name: row.get(f"data/{name}") for name in ("chunk_index", "file_index")}
+    for name, number in place.items():
+        if not isinstance(number, int) or number < 0:
+            raise DataError(f"{where}: data/{name} is {str(number)[:40]!r}; it must be a number from 0")
+    return cast("dict[str, int]", place)
+
+
+def _read_table(path: Path) -> pa.Table:
+    check_file(path)
+    try:
+        return pq.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        raise DataError(f"{path}: not a whole parquet file ({str(error)[:80]}); copy or export it again") from None
+
+
+def _step_arrays(steps: pa.Table) -> dict[str, NDArray[Any]]:
+    def matrix(name: str) -> NDArray[Any]:
+        flat = steps[name].combine_chunks().flatten()
+        return cast(NDArray[Any], flat.to_numpy(zero_copy_only=False).reshape(len(steps), -1))
+
+    state = matrix("observation.state")
+    arrays = {name: matrix(name) for name in ("action", "sent", "position", "quaternion")}
+    return arrays | {"velocity": state[:, :3], "height": state[:, 3], "yaw_rate": state[:, 4]}

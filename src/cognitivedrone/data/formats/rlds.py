@@ -1,0 +1,318 @@
+"""RLDS: episodes as TensorFlow Datasets reads them, written without TensorFlow.
+
+The folder is `OUT/cognitivedrone/1.0.0/{dataset_info.json, features.json, cognitivedrone-SPLIT.tfrecord-I-of-N}`, so
+that `tfds.builder("cognitivedrone", data_dir=OUT)` opens it, and `tfds.builder_from_directory` with the inner folder.
+One `tf.train.Example` an episode holds the steps flattened, as TFDS stores a `Dataset` feature:
+https://www.tensorflow.org/datasets/external_tfrecord. Beside the usual fields every step has
+`recorded/{sent, position, quaternion}`, which trainers ignore and which make the import exact; only WebP frames become
+PNG, because TensorFlow decodes no WebP.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from cognitivedrone.data.episode import Episode, Split, decode_image, encode_image
+from cognitivedrone.data.formats.exchange import (
+    check_file,
+    episode_from,
+    new_folder,
+    plain_facts,
+    read_json,
+    record_of,
+    write_json,
+)
+from cognitivedrone.data.formats.tfrecord import (
+    FRAME_BYTES,
+    HEAD_BYTES,
+    Feature,
+    decode_example,
+    encode_example,
+    read_records,
+    write_record,
+)
+from cognitivedrone.errors import DataError
+from cognitivedrone.types import IMAGE_SIZE
+
+NAME = "cognitivedrone"
+VERSION = "1.0.0"
+INFO = "dataset_info.json"
+SHARD_BYTES = 256 * 2**20
+"""A shard is closed when it has grown beyond this."""
+
+_PREFIX = "tensorflow_datasets.core.features."
+_TEMPLATE = "{DATASET}-{SPLIT}.{FILEFORMAT}-{SHARD_X_OF_Y}"
+
+
+def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
+    """Write the episodes as an RLDS data set; returns how many.
+
+    One episode is in memory at a time. Raises `DataError` where `out` is not empty or cannot be written.
+    """
+    with new_folder(out) as partial:
+        folder = partial / NAME / VERSION
+        folder.mkdir(parents=True)
+        splits: tuple[Split, ...] = ("train", "val")
+        writers = {split: _SplitWriter(folder, split) for split in splits}
+        only_jpeg = True
+        with ExitStack() as closing:  # all of them, even where the disk is full and closing one fails
+            for writer in writers.values():
+                closing.callback(writer.close)
+            for split, episode in episodes:
+                writers[split].write(encode_example(_features_of(split, episode)))
+                only_jpeg &= episode.encoding == "jpeg"
+        count = sum(sum(writer.lengths) for writer in writers.values())
+        if not count:
+            raise DataError(f"{out}: there is no episode to export")
+        write_json(folder / "features.json", feature_spec("jpeg" if only_jpeg else "png"))
+        described = [writer.describe() for writer in writers.values() if writer.lengths]
+        write_json(folder / INFO, _info(described))
+    return count
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One episode of an export, and where it lies."""
+
+    shard: Path
+    first_byte: int
+    """Of `payload` in the shard."""
+    payload: bytes
+    """A serialised `tf.train.Example`."""
+    split: Split
+    episode: Episode
+
+
+def read(path: Path) -> Iterator[tuple[Split, Episode]]:
+    """The episodes of an export, train first; see `records`."""
+    return ((record.split, record.episode) for record in records(path))
+
+
+def is_rlds(path: Path) -> bool:
+    """Whether a folder is that of an RLDS data set, or has ours in it; whether it can be read is another question."""
+    return (_inner(path) / INFO).is_file()
+
+
+def records(path: Path) -> Iterator[Record]:
+    """The records of an export, train first; `path` is the folder given to `export` or the inner one.
+
+    Raises `DataError` naming the file for a missing or truncated shard, and for a data set made by others: it lacks the
+    tasks and conditions.
+    """
+    folder = _inner(path)
+    info = read_json(folder / INFO)
+    if not isinstance(info, dict) or info.get("name") != NAME:
+        name = info.get("name") if isinstance(info, dict) else None
+        raise DataError(f"{folder}: is data set {name!r}; only own exports, named {NAME!r}, can be read")
+    for name, lengths in _splits(info, folder / INFO):
+        for number, length in enumerate(lengths):
+            shard = folder / _shard_name(name, number, len(lengths))
+            check_file(shard)
+            count, at = 0, HEAD_BYTES
+            for count, payload in enumerate(read_records(shard), 1):
+                yield Record(shard, at, payload, *_episode_of(payload, f"{shard}, record {count - 1}"))
+                at += len(payload) + FRAME_BYTES
+            if count != length:
+                raise DataError(f"{shard}: holds {count} of {length} episodes; copy or export it again")
+
+
+def _splits(info: dict[str, Any], where: Path) -> list[tuple[Split, list[int]]]:
+    """Name and episodes of every shard of each split; raises `DataError`. The names become parts of paths."""
+    try:
+        found = [(split["name"], [int(length) for length in split["shardLengths"]]) for split in info["splits"]]
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(f"{where}: does not list its splits ({type(error).__name__}: {error}); export again") from None
+    for name, _ in found:
+        if name not in ("train", "val"):
+            raise DataError(f"{where}: has a split {str(name)[:40]!r}; only train and val can be imported")
+    return found
+
+
+def _inner(path: Path) -> Path:
+    return path if (path / INFO).exists() else path / NAME / VERSION
+
+
+class _SplitWriter:
+    """The shards of one split; their names say how many there are, so they get them last."""
+
+    def __init__(self, folder: Path, split: Split) -> None:
+        self._folder = folder
+        self._split = split
+        self._file: BinaryIO | None = None
+        self._written = 0
+        self._payload = 0
+        self.lengths: list[int] = []
+
+    def write(self, payload: bytes) -> None:
+        if self._file is None or self._written > SHARD_BYTES:
+            self._close_shard()
+            self._file = (self._folder / f"{self._split}-{len(self.lengths)}.part").open("wb")
+            self._written = 0
+            self.lengths.append(0)
+        self._written += write_record(self._file, payload)
+        self._payload += len(payload)
+        self.lengths[-1] += 1
+
+    def close(self) -> None:
+        """Close the last shard and give all of them their names."""
+        self._close_shard()
+        for number in range(len(self.lengths)):
+            part = self._folder / f"{self._split}-{number}.part"
+            part.rename(self._folder / _shard_name(self._split, number, len(self.lengths)))
+
+    def describe(self) -> dict[str, Any]:
+        """The entry of the split in dataset_info.json."""
+        return {
+            "filepathTemplate": _TEMPLATE,
+            "name": self._split,
+            "numBytes": str(self._payload),
+            "shardLengths": [str(length) for length in self.lengths],
+        }
+
+    def _close_shard(self) -> None:
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+
+def _shard_name(split: str, number: int, total: int) -> str:
+    return f"{NAME}-{split}.tfrecord-{number:05d}-of-{total:05d}"
+
+
+def _features_of(split: Split, episode: Episode) -> dict[str, Feature]:
+    """The flat features of an episode of T steps: arrays run over steps first, as TFDS expects."""
+    length = len(episode)
+    last = np.zeros(length, np.int64)
+    last[-1] = 1
+    images: tuple[bytes, ...] = episode.images
+    if episode.encoding == "webp":
+        images = tuple(encode_image(decode_image(image), "png") for image in images)
+    features: dict[str, Feature] = {
+        "steps/observation/image": images,
+        "steps/observation/state": episode.state.ravel(),
+        "steps/action": episode.action.ravel(),
+        "steps/language_instruction": [episode.task.instruction.encode()] * length,
+        "steps/is_first": np.eye(1, length, dtype=np.int64)[0],
+        "steps/is_last": last,
+        "steps/is_terminal": last,
+        "steps/reward": last.astype(np.float32),
+        "steps/discount": np.ones(length, np.float32),
+        "steps/recorded/sent": episode.sent.ravel(),
+        "steps/recorded/position": [row.astype("<f8").tobytes() for row in episode.position],
+        "steps/recorded/quaternion": [row.astype("<f8").tobytes() for row in episode.quaternion],
+    }
+    facts = plain_facts(episode) | {"record": json.dumps(record_of(split, episode), ensure_ascii=False)}
+    for name, value in facts.items():
+        feature: Feature = [value.encode()] if isinstance(value, str) else np.array([value], np.int64)
+        features[f"episode_metadata/{name}"] = feature
+    return features
+
+
+def _episode_of(payload: bytes, where: str) -> tuple[Split, Episode]:
+    try:
+        features: dict[str, Any] = decode_example(payload)
+        (record,) = features["episode_metadata/record"]
+        images = tuple(features["steps/observation/image"])
+        state = features["steps/observation/state"].reshape(len(images), 5)
+        doubles = {name: b"".join(features[f"steps/recorded/{name}"]) for name in ("position", "quaternion")}
+        arrays = {name: np.frombuffer(data, "<f8") for name, data in doubles.items()} | {
+            "action": features["steps/action"],
+            "sent": features["steps/recorded/sent"],
+            "velocity": state[:, :3],
+            "height": state[:, 3],
+            "yaw_rate": state[:, 4],
+        }
+        facts = json.loads(record)
+    except (KeyError, ValueError, TypeError, AttributeError, IndexError, RecursionError) as error:
+        raise DataError(f"{where}: not an episode that this package exported ({error})") from None
+    return episode_from(facts, images, arrays, where)
+
+
+def feature_spec(image_format: str) -> dict[str, Any]:
+    """features.json: what TFDS writes for the same features."""
+    steps = {
+        "observation": _dict(
+            {
+                "image": {
+                    "pythonClassName": _PREFIX + "image_feature.Image",
+                    "image": {
+                        "dtype": "uint8",
+                        "encodingFormat": image_format,
+                        "shape": _shape(IMAGE_SIZE, IMAGE_SIZE, 3),
+                    },
+                },
+                "state": _tensor("float32", 5),
+            }
+        ),
+        "action": _tensor("float32", 4),
+        "language_instruction": _text(),
+        "is_first": _scalar("bool"),
+        "is_last": _scalar("bool"),
+        "is_terminal": _scalar("bool"),
+        "reward": _scalar("float32"),
+        "discount": _scalar("float32"),
+        "recorded": _dict(
+            {
+                "sent": _tensor("float32", 4),
+                "position": _tensor("float64", 3, encoding="bytes"),
+                "quaternion": _tensor("float64", 4, encoding="bytes"),
+            }
+        ),
+    }
+    texts = ("directive", "category", "family", "suite", "record")
+    numbers = ("correct_gate", "seed", "index")
+    metadata = {name: _text() for name in texts} | {name: _scalar("int64") for name in numbers}
+    dataset = {
+        "pythonClassName": _PREFIX + "dataset_feature.Dataset",
+        "sequence": {"feature": _dict(steps), "length": "-1"},
+    }
+    return _dict({"steps": dataset, "episode_metadata": _dict(metadata)})
+
+
+def _info(splits: list[dict[str, Any]]) -> dict[str, Any]:
+    return {
+        "name": NAME,
+        "version": VERSION,
+        "description": (
+            "Flights through the right one of three labelled gates, told by a sentence. Actions are vx, vy, vz in m/s "
+            "and yaw rate in rad/s, in the heading frame (forward, left, up), at 10 Hz."
+        ),
+        "fileFormat": "tfrecord",
+        "splits": splits,
+    }
+
+
+def _dict(features: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "pythonClassName": _PREFIX + "features_dict.FeaturesDict",
+        "featuresDict": {"features": features},
+    }
+
+
+def _text() -> dict[str, Any]:
+    return {"pythonClassName": _PREFIX + "text_feature.Text", "text": {}}
+
+
+def _scalar(dtype: str) -> dict[str, Any]:
+    return {
+        "pythonClassName": _PREFIX + "scalar.Scalar",
+        "tensor": {"dtype": dtype, "encoding": "none", "shape": {}},
+    }
+
+
+def _tensor(dtype: str, size: int, encoding: str = "none") -> dict[str, Any]:
+    return {
+        "pythonClassName": _PREFIX + "tensor_feature.Tensor",
+        "tensor": {"dtype": dtype, "encoding": encoding, "shape": _shape(size)},
+    }
+
+
+def _shape(*sizes: int) -> dict[str, list[str]]:
+    return {"dimensions": [str(size) for size in sizes]}

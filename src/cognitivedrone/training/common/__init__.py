@@ -1,0 +1,1 @@
+"""What all trainings share: the trainer, checkpoints, curves, samples and their ground truth."""

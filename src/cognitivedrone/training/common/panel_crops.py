@@ -1,0 +1,139 @@
+"""Panels to read, without a flight around them: label pictures as small, slanted and shaded as a drone sees them.
+
+A rendered frame costs ten times what a panel of it costs, and shows three panels that are the same as a moment ago. So
+most of what there is to read is taught by cards: any panel or board of the training tasks, as it would look in a
+glimpse (`SmallVLA.read`) from near or far, beside the frames where everything comes together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+
+from cognitivedrone.interfaces import LabelPack
+from cognitivedrone.models.small_vla import REACH
+from cognitivedrone.tasks import BASE_FAMILIES, train_task
+from cognitivedrone.training.common.attributes import BOARD_GROUPS, PANEL_GROUPS, board_facets, panel_facets
+from cognitivedrone.training.common.restyle import restyled
+from cognitivedrone.types import FloatArray, Image
+
+SHARES = {
+    "attributes": 0.2, "people": 0.1, "animals": 0.13, "food": 0.12, "association": 0.15, "math_board": 0.12,
+    "letters": 0.05, "digits": 0.05, "logos": 0.05, "math": 0.03,
+}  # fmt: skip
+"""How often the panels of each family come up: the more there is to tell apart, the oftener."""
+HEIGHTS = (24.0, 90.0)
+"""Of panels in the image, pixels: from the start they are about 30 pixels high."""
+_KEPT = 512  # pictures that are shown again, each time otherwise
+_FRESH = 0.25  # share of the cards whose picture is a new one
+_RESTYLED = 0.6  # share of pictures that are drawn otherwise
+_SIDE = 64  # pixels of a kept picture: as large as a panel is seen
+_SHIFT, _SCALE = 0.06, 0.09  # spread of where a panel is looked for
+_ROLL, _SHEAR = 0.13, 0.06  # and of its slant
+
+
+DrawLabel = Callable[[np.random.Generator], str]
+"""Draws the label reference of a panel or board."""
+FacetsOf = Callable[[str], NDArray[np.int64]]
+"""From a label reference to what it shows."""
+
+
+class Cards:
+    """Draws cards: of the panels and boards of the training tasks, where nothing else is said."""
+
+    def __init__(
+        self, labels: LabelPack, glimpse: int, draw_label: DrawLabel | None = None, facets_of: FacetsOf | None = None
+    ) -> None:
+        self._labels = labels
+        self._glimpse = glimpse
+        self._draw_label = draw_label or draw_training_label
+        self._facets_of = facets_of or panel_and_board_facets
+        self._kept: list[tuple[PillowImage.Image, NDArray[np.int64]]] = []
+
+    def forget(self) -> None:
+        """Begin anew: what follows depends on nothing before."""
+        self._kept.clear()
+
+    def draw(self, rng: np.random.Generator, count: int) -> tuple[Image, NDArray[np.int64]]:
+        """Glimpses (count, g, g, 3), and the facets of what they show (count, columns), as `facets_of` gives them."""
+        while len(self._kept) < min(_KEPT, 4 * count):
+            self._learn(rng)
+        for _ in range(round(count * _FRESH)):
+            self._learn(rng)
+        chosen = rng.integers(len(self._kept), size=count)
+        cards = np.stack([glimpse_of(self._kept[i][0], self._glimpse, rng) for i in chosen])
+        return cards, np.stack([self._kept[i][1] for i in chosen])
+
+    def _learn(self, rng: np.random.Generator) -> None:
+        """Keep one more picture, in the place of another one."""
+        label = self._draw_label(rng)
+        pixels = self._labels.image(label)
+        if rng.random() < _RESTYLED:
+            pixels = restyled(label, pixels, rng)
+        picture = PillowImage.fromarray(pixels).resize((_SIDE, _SIDE), PillowImage.Resampling.BOX)
+        kept = picture, self._facets_of(label)
+        if len(self._kept) < _KEPT:
+            self._kept.append(kept)
+        else:
+            self._kept[int(rng.integers(_KEPT))] = kept
+
+
+_PLACES = np.cumsum([SHARES[family] for family in BASE_FAMILIES]) / sum(SHARES.values())
+_NO_PANEL = np.full(len(PANEL_GROUPS), -1)
+_NO_BOARD = np.full(len(BOARD_GROUPS), -1)
+
+
+def draw_training_label(rng: np.random.Generator) -> str:
+    """A panel or board of some training task."""
+    family = int(np.searchsorted(_PLACES, rng.random()))
+    # Families take turns in the training suite, so that a task's number says its family.
+    task = train_task(int(rng.integers(2**27)) * len(BASE_FAMILIES) + family, 0)
+    if task.board is not None and rng.random() < 0.7:
+        return task.board
+    return task.labels[int(rng.integers(3))]
+
+
+def panel_and_board_facets(label: str) -> NDArray[np.int64]:
+    """(13,): the facets of a panel, then those of a board."""
+    board = board_facets(label)
+    if (board >= 0).any():
+        return np.concatenate([_NO_PANEL, board])
+    return np.concatenate([panel_facets(label), _NO_BOARD])
+
+
+def glimpse_of(picture: PillowImage.Image, size: int, rng: np.random.Generator) -> Image:
+    """A panel with this picture as a glimpse (size, size, 3): some pixels high, before some wall, in some light."""
+    low, high = np.log(HEIGHTS)
+    height = float(np.exp(rng.uniform(low, high)))
+    tall = max(4, round(height))
+    wide = max(4, round(height * rng.uniform(0.8, 1.0)))  # seen from the side
+    room = 2 * tall
+    wall = (rng.uniform(0.3, 1.0) + rng.normal(0, 0.08, 3)).clip(0, 1) * 255
+    canvas = PillowImage.new("RGB", (room, room), tuple(int(value) for value in wall))
+    if tall < _SIDE:
+        picture = picture.resize((wide, tall), PillowImage.Resampling.BOX)
+    else:
+        picture = picture.resize((wide, tall), PillowImage.Resampling.BILINEAR)
+    canvas.paste(picture, ((room - wide) // 2, (room - tall) // 2))
+    # From glimpse to canvas, around both middles.
+    reach = REACH * tall * float(np.exp(rng.normal(0, _SCALE))) / size
+    shear_x, shear_y = rng.normal(0, _SHEAR, 2) + rng.normal(0, _ROLL) * np.array([1, -1])
+    shift_x, shift_y = room / 2 + rng.normal(0, _SHIFT, 2) * tall
+    half = size / 2
+    a, b, d, e = reach, reach * shear_x, reach * shear_y, reach
+    matrix = (a, b, shift_x - (a + b) * half, d, e, shift_y - (d + e) * half)
+    seen = canvas.transform((size, size), PillowImage.Transform.AFFINE, matrix, PillowImage.Resampling.BILINEAR)
+    return _exposed(np.asarray(seen, dtype=np.float32) / 255, rng)
+
+
+def _exposed(pixels: FloatArray, rng: np.random.Generator) -> Image:
+    """Half of the time in a plain room with a perfect camera, else as in a varied one."""
+    if rng.random() < 0.5:
+        brightness, gain, gamma, noise = rng.uniform((0.75, 0.85, 0.8, 0.0), (1.0, 1.1, 1.25, 6 / 255))
+        pixels = (pixels * brightness) ** gamma * gain
+        # The grain is of the image's pixels, which a glimpse of a small panel blurs.
+        pixels = pixels + rng.normal(0, 0.7 * noise, pixels.shape).astype(np.float32)
+    return (np.clip(pixels, 0, 1) * 255).round().astype(np.uint8)

@@ -1,0 +1,137 @@
+"""Batches from processes of their own, so that flying and rendering do not hold up the training."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import queue
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, MutableSequence
+from multiprocessing import resource_tracker
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.training.common.checkpoint import read_checkpoint, restore
+from cognitivedrone.training.common.sampling import Batch
+from cognitivedrone.training.common.training_task import Subject, Watched
+
+_AHEAD = 6  # batches made ahead of their use
+_PATIENCE_S = 600.0
+_TOLD_EVERY_S = 0.5
+
+
+def learner_path(out: Path, round_: int) -> Path:
+    """Where the weights at the end of a round lie. They fly along in the next round but one, so that nobody waits."""
+    return out / "learners" / f"{round_:05d}.safetensors"
+
+
+class Feed:
+    """The batches of one training process, round by round, made by one generating process beside it.
+
+    What comes is a function of recipe, seed, rank and the weights of earlier rounds, so a training that goes on after
+    a kill sees what it would have seen.
+    """
+
+    def __init__(
+        self,
+        subject: Subject,
+        out: Path,
+        *,
+        seed: int,
+        rank: int,
+        first_round: int,
+        waiting: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        """`waiting` is told, now and then while a batch is waited for, what is being done to make it."""
+        context = multiprocessing.get_context("spawn")
+        self._queue = context.Queue(_AHEAD)
+        self._filled = context.Array("q", 2)
+        self._waiting = waiting
+        arguments = (self._queue, self._filled, subject, out, seed, rank, first_round)
+        self._process = context.Process(target=_generate, args=arguments, daemon=True)
+
+    def __enter__(self) -> Feed:
+        # Ctrl-C reaches the whole process group: only the trainer is to answer it. The process inherits this mask from
+        # its first instant; starting multiprocessing's tracker would lift it, so that goes first.
+        resource_tracker.ensure_running()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.terminate()
+        self._process.join(10)
+
+    def __iter__(self) -> Iterator[Batch]:
+        """All further batches; raises `TrainingError` where the generating process has died."""
+        while True:
+            try:
+                item = self._queue.get(timeout=_TOLD_EVERY_S)
+            except queue.Empty:
+                self._waiting(self._doing())
+                if not self._process.is_alive():
+                    raise TrainingError("the process that makes the data has ended; see its message above") from None
+                continue
+            yield item
+
+    def _doing(self) -> str:
+        """What the generating process does, in words."""
+        made, wanted = self._filled[:]
+        if not wanted:
+            return "starting the stream"
+        return f"flying: {made} of {wanted} samples" if made < wanted else "waiting for a batch"
+
+
+def _generate(
+    out_queue: multiprocessing.queues.Queue[Batch],
+    filled: MutableSequence[int],
+    subject: Subject,
+    out: Path,
+    seed: int,
+    rank: int,
+    first_round: int,
+) -> None:
+    """Fill the queue, round by round, until there is nothing left to train."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    torch.set_num_threads(1)
+    schedule, batches_of, network = subject.recipe, subject.batches(), subject.network()
+    learner = subject.learner(network)
+    if isinstance(batches_of, Watched):
+
+        def told(*made_of_wanted: int) -> None:
+            filled[:] = made_of_wanted
+
+        batches_of.watch(told)
+    for round_ in range(first_round, -(-schedule.steps // schedule.round_steps)):
+        flown = round_ >= 2 and learner is not None
+        if flown:
+            _load(network, learner_path(out, round_ - 2))
+        batches = batches_of((seed, rank, round_), learner if flown else None)
+        for _ in range(min(schedule.round_steps, schedule.steps - round_ * schedule.round_steps)):
+            out_queue.put(next(batches))
+
+
+def _end_with_parent() -> None:
+    """A training that is killed cannot end its generating process, which would wait at the full queue for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _load(network: nn.Module, path: Path) -> None:
+    """Wait for the weights, and take them."""
+    until = time.monotonic() + _PATIENCE_S
+    while not path.exists():
+        if time.monotonic() > until:
+            raise TrainingError(f"{path}: the weights that should fly along did not come")
+        time.sleep(0.2)
+    restore(read_checkpoint(path)[0], network, None)

@@ -1,0 +1,256 @@
+"""Training of the small models: rounds of optimiser steps, checkpoints, learning curves, trials along the way."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from accelerate import Accelerator
+from rich.progress import Progress, SpinnerColumn, TaskID, TimeElapsedColumn
+from torch import nn
+from torch.utils.tensorboard import SummaryWriter
+
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.progress import progress_bar
+from cognitivedrone.terminal import console
+from cognitivedrone.training.common.checkpoint import read_checkpoint, restore, save_checkpoint
+from cognitivedrone.training.common.curves import draw_curves, read_rows
+from cognitivedrone.training.common.prefetch import Feed, learner_path
+from cognitivedrone.training.common.sampling import Batch
+from cognitivedrone.training.common.training_task import Row, Schedule, Subject
+from cognitivedrone.training.small_vla.losses import to_tensors
+
+CHECKPOINT = "checkpoint.safetensors"
+METRICS = "metrics.jsonl"
+_HEADLINES = ("loss", "choice accuracy", "text accuracy", "l1", "accuracy", "cross-entropy", "success")
+
+
+@dataclass(frozen=True, slots=True)
+class TrainConfig:
+    """One training."""
+
+    out: Path
+    """Folder of the run."""
+    subject: Subject
+    """What is trained."""
+    seed: int = 0
+    resume: bool = False
+    """Go on from the folder's checkpoint, if there is one."""
+    threads: int = 1
+    """Of every process's network."""
+
+
+def learning_rate(schedule: Schedule, step: int) -> float:
+    """Of a step: up over the warm-up, level, then linearly down to zero at the end."""
+    left = (schedule.steps - step) / max(schedule.decay_share * schedule.steps, 1)
+    return schedule.learning_rate * min(1.0, (step + 1) / max(schedule.warmup_steps, 1), left)
+
+
+def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
+    """Train by a recipe; returns the checkpoint. Every process of a distributed training calls this.
+
+    Stopped at any moment, it goes on from the last full round with `resume`, and ends with the same weights on the
+    same machine as a training that was never stopped. Raises `TrainingError`.
+    """
+    torch.set_num_threads(config.threads)
+    accelerator = Accelerator(mixed_precision="bf16", cpu=not torch.cuda.is_available())
+    subject, out = config.subject, config.out
+    schedule = subject.recipe
+    torch.manual_seed(config.seed)
+    network = subject.network()
+    optimizer = torch.optim.AdamW(
+        network.parameters(), schedule.learning_rate, (0.9, 0.98), weight_decay=schedule.weight_decay, fused=True
+    )
+    step = _begin(config, network, optimizer, accelerator.is_main_process)
+    accelerator.wait_for_everyone()
+    if step >= schedule.steps:
+        return out / CHECKPOINT
+    lesson, optimizer = accelerator.prepare(subject.lesson(network), optimizer)
+    part = subject.share(accelerator.num_processes)
+    first_round, rank = step // schedule.round_steps, accelerator.process_index
+    with (
+        _told_when_stopped(out, lambda: step),
+        _progress(enabled=accelerator.is_main_process) as progress,
+        ExitStack() as stack,
+    ):
+        bar = progress.add_task(schedule.name, total=schedule.steps, completed=step, note="drawing validation data")
+        waiting = functools.partial(_wait, progress, bar)
+        feed = Feed(part, out, seed=config.seed, rank=rank, first_round=first_round, waiting=waiting)
+        stack.enter_context(feed)
+        keeper = _Keeper(config, accelerator, report) if accelerator.is_main_process else None
+        for batch in feed:
+            _seed_step(config.seed, rank, step)
+            measures = _step(lesson, optimizer, accelerator, batch, schedule, step)
+            step += 1
+            if keeper is not None:
+                keeper.follow(measures)
+                progress.update(bar, completed=step, note=keeper.note() or "training")
+            if step % schedule.round_steps == 0 or step == schedule.steps:
+                if keeper is not None:
+                    progress.update(bar, note="validating, writing")
+                    keeper.end_round(accelerator.unwrap_model(lesson), optimizer, step)
+                accelerator.wait_for_everyone()
+            if step == schedule.steps:
+                break
+    accelerator.end_training()
+    return out / CHECKPOINT
+
+
+def _begin(config: TrainConfig, network: nn.Module, optimizer: torch.optim.Optimizer, main: bool) -> int:
+    """Make the folder, or restore what is in it; the step to go on from."""
+    path, identity = config.out / CHECKPOINT, _identity(config)
+    if path.exists():
+        if not config.resume:
+            raise TrainingError(f"{config.out} holds a training already; go on with --resume or choose another folder")
+        tensors, found = read_checkpoint(path)
+        if {name: found[name] for name in _IDENTITY if name in found} != identity:
+            raise TrainingError(f"{config.out} holds a training by another recipe, seed or data; choose another folder")
+        restore(tensors, network, optimizer)
+        return int(found["step"])
+    if main:
+        (config.out / "learners").mkdir(parents=True, exist_ok=True)
+        (config.out / "recipe.json").write_text(json.dumps(identity, indent=2))
+    return 0
+
+
+_IDENTITY = ("recipe", "seed", "data")
+
+
+def _identity(config: TrainConfig) -> dict[str, Any]:
+    return {**config.subject.identity(), "seed": config.seed}
+
+
+def _seed_step(seed: int, rank: int, step: int) -> None:
+    """Randomness inside a step depends on nothing before it, so that a resumed training is the same."""
+    torch.manual_seed((seed * 1_000_003 + rank) * 10_000_019 + step)
+
+
+def _step(
+    lesson: torch.nn.Module,
+    optimizer: torch.optim.Optimizer,
+    accelerator: Accelerator,
+    batch: Batch,
+    schedule: Schedule,
+    step: int,
+) -> dict[str, torch.Tensor]:
+    for group in optimizer.param_groups:
+        group["lr"] = learning_rate(schedule, step)
+    with accelerator.autocast():
+        loss, measures = lesson(to_tensors(batch, accelerator.device))
+    if not math.isfinite(float(loss.detach())):
+        raise TrainingError(f"step {step}: the loss is not finite; resume with a smaller learning rate")
+    optimizer.zero_grad()
+    accelerator.backward(loss)
+    for part in _parts(accelerator.unwrap_model(lesson).network):
+        accelerator.clip_grad_norm_(part, schedule.clip)
+    optimizer.step()
+    return {"loss": loss.detach(), **measures}
+
+
+def _parts(network: nn.Module) -> list[list[nn.Parameter]]:
+    """The parameters of each part of a network. They are clipped apart: a panel that is hard to read, which shakes
+    what reads panels, must not quieten what sentences teach.
+    """
+    parts: dict[str, list[nn.Parameter]] = defaultdict(list)
+    for name, parameter in network.named_parameters():
+        parts[name.partition(".")[0]].append(parameter)
+    return list(parts.values())
+
+
+def _progress(*, enabled: bool) -> Progress:
+    # On standard output, as the lines of the rounds, which it lets pass above itself.
+    columns = (SpinnerColumn(), TimeElapsedColumn())
+    return progress_bar("note", show=enabled, columns=columns, screen=console())
+
+
+def _wait(progress: Progress, bar: TaskID, doing: str) -> None:
+    progress.update(bar, note=doing)
+
+
+@contextmanager
+def _told_when_stopped(out: Path, step: Callable[[], int]) -> Iterator[None]:
+    """Inside, Ctrl-C says what is left of the training."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(what_is_left(out, f" at step {step()}")) from None
+
+
+def what_is_left(out: Path, where: str = "") -> str:
+    """Of a training that was stopped, in words: the step of its checkpoint, or that there is none."""
+    if not (out / CHECKPOINT).exists():
+        return f"stopped{where}, before the first checkpoint; there is nothing in {out} to resume, start again"
+    step = read_checkpoint(out / CHECKPOINT)[1]["step"]
+    return f"stopped{where}; the checkpoint of step {step} is kept in {out}, the same command with --resume goes on"
+
+
+class _Keeper:
+    """What the main process does beside the steps: writes checkpoints and curves, validates and flies."""
+
+    def __init__(self, config: TrainConfig, accelerator: Accelerator, report: Callable[[str], None]) -> None:
+        self._config, self._accelerator, self._report = config, accelerator, report
+        self._subject, self._schedule = config.subject, config.subject.recipe
+        self._facts = _identity(config) | config.subject.facts()
+        self._sums: dict[str, float] = defaultdict(float)
+        self._count = 0
+        self._since = time.monotonic()
+        self._recent = ""
+        self._board = SummaryWriter(str(config.out / "tensorboard"))
+        self._batches: list[Batch] = config.subject.validation(config.seed)
+
+    def follow(self, measures: dict[str, torch.Tensor]) -> None:
+        """Take in a step."""
+        for name, value in measures.items():
+            self._sums[name] += float(value)
+        self._count += 1
+        if self._count % 10 == 0:
+            means = {name: value / self._count for name, value in self._sums.items()}
+            self._recent = ", ".join(f"{name} {means[name]:.3f}" for name in _HEADLINES[:2] if name in means)
+
+    def note(self) -> str:
+        """What stands beside the progress bar."""
+        return self._recent
+
+    def end_round(self, lesson: Any, optimizer: torch.optim.Optimizer, step: int) -> None:
+        """Validate and try if it is time, then write down where the training is."""
+        schedule, out = self._schedule, self._config.out
+        last = step == schedule.steps
+        row: Row = {f"train {name}": value / max(self._count, 1) for name, value in self._sums.items()}
+        row |= {"step": step, "steps_per_s": self._count / (time.monotonic() - self._since)}
+        if step % schedule.validate_every == 0 or last:
+            row |= self._subject.validate(lesson, self._batches, self._accelerator.autocast)
+        if step % schedule.fly_every == 0 or last:
+            row |= self._subject.trial(lesson.network)
+        self._write(row, step)
+        facts = self._facts | {"step": step}
+        round_ = (step - 1) // schedule.round_steps
+        save_checkpoint(learner_path(out, round_), lesson.network, None, facts)
+        learner_path(out, round_ - 4).unlink(missing_ok=True)
+        save_checkpoint(out / CHECKPOINT, lesson.network, optimizer, facts)
+        self._sums.clear()
+        self._count, self._since = 0, time.monotonic()
+
+    def _write(self, row: Row, step: int) -> None:
+        path = self._config.out / METRICS
+        rows = [old for old in read_rows(path) if old["step"] < step] + [row]
+        path.write_text("".join(json.dumps(each) + "\n" for each in rows))
+        for name, value in row.items():
+            if name != "step":
+                self._board.add_scalar(name.replace(" ", "/", 1), value, step)
+        self._board.flush()
+        told = [f"step {step}", f"{row['steps_per_s']:.2f} steps/s", f"loss {row['train loss']:.3f}"]
+        for name in _HEADLINES[1:]:
+            if name in row:
+                told.append(f"{name} {row[name]:.3f}")
+        self._report("  ".join(told))
+        if "l1" in row:
+            draw_curves([each for each in rows if "l1" in each], self._config.out / "curves.png")

@@ -1,0 +1,1 @@
+"""Fine-tuning of OpenVLA-7B."""

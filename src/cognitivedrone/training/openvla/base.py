@@ -1,0 +1,115 @@
+"""The checkpoint that a fine-tuning starts from, and whether the machine can hold it: said before it is loaded."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.models.openvla.actions import ActionStatistics
+from cognitivedrone.models.openvla.checkpoint import Checkpoint, inspect
+from cognitivedrone.models.openvla.config import IMAGE, PATCHES, Config
+from cognitivedrone.models.openvla.tensors import elements, used_tensors
+from cognitivedrone.training.openvla.recipes import LoraRecipe
+
+BYTES_PER_TRAINED = 16
+"""Of an adapter's number: itself, its gradient and two moments, in float32."""
+SMALL = 2_000_000_000
+"""Bytes up to which a network is fine-tuned on a machine without a GPU."""
+_TEXT = 64  # tokens of prompt and answer, rather more than an instruction has
+_WORKSPACE = 1_500_000_000  # bytes of a GPU that PyTorch and its libraries take
+_TAIL = 2**20  # bytes at the end of a file that tell it from another of the same shapes
+
+
+def read_base(folder: Path, key: str, statistics: ActionStatistics) -> Checkpoint:
+    """The checkpoint in `folder`, to be fine-tuned for `statistics`: its own, of arms as a rule, are not looked at.
+
+    A head of the parallel decoder is left out, for it would not fit the fine-tuned network. Raises `PolicyError` as
+    `inspect` does.
+    """
+    found = inspect(folder, given=(key, statistics))
+    return replace(found, config=replace(found.config, chunk=None), head=None)
+
+
+def fingerprint(base: Checkpoint) -> str:
+    """What tells one base from another without reading all of it: its sizes and the ends of its files."""
+    digest = hashlib.sha256(repr(base.config).encode())
+    for path in sorted(set(base.files.values())):
+        size = path.stat().st_size
+        digest.update(f"{path.name} {size}".encode())
+        with path.open("rb") as file:
+            file.seek(max(size - _TAIL, 0))
+            digest.update(file.read())
+    return digest.hexdigest()[:16]
+
+
+def trained_weights(config: Config, rank: int) -> int:
+    """Numbers in adapters of that rank on every linear layer and on both towers' first convolution."""
+    total = 0
+    for name, shape in used_tensors(config).items():
+        if len(shape) == 4 or (len(shape) == 2 and "embed_tokens" not in name):
+            total += rank * (shape[0] + elements([shape[1:]]))
+    return total
+
+
+def needed_bytes(base: Checkpoint, recipe: LoraRecipe, processes: int, *, sharded: bool) -> int:
+    """Memory that fine-tuning takes on each GPU: an estimate from the shapes, on the safe side.
+
+    Weights as stored; adapters with gradients and moments; activations of a micro-batch: what goes into every layer,
+    and what is inside of one (of all, where `checkpointing` is False). To be sharded, weights have to be whole for a
+    moment.
+    """
+    config, language, each = base.config, base.config.language, base.stored_bytes
+    weights = elements(used_tensors(config).values()) * each
+    held = weights + trained_weights(config, recipe.rank) * BYTES_PER_TRAINED
+    if sharded:  # a part of everything, and one layer whole
+        held = held // processes + held // language.num_hidden_layers
+    tokens = PATCHES + _TEXT
+    stacks = [(tower.width, tower.hidden, tower.depth) for tower in (config.dino, config.siglip)]
+    stacks.append((language.hidden_size, 2 * language.intermediate_size, language.num_hidden_layers))
+    # Twice what a plain layer keeps: adapters take their inputs in float32.
+    inside = [tokens * (24 * width + 8 * hidden) * each for width, hidden, _ in stacks]
+    if recipe.checkpointing is not False:
+        sample = sum(tokens * width * each * depth for width, _, depth in stacks) + max(inside)
+    else:
+        sample = sum(one * depth for one, (_, _, depth) in zip(inside, stacks, strict=True))
+    micro = min(recipe.micro_batch, max(recipe.batch // processes, 1))
+    return max(weights, held + micro * (sample + 6 * IMAGE**2 * 4))
+
+
+def recomputes(base: Checkpoint, recipe: LoraRecipe, processes: int, free: int, device: str, *, sharded: bool) -> bool:
+    """Whether layers are to be recomputed: as the recipe says or, where it leaves that open, if the memory is short.
+
+    `free` are the bytes that the fullest GPU has free, or the host. Raises `TrainingError` as `check_machine` does.
+    """
+    recompute, spare = recipe.checkpointing is not False, _WORKSPACE if device == "cuda" else 0
+    if recipe.checkpointing is None:
+        keeping = needed_bytes(base, replace(recipe, checkpointing=False), processes, sharded=sharded)
+        recompute = keeping + spare > free
+    needed = needed_bytes(base, replace(recipe, checkpointing=recompute), processes, sharded=sharded)
+    check_machine(needed, free, device, base.folder)
+    return recompute
+
+
+def check_machine(needed: int, free: int, device: str, folder: Path) -> None:
+    """Raises `TrainingError` where a fine-tuning that needs so many bytes does not fit, or there is no GPU for it."""
+    if device == "cuda":
+        needed += _WORKSPACE
+    told = f"fine-tuning {folder} needs {needed / 1e9:.1f} GB"
+    if device == "cpu" and needed > SMALL:
+        raise TrainingError(
+            f"{told} of GPU memory, and this machine has no GPU that PyTorch can use; train on one that has"
+        )
+    if needed > free:
+        way_out = "take a smaller --micro-batch, or several GPUs and --shard" if device == "cuda" else "close what runs"
+        raise TrainingError(f"{told} of {'GPU ' * (device == 'cuda')}memory, has {free / 1e9:.1f} GB free; {way_out}")
+
+
+def check_merging(needed: int, free: int, folder: Path) -> None:
+    """Raises `TrainingError` where the host cannot hold a network that a run's adapters are to be merged into."""
+    if needed > free:
+        raise TrainingError(
+            f"merging {folder} needs {needed / 1e9:.1f} GB of the host's memory, has {free / 1e9:.1f} GB free; nothing"
+            " is lost: close what runs, or copy the folder to a machine with more and run it there with --merge"
+        )

@@ -1,0 +1,181 @@
+"""Flights of a data set as OpenVLA's samples, their order, and the measures of its answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, TypeAlias
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from cognitivedrone.data.episode import Split
+from cognitivedrone.data.formats.rlds import is_rlds
+from cognitivedrone.data.formats.rlds_steps import RldsSteps
+from cognitivedrone.data.statistics import spread
+from cognitivedrone.data.store import Batch, Store
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.models.openvla.actions import ActionStatistics, from_tokens, to_tokens
+from cognitivedrone.models.openvla.config import ACTION_SIZE, PADDING
+from cognitivedrone.models.openvla.network import IGNORED
+from cognitivedrone.models.openvla.prepare import END, Encoder, ImagePreparation, prompt_ids
+from cognitivedrone.training.common.curves import DIMENSIONS
+from cognitivedrone.training.common.training_task import Row
+from cognitivedrone.types import Category, FloatArray, Task
+
+Numbers: TypeAlias = NDArray[np.int64]
+Samples: TypeAlias = Mapping[str, Tensor]
+"""What the network takes by name: `input_ids` and `labels` (B, T), `pixel_values` (B, 6, 224, 224) and, where texts
+differ in length, `attention_mask` (B, T)."""
+ANSWER = ACTION_SIZE + 1
+"""Labelled tokens of a sample: the action's words and the end."""
+
+
+class Steps(Protocol):
+    """What training asks of a data set; a `Store` has it, and so have `RldsSteps`."""
+
+    def step_numbers(self, split: Split | None = None) -> Numbers:
+        """The numbers of the steps of a split, or of all."""
+        ...
+
+    def steps(self, numbers: Numbers) -> Batch:
+        """The steps of these numbers, in their order."""
+        ...
+
+    def actions(self, split: Split | None = None) -> NDArray[np.float32]:
+        """(N, 4) the labels of all steps of a split, or of all."""
+        ...
+
+    def tasks(self) -> list[Task]:
+        """The tasks of all episodes, in order of index."""
+        ...
+
+    def episode_rows(self) -> Numbers:
+        """(n_steps,) the place in `tasks` of the episode that each step belongs to."""
+        ...
+
+    def content_hash(self) -> str:
+        """The same for the same content."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Flights:
+    """A data set to learn from."""
+
+    identity: str
+    """Its kind, and the hash of its content."""
+    steps: Steps
+    train: Numbers
+    """Numbers of the steps that are learnt; no episode has steps in both."""
+    val: Numbers
+    statistics: ActionStatistics
+    """Of the steps that are learnt."""
+
+
+def open_flights(folder: Path, category: Category | None = None) -> Flights:
+    """The flights of a store or of an RLDS export, all or those of a category; the same flights give the same samples.
+
+    Raises `DataError` where there is neither, or an RLDS data set of others, and `TrainingError` where a split has no
+    step.
+    """
+    exported = is_rlds(folder)
+    steps: Steps = RldsSteps(folder) if exported else Store(folder)
+    train, val = (_steps_of(steps, split, category) for split in ("train", "val"))
+    for name, numbers in (("train", train), ("val", val)):
+        if not len(numbers):
+            which = f" of the category {category!r}" if category else ""
+            raise TrainingError(f"{folder} has no step{which} in its {name} split; collect more flights{which}")
+    quantiles = spread(steps.actions()[train])
+    statistics = ActionStatistics(tuple(quantiles["q01"]), tuple(quantiles["q99"]))
+    identity = f"{'rlds' if exported else 'store'} {steps.content_hash()}"
+    return Flights(identity, steps, train, val, statistics)
+
+
+def _steps_of(steps: Steps, split: Split, category: Category | None) -> Numbers:
+    numbers = steps.step_numbers(split)
+    if category is None:
+        return numbers
+    wanted = np.array([task.category == category for task in steps.tasks()], np.bool_)
+    return numbers[wanted[steps.episode_rows()[numbers]]]
+
+
+def rows_of_step(numbers: Numbers, batch: int, seed: int, step: int) -> Numbers:
+    """(batch,) what an optimiser's step learns: all of `numbers` in a new random order, again and again.
+
+    A function of its arguments alone, so that a training that goes on after a kill sees what it would have seen.
+    """
+    places = np.arange(step * batch, (step + 1) * batch)
+    epochs, within = np.divmod(places, len(numbers))
+    orders = {epoch: np.random.default_rng((seed, epoch)).permutation(numbers) for epoch in set(epochs.tolist())}
+    return np.array([orders[epoch][row] for epoch, row in zip(epochs.tolist(), within.tolist(), strict=True)], np.int64)
+
+
+def plain_of_step(batch: int, share: float, seed: int, step: int) -> NDArray[np.bool_]:
+    """(batch,) which samples of a step are told the directive."""
+    return np.random.default_rng((seed, step, 1)).random(batch) < share
+
+
+def validation_rows(numbers: Numbers, frames: int) -> Numbers:
+    """At most `frames` of `numbers`, evenly spread, always the same."""
+    return numbers[np.linspace(0, len(numbers) - 1, min(frames, len(numbers))).round().astype(np.int64)]
+
+
+@dataclass(frozen=True, slots=True)
+class SampleMaker:
+    """Makes samples of the steps of flights."""
+
+    flights: Flights
+    encode: Encoder
+    preparation: ImagePreparation
+
+    def __call__(self, numbers: Numbers, plain: NDArray[np.bool_] | None = None) -> Samples:
+        """The samples of these steps; those of `plain` are told the directive."""
+        read = self.flights.steps.steps(numbers)
+        words = to_tokens(self.flights.statistics.normalise(read["action"]))
+        rows = []
+        for row in range(len(numbers)):
+            text = read["directive" if plain is not None and plain[row] else "instruction"][row]
+            rows.append([*prompt_ids(self.encode, text), *words[row].tolist(), END])
+        pixels = np.stack([self.preparation.pixel_values(image) for image in read["image"]])
+        return {**_collate(rows), "pixel_values": torch.from_numpy(pixels)}
+
+
+def _collate(rows: list[list[int]]) -> dict[str, Tensor]:
+    """Texts that end with an answer as one tensor, padded at the right."""
+    longest = max(map(len, rows))
+    ids = torch.full((len(rows), longest), PADDING)
+    labels = torch.full_like(ids, IGNORED)
+    for row, tokens in enumerate(rows):
+        ids[row, : len(tokens)] = torch.tensor(tokens)
+        labels[row, len(tokens) - ANSWER : len(tokens)] = torch.tensor(tokens[-ANSWER:])
+    # Where nothing is padded, attention needs no mask and takes its quick way.
+    padded = min(map(len, rows)) < longest
+    return {"input_ids": ids, "labels": labels} | ({"attention_mask": (ids != PADDING).long()} if padded else {})
+
+
+def answer_measures(actions: FloatArray, guess: Numbers, entropy: FloatArray, statistics: ActionStatistics) -> Row:
+    """L1 (m/s and rad/s), accuracy of the word and cross-entropy, by dimension and overall, and the baseline's, which
+    always says the commonest word.
+
+    `actions` (n, 4) are the true ones, `guess` (n, 4) the ids that were thought likeliest, each after the true ones
+    before it, and `entropy` (n, 4) the cross-entropy of the true ids, in nats.
+    """
+    true = to_tokens(statistics.normalise(actions))
+    common = np.array([np.bincount(column).argmax() for column in true.T])
+    values = {
+        "l1": np.abs(statistics.flown(from_tokens(guess)) - actions),
+        "accuracy": guess == true,
+        "cross-entropy": entropy,
+        "baseline accuracy": true == common,
+        "baseline l1": np.abs(statistics.flown(from_tokens(common)) - actions),
+    }
+    row: Row = {}
+    for name, table in values.items():
+        means = table.mean(axis=0)
+        row |= {f"{name} {dimension}": float(mean) for dimension, mean in zip(DIMENSIONS, means, strict=True)}
+        row[name] = float(means.mean())
+    return row

@@ -1,0 +1,359 @@
+"""Fine-tuning of OpenVLA by low-rank adapters (Hu et al. 2021, arXiv 2106.09685), on one or many GPUs.
+
+    OUT/
+      checkpoint.safetensors   adapters, the optimiser's moments and the step; what `resume` goes on from
+      recipe.json              what makes this training the one it is
+      metrics.jsonl            a row every `save_every` steps; curves.png and tensorboard/ show the same
+      merged/                  at the end: a whole checkpoint, for `--policy openvla:OUT/merged`
+
+Everything random is a function of seed and step: what a training that was killed sees when it goes on is what it would
+have seen.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import torch
+from accelerate import Accelerator, DistributedType, FullyShardedDataParallelPlugin
+from rich.progress import Progress
+from torch import Tensor, nn
+from torch.distributed.fsdp import MixedPrecisionPolicy
+from torch.nn import functional as F  # noqa: N812
+from torch.utils.tensorboard import SummaryWriter
+
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.models.openvla import checkpoint as checkpoints
+from cognitivedrone.models.openvla.checkpoint import Checkpoint
+from cognitivedrone.models.openvla.config import ACTION_SIZE, KEY
+from cognitivedrone.models.openvla.prepare import read_encoder
+from cognitivedrone.models.openvla.weights import load, save
+from cognitivedrone.training.common.checkpoint import read_checkpoint, save_checkpoint
+from cognitivedrone.training.common.curves import draw_curves, read_rows
+from cognitivedrone.training.common.trainer import CHECKPOINT, METRICS
+from cognitivedrone.training.common.training_task import Row
+from cognitivedrone.training.openvla.adapters import (
+    add_adapters,
+    as_module,
+    merge_adapters,
+    state_of,
+    take_adapters,
+    take_moments,
+)
+from cognitivedrone.training.openvla.base import check_merging, fingerprint, read_base, recomputes
+from cognitivedrone.training.openvla.data import (
+    ANSWER,
+    Flights,
+    SampleMaker,
+    Samples,
+    answer_measures,
+    open_flights,
+    plain_of_step,
+    rows_of_step,
+    validation_rows,
+)
+from cognitivedrone.training.openvla.recipes import PAPER, LoraRecipe
+
+MERGED = "merged"
+Found: TypeAlias = tuple[dict[str, Tensor], dict[str, Any]]
+"""Tensors and facts of a checkpoint."""
+_IDENTITY = ("recipe", "seed", "data", "base", "key")
+_HEADLINES = ("train loss", "l1", "accuracy", "baseline accuracy", "cross-entropy")
+_LAYERS = ["LlamaDecoderLayer", "Block"]  # what is sharded as one
+
+
+@dataclass(frozen=True)
+class FineTuning:
+    """One fine-tuning: what from, on what, where to."""
+
+    base: Path
+    """Folder of the checkpoint to start from."""
+    data: Path
+    """A store of flights, made by `collect` or `data import`, or an RLDS data set, made by `data export`."""
+    out: Path
+    """Folder of the run."""
+    recipe: LoraRecipe = PAPER
+    seed: int = 0
+    resume: bool = False
+    """Go on from the folder's checkpoint, if there is one."""
+    shard: bool = False
+    """Spread the weights over the GPUs (FSDP) instead of copying them to each (DDP)."""
+    key: str = KEY
+    """Under which the statistics of actions are written into the checkpoint: its `unnorm_key`."""
+
+    @cached_property
+    def flights(self) -> Flights:
+        """The data; raises `DataError` or `TrainingError`, see `open_flights`."""
+        return open_flights(self.data, self.recipe.category)
+
+    @cached_property
+    def checkpoint(self) -> Checkpoint:
+        """The base, looked at but not loaded; raises `PolicyError`, see `read_base`."""
+        return read_base(self.base, self.key, self.flights.statistics)
+
+    @cached_property
+    def identity(self) -> dict[str, Any]:
+        """What makes a training this one, as plain JSON values: only such a one can be gone on with."""
+        return {
+            "recipe": self.recipe.facts(),
+            "seed": self.seed,
+            "data": self.flights.identity,
+            "base": fingerprint(self.checkpoint),
+            "key": self.key,
+        }
+
+
+def fine_tune(config: FineTuning, report: Callable[[str], None] = print) -> Path:
+    """Train adapters, merge them, and return the folder of the checkpoint that can be flown.
+
+    Every process of a distributed training calls this. Stopped at any moment, it goes on from the last checkpoint with
+    `resume` and ends with the same weights on the same machine and as many processes. Raises `TrainingError`,
+    `DataError` and `PolicyError` for what does not do, before the weights are loaded.
+    """
+    recipe, out = config.recipe, config.out
+    found = _found(config, resume=config.resume)
+    accelerator = _accelerator(config)
+    if recipe.batch % accelerator.num_processes:
+        raise TrainingError(f"a batch of {recipe.batch} cannot be shared by {accelerator.num_processes} processes")
+    step = 0 if found is None else int(found[1]["step"])
+    if step < recipe.steps:
+        recompute = _recomputes(config, accelerator)
+        if accelerator.is_main_process:
+            out.mkdir(parents=True, exist_ok=True)
+            shutil.rmtree(out / MERGED, ignore_errors=True)  # of an earlier checkpoint
+            (out / "recipe.json").write_text(json.dumps(config.identity, indent=2) + "\n")
+        _train(config, accelerator, found, report, recompute=recompute)
+    merges = accelerator.is_main_process and (step < recipe.steps or not (out / MERGED).is_dir())
+    accelerator.end_training()  # nobody has to wait for the merging
+    if merges:
+        merge(config)
+    return out / MERGED
+
+
+def merge(config: FineTuning) -> Path:
+    """Add the adapters of the run's newest checkpoint to the base, as a checkpoint in OUT/merged; returns that folder.
+
+    On the host, in as much memory as the weights take. Raises `TrainingError` where the run has no checkpoint, it is of
+    another base, recipe or data, or the host has not the memory.
+    """
+    found = _found(config, resume=True)
+    if found is None:
+        raise TrainingError(f"{config.out} has no {CHECKPOINT} to merge; train first")
+    base = config.checkpoint
+    needed = checkpoints.needed_bytes(base.config, "none", base.stored_bytes)
+    check_merging(needed, checkpoints.free_memory(), config.out)
+    network = load(base, "cpu", torch.float32 if base.stored_bytes == 4 else torch.bfloat16)
+    take_adapters(add_adapters(network, config.recipe), found[0])
+    merge_adapters(network)
+    merged, beside = config.out / MERGED, config.out / f"{MERGED}.part"
+    for old in (beside, merged):
+        shutil.rmtree(old, ignore_errors=True)
+    save(network, beside, {config.key: config.flights.statistics}, base.folder)
+    beside.rename(merged)
+    return merged
+
+
+def _found(config: FineTuning, *, resume: bool) -> Found | None:
+    """The run's checkpoint, if it has one; raises `TrainingError` for one that is not to be gone on with."""
+    identity, path = config.identity, config.out / CHECKPOINT
+    if not path.exists():
+        return None
+    if not resume:
+        raise TrainingError(f"{config.out} holds a training already; go on with --resume or choose another folder")
+    tensors, facts = read_checkpoint(path)
+    other = [name for name in _IDENTITY if facts.get(name) != identity[name]]
+    if other:
+        raise TrainingError(f"{config.out} holds a training of another {' and '.join(other)}; choose another folder")
+    return tensors, facts
+
+
+def _accelerator(config: FineTuning) -> Accelerator:
+    plugin = None
+    if config.shard:
+        plugin = FullyShardedDataParallelPlugin(
+            fsdp_version=2,
+            reshard_after_forward=True,
+            auto_wrap_policy="transformer_based_wrap",
+            transformer_cls_names_to_wrap=_LAYERS,
+            mixed_precision_policy=MixedPrecisionPolicy(param_dtype=torch.bfloat16, reduce_dtype=torch.float32),
+            cpu_ram_efficient_loading=False,
+        )
+    accelerator = Accelerator(mixed_precision="bf16", cpu=not torch.cuda.is_available(), fsdp_plugin=plugin)
+    if plugin is not None and accelerator.distributed_type == DistributedType.MULTI_CPU:
+        # Accelerate looks at its plugin on GPUs only; PyTorch shards on CPUs by the same calls.
+        plugin.set_mixed_precision("bf16")
+        accelerator.state.fsdp_plugin = plugin
+        accelerator.state.distributed_type = DistributedType.FSDP
+    if config.shard and not accelerator.is_fsdp2:
+        raise TrainingError("--shard spreads the weights over several GPUs; start it by torchrun on as many")
+    return accelerator
+
+
+def _recomputes(config: FineTuning, accelerator: Accelerator) -> bool:
+    """See `recomputes`; all processes give the same answer, as the one with the least memory has to."""
+    device, processes = accelerator.device, accelerator.num_processes
+    free = torch.cuda.mem_get_info(device)[0] if device.type == "cuda" else checkpoints.free_memory()
+    least = int(accelerator.gather(torch.tensor([free], device=device)).min())
+    return recomputes(config.checkpoint, config.recipe, processes, least, device.type, sharded=config.shard)
+
+
+def _train(
+    config: FineTuning,
+    accelerator: Accelerator,
+    found: Found | None,
+    report: Callable[[str], None],
+    *,
+    recompute: bool,
+) -> None:
+    recipe, base = config.recipe, config.checkpoint
+    host = accelerator.device.type == "cpu"  # in several processes it is called cpu:0, which no file is read to
+    dtype = torch.float32 if host and base.stored_bytes == 4 else torch.bfloat16
+    bare = load(base, "cpu" if host else accelerator.device, dtype)
+    bare.enable_checkpointing(recompute)
+    trained = add_adapters(bare, recipe, config.seed)
+    step = 0
+    if found is not None:
+        step = int(found[1]["step"])
+        take_adapters(trained, found[0])
+    bare.train()
+    optimizer: Any = torch.optim.AdamW(
+        trained.values(), recipe.learning_rate, weight_decay=recipe.weight_decay, fused=True
+    )
+    network, optimizer = accelerator.prepare(bare, optimizer)
+    if found is not None:
+        take_moments(optimizer, list(trained), found[0])
+    make = SampleMaker(config.flights, read_encoder(base.tokenizer), base.preparation)
+    keeper = _Keeper(config, accelerator, report)
+    shown = Progress(disable=not accelerator.is_main_process, refresh_per_second=1)
+    with ThreadPoolExecutor(1) as pool, shown as progress:
+        bar = progress.add_task(recipe.name, total=recipe.steps, completed=step)
+        coming = pool.submit(_samples_of_step, config, make, accelerator, step)
+        while step < recipe.steps:
+            samples = coming.result()
+            if step + 1 < recipe.steps:
+                coming = pool.submit(_samples_of_step, config, make, accelerator, step + 1)
+            keeper.follow(*_step(network, optimizer, accelerator, samples, step))
+            step += 1
+            progress.update(bar, completed=step)
+            if step % recipe.save_every == 0 or step == recipe.steps:
+                row: Row = {}
+                if step % recipe.validate_every == 0 or step == recipe.steps:
+                    row = validate(network, accelerator, make, recipe)
+                keeper.end_round(row, state_of(optimizer, list(trained)), step)
+
+
+def _samples_of_step(config: FineTuning, make: SampleMaker, accelerator: Accelerator, step: int) -> list[Samples]:
+    """This process's share of a step's samples, in micro-batches."""
+    recipe, rank, processes = config.recipe, accelerator.process_index, accelerator.num_processes
+    rows = rows_of_step(config.flights.train, recipe.batch, config.seed, step)[rank::processes]
+    plain = plain_of_step(recipe.batch, recipe.directives, config.seed, step)[rank::processes]
+    size = recipe.micro_batch
+    return [make(rows[first : first + size], plain[first : first + size]) for first in range(0, len(rows), size)]
+
+
+def _step(
+    network: nn.Module, optimizer: Any, accelerator: Accelerator, micro_batches: list[Samples], step: int
+) -> tuple[Tensor, Tensor]:
+    """One step of the optimiser; returns the mean loss and the accuracy of the action's words, of this process."""
+    count = sum(len(samples["input_ids"]) for samples in micro_batches)
+    loss, hits = torch.zeros(2, device=accelerator.device)
+    optimizer.zero_grad()
+    for number, samples in enumerate(micro_batches):
+        share = len(samples["input_ids"]) / count
+        last = number == len(micro_batches) - 1
+        with nullcontext() if last else accelerator.no_sync(network):
+            with accelerator.autocast():
+                said = network(**_on(samples, accelerator.device))
+            accelerator.backward(said.loss * share)
+        loss = loss + said.loss.detach() * share
+        right = said.logits.detach().argmax(-1) == said.targets
+        hits = hits + right.view(-1, ANSWER)[:, :ACTION_SIZE].float().mean() * share
+    if not math.isfinite(float(loss)):
+        raise TrainingError(f"step {step}: the loss is not finite; start anew with a smaller learning rate")
+    optimizer.step()
+    return loss, hits
+
+
+def validate(network: nn.Module, accelerator: Accelerator, make: SampleMaker, recipe: LoraRecipe) -> Row:
+    """Measures on frames of flights that are never trained, by instruction; see `answer_measures`."""
+    rows = validation_rows(make.flights.val, recipe.validation_frames)
+    rank, processes = accelerator.process_index, accelerator.num_processes
+    # Each process asks equally often: where they share the weights, nobody can be late.
+    asked = -(-len(rows) // processes) * processes
+    own = rows[np.minimum(np.arange(rank, asked, processes), len(rows) - 1)]
+    found = []
+    network.eval()
+    with torch.no_grad(), accelerator.autocast():
+        for first in range(0, len(own), recipe.micro_batch):
+            samples = make(own[first : first + recipe.micro_batch])
+            said = network(**_on(samples, accelerator.device))
+            found.append(_answers(said.logits, said.targets))
+    network.train()
+    gathered = accelerator.gather(torch.cat(found))
+    told = gathered.view(processes, len(own), 2, ACTION_SIZE).transpose(0, 1).flatten(0, 1)[: len(rows)].cpu().numpy()
+    actions = make.flights.steps.actions()[rows]
+    return answer_measures(actions, told[:, 0].astype("int64"), told[:, 1], make.flights.statistics)
+
+
+def _answers(logits: Tensor, targets: Tensor) -> Tensor:
+    """(B, 2, 4) float32: the likeliest ids and the cross-entropy of the true ones, of the action's words."""
+    entropy = F.cross_entropy(logits.float(), targets, reduction="none")
+    pairs = torch.stack([logits.argmax(-1).float(), entropy])
+    return pairs.view(2, -1, ANSWER)[..., :ACTION_SIZE].transpose(0, 1)
+
+
+def _on(samples: Samples, device: torch.device) -> dict[str, Tensor]:
+    return {name: value.to(device, non_blocking=True) for name, value in samples.items()}
+
+
+class _Keeper:
+    """What is done beside the steps: checkpoints, rows, curves. Every process has one, the main process's writes."""
+
+    def __init__(self, config: FineTuning, accelerator: Accelerator, report: Callable[[str], None]) -> None:
+        self._config, self._accelerator, self._report = config, accelerator, report
+        self._main = accelerator.is_main_process
+        self._board = SummaryWriter(str(config.out / "tensorboard")) if self._main else None
+        self._steps: list[Tensor] = []
+        self._since = time.monotonic()
+
+    def follow(self, loss: Tensor, accuracy: Tensor) -> None:
+        """Take in a step."""
+        self._steps.append(torch.stack([loss, accuracy]))
+
+    def end_round(self, row: Row, state: dict[str, Tensor], step: int) -> None:
+        """Write down how it went and where the training is; `row` has the measures of validation, if it was time."""
+        mean = self._accelerator.reduce(torch.stack(self._steps).mean(0), "mean").tolist()
+        rate = len(self._steps) * self._config.recipe.batch / (time.monotonic() - self._since)
+        if self._main:
+            named = dict(zip(("train loss", "train accuracy"), mean, strict=True))
+            self._write({**named, **row, "step": step, "samples_per_s": rate})
+            facts = self._config.identity | {"step": step}
+            save_checkpoint(self._config.out / CHECKPOINT, as_module(state), None, facts)
+        self._accelerator.wait_for_everyone()
+        self._steps.clear()
+        self._since = time.monotonic()
+
+    def _write(self, row: Row) -> None:
+        path, step = self._config.out / METRICS, row["step"]
+        rows = [old for old in read_rows(path) if old["step"] < step] + [row]
+        path.write_text("".join(json.dumps(each) + "\n" for each in rows))
+        if self._board is not None:
+            for name, value in row.items():
+                if name != "step":
+                    self._board.add_scalar(name.replace(" ", "/", 1), value, step)
+            self._board.flush()
+        told = [f"{name} {row[name]:.3f}" for name in _HEADLINES if name in row]
+        self._report("  ".join([f"step {step}", f"{row['samples_per_s']:.2f} samples/s", *told]))
+        if "l1" in row:
+            draw_curves([each for each in rows if "l1" in each], self._config.out / "curves.png")

@@ -1,0 +1,1 @@
+"""Trainings of the small reasoner: its panel reader and its gate selector."""

@@ -1,0 +1,87 @@
+"""From checkpoints to the small reasoner's two files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from cognitivedrone.models.onnx_file import Provenance, write_table
+from cognitivedrone.models.reasoner_file import (
+    EYES,
+    EYES_FILE,
+    LOOKS,
+    MIND,
+    MIND_FILE,
+    REMEMBERED,
+    EyesModel,
+    MindModel,
+)
+from cognitivedrone.models.small_reasoner import Eyes
+from cognitivedrone.training.common.attributes import GATE_GROUPS, GROUPS
+from cognitivedrone.training.reasoner.reader import load_reader
+from cognitivedrone.training.reasoner.reading import SEEN
+from cognitivedrone.training.reasoner.selector import load_mind
+from cognitivedrone.training.small_vla.export import provenance_of, write_onnx
+from cognitivedrone.training.small_vla.policy import load_trained
+
+
+def export_eyes(policy: Path, reader: Path, folder: Path) -> Path:
+    """The eyes: what finds gates from a policy's checkpoint, what reads panels from a reader's; the file in `folder`.
+
+    Raises `TrainingError` for a bad checkpoint.
+    """
+    finder, _, _ = load_trained(policy)
+    network, facts = load_reader(reader)
+    eyes = Eyes(finder, network, {group: GROUPS[group] for group in GATE_GROUPS})
+    example = {"image": torch.zeros(2, 256, 256, 3, dtype=torch.uint8)}
+    table = {"facets": list(SEEN), "config": network.config.facts()}
+    path = folder / EYES_FILE
+    _export(eyes, example, ("facets", "looks", "boxes"), path, EYES, table, provenance_of(facts))
+    EyesModel.load(path)
+    return path
+
+
+def export_mind(checkpoint: Path, folder: Path) -> Path:
+    """The mind; the file in `folder`. Raises `TrainingError` for a bad checkpoint."""
+    mind, vocabulary, facts = load_mind(checkpoint)
+    count, length = len(SEEN), mind.config.text_length
+    example = {
+        "tokens": torch.ones(2, length, dtype=torch.int64),
+        "panels": torch.zeros(2, 3, count),
+        "looks": torch.zeros(2, 3, LOOKS),
+        "board": torch.zeros(2, count),
+        "values": torch.zeros(2, 5, dtype=torch.int64),
+        "remembered": torch.zeros(2, REMEMBERED, count),
+        "stages": torch.zeros(2, REMEMBERED, 3, dtype=torch.int64),
+    }
+    table = {
+        "facets": list(SEEN),
+        "vocabulary": vocabulary.words,
+        "text_length": length,
+        "config": mind.config.facts(),
+    }
+    path = folder / MIND_FILE
+    _export(mind, example, ("logits",), path, MIND, table, provenance_of(facts))
+    MindModel.load(path)
+    return path
+
+
+def _export(
+    network: nn.Module,
+    example: Mapping[str, Tensor],
+    outputs: Sequence[str],
+    path: Path,
+    kind: str,
+    table: Mapping[str, Any],
+    provenance: Provenance,
+) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_suffix(".part.onnx")
+    write_onnx(network, example, outputs, beside)
+    write_table(beside, kind, {**table, "provenance": asdict(provenance)})
+    beside.replace(path)

@@ -1,0 +1,199 @@
+"""The reasoner's reader as a subject of training: cards of everything that any family shows.
+
+It starts from the sight of a trained policy, which can read most of it already.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F  # noqa: N812
+
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.labels import load_pack
+from cognitivedrone.models.small_reasoner import Reader, ReaderConfig
+from cognitivedrone.tasks import BASE_FAMILIES
+from cognitivedrone.tasks.suites import drawn_task
+from cognitivedrone.training.common.checkpoint import origin_of, read_checkpoint, restore
+from cognitivedrone.training.common.panel_crops import SHARES, Cards
+from cognitivedrone.training.common.sampling import Batch
+from cognitivedrone.training.common.training_task import Batches, Learner, Row, Schedule
+from cognitivedrone.training.reasoner.reading import SEEN, SEEN_GROUPS, seen_facets
+from cognitivedrone.training.small_vla.losses import to_tensors
+
+_VALIDATION = 10**6
+_SHARES = {**{family: 0.7 * SHARES[family] for family in BASE_FAMILIES}, "counting": 0.18, "comparison": 0.12}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReaderRecipe(Schedule):
+    """Everything that decides what comes out of a training of the reader, but its start, processes and seed."""
+
+    network: ReaderConfig = field(default_factory=ReaderConfig)
+    batch: int = 192
+    """Cards; processes share them."""
+    validation_cards: int = 2000
+
+
+@dataclass(frozen=True)
+class ReaderSubject:
+    """The reader, to be trained."""
+
+    recipe: ReaderRecipe
+    start: Path | None = None
+    """Checkpoint of a policy whose sight it starts from."""
+
+    def identity(self) -> dict[str, Any]:
+        """Recipe and start."""
+        told: dict[str, Any] = {"recipe": json.loads(json.dumps(self.recipe.facts()))}
+        if self.start is None:
+            return told
+        return told | {"data": origin_of(read_checkpoint(self.start)[1])}
+
+    def facts(self) -> dict[str, Any]:
+        """The facets."""
+        return {"facets": list(SEEN)}
+
+    def network(self) -> Reader:
+        """A reader with the policy's sight, channels last in memory. Raises `TrainingError` where that does not fit."""
+        reader = Reader(self.recipe.network)
+        if self.start is not None:
+            tensors, _ = read_checkpoint(self.start)
+            prefix = "network.sight."
+            own = {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+            try:
+                reader.sight.load_state_dict(own)
+            except RuntimeError:
+                raise TrainingError(f"{self.start}: its sight has another size than the reader's") from None
+        reader.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        return reader
+
+    def lesson(self, network: nn.Module) -> ReaderLesson:
+        """The reader with its teacher."""
+        assert isinstance(network, Reader)  # noqa: S101  (tells the type checker)
+        return ReaderLesson(network)
+
+    def learner(self, network: nn.Module) -> None:
+        """A reader flies nothing."""
+        del network
+
+    def share(self, processes: int) -> ReaderSubject:
+        """Cards are shared."""
+        return replace(self, recipe=replace(self.recipe, batch=-(-self.recipe.batch // processes)))
+
+    def batches(self) -> Batches:
+        """Cards without end."""
+
+        def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
+            del learner
+            rng = np.random.default_rng(seed)
+            cards = Cards(load_pack("open-v1"), self.recipe.network.glimpse, draw_any_label, seen_facets)
+            while True:
+                images, facets = cards.draw(rng, self.recipe.batch)
+                yield {"card_image": images, "card_facets": facets}
+
+        return made
+
+    def validation(self, seed: int) -> list[Batch]:
+        """Cards of another seed."""
+        count = -(-self.recipe.validation_cards // self.recipe.batch)
+        return list(islice(self.batches()((seed, _VALIDATION)), count))
+
+    def validate(self, lesson: nn.Module, batches: list[Batch], autocast: Any) -> Row:
+        """Loss, and share of what is named rightly, overall and by group."""
+        assert isinstance(lesson, ReaderLesson)  # noqa: S101
+        device = next(lesson.parameters()).device
+        lesson.eval()
+        rows: list[dict[str, float]] = []
+        with torch.no_grad(), autocast():
+            for batch in batches:
+                tensors = to_tensors(batch, device)
+                _, measures = lesson(tensors)
+                rows.append({name: float(value) for name, value in measures.items()})
+                rows[-1] |= accuracies(lesson.logits(tensors), tensors["card_facets"])
+        lesson.train()
+        return {name: float(np.nanmean([row.get(name, np.nan) for row in rows])) for name in sorted(set().union(*rows))}
+
+    def trial(self, network: nn.Module) -> Row:
+        """Nothing beside the curves."""
+        del network
+        return {}
+
+
+class ReaderLesson(nn.Module):
+    """The reader and its teacher."""
+
+    def __init__(self, network: Reader) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss; and, detached, the share of pictures of which everything is named rightly."""
+        logits, facets = self.logits(batch), batch["card_facets"]
+        losses = []
+        for column, (group, span) in enumerate(SEEN_GROUPS.items()):
+            there = (facets[:, column] >= 0).float()
+            target = (facets[:, column] - span.start).clamp(0)
+            loss = F.cross_entropy(logits[:, span], target, reduction="none")
+            share = 1.0 if group in ("kind", "concept") else 0.3
+            losses.append(share * (loss * there).sum() / there.sum().clamp(min=1))
+        total = torch.stack(losses).sum()
+        whole = named(logits, facets).all(dim=1).float().mean()
+        return total, {"cards": total.detach(), "accuracy": whole.detach()}
+
+    def logits(self, batch: dict[str, Tensor]) -> Tensor:
+        """(B, F)."""
+        logits: Tensor = self.network(batch["card_image"].permute(0, 3, 1, 2).float() / 255)
+        return logits.float()
+
+
+def named(logits: Tensor, facets: Tensor) -> Tensor:
+    """(B, groups): whether each group is named rightly; true where it does not apply."""
+    guesses = [logits[:, span].argmax(-1) + span.start for span in SEEN_GROUPS.values()]
+    return (torch.stack(guesses, dim=1) == facets) | (facets < 0)
+
+
+def accuracies(logits: Tensor, facets: Tensor) -> dict[str, float]:
+    """Share of what is named rightly, by group, as far as the group occurs."""
+    right, there = named(logits, facets), facets >= 0
+    return {
+        f"accuracy {group}": float(right[there[:, column], column].float().mean())
+        for column, group in enumerate(SEEN_GROUPS)
+        if there[:, column].any()
+    }
+
+
+READER = ReaderRecipe(name="reader", steps=3_000, learning_rate=5e-4)
+_FAMILIES = tuple(_SHARES)
+_PLACES = np.cumsum(list(_SHARES.values())) / sum(_SHARES.values())
+
+
+def draw_any_label(rng: np.random.Generator) -> str:
+    """A panel or board of some task of any family that shows something of its own."""
+    task = drawn_task(_FAMILIES[int(np.searchsorted(_PLACES, rng.random()))], rng, "card")
+    if task.board is not None and rng.random() < 0.7:
+        return task.board
+    return task.labels[int(rng.integers(3))]
+
+
+def reader_subject(recipe: ReaderRecipe, start: Path | None) -> ReaderSubject:
+    """The subject of a recipe, as large as the facets ask for."""
+    return ReaderSubject(replace(recipe, network=replace(recipe.network, facets=len(SEEN))), start)
+
+
+def load_reader(path: Path) -> tuple[Reader, dict[str, Any]]:
+    """The reader of a checkpoint, and the checkpoint's facts."""
+    tensors, facts = read_checkpoint(path)
+    told = facts["recipe"]["network"]
+    reader = Reader(ReaderConfig(**{**told, "sight": tuple(told["sight"])}))
+    restore(tensors, reader, None)
+    reader.eval()
+    return reader, facts

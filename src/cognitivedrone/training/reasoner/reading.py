@@ -1,0 +1,89 @@
+"""What a reasoner's eyes can read on a panel or a board: the facets of the policy, and what harder questions need.
+
+Beside all that `facets` names: which kind of picture it is, the two numbers and the sign of a sum wherever it stands,
+and how many there are of which things.
+"""
+
+from __future__ import annotations
+
+import functools
+from itertools import accumulate
+
+import numpy as np
+
+from cognitivedrone.labels.images import parse_several
+from cognitivedrone.labels.reference import parse_reference
+from cognitivedrone.tasks.hard import COUNTABLE
+from cognitivedrone.training.common import attributes as facets
+from cognitivedrone.training.common.attributes import BOARD_GROUPS, PANEL_GROUPS, Indices
+
+KINDS = ("thing", "logo", "letter", "number", "person", "sum", "several")
+MOST = 6
+"""Things of a sort on a panel, at most."""
+
+_VALUES: dict[str, tuple[str, ...]] = {
+    "kind": KINDS,
+    **{group: tuple(name.partition("/")[2] for name in facets.FACETS[facets.GROUPS[group]]) for group in facets.GROUPS},
+    "thing_a": COUNTABLE,
+    "count_a": tuple(map(str, range(1, MOST + 1))),
+    "thing_b": ("none", *COUNTABLE),
+    "count_b": tuple(map(str, range(1, MOST + 1))),
+}
+for _group in facets.GATE_GROUPS:
+    del _VALUES[_group]
+
+SEEN: tuple[str, ...] = tuple(f"{group}/{value}" for group, values in _VALUES.items() for value in values)
+"""Names of all facets, "group/value"."""
+_ENDS = tuple(accumulate(len(values) for values in _VALUES.values()))
+SEEN_GROUPS: dict[str, slice] = {
+    group: slice(end - len(_VALUES[group]), end) for group, end in zip(_VALUES, _ENDS, strict=True)
+}
+"""Where the facets of each group stand in `SEEN`; the groups follow each other without gaps."""
+GROUPS_OF: dict[str, tuple[str, ...]] = {
+    "thing": ("concept",),
+    "logo": ("concept",),
+    "letter": ("concept",),
+    "number": ("concept",),
+    "person": PANEL_GROUPS[1:],
+    "sum": BOARD_GROUPS,
+    "several": ("thing_a", "count_a", "thing_b", "count_b"),
+}
+"""Which groups tell something of a picture of each kind."""
+
+_INDEX = {name: index for index, name in enumerate(SEEN)}
+_COLUMNS = tuple(SEEN_GROUPS)
+
+
+@functools.lru_cache(maxsize=16384)
+def seen_facets(label: str) -> Indices:
+    """What a panel or board shows, by group: read-only int64 (groups,), indices into `SEEN`, -1 where nothing holds.
+
+    All -1 for a label that nobody has learned to read. Raises `LabelError` where it is malformed.
+    """
+    reference = parse_reference(label)
+    names = [facets.FACETS[index] for index in facets.panel_facets(label) if index >= 0]
+    kind = reference.kind
+    if kind == "sum":
+        names = [facets.FACETS[index] for index in facets.board_facets(label) if index >= 0]
+    elif kind == "several":
+        names = _several(reference.concept)
+    elif kind not in KINDS:
+        kind = "thing"
+    if names:
+        names.append(f"kind/{kind}")
+    row = np.full(len(_COLUMNS), -1, dtype=np.int64)
+    for name in names:
+        row[_COLUMNS.index(name.partition("/")[0])] = _INDEX.get(name, -1)
+    row.flags.writeable = False
+    return row
+
+
+def _several(concept: str) -> list[str]:
+    """What and how many, things in alphabetical order."""
+    counts = sorted((thing.rpartition("/")[2], count) for thing, count in parse_several(concept))
+    told = [text for side, (thing, count) in zip("ab", counts, strict=False) for text in _counted(side, thing, count)]
+    return told if len(counts) > 1 else [*told, "thing_b/none"]
+
+
+def _counted(side: str, thing: str, count: int) -> tuple[str, str]:
+    return f"thing_{side}/{thing}", f"count_{side}/{count}"

@@ -1,0 +1,373 @@
+"""The reasoner's mind as a subject of training: sentences and scenes that were read, without any image.
+
+Its tasks are drawn from the generators of all families, the hard ones too, from the ingredients of training. What the
+eyes will get wrong is part of it: now and then a panel is read with doubt, or wrongly, or a word is not known.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional as F  # noqa: N812
+
+from cognitivedrone.models.reasoner_file import REMEMBERED
+from cognitivedrone.models.small_reasoner import STAGES, Mind, MindConfig
+from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.reasoners.calculator import calculate, evaluate
+from cognitivedrone.reasoners.small import value_index
+from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES
+from cognitivedrone.tasks.generate import TRAIN, Draw
+from cognitivedrone.tasks.memory import memory_track
+from cognitivedrone.tasks.suites import drawn_task
+from cognitivedrone.training.common.checkpoint import read_checkpoint, restore
+from cognitivedrone.training.common.phrasing import SPOKEN
+from cognitivedrone.training.common.questions import ask
+from cognitivedrone.training.common.sampling import Batch, muddled
+from cognitivedrone.training.common.training_task import Batches, Learner, Row, Schedule
+from cognitivedrone.training.common.unknown_people import STRANGER, with_stranger
+from cognitivedrone.training.reasoner.reading import SEEN, SEEN_GROUPS, seen_facets
+from cognitivedrone.training.small_vla.losses import to_tensors
+from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
+
+_VALIDATION = 10**6
+_SENTENCES = 30_000
+_DOUBTED = 0.3  # share of what else a panel shows that is doubted as well
+_GROUPS = tuple(SEEN_GROUPS.values())
+_NAMES = (*FAMILIES, "directive")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MindRecipe(Schedule):
+    """Everything that decides what comes out of a training of the mind, but processes and seed."""
+
+    network: MindConfig = field(default_factory=MindConfig)
+    batch: int = 256
+    """Tasks; processes share them."""
+    validation_tasks: int = 3000
+    directives: float = 0.06
+    """Share of sentences that are directives already."""
+    relabelled: float = 0.3
+    """Share of base tasks that ask for any of their gates, in other words."""
+    spoken: float = 0.7
+    """Share of problems that are said in more ways than the training tasks."""
+    strangers: float = 0.4
+    """Share of tasks with people who are told to find somebody unknown among known ones."""
+    earlier: float = 0.3
+    """Share of problems that come on a track, behind stages that have nothing to do with them."""
+    earlier_from: int = 2_500
+    """Step at which they begin: from the first one they teach to ignore what is remembered before it is understood."""
+    doubt: float = 0.25
+    """Share of panels that are read with doubt, in one way or several."""
+    wrong: float = 0.01
+    """Share of panels that are read as something else of the same kind."""
+    lost_words: float = 0.03
+    """Share of words that are not known."""
+    muddled: float = 0.4
+    """Share of sentences that are put otherwise: words lost, left out and added, so that the rest must do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """A sentence, a scene and the right gate."""
+
+    sentence: str
+    family: str
+    labels: tuple[str, ...]
+    gates: tuple[Gate, Gate, Gate]
+    board: str | None
+    target: int
+    before: tuple[tuple[tuple[str, ...], int], ...] = ()
+    """Earlier stages of the track: labels of their panels, and the gate that was flown through."""
+
+
+class Problems:
+    """Draws problems of the training ingredients."""
+
+    def __init__(self, recipe: MindRecipe) -> None:
+        self.recipe = recipe
+        shares = dict.fromkeys(BASE_FAMILIES, 1.0) | dict.fromkeys(HARD_FAMILIES, 0.7)
+        shares |= {"association": 3.0, "people": 1.5, "attributes": 1.5, "comparison": 1.0, "memory": 0.4}
+        self._families = tuple(shares)
+        self._shares = np.array(list(shares.values())) / sum(shares.values())
+        self._past: deque[tuple[tuple[str, ...], int]] = deque(maxlen=STAGES - 1)
+
+    def draw(self, rng: np.random.Generator) -> list[Problem]:
+        """One problem, or all of a track that asks for memory."""
+        problems = self._draw(rng)
+        if problems[0].family != "memory":
+            problem = problems[0]
+            if rng.random() < self.recipe.earlier:
+                before = list(self._past)[: int(rng.integers(1, STAGES))]
+                problems = [replace(problem, before=tuple(before))]
+            self._past.append((problem.labels, problem.target))
+        return problems
+
+    def _draw(self, rng: np.random.Generator) -> list[Problem]:
+        family = self._families[int(rng.choice(len(self._families), p=self._shares))]
+        if family == "memory":
+            return _track(rng)
+        pools = SPOKEN if rng.random() < self.recipe.spoken else TRAIN
+        task = drawn_task(family, rng, family, pools)
+        if family == "people" and rng.random() < self.recipe.strangers:
+            task = with_stranger(rng, task)
+            return [Problem(task.instruction, family, task.labels, task.gates, None, task.target)]
+        sentence, target, said = task.instruction, task.target, family
+        if rng.random() < self.recipe.directives:
+            question = ask(rng, task.labels, task.board, task.gates, target, "directive")
+            sentence, said = question.text, "directive"
+        elif family in BASE_FAMILIES and rng.random() < self.recipe.relabelled:
+            question = ask(rng, task.labels, task.board, task.gates, int(rng.integers(3)), None, pools)
+            sentence, target, said = question.text, question.target, question.family
+        return [Problem(sentence, said, task.labels, task.gates, task.board, target)]
+
+
+def _gates(rng: np.random.Generator) -> tuple[Gate, Gate, Gate]:
+    sizes, shapes = (rng.integers(len(names), size=3) for names in (SIZES, SHAPES))
+    a, b, c = (
+        Gate(SIZES[size], SHAPES[shape], COLORS[color])
+        for size, shape, color in zip(sizes, shapes, rng.permutation(3), strict=True)
+    )
+    return a, b, c
+
+
+def _track(rng: np.random.Generator) -> list[Problem]:
+    targets = [int(target) for target in rng.integers(3, size=int(rng.integers(3, 6)))]
+    puzzles = memory_track(Draw(rng, TRAIN, targets[0]), targets)
+    before: list[tuple[tuple[str, ...], int]] = []
+    problems = []
+    for puzzle, target in zip(puzzles, targets, strict=True):
+        labels = tuple(panel.label for panel in puzzle.panels)
+        problems.append(Problem(puzzle.instruction, "memory", labels, _gates(rng), None, target, tuple(before)))
+        before.append((labels, target))
+    return problems
+
+
+class Encoder:
+    """Turns problems into what the mind is told."""
+
+    def __init__(self, recipe: MindRecipe, vocabulary: Vocabulary) -> None:
+        self._recipe, self._vocabulary = recipe, vocabulary
+
+    def encode(self, rng: np.random.Generator, problems: list[Problem], *, doubts: bool) -> Batch:
+        """A batch; with `doubts` as eyes would have read it."""
+        n, length = len(problems), self._recipe.network.text_length
+        batch: Batch = {
+            "tokens": np.zeros((n, length), np.int64),
+            "panels": np.zeros((n, 3, len(SEEN)), np.float32),
+            "looks": np.zeros((n, 3, 8), np.float32),
+            "board": np.zeros((n, len(SEEN)), np.float32),
+            "values": np.zeros((n, 5), np.int64),
+            "remembered": np.zeros((n, REMEMBERED, len(SEEN)), np.float32),
+            "stages": np.full((n, REMEMBERED, 3), -1, np.int64),
+            "target": np.array([problem.target for problem in problems]),
+        }
+        for row, problem in enumerate(problems):
+            batch["tokens"][row] = self._tokens(rng, problem.sentence, lost=doubts)
+            batch["looks"][row] = [look_of(gate) for gate in problem.gates]
+            for place, label in enumerate(problem.labels):
+                self._see(rng, batch["panels"][row, place], label, doubts=doubts)
+            if problem.board is not None:
+                self._see(rng, batch["board"][row], problem.board, doubts=doubts)
+            batch["values"][row] = values_of(problem.sentence, problem.labels, problem.board)
+            self._remember(rng, batch, row, problem, doubts=doubts)
+        return batch
+
+    def _tokens(self, rng: np.random.Generator, sentence: str, *, lost: bool) -> NDArray[np.int64]:
+        tokens = self._vocabulary.encode(sentence, self._recipe.network.text_length)
+        if not lost:
+            return tokens
+        gone = (rng.random(len(tokens)) < self._recipe.lost_words) & (tokens > 0)
+        tokens = np.where(gone, 1, tokens)
+        return muddled(rng, tokens) if rng.random() < self._recipe.muddled else tokens
+
+    def _see(self, rng: np.random.Generator, row: NDArray[Any], label: str, *, doubts: bool) -> None:
+        """Add the probabilities of what a label shows."""
+        known = seen_facets(label)
+        there = known >= 0
+        row[known[there]] = 1.0
+        if not doubts:
+            return
+        kind = rng.random()
+        if not there.any() or kind > self._recipe.wrong + self._recipe.doubt:
+            return
+        groups = rng.permutation(np.flatnonzero(there))
+        wrong = kind < self._recipe.wrong
+        for group in groups[: 1 if wrong else 1 + rng.binomial(len(groups) - 1, _DOUBTED)].tolist():
+            span = _GROUPS[group]
+            other = int(rng.integers(span.start, span.stop))
+            sure = 0.0 if wrong else float(rng.uniform(0.25, 1.0))
+            row[span] = 0.0
+            row[known[group]] += sure
+            row[other] += 1.0 - sure
+
+    def _remember(self, rng: np.random.Generator, batch: Batch, row: int, problem: Problem, *, doubts: bool) -> None:
+        for stage, (labels, flown) in enumerate(problem.before):
+            for place, label in enumerate(labels):
+                at = 3 * stage + place
+                self._see(rng, batch["remembered"][row, at], label, doubts=doubts)
+                batch["stages"][row, at] = stage, len(problem.before) - 1 - stage, int(place == flown)
+
+
+def look_of(gate: Gate) -> NDArray[np.float32]:
+    """(8,) colours, shapes and sizes of a gate, one of each."""
+    told = [gate.color == name for name in COLORS] + [gate.shape == name for name in SHAPES]
+    return np.array([*told, *(gate.size == name for name in SIZES)], dtype=np.float32)
+
+
+def values_of(sentence: str, labels: tuple[str, ...], board: str | None) -> list[int]:
+    """The five values that the mind is told: of the sums on panels and board, and of what is to be calculated."""
+    on_panels = [_sum(label) for label in labels]
+    on_board = None if board is None else _sum(board)
+    return [value_index(value) for value in (*on_panels, on_board, calculate(sentence, on_board))]
+
+
+def _sum(label: str) -> int | None:
+    kind, _, rest = label.partition("/")
+    return evaluate(rest.rpartition("@")[0]) if kind == "sum" else None
+
+
+class MindLesson(nn.Module):
+    """The mind and its teacher."""
+
+    def __init__(self, network: Mind) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss; and, detached, loss and accuracy of the choice."""
+        logits = self.logits(batch)
+        loss = F.cross_entropy(logits, batch["target"])
+        right = (logits.argmax(-1) == batch["target"]).float().mean()
+        return loss, {"choice": loss.detach(), "choice accuracy": right.detach()}
+
+    def logits(self, batch: dict[str, Tensor]) -> Tensor:
+        """(B, 3), without the work for words and memories that nobody has."""
+        words = int((batch["tokens"] != 0).sum(1).max())
+        panels = int((batch["stages"][..., 0] >= 0).sum(1).max())
+        logits: Tensor = self.network(
+            batch["tokens"][:, :words],
+            batch["panels"],
+            batch["looks"],
+            batch["board"],
+            batch["values"],
+            batch["remembered"][:, :panels],
+            batch["stages"][:, :panels],
+        )
+        return logits.float()
+
+
+@dataclass(frozen=True)
+class MindSubject:
+    """The mind, to be trained."""
+
+    recipe: MindRecipe
+    vocabulary: Vocabulary
+
+    def identity(self) -> dict[str, Any]:
+        """Its recipe."""
+        return {"recipe": json.loads(json.dumps(self.recipe.facts()))}
+
+    def facts(self) -> dict[str, Any]:
+        """Vocabulary and facets."""
+        return {"vocabulary": list(self.vocabulary.words), "facets": list(SEEN)}
+
+    def network(self) -> Mind:
+        """A new mind."""
+        return Mind(self.recipe.network)
+
+    def lesson(self, network: nn.Module) -> MindLesson:
+        """The mind with its teacher."""
+        assert isinstance(network, Mind)  # noqa: S101  (tells the type checker)
+        return MindLesson(network)
+
+    def learner(self, network: nn.Module) -> None:
+        """A mind alone flies nothing."""
+        del network
+
+    def share(self, processes: int) -> MindSubject:
+        """Problems are shared."""
+        return replace(self, recipe=replace(self.recipe, batch=-(-self.recipe.batch // processes)))
+
+    def batches(self) -> Batches:
+        """Problems without end."""
+
+        def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
+            del learner
+            rng = np.random.default_rng(seed)
+            early = seed[-1] * self.recipe.round_steps < self.recipe.earlier_from
+            problems = Problems(replace(self.recipe, earlier=0.0) if early else self.recipe)
+            encoder = Encoder(self.recipe, self.vocabulary)
+            waiting: list[Problem] = []
+            while True:
+                while len(waiting) < self.recipe.batch:
+                    waiting += problems.draw(rng)
+                now, waiting = waiting[: self.recipe.batch], waiting[self.recipe.batch :]
+                yield encoder.encode(rng, now, doubts=True)
+
+        return made
+
+    def validation(self, seed: int) -> list[Batch]:
+        """Problems of another seed, read without doubt; with the family of each."""
+        rng = np.random.default_rng((seed, _VALIDATION))
+        drawn, encoder = Problems(self.recipe), Encoder(self.recipe, self.vocabulary)
+        problems: list[Problem] = []
+        while len(problems) < self.recipe.validation_tasks:
+            problems += drawn.draw(rng)
+        parts = [problems[first : first + 250] for first in range(0, len(problems), 250)]
+        families = [np.array([_NAMES.index(problem.family) for problem in part]) for part in parts]
+        encoded = [encoder.encode(rng, part, doubts=False) for part in parts]
+        return [batch | {"family": family} for batch, family in zip(encoded, families, strict=True)]
+
+    def validate(self, lesson: nn.Module, batches: list[Batch], autocast: Any) -> Row:
+        """Loss and accuracy of the choice, overall and by family."""
+        assert isinstance(lesson, MindLesson)  # noqa: S101
+        device = next(lesson.parameters()).device
+        lesson.eval()
+        losses, rights = [], []
+        with torch.no_grad(), autocast():
+            for batch in batches:
+                tensors = to_tensors(batch, device)
+                logits = lesson.logits(tensors)
+                losses.append(F.cross_entropy(logits, tensors["target"], reduction="none"))
+                rights.append(logits.argmax(-1) == tensors["target"])
+        lesson.train()
+        right, family = torch.cat(rights).cpu().numpy(), np.concatenate([batch["family"] for batch in batches])
+        row: Row = {"choice": float(torch.cat(losses).mean()), "choice accuracy": float(right.mean())}
+        for index in np.unique(family):
+            row[f"choice accuracy {_NAMES[index]}"] = float(right[family == index].mean())
+        return row
+
+    def trial(self, network: nn.Module) -> Row:
+        """Nothing beside the curves."""
+        del network
+        return {}
+
+
+MIND = MindRecipe(name="mind", steps=6_000, learning_rate=1e-3, warmup_steps=300)
+
+
+def mind_subject(recipe: MindRecipe) -> MindSubject:
+    """The subject of a recipe, with the vocabulary of all families."""
+    rng, problems = np.random.default_rng((0, _VALIDATION + 1)), Problems(recipe)
+    sentences = [problem.sentence for _ in range(_SENTENCES) for problem in problems.draw(rng)]
+    vocabulary = Vocabulary.of(sentence.replace(STRANGER, "") for sentence in sentences)
+    network = replace(recipe.network, vocabulary=len(vocabulary.words), facets=len(SEEN))
+    return MindSubject(replace(recipe, network=network), vocabulary)
+
+
+def load_mind(path: Path) -> tuple[Mind, Vocabulary, dict[str, Any]]:
+    """The mind of a checkpoint, its vocabulary, and the checkpoint's facts."""
+    tensors, facts = read_checkpoint(path)
+    mind = Mind(MindConfig(**facts["recipe"]["network"]))
+    restore(tensors, mind, None)
+    mind.eval()
+    return mind, Vocabulary(tuple(facts["vocabulary"])), facts

@@ -1,0 +1,1 @@
+"""Trainings of the small VLA: its network from flights, its language alone."""

@@ -1,0 +1,156 @@
+"""From a checkpoint to the one file that flies: an ONNX graph with half-precision weights that explains itself."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import torch
+from torch import Tensor, nn
+
+from cognitivedrone import checkout
+from cognitivedrone.models.onnx_file import Provenance
+from cognitivedrone.models.small_file import ActionStatistics, Description, SmallModel, describe
+from cognitivedrone.models.small_vla import STATE, SmallVLA
+from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.training.common.sampling import StreamRecipe
+from cognitivedrone.training.small_vla.policy import load_trained, stream_of, training_batches
+
+_STATISTICS_FRAMES = 2_000
+_HALVED_FROM = 256  # elements; smaller tensors are biases, scales and shapes
+_STATISTICS_SEED = (0, 10**6 + 1)
+
+
+def export(
+    checkpoint: Path, out: Path, *, data: Path | None = None, scores: Mapping[str, Any] | None = None
+) -> Description:
+    """Write the network of a checkpoint as a self-describing ONNX file; what it says of itself.
+
+    `data` is the data set it was trained from, where it was; `scores` go into the file as they are. Raises
+    `TrainingError` for a bad checkpoint.
+    """
+    network, vocabulary, facts = load_trained(checkpoint)
+    recipe = facts["recipe"]
+    stream = stream_of(facts)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    beside = out.with_suffix(".part.onnx")
+    write_graph(network, beside)
+    description = Description(
+        name=recipe["name"],
+        vocabulary=vocabulary,
+        text_length=network.config.text_length,
+        chunk=network.config.chunk,
+        action=action_statistics(network, vocabulary, stream, data),
+        config=network.config.facts(),
+        provenance=provenance_of(facts, scores),
+    )
+    describe(beside, description)
+    SmallModel.load(beside)  # what cannot be loaded never lies in its place
+    beside.replace(out)
+    return description
+
+
+def provenance_of(facts: Mapping[str, Any], scores: Mapping[str, Any] | None = None) -> Provenance:
+    """Where a network comes from, by the facts of its checkpoint."""
+    recipe = facts["recipe"]
+    made = "made while training, sha256:" + hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
+    return Provenance(
+        recipe=recipe["name"],
+        data=facts.get("data") or made,
+        commit=checkout.commit() or "unknown",
+        trained=datetime.now(UTC).isoformat(timespec="seconds"),
+        steps=int(facts["step"]),
+        scores=dict(scores or {}),
+    )
+
+
+def write_graph(network: SmallVLA, path: Path) -> None:
+    """The policy's network as an ONNX graph."""
+    example = {
+        "image": torch.zeros(2, 256, 256, 3, dtype=torch.uint8),
+        "state": torch.zeros(2, STATE),
+        "tokens": torch.zeros(2, network.config.text_length, dtype=torch.int64),
+    }
+    write_onnx(network, example, ("action", "choice", "gates"), path)
+
+
+def write_onnx(network: nn.Module, example: Mapping[str, Tensor], outputs: Sequence[str], path: Path) -> None:
+    """A network as an ONNX graph with a dynamic batch, large weights stored in half precision."""
+    network = network.to("cpu").eval()
+    batch = torch.export.Dim("batch", min=1, max=1024)
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about the exporter's own insides
+        torch.onnx.export(
+            network,
+            tuple(example.values()),
+            str(path),
+            dynamo=True,
+            dynamic_shapes=tuple({0: batch} for _ in example),
+            external_data=False,
+            input_names=list(example),
+            output_names=list(outputs),
+            verbose=False,
+        )
+    model = onnx.load(str(path))
+    _halve(model)
+    _forget_the_making(model)
+    onnx.save(model, str(path))
+
+
+def action_statistics(
+    network: SmallVLA, vocabulary: Vocabulary, stream: StreamRecipe, data: Path | None = None
+) -> ActionStatistics:
+    """The spread of the actions that a stream or a data set teaches, and the range that the network can ask for."""
+    recipe = replace(stream, batch=100, texts=1, cards=0, sentences=1, learner=0.0)
+    made = training_batches(recipe, vocabulary, network.config, data)(_STATISTICS_SEED)
+    taken = list(islice(made, _STATISTICS_FRAMES // recipe.batch))
+    actions = np.concatenate([batch["action"][batch["valid"]][:, 0] for batch in taken]).astype(np.float64)
+
+    def four(values: Any) -> tuple[float, float, float, float]:
+        a, b, c, d = (round(float(value), 5) for value in values)
+        return a, b, c, d
+
+    return ActionStatistics(
+        low=four(network.low),
+        high=four(network.high),
+        mean=four(actions.mean(axis=0)),
+        std=four(actions.std(axis=0)),
+        q01=four(np.quantile(actions, 0.01, axis=0)),
+        q99=four(np.quantile(actions, 0.99, axis=0)),
+    )
+
+
+def _halve(model: Any) -> None:
+    """Store large single-precision weights in half precision; the runtime widens them once, as it loads the file."""
+    graph = model.graph
+    casts = []
+    for tensor in graph.initializer:
+        if tensor.data_type != onnx.TensorProto.FLOAT or np.prod(tensor.dims) < _HALVED_FROM:
+            continue
+        name = tensor.name
+        half = onnx.numpy_helper.from_array(onnx.numpy_helper.to_array(tensor).astype(np.float16), f"{name}.half")
+        tensor.CopyFrom(half)
+        casts.append(onnx.helper.make_node("Cast", [f"{name}.half"], [name], to=onnx.TensorProto.FLOAT))
+    for cast in reversed(casts):
+        graph.node.insert(0, cast)
+
+
+def _forget_the_making(model: Any) -> None:
+    """Take out where in which source file each part was traced: nobody flies by it, and it tells folders' names."""
+    graph = model.graph
+    for part in (graph, *graph.node, *graph.input, *graph.output, *graph.value_info, *graph.initializer):
+        part.ClearField("metadata_props")
+        part.ClearField("doc_string")
+    # Shapes inside the graph are found again on loading.
+    graph.ClearField("value_info")

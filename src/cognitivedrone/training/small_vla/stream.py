@@ -1,0 +1,170 @@
+"""Training data made while it is used: drones flown, disturbed and looked at in many scenes at once.
+
+Each world of a `Rehearsal` flies toward one gate, by the expert with wandering wrong commands on top, or by the network
+itself as it was a while ago (DAgger, all the time). Some moments of every flight become samples: a rendered frame,
+everything that is true of it, and several sentences that ask for this gate or that one. What is flown tells nothing
+about what is asked, except where the panels cannot be read: there a drone can only go on where it is going.
+
+A stream is a pure function of recipe, seed and the weights that fly along: the same batches on every machine of a kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cognitivedrone.envs.course import draw_start, scenery_of, stage_of
+from cognitivedrone.envs.drone import clip_action
+from cognitivedrone.frames import rotate_yaw
+from cognitivedrone.interfaces import LabelPack
+from cognitivedrone.labels import load_pack
+from cognitivedrone.models.small_vla import SmallVLAConfig
+from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.policies.expert import intent
+from cognitivedrone.sim.airframe import RACER
+from cognitivedrone.sim.simulator import Simulator, Start
+from cognitivedrone.tasks import train_task
+from cognitivedrone.tasks.racing import crowded_task, race_task
+from cognitivedrone.training.common.ground_truth import Poses
+from cognitivedrone.training.common.sampling import Batch, Sampler, Setting, StreamRecipe
+from cognitivedrone.training.common.training_task import Filling, Learner
+from cognitivedrone.types import CONTROL_HZ, FloatArray, Image, Stage, Task
+from cognitivedrone.world import geometry
+from cognitivedrone.world.appearance import PLAIN, varied_look
+
+_TOO_LONG = 14 * CONTROL_HZ  # control steps of a flight, after which it is hopeless
+_BOUND_M = 9.0  # nor is there anything to learn further than this from the stage's origin
+
+
+class _Flight(Setting):
+    """One flight in the air."""
+
+    def __init__(self, task: Task, stage: Stage, flown: int, *, learner: bool, wander: float, speed: float) -> None:
+        super().__init__(task, stage, flown)
+        self.learner = learner
+        self.wander = wander
+        self.speed = speed
+        self.wrong = np.zeros(4)
+        self.steps = 0
+
+
+class Rehearsal:
+    """Worlds in which training flights are flown."""
+
+    def __init__(self, recipe: StreamRecipe, vocabulary: Vocabulary, network: SmallVLAConfig) -> None:
+        self.recipe = recipe
+        self._labels: LabelPack = load_pack("open-v1")
+        self._sampler = Sampler(recipe, vocabulary, network.text_length, network.glimpse, self._labels)
+        self._simulator = Simulator(recipe.worlds)
+        self._rng = np.random.default_rng()
+        self._learner: Learner | None = None
+        self._flights: list[_Flight] = []
+        self._told: Filling = lambda *_: None
+
+    def watch(self, told: Filling) -> None:
+        """Tell from now on how the buffer fills that the next batches are drawn from."""
+        self._told = told
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._simulator.close()
+
+    def __call__(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
+        """Batches without end, from flights that all begin now; `learner` flies some where given."""
+        self._rng, self._learner = np.random.default_rng(seed), learner
+        self._sampler.begin()
+        self._flights = [self._begin(world) for world in range(self.recipe.worlds)]
+        pool: list[Batch] = []
+        size = self.recipe.batch * self.recipe.pool
+        while True:
+            while (made := sum(len(part["flown"]) for part in pool)) < size:
+                self._told(made, size)
+                pool.extend(self._step())
+            self._told(size, size)
+            together = {name: np.concatenate([part[name] for part in pool]) for name in pool[0]}
+            order = self._rng.permutation(len(together["flown"]))
+            for first in range(0, size, self.recipe.batch):
+                chosen = order[first : first + self.recipe.batch]
+                yield {name: values[chosen] for name, values in together.items()} | self._sampler.beside(self._rng)
+            pool = [{name: values[order[size:]] for name, values in together.items()}]
+
+    def _begin(self, world: int) -> _Flight:
+        rng, recipe = self._rng, self.recipe
+        make = train_task
+        if recipe.suite == "race":
+            make = crowded_task if rng.random() < recipe.crowded else race_task
+        task = make(int(rng.integers(2**31)), 0)
+        stage = stage_of(task)
+        look = varied_look(rng) if rng.random() < recipe.varied else PLAIN
+        start, velocity = self._draw_start()
+        self._simulator.begin(world, stage, scenery_of(stage, self._labels, look), start)
+        self._simulator.flight.reset(
+            world, np.array(start.position), start.yaw, rotate_yaw(velocity, start.yaw), wind=np.array(start.wind)
+        )
+        others = [gate for gate in self._sampler.askable(task) if gate != task.target and stage.only is None]
+        learner = self._learner is not None and world < recipe.learner * recipe.worlds
+        flown = task.target if learner or not others or rng.random() < 0.5 else int(rng.choice(others))
+        wander = float(rng.uniform(0.3, 1.2)) if rng.random() < recipe.wander else 0.0
+        speed = float(rng.uniform(1.3, 1.8))
+        return _Flight(task, stage, flown, learner=learner, wander=wander, speed=speed)
+
+    def _draw_start(self) -> tuple[Start, FloatArray]:
+        """Where a flight begins, and its velocity then, heading frame, m/s."""
+        rng, recipe = self._rng, self.recipe
+        published = draw_start(rng, RACER.hull_radius, recipe.wind_m_s * float(rng.random()))
+        kind = float(rng.random())
+        if kind < recipe.rolling:
+            x, y, z = rng.uniform((-3.0, -0.6, 0.4), (-1.0, 0.6, 1.6))
+            velocity = rng.uniform((0.6, -0.4, -0.3), (2.0, 0.4, 0.3))
+            return Start((x, y, z), float(rng.uniform(-0.35, 0.35)), published.wind), velocity
+        if kind < recipe.rolling + recipe.off_track:
+            x, y, z = rng.uniform((-2.0, -2.5, 0.35), (2.6, 2.5, 2.2))
+            velocity = rng.uniform((-0.5, -0.8, -0.5), (1.8, 0.8, 0.5))
+            return Start((x, y, z), float(rng.uniform(-0.7, 0.7)), published.wind), velocity
+        return published, np.zeros(3)
+
+    def _poses(self, worlds: NDArray[np.intp]) -> Poses:
+        flight = self._simulator.flight
+        return Poses(
+            flight.position[worlds], flight.quaternion[worlds], flight.velocity[worlds], flight.body_rates[worlds, 2]
+        )
+
+    def _step(self) -> list[Batch]:
+        """One control step of all worlds; the samples taken before it."""
+        taken = np.flatnonzero(self._rng.random(self.recipe.worlds) < self.recipe.sampled)
+        led = np.array([w for w, flight in enumerate(self._flights) if flight.learner], dtype=np.intp)
+        shown = np.union1d(taken, led)
+        frames = self._simulator.frames(worlds=shown.tolist())
+        samples = []
+        if len(taken):
+            flights = [self._flights[world] for world in taken]
+            seen = frames[np.isin(shown, taken)]
+            samples.append(self._sampler.sample(self._rng, self._poses(taken), flights, seen))
+        self._command(led, frames[np.isin(shown, led)])
+        verdicts = self._simulator.advance()
+        flight = self._simulator.flight
+        far = (np.abs(flight.position[:, :2]) > _BOUND_M).any(axis=1) | flight.diverged
+        for world, verdict in enumerate(verdicts):
+            if verdict is not None or far[world] or self._flights[world].steps > _TOO_LONG:
+                self._flights[world] = self._begin(world)
+        return samples
+
+    def _command(self, led: NDArray[np.intp], frames: Image) -> None:
+        """Send every drone on its way."""
+        flight, flights = self._simulator.flight, self._flights
+        centers = np.stack([geometry.gate_centers(each.stage)[each.flown] for each in flights])
+        yaws = np.array([geometry.gate_yaws(each.stage)[each.flown] for each in flights])
+        actions = intent(flight.position, flight.velocity, flight.yaw, centers, yaws, self.recipe.expert)
+        kicks = self._rng.standard_normal((len(flights), 4)) * (1.0, 1.0, 0.6, 0.8)
+        for world, each in enumerate(flights):
+            each.steps += 1
+            actions[world, :3] *= each.speed / self.recipe.expert.speed_m_s
+            # A wrong command that wanders: half a second of memory, `wander` as its spread.
+            each.wrong = 0.82 * each.wrong + 0.57 * each.wander * kicks[world]
+            actions[world] += each.wrong
+        if self._learner is not None and len(led):
+            texts = [flights[world].task.instruction for world in led]
+            actions[led] = self._learner.act(frames, self._poses(led).state(), texts)
+        flight.command(clip_action(actions))

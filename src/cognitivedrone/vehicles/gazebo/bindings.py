@@ -1,0 +1,89 @@
+"""gz-transport's Python bindings, whichever release of Gazebo they come from.
+
+    bindings = load_bindings()             # the newest that are installed
+    node = bindings.new_node()
+    Pose = bindings.message("Pose")
+
+Interface: https://gazebosim.org/api/transport/13/python.html; the messages are protobuf classes of gz-msgs.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from cognitivedrone.errors import GazeboError
+from cognitivedrone.vehicles.gazebo.release import RELEASES, Release, release_named
+
+MODULES = {
+    "Boolean": "boolean_pb2",
+    "Empty": "empty_pb2",
+    "Entity": "entity_pb2",
+    "EntityFactory": "entity_factory_pb2",
+    "Image": "image_pb2",
+    "Pose": "pose_pb2",
+    "Pose_V": "pose_v_pb2",
+    "Scene": "scene_pb2",
+    "StringMsg_V": "stringmsg_v_pb2",
+}
+"""The messages that are used, and the modules that they are in."""
+_VERSIONS_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Bindings:
+    """The bindings of one release."""
+
+    release: Release
+    new_node: Callable[[], Any]
+    """A `gz.transport` node: `subscribe`, `unsubscribe` and `request`."""
+    load: Callable[[str], Any]
+
+    def message(self, name: str) -> Any:
+        """The class of a message, one of `MODULES`."""
+        return getattr(self.load(f"{self.release.messages}.{MODULES[name]}"), name)
+
+
+def load_bindings(release: str | None = None, load: Callable[[str], Any] = importlib.import_module) -> Bindings:
+    """The bindings of that release, or the newest that are installed.
+
+    `load` imports a module by its name. Raises `GazeboError` that says what to install.
+    """
+    asked = list(RELEASES.values()) if release is None else [release_named(release)]
+    for candidate in asked:
+        try:
+            transport = load(candidate.transport)
+            load(f"{candidate.messages}.{MODULES['Empty']}")
+        except (ImportError, TypeError) as error:  # protobuf raises TypeError for code that it is too new for
+            if isinstance(error, ModuleNotFoundError) and (error.name or "gz").startswith("gz"):
+                continue
+            raise GazeboError(
+                f"the Python bindings of Gazebo {candidate.name.capitalize()} are installed, but this Python cannot"
+                f" load them ({error}); use the Python that they were built for, with its protobuf: /usr/bin/python3"
+            ) from None
+        return Bindings(candidate, transport.Node, load)
+    wanted = "; ".join(f"{r.name.capitalize()}: apt-get install {r.bindings}" for r in asked)
+    raise GazeboError(
+        f"gz-transport's Python bindings are not installed; they come with Gazebo's own packages ({wanted}), and a"
+        " virtual environment sees them where it was made with --system-site-packages"
+    )
+
+
+def installed_releases() -> frozenset[str]:
+    """Names of the releases whose simulator is installed here, as `gz sim --versions` tells; empty without Gazebo."""
+    command = shutil.which("gz")
+    if command is None:
+        return frozenset()
+    try:
+        done = subprocess.run(  # noqa: S603 - no part of the command comes from outside
+            (command, "sim", "--versions"), check=False, capture_output=True, text=True, timeout=_VERSIONS_S
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return frozenset()
+    majors = {int(major) for major in re.findall(r"^(\d+)\.\d+", done.stdout, flags=re.MULTILINE)}
+    return frozenset(release.name for release in RELEASES.values() if release.sim in majors)

@@ -1,0 +1,182 @@
+"""A task or track as a folder that Gazebo runs: worlds, meshes, textures, ArduPilot's parameters and a README.
+
+    export("open-v1:test", task="open-v1:test/0007", out=Path("gazebo/0007"))
+
+Every world is made from a `Stage` by `world_of`. The stages of a track stand where a flight through the right gates
+leads; each is a world of its own, and the live link turns one into the next.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from string import Template
+from xml.etree import ElementTree as ET
+
+import numpy as np
+from PIL import Image as Pictures
+
+from cognitivedrone.errors import GazeboError, TaskError, did_you_mean
+from cognitivedrone.frames import rotate_yaw
+from cognitivedrone.interfaces import LabelPack
+from cognitivedrone.labels import load_pack
+from cognitivedrone.tasks import Suite, open_suite
+from cognitivedrone.types import Image, Stage, Task, Track
+from cognitivedrone.vehicles.gazebo.meshes import obj_text, world_meshes
+from cognitivedrone.vehicles.gazebo.release import Release, release_named
+from cognitivedrone.vehicles.gazebo.sdf import Picture, Prop, document, pattern_file, props_of, world
+from cognitivedrone.vehicles.gazebo.vehicle import iris, parameters
+from cognitivedrone.world import geometry
+from cognitivedrone.world.appearance import PATTERNS, PLAIN, Look, pattern_texture
+
+PARAMETERS_FILE = "cognitivedrone.parm"
+README_FILE = "README.md"
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What was written."""
+
+    out: Path
+    worlds: tuple[Path, ...]
+    """One for each stage, in order."""
+    track: Track
+
+
+def export(
+    suite: str,
+    *,
+    tasks: Path | None = None,
+    out: Path,
+    task: str | None = None,
+    track: str | None = None,
+    version: str = "harmonic",
+    labels: str = "open-v1",
+    look: Look = PLAIN,
+) -> Exported:
+    """Write the task of that id, or the track of that number or with a task of that id, into a new folder.
+
+    They are of the suite of that name or, where given, of the file or folder `tasks`; `labels` is a label pack or a
+    folder of pictures. Raises `TaskError` or `LabelError` with near names, `GazeboError` for a release that is none or
+    a folder that cannot be written.
+    """
+    release = release_named(version)
+    found = find_track(open_suite(suite, tasks), task=task, track=track)
+    return write(found, out, load_pack(labels), release, look)
+
+
+def find_track(suite: Suite, *, task: str | None = None, track: str | None = None) -> Track:
+    """The one task of that id, or the whole track of that number (from 0) or with a task of that id.
+
+    Raises `TaskError` with near ids.
+    """
+    asked = task if track is None else track
+    if asked is None or (task is not None and track is not None):
+        raise TaskError("give --task ID for one task, or --track ID for all of a track; one of the two")
+    if track is not None and track.isdecimal():
+        if int(track) < len(suite.tracks):
+            return suite.tracks[int(track)]
+        raise TaskError(f"suite {suite.name!r} has no track {track}; it has 0 to {len(suite.tracks) - 1}")
+    for found in suite.tracks:
+        for one in found:
+            if one.id == asked:
+                return (one,) if track is None else found
+    ids = [one.id for found in suite.tracks for one in found]
+    raise TaskError(f"suite {suite.name!r} has no task {asked!r}; {did_you_mean(asked, ids)}")
+
+
+def stages_of(track: Track) -> tuple[Stage, ...]:
+    """The stages of a track, each behind the right gate of the one before; the first at the world's origin."""
+    stages: list[Stage] = []
+    origin, yaw = (0.0, 0.0), 0.0
+    for task in track:
+        stage = Stage(task.gates, task.labels, task.board, origin, yaw, task.only)
+        stages.append(stage)
+        origin, yaw = geometry.next_stage_origin(stage, task.target)
+    return tuple(stages)
+
+
+def write(track: Track, out: Path, labels: LabelPack, release: Release, look: Look = PLAIN) -> Exported:
+    """Write a track into `out`, which must be new or empty; raises `GazeboError` where it cannot be written."""
+    stages = stages_of(track)
+    names = ["world.sdf"] if len(track) == 1 else [f"stage_{number}.sdf" for number in range(1, len(track) + 1)]
+    try:
+        if out.exists() and any(out.iterdir()):
+            raise GazeboError(f"{out} is not empty; give --out a new folder, or remove it first")
+        write_meshes(out)
+        for stage, name in zip(stages, names, strict=True):
+            props = write_pictures(stage, labels, look, out)
+            (out / name).write_text(document(world_of(stage, props, look)), encoding="utf-8")
+        (out / PARAMETERS_FILE).write_text(parameters(), encoding="utf-8")
+        (out / README_FILE).write_text(_readme(track, names, release), encoding="utf-8")
+    except OSError as error:
+        raise GazeboError(
+            f"cannot write {error.filename or out}: {error.strerror or error};"
+            " give --out a folder that you can write to"
+        ) from None
+    return Exported(out, tuple(out / name for name in names), track)
+
+
+def world_of(stage: Stage, props: Sequence[Prop], look: Look = PLAIN) -> ET.Element:
+    """The `<world>` of a stage, the vehicle on the ground under the middle of its start box."""
+    x, y = rotate_yaw(geometry.START[:2], stage.yaw) + np.array(stage.origin)
+    return world(stage, props, look, iris((float(x), float(y)), stage.yaw, look))
+
+
+def write_meshes(out: Path) -> None:
+    """Write the meshes of every world into `out`/meshes."""
+    folder = out / "meshes"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in _mesh_texts().items():
+        (folder / f"{name}.obj").write_text(text, encoding="ascii")
+
+
+def write_pictures(stage: Stage, labels: LabelPack, look: Look, out: Path) -> tuple[Prop, ...]:
+    """Write what the panels of a stage show, and the patterns of floor and room, into `out`/textures; its props."""
+    folder = out / "textures"
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures = [_write_label(reference, labels.image(reference), folder) for reference in stage.labels]
+    board = None if stage.board is None else _write_label(stage.board, labels.image(stage.board), folder)
+    for pattern in PATTERNS:
+        name = pattern_file(pattern)
+        if name is not None and pattern in (look.floor_pattern, look.surroundings_pattern):
+            Pictures.fromarray(pattern_texture(pattern)).save(folder / name)
+    return props_of(stage, pictures, board, look)
+
+
+def _write_label(reference: str, image: Image, folder: Path) -> Picture:
+    """Write a label as PNG, under a name that says what it is and is unique to its pixels."""
+    name = re.sub(r"[^a-z0-9]+", "_", reference.lower()).strip("_")[:40]
+    digest = hashlib.sha256(repr(image.shape).encode() + image.tobytes()).hexdigest()[:8]
+    file = f"{name}_{digest}.png"
+    if not (folder / file).exists():
+        Pictures.fromarray(image).save(folder / file)
+    return Picture(file, image.shape[1] / image.shape[0])
+
+
+@functools.cache
+def _mesh_texts() -> dict[str, str]:
+    return {name: obj_text(name, mesh) for name, mesh in world_meshes().items()}
+
+
+def _readme(track: Track, names: Sequence[str], release: Release) -> str:
+    text = resources.files("cognitivedrone.vehicles.gazebo").joinpath("export_readme.md").read_text(encoding="utf-8")
+    rows = [f"| `{name}` | {task.id} | {_cell(task)} |" for name, task in zip(names, track, strict=True)]
+    return Template(text).substitute(
+        release=release.name.capitalize(),
+        package=release.package,
+        bindings=release.bindings,
+        world=names[0],
+        rows="\n".join(rows),
+        parameters=PARAMETERS_FILE,
+        build=release.name,
+    )
+
+
+def _cell(task: Task) -> str:
+    return task.instruction.replace("|", "\\|").replace("\n", " ")

@@ -1,0 +1,252 @@
+"""ArduPilot in a running Gazebo in the place of our own flight, and Gazebo's camera in the place of our renderer.
+
+    with open_gazebo() as flight:
+        simulator = Simulator(1, airframe=IRIS, flight=flight, eyes=flight)
+
+The vehicle takes off once and flies one task after the other. To begin at another place it flies to the height of the
+start and brakes; then the gates are put where they belong as seen from it. What is scored is the true path, as Gazebo
+tells it. Time is Gazebo's: it goes on while anybody thinks.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from cognitivedrone.errors import LinkError, RunError
+from cognitivedrone.frames import rotate_yaw
+from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.types import CONTROL_HZ, FloatArray, Image, Stage
+from cognitivedrone.vehicles.camera import Camera
+from cognitivedrone.vehicles.gazebo.live import GazeboWorld
+from cognitivedrone.vehicles.gazebo.sight import TruePath
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
+from cognitivedrone.vehicles.one_drone import LinkReport, OneDrone, Placement, placed
+from cognitivedrone.world.appearance import PLAIN, Look
+
+STILL_M_S: Final = 0.1
+"""Slower than this is a hover; also, within the same of the height in m and of turning in rad/s."""
+STILL_STEPS: Final = 5
+"""Control steps that it must last."""
+HOVER_S: Final = 30.0
+"""Of Gazebo's time, after which a hover has failed."""
+CLIMB_M_S: Final = 1.0
+"""On the way to the next start."""
+STARTS: Final = 2
+"""Attempts to have the vehicle hover at the start of a flight."""
+FRESH_FRAMES: Final = 2
+"""After a stage has been put up; the first one may have been drawn before."""
+LATE_S: Final = 0.05
+"""A control step that has been over for longer when the world is to go on counts as late."""
+_LOOK_AGAIN_S = 0.002
+
+
+class GazeboFlight(OneDrone):
+    """One world, flown by the ArduPilot of a running Gazebo, and what `camera` sees of it. `close` lands the vehicle.
+
+    `path` is where the vehicle truly is. `connect` gives a drone in the air; it is called at the first `reset`, and
+    again where a vehicle was given up. Such a vehicle makes the world diverge: the flight does not count. Where Gazebo
+    itself falls silent, everything raises `GazeboError` or `CameraError`.
+    """
+
+    def __init__(self, world: GazeboWorld, path: TruePath, camera: Camera, connect: Callable[[], MavlinkDrone]) -> None:
+        super().__init__()
+        self._report = LinkReport()
+        self._world = world
+        self._path = path
+        self._camera = camera
+        self._connect = connect
+        self._drone: MavlinkDrone | None = None
+        self._state = path.newest().state
+        self._began = 0.0
+        self._ticks = 0
+        self._stagehand = ThreadPoolExecutor(1, "stagehand")
+        self._showing: Future[None] | None = None
+
+    # What `Simulator` asks of `sim.dynamics.Flight`.
+
+    def reset(
+        self,
+        world: int,
+        position: FloatArray,
+        yaw: float = 0.0,
+        velocity: FloatArray | None = None,
+        *,
+        wind: FloatArray | None = None,
+    ) -> None:
+        """Hover at `position` (3,), m, within 10 cm of its height, heading `yaw`, rad.
+
+        Raises `ValueError` for a `velocity`, `RunError` for a wind, and where no vehicle comes to hover.
+        """
+        self._check_world(world)
+        if velocity is not None and np.any(velocity):
+            raise ValueError("a vehicle in Gazebo begins at a hover; give no velocity")
+        if wind is not None and np.any(wind):
+            raise RunError("no wind blows in the world that Gazebo runs; leave --wind out")
+        for _ in range(STARTS):
+            try:
+                self._drone = self._drone or self._connect()
+                self._hover(self._drone, float(position[2]))
+            except LinkError as error:
+                self._give_up(error)
+                continue
+            self._placement = placed(self._path.newest().state, position, yaw)
+            self._diverged, self._ticks = False, 0
+            self._resume()
+            return
+        raise RunError(
+            f"the vehicle in Gazebo does not fly ({self.trouble}); start Gazebo and ArduPilot anew, then go on with"
+            " --resume"
+        )
+
+    def advance(self, ticks: int) -> FloatArray:
+        """Fly on until ticks of `Flight.TICK_S` have passed in Gazebo; true positions (1, samples, 3) on the way.
+
+        What somebody thought beyond that is not caught up with: the flight is as much longer.
+        """
+        if self._showing is not None and self._showing.done():
+            self._await_stage()
+        self._report += LinkReport(frames=1)
+        self._ticks += ticks
+        until = self._began + self._ticks * Flight.TICK_S
+        behind = self._path.newest().time - until
+        if behind > LATE_S:
+            self._report += LinkReport(lost=1)
+            self._began += behind
+        states = [self._placement.apply(sample.state) for sample in self._path.until(until)]
+        self._state = states[-1]
+        if self._drone is not None and self._drone.over is not None:
+            self._give_up(LinkError(self._drone.over))
+        return np.array([[state.position for state in states]])
+
+    @property
+    def report(self) -> LinkReport:
+        """Stretches of flight, those that were over before the next command came, and vehicles that were given up."""
+        return self._report
+
+    # What it asks of `sim.camera.Cameras`.
+
+    def set_stage(
+        self, slot: int, stage: Stage, images: Sequence[Image], board: Image | None = None, look: Look = PLAIN
+    ) -> None:
+        """Put up a stage in Gazebo, where it stands as seen from the vehicle.
+
+        The first one of a flight stands, and has been seen by the camera, when this returns. Later ones appear while
+        the vehicle flies on, within tenths of a second. Raises `GazeboError` where Gazebo does not do it; of a later
+        one, the next call that has to do with stages or with time does.
+        """
+        self._check_world(slot)
+        if self._drone is None:
+            return  # nobody is there to see it, and the flight is void
+        shown = dict(zip(stage.labels, images, strict=True)) | ({stage.board: board} if stage.board else {})
+        there = on_the_ground(self._placement, stage)
+        self._await_stage()
+        self._showing = self._stagehand.submit(self._world.show, there, Pictures(shown), look)
+        if self._ticks == 0:
+            self._await_stage()
+            self._await_frames()
+            self._resume()
+
+    def first_person(
+        self,
+        positions: FloatArray,
+        quaternions: FloatArray,
+        out: Image | None = None,
+        slots: Sequence[int] | None = None,
+    ) -> Image:
+        """The newest frame of Gazebo's camera, (1, 256, 256, 3), wherever the drone is said to be.
+
+        Raises `CameraError` where the camera is silent.
+        """
+        if len(positions) != 1 or len(quaternions) != 1 or (slots is not None and list(slots) != [0]):
+            raise ValueError("Gazebo shows one world, seen from its one vehicle")
+        image = self._camera.read().image[None]
+        if out is None:
+            return image
+        out[:] = image
+        return out
+
+    @property
+    def renderer(self) -> str:
+        """Name of what draws."""
+        return f"Gazebo {self._world.bindings.release.name.capitalize()}"
+
+    def close(self) -> None:
+        """Land; the last stage stays in Gazebo."""
+        self._stagehand.shutdown()
+        self._land()
+
+    def _hover(self, drone: MavlinkDrone, height: float) -> None:
+        """Come to a hover at a height, m."""
+        still, deadline = 0, self._path.newest().time + HOVER_S
+        while still < STILL_STEPS:
+            sample = self._path.newest()
+            if sample.time > deadline:
+                raise LinkError(f"it did not come to hover {height:.2f} m above the ground in {HOVER_S:g} s")
+            state, lacking = sample.state, height - float(sample.state.position[2])
+            drone.send(np.array([0.0, 0.0, np.clip(lacking, -CLIMB_M_S, CLIMB_M_S), 0.0], dtype=np.float32))
+            if drone.over is not None:
+                raise LinkError(drone.over)
+            self._path.until(sample.time + 1 / CONTROL_HZ)
+            moving = max(float(np.linalg.norm(state.velocity)), abs(float(state.body_rates[2])), abs(lacking))
+            still = still + 1 if moving < STILL_M_S else 0
+        drone.send(np.zeros(4, dtype=np.float32))
+
+    def _await_stage(self) -> None:
+        """Wait until what was ordered last stands."""
+        showing, self._showing = self._showing, None
+        if showing is not None:
+            showing.result()
+
+    def _await_frames(self) -> None:
+        """Wait until the camera has seen what stands now."""
+        since, seen = time.monotonic(), set[float]()
+        while len(seen) < FRESH_FRAMES:
+            shot = self._camera.read()
+            if shot.time > since:
+                seen.add(shot.time)
+            time.sleep(_LOOK_AGAIN_S)
+
+    def _resume(self) -> None:
+        """Go on from this moment: what happened meanwhile is no part of the flight."""
+        now = self._path.until(0.0)[-1]
+        self._state = self._placement.apply(now.state)
+        self._began = now.time - self._ticks * Flight.TICK_S
+
+    def _send(self, action: FloatArray) -> None:
+        if self._drone is not None:
+            self._drone.send(action.astype(np.float32))
+
+    def _let_go(self) -> None:
+        self._report += LinkReport(restarts=1)
+        with suppress(LinkError):
+            self._land()
+
+    def _land(self) -> None:
+        """Land a vehicle that is still ours, and hang up."""
+        drone, self._drone = self._drone, None
+        if drone is not None:
+            drone.close()
+
+
+class Pictures:
+    """A label pack of a few pictures at hand."""
+
+    def __init__(self, pictures: Mapping[str, Image | None]) -> None:
+        self._pictures = {reference: image for reference, image in pictures.items() if image is not None}
+
+    def image(self, reference: str) -> Image:
+        """The picture of a reference that is here."""
+        return self._pictures[reference]
+
+
+def on_the_ground(placement: Placement, stage: Stage) -> Stage:
+    """A stage of the benchmark's world, where it stands over the ground that the vehicle flies over."""
+    x, y = rotate_yaw(np.array(stage.origin) - placement.shift[:2], -placement.turn)
+    return replace(stage, origin=(float(x), float(y)), yaw=stage.yaw - placement.turn)

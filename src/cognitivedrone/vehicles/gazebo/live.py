@@ -1,0 +1,316 @@
+"""A running Gazebo: the gates, panels and light of the next stage, the vehicle's camera and its true state.
+
+    with GazeboWorld(Path("gazebo/assets")) as world:
+        world.show(stage, load_pack())
+        drone = MavlinkDrone("tcp:127.0.0.1:5760", world.camera(), Guard(), MavlinkConfig(clock="vehicle"))
+        world.state()
+
+Commands go to ArduPilot, by `MavlinkDrone`; here is only what Gazebo knows. Services are those of gz-sim's UserCommands
+and SceneBroadcaster systems. They answer once a command is queued, so the poses of everything are watched until it has
+been carried out.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from cognitivedrone.errors import GazeboError
+from cognitivedrone.frames import wrap_angle, yaw_of
+from cognitivedrone.interfaces import LabelPack
+from cognitivedrone.types import DroneState, FloatArray, Stage
+from cognitivedrone.vehicles.gazebo.bindings import Bindings, installed_releases, load_bindings
+from cognitivedrone.vehicles.gazebo.export import write_meshes, write_pictures
+from cognitivedrone.vehicles.gazebo.release import RELEASES
+from cognitivedrone.vehicles.gazebo.sdf import SUN, WORLD, Prop, document, prop_model, sun
+from cognitivedrone.vehicles.gazebo.sight import GazeboCamera, Topic, TruePath, places_of
+from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC, NAME
+from cognitivedrone.world.appearance import PLAIN, Look
+
+LIGHT, MODEL = 1, 2
+"""gz.msgs.Entity.Type."""
+PLACE_M, PLACE_RAD = 1e-3, math.radians(0.1)
+"""How far from where it should be a thing may stand."""
+_OURS = re.compile(r"(gate_[123]|panel_[123]|board|floor|room)(_\d+)?")
+_SUN = re.compile(rf"{SUN}(_\d+)?")
+_LOOK_AGAIN_S = 0.02
+_TOLD = 3
+
+
+@dataclass(frozen=True, slots=True)
+class LiveConfig:
+    """Which Gazebo, and how long it may take."""
+
+    world: str = WORLD
+    vehicle: str = NAME
+    camera_topic: str = CAMERA_TOPIC
+    release: str | None = None
+    """Whose bindings to use; the newest that are installed otherwise."""
+    answer_s: float = 5.0
+    """For a service to answer, and for what was ordered to stand."""
+    first_s: float = 10.0
+    """For the first message of a topic."""
+    silence_s: float = 3.0
+    """A topic that brings nothing for as long as this is taken for broken."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How one set of props becomes another."""
+
+    moves: tuple[tuple[str, Prop], ...]
+    """Entities that stay, and the prop that each becomes."""
+    spawns: tuple[Prop, ...]
+    removals: tuple[str, ...]
+    """Entities."""
+
+
+def plan(standing: Mapping[str, Prop | None], wanted: Sequence[Prop]) -> Plan:
+    """What to do so that only `wanted` stands: what is the same gate, panel or room is moved, the rest replaced.
+
+    `standing` maps the entities that stand to their props; none where what they look like is not known.
+    """
+    left = dict(standing)
+    moves: list[tuple[str, Prop]] = []
+    spawns: list[Prop] = []
+    for prop in wanted:
+        same = next((name for name, old in left.items() if old is not None and old.alike(prop)), None)
+        if same is None:
+            spawns.append(prop)
+        else:
+            moves.append((same, prop))
+            del left[same]
+    return Plan(tuple(moves), tuple(spawns), tuple(left))
+
+
+def differences(places: Mapping[str, tuple[FloatArray, FloatArray]], wanted: Mapping[str, Prop | None]) -> str:
+    """How what stands differs from what should, in words; empty where it does not.
+
+    `places` are positions and quaternions of everything by name; what is not ours in it does not matter.
+    """
+    ours = {name for name in places if _OURS.fullmatch(name)}
+    told = [f"{name} is missing" for name in sorted(wanted.keys() - ours)]
+    told += [f"{name} is still there" for name in sorted(ours - wanted.keys())]
+    for name in sorted(ours & wanted.keys()):
+        prop, (position, quaternion) = wanted[name], places[name]
+        if prop is None:
+            continue
+        off = float(np.linalg.norm(position - prop.position))
+        turned = abs(float(wrap_angle(yaw_of(quaternion) - prop.yaw)))
+        if off > PLACE_M or turned > PLACE_RAD:
+            told.append(f"{name} is {off:.3f} m and {math.degrees(turned):.1f} degrees from its place")
+    more = [f"and {len(told) - _TOLD} more"] if len(told) > _TOLD else []
+    return ", ".join(told[:_TOLD] + more)
+
+
+class GazeboWorld:
+    """A running world that was exported from here. Use it as a context manager, or call `close`.
+
+    Meshes and pictures of what it spawns are written into `folder`, which Gazebo reads: both run on one machine. Raises
+    `GazeboError` without bindings, without a Gazebo that answers, or with another world than ours in it.
+    """
+
+    def __init__(self, folder: Path, config: LiveConfig | None = None, bindings: Bindings | None = None) -> None:
+        self.config = config or LiveConfig()
+        self.bindings = bindings or load_bindings(self.config.release)
+        self._folder = folder.resolve()
+        self._node = self.bindings.new_node()
+        self._serial = 0
+        self._path: TruePath | None = None
+        self._poses: Topic[dict[str, tuple[FloatArray, FloatArray]]] | None = None
+        self._known: frozenset[str] = frozenset()
+        self._standing: dict[str, Prop | None] = {}
+        self._sun: str | None = None
+        self._light = ""
+        self._sure = False
+        """Whether all of that is still so: not after a stage that came to nothing."""
+        self._meet()
+        self._look_around()
+        try:
+            write_meshes(self._folder)
+        except OSError as error:
+            raise GazeboError(f"cannot write into {self._folder}: {error.strerror or error}") from None
+
+    def __enter__(self) -> GazeboWorld:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def show(self, stage: Stage, labels: LabelPack, look: Look = PLAIN) -> None:
+        """Make a stage stand in place of what stands, its light included; returns once it stands.
+
+        Of the look, the ambient light stays that of the world. Raises `LabelError`, or `GazeboError` where Gazebo
+        refuses or does not do it in time.
+        """
+        try:
+            wanted = write_pictures(stage, labels, look, self._folder)
+        except OSError as error:
+            raise GazeboError(f"cannot write a texture into {self._folder}: {error.strerror or error}") from None
+        if not self._sure:
+            self._look_around()
+        self._sure = False
+        steps = plan(self._standing, wanted)
+        for name, prop in steps.moves:
+            self._move(name, prop)
+            self._standing[name] = prop
+        for prop in steps.spawns:
+            name = self._new_name(prop.name)
+            self._spawn(name, prop_model(prop, f"file://{self._folder}/"))
+            self._standing[name] = prop
+        for name in steps.removals:
+            self._remove(name, MODEL)
+            del self._standing[name]
+        self._shine(sun(stage, look))
+        self._await_places()
+        self._sure = True
+
+    def state(self) -> DroneState:
+        """The vehicle's true state; rates are differences over a tenth of a second."""
+        self._path = self._path or self.path()
+        return self._path.newest().state
+
+    def path(self) -> TruePath:
+        """The vehicle's true states from now on; who asks for it closes it."""
+        config = self.config
+        topic = f"/world/{config.world}/dynamic_pose/info"
+        return TruePath(self.bindings, topic, config.vehicle, first_s=config.first_s, silence_s=config.silence_s)
+
+    def camera(self) -> GazeboCamera:
+        """The vehicle's camera, for a `MavlinkDrone`, which closes it; raises `CameraError` where it stays silent."""
+        return GazeboCamera(
+            self.bindings, self.config.camera_topic, first_s=self.config.first_s, silence_s=self.config.silence_s
+        )
+
+    def close(self) -> None:
+        """Listen no longer; what stands stays."""
+        for topic in (self._path, self._poses):
+            if topic is not None:
+                topic.close()
+        self._path = self._poses = None
+
+    def _meet(self) -> None:
+        """See that our world is the one that runs."""
+        delivered, reply = self._request("/gazebo/worlds", "Empty", "StringMsg_V")
+        if not delivered:
+            raise GazeboError(f"no Gazebo answers within {self.config.answer_s:g} s; {self._advice()}")
+        running = list(reply.data)
+        if self.config.world not in running:
+            others = ", ".join(map(repr, running)) or "(none yet)"
+            raise GazeboError(
+                f"Gazebo already runs the world {others}, not {self.config.world!r};"
+                " stop it and start ours, or give each a GZ_PARTITION of its own"
+            )
+
+    def _look_around(self) -> None:
+        """See what stands: at the start, and after a stage that came to nothing."""
+        self._known = self._entities()
+        if self.config.vehicle not in self._known:
+            raise GazeboError(
+                f"the world {self.config.world!r} has no model {self.config.vehicle!r}; start one made by:"
+                " cognitivedrone gazebo export"
+            )
+        self._standing = {name: None for name in self._known if _OURS.fullmatch(name)}
+        self._sun = next((name for name in sorted(self._known) if _SUN.fullmatch(name)), None)
+        self._light = ""
+        self._sure = True
+
+    def _advice(self) -> str:
+        """What to do where nobody answers."""
+        ours, installed = self.bindings.release.name, installed_releases()
+        if installed and ours not in installed:
+            others = " and ".join(name.capitalize() for name in sorted(installed))
+            packages = " or ".join(RELEASES[name].bindings for name in sorted(installed))
+            return (
+                f"the simulator here is Gazebo {others}, but the Python bindings are of {ours.capitalize()}:"
+                f" apt-get install {packages}"
+            )
+        return "start it with: gz sim -r world.sdf, on this machine and with the same GZ_PARTITION"
+
+    def _shine(self, light: ET.Element) -> None:
+        """Put up a light in place of the one before, unless it is the same: gz-sim moves models only."""
+        text = document(light)
+        if text != self._light:
+            name = self._new_name(SUN)
+            self._spawn(name, light)
+            if self._sun is not None:
+                self._remove(self._sun, LIGHT)
+            self._sun, self._light = name, text
+
+    def _spawn(self, name: str, element: ET.Element) -> None:
+        element.set("name", name)
+        request = self.bindings.message("EntityFactory")()
+        request.sdf = document(element)
+        request.name = name
+        request.allow_renaming = False
+        self._command("create", request, f"spawn {name}")
+
+    def _remove(self, name: str, kind: int) -> None:
+        request = self.bindings.message("Entity")()
+        request.name = name
+        request.type = kind
+        self._command("remove", request, f"remove {name}")
+
+    def _move(self, name: str, prop: Prop) -> None:
+        request = self.bindings.message("Pose")()
+        request.name = name
+        request.position.x, request.position.y, request.position.z = prop.position
+        request.orientation.w, request.orientation.z = math.cos(prop.yaw / 2), math.sin(prop.yaw / 2)
+        self._command("set_pose", request, f"move {name}")
+
+    def _command(self, service: str, request: Any, what: str) -> None:
+        """Ask for a change of the world."""
+        delivered, reply = self._request(f"/world/{self.config.world}/{service}", request, "Boolean")
+        if not delivered:
+            raise GazeboError(f"Gazebo did not answer when asked to {what}; is it still running?")
+        if not reply.data:
+            raise GazeboError(f"Gazebo refuses to {what}; its own output says why (gz sim -v 4)")
+
+    def _request(self, service: str, request: Any, answer: str) -> tuple[bool, Any]:
+        """Whether a service answered in time, and what; `request` is a message, or the name of an empty one."""
+        message = self.bindings.message(request)() if isinstance(request, str) else request
+        timeout_ms = round(1000 * self.config.answer_s)
+        delivered, reply = self._node.request(
+            service, message, type(message), self.bindings.message(answer), timeout_ms
+        )
+        return bool(delivered), reply
+
+    def _entities(self) -> frozenset[str]:
+        """Names of the models and lights in the scene."""
+        delivered, scene = self._request(f"/world/{self.config.world}/scene/info", "Empty", "Scene")
+        if not delivered:
+            raise GazeboError(
+                f"Gazebo does not tell of its scene within {self.config.answer_s:g} s; does the world load the system"
+                " gz-sim-scene-broadcaster-system?"
+            )
+        return frozenset(entity.name for entity in (*scene.model, *scene.light))
+
+    def _await_places(self) -> None:
+        """Wait until of ours stands what should, where it should, and no more."""
+        if self._poses is None:
+            topic = f"/world/{self.config.world}/pose/info"
+            self._poses = Topic(self.bindings, topic, "Pose_V", places_of, self.config.first_s)
+        end = time.monotonic() + self.config.answer_s
+        while problem := differences(self._poses.newest(self.config.silence_s)[0], self._standing):
+            if time.monotonic() > end:
+                raise GazeboError(
+                    f"{self.config.answer_s:g} s after the stage was ordered, {problem}; is the simulation running?"
+                    " Its own output says more (gz sim -v 4)"
+                )
+            time.sleep(_LOOK_AGAIN_S)
+
+    def _new_name(self, kind: str) -> str:
+        """A name that no entity has: one that was just removed may still be there."""
+        while True:
+            self._serial += 1
+            name = f"{kind}_{self._serial}"
+            if name not in self._known:
+                return name

@@ -1,0 +1,108 @@
+"""From a running Gazebo and its ArduPilot to a `GazeboFlight`: connect, see that nothing real is flown, take off."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+
+from cognitivedrone.errors import LinkError
+from cognitivedrone.interfaces import Health
+from cognitivedrone.types import Action
+from cognitivedrone.vehicles.gazebo.bindings import Bindings
+from cognitivedrone.vehicles.gazebo.flight import GazeboFlight
+from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkConfig, MavlinkDrone
+
+URL: Final = "tcp:127.0.0.1:5760"
+"""Where the first ArduPilot of this machine waits for a ground station."""
+VEHICLE: Final = MavlinkConfig(
+    takeoff_height_m=1.5, clock="vehicle", set_parameters=True, ready_timeout_s=180.0, takeoff_timeout_s=90.0
+)
+SIMULATION_PARAMETER: Final = "SIM_SPEEDUP"
+"""Only an ArduPilot that runs as software in the loop has it."""
+
+
+@contextmanager
+def open_gazebo(
+    url: str = URL, config: LiveConfig | None = None, bindings: Bindings | None = None
+) -> Iterator[GazeboFlight]:
+    """The vehicle of the Gazebo that runs; it takes off at the first `reset`, and lands at the end.
+
+    Raises `GazeboError` without bindings, without a Gazebo that answers or with another world in it, and `CameraError`
+    for a silent camera.
+    """
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cognitivedrone-gazebo-")))
+        world = stack.enter_context(GazeboWorld(folder, config, bindings))
+        path = world.path()
+        stack.callback(path.close)
+        camera = world.camera()
+        stack.callback(camera.close)
+        flight = GazeboFlight(world, path, camera, lambda: take_off(url, world))
+        stack.callback(flight.close)
+        yield flight
+
+
+def take_off(url: str, world: GazeboWorld) -> MavlinkDrone:
+    """The world's vehicle, in the air; raises `LinkError` where it does not fly, or is not known to be simulated."""
+    drone = _Drone(url, world.camera(), RefereesGuard(), VEHICLE)
+    with ExitStack() as undo:
+        undo.callback(drone.close)
+        if not drone.is_software:
+            raise LinkError(
+                f"the vehicle at {url} does not say that it is simulated, so it may be a real drone; start ArduPilot as"
+                " docs/gazebo.md says, and end what else listens there"
+            )
+        drone.take_off(lambda _: True)
+        undo.pop_all()
+    return drone
+
+
+class RefereesGuard:
+    """Lets every command pass until it is told to land: where a referee judges, no rule is to hold back.
+
+    Hands off, for good, where the motors stop or a mode shows that nobody here ordered.
+    """
+
+    def __init__(self) -> None:
+        self._landing = ""
+        self._over = ""
+
+    def judge(self, health: Health) -> _Word:
+        """Fly, land, or hands off."""
+        if not self._over and not health.armed:
+            self._over = "the motors were stopped"
+        if not self._over and health.mode not in health.ordered_modes:
+            self._over = f"the mode became {health.mode}"
+        if self._over:
+            return _Word("hands_off", self._over)
+        return _Word("land", self._landing) if self._landing else _Word("fly", "")
+
+    def shape(self, health: Health) -> Action:
+        """The command as it is."""
+        return np.zeros(4, dtype=np.float32) if health.command is None else health.command.astype(np.float32)
+
+    def land(self, reason: str) -> None:
+        """Land from now on."""
+        self._landing = self._landing or reason
+
+
+@dataclass(frozen=True, slots=True)
+class _Word:
+    kind: Literal["fly", "land", "hands_off"]
+    reason: str
+
+
+class _Drone(MavlinkDrone):
+    """A drone that knows whether it is one."""
+
+    @property
+    def is_software(self) -> bool:
+        """Whether it says so: software in the loop, or this project's own."""
+        return self.simulated or self._link.parameters([SIMULATION_PARAMETER])[SIMULATION_PARAMETER] is not None

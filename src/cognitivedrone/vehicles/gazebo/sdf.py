@@ -1,0 +1,223 @@
+"""A stage as SDF: where each gate, panel and light stands, and the XML of it. Pure; `export.py` and `live.py` use it.
+
+SDF 1.9 (http://sdformat.org/spec?ver=1.9), which Harmonic, Ionic and Jetty all read, and Debian 12's libsdformat too.
+Gazebo's world frame is ENU in metres like ours, its model frames FLU, and its cameras look along x: nothing is turned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from cognitivedrone.frames import rotate_yaw
+from cognitivedrone.sim.airframe import GRAVITY
+from cognitivedrone.types import COLORS, Stage
+from cognitivedrone.vehicles.gazebo.meshes import FLOOR, PANEL, ROOM, gate_mesh
+from cognitivedrone.world import geometry
+from cognitivedrone.world.appearance import RGB, Look, Pattern
+
+VERSION: Final = "1.9"
+WORLD: Final = "cognitivedrone"
+"""Name of every exported world."""
+SUN: Final = "sun"
+STEP_S: Final = 0.001
+"""Of physics; ArduPilot needs 800 Hz or more to pass its gyro check."""
+_GATE_GLOW: Final = 0.4  # as in our world: keeps the faces that light misses nameable
+_SYSTEMS: Final = (
+    ("gz-sim-physics-system", "gz::sim::systems::Physics"),
+    ("gz-sim-user-commands-system", "gz::sim::systems::UserCommands"),
+    ("gz-sim-scene-broadcaster-system", "gz::sim::systems::SceneBroadcaster"),
+    ("gz-sim-imu-system", "gz::sim::systems::Imu"),
+)
+_HOME: Final = (-35.363262, 149.165237, 584.0)  # ArduPilot's default place: latitude and longitude in degrees, m
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """What a panel or the board shows."""
+
+    file: str
+    """Name in the folder of textures."""
+    aspect: float
+    """Width over height."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prop:
+    """One mesh that stands in the world, static and, like the gates of our world, without collision."""
+
+    name: str
+    mesh: str
+    """Name in the folder of meshes, without ".obj"."""
+    position: tuple[float, float, float]
+    """World, m."""
+    yaw: float
+    """rad."""
+    color: RGB
+    glow: float
+    """0 to 1: the share of the colour that shows whatever the light."""
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    texture: str | None = None
+    """Name in the folder of textures; multiplied with the colour."""
+
+    def alike(self, other: Prop) -> bool:
+        """Whether the two differ in nothing but where they stand."""
+        return replace(self, position=other.position, yaw=other.yaw) == other
+
+
+def props_of(stage: Stage, labels: Sequence[Picture], board: Picture | None, look: Look) -> tuple[Prop, ...]:
+    """Gates, panels, board, floor and room of a stage, where our world has them.
+
+    `labels` are the pictures of gates 1 to 3. A gate that stands alone has no panel. Floor and room belong to the
+    stage: they move and turn with it.
+    """
+    centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
+    home = (float(stage.origin[0]), float(stage.origin[1]), 0.0)
+    paper: RGB = (look.panel_brightness,) * 3
+    props: list[Prop] = []
+    for index in geometry.standing(stage):
+        gate = stage.gates[index]
+        x, y, z = (float(value) for value in centers[index])
+        color = look.gate_colors[COLORS.index(gate.color)]
+        mesh = gate_mesh(gate.size, gate.shape)
+        props.append(Prop(f"gate_{index + 1}", mesh, (x, y, z), float(yaws[index]), color, _GATE_GLOW))
+    for index in geometry.panelled(stage):
+        x, y, _ = (float(value) for value in centers[index])
+        place = (x, y, geometry.PANEL_CENTER_HEIGHT)
+        props.append(
+            _panel(f"panel_{index + 1}", labels[index], place, float(yaws[index]), geometry.PANEL_HEIGHT, paper)
+        )
+    if board is not None:
+        x, y, z = (float(value) for value in np.array(home) + rotate_yaw(geometry.BOARD_CENTER, stage.yaw))
+        props.append(_panel("board", board, (x, y, z), stage.yaw, geometry.BOARD_HEIGHT, paper))
+    props.append(Prop(FLOOR, FLOOR, home, stage.yaw, look.floor, 0.0, texture=pattern_file(look.floor_pattern)))
+    surroundings = pattern_file(look.surroundings_pattern)
+    props.append(Prop(ROOM, ROOM, home, stage.yaw, look.surroundings, look.surroundings_glow, texture=surroundings))
+    return tuple(props)
+
+
+def pattern_file(pattern: Pattern) -> str | None:
+    """The texture of a pattern; none for the plain one."""
+    return None if pattern == "plain" else f"pattern_{pattern}.png"
+
+
+def document(element: ET.Element) -> str:
+    """The text of an SDF file with one world or model in it."""
+    root = ET.Element("sdf", version=VERSION)
+    root.append(element)
+    ET.indent(root)
+    return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def prop_model(prop: Prop, folder: str = "") -> ET.Element:
+    """The `<model>` of a prop.
+
+    `folder` is put before the names of meshes and textures: empty for files beside the world's, and
+    "file:///a/folder/" for a model that is sent to a running Gazebo.
+    """
+    model = ET.Element("model", name=prop.name)
+    add(model, "static", "true")
+    add(model, "pose", numbers(*prop.position, 0.0, 0.0, prop.yaw))
+    visual = add(add(model, "link", name="link"), "visual", name="visual")
+    add(visual, "cast_shadows", "false")
+    mesh = add(add(visual, "geometry"), "mesh")
+    add(mesh, "uri", f"{folder}meshes/{prop.mesh}.obj")
+    add(mesh, "scale", numbers(*prop.scale))
+    visual.append(material(prop.color, prop.glow, prop.texture and f"{folder}textures/{prop.texture}"))
+    return model
+
+
+def material(color: RGB, glow: float, texture: str | None = None) -> ET.Element:
+    """A matt `<material>` that shows `glow` (0 to 1) of its colour whatever the light, and the rest of it as lit."""
+    element = ET.Element("material")
+    lit = numbers(*((1.0 - glow) * part for part in color), 1.0)
+    add(element, "ambient", lit)
+    add(element, "diffuse", lit)
+    add(element, "specular", "0 0 0 1")
+    add(element, "emissive", numbers(*(glow * part for part in color), 1.0))
+    metal = add(add(element, "pbr"), "metal")
+    if texture is not None:
+        add(metal, "albedo_map", texture)
+        if glow > 0.0:
+            add(metal, "emissive_map", texture)
+    add(metal, "metalness", "0")
+    add(metal, "roughness", "1")
+    return element
+
+
+def world(stage: Stage, props: Sequence[Prop], look: Look, vehicle: ET.Element) -> ET.Element:
+    """The `<world>` of a stage: systems, physics, one light without shadows, ground, props and the vehicle."""
+    element = ET.Element("world", name=WORLD)
+    physics = add(element, "physics", name="lockstep", type="ignored")
+    add(physics, "max_step_size", numbers(STEP_S))
+    add(physics, "real_time_factor", "1")
+    for filename, name in _SYSTEMS:
+        add(element, "plugin", filename=filename, name=name)
+    sensors = add(element, "plugin", filename="gz-sim-sensors-system", name="gz::sim::systems::Sensors")
+    add(sensors, "render_engine", "ogre2")
+    add(element, "gravity", numbers(0.0, 0.0, -GRAVITY))
+    place = add(element, "spherical_coordinates")
+    add(place, "surface_model", "EARTH_WGS84")
+    add(place, "world_frame_orientation", "ENU")
+    for tag, value in zip(("latitude_deg", "longitude_deg", "elevation"), _HOME, strict=True):
+        add(place, tag, numbers(value))
+    add(place, "heading_deg", "0")
+    scene = add(element, "scene")
+    add(scene, "ambient", numbers(*(look.ambient,) * 3, 1.0))
+    add(scene, "background", numbers(*look.surroundings, 1.0))
+    add(scene, "grid", "false")
+    add(scene, "shadows", "false")
+    element.append(sun(stage, look))
+    element.append(_ground())
+    for prop in props:
+        element.append(prop_model(prop))
+    element.append(vehicle)
+    return element
+
+
+def sun(stage: Stage, look: Look) -> ET.Element:
+    """The one `<light>`: directional, without shadows, turned with the stage."""
+    light = ET.Element("light", name=SUN, type="directional")
+    add(light, "pose", numbers(*stage.origin, 10.0, 0.0, 0.0, stage.yaw))
+    add(light, "cast_shadows", "false")
+    add(light, "diffuse", numbers(*(look.diffuse,) * 3, 1.0))
+    add(light, "specular", "0 0 0 1")
+    attenuation = add(light, "attenuation")
+    for tag, value in (("range", 1000.0), ("constant", 1.0), ("linear", 0.0), ("quadratic", 0.0)):
+        add(attenuation, tag, numbers(value))
+    add(light, "direction", numbers(*look.light_direction))
+    return light
+
+
+def add(parent: ET.Element, tag: str, text: str | None = None, **attributes: str) -> ET.Element:
+    """A new child."""
+    child = ET.SubElement(parent, tag, attributes)
+    child.text = text
+    return child
+
+
+def numbers(*values: float) -> str:
+    """Numbers as SDF writes them, to nine digits; 0 without a sign."""
+    return " ".join(format(float(value) + 0.0, ".9g") for value in values)
+
+
+def _panel(
+    name: str, picture: Picture, place: tuple[float, float, float], yaw: float, height: float, paper: RGB
+) -> Prop:
+    scale = (1.0, picture.aspect * height, height)
+    return Prop(name, PANEL, place, yaw, paper, 1.0, scale, picture.file)
+
+
+def _ground() -> ET.Element:
+    """What the vehicle stands on: endless and unseen, so that it need not move with the stage."""
+    model = ET.Element("model", name="ground")
+    add(model, "static", "true")
+    collision = add(add(model, "link", name="link"), "collision", name="collision")
+    plane = add(add(collision, "geometry"), "plane")
+    add(plane, "normal", "0 0 1")
+    add(plane, "size", "1 1")
+    return model

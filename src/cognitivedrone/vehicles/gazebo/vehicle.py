@@ -1,0 +1,233 @@
+"""The Iris of `sim/airframe.py` for Gazebo: body, four rotors, camera, IMU, and ArduPilot at the controls.
+
+Rotor thrust is the lift of two blades, as gz-sim's LiftDrag system computes it: rho v^2 / 2 times area times lift
+coefficient, v the speed of the blade's centre of pressure. Area and drag coefficient are chosen such that a rotor at
+full speed gives the airframe's largest thrust and its reaction torque.
+
+ArduPilotPlugin: parameters as in https://github.com/ArduPilot/ardupilot_gazebo. It answers ArduPilot in lock-step, and
+passes the IMU on as it is, which is why the IMU is turned to forward-right-down.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+from xml.etree import ElementTree as ET
+
+from cognitivedrone.sim.airframe import GRAVITY, IRIS, ROTORS, Airframe
+from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
+from cognitivedrone.types import IMAGE_SIZE
+from cognitivedrone.vehicles.gazebo.sdf import add, material, numbers
+from cognitivedrone.world.appearance import RGB, Look
+
+NAME: Final = "iris"
+CAMERA_TOPIC: Final = "/cognitivedrone/camera"
+CAMERA_HZ: Final = 20
+"""Twice the rate of control: the newest frame is never older than half a control step."""
+IMU_HZ: Final = 1000
+PORT: Final = 9002
+"""UDP port at which the first ArduPilot looks for its physics."""
+PWM_RANGE_US: Final = (1000, 2000)
+"""A disarmed ArduPilot sends 1000: a larger minimum would turn the rotors backwards."""
+FULL_SPEED: Final = 838.0
+"""Of a rotor, rad/s."""
+
+_AIR_DENSITY = 1.2041  # kg/m3
+_PRESSURE_CENTER = 0.084  # m from the hub
+_ATTACK_ANGLE, _LIFT_SLOPE = 0.3, 4.25  # rad; lift coefficient per rad
+_ROTOR_MASS, _ROTOR_RADIUS, _ROTOR_HEIGHT = 0.025, 0.1, 0.01  # kg, m, m
+_ROTOR_INERTIA = (9.75e-6, 1.67e-4, 1.67e-4)  # of a two-bladed propeller, kg m2
+_NEAR, _FAR = 0.03, 200.0  # m, as in our world
+_DARK: RGB = (0.15, 0.15, 0.17)
+_FRONT: RGB = (1.0, 0.55, 0.0)
+_REAR: RGB = (0.35, 0.35, 0.4)
+
+
+def iris(position: tuple[float, float], yaw: float, look: Look, airframe: Airframe = IRIS) -> ET.Element:
+    """The `<model>` of the vehicle, standing on the ground at world x, y (m), its nose at `yaw` (rad).
+
+    Of the look only the camera's pixel noise is taken; its response curve and gain have no place in SDF.
+    """
+    model = ET.Element("model", name=NAME)
+    add(model, "pose", numbers(*position, ground_clearance(airframe), 0.0, 0.0, yaw))
+    base = add(model, "link", name="base_link")
+    _inertial(base, *_body(airframe))
+    side = airframe.rotor_offset
+    collision = add(base, "collision", name="hull")
+    hull = numbers(2 * side, 2 * side, 2 * ground_clearance(airframe))
+    add(add(add(collision, "geometry"), "box"), "size", hull)
+    for number, quarter in enumerate((1, -1), start=1):
+        arm = add(base, "visual", name=f"arm_{number}")
+        add(arm, "pose", numbers(0.0, 0.0, 0.0, 0.0, 0.0, quarter * math.pi / 4))
+        add(add(add(arm, "geometry"), "box"), "size", numbers(2 * airframe.arm, 0.03, 0.02))
+        arm.append(material(_DARK, 0.2))
+    base.append(_imu())
+    base.append(_camera(look))
+    for index, (forward, left, _) in enumerate(ROTORS):
+        _add_rotor(model, index, forward * side, left * side)
+    for index, (_, _, torque) in enumerate(ROTORS):
+        for blade in (1, -1):
+            model.append(_blade(airframe, index, turning=-torque, blade=blade))
+    model.append(_ardupilot())
+    return model
+
+
+def parameters(airframe: Airframe = IRIS) -> str:
+    """The parameter file that fits ArduCopter's defaults to this vehicle.
+
+    Gazebo's rotors have thrust in proportion to the square of the command (MOT_THST_EXPO 1), over all of the PWM range.
+    The last two are those without which `MavlinkDrone` does not fly.
+    """
+    hover = airframe.mass * GRAVITY / (4 * airframe.max_thrust)
+    values = {
+        "FRAME_CLASS": 1,
+        "FRAME_TYPE": 1,
+        "MOT_PWM_MIN": PWM_RANGE_US[0],
+        "MOT_PWM_MAX": PWM_RANGE_US[1],
+        "MOT_THST_EXPO": 1,
+        "MOT_THST_HOVER": round(hover, 2),
+        "ATC_RAT_YAW_P": 1.0,
+        "ATC_RAT_YAW_I": 0.1,
+        "ATC_RAT_YAW_FLTE": 10,
+        "AHRS_EKF_TYPE": 3,
+        "GUID_TIMEOUT": 1,
+        "FS_GCS_ENABLE": 5,
+    }
+    return "".join(f"{name} {value}\n" for name, value in values.items())
+
+
+def ground_clearance(airframe: Airframe = IRIS) -> float:
+    """Height of the vehicle's origin above the floor it stands on, m: as of the hull in `sim/airframe.py`."""
+    return 0.3 * airframe.rotor_offset
+
+
+def _body(airframe: Airframe) -> tuple[float, tuple[float, float, float]]:
+    """Mass and principal moments of what is not a rotor, such that the whole is the airframe."""
+    side = airframe.rotor_offset
+    lever = (side**2, side**2, 2 * side**2)
+    own = ((_ROTOR_INERTIA[0] + _ROTOR_INERTIA[1]) / 2,) * 2 + (_ROTOR_INERTIA[2],)  # averaged over a turn
+    x, y, z = (
+        whole - 4 * (_ROTOR_MASS * arm + spin) for whole, arm, spin in zip(airframe.inertia, lever, own, strict=True)
+    )
+    return airframe.mass - 4 * _ROTOR_MASS, (x, y, z)
+
+
+def _inertial(link: ET.Element, mass: float, moments: tuple[float, float, float]) -> None:
+    inertial = add(link, "inertial")
+    add(inertial, "mass", numbers(mass))
+    inertia = add(inertial, "inertia")
+    for tag, value in zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), (*moments, 0.0, 0.0, 0.0), strict=True):
+        add(inertia, tag, numbers(value))
+
+
+def _imu() -> ET.Element:
+    # No topic of its own: ArduPilotPlugin listens at the one that Gazebo makes up.
+    sensor = ET.Element("sensor", name="imu_sensor", type="imu")
+    add(sensor, "pose", numbers(0.0, 0.0, 0.0, math.pi, 0.0, 0.0))
+    add(sensor, "always_on", "true")
+    add(sensor, "update_rate", numbers(IMU_HZ))
+    return sensor
+
+
+def _camera(look: Look) -> ET.Element:
+    sensor = ET.Element("sensor", name="camera", type="camera")
+    add(sensor, "pose", numbers(*MOUNT, 0.0, 0.0, 0.0))
+    add(sensor, "always_on", "true")
+    add(sensor, "update_rate", numbers(CAMERA_HZ))
+    add(sensor, "topic", CAMERA_TOPIC)
+    camera = add(sensor, "camera")
+    add(camera, "horizontal_fov", numbers(FIELD_OF_VIEW))
+    image = add(camera, "image")
+    add(image, "width", numbers(IMAGE_SIZE))
+    add(image, "height", numbers(IMAGE_SIZE))
+    add(image, "format", "R8G8B8")
+    clip = add(camera, "clip")
+    add(clip, "near", numbers(_NEAR))
+    add(clip, "far", numbers(_FAR))
+    if look.noise > 0.0:
+        noise = add(camera, "noise")
+        add(noise, "type", "gaussian")
+        add(noise, "mean", "0")
+        add(noise, "stddev", numbers(look.noise / 255))
+    return sensor
+
+
+def _add_rotor(model: ET.Element, index: int, forward: float, left: float) -> None:
+    """A link with a disc, and the joint that it turns on."""
+    link = add(model, "link", name=f"rotor_{index}")
+    add(link, "pose", numbers(forward, left, 0.0, 0.0, 0.0, 0.0))
+    _inertial(link, _ROTOR_MASS, _ROTOR_INERTIA)
+    visual = add(link, "visual", name="disc")
+    disc = add(add(visual, "geometry"), "cylinder")
+    add(disc, "radius", numbers(_ROTOR_RADIUS))
+    add(disc, "length", numbers(_ROTOR_HEIGHT))
+    visual.append(material(_FRONT if forward > 0 else _REAR, 0.2))
+    joint = add(model, "joint", name=f"rotor_{index}_joint", type="revolute")
+    add(joint, "parent", "base_link")
+    add(joint, "child", f"rotor_{index}")
+    axis = add(joint, "axis")
+    add(axis, "xyz", "0 0 1")
+    limit = add(axis, "limit")
+    add(limit, "lower", "-1e16")
+    add(limit, "upper", "1e16")
+
+
+def _blade(airframe: Airframe, index: int, turning: int, blade: int) -> ET.Element:
+    """Lift and drag of one blade, `blade` 1 or -1, of a rotor that turns to the left (`turning` 1) or right (-1)."""
+    plugin = ET.Element("plugin", filename="gz-sim-lift-drag-system", name="gz::sim::systems::LiftDrag")
+    pressure = _AIR_DENSITY * (FULL_SPEED * _PRESSURE_CENTER) ** 2 / 2
+    area = airframe.max_thrust / (2 * pressure * _LIFT_SLOPE * _ATTACK_ANGLE)
+    drag_slope = _LIFT_SLOPE * airframe.torque_ratio / _PRESSURE_CENTER
+    for tag, value in (
+        ("a0", _ATTACK_ANGLE),
+        ("alpha_stall", 1.4),
+        ("cla", _LIFT_SLOPE),
+        ("cda", drag_slope),
+        ("cma", 0.0),
+        ("cla_stall", -0.025),
+        ("cda_stall", 0.0),
+        ("cma_stall", 0.0),
+        ("area", area),
+        ("air_density", _AIR_DENSITY),
+    ):
+        add(plugin, tag, numbers(value))
+    add(plugin, "cp", numbers(blade * _PRESSURE_CENTER, 0.0, 0.0))
+    add(plugin, "forward", numbers(0.0, blade * turning, 0.0))
+    add(plugin, "upward", "0 0 1")
+    add(plugin, "link_name", f"rotor_{index}")
+    return plugin
+
+
+def _ardupilot() -> ET.Element:
+    """In lock-step and with synchronised time: `no_time_sync` would let ArduPilot run on without physics."""
+    plugin = ET.Element("plugin", filename="ArduPilotPlugin", name="ArduPilotPlugin")
+    add(plugin, "fdm_addr", "127.0.0.1")
+    add(plugin, "fdm_port_in", numbers(PORT))
+    add(plugin, "connectionTimeoutMaxCount", "5")
+    add(plugin, "lock_step", "1")
+    add(plugin, "no_time_sync", "0")
+    add(plugin, "have_32_channels", "0")
+    add(plugin, "modelXYZToAirplaneXForwardZDown", numbers(0.0, 0.0, 0.0, math.pi, 0.0, 0.0))
+    add(plugin, "gazeboXYZToNED", numbers(0.0, 0.0, 0.0, math.pi, 0.0, math.pi / 2))
+    add(plugin, "imuName", "base_link::imu_sensor")
+    for index, (_, _, torque) in enumerate(ROTORS):
+        control = add(plugin, "control", channel=str(index))
+        add(control, "jointName", f"rotor_{index}_joint")
+        add(control, "type", "VELOCITY")
+        add(control, "useForce", "1")
+        add(control, "multiplier", numbers(-torque * FULL_SPEED))
+        add(control, "offset", "0")
+        add(control, "servo_min", numbers(PWM_RANGE_US[0]))
+        add(control, "servo_max", numbers(PWM_RANGE_US[1]))
+        for tag, value in (
+            ("p_gain", 0.2),
+            ("i_gain", 0.0),
+            ("d_gain", 0.0),
+            ("i_max", 0.0),
+            ("i_min", 0.0),
+            ("cmd_max", 2.5),
+            ("cmd_min", -2.5),
+        ):
+            add(control, tag, numbers(value))
+        add(control, "controlVelocitySlowdownSim", "1")
+    return plugin

@@ -1,0 +1,1 @@
+"""MAVLink: the client that flies a vehicle, and the server that is one."""

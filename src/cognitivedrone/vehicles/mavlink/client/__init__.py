@@ -1,0 +1,1 @@
+"""An ArduPilot vehicle flown over MAVLink."""

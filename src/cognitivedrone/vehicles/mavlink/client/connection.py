@@ -1,0 +1,302 @@
+"""A MAVLink conversation with one vehicle: a thread that listens, heartbeats, and a caller that asks and waits.
+
+Everything received and sent can be written to a tlog, the format that ground stations replay: 8 bytes of big-endian
+microseconds since 1970 before each packet.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import math
+import struct
+import threading
+import time
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from cognitivedrone.errors import LinkError, MissingExtra
+from cognitivedrone.vehicles.mavlink.client.transport import Transport
+from cognitivedrone.vehicles.mavlink.telemetry import GROUND_STATION, Telemetry, heard, is_vehicle, last_words
+
+T = TypeVar("T")
+
+OUR_SYSTEM, OUR_COMPONENT = 255, 191
+"""A ground station's system, so that the vehicle's ground-station failsafe watches our heartbeat; the component of an
+onboard computer, to be told from a ground station of the same system."""
+HEARTBEAT_S, WATCH_S = 1.0, 0.02
+ACK_S, TRIES = 1.0, 3
+RESULTS = {1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed", 6: "cancelled"}
+"""MAV_RESULT; 0 is accepted and 5 in progress."""
+IN_PROGRESS = 5
+REQUEST_MESSAGE = 512
+"""MAV_CMD_REQUEST_MESSAGE."""
+REAL32 = 9
+"""MAV_PARAM_TYPE_REAL32; ArduPilot takes every parameter as that."""
+
+
+@dataclass(frozen=True, slots=True)
+class Vehicle:
+    """Who is at the other end."""
+
+    system: int
+    component: int
+    kind: int
+    """MAV_TYPE."""
+    autopilot: int
+    """MAV_AUTOPILOT."""
+
+
+def load_dialect() -> Any:
+    """The ArduPilot dialect of pymavlink; raises `MissingExtra`."""
+    try:
+        return importlib.import_module("pymavlink.dialects.v20.ardupilotmega")
+    except ModuleNotFoundError:
+        raise MissingExtra("pymavlink", "mavlink") from None
+
+
+class Connection:
+    """Talks to the first vehicle that is heard, or to the one with system id `system`.
+
+    `watch` is called some fifty times a second from the listening thread, which it must not block. Once the link is
+    cut, every method raises `LinkError`.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        *,
+        system: int | None = None,
+        tlog: Path | None = None,
+        watch: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._dialect = load_dialect()
+        self._transport = transport
+        self._system = system
+        self._watch = watch
+        self._encoder = self._dialect.MAVLink(_Outlet(self._put), OUR_SYSTEM, OUR_COMPONENT)
+        self._decoder = self._new_decoder()
+        self._sending = threading.Lock()
+        self._asking = threading.RLock()
+        self._news = threading.Condition()
+        self._logging = threading.Lock()
+        self._stopping = threading.Event()
+        self._failure: LinkError | None = None
+        self._replies: dict[Hashable, Any] = {}
+        self.vehicle: Vehicle | None = None
+        self.telemetry = Telemetry()
+        self.ground_stations: frozenset[tuple[int, int]] = frozenset()
+        """System and component of others that heartbeat as ground stations."""
+        self._tlog = _open_log(tlog) if tlog is not None else None
+        self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True)
+        self._thread.start()
+
+    def check(self) -> None:
+        """Raise what cut the link, if it is cut."""
+        if self._failure is not None:
+            raise self._failure
+
+    def close(self) -> None:
+        """Stop listening and heartbeating."""
+        self._stopping.set()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+        self._transport.close()
+        if self._tlog is not None:
+            self._tlog.close()
+
+    def send(self, message: str, *fields: Any) -> None:
+        """Encode and send a message by its name in lower case and its fields in the order of the definition."""
+        packet = getattr(self._encoder, f"{message}_encode")(*fields)
+        with self._sending:
+            self._encoder.send(packet)
+
+    def wait(self, found: Callable[[], T | None], timeout_s: float) -> T | None:
+        """What `found` gives, asked again at every message, or none after `timeout_s`."""
+        deadline = time.monotonic() + timeout_s
+        with self._news:
+            while True:
+                self.check()
+                if (result := found()) is not None:
+                    return result
+                if (left := deadline - time.monotonic()) <= 0:
+                    return None
+                self._news.wait(min(left, 0.1))
+
+    def until(self, holds: Callable[[], bool], timeout_s: float) -> bool:
+        """Whether it came to hold within `timeout_s`."""
+        return self.wait(lambda: holds() or None, timeout_s) is not None
+
+    def command(self, number: int, *parameters: float, what: str) -> None:
+        """Send a COMMAND_LONG and wait until it is accepted, three times if need be.
+
+        Raises `LinkError` where it is not: with the vehicle's own words, and in ours `what` it was about.
+        """
+        began = time.monotonic()
+        with self._asking:
+            for attempt in range(TRIES):
+                self._replies.pop(("ack", number), None)
+                self.order(number, *parameters, attempt=attempt)
+                result = self._result(number, ACK_S)
+                while result == IN_PROGRESS:
+                    self._replies.pop(("ack", number), None)
+                    result = self._result(number, 10.0)
+                if result == 0:
+                    return
+                if result is not None:
+                    # The reason comes as a text, sometimes just after the refusal.
+                    self.until(lambda: bool(last_words(self.telemetry, began)), 0.3)
+                    words = last_words(self.telemetry, began - 3.0)
+                    raise LinkError(f"the vehicle refused {what}: {RESULTS.get(result, f'result {result}')}{words}")
+        raise LinkError(
+            f"the vehicle did not answer to {what}, asked {TRIES} times;"
+            " is another program using this link, or is it one-way?"
+        )
+
+    def order(self, number: int, *parameters: float, attempt: int = 0) -> None:
+        """Send a COMMAND_LONG without waiting for an answer."""
+        vehicle = self._target()
+        seven = (*parameters, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)[:7]
+        self.send("command_long", vehicle.system, vehicle.component, number, attempt, *seven)
+
+    def message(self, name: str, number: int, timeout_s: float = 2.0) -> Any | None:
+        """Ask for one message and wait for it; none where it is refused or does not come."""
+
+        def answered() -> tuple[Any | None] | None:
+            refused = self._replies.get(("ack", REQUEST_MESSAGE), 0) != 0
+            return (self._replies.get(name),) if refused or name in self._replies else None
+
+        with self._asking:
+            self._replies.pop(name, None)
+            self._replies.pop(("ack", REQUEST_MESSAGE), None)
+            self.order(REQUEST_MESSAGE, number)
+            answer = self.wait(answered, timeout_s)
+            return answer[0] if answer is not None else None
+
+    def parameters(self, names: Sequence[str]) -> dict[str, float | None]:
+        """The values of parameters; none for those that the vehicle does not know: it does not answer for them."""
+        vehicle = self._target()
+        with self._asking:
+            for name in names:
+                self._replies.pop(("parameter", name), None)
+            for _ in range(TRIES):
+                missing = [name for name in names if ("parameter", name) not in self._replies]
+                for name in missing:
+                    self.send("param_request_read", vehicle.system, vehicle.component, name.encode(), -1)
+                if self.until(lambda: all(("parameter", name) in self._replies for name in names), ACK_S / 2):
+                    break
+            return {name: self._replies.get(("parameter", name)) for name in names}
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Set a parameter and see that it took; raises `LinkError` where it did not."""
+        vehicle = self._target()
+        with self._asking:
+            for _ in range(TRIES):
+                self._replies.pop(("parameter", name), None)
+                self.send("param_set", vehicle.system, vehicle.component, name.encode(), value, REAL32)
+                echo = self.wait(lambda: self._replies.get(("parameter", name)), ACK_S)
+                if echo is not None and math.isclose(echo, value, rel_tol=1e-5):
+                    return
+        raise LinkError(f"the vehicle did not take {name} = {value:g}; set it with a ground station")
+
+    def _target(self) -> Vehicle:
+        if self.vehicle is None:
+            raise LinkError("no vehicle has been heard on this link yet")
+        return self.vehicle
+
+    def _result(self, number: int, timeout_s: float) -> int | None:
+        return self.wait(lambda: self._replies.get(("ack", number)), timeout_s)
+
+    # The listening thread.
+
+    def _run(self) -> None:
+        beat = vehicle_beat = watched = -math.inf
+        try:
+            while not self._stopping.is_set():
+                data, peer = self._transport.read(WATCH_S)
+                if data:
+                    self._take(data, peer)
+                now = time.monotonic()
+                # Once a second of the vehicle's time as well: a simulator that runs fast would think us gone.
+                vehicle_time = self.telemetry.vehicle_time
+                if now - beat >= HEARTBEAT_S or vehicle_time - vehicle_beat >= HEARTBEAT_S:
+                    beat, vehicle_beat = now, vehicle_time
+                    self.send("heartbeat", GROUND_STATION, 8, 0, 0, 4)  # no autopilot, active
+                if now - watched >= WATCH_S:
+                    watched = now
+                    self._watch()
+        except LinkError as error:
+            self._fail(error)
+        except Exception as error:
+            # A thread that ends in silence would leave a drone in the air that nobody watches: the caller must hear.
+            self._fail(LinkError(f"listening to the vehicle failed: {error!r}"))
+
+    def _fail(self, error: LinkError) -> None:
+        with self._news:
+            self._failure = error
+            self._news.notify_all()
+
+    def _take(self, data: bytes, peer: Hashable) -> None:
+        # A datagram is whole: what a broken one leaves in a decoder must not swallow the next.
+        decoder = self._new_decoder() if self._transport.datagrams else self._decoder
+        now = time.monotonic()
+        with self._news:
+            for message in decoder.parse_buffer(data) or ():
+                if message.get_type().startswith(("BAD_DATA", "UNKNOWN")):
+                    continue
+                self._log(bytes(message.get_msgbuf()))
+                # A message with an impossible number must not end the listening: what it did not tell grows old.
+                with contextlib.suppress(ValueError, OverflowError):
+                    self._hear(message, peer, now)
+            self._news.notify_all()
+
+    def _hear(self, message: Any, peer: Hashable, now: float) -> None:
+        kind, sender = message.get_type(), (message.get_srcSystem(), message.get_srcComponent())
+        if kind == "HEARTBEAT":
+            if message.type == GROUND_STATION and sender != (OUR_SYSTEM, OUR_COMPONENT):
+                self.ground_stations |= {sender}
+            wanted = self._system in (None, sender[0])
+            if self.vehicle is None and wanted and is_vehicle(message):
+                self.vehicle = Vehicle(*sender, message.type, message.autopilot)
+        if self.vehicle is None or sender != (self.vehicle.system, self.vehicle.component):
+            return
+        if kind == "HEARTBEAT":
+            self._transport.answer_to(peer)  # wherever the vehicle has moved to
+        self.telemetry = heard(self.telemetry, message, now)
+        if kind == "COMMAND_ACK" and message.target_system in (0, OUR_SYSTEM):
+            self._replies["ack", message.command] = message.result
+        elif kind == "PARAM_VALUE":
+            self._replies["parameter", message.param_id] = message.param_value
+        else:
+            self._replies[kind] = message
+
+    def _new_decoder(self) -> Any:
+        decoder = self._dialect.MAVLink(None)
+        decoder.robust_parsing = True
+        return decoder
+
+    def _put(self, data: bytes) -> None:
+        self._log(data)
+        self._transport.write(data)
+
+    def _log(self, packet: bytes) -> None:
+        if self._tlog is not None:
+            with self._logging:
+                self._tlog.write(struct.pack(">Q", time.time_ns() // 1000) + packet)
+
+
+class _Outlet:
+    """What pymavlink's encoder writes to."""
+
+    def __init__(self, write: Callable[[bytes], None]) -> None:
+        self.write = write
+
+
+def _open_log(path: Path) -> Any:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path.open("wb")
+    except OSError as error:
+        raise LinkError(f"cannot write the log {path}: {error.strerror}") from None

@@ -1,0 +1,38 @@
+"""What a link asks of whoever decides about safety, so that it need not know the rules."""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol
+
+from cognitivedrone.interfaces import Health
+from cognitivedrone.types import Action
+
+
+class Decision(Protocol):
+    """What a guard says."""
+
+    @property
+    def kind(self) -> Literal["fly", "hold", "brake", "land", "hands_off"]:
+        """What to do."""
+        ...
+
+    @property
+    def reason(self) -> str:
+        """Why, in words."""
+        ...
+
+
+class Guard(Protocol):
+    """The rules of safety: `cognitivedrone.control.safety.Guard`."""
+
+    def judge(self, health: Health) -> Decision:
+        """What to do now."""
+        ...
+
+    def shape(self, health: Health) -> Action:
+        """The command (4,) to send now, after a decision to fly."""
+        ...
+
+    def land(self, reason: str) -> None:
+        """Decide to land from now on."""
+        ...

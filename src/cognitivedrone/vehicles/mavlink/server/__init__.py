@@ -1,0 +1,1 @@
+"""The simulator as a MAVLink vehicle, for ground stations and tests."""

@@ -1,0 +1,336 @@
+"""The simulator as a MAVLink vehicle: it answers like an ArduCopter 4.6, so that ground stations can fly it.
+
+One `SimulatedVehicle` is one world of a `Simulator`, the flight modes that steer it, and the ports it is reached by.
+Time is the vehicle's own: `step` lets it go on, `serve` does so at the pace of the wall clock.
+The protocol: https://mavlink.io/en/messages/common.html.
+"""
+
+from __future__ import annotations
+
+import select
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from cognitivedrone.errors import RunError
+from cognitivedrone.frames import yaw_of
+from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.types import DroneState, Image
+from cognitivedrone.vehicles.mavlink.server.commands import Commands
+from cognitivedrone.vehicles.mavlink.server.modes import FlightModes, Mode, Severity
+from cognitivedrone.vehicles.mavlink.server.parameters import TABLE, Parameters
+from cognitivedrone.vehicles.mavlink.server.ports import Address, Port, endpoint, open_port
+from cognitivedrone.vehicles.mavlink.server.reports import REPORTS, Snapshot, dialect
+from cognitivedrone.vehicles.mavlink.server.targets import Home
+
+STEP_TICKS = Flight.SAMPLE_TICKS
+STEP_S = STEP_TICKS * Flight.TICK_S
+"""Period of `SimulatedVehicle.step`, s."""
+COMPONENT = 1
+"""MAV_COMP_ID_AUTOPILOT1."""
+MAX_MESSAGES = 200
+"""Heeded of a port each time it is looked at; the rest of a flood is dropped."""
+MAX_PEERS = 8
+FORGET_S = 30.0
+"""A UDP peer that is silent for so long is forgotten."""
+_PARAMETERS_PER_STEP = 4
+_SETTLE_S = 2.0
+_MOST_BEHIND_S = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleConfig:
+    """How a simulated vehicle presents itself."""
+
+    links: tuple[str, ...] = ("udpout:127.0.0.1:14550", "tcpin:127.0.0.1:5760")
+    """`udpout:host:port` speaks first, as a ground station that listens wants it; `udpin` and `tcpin` wait. There is
+    no authentication: leave the loopback only on purpose."""
+    system_id: int = 1
+    latitude: float = -35.363262
+    """Degrees, of the place where the vehicle stands; the default is ArduPilot's airfield."""
+    longitude: float = 149.165237
+    altitude: float = 584.0
+    """m above the sea."""
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Steady, world, m/s."""
+    battery_minutes: float = 15.0
+    """Of flight, from a full battery."""
+    ready_after_s: float = 0.0
+    """Until then arming is refused, as while a real estimator settles."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.system_id <= 254:
+            raise RunError(f"system id {self.system_id} is none; give 1 to 254 (255 is the ground station's)")
+        if not self.links:
+            raise RunError("a simulated vehicle needs a link, such as udpout:127.0.0.1:14550")
+
+
+@dataclass(eq=False)
+class _Peer:
+    """Somebody at the other end."""
+
+    port: Port
+    address: Address
+    mav: Any
+    """pymavlink's encoder and parser."""
+    heard: float
+    """When it last spoke, s."""
+    rates: dict[str, float] = field(default_factory=lambda: {name: rate for name, (_, rate) in REPORTS.items()})
+    due: dict[str, float] = field(default_factory=dict)
+    parameters: deque[str] = field(default_factory=deque)
+    """To be sent yet."""
+
+    def write(self, data: bytes) -> None:
+        """Where `mav` sends to."""
+        self.port.send(self.address, data)
+
+
+class SimulatedVehicle:
+    """A quadrotor that stands on the floor under where the simulator's drone was, and waits for a ground station.
+
+    Use it as a context manager, or call `close`. All methods may be called from any thread. Raises `MissingExtra`
+    without pymavlink, `RunError` where a port cannot be had. The simulator has one world and stays the caller's.
+    """
+
+    def __init__(self, simulator: Simulator, config: VehicleConfig | None = None) -> None:
+        if simulator.worlds != 1:
+            raise RunError(f"a vehicle is one world; this simulator has {simulator.worlds}")
+        self.config = config or VehicleConfig()
+        self.simulator = simulator
+        self.time = 0.0
+        """Since the vehicle started, s."""
+        self.battery = 1.0
+        """What is left, 0 to 1; may be set."""
+        self._m = dialect()
+        self._lock = threading.RLock()
+        self._steps = 0
+        self.parameters = Parameters(self.config.system_id)
+        self.modes = FlightModes(self.parameters, self._stand(), self.say)
+        self._commands = Commands(self._m, self)
+        self._peers: list[_Peer] = []
+        self._ports: list[Port] = []
+        try:
+            for text in self.config.links:
+                self._ports.append(open_port(endpoint(text)))
+        except RunError:
+            self.close()
+            raise
+        self._check_ready()
+
+    def __enter__(self) -> SimulatedVehicle:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    @property
+    def addresses(self) -> tuple[Address, ...]:
+        """Host and port of each link, as bound."""
+        return tuple(port.address for port in self._ports)
+
+    def step(self, count: int = 1) -> None:
+        """Hear, decide, fly and tell, `count` times `STEP_S`; takes no longer than it must."""
+        for _ in range(count):
+            with self._lock:
+                self.listen()
+                self._check_ready()
+                state = self.simulator.state(0)
+                self.simulator.command(0, self.modes.update(state, self.time))
+                self.simulator.advance(STEP_TICKS)
+                self._steps += 1
+                self.time = self._steps * STEP_S
+                if self.modes.armed:
+                    self.battery = max(0.0, self.battery - STEP_S / (60 * self.config.battery_minutes))
+                self._tell()
+
+    def listen(self) -> None:
+        """Take what has come and answer it; no time passes."""
+        with self._lock:
+            for port in self._ports:
+                self._listen_at(port)
+
+    def pilot(self, mode: Mode, sticks: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)) -> None:
+        """As the pilot at the remote control: switch mode, and hold sticks that ask for a velocity.
+
+        sticks: heading frame, m/s and rad/s; flown in STABILIZE, ALT_HOLD and LOITER.
+        """
+        with self._lock:
+            self.modes.set_mode(mode)
+            self.modes.sticks = np.array(sticks)
+
+    def frame(self) -> Image:
+        """(size, size, 3) first-person view of now; needs a simulator with cameras and a stage."""
+        with self._lock:
+            frame: Image = self.simulator.frames()[0]
+            return frame
+
+    def state(self) -> DroneState:
+        """True state."""
+        with self._lock:
+            return self.simulator.state(0)
+
+    def say(self, severity: Severity, text: str) -> None:
+        """STATUSTEXT to everybody, cut to the 50 characters of the protocol."""
+        payload = text.encode("ascii", "replace")[:50]
+        with self._lock:
+            for peer in list(self._peers):
+                peer.mav.statustext_send(int(severity), payload)
+
+    def sockets(self) -> list[Any]:
+        """To wait on until something comes."""
+        with self._lock:
+            return [each for port in self._ports for each in port.sockets()]
+
+    def snapshot(self) -> Snapshot:
+        """What reports tell of now."""
+        modes = self.modes
+        return Snapshot(
+            self.time,
+            time.time(),
+            self.simulator.state(0),
+            modes.home,
+            modes.mode,
+            modes.armed,
+            modes.landed,
+            modes.taking_off,
+            modes.ready,
+            self.battery,
+            modes.target,
+            bool(self.parameters["FENCE_ENABLE"]),
+            modes.breaches,
+            modes.breach_count,
+        )
+
+    def close(self) -> None:
+        """Release the ports."""
+        with self._lock:
+            for port in self._ports:
+                port.close()
+            self._ports, self._peers = [], []
+
+    def _stand(self) -> Home:
+        """Put the drone on the floor and let it come to rest."""
+        flight = self.simulator.flight
+        here = flight.position[0]
+        low = np.array([here[0], here[1], self.simulator.airframe.hull_radius])
+        flight.reset(0, low, float(yaw_of(flight.quaternion[0])), wind=np.array(self.config.wind))
+        for _ in range(round(_SETTLE_S / STEP_S)):
+            self.simulator.command(0, np.array([0.0, 0.0, -0.5, 0.0]))
+            flight.advance(STEP_TICKS)
+        c = self.config
+        return Home(flight.position[0], c.latitude, c.longitude, c.altitude)
+
+    def _check_ready(self) -> None:
+        left = self.config.ready_after_s - self.time
+        self.modes.ready = left <= 0
+        self.modes.not_ready = "" if left <= 0 else f"PreArm: estimator settles for {left:.0f} s more"
+
+    def _listen_at(self, port: Port) -> None:
+        heeded = 0
+        for address in port.peers():
+            self._peer(port, address)
+        for address, data in port.receive():
+            # Unknown senders get a parser for this datagram alone, and become peers by a packet that can be read.
+            peer = self._find(port, address) or self._new_peer(port, address)
+            if port.datagrams or len(peer.mav.buf) > 65536:
+                peer.mav.buf, peer.mav.buf_index = bytearray(), 0
+            for message in peer.mav.parse_buffer(data) or ():
+                heeded += 1
+                if heeded > MAX_MESSAGES or message.get_type() == "BAD_DATA" or not self._for_us(message):
+                    continue
+                if self._keep(peer):
+                    peer.heard = self.time
+                    self._commands.heed(peer, message)
+        connected = set(port.peers())
+        self._peers = [
+            peer
+            for peer in self._peers
+            if peer.port is not port
+            or peer.address in connected
+            or (port.datagrams and self.time - peer.heard < FORGET_S)
+        ]
+
+    def _for_us(self, message: Any) -> bool:
+        """Whether a message is addressed to this vehicle or to all, and is not its own."""
+        system = getattr(message, "target_system", 0)
+        component = getattr(message, "target_component", 0)
+        mine = self.config.system_id
+        return message.get_srcSystem() != mine and system in (0, mine) and component in (0, COMPONENT)
+
+    def _find(self, port: Port, address: Address) -> _Peer | None:
+        return next((peer for peer in self._peers if peer.port is port and peer.address == address), None)
+
+    def _new_peer(self, port: Port, address: Address) -> _Peer:
+        peer = _Peer(port, address, None, self.time)
+        peer.mav = self._m.MAVLink(peer, srcSystem=self.config.system_id, srcComponent=COMPONENT)
+        peer.mav.robust_parsing = True
+        return peer
+
+    def _peer(self, port: Port, address: Address) -> None:
+        """Meet somebody who is spoken to unasked."""
+        if self._find(port, address) is None:
+            self._keep(self._new_peer(port, address))
+
+    def _keep(self, peer: _Peer) -> bool:
+        """Whether `peer` is one of those that are spoken to; makes it one where there is room."""
+        if peer not in self._peers:
+            if sum(other.port is peer.port for other in self._peers) >= MAX_PEERS:
+                return False
+            self._peers.append(peer)
+            peer.mav.statustext_send(int(Severity.INFO), b"CognitiveDrone: a simulated copter")
+        return True
+
+    def _tell(self) -> None:
+        """Send every report that is due."""
+        snapshot: Snapshot | None = None
+        for peer in list(self._peers):
+            for name in [peer.parameters.popleft() for _ in range(min(_PARAMETERS_PER_STEP, len(peer.parameters)))]:
+                self.send_parameter(peer, name)
+            for name, rate in peer.rates.items():
+                if rate <= 0 or self.time < peer.due.get(name, 0.0) - 1e-9:
+                    continue
+                # The next one a period after the last was due, but never in arrears.
+                peer.due[name] = max(peer.due.get(name, self.time) + 1 / rate, self.time)
+                snapshot = snapshot or self.snapshot()
+                peer.mav.send(REPORTS[name][0](self._m, snapshot))
+
+    def send_parameter(self, peer: _Peer, name: str) -> None:
+        """PARAM_VALUE."""
+        m = self._m
+        kind = {"int8": m.MAV_PARAM_TYPE_INT8, "int16": m.MAV_PARAM_TYPE_INT16, "float": m.MAV_PARAM_TYPE_REAL32}
+        p = self.parameters
+        peer.mav.param_value_send(name.encode(), p[name], kind[TABLE[name].kind], len(p), p.index(name))
+
+
+def serve(
+    vehicle: SimulatedVehicle,
+    stop: Callable[[], bool],
+    *,
+    speed: float = 1.0,
+) -> float:
+    """Fly until `stop()` is true, `speed` times as fast as the wall clock; returns the seconds that it fell behind.
+
+    Messages are answered as they come. A machine that is too slow makes the vehicle's time go slower, never jump.
+    """
+    if not 0 < speed <= 100:
+        raise RunError(f"a speed of {speed:g} cannot be flown; give more than 0, at most 100")
+    period, lost = STEP_S / speed, 0.0
+    due = time.monotonic()
+    while not stop():
+        wait = due - time.monotonic()
+        if wait > 0:
+            if select.select(vehicle.sockets(), [], [], wait)[0]:
+                vehicle.listen()
+            continue
+        vehicle.step()
+        due += period
+        behind = time.monotonic() - due
+        if behind > _MOST_BEHIND_S:
+            lost, due = lost + behind, due + behind
+    return lost

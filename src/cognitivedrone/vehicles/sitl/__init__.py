@@ -1,0 +1,1 @@
+"""A real ArduCopter process on this project's physics."""

@@ -1,0 +1,87 @@
+"""A camera, a reasoner and a policy that tests can foresee."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import ClassVar
+
+import numpy as np
+
+from cognitivedrone.apps.mjpeg import FrameServer
+from cognitivedrone.policies.blind import Hover
+from cognitivedrone.types import ActionChunk, Guidance, Image, Observation
+
+
+class Echo:
+    """Directs to the gate of the instruction's last word."""
+
+    def refine(self, image: Image, instruction: str) -> Guidance:
+        return Guidance(f"Fly through the {instruction.split()[-1]} gate", None, 0.9)
+
+
+class Doubtful:
+    """Sure of cats alone; directs to the red gate."""
+
+    def refine(self, image: Image, instruction: str) -> Guidance:
+        return Guidance("Fly through the red gate", None, 0.9 if "cat" in instruction else 0.2)
+
+
+class Typist(Hover):
+    """Stays where it is, and types lines when it has decided so often: {decisions: line}."""
+
+    lines: ClassVar[dict[int, bytes]] = {}
+    keyboard: ClassVar[int] = -1
+    """A file to write to."""
+
+    def __init__(self) -> None:
+        self.decisions = 0
+
+    def act(self, observation: Observation) -> ActionChunk:
+        self.decisions += 1
+        if self.decisions in self.lines:
+            os.write(self.keyboard, self.lines[self.decisions])
+        return super().act(observation)
+
+
+class Eager(Typist):
+    """Types as well, but flies slowly forward."""
+
+    def act(self, observation: Observation) -> ActionChunk:
+        super().act(observation)
+        return np.array([[0.5, 0.0, 0.0, 0.0]], dtype=np.float32)
+
+
+class Broken:
+    """Flies twice, then asks for NaN."""
+
+    def reset(self, instruction: str) -> None:
+        self.left = 2
+
+    def act(self, observation: Observation) -> ActionChunk:
+        self.left -= 1
+        return np.full((1, 4), 0.0 if self.left >= 0 else np.nan, dtype=np.float32)
+
+
+GREY = np.full((256, 256, 3), 128, np.uint8)
+
+
+@contextmanager
+def camera(picture: Image = GREY) -> Iterator[str]:
+    """The address of a view that never changes, at 20 frames a second."""
+    stopping = threading.Event()
+    with FrameServer(0) as frames:
+
+        def film() -> None:
+            while not stopping.wait(0.05):
+                frames.show(picture)
+
+        thread = threading.Thread(target=film)
+        thread.start()
+        try:
+            yield frames.url
+        finally:
+            stopping.set()
+            thread.join()

@@ -1,0 +1,344 @@
+"""Whole flights by the command's own function: in the simulator, and over real sockets on the loopback."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from rich.console import Console
+
+pytest.importorskip("pymavlink")
+sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
+
+from arducopters import played_arducopter
+from cockpit_fakes import Typist, camera
+from peer import MODES, Peer, playing
+from pymavlink import mavutil
+
+from cognitivedrone.apps.config import FlyConfig, SimConfig
+from cognitivedrone.apps.fly import fly_mission
+from cognitivedrone.apps.opening import FLAG
+from cognitivedrone.apps.vehicle import Served, serve_vehicle
+from cognitivedrone.cli import main
+from cognitivedrone.errors import CognitiveDroneError, LinkError, PolicyError, RunError
+from cognitivedrone.sim.gate_monitor import Verdict, judge
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.tasks import load_suite
+
+EPISODE = 4
+"""Of the smoke suite: the shortest flight."""
+
+
+def quiet() -> Console:
+    return Console(file=io.StringIO(), width=100)
+
+
+def nobody() -> io.StringIO:
+    """A keyboard that nobody types on."""
+    return io.StringIO()
+
+
+def commands(peer: Peer, *numbers: int) -> list[int]:
+    return [message.command for message in peer.of("COMMAND_LONG") if message.command in numbers]
+
+
+def test_a_flight_in_the_simulator_passes_a_gate_and_is_recorded(tmp_path, capsys):
+    out = tmp_path / "flight"
+    arguments = ["--policy", "colour_seeker", "--reasoner", "oracle", "--episode", EPISODE, "--out", out]
+    with pytest.raises(SystemExit) as end:
+        main(["fly", *map(str, arguments)])
+    assert end.value.code == 0
+    said = capsys.readouterr().out
+    assert "passed: through gate" in said
+    task = load_suite("open-v1:smoke").tracks[EPISODE][0]
+
+    steps = pq.read_table(out / "steps.parquet").to_pydict()
+    about = json.loads((out / "flight.json").read_text())
+    assert about["end"]["ending"] == "passed"
+    assert about["end"]["frames_dropped"] == 0
+    assert about["config"]["policy"] == "colour_seeker"
+    assert len(steps["time_s"]) == about["end"]["steps"] > 30
+    assert np.diff(steps["time_s"]).min() > 0
+    assert set(steps["instruction"]) == {task.instruction}
+    assert steps["directive"][-1] == task.directive
+    assert all(p is None or 0 < p < 1 for p in steps["policy_s"])
+    # What was sent was flown: the path is that of the velocities that were seen.
+    path = np.array([steps["x_m"], steps["y_m"], steps["z_m"]]).T
+    flown = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+    speed = np.linalg.norm([steps["vx_m_s"], steps["vy_m_s"], steps["vz_m_s"]], axis=0)
+    assert flown == pytest.approx(np.trapezoid(speed, steps["time_s"]), rel=0.1)
+
+    events = pq.read_table(out / "events.parquet").to_pylist()
+    kinds = [event["kind"] for event in events]
+    assert kinds[0] == "leg"
+    assert kinds[-1] == "over"
+    assert next(event for event in events if event["kind"] == "adopted")["text"] == task.directive
+
+    with av.open(str(out / "flight.mp4")) as film:
+        frames = list(film.decode(video=0))
+    assert len(frames) == len(steps["time_s"])
+    assert frames[-1].time == pytest.approx(steps["time_s"][-1], abs=0.01)
+    assert np.ptp(frames[0].to_ndarray(format="rgb24")) > 100
+
+
+def test_an_instruction_typed_in_flight_is_a_new_leg_and_asks_the_reasoner_at_once(tmp_path, monkeypatch):
+    reading, writing = os.pipe()
+    monkeypatch.setattr(Typist, "keyboard", writing)
+    monkeypatch.setattr(Typist, "lines", {8: b"go to  blue\n", 16: b"LAND\n"})
+    config = FlyConfig(
+        "go to red", policy="cockpit_fakes:Typist", reasoner="cockpit_fakes:Echo", out=tmp_path / "f", time_limit=10
+    )
+    with os.fdopen(reading) as keyboard:
+        summary = fly_mission(config, console=quiet(), keyboard=keyboard)
+    os.close(writing)
+    assert (summary.ending.kind, summary.exit_code) == ("told", 0)
+    assert summary.seconds < 5
+    events = pq.read_table(tmp_path / "f" / "events.parquet").to_pylist()
+    legs = [event for event in events if event["kind"] == "leg"]
+    assert [leg["text"] for leg in legs] == ["go to red", "go to blue"]
+    asked = next(e for e in events if e["kind"] == "asked" and e["text"] == "go to blue")
+    assert asked["time_s"] - legs[1]["time_s"] < 0.3  # it is asked twice a second otherwise
+    steps = pq.read_table(tmp_path / "f" / "steps.parquet").to_pydict()
+    assert sorted(set(steps["leg"])) == [0, 1]
+    told = dict(zip(steps["directive"], steps["leg"], strict=True))
+    assert told["Fly through the red gate"] == 0
+    assert told["Fly through the blue gate"] == 1
+
+
+def test_the_served_vehicle_says_how_to_connect():
+    config = SimConfig(mavlink=True, links=("udpout:127.0.0.1:14599", "udpin:127.0.0.1:0"))
+    with served(config) as vehicle:
+        said = str(vehicle).splitlines()
+    assert vehicle.task.instruction in said[0]
+    assert said[1].endswith("connect with --link mavlink:udp:127.0.0.1:14599")
+    assert re.search(r"connect with --link mavlink:udpout:127\.0\.0\.1:[1-9]\d+$", said[2])
+    assert not any("camera" in line for line in said)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({}, "sim --mavlink"),
+        ({"mavlink": True, "camera_hz": 0}, "--camera-hz is 0"),
+        ({"mavlink": True, "episode": -1}, "has episodes 0 to 29, not -1"),
+        (
+            {"mavlink": True, "camera_port": 99_999, "links": ("tcpin:127.0.0.1:0",)},
+            "cannot serve frames at port 99999",
+        ),
+    ],
+)
+def test_what_cannot_be_served_is_said(options, says):
+    with pytest.raises(CognitiveDroneError, match=says):
+        serve_vehicle(SimConfig(**options), lambda: True, lambda _: None)
+
+
+@contextmanager
+def served(config: SimConfig) -> Iterator[Served]:
+    """The simulated vehicle in a thread."""
+    stopping, told = threading.Event(), list[Served]()
+    ready = threading.Event()
+
+    def announce(what: Served) -> None:
+        told.append(what)
+        ready.set()
+
+    thread = threading.Thread(target=serve_vehicle, args=(config, stopping.is_set, announce))
+    thread.start()
+    try:
+        assert ready.wait(20)
+        yield told[0]
+    finally:
+        stopping.set()
+        thread.join()
+
+
+def test_another_process_flies_the_served_vehicle_through_a_gate_and_ctrl_c_lands_it(tmp_path, monkeypatch):
+    """The camera over HTTP, MAVLink over TCP, `fly` with the standard options, and a signal."""
+    through: list[Verdict] = []
+    advance = Simulator.advance
+
+    def watched(self: Simulator, *ticks: int) -> list[Verdict | None]:
+        before = self.flight.position[0].copy()
+        verdicts, referee = advance(self, *ticks), self.referee(0)
+        # The simulator's own referee ends with the collision that standing on the floor is.
+        path = np.stack([before, self.flight.position[0]])
+        verdict = judge(referee.stage, path, referee.hull_radius, referee.aspects)
+        if verdict is not None and verdict.gate is not None:
+            through.append(verdict)
+        return verdicts
+
+    monkeypatch.setattr(Simulator, "advance", watched)
+    config = SimConfig(
+        mavlink=True, links=("tcpin:127.0.0.1:0",), camera_port=0, camera_hz=30, episode=EPISODE, speed=3
+    )
+    out = tmp_path / "f"
+    with served(config) as vehicle:
+        host, port = vehicle.links[0].split(":")[1:]
+        assert f"--link mavlink:tcp:{host}:{port}" in str(vehicle)
+        command = [
+            *(sys.executable, "-m", "cognitivedrone", "fly", vehicle.task.directive),
+            *("--link", f"mavlink:tcp:{host}:{port}", "--camera", vehicle.camera_url, "--out", out),
+            *("--policy", "colour_seeker", "--reasoner", "none", "--clock", "vehicle", "--set-parameters"),
+        ]
+        flight = subprocess.Popen(list(map(str, command)), stdout=subprocess.PIPE, text=True, stdin=subprocess.DEVNULL)
+        began = time.monotonic()
+        while not through and flight.poll() is None and time.monotonic() - began < 60:
+            time.sleep(0.02)
+        flight.send_signal(signal.SIGINT)
+        said, _ = flight.communicate(timeout=30)
+    assert flight.returncode == 130, said
+    assert through[0].kind == "gate"
+    assert through[0].gate == vehicle.task.target
+    assert "interrupted: ctrl-C" in said
+    assert "landed" in said
+    steps = pq.read_table(out / "steps.parquet").to_pydict()
+    assert set(steps["mode"]) == {"GUIDED"}
+    assert max(steps["frame_age_s"]) < 1.0
+    log, modes = mavutil.mavlogfile(str(out / "flight.tlog")), []
+    while (message := log.recv_match(type="HEARTBEAT")) is not None:
+        if message.get_srcSystem() == 1:
+            modes.append((message.custom_mode, bool(message.base_mode & 0x80)))
+    log.close()
+    assert modes[-1] == (MODES["LAND"], False)
+
+
+def test_what_is_not_inside_this_machine_is_not_even_talked_to(tmp_path):
+    config = FlyConfig("go", link="mavlink:udp:10.0.0.1:14550", camera="nowhere", policy="hover", reasoner="none")
+    with pytest.raises(LinkError, match=f"may be a real drone.*{FLAG}"):
+        fly_mission(config, console=quiet(), keyboard=nobody())
+    assert not list(tmp_path.iterdir())
+
+
+def vehicle(peer: Peer, url: str, out: Path, **options: object) -> FlyConfig:
+    link = f"mavlink:udpout:127.0.0.1:{peer.port}"
+    return FlyConfig("go", link=link, camera=url, policy="hover", reasoner="none", out=out, **options)
+
+
+def test_a_vehicle_that_may_be_real_is_refused_without_the_flag_and_without_the_word(tmp_path):
+    with playing() as peer, camera() as url:
+        with pytest.raises(LinkError, match=f"may be a real drone.*{FLAG}"):
+            fly_mission(vehicle(peer, url, tmp_path / "a"), console=quiet(), keyboard=io.StringIO("arm\n"))
+        consent = vehicle(peer, url, tmp_path / "b", i_understand_this_flies_a_real_drone=True)
+        console = quiet()
+        for typed in ("", "yes\n"):
+            with pytest.raises(LinkError, match="not confirmed"):
+                fly_mission(consent, console=console, keyboard=io.StringIO(typed))
+            (tmp_path / "b" / "flight.json").unlink()
+        by_its_own = replace(consent, clock="vehicle")
+        with pytest.raises(LinkError, match="leave --clock vehicle out"):
+            fly_mission(by_its_own, console=quiet(), keyboard=io.StringIO("arm\n"))
+        assert commands(peer, 176, 400, 22) == []
+    assert "propellers clear" in console.file.getvalue()
+
+
+def test_the_pilot_ends_the_flight(tmp_path):
+    with playing() as peer, camera() as url:
+        config = vehicle(peer, url, tmp_path / "f", i_understand_this_flies_a_real_drone=True)
+        pilot = threading.Timer(0.6, lambda: setattr(peer.part, "mode", MODES["LOITER"]))
+        pilot.start()
+        summary = fly_mission(config, console=quiet(), keyboard=io.StringIO("arm\n"))
+        pilot.join()
+        assert commands(peer, 400) == [400]
+    assert (summary.ending.kind, summary.exit_code) == ("vehicle", 1)
+    assert "LOITER" in summary.ending.reason
+    about = json.loads((tmp_path / "f" / "flight.json").read_text())
+    assert about["end"]["reason"] == summary.ending.reason
+
+
+def test_arducopter_is_started_on_our_physics_and_flown(tmp_path):
+    binary = played_arducopter(tmp_path)
+    instance = free_instance()
+    config = FlyConfig(
+        link="sitl", policy="hover", reasoner="oracle", sitl=binary, sitl_instance=instance, time_limit=1,
+        out=tmp_path / "f", takeoff_height=0.5,
+    )  # fmt: skip
+    summary = fly_mission(config, console=quiet(), keyboard=nobody())
+    assert summary.ending.kind == "time"
+    assert (tmp_path / "f" / "arducopter.log").read_text() == "parameters read\n"
+    steps = pq.read_table(tmp_path / "f" / "steps.parquet").to_pydict()
+    task = load_suite("open-v1:smoke").tracks[0][0]
+    assert steps["directive"][-1] == task.directive
+    assert set(steps["mode"]) == {"GUIDED"}
+    with av.open(str(tmp_path / "f" / "flight.mp4")) as film:
+        assert np.ptp(next(film.decode(video=0)).to_ndarray(format="rgb24")) > 100
+
+
+def free_instance() -> int:
+    """An instance whose ports nobody uses."""
+    for instance in range(40, 200):
+        with socket.socket() as tcp, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+            try:
+                tcp.bind(("127.0.0.1", 5760 + 10 * instance))
+                udp.bind(("127.0.0.1", 9002 + 10 * instance))
+            except OSError:
+                continue
+            return instance
+    raise AssertionError("every port is taken")
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"link": "mavlnk:udp:127.0.0.1:1"}, "did you mean 'mavlink'"),
+        ({"link": "sim:fast"}, "takes nothing behind a colon"),
+        ({"link": "mavlink:udp:127.0.0.1:1", "camera": "x"}, "say what to do"),
+        ({"link": "mavlink:udp:127.0.0.1:1", "instruction": "go"}, "needs --camera"),
+        ({"camera": "/dev/video0"}, "has its own camera"),
+        ({"time_limit": 0}, "--time-limit is 0"),
+        ({"takeoff_height": 12}, "below --ceiling"),
+        ({"policy_patience": 60}, "--policy-patience is 60"),
+        ({"episode": 999}, "has episodes 0 to 29, not 999"),
+        ({"suite": "open-v1:smok"}, "did you mean 'open-v1:smoke'"),
+        ({"link": "sitl"}, "needs an ArduCopter binary"),
+        ({"link": "sitl", "sitl": Path("pyproject.toml")}, "not a program that can be run"),
+    ],
+)
+def test_a_mistake_is_said_in_one_sentence_before_anything_is_written(tmp_path, monkeypatch, options, says):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("ARDUCOPTER", raising=False)
+    with pytest.raises(CognitiveDroneError, match=says):
+        fly_mission(FlyConfig(policy="hover", reasoner="none", **options), console=quiet(), keyboard=nobody())
+    assert not (tmp_path / "flights").exists()
+
+
+def test_who_must_know_the_truth_flies_only_where_it_is_known(tmp_path):
+    with playing() as peer, camera() as url:
+        config = FlyConfig(
+            "go", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=url, policy="oracle", reasoner="none",
+            out=tmp_path / "f", i_understand_this_flies_a_real_drone=True,
+        )  # fmt: skip
+        with pytest.raises(PolicyError, match="this policy must be told the truth"):
+            fly_mission(config, console=quiet(), keyboard=io.StringIO("arm\n"))
+        assert commands(peer, 400) == []
+
+
+def test_a_log_is_never_written_over(tmp_path):
+    (tmp_path / "flight.json").write_text("{}")
+    with pytest.raises(RunError, match="holds a flight already"):
+        fly_mission(FlyConfig(policy="hover", reasoner="none", out=tmp_path), console=quiet(), keyboard=nobody())
+
+
+def test_a_policy_that_fails_ends_the_flight_and_leaves_a_log(tmp_path):
+    config = FlyConfig("x", policy="cockpit_fakes:Broken", reasoner="none", out=tmp_path / "f")
+    with pytest.raises(PolicyError, match="not all of it is a finite number"):
+        fly_mission(config, console=quiet(), keyboard=nobody())
+    about = json.loads((tmp_path / "f" / "flight.json").read_text())
+    assert "finite" in about["end"]["error"]
+    assert pq.read_table(tmp_path / "f" / "steps.parquet").num_rows == 2

@@ -1,0 +1,127 @@
+"""Hovering while the reasoner is unsure: when it begins, when it ends, and what the drone is sent meanwhile."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cognitivedrone.control.async_reasoner import Answer, Question, SimulatedMind
+from cognitivedrone.control.hold import HeedingMind, HeldDrone, Hold, HoldRule
+from cognitivedrone.errors import ReasonerError
+from cognitivedrone.types import Guidance
+
+FRAME = np.zeros((256, 256, 3), np.uint8)
+
+
+def answer(confidence, present=None, leg=0):
+    guidance = Guidance("Fly through the red gate", 0, confidence, present=present)
+    return Answer(Question(leg, "the bird", FRAME, 0.0), guidance)
+
+
+def fault(kind, leg=0):
+    return Answer(Question(leg, "the bird", FRAME, 0.0), None, kind, "it said so")
+
+
+def after(*answers, rule=None):
+    hold = Hold(rule)
+    hold.begin(0)
+    states = []
+    for each in answers:
+        hold.hear(each)
+        states.append(hold.active)
+    return states
+
+
+def test_it_takes_two_unsure_answers_to_hover():
+    assert after(answer(0.2), answer(0.2)) == [False, True]
+    assert after(answer(0.2), answer(0.9), answer(0.9)) == [False, False, False]
+
+
+def test_a_sure_reasoner_that_sees_nothing_of_what_is_asked_is_unsure():
+    assert after(answer(0.95, present=0.01), answer(0.95, present=0.01)) == [False, True]
+    assert after(answer(0.95, present=0.99), answer(0.95, present=0.99)) == [False, False]
+
+
+def test_it_flies_on_only_when_clearly_sure_again():
+    assert after(answer(0.3), answer(0.3), answer(0.6), answer(0.6), answer(0.9)) == [False, True, True, True, False]
+
+
+def test_not_being_able_to_tell_is_unsure_until_something_was_read():
+    assert after(fault("unsure"), fault("unsure")) == [False, True]
+    # Before the gate what was read has left the view: it is flown through all the same.
+    assert after(answer(0.9), *[fault("unsure")] * 5) == [False] * 6
+
+
+@pytest.mark.parametrize("kind", ["unreachable", "timeout", "garbage", "http"])
+def test_a_reasoner_that_does_not_answer_says_nothing_of_the_scene(kind):
+    assert after(*[fault(kind)] * 5) == [False] * 5
+
+
+def test_zero_never_hovers():
+    assert after(*[answer(0.0)] * 5, rule=HoldRule(below=0.0)) == [False] * 5
+
+
+def test_a_new_leg_is_flown_until_it_is_doubted_itself():
+    hold = Hold()
+    hold.begin(0)
+    for _ in range(2):
+        hold.hear(answer(0.1))
+    assert hold.active
+    hold.begin(0)
+    assert hold.active
+    hold.begin(1)
+    assert not hold.active
+    hold.hear(answer(0.1, leg=0))  # late, about the leg before
+    hold.hear(answer(0.1, leg=1))
+    assert not hold.active
+    hold.hear(answer(0.1, leg=1))
+    assert hold.active
+
+
+class Recorded:
+    def __init__(self):
+        self.sent = []
+
+    def observe(self):
+        return "seen"
+
+    def send(self, action):
+        self.sent.append(action.tolist())
+        return action
+
+    def close(self):
+        self.sent.append("closed")
+
+
+def test_a_held_drone_is_sent_no_velocity():
+    drone, hold = Recorded(), Hold()
+    held = HeldDrone(drone, hold)
+    assert held.observe() == "seen"
+    action = np.array([1.0, 0.5, -0.25, 0.5], np.float32)
+    assert held.send(action).tolist() == action.tolist()
+    hold.active = True
+    assert held.send(action).tolist() == [0.0] * 4
+    held.close()
+    assert drone.sent == [action.tolist(), [0.0] * 4, "closed"]
+
+
+class Doubtful:
+    def refine(self, image, instruction):
+        if instruction == "blind":
+            raise ReasonerError("unsure", "cannot tell")
+        return Guidance("Fly through the red gate", 0, 0.2)
+
+
+def test_a_heeding_mind_answers_as_the_mind_and_is_heard():
+    hold = Hold()
+    mind = HeedingMind(SimulatedMind(Doubtful(), lambda _: 0.5), hold)
+    for instruction in ("the bird", "blind", "the bird"):
+        assert mind.idle(0.0)
+        mind.ask(Question(3, instruction, FRAME, 0.0))
+        assert mind.answer(0.1) is None
+        assert mind.answer(0.6).question.instruction == instruction
+    assert hold.active
+    assert hold.sure == pytest.approx(0.2)
+    mind.ask(Question(4, "the bird", FRAME, 1.0))
+    assert not hold.active
+    mind.close()

@@ -1,0 +1,122 @@
+"""Delays: fixed, measured, or drawn from a file, and clear words about everything else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cognitivedrone.control import latency
+from cognitivedrone.control.latency import TimedPolicy, parse_delays
+from cognitivedrone.errors import PolicyError
+
+
+def charges(delay, seed=0, needed=0.123, n=200):
+    charge = delay.charge(np.random.default_rng(seed))
+    return [charge(needed) for _ in range(n)]
+
+
+def test_none_measured_and_fixed():
+    assert charges(parse_delays("none").policy, n=1) == [0.0]
+    assert charges(parse_delays("measured").reasoner, n=1) == [0.123]
+    delays = parse_delays(" policy=80ms, reasoner=0.45s ")
+    assert charges(delays.policy, n=1) == [pytest.approx(0.08)]
+    assert charges(delays.reasoner, n=1) == [pytest.approx(0.45)]
+    mixed = parse_delays("reasoner=measured")
+    assert (charges(mixed.policy, n=1), charges(mixed.reasoner, n=1)) == ([0.0], [0.123])
+
+
+def test_a_file_is_drawn_from_by_the_seed(tmp_path):
+    file = tmp_path / "samples.txt"
+    file.write_text("# from the vehicle\n100\n\n250.5  # once\n")
+    delay = parse_delays(f"reasoner={file}").reasoner
+    drawn = charges(delay)
+    assert set(drawn) == {0.1, 0.2505}
+    assert 60 < drawn.count(0.1) < 140
+    assert drawn == charges(delay)
+    assert drawn != charges(delay, seed=1)
+
+
+def test_equal_delays_have_equal_identities(tmp_path):
+    one, two = tmp_path / "a.txt", tmp_path / "b.txt"
+    one.write_text("100\n")
+    two.write_text("100\n")
+    assert parse_delays(f"reasoner={one}").identity == parse_delays(f"reasoner={two}").identity
+    two.write_text("101\n")
+    assert parse_delays(f"reasoner={one}").identity != parse_delays(f"reasoner={two}").identity
+    swapped = "reasoner=450ms,policy=80ms"
+    assert parse_delays("policy=80ms,reasoner=450ms").identity == parse_delays(swapped).identity
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("fast", "cannot read 'fast'"),
+        ("policy=80", "neither a time such as 80ms nor a file"),
+        ("pilot=80ms", "cannot read 'pilot=80ms'"),
+        ("policy=80ms,policy=90ms", "cannot read 'policy=90ms'"),
+        ("policy=", "cannot read 'policy='"),
+        ("policy=90s", "from 0 to 60 s"),
+        ("", "cannot read ''"),
+    ],
+)
+def test_what_cannot_be_read_is_said(text, said):
+    with pytest.raises(PolicyError, match=said):
+        parse_delays(text)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [("", "holds no number"), ("fast\n", "line 1: 'fast' is no number"), ("1\n-3\n", "line 2"), ("nan\n", "line 1")],
+)
+def test_a_file_that_cannot_be_read_is_said_with_its_line(tmp_path, content, said):
+    file = tmp_path / "samples.txt"
+    file.write_text(content)
+    with pytest.raises(PolicyError, match=said):
+        parse_delays(f"policy={file}")
+
+
+class Slow:
+    """A policy that is told things and takes a quarter of a second a decision, by a clock of its own."""
+
+    def __init__(self):
+        self.told, self.clock = [], 0.0
+
+    def perf_counter(self):
+        return self.clock
+
+    def reset(self, instruction):
+        self.told.append(instruction)
+
+    def brief(self, truth):
+        self.told.append(truth)
+
+    def act(self, observation):
+        self.clock += 0.25
+        return observation
+
+
+class Blind:
+    """A policy that takes no truth."""
+
+    def reset(self, instruction):
+        pass
+
+    def act(self, observation):
+        return observation
+
+
+def test_a_measured_policy_is_told_all_and_decides_as_ever(monkeypatch):
+    slow = Slow()
+    monkeypatch.setattr(latency, "time", slow)
+    timed = TimedPolicy(slow)
+    timed.reset("go")
+    timed.brief("truth")
+    assert slow.told == ["go", "truth"]
+    assert [timed.act(chunk) for chunk in ("a", "b")] == ["a", "b"]
+    assert timed.took_s == [0.25, 0.25]
+
+
+def test_a_truth_that_a_policy_does_not_take_is_kept_from_it():
+    timed = TimedPolicy(Blind())
+    timed.brief("truth")
+    assert timed.act("chunk") == "chunk"

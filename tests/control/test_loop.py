@@ -1,0 +1,227 @@
+"""The loop keeps its rates, flies chunks to their end, follows legs and refuses what cannot be flown."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cognitivedrone.control.async_reasoner import SimulatedMind
+from cognitivedrone.control.loop import Leg, Rates, fly
+from cognitivedrone.errors import NonFiniteAction, PolicyError, ReasonerError
+from cognitivedrone.types import Guidance, Observation
+
+
+class Ground:
+    """A drone that stays where it is, and a clock that only counts."""
+
+    def __init__(self):
+        self.time = 0.0
+        self.sent = []
+
+    def observe(self):
+        image = np.zeros((256, 256, 3), np.uint8)
+        return Observation(image, "from the drone", np.zeros(3, np.float32), 1.0, 0.0, self.time)
+
+    def send(self, action):
+        self.sent.append((self.time, action.copy()))
+        return action
+
+    def close(self):
+        pass
+
+    def now(self):
+        return self.time
+
+    def sleep_until(self, time_s):
+        self.time = time_s
+
+
+class Counting:
+    """Answers with chunks of k, each numbered by the call that made it."""
+
+    def __init__(self, k=1):
+        self.k, self.calls, self.resets, self.texts = k, 0, [], []
+
+    def reset(self, instruction):
+        self.resets.append(instruction)
+
+    def act(self, observation):
+        self.calls += 1
+        self.texts.append(observation.instruction)
+        return np.full((self.k, 4), self.calls / 100, np.float32)
+
+
+def for_steps(ground, steps, instruction="go"):
+    return lambda: Leg(0, instruction) if ground.time < steps / 10 - 1e-9 else None
+
+
+def test_ten_commands_a_second_on_absolute_deadlines():
+    ground = Ground()
+    assert fly(ground, Counting(), ground, for_steps(ground, 25)) == 25
+    assert [time for time, _ in ground.sent] == pytest.approx([i / 10 for i in range(25)])
+
+
+def test_a_chunk_is_flown_to_its_end_before_the_policy_is_asked_again():
+    ground, policy = Ground(), Counting(k=4)
+    fly(ground, policy, ground, for_steps(ground, 10))
+    assert policy.calls == 3
+    assert [round(float(a[0]) * 100) for _, a in ground.sent] == [1, 1, 1, 1, 2, 2, 2, 2, 3, 3]
+
+
+class Saying:
+    """A reasoner that says one thing after the other, the last one for ever; None is "cannot tell"."""
+
+    def __init__(self, *directives):
+        self.directives, self.asked = list(directives), []
+
+    def refine(self, image, instruction):
+        self.asked.append(instruction)
+        directive = self.directives.pop(0) if len(self.directives) > 1 else self.directives[0]
+        if directive is None:
+            raise ReasonerError("unsure", "it is too dark")
+        return Guidance(directive, None, 1.0)
+
+
+class Notes:
+    def __init__(self):
+        self.events, self.ages = [], []
+
+    def record(self, observation, action, guidance):
+        self.ages.append(None if guidance is None else round(guidance.age, 3))
+
+    def note(self, event):
+        self.events.append((round(event.time, 3), event.kind, event.text))
+
+    def of(self, *kinds):
+        return [event for event in self.events if event[1] in kinds]
+
+
+RED, BLUE = "Fly through the red gate", "Fly through the blue gate"
+
+
+def test_the_reasoner_is_asked_twice_a_second_and_its_directive_replaces_the_instruction():
+    ground, policy, reasoner, notes = Ground(), Counting(), Saying(RED), Notes()
+    fly(ground, policy, ground, for_steps(ground, 12), mind=SimulatedMind(reasoner), recorder=notes)
+    assert policy.texts == [RED] * 12
+    assert notes.of("asked") == [(0.0, "asked", "go"), (0.5, "asked", "go"), (1.0, "asked", "go")]
+    assert notes.of("adopted", "agreed") == [(0.0, "adopted", RED), (0.5, "agreed", RED), (1.0, "agreed", RED)]
+    assert notes.ages[:7] == [0.0, 0.1, 0.2, 0.3, 0.4, 0.0, 0.1]
+
+
+def test_another_directive_must_be_said_twice():
+    ground, policy, notes = Ground(), Counting(), Notes()
+    mind = SimulatedMind(Saying(RED, BLUE, BLUE))
+    fly(ground, policy, ground, for_steps(ground, 12), mind=mind, recorder=notes)
+    assert policy.texts == [RED] * 10 + [BLUE] * 2
+    assert [kind for _, kind, _ in notes.of("adopted", "kept", "agreed")] == ["adopted", "kept", "adopted"]
+
+
+def test_without_an_answer_the_last_good_directive_or_the_instruction_stays():
+    ground, policy, notes = Ground(), Counting(), Notes()
+    mind = SimulatedMind(Saying(None, RED, None))
+    fly(ground, policy, ground, for_steps(ground, 15), mind=mind, recorder=notes)
+    assert policy.texts == ["go"] * 5 + [RED] * 10
+    assert notes.of("unsure") == [(0.0, "unsure", "it is too dark"), (1.0, "unsure", "it is too dark")]
+
+
+def test_an_answer_comes_when_its_time_is_up_and_says_how_old_its_frame_is():
+    ground, policy, notes = Ground(), Counting(), Notes()
+    mind = SimulatedMind(Saying(RED), lambda _: 0.25)
+    fly(ground, policy, ground, for_steps(ground, 10), mind=mind, recorder=notes)
+    assert policy.texts == ["go"] * 3 + [RED] * 7
+    assert notes.of("asked", "adopted", "agreed") == [
+        (0.0, "asked", "go"),
+        (0.3, "adopted", RED),
+        (0.5, "asked", "go"),
+        (0.8, "agreed", RED),
+    ]
+    assert notes.ages[3] == 0.3
+
+
+def test_a_slow_reasoner_is_asked_about_the_newest_frame_never_about_a_queue():
+    ground, notes = Ground(), Notes()
+    mind = SimulatedMind(Saying(RED), lambda _: 0.72)
+    fly(ground, Counting(), ground, for_steps(ground, 20), mind=mind, recorder=notes)
+    assert [time for time, _, _ in notes.of("asked")] == [0.0, 0.8, 1.6]
+
+
+def test_an_answer_about_an_earlier_leg_is_not_flown_by():
+    ground, policy, notes = Ground(), Counting(), Notes()
+
+    def mission():
+        step = round(ground.time * 10)
+        return None if step >= 10 else Leg(int(step >= 3), "first" if step < 3 else "second")
+
+    mind = SimulatedMind(Saying(RED, BLUE), lambda _: 0.4)
+    fly(ground, policy, ground, mission, mind=mind, recorder=notes)
+    assert policy.texts == ["first"] * 3 + ["second"] * 5 + [BLUE] * 2
+    assert notes.of("stale", "asked")[:3] == [(0.0, "asked", "first"), (0.4, "stale", RED), (0.4, "asked", "second")]
+
+
+def test_thinking_is_charged_to_a_simulated_clock():
+    ground, policy = Ground(), Counting()
+    assert fly(ground, policy, ground, for_steps(ground, 10), charge=lambda _: 0.08) == 10
+    assert [time for time, _ in ground.sent] == pytest.approx([i / 10 + 0.08 for i in range(10)])
+
+
+def test_a_policy_slower_than_its_rate_skips_deadlines_and_keeps_the_others():
+    ground, notes = Ground(), Notes()
+    assert fly(ground, Counting(), ground, for_steps(ground, 10), charge=lambda _: 0.13, recorder=notes) == 5
+    assert [time for time, _ in ground.sent] == pytest.approx([0.13, 0.33, 0.53, 0.73, 0.93])
+
+
+def test_only_decisions_are_charged_not_the_rest_of_a_chunk():
+    ground = Ground()
+    fly(ground, Counting(k=2), ground, for_steps(ground, 4), charge=lambda _: 0.05)
+    assert [time for time, _ in ground.sent] == pytest.approx([0.05, 0.1, 0.25, 0.3])
+
+
+def test_a_missed_deadline_is_noted():
+    class Slow(Ground):
+        def sleep_until(self, time_s):
+            self.time = time_s + (0.03 if round(time_s, 3) == 0.2 else 0)
+
+    ground, notes = Slow(), Notes()
+    fly(ground, Counting(), ground, for_steps(ground, 4), recorder=notes)
+    assert notes.of("late") == [(0.23, "late", "")]
+    assert [round(time, 3) for time, _ in ground.sent] == [0.0, 0.1, 0.23, 0.3]
+
+
+def test_a_new_leg_resets_the_policy_and_drops_the_rest_of_the_chunk():
+    ground, policy, reasoner = Ground(), Counting(k=4), Saying(RED)
+
+    def mission():
+        step = round(ground.time * 10)
+        return None if step >= 4 else Leg(step // 2, "the correct answer")
+
+    fly(ground, policy, ground, mission, mind=SimulatedMind(reasoner))
+    assert policy.resets == ["the correct answer"] * 2
+    assert policy.calls == 2
+    assert len(reasoner.asked) == 2
+
+
+def test_a_number_that_is_none_ends_the_flight():
+    class Broken(Counting):
+        def act(self, observation):
+            return np.array([[0.0, np.nan, 0.0, 0.0]], np.float32)
+
+    ground = Ground()
+    with pytest.raises(NonFiniteAction, match="not all of it is a finite number"):
+        fly(ground, Broken(), ground, for_steps(ground, 3))
+    assert ground.sent == []
+
+
+@pytest.mark.parametrize("shape", [(4,), (1, 7), (0, 4), (2, 2, 4)])
+def test_an_action_of_another_shape_is_a_programming_error(shape):
+    class Wrong(Counting):
+        def act(self, observation):
+            return np.zeros(shape, np.float32)
+
+    ground = Ground()
+    with pytest.raises(PolicyError, match="expected \\(k, 4\\)"):
+        fly(ground, Wrong(), ground, for_steps(ground, 3))
+
+
+def test_rates_must_divide():
+    with pytest.raises(ValueError, match="whole multiple"):
+        Rates(control_hz=10, reasoner_hz=3)

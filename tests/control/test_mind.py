@@ -1,0 +1,143 @@
+"""Reasoners beside the loop: told of flights and stages, in no time or in a thread, one question at a time."""
+
+from __future__ import annotations
+
+import re
+import threading
+
+import numpy as np
+import pytest
+
+from cognitivedrone.control.async_reasoner import Question, SimulatedMind, ThreadMind
+from cognitivedrone.errors import ReasonerError
+from cognitivedrone.types import Guidance
+
+FRAME = np.zeros((256, 256, 3), np.uint8)
+
+
+def question(leg=0, time=0.0):
+    return Question(leg, "to the cat", FRAME, time)
+
+
+def wait(mind):
+    while (answer := mind.answer(0.0)) is None:
+        pass
+    return answer
+
+
+class Remembers:
+    def __init__(self):
+        self.heard = []
+
+    def new_flight(self):
+        self.heard.append("flight")
+
+    def new_stage(self):
+        self.heard.append("stage")
+
+    def refine(self, image, instruction):
+        self.heard.append(instruction)
+        return Guidance("Fly through the red gate", None, 0.5)
+
+
+def test_a_reasoner_that_remembers_hears_of_the_flight_and_of_every_stage():
+    reasoner = Remembers()
+    mind = SimulatedMind(reasoner)
+    for leg in (0, 0, 1):
+        mind.ask(question(leg))
+        assert mind.answer(0.0).guidance.confidence == 0.5
+    assert reasoner.heard == ["flight", "to the cat", "to the cat", "stage", "to the cat"]
+
+
+def test_an_answer_comes_once():
+    mind = SimulatedMind(Remembers(), lambda _: 0.2)
+    assert mind.idle(0.0)
+    mind.ask(question())
+    assert not mind.idle(0.1)
+    assert mind.answer(0.1) is None
+    assert mind.answer(0.2).question.time == 0.0
+    assert mind.answer(0.3) is None
+    assert mind.idle(0.3)
+
+
+class Mistaken:
+    def refine(self, image, instruction):
+        raise KeyError("oops")
+
+
+def test_faults_are_answers():
+    class Faulty:
+        def refine(self, image, instruction):
+            raise ReasonerError("garbage", "it said <html>")
+
+    mind = SimulatedMind(Faulty())
+    mind.ask(question())
+    answer = mind.answer(0.0)
+    assert (answer.guidance, answer.fault, answer.message) == (None, "garbage", "it said <html>")
+    assert mind.trace == ""
+
+
+def test_an_exception_of_the_reasoners_own_is_a_fault_whose_traceback_is_kept():
+    mind = SimulatedMind(Mistaken())
+    mind.ask(question())
+    answer = mind.answer(0.0)
+    assert (answer.guidance, answer.fault) == (None, "raised")
+    assert re.fullmatch(r"the reasoner raised KeyError: 'oops' \(test_mind.py, line \d+\)", answer.message)
+    assert "in refine" in mind.trace
+
+
+@pytest.mark.parametrize(
+    ("returned", "fault"),
+    [
+        ("Fly through the red gate", "schema"),
+        (None, "schema"),
+        (Guidance(7, None, 1.0), "schema"),
+        (Guidance("Fly through the \ud800 gate", None, 1.0), "garbage"),
+        (Guidance("Fly \x1b[31m", None, 1.0), "garbage"),
+        (Guidance(" ", None, 1.0), "garbage"),
+        (Guidance("Fly " * 400, None, 1.0), "too_long"),
+        (Guidance("Fly through the red gate", 3, 1.0), "no_such_gate"),
+        (Guidance("Fly through the red gate", "1", 1.0), "no_such_gate"),
+        (Guidance("Fly through the red gate", None, float("nan")), "schema"),
+        (Guidance("Fly through the red gate", None, "sure"), "schema"),
+        (Guidance("Fly through the red gate", None, None), "schema"),
+    ],
+)
+def test_what_is_no_answer_is_a_fault(returned, fault):
+    class Returns:
+        def refine(self, image, instruction):
+            return returned
+
+    mind = SimulatedMind(Returns())
+    mind.ask(question())
+    answer = mind.answer(0.0)
+    assert (answer.guidance, answer.fault) == (None, fault)
+    assert answer.message.isprintable()
+
+
+def test_a_thread_thinks_beside_the_loop():
+    go, done = threading.Event(), threading.Event()
+
+    class Slow:
+        def refine(self, image, instruction):
+            go.wait(10)
+            done.set()
+            return Guidance(threading.current_thread().name, None, 1.0)
+
+    mind = ThreadMind(Slow())
+    mind.ask(question())
+    assert not mind.idle(0.0)
+    assert mind.answer(0.0) is None
+    go.set()
+    assert done.wait(10)
+    answer = wait(mind)
+    assert answer.guidance.directive.startswith("reasoner")
+    assert mind.idle(1.0)
+    mind.close()
+
+
+def test_an_exception_in_the_thread_is_a_fault_too():
+    mind = ThreadMind(Mistaken())
+    mind.ask(question())
+    assert wait(mind).fault == "raised"
+    mind.close()

@@ -1,0 +1,124 @@
+"""How plug-ins and their arguments are written, for all families alike."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import pytest
+
+from cognitivedrone import registry
+from cognitivedrone.errors import PolicyError
+from cognitivedrone.policies import POLICIES, make_policy
+from cognitivedrone.reasoners import REASONERS
+
+TABLE = {"own": f"{__name__}:Own", "plain": f"{__name__}:Plain"}
+
+
+class Plain:
+    pass
+
+
+class Own:
+    def __init__(
+        self,
+        checkpoint: Path | None = None,
+        device: Literal["cpu", "cuda"] = "cpu",
+        *,
+        chunk: int = 1,
+        scale=0.5,
+        note="",
+        fast: bool = False,
+    ) -> None:
+        self.given = (checkpoint, device, chunk, scale, note, fast)
+
+
+class Breaks:
+    def __init__(self, how: str = "raise") -> None:
+        if how == "exit":
+            raise SystemExit(0)
+        raise TypeError("no weights")
+
+
+DEFAULT = (None, "cpu", 1, 0.5, "", False)
+
+
+@pytest.mark.parametrize("name", ["own", f"{__name__}:Own"])
+@pytest.mark.parametrize(
+    ("argument", "given"),
+    [
+        ("", DEFAULT),
+        (":a/b.pt", (Path("a/b.pt"), *DEFAULT[1:])),
+        (":a.pt,cuda", (Path("a.pt"), "cuda", *DEFAULT[2:])),
+        (":device=cuda, a.pt , chunk=8", (Path("a.pt"), "cuda", 8, *DEFAULT[3:])),
+        (":scale=2,note=x=y", (None, "cpu", 1, 2.0, "x=y", False)),
+        (":fast", (*DEFAULT[:5], True)),
+        (":fast=no", DEFAULT),
+        (':"a,b.pt","note=c, d"', (Path("a,b.pt"), "cpu", 1, 0.5, "c, d", False)),
+        (":runs/a=b/model.pt", (Path("runs/a=b/model.pt"), *DEFAULT[1:])),
+        (":http://host:80/?a=b", (Path("http:/host:80/?a=b"), *DEFAULT[1:])),
+    ],
+)
+def test_arguments_reach_the_parameters_as_their_types(name, argument, given):
+    assert registry.make("policy", name + argument, TABLE, ()).given == given
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("own:", "ends at its colon; write 'own'"),
+        ("own:a.pt,cuda,more", "cannot place 'more'.*own\\[:CHECKPOINT\\]\\[,cpu|cuda\\]\\[,chunk=NUMBER\\]"),
+        ("own:chunk=x", "chunk is 'x'; it is a whole number"),
+        ("own:device=tpu", "device is 'tpu'; it is cpu or cuda"),
+        ("own:fast=maybe", "fast is 'maybe'; it is yes or no"),
+        ("own:chnk=3", "no option 'chnk'; did you mean 'chunk'"),
+        ("own:chunk=", "chunk is ''|has no value"),
+        ("own:chunk=1,chunk=2", "chunk is given twice"),
+        ("plain:x", "'plain' takes no argument, 'x' was given"),
+        (f"{__name__}:Breaks", r"cannot be made: TypeError: no weights \(.*test_registry.py, line \d+\)"),
+        (f"{__name__}:Breaks:exit", "cannot be made: SystemExit: 0"),
+    ],
+)
+def test_what_does_not_fit_is_one_sentence_with_the_way_to_write_it(text, says):
+    with pytest.raises(PolicyError, match=says) as error:
+        registry.make("policy", text, TABLE, ())
+    assert "\n" not in str(error.value)
+
+
+def test_a_module_that_fails_while_it_is_imported_is_one_sentence(tmp_path, monkeypatch):
+    (tmp_path / "failing_plugin.py").write_text("import json\njson.loads('{')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PolicyError, match=r"module 'failing_plugin' cannot be imported: JSONDecodeError: .*line"):
+        make_policy("failing_plugin:Policy")
+
+
+def test_a_run_is_identified_by_the_file_of_the_users_own_plug_in(tmp_path):
+    class_text = f"{__name__}:WithFile:{tmp_path / 'a.pt'}"
+    assert registry.file_of("policy", class_text, {}) == tmp_path / "a.pt"
+    assert registry.file_of("policy", "plain", TABLE) is None
+
+
+class WithFile:
+    def __init__(self, weights: Path) -> None: ...
+
+    @classmethod
+    def file_of(cls, weights: Path) -> Path:
+        return weights
+
+
+@pytest.mark.parametrize(
+    ("name", "written"),
+    [
+        ("small", "small[:PATH]"),
+        ("hover", "hover"),
+        ("openvla", "openvla:FOLDER[,decoder=ar|parallel][,quant=none|int8|int4][,device=cuda|cpu][,unnorm_key=TEXT]"),
+    ],
+)
+def test_usage_says_how_a_plug_in_is_written(name, written):
+    assert registry.usage(name, registry.load("policy", name, POLICIES)) == written
+
+
+def test_every_plug_in_of_the_package_has_a_usage():
+    for kind, table in (("policy", POLICIES), ("reasoner", REASONERS)):
+        for name in table:
+            assert registry.usage(name, registry.load(kind, name, table)).startswith(name)

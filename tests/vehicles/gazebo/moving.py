@@ -1,0 +1,87 @@
+"""A Gazebo in which something flies: the stand-in, with our own simulator as its ArduPilot behind a real socket."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from stand_in import MESSAGES, StandIn
+
+from cognitivedrone.sim.airframe import IRIS
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC, NAME
+from cognitivedrone.vehicles.mavlink.server.vehicle import STEP_S, SimulatedVehicle, VehicleConfig
+
+SPEED = 6.0
+POSE_S, FRAME_S = 0.016, 0.05
+"""Between poses, of Gazebo's time, and between frames, of the wall clock."""
+
+
+@dataclass
+class Moving:
+    """What runs."""
+
+    gazebo: StandIn
+    vehicle: SimulatedVehicle
+    url: str
+    limit: float = math.inf
+    """Gazebo's time goes no further, s: so a machine that is busy otherwise does not change how a flight ends."""
+    paused: bool = False
+    """Nothing is published any more."""
+
+
+@contextmanager
+def moving(gazebo: StandIn) -> Iterator[Moving]:
+    """Fly the stand-in's vehicle by MAVLink; its poses and frames are published.
+
+    Every frame shows how many entities stand, as its grey value.
+    """
+    stopping = threading.Event()
+    simulator = Simulator(1, airframe=IRIS, render=False)
+    with SimulatedVehicle(simulator, VehicleConfig(links=("tcpin:127.0.0.1:0",), battery_minutes=1e4)) as vehicle:
+        host, port = vehicle.addresses[0]
+        running = Moving(gazebo, vehicle, f"tcp:{host}:{port}")
+
+        def run() -> None:
+            pose_due = frame_due = 0.0
+            while not stopping.wait(STEP_S / SPEED):
+                vehicle.listen()
+                if vehicle.time < running.limit:
+                    vehicle.step()
+                if running.paused:
+                    continue
+                if vehicle.time >= pose_due or time.monotonic() >= frame_due:
+                    pose_due = vehicle.time + POSE_S
+                    gazebo.publish(f"/world/{gazebo.world}/dynamic_pose/info", pose(vehicle))
+                if time.monotonic() >= frame_due:
+                    frame_due = time.monotonic() + FRAME_S
+                    grey = np.full((256, 256, 3), len(gazebo.poses), np.uint8)
+                    picture = {"width": 256, "height": 256, "pixel_format_type": 3, "step": 768}
+                    gazebo.publish(CAMERA_TOPIC, MESSAGES["Image"](**picture, data=grey.tobytes()))
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        try:
+            yield running
+        finally:
+            stopping.set()
+            thread.join()
+            simulator.close()
+
+
+def pose(vehicle: SimulatedVehicle):
+    """The `Pose_V` of the vehicle now."""
+    message, state = MESSAGES["Pose_V"](), vehicle.state()
+    message.header.stamp.sec = int(vehicle.time)
+    message.header.stamp.nsec = round((vehicle.time % 1) * 1e9)
+    one = message.pose.add()
+    one.name = NAME
+    one.position.x, one.position.y, one.position.z = map(float, state.position)
+    o = one.orientation
+    o.w, o.x, o.y, o.z = map(float, state.quaternion)
+    return message

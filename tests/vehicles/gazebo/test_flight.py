@@ -1,0 +1,237 @@
+"""Tasks flown and scored in a running Gazebo: our simulator behind MAVLink flies the stand-in's vehicle."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink")
+
+from moving import Moving, moving
+from reading import models, read_world
+from stand_in import StandIn
+
+from cognitivedrone.cli import main
+from cognitivedrone.control.loop import Leg, fly
+from cognitivedrone.envs.course import Course, CourseConfig, stage_of
+from cognitivedrone.envs.drone import SimulatedDrone
+from cognitivedrone.errors import GazeboError, RunError
+from cognitivedrone.frames import rotate_yaw
+from cognitivedrone.labels import load_pack
+from cognitivedrone.policies import make_policy
+from cognitivedrone.sim.airframe import IRIS
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.tasks import load_suite
+from cognitivedrone.vehicles.gazebo import pilot
+from cognitivedrone.vehicles.gazebo.bindings import load_bindings
+from cognitivedrone.vehicles.gazebo.flight import GazeboFlight, on_the_ground
+from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
+from cognitivedrone.vehicles.gazebo.pilot import RefereesGuard, open_gazebo
+from cognitivedrone.vehicles.gazebo.sight import Sample, TruePath
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
+from cognitivedrone.vehicles.one_drone import Placement
+from cognitivedrone.world import geometry
+
+PATIENT = LiveConfig(answer_s=30.0, first_s=30.0, silence_s=30.0)
+"""A machine that is busy otherwise is no silent Gazebo."""
+START = np.array([-1.2, 0.3, 0.8])
+
+
+@pytest.fixture
+def running(track_folder) -> Iterator[Moving]:
+    """A Gazebo with the first stage of a track, and its vehicle on the ground."""
+    stand_in = StandIn(models=tuple(models(read_world(track_folder / "stage_1.sdf"))))
+    with stand_in.running() as gazebo, moving(gazebo) as flown:
+        yield flown
+
+
+@contextmanager
+def opened(running: Moving, config: LiveConfig = PATIENT) -> Iterator[GazeboFlight]:
+    """The flight. Gazebo's time goes on as far as it is asked to, and by itself at take-off and landing."""
+    with pytest.MonkeyPatch.context() as patch:
+        until, take_off = TruePath.until, pilot.take_off
+
+        def asked(path: TruePath, time_s: float) -> list[Sample]:
+            running.limit = max(time_s, running.vehicle.time) + 0.02
+            return until(path, time_s)
+
+        def free(url: str, world: GazeboWorld) -> MavlinkDrone:
+            running.limit = math.inf
+            return take_off(url, world)
+
+        patch.setattr(TruePath, "until", asked)
+        patch.setattr(pilot, "take_off", free)
+        with open_gazebo(running.url, config, load_bindings(load=running.gazebo.load)) as flight:
+            try:
+                yield flight
+            finally:
+                running.limit = math.inf
+
+
+def gate_seen_from_the_vehicle(running: Moving, number: int) -> np.ndarray:
+    """Where a gate stands in Gazebo, from the vehicle, in its heading frame, m."""
+    (place,) = [p for name, (p, _) in running.gazebo.poses.items() if re.fullmatch(rf"gate_{number}(_\d+)?", name)]
+    state = running.vehicle.state()
+    w, x, y, z = state.quaternion
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return rotate_yaw(np.array(place) - state.position, -yaw)
+
+
+def test_a_track_is_flown_and_scored_by_true_poses(running):
+    track = load_suite("open-v1:track").tracks[2][:2]  # an Iris fits through its gates
+    policy = make_policy("oracle")
+    with opened(running) as flight:
+        simulator = Simulator(1, airframe=IRIS, flight=flight, eyes=flight)
+        course = Course(simulator, 0, load_pack(), CourseConfig())
+        course.begin(track, np.random.default_rng(0))
+        assert simulator.state(0).position == pytest.approx(course.start.position, abs=0.15)
+        for number, center in enumerate(geometry.gate_centers(course.stage), start=1):
+            expected = center - simulator.state(0).position
+            assert gate_seen_from_the_vehicle(running, number) == pytest.approx(expected, abs=0.15)
+        drone = SimulatedDrone(simulator, course)
+        assert drone.observe().image[0, 0, 0] == len(running.gazebo.poses)
+
+        def mission() -> Leg | None:
+            return None if course.finished else Leg(course.index, course.task.directive, course.truth())
+
+        fly(drone, policy, drone, mission)
+        assert [result.outcome for result in course.results] == ["passed", "passed"]
+        assert all(0.95 < result.path_ratio < 1.2 for result in course.results)
+        assert flight.report.frames > 40
+        assert flight.report.lost == 0
+        assert (flight.report.restarts, flight.trouble) == (0, "")
+        # The next one begins where it is drawn, though the vehicle is somewhere else by now.
+        course.begin(track[:1], np.random.default_rng(1))
+        assert simulator.state(0).position == pytest.approx(course.start.position, abs=0.15)
+        assert abs(running.vehicle.state().position[:2]).max() > 3
+    assert not running.vehicle.modes.armed  # landed
+    assert not any(running.gazebo.listeners.values())
+
+
+def test_a_vehicle_that_is_lost_voids_the_flight_and_the_next_one_takes_off_again(running):
+    stage = stage_of(load_suite("open-v1:track").tracks[0][0])
+    pack = load_pack()
+    with opened(running) as flight:
+        flight.reset(0, START)
+        running.vehicle.pilot(running.vehicle.modes.mode.LAND)
+        for _ in range(100):
+            flight.command_one(0, np.zeros(4))
+            flight.advance(40)
+            if flight.diverged[0]:
+                break
+        assert flight.diverged == [True]
+        assert "mode became LAND" in flight.trouble
+        flight.set_stage(0, stage, [pack.image(reference) for reference in stage.labels])
+        for _ in range(100):  # it lands by itself
+            flight.advance(40)
+            if not running.vehicle.modes.armed:
+                break
+        flight.reset(0, START)
+        assert flight.diverged == [False]
+        assert flight.position[0] == pytest.approx(START, abs=0.15)
+        assert flight.report.restarts == 1
+
+
+def test_the_benchmark_flies_in_gazebo(running, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(pilot, "open_gazebo", lambda: opened(running))
+    command = ["bench", "--link", "gazebo", "--airframe", "iris", "--suite", "open-v1:smoke", "--episodes", "1"]
+    main([*command, "--policy", "oracle", "--reasoner", "none", "--out", str(tmp_path / "run")])
+    said = capsys.readouterr().out
+    assert re.search(r"Gazebo: \d+ commands, 0 of them late; started anew 0 times", said)
+    results = json.loads((tmp_path / "run" / "results.json").read_text())
+    assert [episode["stages"][0]["outcome"] for episode in results["episodes"]] == ["passed"]
+    assert results["options"]["link"] == "gazebo"
+    assert results["renderer"] == "Gazebo Harmonic"
+    assert not running.vehicle.modes.armed
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--airframe", "racer"], "add --airframe iris"),
+        (["--airframe", "iris", "--wind", "1"], "leave --wind out"),
+        (["--airframe", "iris", "--workers", "2"], "--workers 2 is too many"),
+        (["--airframe", "iris"], "Python bindings are not installed"),
+    ],
+)
+def test_what_the_benchmark_cannot_fly_in_gazebo_is_said(tmp_path, capsys, options, says):
+    with pytest.raises(SystemExit) as stop:
+        main(["bench", "--link", "gazebo", "--out", str(tmp_path / "run"), *options])
+    assert stop.value.code == 2
+    assert says in capsys.readouterr().err
+
+
+def test_thinking_for_longer_than_a_step_is_counted_and_not_caught_up_with(running):
+    with opened(running) as flight:
+        flight.reset(0, START)
+        flight.advance(40)
+        begin, late = running.vehicle.time, flight.report.lost
+        running.limit = begin + 0.5
+        while running.vehicle.time < begin + 0.49:
+            time.sleep(0.005)
+        path = flight.advance(40)[0]
+        assert flight.report.lost == late + 1
+        assert len(path) > 20  # what was flown meanwhile is judged all the same
+        for _ in range(10):
+            flight.advance(40)
+        assert running.vehicle.time > begin + 1.4
+
+
+def test_what_cannot_be_flown_is_said(running, monkeypatch):
+    with opened(running) as flight:
+        with pytest.raises(RunError, match="leave --wind out"):
+            flight.reset(0, START, wind=np.array([1.0, 0.0, 0.0]))
+        with pytest.raises(ValueError, match="one drone is flown"):
+            flight.command_one(1, np.zeros(4))
+    with opened(running, replace(PATIENT, silence_s=0.2)) as flight:
+        running.paused = True
+        with pytest.raises(GazeboError, match="has been silent for"):
+            flight.advance(10**6)
+        running.paused = False
+    monkeypatch.setattr(pilot._Drone, "is_software", False)
+    with opened(running) as flight:
+        with pytest.raises(RunError, match=r"may be a real drone.*--resume"):
+            flight.reset(0, START)
+        assert not running.vehicle.modes.armed
+
+
+def test_software_in_the_loop_is_told_by_its_parameters(running, tmp_path):
+    with (
+        GazeboWorld(tmp_path, PATIENT, load_bindings(load=running.gazebo.load)) as world,
+        pilot._Drone(running.url, world.camera(), RefereesGuard(), pilot.VEHICLE) as drone,
+    ):
+        assert drone.is_software
+        drone.simulated = False
+        assert not drone.is_software  # our own vehicle has no parameter of ArduPilot's simulation
+        drone._link.parameters = lambda names: dict.fromkeys(names, 1.0)
+        assert drone.is_software
+
+
+def test_the_guard_lets_go_for_good():
+    health = type("Health", (), {"armed": True, "mode": "GUIDED", "ordered_modes": {"GUIDED"}, "command": None})()
+    guard = RefereesGuard()
+    assert guard.judge(health).kind == "fly"
+    assert not guard.shape(health).any()
+    guard.land("the end")
+    assert (guard.judge(health).kind, guard.judge(health).reason) == ("land", "the end")
+    health.mode = "BRAKE"
+    assert guard.judge(health).reason == "the mode became BRAKE"
+    health.mode = "GUIDED"
+    assert guard.judge(health).kind == "hands_off"
+
+
+def test_a_stage_goes_where_the_vehicle_is():
+    stage = replace(stage_of(load_suite("open-v1:track").tracks[0][0]), origin=(2.0, -1.0), yaw=0.4)
+    placement = Placement(0.7, np.array([3.0, 5.0, 0.0]))
+    there = on_the_ground(placement, stage)
+    centers = geometry.gate_centers(there)
+    back = rotate_yaw(centers, placement.turn) + placement.shift
+    np.testing.assert_allclose(back, geometry.gate_centers(stage), atol=1e-9)

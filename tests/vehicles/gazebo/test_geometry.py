@@ -1,0 +1,226 @@
+"""Exported worlds, read back, against our own: the same places, shapes, pictures, light and camera."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from PIL import Image as Pictures
+from reading import cast, element_pose, model_mesh, models, parse, read_obj, read_world, values
+
+from cognitivedrone.frames import rotate_yaw
+from cognitivedrone.labels import load_pack
+from cognitivedrone.sim.camera import FIELD_OF_VIEW, MOUNT
+from cognitivedrone.tasks import load_suite
+from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Stage
+from cognitivedrone.vehicles.gazebo.export import stages_of, world_of
+from cognitivedrone.vehicles.gazebo.sdf import Picture, document, props_of
+from cognitivedrone.world import geometry
+from cognitivedrone.world.appearance import PLAIN, varied_look
+from cognitivedrone.world.assets import ROOM_HALF_SIZE, ROOM_HEIGHT
+
+MM = 1e-3
+TENTH_OF_DEGREE = math.radians(0.1)
+VARIANTS = [Gate(size, shape, color) for size in SIZES for shape in SHAPES for color in COLORS]
+LABELS = (Picture("a.png", 1.0), Picture("b.png", 0.7), Picture("c.png", 1.5))
+ORIGIN, YAW = (7.5, -3.25), 2.3
+
+
+def stage_with(first: int, **options) -> Stage:
+    """A stage whose gates are three of the variants, so that all stages put every variant in every place."""
+    gates = tuple(VARIANTS[(first + 6 * place) % len(VARIANTS)] for place in range(3))
+    return Stage(gates=gates, labels=("letter/A@inter",) * 3, origin=ORIGIN, yaw=YAW, **options)
+
+
+def world_with(stage: Stage, look=PLAIN, board: Picture | None = None):
+    props = props_of(stage, LABELS, board, look)
+    return parse(document(world_of(stage, props, look))).find("world")
+
+
+def nearest(points: np.ndarray, others: np.ndarray) -> float:
+    """How far the loneliest of `points` is from the nearest of `others`."""
+    return float(np.linalg.norm(points[:, None] - others[None], axis=-1).min(axis=1).max())
+
+
+@pytest.mark.parametrize("first", range(len(VARIANTS)))
+def test_every_gate_variant_stands_in_every_place_as_in_our_world(track_folder, first):
+    stage = stage_with(first)
+    found = models(world_with(stage))
+    centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
+    for place, gate in enumerate(stage.gates):
+        model = found[f"gate_{place + 1}"]
+        points, _ = model_mesh(track_folder, model)
+        along, in_plane = np.split(geometry.to_gate_frame(points, centers[place], yaws[place]), [1], axis=1)
+        assert np.abs(np.abs(along) - geometry.BAR_DEPTH / 2).max() < MM
+        corners = np.concatenate([geometry.opening_outline(gate), geometry.opening_outline(gate, geometry.BAR_WIDTH)])
+        assert nearest(in_plane, corners) < MM
+        assert nearest(corners, in_plane) < MM
+        turned = values(model, "pose")[5] - yaws[place]
+        assert abs(math.remainder(turned, 2 * math.pi)) < TENTH_OF_DEGREE
+        emissive, diffuse = (np.array(values(model, f".//material/{tag}")[:3]) for tag in ("emissive", "diffuse"))
+        assert emissive + diffuse == pytest.approx(PLAIN.gate_colors[COLORS.index(gate.color)])
+        assert model.findtext("static") == "true"
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_panels_hang_over_their_gates_as_wide_as_their_pictures(track_folder, place):
+    stage = stage_with(0)
+    points, obj = model_mesh(track_folder, models(world_with(stage))[f"panel_{place + 1}"])
+    center, yaw = geometry.gate_centers(stage)[place], geometry.gate_yaws(stage)[place]
+    local = geometry.to_gate_frame(points, center, yaw) - [0, 0, geometry.PANEL_CENTER_HEIGHT - geometry.GATE_HEIGHT]
+    size = np.array([geometry.PANEL_DEPTH, LABELS[place].aspect * geometry.PANEL_HEIGHT, geometry.PANEL_HEIGHT])
+    assert np.abs(local.max(axis=0) - size / 2).max() < MM
+    assert np.abs(local.min(axis=0) + size / 2).max() < MM
+    # Whoever flies towards the gate sees the picture's left edge on the left, its upper edge above.
+    front = np.flatnonzero((local[obj.faces][..., 0] < -0.9 * size[0] / 2).all(axis=1))
+    assert len(front) == 2
+    for corner, (u, v) in zip(local[obj.faces[front]].reshape(-1, 3), obj.texture[front].reshape(-1, 2), strict=True):
+        assert u == pytest.approx(0.5 - corner[1] / size[1], abs=1e-4)
+        assert v == pytest.approx(0.5 + corner[2] / size[2], abs=1e-4)
+
+
+def test_the_board_hangs_where_ours_does(track_folder):
+    stage = stage_with(0, board="sum/7*9@inter")
+    model = models(world_with(stage, board=Picture("sum.png", 1.25)))["board"]
+    points, _ = model_mesh(track_folder, model)
+    home = np.array([*ORIGIN, 0.0])
+    local = rotate_yaw(points - home, -YAW) - geometry.BOARD_CENTER
+    size = np.array([geometry.PANEL_DEPTH, 1.25 * geometry.BOARD_HEIGHT, geometry.BOARD_HEIGHT])
+    assert np.abs(local.max(axis=0) - size / 2).max() < MM
+    assert "board" not in models(world_with(stage_with(0)))
+
+
+def test_a_gate_that_stands_alone_has_no_neighbours_and_no_panel():
+    found = models(world_with(stage_with(0, only=1)))
+    assert {name for name in found if name.startswith(("gate", "panel"))} == {"gate_2"}
+
+
+def test_room_and_floor_surround_the_stage_and_turn_with_it(track_folder):
+    found = models(world_with(stage_with(0)))
+    for name, low, high in (("floor", -0.01, 0.0), ("room", 0.0, ROOM_HEIGHT)):
+        points, _ = model_mesh(track_folder, found[name])
+        local = rotate_yaw(points - np.array([*ORIGIN, 0.0]), -YAW)
+        assert np.abs(np.abs(local[:, :2]) - ROOM_HALF_SIZE).max() < MM
+        assert (local[:, 2].min(), local[:, 2].max()) == pytest.approx((low, high), abs=MM)
+
+
+def test_faces_look_outwards_and_carry_their_normals(track_folder):
+    for file in sorted((track_folder / "meshes").glob("*.obj")):
+        obj = read_obj(file)
+        corners = obj.vertices[obj.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        assert np.abs(obj.normals - normals[:, None]).max() < 1e-3
+        if file.stem.startswith("gate"):  # a closed ring: the volume by the divergence theorem is that of the bar
+            volume = np.einsum("kj,kj->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+            _, size, shape = file.stem.split("_")
+            gate = Gate(size, shape, "red")
+            area = polygon_area(geometry.opening_outline(gate, geometry.BAR_WIDTH)) - polygon_area(
+                geometry.opening_outline(gate)
+            )
+            assert volume == pytest.approx(area * geometry.BAR_DEPTH, rel=1e-3)
+
+
+def polygon_area(corners: np.ndarray) -> float:
+    x, y = corners.T
+    return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) / 2)
+
+
+def test_the_light_is_ours_and_turns_with_the_stage():
+    world = world_with(stage_with(0))
+    light = world.find("light")
+    direction = element_pose(light)[:3, :3] @ values(light, "direction")
+    assert direction == pytest.approx(rotate_yaw(np.array(PLAIN.light_direction), YAW), abs=1e-6)
+    assert light.findtext("cast_shadows") == world.findtext("scene/shadows") == "false"
+    assert values(light, "diffuse")[:3] == [PLAIN.diffuse] * 3
+    assert values(world, "scene/ambient")[:3] == [PLAIN.ambient] * 3
+
+
+def test_the_camera_is_ours():
+    sensor = models(world_with(stage_with(0)))["iris"].find(".//sensor[@type='camera']")
+    assert element_pose(sensor)[:3, 3] == pytest.approx(MOUNT, abs=1e-9)
+    assert element_pose(sensor)[:3, :3] == pytest.approx(np.eye(3))
+    assert values(sensor, "camera/horizontal_fov") == pytest.approx([FIELD_OF_VIEW], abs=1e-6)
+    assert [sensor.findtext(f"camera/image/{side}") for side in ("width", "height")] == ["256", "256"]
+    assert sensor.find("camera/noise") is None
+
+
+def test_a_varied_look_brings_its_colours_patterns_and_noise():
+    look = next(
+        look
+        for look in (varied_look(np.random.default_rng(seed)) for seed in range(100))
+        if look.floor_pattern != "plain" and look.noise > 1 and look.surroundings_pattern != "plain"
+    )
+    world = world_with(stage_with(0), look)
+    floor, sensor = models(world)["floor"], models(world)["iris"].find(".//sensor[@type='camera']")
+    assert floor.findtext(".//albedo_map") == f"textures/pattern_{look.floor_pattern}.png"
+    assert values(floor, ".//diffuse")[:3] == pytest.approx(look.floor)
+    assert values(sensor, "camera/noise/stddev") == pytest.approx([look.noise / 255])
+    assert models(world)["panel_1"].findtext(".//emissive_map") == "textures/a.png"
+
+
+def test_the_textures_are_the_labels_to_the_pixel(track_folder):
+    pack, track = load_pack(), load_suite("open-v1:track").tracks[0]
+    for number, task in enumerate(track, start=1):
+        found = models(read_world(track_folder / f"stage_{number}.sdf"))
+        for place, label in enumerate(task.labels, start=1):
+            file = track_folder / found[f"panel_{place}"].findtext(".//emissive_map")
+            assert np.array_equal(np.asarray(Pictures.open(file)), pack.image(label))
+
+
+def hits_of_ours(stage: Stage, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """By our geometry alone: which gate (0 to 2) or panel (3 to 5) each ray meets first, -1 for none; and whether that
+    is clear of every edge."""
+    best = np.full(len(directions), np.inf)
+    which = np.full(len(directions), -1)
+    clear = np.full(len(directions), True)
+    centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
+    for index, gate in enumerate(stage.gates):
+        start = geometry.to_gate_frame(origin, centers[index], yaws[index])
+        steps = rotate_yaw(directions, -yaws[index])
+        for half, distance_of, first in (
+            (geometry.BAR_DEPTH / 2, lambda *p, gate=gate: geometry.frame_distance(gate, *p), 0),
+            (geometry.PANEL_DEPTH / 2, lambda *p: geometry.panel_distance(1.0, *p), 3),
+        ):
+            for face in (-half, half):
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    t = (face - start[0]) / steps[:, 0]
+                    point = start + t[:, None] * steps
+                    inside = (t > 0) & (distance_of(*point.T) < 1e-9)
+                    # Near an edge if a point 4 mm off is on the other side; the circle is drawn as a 64-gon.
+                    for offset in ((0, 0.004, 0), (0, -0.004, 0), (0, 0, 0.004), (0, 0, -0.004)):
+                        clear &= (distance_of(*(point + offset).T) < 1e-9) == (distance_of(*point.T) < 1e-9)
+                nearer = inside & (t < best)
+                best[nearer], which[nearer] = t[nearer], first + index
+    return which, clear
+
+
+@pytest.mark.parametrize(
+    ("position", "heading"), [((-1.0, 0.0, 0.75), 0.0), ((-1.9, 0.9, 0.3), -0.3), ((1.5, -1.0, 1.4), 0.4)]
+)
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_ray_of_the_camera_meets_the_same_things_in_both_worlds(track_folder, number, position, heading):
+    stage = stages_of(load_suite("open-v1:track").tracks[0])[number]
+    found = models(read_world(track_folder / f"stage_{number + 1}.sdf"))
+    sensor = found["iris"].find(".//sensor[@type='camera']")
+    lens = math.tan(values(sensor, "camera/horizontal_fov")[0] / 2)
+    grid = np.linspace(-lens, lens, 41)
+    level = np.array([[1.0, y, z] for y in grid for z in grid])
+    yaw = stage.yaw + heading
+    directions = rotate_yaw(level / np.linalg.norm(level, axis=1, keepdims=True), yaw)
+    vehicle = np.array([*stage.origin, 0.0]) + rotate_yaw(np.array(position), stage.yaw)
+    origin = vehicle + rotate_yaw(element_pose(sensor)[:3, 3], yaw)
+
+    names = [f"{kind}_{place}" for kind in ("gate", "panel") for place in (1, 2, 3)]
+    distances = []
+    for name in names:
+        points, obj = model_mesh(track_folder, found[name])
+        distances.append(cast(origin, directions, points[obj.faces]))
+    nearest_one = np.argmin(distances, axis=0)
+    theirs = np.where(np.isinf(np.min(distances, axis=0)), -1, nearest_one)
+
+    ours, clear = hits_of_ours(stage, vehicle + rotate_yaw(np.array(MOUNT), yaw), directions)
+    assert clear.mean() > 0.8
+    assert len(set(ours[clear])) >= 4
+    assert np.array_equal(ours[clear], theirs[clear])

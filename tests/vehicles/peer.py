@@ -1,0 +1,177 @@
+"""A vehicle that plays a part: it says what a test tells it to say, over a real UDP socket, and climbs in no time."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as m
+
+from cognitivedrone.vehicles.camera import Shot
+
+MODES = {"STABILIZE": 0, "GUIDED": 4, "LOITER": 5, "LAND": 9, "BRAKE": 17}
+PARAMETERS = {
+    "GUID_TIMEOUT": 3.0,
+    "FS_GCS_ENABLE": 5.0,
+    "FENCE_ENABLE": 1.0,
+    "FS_THR_ENABLE": 1.0,
+    "BATT_FS_LOW_ACT": 1.0,
+    "FS_EKF_ACTION": 1.0,
+}
+
+
+class StillCamera:
+    """The same grey frame, always new."""
+
+    def __init__(self) -> None:
+        self.closed = False
+
+    def read(self) -> Shot:
+        return Shot(np.full((256, 256, 3), 128, np.uint8), time.monotonic(), 0.0)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@dataclass
+class Part:
+    """What the vehicle is and does."""
+
+    kind: int = m.MAV_TYPE_QUADROTOR
+    autopilot: int = m.MAV_AUTOPILOT_ARDUPILOTMEGA
+    version: tuple[int, int] = (4, 6)
+    mode: int = MODES["STABILIZE"]
+    armed: bool = False
+    prearm: bool = True
+    position: list[float] = field(default_factory=lambda: [3.0, 4.0, -0.5])
+    """NED of its estimator."""
+    battery: int = 80
+    ekf: int = 0x33F
+    climbs: bool = True
+    refuse: dict[int, str] = field(default_factory=dict)
+    """Commands that it refuses, with the text that it says."""
+    deaf_to: frozenset[int] = frozenset()
+    parameters: dict[str, float] = field(default_factory=lambda: dict(PARAMETERS))
+    also: tuple[bytes, ...] = ()
+    """Packets sent with every heartbeat."""
+    mute: bool = False
+    sticks: tuple[int, int, int, int] | None = None
+
+
+class Peer:
+    """Plays a part until closed; `heard` is what came in, with its time."""
+
+    def __init__(self, part: Part) -> None:
+        self.part = part
+        self.heard: list[tuple[float, Any]] = []
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(0.005)
+        self.port = self._socket.getsockname()[1]
+        self._mav = m.MAVLink(self, srcSystem=1, srcComponent=1)
+        self._mav.robust_parsing = True
+        self._to: Any = None
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def write(self, data: bytes) -> None:
+        if self._to is not None and not self.part.mute:
+            self._socket.sendto(data, self._to)
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._socket.close()
+
+    def of(self, kind: str) -> list[Any]:
+        return [message for _, message in self.heard if message.get_type() == kind]
+
+    def setpoints_since(self, moment: float) -> list[tuple[float, float, float, float]]:
+        """vx, vy, vz in FRD and yaw rate, of the velocity setpoints since then."""
+        return [
+            (s.vx, s.vy, s.vz, s.yaw_rate)
+            for at, s in list(self.heard)
+            if at >= moment and s.get_type() == "SET_POSITION_TARGET_LOCAL_NED"
+        ]
+
+    def _run(self) -> None:
+        due = 0.0
+        while not self._stop.is_set():
+            try:
+                data, self._to = self._socket.recvfrom(4096)
+                for message in self._mav.parse_buffer(data) or ():
+                    self.heard.append((time.monotonic(), message))
+                    self._answer(message)
+            except TimeoutError:
+                pass
+            if time.monotonic() >= due:
+                due = time.monotonic() + 0.02
+                self._tell()
+
+    def _tell(self) -> None:
+        part, mav = self.part, self._mav
+        for packet in part.also:
+            self.write(packet)
+        mav.heartbeat_send(part.kind, part.autopilot, 0x81 if part.armed else 1, part.mode, 3)
+        mav.attitude_send(5000, 0, 0, 0.0, 0, 0, 0.25)
+        mav.local_position_ned_send(5000, *part.position, 1.0, 0.5, 0.25)
+        bit = m.MAV_SYS_STATUS_PREARM_CHECK
+        mav.sys_status_send(bit, bit, bit if part.prearm else 0, 0, 12000, -1, part.battery, 0, 0, 0, 0, 0, 0)
+        mav.ekf_status_report_send(part.ekf, 0, 0, 0, 0, 0)
+        if part.sticks:
+            mav.rc_channels_send(5000, 4, *part.sticks, *[0] * 14, 255)
+
+    def _answer(self, message: Any) -> None:
+        part, kind = self.part, message.get_type()
+        if kind == "PARAM_REQUEST_READ" and message.param_id in part.parameters:
+            self._parameter(message.param_id)
+        elif kind == "PARAM_SET" and message.param_id in part.parameters:
+            part.parameters[message.param_id] = message.param_value
+            self._parameter(message.param_id)
+        elif kind == "COMMAND_LONG" and message.command not in part.deaf_to:
+            if message.command in part.refuse:
+                self._mav.command_ack_send(message.command, m.MAV_RESULT_FAILED)
+                self._mav.statustext_send(3, part.refuse[message.command].encode())
+                return
+            if message.command == m.MAV_CMD_REQUEST_MESSAGE and message.param1 == 65 and not part.sticks:
+                self._mav.command_ack_send(message.command, m.MAV_RESULT_UNSUPPORTED)
+                return
+            self._mav.command_ack_send(message.command, m.MAV_RESULT_ACCEPTED)
+            self._do(message)
+
+    def _parameter(self, name: str) -> None:
+        self._mav.param_value_send(name.encode(), self.part.parameters[name], 9, 1, 0)
+
+    def _do(self, message: Any) -> None:
+        part = self.part
+        match message.command:
+            case m.MAV_CMD_DO_SET_MODE:
+                part.mode = int(message.param2)
+                if part.mode == MODES["LAND"]:
+                    part.armed = False
+            case m.MAV_CMD_COMPONENT_ARM_DISARM:
+                part.armed = bool(message.param1)
+            case m.MAV_CMD_NAV_TAKEOFF if part.climbs:
+                part.position[2] -= message.param7
+            case m.MAV_CMD_REQUEST_MESSAGE if message.param1 == m.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
+                number = part.version[0] << 24 | part.version[1] << 16
+                self._mav.autopilot_version_send(0, number, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
+            case m.MAV_CMD_REQUEST_MESSAGE:
+                self._tell()
+
+
+@contextmanager
+def playing(**part: Any) -> Iterator[Peer]:
+    """A peer for one test."""
+    peer = Peer(Part(**part))
+    try:
+        yield peer
+    finally:
+        peer.close()

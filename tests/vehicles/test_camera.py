@@ -1,0 +1,222 @@
+"""Cameras: the newest frame with its age, from folders, files and streams; and clear words about the rest."""
+
+from __future__ import annotations
+
+import math
+import socket
+import threading
+import time
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image as Pictures
+
+from cognitivedrone.errors import CameraError
+from cognitivedrone.vehicles.camera import CameraConfig, cropped_fov, fit, open_camera
+
+
+def write_video(path: Path, *, frames: int = 10, rate: int = 20, size: tuple[int, int] = (320, 240)) -> Path:
+    """Frames that get brighter by 20 each."""
+    with av.open(str(path), "w", format="mpegts" if path.suffix == ".ts" else None) as container:
+        stream = container.add_stream("mpeg4", rate=rate)
+        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
+        for index in range(frames):
+            picture = np.full((size[1], size[0], 3), 20 * (index + 1), np.uint8)
+            for packet in stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")):
+                container.mux(packet)
+        for packet in stream.encode():
+            container.mux(packet)
+    return path
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory) -> Path:
+    return write_video(tmp_path_factory.mktemp("video") / "flight.mp4")
+
+
+def wait(holds, timeout_s: float = 5.0):
+    end = time.monotonic() + timeout_s
+    while not (result := holds()):
+        assert time.monotonic() < end
+        time.sleep(0.005)
+    return result
+
+
+def over(camera) -> str:
+    """What a camera says when it has come to its end."""
+
+    def said() -> str:
+        try:
+            camera.read()
+        except CameraError as error:
+            return str(error)
+        return ""
+
+    return wait(said)
+
+
+@given(st.integers(1, 700), st.integers(1, 700))
+def test_any_image_fits(height, width):
+    image = np.zeros((height, width, 3), np.uint8)
+    image[..., 1] = 200
+    fitted = fit(image)
+    assert (fitted.shape, fitted.dtype) == ((256, 256, 3), np.uint8)
+    assert (fitted == [0, 200, 0]).all()
+
+
+def test_the_middle_square_is_what_is_seen():
+    image = np.zeros((480, 640, 3), np.uint8)
+    image[:, 80:560] = 255
+    assert fit(image).min() == 255
+    image[:, 320:] = 0
+    assert fit(image)[:, :127].min() == 255
+    assert fit(image)[:, 129:].max() == 0
+
+
+def test_what_cropping_leaves_of_the_field_of_view():
+    assert cropped_fov(1.85, 256, 256) == pytest.approx(1.85)
+    assert cropped_fov(math.radians(90), 200, 100) == pytest.approx(2 * math.atan(0.5))
+    assert cropped_fov(1.0, 480, 640) == pytest.approx(1.0)
+
+
+def write_folder(folder: Path, count: int = 3) -> Path:
+    for index in range(count):
+        Pictures.new("RGB", (300, 200), (60 * (index + 1), 0, 0)).save(folder / f"{index:02}.png")
+    (folder / "notes.txt").write_text("not an image")
+    return folder
+
+
+def test_a_folder_is_shown_in_order_and_ends(tmp_path):
+    camera = open_camera(str(write_folder(tmp_path)), CameraConfig(rate_hz=5))
+    reds, began = [], time.monotonic()
+
+    def ended() -> str:
+        try:
+            shot = camera.read()
+        except CameraError as error:
+            return str(error)
+        assert 0 <= shot.age_s <= 0.2 + 1e-6
+        reds.append(int(shot.image[0, 0, 0]))
+        return ""
+
+    assert wait(ended) == f"the 3 images of {tmp_path} are over"
+    assert 0.5 < time.monotonic() - began < 3
+    assert reds == sorted(reds)
+    assert set(reds) == {60, 120, 180}
+
+
+def test_a_folder_begins_again(tmp_path):
+    camera = open_camera(str(write_folder(tmp_path, 2)), CameraConfig(rate_hz=50, at_end="loop"))
+    seen = [60]
+    while len(seen) < 5:
+        if (red := int(camera.read().image[0, 0, 0])) != seen[-1]:
+            seen.append(red)
+    assert seen == [60, 120, 60, 120, 60]
+    camera.close()
+
+
+def test_a_video_is_shown_at_its_own_pace_and_ends(video):
+    camera = open_camera(str(video))
+    began, greys = time.monotonic(), []
+    while time.monotonic() - began < 0.3:
+        shot = camera.read()
+        assert shot.image.shape == (256, 256, 3)
+        assert shot.age_s == pytest.approx(time.monotonic() - shot.time, abs=0.05)
+        greys.append(int(shot.image.mean()))
+        time.sleep(0.005)
+    assert greys == sorted(greys)
+    assert greys[0] < 60
+    assert 60 < greys[-1] < 190
+    assert over(camera) == f"{video} is over"
+    assert 0.4 < time.monotonic() - began < 2
+    camera.close()
+
+
+def test_a_video_begins_again(video):
+    camera = open_camera(str(video), CameraConfig(at_end="loop"))
+    wait(lambda: camera.read().image.mean() > 180)
+    wait(lambda: camera.read().image.mean() < 60)
+    camera.close()
+
+
+def test_a_slow_reader_sees_the_newest_frame(video):
+    camera = open_camera(str(video), CameraConfig(at_end="loop"))
+    time.sleep(0.2)
+    assert camera.read().age_s < 0.15
+    camera.close()
+
+
+class Server:
+    """Sends a stream over TCP to the first who connects, then falls silent until closed."""
+
+    def __init__(self, data: bytes) -> None:
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.url = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(data,))
+        self._thread.start()
+
+    def _run(self, data: bytes) -> None:
+        with self._server.accept()[0] as connection:
+            connection.sendall(data)
+            self._stop.wait(10)
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._server.close()
+
+
+@pytest.fixture
+def server(tmp_path):
+    server = Server(write_video(tmp_path / "stream.ts", frames=12).read_bytes())
+    yield server
+    server.close()
+
+
+def test_a_stream_is_read_and_its_silence_is_told(server):
+    camera = open_camera(server.url, CameraConfig(silence_s=0.4))
+    assert camera.read().image.shape == (256, 256, 3)
+    said = over(camera)
+    assert "has given no frame for" in said or f"cannot read {server.url}" in said
+    camera.close()
+
+
+def test_a_stream_that_is_closed(server):
+    camera = open_camera(server.url)
+    server.close()
+    assert over(camera) == f"{server.url} was closed by the other side"
+    camera.close()
+
+
+def test_what_cannot_be_opened(tmp_path):
+    (tmp_path / "empty").mkdir()
+    text = tmp_path / "notes.mp4"
+    text.write_text("no video\n" * 100)
+    sound = tmp_path / "sound.wav"
+    with av.open(str(sound), "w") as container:
+        stream = container.add_stream("pcm_s16le", rate=8000, layout="mono")
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
+        frame.rate = 8000
+        container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    (broken / "a.png").write_bytes(b"not a picture")
+    with socket.socket() as nobody:
+        nobody.bind(("127.0.0.1", 0))
+        for source, said in (
+            ("/dev/video-none", "there is no camera /dev/video-none; cameras of this machine:"),
+            (str(tmp_path / "no.mp4"), "expected a folder of images, a video file"),
+            (str(tmp_path / "empty"), "has no image"),
+            (str(broken), "cannot read the image"),
+            (str(text), "cannot read .*notes.mp4"),
+            (str(sound), "there is no video in it"),
+            (f"tcp://127.0.0.1:{nobody.getsockname()[1]}", "cannot read tcp://"),
+        ):
+            with pytest.raises(CameraError, match=said):
+                open_camera(source)

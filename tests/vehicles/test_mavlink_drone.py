@@ -1,0 +1,482 @@
+"""The MAVLink drone: against a vehicle that plays a part, and against our simulator, over real sockets."""
+
+from __future__ import annotations
+
+import os
+import pty
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink")
+sys.path.insert(0, str(Path(__file__).parent))
+
+from peer import MODES, PARAMETERS, Peer, StillCamera, playing
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import ardupilotmega as m
+
+from cognitivedrone.control.loop import Leg, fly
+from cognitivedrone.control.safety import Guard, Patience, SafetyConfig
+from cognitivedrone.errors import LinkError, MissingExtra
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkConfig, MavlinkDrone
+from cognitivedrone.vehicles.mavlink.server.modes import Mode
+from cognitivedrone.vehicles.mavlink.server.vehicle import STEP_S, SimulatedVehicle, VehicleConfig
+
+FAST = MavlinkConfig(heartbeat_timeout_s=0.5, ready_timeout_s=0.3, takeoff_timeout_s=0.5, landing_timeout_s=5)
+CALM = SafetyConfig(link=Patience(2, 4), state=Patience(2, 4), policy=Patience(2, 4), camera=Patience(2, 4))
+"""For tests of something else, on machines that are busy."""
+FORWARD = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
+
+
+def connect(peer: Peer, config: MavlinkConfig = FAST, safety: SafetyConfig = CALM) -> MavlinkDrone:
+    return MavlinkDrone(f"udpout:127.0.0.1:{peer.port}", StillCamera(), Guard(safety), config)
+
+
+def soon(holds: Callable[[], object], timeout_s: float = 5.0) -> float:
+    """Seconds until it holds."""
+    began = time.monotonic()
+    while not holds():
+        assert time.monotonic() - began < timeout_s
+        time.sleep(0.002)
+    return time.monotonic() - began
+
+
+@contextmanager
+def flying(peer: Peer, safety: SafetyConfig = CALM) -> Iterator[MavlinkDrone]:
+    with connect(peer, safety=safety) as drone:
+        drone.take_off(lambda _: True)
+        yield drone
+
+
+# What goes over the wire.
+
+
+def test_a_flight_from_arming_to_landing():
+    with playing() as peer:
+        with flying(peer) as drone:
+            before = time.monotonic()
+            assert drone.send(FORWARD)[0] == pytest.approx(1.0)
+            seen = drone.observe()
+            soon(lambda: peer.setpoints_since(before))
+        commands = [c.command for c in peer.of("COMMAND_LONG") if c.command in (176, 400, 22)]
+        assert commands == [176, 400, 22, 176]
+        modes = [c.param2 for c in peer.of("COMMAND_LONG") if c.command == 176]
+        assert modes == [MODES["GUIDED"], MODES["LAND"]]
+        assert drone.over == "the flight is over"
+        assert drone.camera.closed
+    # Heading north at 1 m/s, 0.5 east, 0.25 down; half a metre up is where it stood.
+    assert seen.velocity == pytest.approx([1.0, -0.5, -0.25])
+    assert seen.height == pytest.approx(1.5)
+    assert seen.yaw_rate == pytest.approx(-0.25)
+    assert seen.image.shape == (256, 256, 3)
+
+
+def test_setpoints_are_body_ned_velocities_and_yaw_rates():
+    with playing() as peer, flying(peer) as drone:
+        before, command = time.monotonic(), np.array([0.5, 0.25, 0.125, -0.25], dtype=np.float32)
+        assert drone.send(command) == pytest.approx(command)
+        soon(lambda: peer.setpoints_since(before))
+        packet = peer.of("SET_POSITION_TARGET_LOCAL_NED")[0]
+        assert (packet.coordinate_frame, packet.type_mask) == (m.MAV_FRAME_BODY_NED, 0x05C7)
+        assert peer.setpoints_since(before)[0] == pytest.approx((0.5, -0.25, -0.125, 0.25))
+
+
+def test_nothing_is_sent_while_it_climbs():
+    with playing(climbs=False) as peer, connect(peer) as drone:
+        with pytest.raises(LinkError, match=r"not at 1.5 m 0.5 s after take-off"):
+            drone.take_off(lambda _: True)
+        assert peer.setpoints_since(0) == []
+        with pytest.raises(LinkError, match="call take_off first"):
+            drone.send(FORWARD)
+
+
+def test_we_heartbeat_as_a_ground_station():
+    with playing() as peer, connect(peer):
+        soon(lambda: len(peer.of("HEARTBEAT")) >= 2)
+        beat = peer.of("HEARTBEAT")[0]
+        assert (beat.get_srcSystem(), beat.type) == (255, m.MAV_TYPE_GCS)
+
+
+def test_everything_received_and_sent_is_in_the_tlog(tmp_path):
+    log = tmp_path / "new" / "flight.tlog"
+    with playing() as peer, connect(peer, replace(FAST, tlog=log)) as drone:
+        drone.take_off(lambda _: True)
+        drone.send(FORWARD)
+    reader, kinds = mavutil.mavlogfile(str(log)), set()
+    try:
+        while (message := reader.recv_match()) is not None:
+            kinds.add((message.get_srcSystem(), message.get_type()))
+            assert abs(message._timestamp - time.time()) < 60
+    finally:
+        reader.close()
+    assert {(1, "ATTITUDE"), (255, "SET_POSITION_TARGET_LOCAL_NED"), (255, "COMMAND_LONG"), (1, "COMMAND_ACK")} <= kinds
+
+
+# Faults in the air, and how soon something safe is done: within 0.2 s, with leeway for a busy machine.
+
+SOON_S = 0.2 + 0.3
+
+
+def test_a_velocity_that_is_not_a_number_stops_at_once_and_may_recover():
+    with playing() as peer, flying(peer) as drone:
+        drone.send(FORWARD)
+        soon(lambda: peer.setpoints_since(0))
+        before = time.monotonic()
+        assert not drone.send(np.full(4, np.nan, np.float32)).any()
+        assert soon(lambda: peer.setpoints_since(before)) < SOON_S
+        assert not np.any(peer.setpoints_since(before))
+        assert drone.send(FORWARD)[0] > 0
+
+
+def test_a_silent_policy_is_held_braked_and_landed():
+    safety = replace(CALM, policy=Patience(0.2, 0.6), land_after_brake_s=0.3)
+    with playing() as peer, flying(peer, safety) as drone:
+        drone.send(FORWARD)
+        due = time.monotonic() + 0.1
+        soon(lambda: (0, 0, 0, 0) in peer.setpoints_since(due - 0.1))
+        assert time.monotonic() - due < SOON_S
+        soon(lambda: peer.part.mode == MODES["BRAKE"])
+        # A policy that comes back then is not trusted any more.
+        assert not drone.send(FORWARD).any()
+        assert drone.over is None
+        soon(lambda: peer.part.mode == MODES["LAND"])
+        assert "no new command from the policy" in drone.over
+
+
+@pytest.mark.parametrize("mode", ["LOITER", "STABILIZE"])
+def test_the_pilot_wins_for_good(mode):
+    with playing() as peer:
+        with flying(peer) as drone:
+            drone.send(FORWARD)
+            switched = time.monotonic()
+            peer.part.mode = MODES[mode]
+            assert soon(lambda: drone.over) < SOON_S
+            assert mode in drone.over
+            released = time.monotonic()
+            assert not drone.send(FORWARD).any()
+            peer.part.mode = MODES["GUIDED"]
+            time.sleep(0.1)
+            assert not drone.send(FORWARD).any()
+            drone.land()
+        assert peer.setpoints_since(released) == []
+        late = [c for at, c in peer.heard if at > switched and c.get_type() == "COMMAND_LONG"]
+        assert late == []
+        assert peer.part.armed
+
+
+def test_the_pilot_wins_during_take_off():
+    with playing(climbs=False) as peer:
+        with connect(peer, replace(FAST, takeoff_timeout_s=5)) as drone:
+
+            def switch() -> None:
+                soon(lambda: any(c.command == 22 for c in peer.of("COMMAND_LONG")))
+                peer.part.mode = MODES["LOITER"]
+
+            pilot = threading.Thread(target=switch)
+            pilot.start()
+            with pytest.raises(LinkError, match=r"taken over.*LOITER"):
+                drone.take_off(lambda _: True)
+            pilot.join()
+        assert peer.part.mode == MODES["LOITER"]
+        assert peer.part.armed
+
+
+def test_a_stick_that_moves_brakes():
+    with playing(sticks=(1500, 1500, 1200, 1500)) as peer, flying(peer) as drone:
+        drone.send(FORWARD)
+        assert drone.decision.kind == "fly"
+        peer.part.sticks = (1500, 1700, 1200, 1500)
+        soon(lambda: peer.part.mode == MODES["BRAKE"])
+        assert "stick" in drone.decision.reason
+        peer.part.mode = MODES["LOITER"]
+        soon(lambda: drone.over)
+
+
+def test_a_vehicle_that_falls_silent_is_told_to_stop():
+    safety = replace(CALM, link=Patience(0.15, 0.4))
+    with playing() as peer, flying(peer, safety) as drone:
+        drone.send(FORWARD)
+        cut = time.monotonic()
+        peer.part.mute = True
+        soon(lambda: drone.decision.kind == "hold")
+        assert time.monotonic() - cut < SOON_S
+        assert "no message from the vehicle" in drone.decision.reason
+        soon(lambda: peer.part.mode == MODES["BRAKE"])
+        peer.part.mute = False
+
+
+def test_outside_the_fence_and_with_a_low_battery():
+    safety = replace(CALM, low_battery_s=0.1)
+    with playing() as peer, flying(peer, safety) as drone:
+        peer.part.position[:2] = [3.0 + 31.0, 4.0]  # north of where it took off
+        soon(lambda: drone.telemetry.position[1] > 30)
+        assert drone.send(FORWARD)[0] == pytest.approx(0.0, abs=1e-6)
+        assert "outside the fence" in drone.decision.reason
+        soon(lambda: drone.send(-FORWARD)[0] < -0.5)
+        peer.part.battery = 10
+        soon(lambda: peer.part.mode == MODES["LAND"])
+        assert "battery" in drone.over
+
+
+def test_an_interruption_lands():
+    with playing() as peer:
+        with pytest.raises(KeyboardInterrupt), flying(peer):
+            raise KeyboardInterrupt
+        assert peer.part.mode == MODES["LAND"]
+        assert not peer.part.armed
+
+
+def test_an_interruption_of_the_climb_lands():
+    with playing(climbs=False) as peer:
+        with connect(peer) as drone, pytest.raises(LinkError):
+            drone.take_off(lambda _: True)
+        assert peer.part.mode == MODES["LAND"]
+
+
+def test_it_flies_back_where_asked():
+    with playing() as peer, flying(peer) as drone:
+        landing = threading.Thread(target=drone.land, args=("RTL",))
+        landing.start()
+        soon(lambda: peer.part.mode == 6)
+        peer.part.armed = False
+        landing.join()
+        assert drone.over == "the flight is over"
+
+
+def test_a_landing_that_does_not_come_is_told():
+    with playing() as peer:
+        drone = connect(peer, replace(FAST, landing_timeout_s=0.2))
+        drone.take_off(lambda _: True)
+        peer.part.deaf_to = frozenset({176})
+        with pytest.raises(LinkError, match=r"not landed 0.2 s after LAND.*in GUIDED.*take over by hand"):
+            drone.close()
+        assert drone.camera.closed
+
+
+# Vehicles that are not to be flown.
+
+
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        ({"kind": m.MAV_TYPE_FIXED_WING}, "fixed wing .MAV_TYPE 1., not a copter"),
+        ({"autopilot": m.MAV_AUTOPILOT_PX4}, "does not run ArduPilot"),
+        ({"version": (4, 0)}, "ArduCopter 4.0, which has no GUID_TIMEOUT; update it to 4.1"),
+        ({"mute": True}, "no heartbeat of any vehicle on udpout.* in 0.5 s"),
+        ({"refuse": {511: "no"}}, "refused to send ATTITUDE"),
+    ],
+)
+def test_a_vehicle_that_cannot_be_flown(part, said):
+    camera = StillCamera()
+    with playing(**part) as peer, pytest.raises(LinkError, match=said):
+        MavlinkDrone(f"udpout:127.0.0.1:{peer.port}", camera, Guard(), FAST)
+    assert camera.closed
+
+
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        ({"armed": True}, "armed already"),
+        ({"prearm": False}, "does not say that it passes its own checks"),
+        ({"ekf": 0xA7}, "does not say that it knows where it is"),
+        ({"refuse": {400: "Arm: GPS 1: Bad fix"}}, "refused arming: failed; it says: Arm: GPS 1: Bad fix"),
+        (
+            {"refuse": {176: "Mode change to GUIDED failed: requires position"}},
+            "refused mode GUIDED.*requires position",
+        ),
+        ({"refuse": {22: "no"}}, "refused take-off"),
+        ({"battery": 20}, r"not fit to fly.*\[bad \] battery"),
+        ({"parameters": {**PARAMETERS, "GUID_TIMEOUT": 5.0}}, r"\[bad \] GUID_TIMEOUT +5"),
+        ({"position": [np.nan] * 3, "climbs": False}, "not at 1.5 m"),
+    ],
+)
+def test_a_vehicle_that_is_not_ready(part, said):
+    with playing(**part) as peer, connect(peer) as drone, pytest.raises(LinkError, match=f"(?s){said}"):
+        drone.take_off(lambda _: True)
+
+
+def test_parameters_are_set_with_consent_alone():
+    with playing(parameters={**PARAMETERS, "FS_GCS_ENABLE": 0.0, "FENCE_ENABLE": 0.0}) as peer:
+        with connect(peer) as drone:
+            assert [finding.what for finding in drone.checklist().bad] == ["FS_GCS_ENABLE"]
+            assert peer.of("PARAM_SET") == []
+        with connect(peer, replace(FAST, set_parameters=True)) as drone:
+            checklist = drone.checklist()
+            assert not checklist.bad
+            assert "FS_GCS_ENABLE    5, set by this program" in str(checklist)
+        assert peer.part.parameters == {**PARAMETERS, "FENCE_ENABLE": 0.0}
+
+
+def test_without_a_yes_nothing_is_armed():
+    lists = []
+    with playing() as peer, connect(peer) as drone:
+        with pytest.raises(LinkError, match="not confirmed"):
+            drone.take_off(lambda checklist: bool(lists.append(str(checklist))))
+        assert not peer.part.armed
+        assert [c.command for c in peer.of("COMMAND_LONG") if c.command in (176, 400, 22)] == []
+    assert "ArduCopter 4.6" in lists[0]
+    assert "80% left" in lists[0]
+
+
+def packet(system: int, message: m.MAVLink_message) -> bytes:
+    return message.pack(m.MAVLink(None, srcSystem=system, srcComponent=1))
+
+
+def test_noise_and_other_vehicles_are_ignored_and_another_ground_station_is_told():
+    other = packet(9, m.MAVLink_heartbeat_message(1, 3, 0x81, 5, 4, 3))
+    station = packet(250, m.MAVLink_heartbeat_message(m.MAV_TYPE_GCS, 8, 0, 0, 4, 3))
+    broken = b"\xfd\xff" + bytes(range(40))
+    endless = packet(1, m.MAVLink_attitude_message(5000, 0, 0, float("inf"), 0, 0, 0))
+    with playing(also=(other[:9], broken, station, endless)) as peer, connect(peer) as drone:
+        peer.part.also += (other, b"\xfe", b"\x00" * 300)
+        time.sleep(0.1)
+        assert drone.vehicle.system == 1
+        assert drone.telemetry.mode == "STABILIZE"
+        drone.take_off(lambda checklist: "system 250 is connected too" in str(checklist))
+        assert drone.send(FORWARD)[0] > 0
+
+
+def test_one_of_several_vehicles_is_chosen():
+    with playing() as peer, pytest.raises(LinkError, match="no heartbeat of a vehicle with system id 7"):
+        connect(peer, replace(FAST, system=7))
+
+
+# Links.
+
+
+@pytest.mark.parametrize(
+    ("url", "said"),
+    [
+        ("upd:127.0.0.1:14550", "did you mean .*'udp'"),
+        ("udp:", "expected udp:HOST:PORT"),
+        ("udp:127.0.0.1", "such as udp:127.0.0.1:14550"),
+        ("tcp:127.0.0.1:99999", "such as tcp:"),
+        ("serial:/dev/ttyACM0:fast", "baud rate 'fast'"),
+    ],
+)
+def test_a_url_that_cannot_be_read(url, said):
+    with pytest.raises(LinkError, match=said):
+        MavlinkDrone(url, StillCamera(), Guard())
+
+
+def test_a_port_where_nobody_listens_and_one_that_is_taken():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken, socket.socket() as nobody:
+        taken.bind(("127.0.0.1", 0))
+        nobody.bind(("127.0.0.1", 0))
+        for url in (f"udp:127.0.0.1:{taken.getsockname()[1]}", f"tcp:127.0.0.1:{nobody.getsockname()[1]}"):
+            with pytest.raises(LinkError, match="is the port right, and free"):
+                MavlinkDrone(url, StillCamera(), Guard())
+
+
+def test_a_tcp_link_that_is_closed():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def accept() -> None:
+            with server.accept()[0] as one:
+                one.sendall(b"\x00")
+
+        thread = threading.Thread(target=accept)
+        thread.start()
+        with pytest.raises(LinkError, match=r"closed by the other side|was cut"):
+            MavlinkDrone(f"tcp:127.0.0.1:{server.getsockname()[1]}", StillCamera(), Guard(), FAST)
+        thread.join()
+
+
+def test_a_serial_port():
+    serial = pytest.importorskip("serial")
+    assert serial
+    far, near = pty.openpty()
+    try:
+        name = os.ttyname(near)
+        with pytest.raises(LinkError, match="no heartbeat"):
+            MavlinkDrone(f"serial:{name}:115200", StillCamera(), Guard(), FAST)
+    finally:
+        os.close(far)
+        os.close(near)
+    with pytest.raises(LinkError, match="cannot open the serial port /dev/no-such"):
+        MavlinkDrone("serial:/dev/no-such", StillCamera(), Guard(), FAST)
+
+
+@pytest.mark.parametrize(("module", "url"), [("pymavlink.dialects", "udp:127.0.0.1:0"), ("serial", "serial:/dev/null")])
+def test_what_is_not_installed_is_named(monkeypatch, module, url):
+    for name in [module, f"{module}.v20.ardupilotmega"]:
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(MissingExtra, match=r"cognitivedrone\[mavlink\]"):
+        MavlinkDrone(url, StillCamera(), Guard())
+
+
+# Against the simulator.
+
+
+class Sky:
+    """Our simulator as a vehicle, in a thread, `speed` times real time."""
+
+    def __init__(self, speed: float) -> None:
+        self.vehicle = SimulatedVehicle(Simulator(render=False), VehicleConfig(links=("udpin:127.0.0.1:0",)))
+        self.url = f"udpout:127.0.0.1:{self.vehicle.addresses[0][1]}"
+        self._speed = speed
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self) -> Sky:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._stop.set()
+        self._thread.join()
+        self.vehicle.close()
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        while not self._stop.is_set():
+            self.vehicle.step()
+            due = max(due + STEP_S / self._speed, time.monotonic() - 0.1)
+            time.sleep(max(0.0, due - time.monotonic()))
+
+
+class Constant:
+    """A policy that wants one thing."""
+
+    def reset(self, instruction: str) -> None:
+        pass
+
+    def act(self, observation):
+        return np.array([[1.0, 0.0, 0.0, 0.0]], dtype=np.float32)
+
+
+def test_the_loop_flies_the_simulator_over_mavlink_and_lands_it():
+    config = MavlinkConfig(clock="vehicle", set_parameters=True, takeoff_height_m=1.0)
+    with Sky(speed=8) as sky:
+        start = sky.vehicle.state().position.copy()
+        with MavlinkDrone(sky.url, StillCamera(), Guard(CALM), config) as drone:
+            drone.take_off(lambda _: True)
+            up = sky.vehicle.state().position.copy()
+            fly(drone, Constant(), drone, lambda: Leg(0, "go") if drone.now() < 3 else None)
+            there = sky.vehicle.state()
+            assert drone.observe().velocity[0] == pytest.approx(1.0, abs=0.25)
+        assert not sky.vehicle.modes.armed
+        assert up[2] - start[2] == pytest.approx(1.0, abs=0.2)
+        assert 1.5 < np.linalg.norm(there.position[:2] - start[:2]) < 3.5
+        assert sky.vehicle.state().position[2] == pytest.approx(start[2], abs=0.1)
+
+
+def test_the_simulators_pilot_takes_over():
+    with Sky(speed=8) as sky:
+        config = MavlinkConfig(clock="vehicle", set_parameters=True, takeoff_height_m=1.0)
+        with MavlinkDrone(sky.url, StillCamera(), Guard(CALM), config) as drone:
+            drone.take_off(lambda _: True)
+            drone.send(FORWARD)
+            sky.vehicle.pilot(Mode.LOITER)
+            soon(lambda: drone.over)
+        assert sky.vehicle.modes.mode == Mode.LOITER
+        assert sky.vehicle.modes.armed

@@ -1,0 +1,460 @@
+"""The simulated vehicle, flown by pymavlink over real sockets. Time is stepped, nothing sleeps."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import socket
+import threading
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink")
+
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import ardupilotmega as m
+
+from cognitivedrone.errors import RunError
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.vehicles.mavlink.server.modes import Mode
+from cognitivedrone.vehicles.mavlink.server.parameters import TABLE
+from cognitivedrone.vehicles.mavlink.server.vehicle import SimulatedVehicle, VehicleConfig, serve
+
+VELOCITY = 0x05C7  # velocity and yaw rate
+POSITION = 0x0DF8
+BODY, LOCAL = m.MAV_FRAME_BODY_NED, m.MAV_FRAME_LOCAL_NED
+
+
+@pytest.fixture(scope="module")
+def simulator() -> Simulator:
+    return Simulator(render=False)
+
+
+class Client:
+    """A ground station that steps the vehicle whenever it waits."""
+
+    def __init__(self, vehicle: SimulatedVehicle, system: int = 255) -> None:
+        self.vehicle = vehicle
+        self.link = mavutil.mavlink_connection(
+            f"udpout:127.0.0.1:{vehicle.addresses[0][1]}", source_system=system, force_connected=True
+        )
+        self.mav = self.link.mav
+        self.heartbeat()
+        self.seen: list[m.MAVLink_message] = []
+        self.run(0.02)
+
+    def heartbeat(self) -> None:
+        self.mav.heartbeat_send(m.MAV_TYPE_GCS, m.MAV_AUTOPILOT_INVALID, 0, 0, 0)
+
+    def run(self, seconds: float) -> list[m.MAVLink_message]:
+        """Everything that comes in so long."""
+        got = []
+        for _ in range(round(seconds * 100)):
+            self.vehicle.step()
+            while (message := self.link.recv_msg()) is not None:
+                got.append(message)
+        self.seen += got
+        return got
+
+    def one(self, kind: str, seconds: float = 0.1) -> m.MAVLink_message:
+        found = [message for message in self.run(seconds) if message.get_type() == kind]
+        assert found, f"no {kind}"
+        return found[-1]
+
+    def command(self, number: int, *values: float) -> int:
+        self.mav.command_long_send(1, 1, number, 0, *values, *[0.0] * (7 - len(values)))
+        ack = self.one("COMMAND_ACK")
+        assert ack.command == number
+        return ack.result
+
+    def texts(self) -> str:
+        return "\n".join(message.text for message in self.seen if message.get_type() == "STATUSTEXT")
+
+    def local(self, frame: int, mask: int, *, p=(0, 0, 0), v=(0, 0, 0), yaw=0.0, rate=0.0) -> None:
+        self.mav.set_position_target_local_ned_send(0, 1, 1, frame, mask, *p, *v, 0, 0, 0, yaw, rate)
+
+    def fly(self, seconds: float, *, v=(0.0, 0.0, 0.0), rate=0.0, frame: int = BODY) -> None:
+        """Velocity setpoints at 10 Hz."""
+        for _ in range(round(seconds * 10)):
+            self.local(frame, VELOCITY, v=v, rate=rate)
+            self.run(0.1)
+
+    def airborne(self, height: float = 1.5) -> Client:
+        assert self.command(m.MAV_CMD_DO_SET_MODE, 1, Mode.GUIDED) == m.MAV_RESULT_ACCEPTED
+        assert self.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 1) == m.MAV_RESULT_ACCEPTED
+        assert self.command(m.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height) == m.MAV_RESULT_ACCEPTED
+        self.run(1.0)
+        while self.vehicle.modes.taking_off:
+            assert self.vehicle.time < 15.0
+            self.run(0.1)
+        self.run(0.5)
+        assert self.height == pytest.approx(height, abs=0.15)
+        return self
+
+    @property
+    def height(self) -> float:
+        return float((self.vehicle.state().position - self.vehicle.modes.home.position)[2])
+
+
+@pytest.fixture
+def vehicle(simulator: Simulator) -> Iterator[SimulatedVehicle]:
+    yield from made(simulator)
+
+
+def made(simulator: Simulator, **changes) -> Iterator[SimulatedVehicle]:
+    simulator.flight.reset(0, np.array([0.0, 0.0, 1.0]))
+    with SimulatedVehicle(simulator, VehicleConfig(links=("udpin:127.0.0.1:0",), **changes)) as vehicle:
+        yield vehicle
+
+
+@pytest.fixture
+def client(vehicle: SimulatedVehicle) -> Iterator[Client]:
+    client = Client(vehicle)
+    yield client
+    client.link.close()
+
+
+def test_presents_itself_as_a_copter(client: Client) -> None:
+    kinds = {message.get_type() for message in client.run(1.1)}
+    assert {"HEARTBEAT", "ATTITUDE", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "SYS_STATUS", "GPS_RAW_INT"} <= kinds
+    beats = [message for message in client.run(3.0) if message.get_type() == "HEARTBEAT"]
+    assert len(beats) == 3
+    assert (beats[0].type, beats[0].autopilot) == (m.MAV_TYPE_QUADROTOR, m.MAV_AUTOPILOT_ARDUPILOTMEGA)
+    assert mavutil.mode_string_v10(beats[0]) == "STABILIZE"
+    assert client.command(m.MAV_CMD_REQUEST_MESSAGE, m.MAVLINK_MSG_ID_AUTOPILOT_VERSION) == 0
+    version = next(x for x in client.seen if x.get_type() == "AUTOPILOT_VERSION")
+    assert version.flight_sw_version >> 16 == 4 << 8 | 6
+    client.mav.command_long_send(1, 1, m.MAV_CMD_REQUEST_MESSAGE, 0, 99999, 0, 0, 0, 0, 0, 0)
+    assert client.one("COMMAND_ACK").result == m.MAV_RESULT_DENIED
+    assert client.command(m.MAV_CMD_DO_PARACHUTE, 1) == m.MAV_RESULT_UNSUPPORTED
+
+
+def test_lists_reads_and_sets_parameters(client: Client) -> None:
+    client.mav.param_request_list_send(1, 1)
+    values = [x for x in client.run(0.5) if x.get_type() == "PARAM_VALUE"]
+    assert {x.param_id for x in values} == set(TABLE)
+    assert sorted(x.param_index for x in values) == list(range(values[0].param_count))
+
+    def put(name: str, value: float) -> float:
+        client.mav.param_set_send(1, 1, name.encode(), value, m.MAV_PARAM_TYPE_REAL32)
+        answer = client.one("PARAM_VALUE")
+        assert answer.param_id == name
+        return answer.param_value
+
+    assert put("GUID_TIMEOUT", 1.5) == 1.5
+    assert put("GUID_TIMEOUT", 99) == 1.5
+    assert put("GUID_TIMEOUT", math.nan) == 1.5
+    assert put("FRAME_CLASS", 2) == 1
+    assert put("FENCE_ENABLE", 0.5) == 0
+    assert "GUID_TIMEOUT takes 0.1 to 5" in client.texts()
+    client.mav.param_set_send(1, 1, b"NO_SUCH", 1.0, m.MAV_PARAM_TYPE_REAL32)
+    client.mav.param_request_read_send(1, 1, b"NO_SUCH", -1)
+    client.mav.param_request_read_send(1, 1, b"", 9999)
+    assert not [x for x in client.run(0.1) if x.get_type() == "PARAM_VALUE"]
+    client.mav.param_request_read_send(1, 1, b"GUID_TIMEOUT", -1)
+    assert client.one("PARAM_VALUE").param_value == 1.5
+
+
+def test_arms_takes_off_flies_lands_and_disarms(client: Client) -> None:
+    assert client.command(m.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 1.5) == m.MAV_RESULT_FAILED
+    client.airborne()
+    assert client.vehicle.modes.landed is False
+    assert client.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 0) == m.MAV_RESULT_FAILED
+    before = client.vehicle.state().position
+    client.fly(4.0, v=(1.0, 0.0, 0.0))
+    # The drone looks along world x, which is east.
+    assert client.vehicle.state().velocity == pytest.approx([1.0, 0.0, 0.0], abs=0.05)
+    local = client.one("LOCAL_POSITION_NED", 0.3)
+    assert local.vy == pytest.approx(1.0, abs=0.05)
+    assert local.vx == pytest.approx(0.0, abs=0.05)
+    assert local.z == pytest.approx(-1.5, abs=0.1)
+    assert client.one("ATTITUDE", 0.3).yaw == pytest.approx(math.pi / 2, abs=0.02)
+    assert client.vehicle.state().position[0] - before[0] > 3.0
+    assert client.command(m.MAV_CMD_NAV_LAND) == m.MAV_RESULT_ACCEPTED
+    client.run(7.0)
+    assert not client.vehicle.modes.armed
+    assert client.height == pytest.approx(0.0, abs=0.02)
+    assert client.one("EXTENDED_SYS_STATE", 1.1).landed_state == m.MAV_LANDED_STATE_ON_GROUND
+
+
+@pytest.mark.parametrize(
+    ("frame", "v", "rate", "world"),
+    [
+        (BODY, (0.0, 1.0, 0.0), 0.0, (0.0, -1.0, 0.0)),
+        (m.MAV_FRAME_BODY_OFFSET_NED, (1.0, 0.0, -0.5), 0.0, (1.0, 0.0, 0.5)),
+        (LOCAL, (1.0, 0.0, 0.0), 0.0, (0.0, 1.0, 0.0)),
+        (m.MAV_FRAME_LOCAL_OFFSET_NED, (0.0, 1.0, 0.0), 0.0, (1.0, 0.0, 0.0)),
+    ],
+)
+def test_velocities_in_every_frame(client: Client, frame: int, v, rate: float, world) -> None:
+    client.airborne(2.0)
+    client.fly(2.5, v=v, frame=frame)
+    assert client.vehicle.state().velocity == pytest.approx(world, abs=0.08)
+
+
+def test_yaw_rate_is_clockwise(client: Client) -> None:
+    client.airborne()
+    client.fly(2.0, rate=0.5)
+    assert client.vehicle.state().body_rates[2] == pytest.approx(-0.5, abs=0.05)
+
+
+def test_silence_stops_it_after_guid_timeout(client: Client) -> None:
+    client.airborne()
+    client.fly(3.0, v=(1.0, 0.0, 0.0))
+    client.run(2.7)
+    assert client.vehicle.state().velocity[0] == pytest.approx(1.0, abs=0.05)
+    client.run(2.3)
+    assert client.vehicle.state().velocity[0] == pytest.approx(0.0, abs=0.05)
+
+
+def test_positions_are_reached_and_held(client: Client) -> None:
+    client.airborne()
+    client.local(LOCAL, POSITION, p=(2.0, -1.0, -2.5))
+    client.run(8.0)
+    home = client.vehicle.modes.home
+    assert home.to_local(client.vehicle.state().position) == pytest.approx([2.0, -1.0, -2.5], abs=0.1)
+    client.local(BODY, POSITION, p=(1.0, 0.0, 0.0))
+    client.run(6.0)
+    assert home.to_local(client.vehicle.state().position) == pytest.approx([2.0, 0.0, -2.5], abs=0.1)
+    latitude, longitude, _ = home.to_global(home.to_world(np.array([-1.0, 1.0, 0.0])))
+    client.mav.set_position_target_global_int_send(
+        0, 1, 1, m.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, POSITION, round(latitude * 1e7), round(longitude * 1e7), 1.0,
+        0, 0, 0, 0, 0, 0, 0, 0,
+    )  # fmt: skip
+    client.run(8.0)
+    assert home.to_local(client.vehicle.state().position) == pytest.approx([-1.0, 1.0, -1.0], abs=0.12)
+    reported = client.one("GLOBAL_POSITION_INT", 0.3)
+    assert reported.lat == pytest.approx(latitude * 1e7, abs=15)
+    assert reported.relative_alt == pytest.approx(1000, abs=120)
+    client.mav.command_int_send(
+        1, 1, m.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, m.MAV_CMD_DO_REPOSITION, 0, 0, -1, 1, 0, 0.0,
+        round(home.latitude * 1e7), round(home.longitude * 1e7), 2.0,
+    )  # fmt: skip
+    assert client.one("COMMAND_ACK").result == m.MAV_RESULT_ACCEPTED
+    client.run(8.0)
+    assert home.to_local(client.vehicle.state().position) == pytest.approx([0.0, 0.0, -2.0], abs=0.12)
+    assert client.one("ATTITUDE", 0.3).yaw == pytest.approx(0.0, abs=0.03)
+
+
+def test_a_setpoint_cancels_the_take_off(client: Client) -> None:
+    client.command(m.MAV_CMD_DO_SET_MODE, 1, Mode.GUIDED)
+    client.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    client.fly(0.5, v=(0.0, 0.0, -1.0))
+    assert client.height < 0.01, "a setpoint alone must not lift it"
+    client.command(m.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 3.0)
+    client.run(2.0)
+    assert client.height > 0.05
+    client.fly(0.1)
+    client.run(4.0)
+    assert client.height < 2.6
+    assert client.vehicle.state().velocity[2] == pytest.approx(0.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("frame", "mask", "changes", "words"),
+    [
+        (BODY, 0x0FFF, {}, "no position or velocity"),
+        (BODY, 0x0DC7 & ~0x1C0 | 0x38, {}, "no position or velocity"),
+        (12, VELOCITY, {}, "frame 12"),
+        (m.MAV_FRAME_GLOBAL_INT, VELOCITY, {}, "frame 5"),
+        (BODY, VELOCITY & ~0x1C0 | 0x200, {}, "force"),
+        (BODY, VELOCITY, {"v": (math.nan, 0, 0)}, "not a number"),
+        (BODY, VELOCITY, {"rate": math.inf}, "not a number"),
+        (LOCAL, POSITION, {"p": (1e9, 0, 0)}, "within 5000 m"),
+    ],
+)
+def test_targets_that_are_not_supported_stop_it(client: Client, frame: int, mask: int, changes, words: str) -> None:
+    client.airborne(1.0)
+    client.fly(1.5, v=(1.0, 0.0, 0.0))
+    client.local(frame, mask, **changes)
+    client.run(2.5)
+    assert "Target refused" in client.texts()
+    assert words in client.texts()
+    assert client.vehicle.state().velocity == pytest.approx([0, 0, 0], abs=0.08)
+
+
+def test_the_pilot_takes_over(client: Client) -> None:
+    client.airborne()
+    client.fly(1.0, v=(1.0, 0.0, 0.0))
+    client.vehicle.pilot(Mode.LOITER, (0.0, 0.5, 0.0, 0.0))
+    client.fly(2.0, v=(1.0, 0.0, 0.0))
+    assert client.vehicle.state().velocity == pytest.approx([0.0, 0.5, 0.0], abs=0.05)
+    assert client.one("HEARTBEAT", 1.1).custom_mode == Mode.LOITER
+    client.vehicle.pilot(Mode.BRAKE)
+    client.run(2.0)
+    assert np.linalg.norm(client.vehicle.state().velocity) < 0.05
+
+
+def test_returns_home(client: Client) -> None:
+    client.airborne()
+    client.fly(3.0, v=(1.0, 1.0, 0.0))
+    client.command(m.MAV_CMD_NAV_RETURN_TO_LAUNCH)
+    highest = 0.0
+    for _ in range(40):
+        client.run(0.5)
+        highest = max(highest, client.height)
+        if not client.vehicle.modes.armed:
+            break
+    assert highest == pytest.approx(3.0, abs=0.3)
+    assert client.vehicle.state().position == pytest.approx(client.vehicle.modes.home.position, abs=0.1)
+
+
+def test_modes(client: Client) -> None:
+    assert client.command(m.MAV_CMD_DO_SET_MODE, 1, 99) == m.MAV_RESULT_FAILED
+    assert client.command(m.MAV_CMD_DO_SET_MODE, 1, math.nan) == m.MAV_RESULT_FAILED
+    assert client.command(m.MAV_CMD_DO_SET_MODE, 0, Mode.GUIDED) == m.MAV_RESULT_DENIED
+    for mode in Mode:
+        client.mav.set_mode_send(1, m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, mode)
+        assert client.one("COMMAND_ACK").result == m.MAV_RESULT_ACCEPTED
+        assert client.one("HEARTBEAT", 1.1).custom_mode == mode
+    assert client.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 1) == m.MAV_RESULT_FAILED  # in BRAKE
+    assert "BRAKE is not a mode to arm in" in client.texts()
+
+
+def test_disarms_itself_on_the_ground(client: Client) -> None:
+    client.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    client.run(9.0)
+    assert client.vehicle.modes.armed
+    client.run(1.5)
+    assert not client.vehicle.modes.armed
+
+
+def test_fences_act(client: Client) -> None:
+    client.airborne()
+    for name, value in (("FENCE_RADIUS", 2.0), ("FENCE_ACTION", 4.0), ("FENCE_ENABLE", 1.0)):
+        client.mav.param_set_send(1, 1, name.encode(), value, m.MAV_PARAM_TYPE_REAL32)
+        client.run(0.05)
+    client.fly(2.0, v=(1.0, 0.0, 0.0))
+    assert client.vehicle.modes.mode == Mode.GUIDED
+    client.fly(1.5, v=(1.0, 0.0, 0.0))
+    assert client.vehicle.modes.mode == Mode.BRAKE
+    assert "Fence breached: circle" in client.texts()
+    assert client.command(m.MAV_CMD_REQUEST_MESSAGE, m.MAVLINK_MSG_ID_FENCE_STATUS) == 0
+    assert [x for x in client.seen if x.get_type() == "FENCE_STATUS"][-1].breach_status == 1
+
+
+def test_the_silence_of_the_ground_station_counts_where_asked(client: Client) -> None:
+    client.airborne()
+    client.mav.param_set_send(1, 1, b"FS_GCS_ENABLE", 5.0, m.MAV_PARAM_TYPE_REAL32)
+    client.heartbeat()
+    client.run(4.5)
+    assert client.vehicle.modes.mode == Mode.GUIDED
+    client.run(1.0)
+    assert client.vehicle.modes.mode == Mode.LAND
+
+
+def test_arming_waits_for_the_checks(simulator: Simulator) -> None:
+    for vehicle in made(simulator, ready_after_s=1.0):
+        client = Client(vehicle)
+        assert client.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 1) == m.MAV_RESULT_FAILED
+        assert "PreArm: estimator settles" in client.texts()
+        client.run(1.0)
+        assert client.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 1) == m.MAV_RESULT_ACCEPTED
+        client.link.close()
+
+
+def test_streams_come_at_the_rate_that_is_asked_for(client: Client) -> None:
+    def rate(name: str) -> int:
+        return sum(message.get_type() == name for message in client.run(1.0))
+
+    for interval, expected in ((20_000.0, 50), (1.0, 100), (-1.0, 0), (0.0, 4)):
+        assert client.command(m.MAV_CMD_SET_MESSAGE_INTERVAL, m.MAVLINK_MSG_ID_ATTITUDE, interval) == 0
+        assert abs(rate("ATTITUDE") - expected) <= 1
+    assert client.command(m.MAV_CMD_SET_MESSAGE_INTERVAL, 31337, 1000) == m.MAV_RESULT_DENIED
+    assert client.command(m.MAV_CMD_SET_MESSAGE_INTERVAL, m.MAVLINK_MSG_ID_ATTITUDE, math.nan) == m.MAV_RESULT_DENIED
+    client.mav.request_data_stream_send(1, 1, m.MAV_DATA_STREAM_ALL, 10, 1)
+    assert rate("VFR_HUD") in (9, 10, 11)
+
+
+def test_missions_are_empty(client: Client) -> None:
+    for kind in (m.MAV_MISSION_TYPE_MISSION, m.MAV_MISSION_TYPE_FENCE, m.MAV_MISSION_TYPE_RALLY):
+        client.mav.mission_request_list_send(1, 1, kind)
+        answer = client.one("MISSION_COUNT")
+        assert (answer.count, answer.mission_type) == (0, kind)
+    client.mav.mission_count_send(1, 1, 3)
+    assert client.one("MISSION_ACK").type == m.MAV_MISSION_UNSUPPORTED
+    client.mav.timesync_send(0, 42)
+    assert client.one("TIMESYNC").ts1 == 42
+
+
+def test_foreign_and_malformed_packets_change_nothing(client: Client) -> None:
+    client.command(m.MAV_CMD_DO_SET_MODE, 1, Mode.GUIDED)
+    other = Client(client.vehicle, system=1)  # claims to be the vehicle itself
+    other.mav.command_long_send(1, 1, m.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
+    client.mav.command_long_send(7, 1, m.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
+    client.mav.command_long_send(1, 99, m.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
+    client.run(0.1)
+    assert not client.vehicle.modes.armed
+    assert not other.seen
+    good = m.MAVLink_command_long_message(1, 1, m.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0).pack(client.mav)
+    raw = client.link.port
+    rng = np.random.default_rng(0)
+    for size in (0, 1, 7, 300, 2000, 9000):
+        raw.sendto(rng.bytes(size), client.vehicle.addresses[0])
+    for cut in range(1, len(good)):
+        raw.sendto(good[:cut], client.vehicle.addresses[0])
+        raw.sendto(good[: cut - 1] + bytes([good[cut - 1] ^ 0x55]) + good[cut:], client.vehicle.addresses[0])
+        client.run(0.01)
+    assert not client.vehicle.modes.armed
+    raw.sendto(good, client.vehicle.addresses[0])
+    client.run(0.1)
+    assert client.vehicle.modes.armed
+    other.link.close()
+
+
+def test_a_flood_is_heeded_in_part_and_strangers_find_no_room(client: Client) -> None:
+    raw = client.link.port
+    beat = m.MAVLink_param_request_read_message(1, 1, b"GUID_TIMEOUT", -1).pack(client.mav)
+    for _ in range(40):
+        raw.sendto(beat * 20, client.vehicle.addresses[0])
+    assert sum(x.get_type() == "PARAM_VALUE" for x in client.run(0.01)) <= 200
+    strangers = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(12)]
+    for stranger in strangers:
+        stranger.sendto(beat, client.vehicle.addresses[0])
+    client.run(0.05)
+    heard = 0
+    for stranger in strangers:
+        stranger.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            heard += bool(stranger.recv(2048))
+        stranger.close()
+    assert heard == 7
+
+
+def test_tcp_and_a_served_vehicle(simulator: Simulator) -> None:
+    with SimulatedVehicle(simulator, VehicleConfig(links=("tcpin:127.0.0.1:0",))) as vehicle:
+        done = threading.Event()
+        thread = threading.Thread(target=serve, args=(vehicle, done.is_set), kwargs={"speed": 20.0})
+        thread.start()
+        try:
+            link = mavutil.mavlink_connection(f"tcp:127.0.0.1:{vehicle.addresses[0][1]}", source_system=255)
+            assert link.wait_heartbeat(timeout=5) is not None
+            link.mav.command_long_send(1, 1, m.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
+            assert link.recv_match(type="COMMAND_ACK", blocking=True, timeout=5).result == 0
+            link.close()
+        finally:
+            done.set()
+            thread.join(5)
+        vehicle.step(2)
+        assert not vehicle._peers, "who hung up is forgotten"
+
+
+def test_ports_that_cannot_be_had(simulator: Simulator) -> None:
+    for text, words in (
+        ("udp:127.0.0.1:14550", "did you mean"),
+        ("udpin:14550", "no host and port"),
+        ("tcpin:127.0.0.1:99999", "no host and port"),
+        ("udpout:127.0.0.1:0", "no host and port"),
+    ):
+        with pytest.raises(RunError, match=words):
+            SimulatedVehicle(simulator, VehicleConfig(links=(text,)))
+    with SimulatedVehicle(simulator, VehicleConfig(links=("udpin:127.0.0.1:0",))) as first:
+        port = first.addresses[0][1]
+        with pytest.raises(RunError, match="another program"):
+            SimulatedVehicle(simulator, VehicleConfig(links=(f"udpin:127.0.0.1:{port}",)))
+    with pytest.raises(RunError, match="system id 255"):
+        VehicleConfig(system_id=255)
+    with pytest.raises(RunError, match="2"):
+        SimulatedVehicle(Simulator(2, render=False))
