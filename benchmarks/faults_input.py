@@ -22,12 +22,12 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from rich.table import Table
 
 from cognitivedrone.benchmark.episode import preflight
 from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.suites import suite_of
-from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.errors import CognitiveDroneError, PolicyError
 from cognitivedrone.labels import load_pack
 from cognitivedrone.models.reasoner_file import EyesModel, MindModel
@@ -55,7 +55,7 @@ VALUES: tuple[Any, ...] = (
 def task_files(count: int, seed: int, folder: Path) -> dict[str, Counter[str]]:
     """How mutated task files ended, by the kind of the mutation."""
     simulator = Simulator(1)
-    course = Course(simulator, 0, load_pack(), CourseConfig())
+    track_runner = TrackRunner(simulator, 0, load_pack(), TrackConfig())
     found: dict[str, Counter[str]] = {}
     sound = _sound_files()
     for number in range(count):
@@ -63,7 +63,7 @@ def task_files(count: int, seed: int, folder: Path) -> dict[str, Counter[str]]:
         mutate = MUTATIONS[number % len(MUTATIONS)]
         path = folder / "mutated.json"
         path.write_bytes(mutated(rng, mutate, sound))
-        found.setdefault(mutate.__name__.strip("_"), Counter())[judge_tasks(path, course)] += 1
+        found.setdefault(mutate.__name__.strip("_"), Counter())[judge_tasks(path, track_runner)] += 1
     simulator.close()
     return found
 
@@ -77,7 +77,7 @@ def mutated(rng: Rng, mutate: Mutation, sound: list[list[Json]]) -> bytes:
             return content
 
 
-def judge_tasks(path: Path, course: Course) -> str:
+def judge_tasks(path: Path, track_runner: TrackRunner) -> str:
     """`rejected`, `same meaning`, or what is wrong: `misread`, `not one sentence` or `error in flight`."""
     config = RunConfig(policy="hover", tasks=path)
     try:
@@ -95,8 +95,8 @@ def judge_tasks(path: Path, course: Course) -> str:
         return "misread"
     try:
         for episode, track in enumerate(suite.tracks):
-            course.begin(track, episode_rng(suite.digest, episode, 0))
-            course.simulator.frames(worlds=[0])
+            track_runner.begin(track, episode_rng(suite.digest, episode, 0))
+            track_runner.simulator.frames(worlds=[0])
     except Exception as error:
         return f"error in flight: {type(error).__name__}"
     return "same meaning"

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import tyro
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 
-from cognitivedrone.control.async_reasoner import SimulatedMind
+from cognitivedrone.control.async_reasoner import SimulatedReasoner
 from cognitivedrone.control.hold import HeedingMind, HeldDrone, Hold, HoldRule
-from cognitivedrone.control.loop import Leg, fly
-from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
+from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.envs.drone import SimulatedDrone
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
@@ -46,21 +46,23 @@ class Flights:
 
     def __init__(self, suite: Suite, config: Config) -> None:
         self.suite, self.config = suite, config
-        self.course = Course(Simulator(1), 0, load_pack("open-v1"), CourseConfig(time_limit_s=LIMIT_S))
-        self.drone = SimulatedDrone(self.course.simulator, self.course)
+        self.track_runner = TrackRunner(Simulator(1), 0, load_pack("open-v1"), TrackConfig(time_limit_s=LIMIT_S))
+        self.drone = SimulatedDrone(self.track_runner.simulator, self.track_runner)
         self.policy, self.reasoner = make_policy("small"), SmallReasoner()
 
     def fly(self, episode: int, words: str | None) -> str:
         """How an episode ends: the outcome of its worst stage, or `hovered`."""
-        course, hold = self.course, Hold(HoldRule(below=self.config.below))
-        course.begin(self.suite.tracks[episode], episode_rng(self.suite.digest, episode, self.config.seed))
-        mind = HeedingMind(SimulatedMind(self.reasoner), hold)
+        track_runner, hold = self.track_runner, Hold(HoldRule(below=self.config.below))
+        track_runner.begin(self.suite.tracks[episode], episode_rng(self.suite.digest, episode, self.config.seed))
+        mind = HeedingMind(SimulatedReasoner(self.reasoner), hold)
 
-        def leg() -> Leg | None:
-            return None if course.finished else Leg(course.index, words or course.task.instruction)
+        def leg() -> Segment | None:
+            return (
+                None if track_runner.finished else Segment(track_runner.index, words or track_runner.task.instruction)
+            )
 
         fly(HeldDrone(self.drone, hold), self.policy, self.drone, leg, mind=mind)
-        outcomes = [result.outcome for result in course.results]
+        outcomes = [result.outcome for result in track_runner.results]
         if words is not None and outcomes[0] in ("passed", "wrong_gate"):
             return "through a gate"
         return "hovered" if hold.active else next((one for one in outcomes if one != "passed"), "passed")
@@ -90,7 +92,7 @@ def main(config: Config) -> None:
     print(f"  its own instruction  n {own.total():3d}: {dict(own.most_common())}")
     other = Counter(flights.fly(episode, words) for episode, words in strangers(suite, episodes, config.seed))
     print(f"  another's            n {other.total():3d}: {dict(other.most_common())}")
-    flights.course.simulator.close()
+    flights.track_runner.simulator.close()
 
 
 if __name__ == "__main__":

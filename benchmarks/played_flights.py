@@ -17,8 +17,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from cognitivedrone.benchmark.episode import EpisodeFlyer
-from cognitivedrone.benchmark.run_types import Flown, RunConfig
+from cognitivedrone.benchmark.episode import PilotRunner
+from cognitivedrone.benchmark.run_types import Rollout, RunConfig
 from cognitivedrone.benchmark.runner import run as bench
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.collect import executors
@@ -47,12 +47,12 @@ def record_collection(folder: Path) -> None:
 def record_run(folder: Path) -> None:
     """Fly the benchmark run that is played back."""
     config = _bench_config(folder)
-    flyer = EpisodeFlyer(config, suite_of(config))
-    dump(folder / "bench", {episode: _short_film(flyer.fly(episode, film=True)) for episode in range(BENCH_EPISODES)})
-    dump(folder / "renderer", flyer.renderer)
+    runner = PilotRunner(config, suite_of(config))
+    dump(folder / "bench", {episode: _short_film(runner.fly(episode, film=True)) for episode in range(BENCH_EPISODES)})
+    dump(folder / "renderer", runner.renderer)
 
 
-def _short_film(flown: Flown) -> Flown:
+def _short_film(flown: Rollout) -> Rollout:
     return replace(flown, film=(flown.film or [])[:3])
 
 
@@ -62,15 +62,15 @@ def play_back(job: Job, batches: Sequence[Sequence[int]], workers: int) -> Itera
     return (flights[index] for batch in batches for index in batch)
 
 
-class PlayedFlyer:
-    """A flyer that flies nothing."""
+class PlayedRunner:
+    """An episode runner that flies nothing."""
 
     def __init__(self, config: RunConfig, suite: Suite, watch: object = None) -> None:
         folder = Path(os.environ[WHERE])
-        self._flights: dict[int, Flown] = load(folder / "bench")
+        self._flights: dict[int, Rollout] = load(folder / "bench")
         self.renderer: str = load(folder / "renderer")
 
-    def fly(self, episode: int, *, film: bool) -> Flown:
+    def fly(self, episode: int, *, film: bool) -> Rollout:
         flown = self._flights[episode]
         return flown if film else replace(flown, film=None)
 
@@ -108,7 +108,7 @@ def collect_over_damage(out: Path, whole: Path) -> None:
 
 def bench_into(out: Path) -> None:
     """A small benchmark run, or what is left of it."""
-    bench(_bench_config(out), progress=False, flyer="played_flights:PlayedFlyer")
+    bench(_bench_config(out), progress=False, runner="played_flights:PlayedRunner")
 
 
 def state(folder: Path) -> dict[str, str]:

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import tyro
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 
-from cognitivedrone.control.async_reasoner import SimulatedMind, ThreadMind
+from cognitivedrone.control.async_reasoner import SimulatedReasoner, ThreadedReasoner
 from cognitivedrone.control.latency import TimedPolicy
-from cognitivedrone.control.loop import Leg, fly
-from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
+from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.envs.drone import PacedDrone, SimulatedDrone
 from cognitivedrone.interfaces import Privileged, Reasoner
 from cognitivedrone.labels import load_pack
@@ -70,19 +70,19 @@ class TimedReasoner:
 def real_time(policy_name: str, reasoner_name: str, seconds: float) -> None:
     suite = load_suite("open-v1:test")
     simulator = Simulator(1)
-    course = Course(simulator, 0, load_pack("open-v1"), CourseConfig())
+    track_runner = TrackRunner(simulator, 0, load_pack("open-v1"), TrackConfig())
     policy = TimedPolicy(make_policy(policy_name))
     made = make_reasoner(reasoner_name)
     reasoner = TimedReasoner(made) if made is not None else None
     log, end, episode = Log(), time.perf_counter() + seconds, 0
     while time.perf_counter() < end:
-        course.begin(suite.tracks[episode], episode_rng(suite.digest, episode, 0))
-        drone = PacedDrone(SimulatedDrone(simulator, course))
-        mind = ThreadMind(reasoner) if reasoner else None
+        track_runner.begin(suite.tracks[episode], episode_rng(suite.digest, episode, 0))
+        drone = PacedDrone(SimulatedDrone(simulator, track_runner))
+        mind = ThreadedReasoner(reasoner) if reasoner else None
 
-        def mission() -> Leg | None:
-            over = course.finished or time.perf_counter() > end
-            return None if over else Leg(course.index, course.task.instruction, course.truth())
+        def mission() -> Segment | None:
+            over = track_runner.finished or time.perf_counter() > end
+            return None if over else Segment(track_runner.index, track_runner.task.instruction, track_runner.truth())
 
         fly(drone, policy, drone, mission, mind=mind, recorder=log)
         if mind is not None:
@@ -138,8 +138,8 @@ class Nothing:
 def overhead(steps: int = 20_000) -> None:
     nothing = Nothing()
     begin = time.perf_counter()
-    mission = lambda: Leg(0, "go") if nothing.time < steps / 10 - 1e-6 else None  # noqa: E731
-    fly(nothing, nothing, nothing, mission, mind=SimulatedMind(nothing))
+    mission = lambda: Segment(0, "go") if nothing.time < steps / 10 - 1e-6 else None  # noqa: E731
+    fly(nothing, nothing, nothing, mission, mind=SimulatedReasoner(nothing))
     each = (time.perf_counter() - begin) / steps
     print(f"loop alone: {each * 1e6:.0f} us a tick, {1e-3 / each:.0f} times less than 1 ms")
 

@@ -16,8 +16,8 @@ import time
 from pathlib import Path
 
 import numpy as np
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 
-from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.simulator import Simulator
@@ -70,8 +70,8 @@ def arducopter(binary: Path, render: bool) -> float:
     flight = SitlFlight(binary)
     simulator = Simulator(1, airframe=IRIS, flight=flight, render=render)
     try:
-        course = Course(simulator, 0, load_pack("open-v1"), CourseConfig())
-        course.begin(suite.tracks[0], episode_rng(suite.digest, 0, 0))
+        track_runner = TrackRunner(simulator, 0, load_pack("open-v1"), TrackConfig())
+        track_runner.begin(suite.tracks[0], episode_rng(suite.digest, 0, 0))
         ratios = []
         for _ in range(ROUNDS):
             began = time.perf_counter()

@@ -41,7 +41,7 @@ class Reasoner(Protocol):
 
 
 @runtime_checkable
-class Remembering(Protocol):
+class StatefulReasoner(Protocol):
     """A reasoner that looks more than once: at several frames of a stage, and back at earlier stages of a track."""
 
     def new_flight(self) -> None:

@@ -38,7 +38,7 @@ from cognitivedrone.apps.opening import FLAG
 from cognitivedrone.apps.vehicle import Served, serve_vehicle
 from cognitivedrone.cli import main
 from cognitivedrone.errors import CognitiveDroneError, LinkError, PolicyError, RunError
-from cognitivedrone.sim.gate_monitor import Verdict, judge
+from cognitivedrone.sim.gate_monitor import GateEvent, judge
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import load_suite
 
@@ -171,18 +171,18 @@ def served(config: SimConfig) -> Iterator[Served]:
 
 def test_another_process_flies_the_served_vehicle_through_a_gate_and_ctrl_c_lands_it(tmp_path, monkeypatch):
     """The camera over HTTP, MAVLink over TCP, `fly` with the standard options, and a signal."""
-    through: list[Verdict] = []
+    through: list[GateEvent] = []
     advance = Simulator.advance
 
-    def watched(self: Simulator, *ticks: int) -> list[Verdict | None]:
+    def watched(self: Simulator, *ticks: int) -> list[GateEvent | None]:
         before = self.flight.position[0].copy()
-        verdicts, referee = advance(self, *ticks), self.referee(0)
-        # The simulator's own referee ends with the collision that standing on the floor is.
+        gate_events, gate_monitor = advance(self, *ticks), self.gate_monitor(0)
+        # The simulator's own gate monitor ends with the collision that standing on the floor is.
         path = np.stack([before, self.flight.position[0]])
-        verdict = judge(referee.stage, path, referee.hull_radius, referee.aspects)
-        if verdict is not None and verdict.gate is not None:
-            through.append(verdict)
-        return verdicts
+        gate_event = judge(gate_monitor.stage, path, gate_monitor.hull_radius, gate_monitor.aspects)
+        if gate_event is not None and gate_event.gate is not None:
+            through.append(gate_event)
+        return gate_events
 
     monkeypatch.setattr(Simulator, "advance", watched)
     config = SimConfig(

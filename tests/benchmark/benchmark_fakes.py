@@ -1,4 +1,4 @@
-"""A flyer without a simulator: made-up flights that depend on suite, episode and seed alone, as real ones do."""
+"""An episode runner without a simulator: made-up flights that depend on suite, episode and seed alone, as real ones."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cognitivedrone.benchmark.run_types import FilmFrame, Flown, RunConfig, Trace
+from cognitivedrone.benchmark.run_types import FilmFrame, Rollout, RunConfig, Trace
 from cognitivedrone.control.calls import NO_WATCH, Watch, calling
 from cognitivedrone.errors import LabelError
 from cognitivedrone.tasks import Suite
@@ -20,7 +20,7 @@ from cognitivedrone.world import geometry
 ENDINGS: tuple[Outcome, ...] = ("wrong_gate", "collision", "missed", "out_of_bounds", "timeout")
 
 
-class FakeFlyer:
+class FakeRunner:
     """Passes about two thirds; goes on behind gates like the real one."""
 
     renderer = "imagination"
@@ -30,7 +30,7 @@ class FakeFlyer:
         self.suite = suite
         self.watch = watch
 
-    def fly(self, episode: int, *, film: bool) -> Flown:
+    def fly(self, episode: int, *, film: bool) -> Rollout:
         digest = hashlib.sha256(f"{self.suite.digest} {self.config.policy}".encode()).digest()
         rng = np.random.default_rng([int.from_bytes(digest[:8], "big"), episode, self.config.seed])
         track = self.suite.tracks[episode]
@@ -53,110 +53,110 @@ class FakeFlyer:
             stage = Stage(gates=task.gates, labels=task.labels, origin=origin, yaw=yaw)
         result = EpisodeResult(episode, self.config.seed, tuple(results), len(path))
         trace = Trace(path.astype(np.float32), tuple(stages), tuple(starts), float(os.getpid()) * 1e-9)
-        return Flown(result, trace, [frame_of(track[0], k) for k in range(8)] if film else None)
+        return Rollout(result, trace, [frame_of(track[0], k) for k in range(8)] if film else None)
 
     def close(self) -> None:
         """Nothing to free."""
 
 
-class DyingFlyer(FakeFlyer):
+class DyingRunner(FakeRunner):
     """Its process is killed in episode 5."""
 
-    def fly(self, episode: int, *, film: bool) -> Flown:
+    def fly(self, episode: int, *, film: bool) -> Rollout:
         if episode == 5:
             os.kill(os.getpid(), signal.SIGKILL)
         return super().fly(episode, film=film)
 
 
-class BuggyFlyer(FakeFlyer):
+class BuggyRunner(FakeRunner):
     """Raises something unforeseen in episode 5."""
 
-    def fly(self, episode: int, *, film: bool) -> Flown:
+    def fly(self, episode: int, *, film: bool) -> Rollout:
         if episode == 5:
             raise ZeroDivisionError("a bug in a policy")
         return super().fly(episode, film=film)
 
 
-class HangingFlyer(FakeFlyer):
+class HangingRunner(FakeRunner):
     """Its policy never answers in episode 5, and keeps the interpreter to itself."""
 
-    def fly(self, episode: int, *, film: bool) -> Flown:
+    def fly(self, episode: int, *, film: bool) -> Rollout:
         if episode == 5:
             with calling("the policy", self.watch):
                 re.match(r"(a+)+$", "a" * 60 + "b")
         return super().fly(episode, film=film)
 
 
-class QuittingFlyer(FakeFlyer):
+class QuittingRunner(FakeRunner):
     """Its policy ends the process in episode 5, as if all were well."""
 
-    def fly(self, episode: int, *, film: bool) -> Flown:
+    def fly(self, episode: int, *, film: bool) -> Rollout:
         if episode == 5:
             with calling("the policy", self.watch):
                 os._exit(0)
         return super().fly(episode, film=film)
 
 
-class CrashingFlyer(FakeFlyer):
+class CrashingRunner(FakeRunner):
     """Its policy brings the process down in episode 5."""
 
-    def fly(self, episode: int, *, film: bool) -> Flown:
+    def fly(self, episode: int, *, film: bool) -> Rollout:
         if episode == 5:
             with calling("the policy", self.watch):
                 os.kill(os.getpid(), signal.SIGSEGV)
         return super().fly(episode, film=film)
 
 
-class LeavingFlyer(FakeFlyer):
+class LeavingRunner(FakeRunner):
     """Its process ends in episode 5, in good order, and nobody's policy is to blame."""
 
-    def fly(self, episode: int, *, film: bool) -> Flown:
+    def fly(self, episode: int, *, film: bool) -> Rollout:
         if episode == 5:
             os._exit(0)
         return super().fly(episode, film=film)
 
 
-class RaisingFlyer(FakeFlyer):
+class RaisingRunner(FakeRunner):
     """Its reasoner raises in episode 5, and the flight goes on."""
 
-    def fly(self, episode: int, *, film: bool) -> Flown:
+    def fly(self, episode: int, *, film: bool) -> Rollout:
         flown = super().fly(episode, film=film)
         return replace(flown, error="Traceback of a reasoner") if episode == 5 else flown
 
 
-class UnlabelledFlyer(FakeFlyer):
+class UnlabelledRunner(FakeRunner):
     """Cannot be made."""
 
     def __init__(self, config: RunConfig, suite: Suite, watch: Watch = NO_WATCH) -> None:
         raise LabelError("label 'zebr' is not in the pack; did you mean 'zebra'?")
 
 
-class StillbornFlyer(FakeFlyer):
+class StillbornRunner(FakeRunner):
     """Takes its process down while it is made."""
 
     def __init__(self, config: RunConfig, suite: Suite, watch: Watch = NO_WATCH) -> None:
         os._exit(3)
 
 
-class InterruptedFlyer(FakeFlyer):
+class InterruptedRunner(FakeRunner):
     """Somebody presses Ctrl-C in episode 5."""
 
-    def fly(self, episode: int, *, film: bool) -> Flown:
+    def fly(self, episode: int, *, film: bool) -> Rollout:
         if episode == 5:
             raise KeyboardInterrupt
         return super().fly(episode, film=film)
 
 
-class GroupInterruptedFlyer(FakeFlyer):
+class GroupInterruptedRunner(FakeRunner):
     """Somebody presses Ctrl-C in episode 5; the terminal tells the whole process group."""
 
-    def fly(self, episode: int, *, film: bool) -> Flown:
+    def fly(self, episode: int, *, film: bool) -> Rollout:
         if episode == 5:
             os.killpg(os.getpgrp(), signal.SIGINT)
         return super().fly(episode, film=film)
 
 
-class NamedFlyer(FakeFlyer):
+class NamedRunner(FakeRunner):
     """Says which process it is in."""
 
     @property
@@ -164,12 +164,12 @@ class NamedFlyer(FakeFlyer):
         return f"process {os.getpid()}"
 
 
-class FickleFlyer(FakeFlyer):
+class FickleRunner(FakeRunner):
     """Never flies twice the same."""
 
     flights = 0
 
-    def fly(self, episode: int, *, film: bool) -> Flown:
+    def fly(self, episode: int, *, film: bool) -> Rollout:
         self.suite = Suite(self.suite.name, f"{self.suite.digest}{self.flights}", self.suite.tracks)
         self.flights += 1
         return super().fly(episode, film=film)

@@ -11,7 +11,7 @@ from cognitivedrone.benchmark.runner import run
 from cognitivedrone.benchmark.tables import comparison_table, results_table
 from cognitivedrone.errors import RunError
 
-FLYER = "benchmark_fakes:FakeFlyer"
+RUNNER = "benchmark_fakes:FakeRunner"
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def config(config):
 def two(config, tmp_path):
     a = replace(config, out=tmp_path / "a")
     b = replace(config, out=tmp_path / "b", policy="other")
-    return run(a, progress=False, flyer=FLYER), run(b, progress=False, flyer=FLYER), tmp_path / "a", tmp_path / "b"
+    return run(a, progress=False, runner=RUNNER), run(b, progress=False, runner=RUNNER), tmp_path / "a", tmp_path / "b"
 
 
 def text_of(renderable) -> str:
@@ -75,7 +75,7 @@ def test_invalid_stages_are_left_out_of_both(two):
     ],
 )
 def test_unlike_runs_are_not_paired(two, config, tmp_path, option, message):
-    run(replace(config, out=tmp_path / "c", **option), progress=False, flyer=FLYER)
+    run(replace(config, out=tmp_path / "c", **option), progress=False, runner=RUNNER)
     with pytest.raises(RunError, match=message):
         compare(two[2], tmp_path / "c")
 

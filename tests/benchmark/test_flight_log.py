@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cognitivedrone.benchmark.episode import EpisodeFlyer
+from cognitivedrone.benchmark.episode import PilotRunner
 from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.types import ACTION_LIMITS
@@ -13,11 +13,11 @@ from cognitivedrone.types import ACTION_LIMITS
 def test_a_film_holds_what_every_step_was_flown_by(reasoner):
     config = RunConfig(policy="colour_seeker", reasoner=reasoner, suite="open-v1:smoke")
     suite = suite_of(config)
-    flyer = EpisodeFlyer(config, suite)
+    runner = PilotRunner(config, suite)
     try:
-        flown, plain = flyer.fly(0, film=True), flyer.fly(0, film=False)
+        flown, plain = runner.fly(0, film=True), runner.fly(0, film=False)
     finally:
-        flyer.close()
+        runner.close()
     # Filming changes nothing of the flight.
     assert flown.result == plain.result
     assert plain.film is None

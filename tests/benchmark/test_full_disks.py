@@ -23,7 +23,7 @@ from cognitivedrone.cli import main
 from cognitivedrone.errors import RunError
 from cognitivedrone.reasoners.replay import read_answers
 
-FLYER = "benchmark_fakes:FakeFlyer"
+RUNNER = "benchmark_fakes:FakeRunner"
 
 
 @contextmanager
@@ -47,35 +47,35 @@ def lasting(folder: Path) -> dict:
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_full_disk_ends_a_run_in_one_sentence_and_keeps_what_was_flown(config, tmp_path, workers):
     whole = replace(config, out=tmp_path / "whole")
-    run(whole, progress=False, flyer=FLYER)
+    run(whole, progress=False, runner=RUNNER)
     full = replace(config, out=tmp_path / "full", workers=workers)
     size = (whole.out / "episodes.jsonl").stat().st_size
     with (
         files_of_at_most(size // 2),
         pytest.raises(RunError, match=r"cannot write .*episodes\.jsonl: File too large; make room .* --resume") as told,
     ):
-        run(full, progress=False, flyer=FLYER)
+        run(full, progress=False, runner=RUNNER)
     assert "\n" not in str(told.value)
     kept = len(read_records(full.out))
     assert 0 < kept < 20
     assert {path.name for path in full.out.iterdir()} == {"run.json", "episodes.jsonl"}
-    results = run(replace(full, resume=True), progress=False, flyer=FLYER)
+    results = run(replace(full, resume=True), progress=False, runner=RUNNER)
     assert results.timing.episodes_flown == 20 - kept
     assert lasting(full.out) == lasting(whole.out)
 
 
 def test_a_report_that_does_not_fit_leaves_nothing_half_written(config, tmp_path):
     first = replace(config, out=tmp_path / "first")
-    run(first, progress=False, flyer=FLYER)
+    run(first, progress=False, runner=RUNNER)
     second = replace(config, out=tmp_path / "second")
     with (
         files_of_at_most((first.out / "report.html").stat().st_size - 1),
         pytest.raises(RunError, match=r"cannot write .*report\.html: File too large"),
     ):
-        run(second, progress=False, flyer=FLYER)
+        run(second, progress=False, runner=RUNNER)
     assert len(read_records(second.out)) == 20
     assert {path.name for path in second.out.iterdir()} == {"run.json", "episodes.jsonl"}
-    assert run(replace(second, resume=True), progress=False, flyer=FLYER).timing.episodes_flown == 0
+    assert run(replace(second, resume=True), progress=False, runner=RUNNER).timing.episodes_flown == 0
 
 
 @pytest.fixture(params=["a file", "below a file", "below a device", "where nothing can be"])
@@ -90,7 +90,7 @@ def impossible(request, tmp_path) -> Path:
 
 def test_a_place_that_cannot_be_written_is_one_sentence(config, impossible):
     asks = (
-        lambda: run(replace(config, out=impossible), progress=False, flyer=FLYER),
+        lambda: run(replace(config, out=impossible), progress=False, runner=RUNNER),
         lambda: sweep(SweepConfig(out=impossible, policy="hover", suite="open-v1:smoke", ms=(0,), episodes=1)),
         lambda: score_reasoner(ReasonConfig(suite="open-v1:smoke", episodes=1, out=impossible), progress=False),
     )

@@ -11,17 +11,17 @@ from typing import get_args
 import numpy as np
 import pytest
 import reason_fakes
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from rich.console import Console
 
 from cognitivedrone.benchmark.codec import encode
-from cognitivedrone.benchmark.episode import EpisodeFlyer
+from cognitivedrone.benchmark.episode import PilotRunner
 from cognitivedrone.benchmark.reason import ReasonConfig, ReasonResults, out_of, score_reasoner, views
 from cognitivedrone.benchmark.reason_scoring import judge, summarize_answers
 from cognitivedrone.benchmark.reason_table import reason_table
 from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.runner import Interrupted
 from cognitivedrone.benchmark.suites import suite_of
-from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.errors import PolicyError, ReasonerFault, RunError
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.labels import load_pack
@@ -121,9 +121,9 @@ def test_what_is_no_answer_is_counted_and_written_and_the_next_task_is_asked(con
 def test_it_sees_what_a_flight_of_the_same_seed_sees_first(config, look):
     answer = asked(replace(config, look=look, seed=5, episodes=2)).answers[1]
     run = RunConfig(policy="oracle", suite=config.suite, look=look, seed=5)
-    flyer = EpisodeFlyer(run, suite_of(run))
-    film = flyer.fly(1, film=True).film
-    flyer.close()
+    runner = PilotRunner(run, suite_of(run))
+    film = runner.fly(1, film=True).film
+    runner.close()
     assert film is not None
     assert hashlib.sha256(film[0].image.tobytes()).hexdigest() == answer.image_sha256
 
@@ -153,11 +153,11 @@ def test_a_track_is_told_as_in_flight(config):
 
 def test_later_stages_are_looked_at_from_their_own_start_boxes():
     simulator = Simulator(1)
-    course = Course(simulator, 0, load_pack("open-v1"), CourseConfig())
+    track_runner = TrackRunner(simulator, 0, load_pack("open-v1"), TrackConfig())
     suite = load_suite("open-v1:track")
     low, high = (geometry.START + sign * geometry.START_HALF_EXTENT for sign in (-1, 1))
     starts = []
-    for view in views(course, suite, 0, episode_rng(suite.digest, 0, 0)):
+    for view in views(track_runner, suite, 0, episode_rng(suite.digest, 0, 0)):
         stage, task = view.truth.stage, suite.tracks[0][view.index]
         assert (view.truth.task, stage.gates) == (task, task.gates)
         first, second = view.look(), view.look()

@@ -4,7 +4,7 @@ import json
 from dataclasses import replace
 
 import pytest
-from benchmark_fakes import FakeFlyer
+from benchmark_fakes import FakeRunner
 
 from cognitivedrone.benchmark.records import EPISODES_FILE, RunFolder, read_records
 from cognitivedrone.benchmark.runner import facts_of
@@ -19,8 +19,8 @@ def facts(config):
 
 @pytest.fixture
 def flown(config):
-    flyer = FakeFlyer(config, suite_of(config))
-    return [flyer.fly(episode, film=False) for episode in range(4)]
+    runner = FakeRunner(config, suite_of(config))
+    return [runner.fly(episode, film=False) for episode in range(4)]
 
 
 @pytest.fixture

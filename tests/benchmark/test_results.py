@@ -15,7 +15,7 @@ DOCS = Path(__file__).parents[2] / "docs" / "results.md"
 
 @pytest.fixture
 def results(config):
-    return run(config, progress=False, flyer="benchmark_fakes:FakeFlyer")
+    return run(config, progress=False, runner="benchmark_fakes:FakeRunner")
 
 
 @pytest.fixture

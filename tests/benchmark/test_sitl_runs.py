@@ -45,7 +45,7 @@ def test_a_task_is_flown_on_another_autopilot_and_the_run_tells_so(sitl, tmp_pat
 
 
 def test_files_without_a_link_are_of_our_own_autopilot(config):
-    results = run(config, progress=False, flyer="benchmark_fakes:FakeFlyer")
+    results = run(config, progress=False, runner="benchmark_fakes:FakeRunner")
     document = json.loads((config.out / "results.json").read_text())
     assert not {"link", "autopilot"} & document["options"].keys()
     assert "link" not in document["timing"]

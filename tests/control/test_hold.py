@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cognitivedrone.control.async_reasoner import Answer, Question, SimulatedMind
+from cognitivedrone.control.async_reasoner import Answer, Question, SimulatedReasoner
 from cognitivedrone.control.hold import HeedingMind, HeldDrone, Hold, HoldRule
 from cognitivedrone.errors import ReasonerError
 from cognitivedrone.types import Guidance
@@ -27,7 +27,7 @@ def after(*answers, rule=None):
     hold.begin(0)
     states = []
     for each in answers:
-        hold.hear(each)
+        hold.update(each)
         states.append(hold.active)
     return states
 
@@ -65,16 +65,16 @@ def test_a_new_leg_is_flown_until_it_is_doubted_itself():
     hold = Hold()
     hold.begin(0)
     for _ in range(2):
-        hold.hear(answer(0.1))
+        hold.update(answer(0.1))
     assert hold.active
     hold.begin(0)
     assert hold.active
     hold.begin(1)
     assert not hold.active
-    hold.hear(answer(0.1, leg=0))  # late, about the leg before
-    hold.hear(answer(0.1, leg=1))
+    hold.update(answer(0.1, leg=0))  # late, about the leg before
+    hold.update(answer(0.1, leg=1))
     assert not hold.active
-    hold.hear(answer(0.1, leg=1))
+    hold.update(answer(0.1, leg=1))
     assert hold.active
 
 
@@ -114,7 +114,7 @@ class Doubtful:
 
 def test_a_heeding_mind_answers_as_the_mind_and_is_heard():
     hold = Hold()
-    mind = HeedingMind(SimulatedMind(Doubtful(), lambda _: 0.5), hold)
+    mind = HeedingMind(SimulatedReasoner(Doubtful(), lambda _: 0.5), hold)
     for instruction in ("the bird", "blind", "the bird"):
         assert mind.idle(0.0)
         mind.ask(Question(3, instruction, FRAME, 0.0))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cognitivedrone.control.async_reasoner import SimulatedMind
-from cognitivedrone.control.loop import Leg, Rates, fly
+from cognitivedrone.control.async_reasoner import SimulatedReasoner
+from cognitivedrone.control.loop import Rates, Segment, fly
 from cognitivedrone.errors import NonFiniteAction, PolicyError, ReasonerError
 from cognitivedrone.types import Guidance, Observation
 
@@ -52,7 +52,7 @@ class Counting:
 
 
 def for_steps(ground, steps, instruction="go"):
-    return lambda: Leg(0, instruction) if ground.time < steps / 10 - 1e-9 else None
+    return lambda: Segment(0, instruction) if ground.time < steps / 10 - 1e-9 else None
 
 
 def test_ten_commands_a_second_on_absolute_deadlines():
@@ -101,7 +101,7 @@ RED, BLUE = "Fly through the red gate", "Fly through the blue gate"
 
 def test_the_reasoner_is_asked_twice_a_second_and_its_directive_replaces_the_instruction():
     ground, policy, reasoner, notes = Ground(), Counting(), Saying(RED), Notes()
-    fly(ground, policy, ground, for_steps(ground, 12), mind=SimulatedMind(reasoner), recorder=notes)
+    fly(ground, policy, ground, for_steps(ground, 12), mind=SimulatedReasoner(reasoner), recorder=notes)
     assert policy.texts == [RED] * 12
     assert notes.of("asked") == [(0.0, "asked", "go"), (0.5, "asked", "go"), (1.0, "asked", "go")]
     assert notes.of("adopted", "agreed") == [(0.0, "adopted", RED), (0.5, "agreed", RED), (1.0, "agreed", RED)]
@@ -110,7 +110,7 @@ def test_the_reasoner_is_asked_twice_a_second_and_its_directive_replaces_the_ins
 
 def test_another_directive_must_be_said_twice():
     ground, policy, notes = Ground(), Counting(), Notes()
-    mind = SimulatedMind(Saying(RED, BLUE, BLUE))
+    mind = SimulatedReasoner(Saying(RED, BLUE, BLUE))
     fly(ground, policy, ground, for_steps(ground, 12), mind=mind, recorder=notes)
     assert policy.texts == [RED] * 10 + [BLUE] * 2
     assert [kind for _, kind, _ in notes.of("adopted", "kept", "agreed")] == ["adopted", "kept", "adopted"]
@@ -118,7 +118,7 @@ def test_another_directive_must_be_said_twice():
 
 def test_without_an_answer_the_last_good_directive_or_the_instruction_stays():
     ground, policy, notes = Ground(), Counting(), Notes()
-    mind = SimulatedMind(Saying(None, RED, None))
+    mind = SimulatedReasoner(Saying(None, RED, None))
     fly(ground, policy, ground, for_steps(ground, 15), mind=mind, recorder=notes)
     assert policy.texts == ["go"] * 5 + [RED] * 10
     assert notes.of("unsure") == [(0.0, "unsure", "it is too dark"), (1.0, "unsure", "it is too dark")]
@@ -126,7 +126,7 @@ def test_without_an_answer_the_last_good_directive_or_the_instruction_stays():
 
 def test_an_answer_comes_when_its_time_is_up_and_says_how_old_its_frame_is():
     ground, policy, notes = Ground(), Counting(), Notes()
-    mind = SimulatedMind(Saying(RED), lambda _: 0.25)
+    mind = SimulatedReasoner(Saying(RED), lambda _: 0.25)
     fly(ground, policy, ground, for_steps(ground, 10), mind=mind, recorder=notes)
     assert policy.texts == ["go"] * 3 + [RED] * 7
     assert notes.of("asked", "adopted", "agreed") == [
@@ -140,7 +140,7 @@ def test_an_answer_comes_when_its_time_is_up_and_says_how_old_its_frame_is():
 
 def test_a_slow_reasoner_is_asked_about_the_newest_frame_never_about_a_queue():
     ground, notes = Ground(), Notes()
-    mind = SimulatedMind(Saying(RED), lambda _: 0.72)
+    mind = SimulatedReasoner(Saying(RED), lambda _: 0.72)
     fly(ground, Counting(), ground, for_steps(ground, 20), mind=mind, recorder=notes)
     assert [time for time, _, _ in notes.of("asked")] == [0.0, 0.8, 1.6]
 
@@ -150,9 +150,9 @@ def test_an_answer_about_an_earlier_leg_is_not_flown_by():
 
     def mission():
         step = round(ground.time * 10)
-        return None if step >= 10 else Leg(int(step >= 3), "first" if step < 3 else "second")
+        return None if step >= 10 else Segment(int(step >= 3), "first" if step < 3 else "second")
 
-    mind = SimulatedMind(Saying(RED, BLUE), lambda _: 0.4)
+    mind = SimulatedReasoner(Saying(RED, BLUE), lambda _: 0.4)
     fly(ground, policy, ground, mission, mind=mind, recorder=notes)
     assert policy.texts == ["first"] * 3 + ["second"] * 5 + [BLUE] * 2
     assert notes.of("stale", "asked")[:3] == [(0.0, "asked", "first"), (0.4, "stale", RED), (0.4, "asked", "second")]
@@ -192,9 +192,9 @@ def test_a_new_leg_resets_the_policy_and_drops_the_rest_of_the_chunk():
 
     def mission():
         step = round(ground.time * 10)
-        return None if step >= 4 else Leg(step // 2, "the correct answer")
+        return None if step >= 4 else Segment(step // 2, "the correct answer")
 
-    fly(ground, policy, ground, mission, mind=SimulatedMind(reasoner))
+    fly(ground, policy, ground, mission, mind=SimulatedReasoner(reasoner))
     assert policy.resets == ["the correct answer"] * 2
     assert policy.calls == 2
     assert len(reasoner.asked) == 2

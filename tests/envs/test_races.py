@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, stage_of
 
-from cognitivedrone.envs.course import Course, CourseConfig, stage_of
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.expert import Expert
 from cognitivedrone.sim.simulator import Simulator, Start
@@ -22,9 +22,9 @@ GATES = (Gate("big", "square", "red"), Gate("big", "square", "green"), Gate("big
 
 
 @pytest.fixture(scope="module")
-def course() -> Iterator[Course]:
+def track_runner() -> Iterator[TrackRunner]:
     simulator = Simulator(1)
-    yield Course(simulator, 0, load_pack("open-v1"), CourseConfig())
+    yield TrackRunner(simulator, 0, load_pack("open-v1"), TrackConfig())
     simulator.close()
 
 
@@ -32,9 +32,9 @@ def race_through(*targets: int) -> Track:
     return tuple(replace(race_task(i), target=target, only=target, gates=GATES) for i, target in enumerate(targets))
 
 
-def begin(course: Course, *track: Task) -> Image:
-    course.begin(track, np.random.default_rng(0), START)
-    return course.simulator.frames()[0]
+def begin(track_runner: TrackRunner, *track: Task) -> Image:
+    track_runner.begin(track, np.random.default_rng(0), START)
+    return track_runner.simulator.frames()[0]
 
 
 def colored(frame: Image) -> dict[Color, int]:
@@ -46,10 +46,10 @@ def colored(frame: Image) -> dict[Color, int]:
 
 
 @pytest.mark.parametrize("only", range(3))
-def test_the_only_gate_is_drawn_where_it_always_stands_and_nothing_else_is(course, only):
+def test_the_only_gate_is_drawn_where_it_always_stands_and_nothing_else_is(track_runner, only):
     (task,) = race_through(only)
-    alone = begin(course, task)
-    everything = begin(course, replace(task, only=None))
+    alone = begin(track_runner, task)
+    everything = begin(track_runner, replace(task, only=None))
     counts = colored(alone)
     color = GATES[only].color
     assert counts[color] == colored(everything)[color] > 50
@@ -65,46 +65,46 @@ def test_the_stage_knows_which_gate_stands():
     assert stage_of(replace(task, only=None)).only is None
 
 
-def test_the_expert_flies_from_gate_to_gate(course):
+def test_the_expert_flies_from_gate_to_gate(track_runner):
     track = race_through(0, 2, 1, 0)
-    begin(course, *track)
+    begin(track_runner, *track)
     expert = Expert()
     stage = None
-    while not course.finished:
-        if course.stage is not stage:
-            stage = course.stage
-            expert.reset(course.task.instruction)
-            expert.brief(course.truth())
-        course.simulator.command(0, expert.command())
-        course.update(course.simulator.advance()[0])
-    assert [(result.outcome, result.chosen) for result in course.results] == [("passed", t.target) for t in track]
-    assert [stage.only for stage in course.stages] == [task.target for task in track]
-    for before, after in zip(course.stages, course.stages[1:], strict=False):
+    while not track_runner.finished:
+        if track_runner.stage is not stage:
+            stage = track_runner.stage
+            expert.reset(track_runner.task.instruction)
+            expert.brief(track_runner.truth())
+        track_runner.simulator.command(0, expert.command())
+        track_runner.update(track_runner.simulator.advance()[0])
+    assert [(result.outcome, result.chosen) for result in track_runner.results] == [("passed", t.target) for t in track]
+    assert [stage.only for stage in track_runner.stages] == [task.target for task in track]
+    for before, after in zip(track_runner.stages, track_runner.stages[1:], strict=False):
         assert (after.origin, after.yaw) == geometry.next_stage_origin(before, before.only)
 
 
-def test_flying_by_ends_the_race(course):
-    begin(course, *race_through(0, 1))
+def test_flying_by_ends_the_race(track_runner):
+    begin(track_runner, *race_through(0, 1))
     result = None
     while result is None:
-        course.simulator.command(0, np.array([2.0, 0.0, 0.0, 0.0]))
-        result = course.update(course.simulator.advance()[0])
+        track_runner.simulator.command(0, np.array([2.0, 0.0, 0.0, 0.0]))
+        result = track_runner.update(track_runner.simulator.advance()[0])
     assert (result.outcome, result.chosen) == ("missed", 0)
-    assert [result.outcome for result in course.results] == ["missed", "not_reached"]
+    assert [result.outcome for result in track_runner.results] == ["missed", "not_reached"]
 
 
 def test_the_races_of_the_suite_can_be_flown():
     simulator = Simulator(1, render=False)
-    course = Course(simulator, 0, load_pack("open-v1"), CourseConfig())
+    track_runner = TrackRunner(simulator, 0, load_pack("open-v1"), TrackConfig())
     expert = Expert()
     for episode, track in enumerate(load_suite("open-v1:race").tracks[::4]):
-        course.begin(track, np.random.default_rng(episode))
+        track_runner.begin(track, np.random.default_rng(episode))
         stage = None
-        while not course.finished:
-            if course.stage is not stage:
-                stage = course.stage
-                expert.brief(course.truth())
+        while not track_runner.finished:
+            if track_runner.stage is not stage:
+                stage = track_runner.stage
+                expert.brief(track_runner.truth())
             simulator.command(0, expert.command())
-            course.update(simulator.advance()[0])
-        assert {result.outcome for result in course.results} == {"passed"}, episode
+            track_runner.update(simulator.advance()[0])
+        assert {result.outcome for result in track_runner.results} == {"passed"}, episode
     simulator.close()

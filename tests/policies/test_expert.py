@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 
-from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.frames import rotate_yaw, yaw_of
 from cognitivedrone.labels import load_pack
@@ -19,29 +19,29 @@ def fly(suite_name, size, speed):
     suite = load_suite(suite_name, size=size)
     simulator = Simulator(size, render=False)
     pack = load_pack("open-v1")
-    courses = [Course(simulator, world, pack, CourseConfig()) for world in range(size)]
+    track_runners = [TrackRunner(simulator, world, pack, TrackConfig()) for world in range(size)]
     experts = [Expert(ExpertConfig(speed_m_s=speed)) for _ in range(size)]
     commands = [[] for _ in range(size)]
     legs = [-1] * size
-    for world, course in enumerate(courses):
-        course.begin(suite.tracks[world], episode_rng(suite.digest, world, 3))
-    while not all(course.finished for course in courses):
-        for world, (course, expert) in enumerate(zip(courses, experts, strict=True)):
-            if course.finished:
+    for world, track_runner in enumerate(track_runners):
+        track_runner.begin(suite.tracks[world], episode_rng(suite.digest, world, 3))
+    while not all(track_runner.finished for track_runner in track_runners):
+        for world, (track_runner, expert) in enumerate(zip(track_runners, experts, strict=True)):
+            if track_runner.finished:
                 continue
-            if course.index != legs[world]:
-                legs[world] = course.index
-                expert.reset(course.task.instruction)
-                expert.brief(course.truth())
+            if track_runner.index != legs[world]:
+                legs[world] = track_runner.index
+                expert.reset(track_runner.task.instruction)
+                expert.brief(track_runner.truth())
             command = expert.command()
             yaw = yaw_of(simulator.state(world).quaternion)
             commands[world].append([*rotate_yaw(command[:3].astype(float), yaw), command[3]])
             simulator.command(world, command)
-        verdicts = simulator.advance()
-        for course, verdict in zip(courses, verdicts, strict=True):
-            if not course.finished:
-                course.update(verdict)
-    outcomes = [result.outcome for course in courses for result in course.results]
+        gate_events = simulator.advance()
+        for track_runner, gate_event in zip(track_runners, gate_events, strict=True):
+            if not track_runner.finished:
+                track_runner.update(gate_event)
+    outcomes = [result.outcome for track_runner in track_runners for result in track_runner.results]
     return outcomes, [np.array(each) for each in commands]
 
 

@@ -23,7 +23,7 @@ from peer import MODES, PARAMETERS, Peer, StillCamera, playing
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as m
 
-from cognitivedrone.control.loop import Leg, fly
+from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.control.safety import Guard, Patience, SafetyConfig
 from cognitivedrone.errors import LinkError, MissingExtra
 from cognitivedrone.sim.simulator import Simulator
@@ -461,7 +461,7 @@ def test_the_loop_flies_the_simulator_over_mavlink_and_lands_it():
         with MavlinkDrone(sky.url, StillCamera(), Guard(CALM), config) as drone:
             drone.take_off(lambda _: True)
             up = sky.vehicle.state().position.copy()
-            fly(drone, Constant(), drone, lambda: Leg(0, "go") if drone.now() < 3 else None)
+            fly(drone, Constant(), drone, lambda: Segment(0, "go") if drone.now() < 3 else None)
             there = sky.vehicle.state()
             assert drone.observe().velocity[0] == pytest.approx(1.0, abs=0.25)
         assert not sky.vehicle.modes.armed

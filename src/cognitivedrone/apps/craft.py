@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from cognitivedrone.apps.values import Ending, Status
-from cognitivedrone.envs.course import Course
 from cognitivedrone.envs.drone import PacedDrone, SimulatedDrone
+from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.frames import yaw_of
 from cognitivedrone.interfaces import Clock, Drone
 from cognitivedrone.sim.simulator import Simulator
@@ -74,15 +74,15 @@ class Craft(Protocol):
 
 
 class SimulatedCraft:
-    """One world of the simulator, flown in real time through the stages of a course that has begun.
+    """One world of the simulator, flown in real time through the stages of a track that has begun.
 
     `own_words` tells the user's own instruction, "" where the scene's is flown. Where it asks for something else than
     the scene does, nobody but the user knows which gate is right.
     """
 
-    def __init__(self, simulator: Simulator, course: Course, own_words: Callable[[], str]) -> None:
+    def __init__(self, simulator: Simulator, track_runner: TrackRunner, own_words: Callable[[], str]) -> None:
         self._simulator = simulator
-        self._course = course
+        self._track_runner = track_runner
         self._own_words = own_words
 
     @property
@@ -92,25 +92,25 @@ class SimulatedCraft:
 
     def take_off(self, confirm: Confirm) -> ClockedDrone:  # noqa: ARG002
         """It hovers at the start; nobody needs to confirm that."""
-        return PacedDrone(SimulatedDrone(self._simulator, self._course))
+        return PacedDrone(SimulatedDrone(self._simulator, self._track_runner))
 
     def scene(self) -> Scene:
         """The stage at hand."""
-        return Scene(self._course.index, self._course.truth())
+        return Scene(self._track_runner.index, self._track_runner.truth())
 
     def status(self) -> Status:
         """Where it is; everything else is well in a simulation."""
-        state = self._simulator.state(self._course.world)
+        state = self._simulator.state(self._track_runner.world)
         return Status(position=state.position.copy(), yaw=float(yaw_of(state.quaternion)), mode="simulated")
 
     def ending(self) -> Ending | None:
         """Over with the last stage, or where a stage ended otherwise than by a gate."""
-        if not self._course.finished:
+        if not self._track_runner.finished:
             return None
         own_words = self._own_words()
         flown = [
             (result, not own_words or asks_the_same(own_words, task))
-            for result, task in zip(self._course.results, self._course.track, strict=True)
+            for result, task in zip(self._track_runner.results, self._track_runner.track, strict=True)
             if result.outcome != "not_reached"
         ]
         told = "; ".join(_told(result, judged=judged) for result, judged in flown)

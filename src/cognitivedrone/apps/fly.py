@@ -23,10 +23,10 @@ from cognitivedrone.apps.orders import Keyboard, Orders, landing_on_interrupt
 from cognitivedrone.apps.scene import ChosenScene, choose_scene
 from cognitivedrone.apps.values import Ending, Instrument, Step, Summary
 from cognitivedrone.apps.view import Instruments, Printer
-from cognitivedrone.control.async_reasoner import ThreadMind
+from cognitivedrone.control.async_reasoner import ThreadedReasoner
 from cognitivedrone.control.hold import HeedingMind, HeldDrone, Hold, HoldRule
 from cognitivedrone.control.latency import TimedPolicy
-from cognitivedrone.control.loop import Leg, fly
+from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.data.formats.bags import Ros
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.interfaces import Checked, Policy, Privileged, Reasoner
@@ -98,7 +98,7 @@ def _fly(
             shown = Instruments(f"{config.policy} + {config.reasoner} on {config.link}", lambda: keys.typed)
             stack.enter_context(Live(shown, console=console, refresh_per_second=REDRAWN_HZ))
         recorder = _Recorder((log, shown), mission, craft, timed, hold)
-        mind = HeedingMind(ThreadMind(reasoner), hold) if reasoner is not None else None
+        mind = HeedingMind(ThreadedReasoner(reasoner), hold) if reasoner is not None else None
         try:
             steps = fly(HeldDrone(drone, hold), timed, drone, mission, mind=mind, recorder=recorder)
             ending, seconds = mission.ending or Ending("told", ""), drone.now()
@@ -117,11 +117,11 @@ class _Mission:
     """The leg at hand: the newest of what was typed, asked for at the start, or written in the scene."""
 
     def __init__(self, config: FlyConfig, craft: Craft, orders: Orders, now: Callable[[], float], hold: Hold) -> None:
-        self.leg: Leg | None = None
+        self.leg: Segment | None = None
         self.ending: Ending | None = None
         self._config, self._craft, self._orders, self._now, self._hold = config, craft, orders, now, hold
 
-    def __call__(self) -> Leg | None:
+    def __call__(self) -> Segment | None:
         self.ending = self._orders.ending or self._craft.ending()
         if self.ending is None and self._now() >= self._config.time_limit:
             self.ending = self._craft.out_of_time(self._config.time_limit)
@@ -134,7 +134,7 @@ class _Mission:
         index, truth = (scene.index, scene.truth) if scene is not None else (0, None)
         of_scene = truth.task.instruction if truth is not None else ""
         self._hold.begin(index + count)
-        self.leg = Leg(index + count, typed or self._config.instruction or of_scene, truth)
+        self.leg = Segment(index + count, typed or self._config.instruction or of_scene, truth)
         return self.leg
 
 

@@ -11,7 +11,7 @@ from cognitivedrone.apps.craft import Craft, Eyes, MavlinkCraft, SimulatedCraft
 from cognitivedrone.apps.scene import ChosenScene, labels_of
 from cognitivedrone.control.fence import Fence
 from cognitivedrone.control.safety import Guard, Patience, SafetyConfig
-from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import CameraError, LinkError
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.vehicles.camera import Camera, open_camera
@@ -24,16 +24,16 @@ FLAG = "--i-understand-this-flies-a-real-drone"
 GAZEBO = "gazebo:"
 
 
-def open_course(scene: ChosenScene, labels: Path | None, seed: int, *, render: bool = True) -> Course:
+def open_track_runner(scene: ChosenScene, labels: Path | None, seed: int, *, render: bool = True) -> TrackRunner:
     """A simulator, and the scene begun in it; raises `TaskError` or `LabelError`."""
     track, pack = scene.track, labels_of(labels)
-    course = Course(Simulator(1, render=render), 0, pack, CourseConfig(time_limit_s=math.inf))
+    track_runner = TrackRunner(Simulator(1, render=render), 0, pack, TrackConfig(time_limit_s=math.inf))
     try:
-        course.begin(track, episode_rng(scene.suite.digest, scene.episode, seed))
+        track_runner.begin(track, episode_rng(scene.suite.digest, scene.episode, seed))
     except BaseException:
-        course.simulator.close()
+        track_runner.simulator.close()
         raise
-    return course
+    return track_runner
 
 
 def open_craft(config: FlyConfig, tlog: Path, scene: ChosenScene | None, own_words: Callable[[], str]) -> Craft:
@@ -44,8 +44,8 @@ def open_craft(config: FlyConfig, tlog: Path, scene: ChosenScene | None, own_wor
     flag that consents; what is not inside this machine is not even talked to.
     """
     if config.link == "sim" and scene is not None:
-        course = open_course(scene, config.labels, config.seed)
-        return SimulatedCraft(course.simulator, course, own_words)
+        track_runner = open_track_runner(scene, config.labels, config.seed)
+        return SimulatedCraft(track_runner.simulator, track_runner, own_words)
     if config.link == "sitl" and scene is not None:
         from cognitivedrone.apps.sitl import open_sitl
 

@@ -83,10 +83,10 @@ class Keyboard:
     was at the end.
     """
 
-    def __init__(self, stream: TextIO, hear: Callable[[str], None]) -> None:
+    def __init__(self, stream: TextIO, update: Callable[[str], None]) -> None:
         self.typed = ""
         """The line so far."""
-        self._hear = hear
+        self._hear = update
         self._stopping = threading.Event()
         self._before: list[object] | None = None
         try:

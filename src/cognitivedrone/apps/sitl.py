@@ -9,10 +9,10 @@ from pathlib import Path
 
 from cognitivedrone.apps.config import FlyConfig
 from cognitivedrone.apps.craft import Craft, Eyes, MavlinkCraft, Scene
-from cognitivedrone.apps.opening import open_course, safety, vehicle_config
+from cognitivedrone.apps.opening import open_track_runner, safety, vehicle_config
 from cognitivedrone.apps.scene import ChosenScene
 from cognitivedrone.control.safety import Guard
-from cognitivedrone.envs.course import Course
+from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.errors import CameraError
 from cognitivedrone.types import Image, Truth
 from cognitivedrone.vehicles.camera import Shot
@@ -26,16 +26,16 @@ READY_S = 180.0
 
 
 class PlantCamera:
-    """What the drone sees of a course, rendered while the autopilot waits for its physics."""
+    """What the drone sees of a track, rendered while the autopilot waits for its physics."""
 
-    def __init__(self, course: Course, plant: Plant) -> None:
-        self._course = course
+    def __init__(self, track_runner: TrackRunner, plant: Plant) -> None:
+        self._track_runner = track_runner
         self._plant = plant
         self._newest: tuple[Image, float] | None = None
 
     def look(self, _: float) -> None:
         """Render from where the plant is: for the physics server's control ticks."""
-        cameras, state = self._course.simulator.cameras, self._plant.state()
+        cameras, state = self._track_runner.simulator.cameras, self._plant.state()
         if cameras is not None:
             image = cameras.first_person(state.position[None], state.quaternion[None])[0]
             self._newest = (image, time.monotonic())
@@ -58,10 +58,10 @@ def open_sitl(config: FlyConfig, chosen: ChosenScene, tlog: Path) -> Craft:
     """
     binary = find_binary(config.sitl, f"give --sitl PATH or set {BINARY_VARIABLE}")
     with ExitStack() as undo:
-        course = open_course(chosen, config.labels, config.seed)
-        undo.callback(course.simulator.close)
-        plant = Plant(start=course.start.position[:2])
-        camera = PlantCamera(course, plant)
+        track_runner = open_track_runner(chosen, config.labels, config.seed)
+        undo.callback(track_runner.simulator.close)
+        plant = Plant(start=track_runner.start.position[:2])
+        camera = PlantCamera(track_runner, plant)
         camera.look(0.0)
         server = undo.enter_context(SitlServer(plant, instance=config.sitl_instance, control=camera.look))
         undo.enter_context(serving(server))
@@ -73,5 +73,5 @@ def open_sitl(config: FlyConfig, chosen: ChosenScene, tlog: Path) -> Craft:
         vehicle = replace(vehicle_config(config, tlog), clock="vehicle", set_parameters=True, ready_timeout_s=READY_S)
         eyes = Eyes(camera)
         drone = autopilot.connect(lambda url: MavlinkDrone(url, eyes, Guard(safety(config)), vehicle))
-        scene = Scene(0, Truth(course.task, course.stage, plant.state))
+        scene = Scene(0, Truth(track_runner.task, track_runner.stage, plant.state))
         return MavlinkCraft(drone, eyes, simulated=True, scene=scene, undo=undo.pop_all().close)

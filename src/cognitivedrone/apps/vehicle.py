@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from cognitivedrone.apps.config import SimConfig
 from cognitivedrone.apps.mjpeg import FrameServer
-from cognitivedrone.apps.opening import open_course
+from cognitivedrone.apps.opening import open_track_runner
 from cognitivedrone.apps.scene import ChosenScene
 from cognitivedrone.errors import RunError
 from cognitivedrone.tasks import open_suite
@@ -65,12 +65,12 @@ def serve_vehicle(config: SimConfig, stop: Callable[[], bool], announce: Callabl
     if not 0 < config.camera_hz <= 60:
         raise RunError(f"--camera-hz is {config.camera_hz}; give more than 0, at most 60")
     scene = ChosenScene(open_suite(config.suite, config.tasks), config.episode, "")
-    course = open_course(scene, config.labels, config.seed, render=config.camera_port is not None)
-    simulator = course.simulator
+    track_runner = open_track_runner(scene, config.labels, config.seed, render=config.camera_port is not None)
+    simulator = track_runner.simulator
     try:
         with SimulatedVehicle(simulator, VehicleConfig(links=config.links)) as vehicle, _camera(config, vehicle) as url:
             links = tuple(map(_as_bound, config.links, vehicle.addresses))
-            announce(Served(course.task, links, url))
+            announce(Served(track_runner.task, links, url))
             return serve(vehicle, stop, speed=config.speed)
     finally:
         simulator.close()

@@ -13,15 +13,15 @@ if TYPE_CHECKING:
     from cognitivedrone.benchmark.comparison import Comparison, compare
     from cognitivedrone.benchmark.config import RunConfig
     from cognitivedrone.benchmark.results import Results, read_results
-    from cognitivedrone.benchmark.run_types import Flown, Trace
+    from cognitivedrone.benchmark.run_types import Rollout, Trace
     from cognitivedrone.benchmark.runner import Interrupted, run
     from cognitivedrone.benchmark.scoring import Score, Summary, summarize
 
 __all__ = [
     "Comparison",
-    "Flown",
     "Interrupted",
     "Results",
+    "Rollout",
     "RunConfig",
     "Score",
     "Summary",
@@ -36,7 +36,7 @@ _ROOMS = {
     "comparison": ("Comparison", "compare"),
     "config": ("RunConfig",),
     "results": ("Results", "read_results"),
-    "run_types": ("Flown", "Trace"),
+    "run_types": ("Rollout", "Trace"),
     "runner": ("Interrupted", "run"),
     "scoring": ("Score", "Summary", "summarize"),
 }

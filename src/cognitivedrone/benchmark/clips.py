@@ -13,7 +13,7 @@ import numpy as np
 import PIL.Image
 
 from cognitivedrone.benchmark.film import compose
-from cognitivedrone.benchmark.run_types import Flown, Trace
+from cognitivedrone.benchmark.run_types import Rollout, Trace
 from cognitivedrone.types import CONTROL_HZ, EpisodeResult, Image, Outcome, Track
 
 FAILURES: Final = 6
@@ -57,7 +57,7 @@ def choose_clips(results: Sequence[EpisodeResult], limit: int) -> list[int]:
     return chosen + shown_passes[: limit - len(chosen)]
 
 
-def make_clip(flown: Flown, track: Track, scored: EpisodeResult) -> Clip:
+def make_clip(flown: Rollout, track: Track, scored: EpisodeResult) -> Clip:
     """A clip of a filmed flight; `scored` is the result of the same episode that entered the score."""
     same = [stage.outcome for stage in flown.result.stages] == [stage.outcome for stage in scored.stages]
     film = [compose(frame, len(track)) for frame in flown.film or []]

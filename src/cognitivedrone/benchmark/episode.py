@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from cognitivedrone.benchmark.flight_log import FlightLog
-from cognitivedrone.benchmark.run_types import Flown, RunConfig
+from cognitivedrone.benchmark.run_types import Rollout, RunConfig
 from cognitivedrone.benchmark.vehicles import autopilot_file, open_link
-from cognitivedrone.control.async_reasoner import SimulatedMind
+from cognitivedrone.control.async_reasoner import SimulatedReasoner
 from cognitivedrone.control.calls import NO_WATCH, Watch, calling
 from cognitivedrone.control.latency import TimedPolicy, parse_delays
-from cognitivedrone.control.loop import Leg, fly
-from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
+from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.envs.drone import SimulatedDrone
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import PolicyError, PolicyRaised, did_you_mean
 from cognitivedrone.interfaces import Checked, LabelPack, Policy, Reasoner, Seeded
 from cognitivedrone.labels import load_pack
@@ -66,7 +66,7 @@ class Pilot:
     """What repeats the run, in words: a command line cannot give objects."""
 
 
-class EpisodeFlyer:
+class PilotRunner:
     """A simulator, a policy and a reasoner, made once and used for any number of episodes in any order.
 
     `watch` is told of every call of policy and reasoner. `pilot` gives objects to fly instead of the options' names.
@@ -94,8 +94,10 @@ class EpisodeFlyer:
                 part.check()
         self._link = open_link(config, self._undo)
         self.simulator = self._link.simulator
-        self.course = Course(self.simulator, 0, labels_of(config), CourseConfig(look=config.look, wind_m_s=config.wind))
-        self.drone = SimulatedDrone(self.simulator, self.course)
+        self.track_runner = TrackRunner(
+            self.simulator, 0, labels_of(config), TrackConfig(look=config.look, wind_m_s=config.wind)
+        )
+        self.drone = SimulatedDrone(self.simulator, self.track_runner)
         self.delays = parse_delays(config.latency)
 
     @property
@@ -103,18 +105,18 @@ class EpisodeFlyer:
         """Name of what draws the frames."""
         return self._link.renderer()
 
-    def fly(self, episode: int, *, film: bool) -> Flown:
+    def fly(self, episode: int, *, film: bool) -> Rollout:
         """Fly one track of the suite; the same flight every time."""
         before = self._link.report
         rng = episode_rng(self.suite.digest, episode, self.config.seed)
-        self.course.begin(self.suite.tracks[episode], rng)
+        self.track_runner.begin(self.suite.tracks[episode], rng)
         # The reasoner first: what it draws must not depend on the policy that it flies with.
         parts: dict[str, Any] = {"the reasoner": self.reasoner, "the policy": self.policy}
         seeds = {what: int(rng.integers(2**31)) for what, part in parts.items() if isinstance(part, Seeded)}
         thinking = np.random.default_rng(int(rng.integers(2**31)))
         charge = self.delays.reasoner.charge(thinking)
-        mind = SimulatedMind(self.reasoner, charge, self._watch) if self.reasoner else None
-        log = FlightLog(self.simulator, self.course, keep_frames=film)
+        mind = SimulatedReasoner(self.reasoner, charge, self._watch) if self.reasoner else None
+        log = FlightLog(self.simulator, self.track_runner, keep_frames=film)
         timed = TimedPolicy(self.policy, self._watch)
         charge = self.delays.policy.charge(thinking)
         message = trace = ""
@@ -124,22 +126,22 @@ class EpisodeFlyer:
                     parts[what].seed(seed)
             fly(self.drone, timed, self.drone, self._mission, mind=mind, recorder=log, charge=charge)
         except PolicyError as error:
-            self.course.end("policy_error")
+            self.track_runner.end("policy_error")
             message = str(error)
             trace = error.trace if isinstance(error, PolicyRaised) else traceback.format_exc()
-        if any(result.outcome == "invalid" for result in self.course.results):
+        if any(result.outcome == "invalid" for result in self.track_runner.results):
             message = self._link.trouble or "the physics diverged"
         result = EpisodeResult(episode, self.config.seed, log.results(), len(log.path), message)
         way = log.trace(sum(timed.took_s) / max(len(timed.took_s), 1))
         link = self._link.report - before
         trace = trace or (mind.trace if mind else "")
-        return Flown(result, way, log.frames if film else None, link if link.frames else None, trace)
+        return Rollout(result, way, log.frames if film else None, link if link.frames else None, trace)
 
     def close(self) -> None:
         """Free the renderer, and whatever policy and reasoner hold open, where they were made here."""
         self._undo.close()
 
-    def _mission(self) -> Leg | None:
-        if self.course.finished:
+    def _mission(self) -> Segment | None:
+        if self.track_runner.finished:
             return None
-        return Leg(self.course.index, self.course.task.instruction, self.course.truth())
+        return Segment(self.track_runner.index, self.track_runner.task.instruction, self.track_runner.truth())

@@ -11,7 +11,7 @@ from typing import get_args
 import numpy as np
 
 from cognitivedrone.benchmark.run_types import FilmFrame, Trace
-from cognitivedrone.envs.course import Course
+from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.errors import ReasonerFault
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks.directives import fitting_gate, parse_directive
@@ -42,11 +42,11 @@ class _Stage:
 
 
 class FlightLog:
-    """Records path, frames and directives of one flight of a course."""
+    """Records path, frames and directives of one flight of a track."""
 
-    def __init__(self, simulator: Simulator, course: Course, *, keep_frames: bool) -> None:
+    def __init__(self, simulator: Simulator, track_runner: TrackRunner, *, keep_frames: bool) -> None:
         self.simulator = simulator
-        self.course = course
+        self.track_runner = track_runner
         self.keep_frames = keep_frames
         self.path: list[FloatArray] = []
         self.frames: list[FilmFrame] = []
@@ -75,7 +75,7 @@ class FlightLog:
     def results(self) -> tuple[StageResult, ...]:
         """The stages' results, each with what its reasoner did."""
         told = []
-        for index, (result, task) in enumerate(zip(self.course.results, self.course.track, strict=True)):
+        for index, (result, task) in enumerate(zip(self.track_runner.results, self.track_runner.track, strict=True)):
             stage = self._stages[index] if index < len(self._stages) else None
             if stage is None or not (stage.answers or stage.faults):
                 told.append(result)
@@ -87,7 +87,7 @@ class FlightLog:
     def trace(self, decision_s: float) -> Trace:
         """Where the flight went, its last position included."""
         path = np.array([*self.path, self.simulator.state(0).position], dtype=np.float32)
-        stages = tuple(self.course.stages[: len(self._stages)])
+        stages = tuple(self.track_runner.stages[: len(self._stages)])
         return Trace(path, stages, tuple(stage.first_step for stage in self._stages), decision_s)
 
 

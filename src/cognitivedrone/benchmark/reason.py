@@ -27,11 +27,11 @@ from cognitivedrone.benchmark.results import Options, SuiteFacts, versions, writ
 from cognitivedrone.benchmark.runner import Interrupted, facts_of, results_folder
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.control.async_reasoner import asking, check_guidance
-from cognitivedrone.envs.course import Course, CourseConfig, draw_start, episode_rng, scenery_of, stage_of
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, draw_start, episode_rng, scenery_of, stage_of
 from cognitivedrone.errors import PolicyError, ReasonerError, RunError
 from cognitivedrone.files import writing
 from cognitivedrone.frames import rotate_yaw
-from cognitivedrone.interfaces import Checked, Privileged, Reasoner, Remembering, Seeded
+from cognitivedrone.interfaces import Checked, Privileged, Reasoner, Seeded, StatefulReasoner
 from cognitivedrone.progress import counted
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.gl import renderer_name
@@ -104,9 +104,9 @@ def score_reasoner(config: ReasonConfig, *, progress: bool = True) -> ReasonResu
     answers: list[Answer] = []
     with _open_answers(out, overwrite=config.overwrite) as keep:
         simulator = Simulator(1)
-        course = Course(simulator, 0, labels, CourseConfig(look=config.look))
+        track_runner = TrackRunner(simulator, 0, labels, TrackConfig(look=config.look))
         try:
-            for answer in _ask_all(reasoner, course, suite, config, progress):
+            for answer in _ask_all(reasoner, track_runner, suite, config, progress):
                 answers.append(answer)
                 keep(answer)
             renderer = renderer_name()
@@ -128,22 +128,22 @@ def out_of(config: ReasonConfig) -> Path:
     return results_folder(*names)
 
 
-def views(course: Course, suite: Suite, episode: int, rng: np.random.Generator) -> Iterator[View]:
+def views(track_runner: TrackRunner, suite: Suite, episode: int, rng: np.random.Generator) -> Iterator[View]:
     """The stages of a track, one after the other, each from a start pose of its own.
 
     The first is what a flight with this `rng` sees first. A later one stands where it would in a flight without
     mistakes, and its start is drawn in its own start box. What the caller draws from `rng` before it asks for the
     second view comes before the second start.
     """
-    world, simulator = course.world, course.simulator
-    course.begin(suite.tracks[episode], rng)
-    yield View(episode, 0, course.truth(), _looking(simulator, world))
-    stage = course.stage
-    for index, task in enumerate(course.track[1:], start=1):
-        origin, yaw = geometry.next_stage_origin(stage, course.track[index - 1].target)
+    world, simulator = track_runner.world, track_runner.simulator
+    track_runner.begin(suite.tracks[episode], rng)
+    yield View(episode, 0, track_runner.truth(), _looking(simulator, world))
+    stage = track_runner.stage
+    for index, task in enumerate(track_runner.track[1:], start=1):
+        origin, yaw = geometry.next_stage_origin(stage, track_runner.track[index - 1].target)
         stage = stage_of(task, origin, yaw)
         start = _placed(draw_start(rng, simulator.airframe.hull_radius), stage)
-        simulator.begin(world, stage, scenery_of(stage, course.labels, course.look), start)
+        simulator.begin(world, stage, scenery_of(stage, track_runner.labels, track_runner.look), start)
         yield View(episode, index, Truth(task, stage, lambda: simulator.state(world)), _looking(simulator, world))
 
 
@@ -170,19 +170,19 @@ def _placed(start: Start, stage: Stage) -> Start:
 
 
 def _ask_all(
-    reasoner: Reasoner, course: Course, suite: Suite, config: ReasonConfig, progress: bool
+    reasoner: Reasoner, track_runner: TrackRunner, suite: Suite, config: ReasonConfig, progress: bool
 ) -> Iterator[Answer]:
     """The answers to every stage, in order; the reasoner is told what a flight would tell it."""
     count = len(suite.tracks) if config.episodes is None else min(config.episodes, len(suite.tracks))
     for episode in counted(range(count), "reasoning", count, show=progress):
         rng = episode_rng(suite.digest, episode, config.seed)
-        for view in views(course, suite, episode, rng):
+        for view in views(track_runner, suite, episode, rng):
             if view.index == 0:
                 if isinstance(reasoner, Seeded):
                     reasoner.seed(int(rng.integers(2**31)))
-                if isinstance(reasoner, Remembering):
+                if isinstance(reasoner, StatefulReasoner):
                     reasoner.new_flight()
-            elif isinstance(reasoner, Remembering):
+            elif isinstance(reasoner, StatefulReasoner):
                 reasoner.new_stage()
             if isinstance(reasoner, Privileged):
                 reasoner.brief(view.truth)

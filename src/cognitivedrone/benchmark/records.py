@@ -17,7 +17,7 @@ from typing import Any, BinaryIO, Final
 
 from cognitivedrone.benchmark.codec import decode, dumps, encode
 from cognitivedrone.benchmark.results import RunFacts, write_whole
-from cognitivedrone.benchmark.run_types import Flown, Trace
+from cognitivedrone.benchmark.run_types import Rollout, Trace
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import take_lock, writing
 from cognitivedrone.types import EpisodeResult
@@ -77,7 +77,7 @@ class RunFolder:
     records: dict[int, Record]
     """By episode, as they stand in the file."""
 
-    def append(self, flown: Flown, renderer: str) -> None:
+    def append(self, flown: Rollout, renderer: str) -> None:
         """Put one episode on the disk."""
         line = _line(Record(flown.result, flown.trace, renderer))
         kept = "make room there, then the same command with --resume goes on: what was flown before is kept"

@@ -12,7 +12,7 @@ from cognitivedrone.benchmark.config import LinkName, LookName, Rule, RunConfig
 from cognitivedrone.types import Action, EpisodeResult, Guidance, Image, Stage
 from cognitivedrone.vehicles.one_drone import LinkReport
 
-__all__ = ["Flown", "Flyer", "LinkName", "LookName", "Rule", "RunConfig", "Trace"]
+__all__ = ["EpisodeRunner", "LinkName", "LookName", "Rollout", "Rule", "RunConfig", "Trace"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class FilmFrame:
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class Rollout:
     """One flown episode."""
 
     result: EpisodeResult
@@ -61,7 +61,7 @@ class Flown:
     """Traceback of the policy's or the reasoner's first exception; empty where there was none."""
 
 
-class Flyer(Protocol):
+class EpisodeRunner(Protocol):
     """Flies single episodes of a suite; every worker process makes one and keeps it."""
 
     @property
@@ -69,7 +69,7 @@ class Flyer(Protocol):
         """Name of what draws the frames, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
         ...
 
-    def fly(self, episode: int, *, film: bool) -> Flown:
+    def fly(self, episode: int, *, film: bool) -> Rollout:
         """Fly the suite's track number `episode`; the same flight every time, in any order, in any process."""
         ...
 

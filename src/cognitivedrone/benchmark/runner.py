@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from cognitivedrone.benchmark.clips import Clip, choose_clips, make_clip
-from cognitivedrone.benchmark.episode import EpisodeFlyer, Pilot, preflight
+from cognitivedrone.benchmark.episode import Pilot, PilotRunner, preflight
 from cognitivedrone.benchmark.provenance import platform_facts
 from cognitivedrone.benchmark.records import ERRORS_FOLDER, Record, RunFolder, check_folder
 from cognitivedrone.benchmark.report import REPORT_FILE, render_report
@@ -31,11 +31,11 @@ from cognitivedrone.benchmark.results import (
     write_results,
     write_whole,
 )
-from cognitivedrone.benchmark.run_types import Flown, RunConfig
+from cognitivedrone.benchmark.run_types import Rollout, RunConfig
 from cognitivedrone.benchmark.scoring import counts, passes
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.benchmark.vehicles import autopilot_file
-from cognitivedrone.benchmark.workers import FLYER, Alone, Crew, Team, WorkerCrash, make_flyer
+from cognitivedrone.benchmark.workers import RUNNER, InProcess, ProcessPool, WorkerCrash, WorkerPool, make_runner
 from cognitivedrone.control.latency import parse_delays
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import safe_name, writing
@@ -54,19 +54,19 @@ class Interrupted(KeyboardInterrupt):
     """Ctrl-C in the middle of a run; the message says how to go on. A command line prints it and exits with 130."""
 
 
-def run(config: RunConfig, *, progress: bool = True, flyer: str = FLYER, pilot: Pilot | None = None) -> Results:
+def run(config: RunConfig, *, progress: bool = True, runner: str = RUNNER, pilot: Pilot | None = None) -> Results:
     """Fly, score and report; the folder's content is described in docs/results.md.
 
-    `flyer` is the module:attribute of what makes a `Flyer` from (RunConfig, Suite, Watch). `pilot` gives objects that
-    fly, in this process, instead of those that the configuration names. Raises `RunError` where the run cannot start,
-    go on or be read, `PolicyError` where the pilot cannot be made, and `Interrupted` on Ctrl-C; all finished episodes
-    are kept in either case.
+    `runner` is the module:attribute of what makes an `EpisodeRunner` from (RunConfig, Suite, Watch). `pilot` gives
+    objects that fly, in this process, instead of those that the configuration names. Raises `RunError` where the run
+    cannot start, go on or be read, `PolicyError` where the pilot cannot be made, and `Interrupted` on Ctrl-C; all
+    finished episodes are kept in either case.
     """
     began = time.perf_counter()
     suite = suite_of(config)
     facts = facts_of(config, suite, named=pilot is None)
     path = out_of(config)
-    if flyer == FLYER:
+    if runner == RUNNER:
         preflight(config, suite)
     episodes = range(len(suite.tracks) if config.episodes is None else min(config.episodes, len(suite.tracks)))
     flown_before = check_folder(path, facts, resume=config.resume, overwrite=config.overwrite)
@@ -79,13 +79,13 @@ def run(config: RunConfig, *, progress: bool = True, flyer: str = FLYER, pilot: 
     with ExitStack() as stack:
         # Nothing is written before somebody can fly: a pilot that cannot be made changes no folder.
         with console(stderr=True, quiet=not progress).status("starting the simulators"):
-            crew = _crew(config, suite, workers, flyer, pilot)
-        stack.enter_context(crew)
+            pool = _open_pool(config, suite, workers, runner, pilot)
+        stack.enter_context(pool)
         folder = stack.enter_context(RunFolder(path, facts, resume=config.resume, overwrite=config.overwrite))
         try:
-            link = _fly_missing(crew, folder, missing, len(episodes), config, show=progress)
+            link = _fly_missing(pool, folder, missing, len(episodes), config, show=progress)
             records = [folder.records[episode] for episode in episodes]
-            clips = _film(crew, suite, records, config)
+            clips = _film(pool, suite, records, config)
         except KeyboardInterrupt:
             raise Interrupted(
                 f"stopped after {len(folder.records)} of {len(episodes)} episodes, all kept in {path}; "
@@ -186,13 +186,15 @@ def _workers(config: RunConfig) -> int:
     return os.cpu_count() or 1
 
 
-def _crew(config: RunConfig, suite: Suite, workers: int, flyer: str, pilot: Pilot | None) -> Alone | Team:
+def _open_pool(
+    config: RunConfig, suite: Suite, workers: int, runner: str, pilot: Pilot | None
+) -> InProcess | ProcessPool:
     """Who flies, when at least one can."""
     if pilot is not None:
-        return Alone(EpisodeFlyer(config, suite, pilot=pilot))
+        return InProcess(PilotRunner(config, suite, pilot=pilot))
     if workers == 0:
-        return Alone(make_flyer(flyer, config, suite))
-    team = Team(config, suite, workers, flyer)
+        return InProcess(make_runner(runner, config, suite))
+    team = ProcessPool(config, suite, workers, runner)
     try:
         team.ready()
     except BaseException:
@@ -202,7 +204,7 @@ def _crew(config: RunConfig, suite: Suite, workers: int, flyer: str, pilot: Pilo
 
 
 def _fly_missing(
-    crew: Crew, folder: RunFolder, missing: Sequence[int], total: int, config: RunConfig, *, show: bool
+    pool: WorkerPool, folder: RunFolder, missing: Sequence[int], total: int, config: RunConfig, *, show: bool
 ) -> LinkReport | None:
     """Fly what is not on record yet, each episode onto the disk as it ends; what happened on the link, if any."""
     link: LinkReport | None = None
@@ -211,7 +213,7 @@ def _fly_missing(
     with progress_bar("speed", "rate", show=show) as bar:
         task = bar.add_task("flying", total=total, completed=total - len(missing), speed="starting", rate="")
         began = time.perf_counter()
-        for flown_now, (flown, renderer) in enumerate(crew.fly(missing), start=1):
+        for flown_now, (flown, renderer) in enumerate(pool.fly(missing), start=1):
             _keep_error(flown, folder.path, stop=config.fail_fast)
             folder.append(flown, renderer)
             if flown.link is not None:
@@ -227,7 +229,7 @@ def _fly_missing(
     return link
 
 
-def _keep_error(flown: Flown, path: Path, *, stop: bool) -> None:
+def _keep_error(flown: Rollout, path: Path, *, stop: bool) -> None:
     """Put the traceback of a policy or reasoner beside the results. Raises `RunError` where the run is to `stop`."""
     if not flown.error:
         return
@@ -240,7 +242,7 @@ def _keep_error(flown: Flown, path: Path, *, stop: bool) -> None:
         raise RunError(f"episode {flown.result.episode}: {what}; its traceback is in {file}")
 
 
-def _film(crew: Crew, suite: Suite, records: Sequence[Record], config: RunConfig) -> list[Clip]:
+def _film(pool: WorkerPool, suite: Suite, records: Sequence[Record], config: RunConfig) -> list[Clip]:
     """Fly the most telling episodes once more, with a film: the same seed gives the same flight."""
     if config.link == "gazebo":
         return []  # in real time no flight is flown twice alike
@@ -250,7 +252,7 @@ def _film(crew: Crew, suite: Suite, records: Sequence[Record], config: RunConfig
     chosen = choose_clips([result for episode, result in results.items() if episode not in lost], config.clips)
     clips = {
         flown.result.episode: make_clip(flown, suite.tracks[flown.result.episode], results[flown.result.episode])
-        for flown, _ in crew.fly(chosen, film=True)
+        for flown, _ in pool.fly(chosen, film=True)
         if flown.film is not None
     }
     return [clips[episode] for episode in chosen if episode in clips]

@@ -27,14 +27,14 @@ from typing import Any, Protocol
 
 from cognitivedrone import registry
 from cognitivedrone.benchmark.lost import lost_flight
-from cognitivedrone.benchmark.run_types import Flown, Flyer, RunConfig
+from cognitivedrone.benchmark.run_types import EpisodeRunner, Rollout, RunConfig
 from cognitivedrone.control.calls import NO_WATCH
 from cognitivedrone.errors import CognitiveDroneError, PolicyError, RunError, warn_plainly
 from cognitivedrone.tasks import Suite
 
-FLYER = "cognitivedrone.benchmark.episode:EpisodeFlyer"
-"""What makes a flyer from (RunConfig, Suite, Watch), as module:attribute: a new process loads it by itself."""
-PATIENCE_S = 5.0
+RUNNER = "cognitivedrone.benchmark.episode:PilotRunner"
+"""What makes an `EpisodeRunner` from (RunConfig, Suite, Watch), as module:attribute for new processes."""
+JOIN_TIMEOUT_S = 5.0
 """How long a worker may take to leave."""
 POLL_S = 0.2
 """How often calls are looked at."""
@@ -51,10 +51,10 @@ class WorkerCrash(RunError):
         """The worker's traceback."""
 
 
-class Crew(Protocol):
+class WorkerPool(Protocol):
     """Flies episodes."""
 
-    def fly(self, episodes: Sequence[int], *, film: bool = False) -> Iterator[tuple[Flown, str]]:
+    def fly(self, episodes: Sequence[int], *, film: bool = False) -> Iterator[tuple[Rollout, str]]:
         """Every episode once, as they finish, with the name of the renderer."""
         ...
 
@@ -63,22 +63,22 @@ class Crew(Protocol):
         ...
 
 
-class Alone:
+class InProcess:
     """Flies in this process: no start-up cost, and a debugger sees everything."""
 
-    def __init__(self, flyer: Flyer) -> None:
-        self._flyer = flyer
+    def __init__(self, runner: EpisodeRunner) -> None:
+        self._runner = runner
 
-    def fly(self, episodes: Sequence[int], *, film: bool = False) -> Iterator[tuple[Flown, str]]:
-        """As `Crew.fly`, in the order given."""
+    def fly(self, episodes: Sequence[int], *, film: bool = False) -> Iterator[tuple[Rollout, str]]:
+        """As `WorkerPool.fly`, in the order given."""
         for episode in episodes:
-            yield self._flyer.fly(episode, film=film), self._flyer.renderer
+            yield self._runner.fly(episode, film=film), self._runner.renderer
 
     def close(self) -> None:
         """Free the simulator."""
-        self._flyer.close()
+        self._runner.close()
 
-    def __enter__(self) -> Alone:
+    def __enter__(self) -> InProcess:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -145,23 +145,23 @@ class _Worker:
         return self.waited_s
 
 
-class Team:
+class ProcessPool:
     """Flies in `workers` processes."""
 
-    def __init__(self, config: RunConfig, suite: Suite, workers: int, flyer: str = FLYER) -> None:
-        self._config, self._suite, self._flyer = config, suite, flyer
+    def __init__(self, config: RunConfig, suite: Suite, workers: int, runner: str = RUNNER) -> None:
+        self._config, self._suite, self._runner = config, suite, runner
         self._context = multiprocessing.get_context("spawn")
         self._folder = tempfile.TemporaryDirectory(prefix="cognitivedrone-")
         self._hired = 0
         self._workers: list[_Worker] = []
         try:
             for _ in range(workers):
-                self._workers.append(self._hire())
+                self._workers.append(self._start_worker())
         except BaseException:
             self.stop()
             raise
 
-    def _hire(self) -> _Worker:
+    def _start_worker(self) -> _Worker:
         """A new worker process."""
         self._hired += 1
         began = self._context.RawValue(c_double, 0.0)
@@ -173,7 +173,7 @@ class Team:
         resource_tracker.ensure_running()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
-            arguments = (theirs, began, file, self._flyer, self._config, self._suite)
+            arguments = (theirs, began, file, self._runner, self._config, self._suite)
             process = self._context.Process(target=_work, args=arguments, daemon=True)
             process.start()
         finally:
@@ -189,8 +189,8 @@ class Team:
                 worker = next(worker for worker in self._workers if worker.connection is connection)
                 self._receive(worker)
 
-    def fly(self, episodes: Sequence[int], *, film: bool = False) -> Iterator[tuple[Flown, str]]:
-        """As `Crew.fly`. Raises `RunError` naming the episode where a worker fails or is killed."""
+    def fly(self, episodes: Sequence[int], *, film: bool = False) -> Iterator[tuple[Rollout, str]]:
+        """As `WorkerPool.fly`. Raises `RunError` naming the episode where a worker fails or is killed."""
         todo = deque(episodes)
         left = len(todo)
         for worker in self._workers:
@@ -213,7 +213,7 @@ class Team:
                     left -= 1
                     worker.episode = None
                 if worker.connection.closed:
-                    self._workers[position] = self._hire()
+                    self._workers[position] = self._start_worker()
                 else:
                     self._give(worker, todo, film)
                 if flown is not None:
@@ -227,12 +227,12 @@ class Team:
         with contextlib.suppress(OSError):
             worker.connection.send(_Job(worker.episode, film))
 
-    def _receive(self, worker: _Worker) -> Flown | None:
+    def _receive(self, worker: _Worker) -> Rollout | None:
         """What a worker sends: a flight, or none where it is ready for its first. Its death may be one too."""
         try:
-            answer: _Ready | Flown | _Failed = worker.connection.recv()
+            answer: _Ready | Rollout | _Failed = worker.connection.recv()
         except (EOFError, OSError):
-            return self._mourn(worker)
+            return self._after_death(worker)
         if isinstance(answer, _Ready):
             worker.renderer = answer.renderer
             return None
@@ -242,16 +242,16 @@ class Team:
             raise (PolicyError if answer.of_policy else RunError)(answer.message)
         raise WorkerCrash(f"{self._doing(worker)} failed: {answer.message}", answer.trace)
 
-    def _mourn(self, worker: _Worker) -> Flown:
+    def _after_death(self, worker: _Worker) -> Rollout:
         """The flight of a worker that has died inside a call; raises `RunError` for every other death."""
-        worker.process.join(PATIENCE_S)
+        worker.process.join(JOIN_TIMEOUT_S)
         code = worker.process.exitcode
         how = f"ended with exit code {code}"
         if code is not None and code < 0:
             how = f"was killed by {signal.Signals(-code).name}"
         from_outside = code is not None and -code in FROM_OUTSIDE
         if worker.episode is not None and worker.began.value and not from_outside:
-            return self._lose(worker, f"its process {how} in the middle of a call of policy or reasoner")
+            return self._lost_flight(worker, f"its process {how} in the middle of a call of policy or reasoner")
         if worker.episode is None:
             raise RunError(
                 f"a worker {how} before it was ready; --workers 0 flies without any, and a script that calls run() "
@@ -261,18 +261,20 @@ class Team:
             f"the worker of {self._doing(worker)} {how}; give --resume to go on, perhaps with fewer --workers"
         )
 
-    def _end_hanging(self, worker: _Worker) -> Flown:
+    def _end_hanging(self, worker: _Worker) -> Rollout:
         """End a worker whose call takes too long."""
         # The fault handler of the worker writes down where it is, whatever holds the interpreter.
         if worker.process.pid is not None:
             os.kill(worker.process.pid, signal.SIGUSR1)
         worker.process.join(POLL_S)
         worker.process.kill()
-        worker.process.join(PATIENCE_S)
+        worker.process.join(JOIN_TIMEOUT_S)
         limit = self._config.decision_timeout
-        return self._lose(worker, f"a call of policy or reasoner took longer than {limit:g} s (--decision-timeout)")
+        return self._lost_flight(
+            worker, f"a call of policy or reasoner took longer than {limit:g} s (--decision-timeout)"
+        )
 
-    def _lose(self, worker: _Worker, message: str) -> Flown:
+    def _lost_flight(self, worker: _Worker, message: str) -> Rollout:
         worker.connection.close()
         episode = worker.episode
         assert episode is not None  # noqa: S101 - only a flight can be lost
@@ -289,7 +291,7 @@ class Team:
         for worker in self._workers:
             worker.connection.close()
         for worker in self._workers:
-            worker.process.join(PATIENCE_S)
+            worker.process.join(JOIN_TIMEOUT_S)
         self.stop()
 
     def stop(self) -> None:
@@ -297,12 +299,12 @@ class Team:
         for worker in self._workers:
             worker.process.terminate()
         for worker in self._workers:
-            worker.process.join(PATIENCE_S)
+            worker.process.join(JOIN_TIMEOUT_S)
             worker.process.kill()
             worker.connection.close()
         self._folder.cleanup()
 
-    def __enter__(self) -> Team:
+    def __enter__(self) -> ProcessPool:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -312,32 +314,32 @@ class Team:
             self.stop()
 
 
-def make_flyer(name: str, config: RunConfig, suite: Suite, watch: Any = NO_WATCH) -> Flyer:
-    """The flyer of the class `name`, as module:attribute."""
-    made: Flyer = registry.load("flyer", name, {})(config, suite, watch)
+def make_runner(name: str, config: RunConfig, suite: Suite, watch: Any = NO_WATCH) -> EpisodeRunner:
+    """The episode runner of the class `name`, as module:attribute."""
+    made: EpisodeRunner = registry.load("episode runner", name, {})(config, suite, watch)
     return made
 
 
 def _work(
-    connection: Connection, began: Any, crash_file: Path, flyer_name: str, config: RunConfig, suite: Suite
+    connection: Connection, began: Any, crash_file: Path, runner_name: str, config: RunConfig, suite: Suite
 ) -> None:
-    """Life of a worker process: make a flyer, fly what is asked, leave when the stream ends."""
+    """Life of a worker process: make an episode runner, fly what is asked, leave when the stream ends."""
     warn_plainly()
     with crash_file.open("w") as crashes:
         faulthandler.enable(crashes)
         faulthandler.register(signal.SIGUSR1, crashes)
         try:
-            flyer = make_flyer(flyer_name, config, suite, CallClock(began))
+            runner = make_runner(runner_name, config, suite, CallClock(began))
             try:
-                connection.send(_Ready(flyer.renderer))
+                connection.send(_Ready(runner.renderer))
                 while True:
                     job: _Job = connection.recv()
-                    connection.send(flyer.fly(job.episode, film=job.film))
+                    connection.send(runner.fly(job.episode, film=job.film))
             except (EOFError, BrokenPipeError, ConnectionResetError):
                 # The run is over, or its process is gone.
                 return
             finally:
-                flyer.close()
+                runner.close()
         except CognitiveDroneError as error:
             connection.send(_Failed(str(error), None, isinstance(error, PolicyError)))
         except Exception as error:

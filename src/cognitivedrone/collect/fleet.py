@@ -14,8 +14,8 @@ from cognitivedrone.collect.perturbation import Disturbance, disturb, draw_begin
 from cognitivedrone.collect.recipe import Recipe
 from cognitivedrone.control.loop import check_chunk
 from cognitivedrone.data.episode import Conditions, Episode, encode_image
-from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import clip_action, proprioception
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import CognitiveDroneError, DataError, NonFiniteAction, PolicyError
 from cognitivedrone.interfaces import Policy, Privileged, Seeded
 from cognitivedrone.labels import load_pack
@@ -99,8 +99,8 @@ class Fleet:
         self._learners = [learner() for _ in range(worlds)] if learner else None
         self._simulator = Simulator(worlds, airframe=AIRFRAMES[AIRFRAME])
         pack = load_pack("open-v1")
-        config = CourseConfig(look=recipe.look, time_limit_s=recipe.time_limit_s)
-        self._courses = [Course(self._simulator, world, pack, config) for world in range(worlds)]
+        config = TrackConfig(look=recipe.look, time_limit_s=recipe.time_limit_s)
+        self._courses = [TrackRunner(self._simulator, world, pack, config) for world in range(worlds)]
         self._frames = np.empty((worlds, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)
 
     def close(self) -> None:
@@ -130,23 +130,23 @@ class Fleet:
                 raise DataError(f"task {task.id}: in {attempt} flights the policy gave no finite command; mend it")
             raise DataError(f"task {task.id}: no flight out of {attempt} was passed; make the recipe gentler")
         rng = attempt_rng(self.suite.digest, index, self.seed, attempt)
-        course = self._courses[world]
+        track_runner = self._courses[world]
         start = draw_beginning(rng, self.recipe, self._simulator.airframe.hull_radius)
         speed = float(rng.uniform(*self.recipe.speed_m_s))
         disturbances = draw_disturbances(rng, self.recipe)
         learner = self._learners[world] if self._learners else None
-        course.begin(self.suite.tracks[index], rng, start)
+        track_runner.begin(self.suite.tracks[index], rng, start)
         expert = Expert(ExpertConfig(speed_m_s=speed))
-        expert.reset(course.task.instruction)
-        expert.brief(course.truth())
+        expert.reset(track_runner.task.instruction)
+        expert.brief(track_runner.truth())
         expert_flies = np.zeros(int(self.recipe.time_limit_s * CONTROL_HZ) + 2, np.bool_)
         if learner is not None:
             with _told_of(learner, index, 0):
                 if isinstance(learner, Seeded):
                     learner.seed(int(rng.integers(2**31)))
-                learner.reset(course.task.instruction)
+                learner.reset(track_runner.task.instruction)
                 if isinstance(learner, Privileged):
-                    learner.brief(course.truth())
+                    learner.brief(track_runner.truth())
             if self.beta:
                 expert_flies = rng.random(len(expert_flies)) < self.beta
         return _Flight(index, attempt, expert, disturbances, learner, expert_flies, dropped)
@@ -161,10 +161,10 @@ class Fleet:
                 self._decide(world, flights[world], frame)
             except NonFiniteAction:
                 undecided.add(world)
-        verdicts = self._simulator.advance()
+        gate_events = self._simulator.advance()
         for world in worlds:
-            course = self._courses[world]
-            result = course.end("policy_error") if world in undecided else course.update(verdicts[world])
+            track_runner = self._courses[world]
+            result = track_runner.end("policy_error") if world in undecided else track_runner.update(gate_events[world])
             if result is not None:
                 yield world, flights[world], result.outcome
 

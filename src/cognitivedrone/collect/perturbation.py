@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cognitivedrone.collect.recipe import Recipe
-from cognitivedrone.envs.course import draw_start
+from cognitivedrone.envs.track_runner import draw_start
 from cognitivedrone.sim.simulator import Start
 from cognitivedrone.types import CONTROL_HZ, Action
 from cognitivedrone.world import geometry

@@ -1,8 +1,8 @@
 """A reasoner beside the control loop: it thinks about the newest frame while the policy flies on.
 
-On a simulated clock (`SimulatedMind`) the reasoner is computed at once and its answer arrives when its time is up; on
-the wall clock (`ThreadMind`) it runs in a thread of its own. Either way there is one question at a time and no queue:
-while it thinks, nothing is asked, and then it is asked about the newest frame.
+On a simulated clock (`SimulatedReasoner`) the reasoner is computed at once and its answer arrives when its time is
+up; on the wall clock (`ThreadedReasoner`) it runs in a thread of its own. Either way there is one question at a time
+and no queue: while it thinks, nothing is asked, and then it is asked about the newest frame.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from cognitivedrone.control.calls import NO_WATCH, Watch, calling
 from cognitivedrone.control.latency import Charge
 from cognitivedrone.errors import PolicyRaised, ReasonerError, ReasonerFault
-from cognitivedrone.interfaces import Privileged, Reasoner, Remembering
+from cognitivedrone.interfaces import Privileged, Reasoner, StatefulReasoner
 from cognitivedrone.types import Guidance, Image, Truth
 
 LONGEST_DIRECTIVE = 1000
@@ -52,7 +52,7 @@ class Answer:
     """Of an exception of the reasoner's own."""
 
 
-class Mind(Protocol):
+class AsyncReasoner(Protocol):
     """Asked and listened to by the control loop; `now` is the loop's clock, s."""
 
     def idle(self, now: float) -> bool:
@@ -72,7 +72,7 @@ class Mind(Protocol):
         ...
 
 
-class SimulatedMind:
+class SimulatedReasoner:
     """Thinks in no time and answers after the time that is charged for it."""
 
     def __init__(self, reasoner: Reasoner, charge: Charge = lambda _: 0.0, watch: Watch = NO_WATCH) -> None:
@@ -106,7 +106,7 @@ class SimulatedMind:
         self._pending = None
 
 
-class ThreadMind:
+class ThreadedReasoner:
     """Thinks in a thread beside the loop."""
 
     def __init__(self, reasoner: Reasoner) -> None:
@@ -155,7 +155,7 @@ class _Thinker:
     def _ask(self, question: Question) -> Guidance:
         reasoner = self._reasoner
         if question.leg != self._leg:
-            if isinstance(reasoner, Remembering):
+            if isinstance(reasoner, StatefulReasoner):
                 (reasoner.new_flight if self._leg is None else reasoner.new_stage)()
             if question.truth is not None and isinstance(reasoner, Privileged):
                 reasoner.brief(question.truth)

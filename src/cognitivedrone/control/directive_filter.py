@@ -27,7 +27,7 @@ class SteeringRule:
     """Left of all evidence at each further answer."""
 
 
-class Steering:
+class DirectiveFilter:
     """The directive at hand, for one leg."""
 
     def __init__(self, rule: SteeringRule | None = None) -> None:
@@ -36,7 +36,7 @@ class Steering:
         self._current: Guidance | None = None
         self._seen_at = 0.0
 
-    def hear(self, guidance: Guidance, seen_at: float) -> str:
+    def update(self, guidance: Guidance, seen_at: float) -> str:
         """Take an answer about the frame of the time `seen_at`, s.
 
         Returns what became of it: `adopted` where it is flown by from now on, `agreed` where it says the same as the

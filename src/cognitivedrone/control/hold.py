@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cognitivedrone.control.async_reasoner import Answer, Mind, Question
+from cognitivedrone.control.async_reasoner import Answer, AsyncReasoner, Question
 from cognitivedrone.interfaces import Drone
 from cognitivedrone.types import Action, Observation
 
@@ -58,7 +58,7 @@ class Hold:
             self._leg, self._heard, self._answered = leg, 0, False
             self.active, self.sure = False, 1.0
 
-    def hear(self, answer: Answer) -> None:
+    def update(self, answer: Answer) -> None:
         """Take an answer; those of other legs, and faults that tell nothing of the scene, say nothing."""
         guidance = answer.guidance
         if answer.question.leg != self._leg:
@@ -81,7 +81,7 @@ class Hold:
 class HeedingMind:
     """A mind whose answers are heard by a `Hold` as well."""
 
-    def __init__(self, mind: Mind, hold: Hold) -> None:
+    def __init__(self, mind: AsyncReasoner, hold: Hold) -> None:
         self._mind, self._hold = mind, hold
 
     def idle(self, now: float) -> bool:
@@ -97,7 +97,7 @@ class HeedingMind:
         """As the mind."""
         answer = self._mind.answer(now)
         if answer is not None:
-            self._hold.hear(answer)
+            self._hold.update(answer)
         return answer
 
     def close(self) -> None:

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cognitivedrone.control.async_reasoner import Mind, Question
-from cognitivedrone.control.directive_filter import Steering
+from cognitivedrone.control.async_reasoner import AsyncReasoner, Question
+from cognitivedrone.control.directive_filter import DirectiveFilter
 from cognitivedrone.control.latency import Charge
 from cognitivedrone.errors import NonFiniteAction, PolicyError
 from cognitivedrone.interfaces import Clock, Drone, Policy, Privileged, Recorder
@@ -21,7 +21,7 @@ LATE_S = 0.010
 
 
 @dataclass(frozen=True, slots=True)
-class Leg:
+class Segment:
     """What is to be done now."""
 
     index: int
@@ -31,7 +31,7 @@ class Leg:
     """For privileged pilots, in the simulator."""
 
 
-Mission = Callable[[], Leg | None]
+Mission = Callable[[], Segment | None]
 """The leg at hand, asked before every control step; none ends the flight."""
 
 
@@ -79,7 +79,7 @@ def fly(
     clock: Clock,
     mission: Mission,
     *,
-    mind: Mind | None = None,
+    mind: AsyncReasoner | None = None,
     recorder: Recorder | None = None,
     rates: Rates | None = None,
     charge: Charge | None = None,
@@ -91,14 +91,14 @@ def fly(
     actions is flown to its end before the policy is asked again.
 
     A new leg resets the policy and drops what is left of the chunk. The `mind` is asked then, and `reasoner_hz` times a
-    second, about the newest frame, as soon as it is idle. Its directive is flown by from when it arrives (`Steering`
-    says whether it replaces another); without one, by the instruction.
+    second, about the newest frame, as soon as it is idle. Its directive is flown by from when it arrives
+    (`DirectiveFilter` says whether it replaces another); without one, by the instruction.
     """
     rates = rates or Rates()
-    log = recorder or _Deaf()
+    log = recorder or _NullRecorder()
     start = clock.now()
     leg_index: int | None = None
-    steering = Steering()
+    directive_filter = DirectiveFilter()
     pending: list[Action] = []
     slot = sent_count = 0
     next_question = 0
@@ -107,20 +107,20 @@ def fly(
         if late > LATE_S:
             log.note(Event(clock.now() - start, "late", age_s=late))
         if leg.index != leg_index:
-            leg_index, steering, pending, next_question = leg.index, Steering(), [], slot
+            leg_index, directive_filter, pending, next_question = leg.index, DirectiveFilter(), [], slot
             policy.reset(leg.instruction)
             if leg.truth is not None and isinstance(policy, Privileged):
                 policy.brief(leg.truth)
             log.note(Event(clock.now() - start, "leg", leg.instruction))
         observation = drone.observe()
         if mind is not None:
-            _listen(mind, steering, leg, start, clock.now(), log)
+            _poll(mind, directive_filter, leg, start, clock.now(), log)
             if slot >= next_question and mind.idle(clock.now()):
                 mind.ask(Question(leg.index, leg.instruction, observation.image, clock.now(), leg.truth))
                 log.note(Event(clock.now() - start, "asked", leg.instruction))
                 next_question = slot + rates.reason_every
-                _listen(mind, steering, leg, start, clock.now(), log)
-        guidance = steering.guidance(clock.now())
+                _poll(mind, directive_filter, leg, start, clock.now(), log)
+        guidance = directive_filter.guidance(clock.now())
         observation = replace(observation, instruction=guidance.directive if guidance else leg.instruction)
         if not pending:
             begin = time.perf_counter()
@@ -135,7 +135,9 @@ def fly(
     return sent_count
 
 
-def _listen(mind: Mind, steering: Steering, leg: Leg, start: float, now: float, log: Recorder) -> None:
+def _poll(
+    mind: AsyncReasoner, directive_filter: DirectiveFilter, leg: Segment, start: float, now: float, log: Recorder
+) -> None:
     """Take the mind's answer, if it is there."""
     answer = mind.answer(now)
     if answer is None:
@@ -147,11 +149,11 @@ def _listen(mind: Mind, steering: Steering, leg: Leg, start: float, now: float, 
     elif answer.guidance is None:
         log.note(Event(now - start, answer.fault or "garbage", answer.message, age))
     else:
-        what = steering.hear(answer.guidance, answer.question.time)
+        what = directive_filter.update(answer.guidance, answer.question.time)
         log.note(Event(now - start, what, answer.guidance.directive, age))
 
 
-class _Deaf:
+class _NullRecorder:
     """A recorder that keeps nothing."""
 
     def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:

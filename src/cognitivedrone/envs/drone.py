@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from cognitivedrone.envs.course import Course
+from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.sim.dynamics import Flight
 from cognitivedrone.sim.simulator import Simulator
@@ -16,17 +16,17 @@ from cognitivedrone.types import ACTION_LIMITS, Action, FloatArray, Observation
 class SimulatedDrone:
     """One world of a simulator. Time stands still between calls of `sleep_until`: it is drone and clock in one."""
 
-    def __init__(self, simulator: Simulator, course: Course) -> None:
+    def __init__(self, simulator: Simulator, track_runner: TrackRunner) -> None:
         self.simulator = simulator
-        self.course = course
+        self.track_runner = track_runner
 
     def observe(self) -> Observation:
         """Frame and state of this moment."""
-        world = self.course.world
+        world = self.track_runner.world
         velocity, height, yaw_rate = proprioception(self.simulator, world)
         return Observation(
             image=self.simulator.frames(worlds=[world])[0],
-            instruction=self.course.task.instruction,
+            instruction=self.track_runner.task.instruction,
             velocity=velocity,
             height=height,
             yaw_rate=yaw_rate,
@@ -36,7 +36,7 @@ class SimulatedDrone:
     def send(self, action: Action) -> Action:
         """Set the velocity setpoint, clipped to `ACTION_LIMITS`."""
         sent = clip_action(action)
-        self.simulator.command(self.course.world, sent)
+        self.simulator.command(self.track_runner.world, sent)
         return sent
 
     def close(self) -> None:
@@ -44,13 +44,13 @@ class SimulatedDrone:
 
     def now(self) -> float:
         """Simulated seconds since the flight began."""
-        return self.simulator.time(self.course.world)
+        return self.simulator.time(self.track_runner.world)
 
     def sleep_until(self, time_s: float) -> None:
         """Let the world go on, the last command standing, until `time_s` or the end of the flight."""
         ticks = round((time_s - self.now()) / Flight.TICK_S)
-        if ticks > 0 and not self.course.finished:
-            self.course.update(self.simulator.advance(ticks)[self.course.world])
+        if ticks > 0 and not self.track_runner.finished:
+            self.track_runner.update(self.simulator.advance(ticks)[self.track_runner.world])
 
 
 class PacedDrone:

@@ -7,9 +7,9 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 
-from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import clip_action, proprioception
 from cognitivedrone.envs.spaces import Info, action_space, check_actions, observation_space
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import TaskError
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.airframe import find_airframe
@@ -49,25 +49,25 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         self.observation_space = observation_space()
         self.action_space = action_space()  # type: ignore[assignment]
         self.render_mode = render_mode
-        config = CourseConfig(look=look, time_limit_s=time_limit_s, wind_m_s=wind_m_s)
+        config = TrackConfig(look=look, time_limit_s=time_limit_s, wind_m_s=wind_m_s)
         pack = load_pack(labels)
         self.simulator = Simulator(1, airframe=find_airframe(airframe))
-        self.course = Course(self.simulator, 0, pack, config)
+        self.track_runner = TrackRunner(self.simulator, 0, pack, config)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], Info]:
         """Begin an episode, drawn from the seed or given as `options["episode"]`."""
         super().reset(seed=seed)
         episode = pick_episode(self.suite, self.np_random, options)
         draw = int(self.np_random.integers(2**31))
-        self.course.begin(self.suite.tracks[episode], episode_rng(self.suite.digest, episode, draw))
+        self.track_runner.begin(self.suite.tracks[episode], episode_rng(self.suite.digest, episode, draw))
         return self._observe(), self._info(episode=episode)
 
     def step(self, action: Action) -> tuple[dict[str, Any], float, bool, bool, Info]:
         """Fly one control period, 0.1 s."""
         check_actions(action, (4,))
         self.simulator.command(0, clip_action(action))
-        result = self.course.update(self.simulator.advance()[0])
-        reward, terminated, truncated = score(result, self.course.finished)
+        result = self.track_runner.update(self.simulator.advance()[0])
+        reward, terminated, truncated = score(result, self.track_runner.finished)
         return self._observe(), reward, terminated, truncated, self._info()
 
     def render(self) -> Any:
@@ -80,20 +80,20 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
 
     def truth(self) -> Truth:
         """What privileged pilots are told: for experts that make training data."""
-        return self.course.truth()
+        return self.track_runner.truth()
 
     def _observe(self) -> dict[str, Any]:
         velocity, height, yaw_rate = proprioception(self.simulator, 0)
         return {
             "image": self.simulator.frames()[0],
-            "instruction": self.course.task.instruction,
+            "instruction": self.track_runner.task.instruction,
             "velocity": velocity,
             "height": np.array([height], dtype=np.float32),
             "yaw_rate": np.array([yaw_rate], dtype=np.float32),
         }
 
     def _info(self, **more: Any) -> Info:
-        return {"task": self.course.task, "results": tuple(self.course.results), **more}
+        return {"task": self.track_runner.task, "results": tuple(self.track_runner.results), **more}
 
 
 def pick_episode(suite: Suite, rng: np.random.Generator, options: dict[str, Any] | None) -> int:

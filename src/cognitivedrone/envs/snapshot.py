@@ -11,7 +11,7 @@ from PIL import Image as PillowImage
 from PIL import ImageDraw
 
 from cognitivedrone.envs.captions import font, readable, wrap
-from cognitivedrone.envs.course import LOOKS, Course, CourseConfig, episode_rng
+from cognitivedrone.envs.track_runner import LOOKS, TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import RunError, did_you_mean
 from cognitivedrone.files import replace_file, writing
 from cognitivedrone.frames import FloatArray
@@ -44,30 +44,30 @@ def snapshot(suite: Suite, episode: int, out: Path, *, look: str, labels: str, s
         raise RunError(f"cannot write {out}: {out.suffix or 'no suffix'} is no kind of picture; end its name in .png")
     simulator = Simulator(1)
     try:
-        course = Course(simulator, 0, load_pack(labels), CourseConfig(look=look))
-        course.begin(track, episode_rng(suite.digest, episode, seed))
+        track_runner = TrackRunner(simulator, 0, load_pack(labels), TrackConfig(look=look))
+        track_runner.begin(track, episode_rng(suite.digest, episode, seed))
         where = f"{suite.name}, episode {episode}"
         if len(track) > 1:
             where += f", stage 1 of {len(track)}"
-        picture = draw(simulator, course, where)
+        picture = draw(simulator, track_runner, where)
     finally:
         simulator.close()
     coded = BytesIO()
     PillowImage.fromarray(picture).save(coded, format=form)
     with writing(out, RunError):
         replace_file(out, coded.getvalue())
-    return course.task
+    return track_runner.task
 
 
-def draw(simulator: Simulator, course: Course, where: str) -> Image:
-    """The task that a course is at, with its three views and gates named: (h, 1096, 3). `where` says which it is."""
+def draw(simulator: Simulator, track_runner: TrackRunner, where: str) -> Image:
+    """The task at hand in three views with gates named: (h, 1096, 3). `where` says which task it is."""
     if simulator.cameras is None:
         raise ValueError("this simulator was made without cameras")
-    state, stage = simulator.state(course.world), course.stage
-    seen = simulator.frames(worlds=[course.world])[0].repeat(2, axis=0).repeat(2, axis=1)
-    top = simulator.cameras.top(course.world, state, (SIDE, SIDE))
-    chase = simulator.cameras.chase(course.world, state, _CHASE_SIZE)
-    heading = _heading(course.task, where)
+    state, stage = simulator.state(track_runner.world), track_runner.stage
+    seen = simulator.frames(worlds=[track_runner.world])[0].repeat(2, axis=0).repeat(2, axis=1)
+    top = simulator.cameras.top(track_runner.world, state, (SIDE, SIDE))
+    chase = simulator.cameras.chase(track_runner.world, state, _CHASE_SIZE)
+    heading = _heading(track_runner.task, where)
     titles = 34
     rows = (heading.height, heading.height + titles + SIDE + _GAP)
     page = PillowImage.new("RGB", (_WIDTH, rows[1] + titles + _CHASE_SIZE[1] + _GAP), _PAPER)
@@ -80,7 +80,7 @@ def draw(simulator: Simulator, course: Course, where: str) -> Image:
     ):
         pen.text((left, row), title, _SOFT, font(24))
         marked = PillowImage.fromarray(picture)
-        _mark_gates(marked, view, course)
+        _mark_gates(marked, view, track_runner)
         page.paste(marked, (left, row + titles))
         box = (left - 1, row + titles - 1, left + marked.width, row + titles + marked.height)
         pen.rectangle(box, outline=(200, 204, 214))
@@ -121,22 +121,22 @@ def _look(gate: Gate) -> str:
     return f"{gate.size} {gate.color} {gate.shape} gate"
 
 
-def _mark_gates(picture: PillowImage.Image, view: View, course: Course) -> None:
+def _mark_gates(picture: PillowImage.Image, view: View, track_runner: TrackRunner) -> None:
     """The gates' numbers under them, as far as the gates are in the picture."""
     pen = ImageDraw.Draw(picture)
-    for index in geometry.standing(course.stage):
-        x, y = view.project(_under(course, index), picture.size)[0]
+    for index in geometry.standing(track_runner.stage):
+        x, y = view.project(_under(track_runner, index), picture.size)[0]
         if not (0 <= x <= picture.width and 0 <= y <= picture.height):
             continue
         x = min(max(x, _BADGE + 3), picture.width - _BADGE - 3)
         y = min(y + _BADGE, picture.height - _BADGE - 3)
-        _badge(pen, x, y, index + 1, right=index == course.task.target)
+        _badge(pen, x, y, index + 1, right=index == track_runner.task.target)
 
 
-def _under(course: Course, index: int) -> FloatArray:
+def _under(track_runner: TrackRunner, index: int) -> FloatArray:
     """(1, 3) world: the lowest point of a gate's frame, in its middle, m."""
-    outline = geometry.opening_outline(course.stage.gates[index], grow=geometry.BAR_WIDTH)
-    lowest: FloatArray = geometry.gate_centers(course.stage)[[index]] + [0.0, 0.0, outline[:, 1].min()]
+    outline = geometry.opening_outline(track_runner.stage.gates[index], grow=geometry.BAR_WIDTH)
+    lowest: FloatArray = geometry.gate_centers(track_runner.stage)[[index]] + [0.0, 0.0, outline[:, 1].min()]
     return lowest
 
 

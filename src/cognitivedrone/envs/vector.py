@@ -9,10 +9,10 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import clip_action
 from cognitivedrone.envs.gym import pick_episode, score
 from cognitivedrone.envs.spaces import Info, action_space, check_actions, observation_space
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import SimulationError
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.labels import load_pack
@@ -52,7 +52,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
     ) -> None:
         if num_envs < 1:
             raise SimulationError(f"num_envs is {num_envs}; it must be at least 1")
-        config = CourseConfig(look=look, time_limit_s=time_limit_s, wind_m_s=wind_m_s)
+        config = TrackConfig(look=look, time_limit_s=time_limit_s, wind_m_s=wind_m_s)
         pack = load_pack(labels)
         self.num_envs = num_envs
         self.suite = load_suite(suite, size=UNLIMITED) if isinstance(suite, str) else suite
@@ -64,7 +64,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         self._copy = copy
         threads = threads or min(len(os.sched_getaffinity(0)), num_envs)
         self.simulator = Simulator(num_envs, airframe=find_airframe(airframe), threads=threads)
-        self.courses = [Course(self.simulator, world, pack, config) for world in range(num_envs)]
+        self.track_runners = [TrackRunner(self.simulator, world, pack, config) for world in range(num_envs)]
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
         self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._images = np.zeros((num_envs, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)
@@ -87,17 +87,17 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         """Fly all worlds for one control period, 0.1 s."""
         check_actions(actions, (self.num_envs, 4))
         self.simulator.flight.command(clip_action(actions))
-        verdicts = self.simulator.advance()
+        gate_events = self.simulator.advance()
         rewards = np.zeros(self.num_envs)
         terminated = np.zeros(self.num_envs, dtype=np.bool_)
         truncated = np.zeros(self.num_envs, dtype=np.bool_)
         results: list[StageResult | None] = [None] * self.num_envs
-        for world, course in enumerate(self.courses):
+        for world, track_runner in enumerate(self.track_runners):
             if self._ended[world]:
                 self._begin(world, None)
                 continue
-            results[world] = course.update(verdicts[world])
-            rewards[world], terminated[world], truncated[world] = score(results[world], course.finished)
+            results[world] = track_runner.update(gate_events[world])
+            rewards[world], terminated[world], truncated[world] = score(results[world], track_runner.finished)
         self._ended = terminated | truncated
         return self._observe(), rewards, terminated, truncated, self._info(results)
 
@@ -113,20 +113,20 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
 
     def truths(self) -> list[Truth]:
         """What privileged pilots are told in each world: for experts that make training data."""
-        return [course.truth() for course in self.courses]
+        return [track_runner.truth() for track_runner in self.track_runners]
 
     def _begin(self, world: int, options: dict[str, Any] | None) -> None:
         rng = self._rngs[world]
         episode = pick_episode(self.suite, rng, options)
         draw = int(rng.integers(2**31))
-        self.courses[world].begin(self.suite.tracks[episode], episode_rng(self.suite.digest, episode, draw))
+        self.track_runners[world].begin(self.suite.tracks[episode], episode_rng(self.suite.digest, episode, draw))
 
     def _observe(self) -> dict[str, Any]:
         flight = self.simulator.flight
         self.simulator.frames(self._images)
         return {
             "image": self._images.copy() if self._copy else self._images,
-            "instruction": tuple(course.task.instruction for course in self.courses),
+            "instruction": tuple(track_runner.task.instruction for track_runner in self.track_runners),
             "velocity": world_to_heading(flight.velocity, yaw_of(flight.quaternion)).astype(np.float32),
             "height": flight.position[:, 2:].astype(np.float32),
             "yaw_rate": flight.body_rates[:, 2:].astype(np.float32),
@@ -134,7 +134,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
 
     def _info(self, results: list[StageResult | None]) -> Info:
         tasks = np.empty(self.num_envs, dtype=object)
-        tasks[:] = [course.task for course in self.courses]
+        tasks[:] = [track_runner.task for track_runner in self.track_runners]
         ended = np.empty(self.num_envs, dtype=object)
         ended[:] = results
         return {"task": tasks, "result": ended}

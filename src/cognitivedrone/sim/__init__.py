@@ -1,1 +1,1 @@
-"""The simulator: airframe, autopilot, batched flight, camera, referee. Knows stages, never tasks."""
+"""The simulator: airframe, autopilot, batched flight, camera, gate monitor. Knows stages, never tasks."""

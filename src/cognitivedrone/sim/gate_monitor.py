@@ -33,7 +33,7 @@ FAVOUR_M = 2.5
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class GateEvent:
     """The first decisive event of a stretch of path."""
 
     kind: VerdictKind
@@ -45,26 +45,26 @@ class Verdict:
     """Room between hull and frame at the plane; only for a gate flown through."""
 
 
-def judge(stage: Stage, path: FloatArray, hull_radius: float, aspects: tuple[float, float, float]) -> Verdict | None:
+def judge(stage: Stage, path: FloatArray, hull_radius: float, aspects: tuple[float, float, float]) -> GateEvent | None:
     """The first event along `path` ((k, 3) world, m; its first sample was judged before), or none.
 
     `aspects` are width over height of the three panels.
     """
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
-    first: Verdict | None = None
+    first: GateEvent | None = None
 
-    def consider(verdict: Verdict) -> None:
+    def consider(gate_event: GateEvent) -> None:
         nonlocal first
-        if first is None or verdict.sample < first.sample:
-            first = verdict
+        if first is None or gate_event.sample < first.sample:
+            first = gate_event
 
     local = to_stage_frame(stage, path)
     outside = np.any((local < BOUNDS_LOW) | (local > BOUNDS_HIGH), axis=1)
     if outside.any():
-        consider(Verdict("out_of_bounds", None, int(np.argmax(outside))))
+        consider(GateEvent("out_of_bounds", None, int(np.argmax(outside))))
     grounded = path[:, 2] < hull_radius
     if grounded.any():
-        consider(Verdict("collision", None, int(np.argmax(grounded))))
+        consider(GateEvent("collision", None, int(np.argmax(grounded))))
     alone = stage.only is not None
     for index in geometry.standing(stage):
         gate = stage.gates[index]
@@ -77,7 +77,7 @@ def judge(stage: Stage, path: FloatArray, hull_radius: float, aspects: tuple[flo
             room = np.minimum(room, geometry.panel_distance(aspects[index], along, lateral, vertical))
         touching = room < hull_radius
         if touching.any():
-            consider(Verdict("collision", index, int(np.argmax(touching))))
+            consider(GateEvent("collision", index, int(np.argmax(touching))))
         crossings = np.flatnonzero((along[:-1] <= 0) & (along[1:] > 0))
         for before in crossings:
             part = along[before] / (along[before] - along[before + 1])
@@ -86,9 +86,9 @@ def judge(stage: Stage, path: FloatArray, hull_radius: float, aspects: tuple[flo
                 continue
             margin = float(geometry.opening_margin(gate, np.float64(side), np.float64(rise)))
             if margin > 0:
-                consider(Verdict("gate", index, int(before) + 1, margin - hull_radius))
+                consider(GateEvent("gate", index, int(before) + 1, margin - hull_radius))
             else:
-                consider(Verdict("missed", index, int(before) + 1))
+                consider(GateEvent("missed", index, int(before) + 1))
     return first
 
 
@@ -99,7 +99,7 @@ def to_stage_frame(stage: Stage, points: FloatArray) -> FloatArray:
     return np.stack([c * x + s * y, c * y - s * x, points[..., 2]], axis=-1)
 
 
-class Referee:
+class GateMonitor:
     """Follows one drone through one stage: judges its path and measures it."""
 
     def __init__(
@@ -115,18 +115,18 @@ class Referee:
         """(3,) closest approach to each gate's centre so far, m."""
         self._last = self.start
 
-    def follow(self, path: FloatArray) -> Verdict | None:
+    def follow(self, path: FloatArray) -> GateEvent | None:
         """Judge the next stretch, (k, 3) world, m."""
         whole = np.concatenate([self._last[None], path])
-        verdict = judge(self.stage, whole, self.hull_radius, self.aspects) if self._near(whole) else None
-        if verdict is not None:
-            whole = whole[: verdict.sample + 1]
+        gate_event = judge(self.stage, whole, self.hull_radius, self.aspects) if self._near(whole) else None
+        if gate_event is not None:
+            whole = whole[: gate_event.sample + 1]
         steps = np.diff(whole, axis=0)
         self.path_m += float(np.sqrt((steps * steps).sum(axis=1)).sum())
         to_gates = whole[:, None] - self.centers
         np.minimum(self.closest_m, np.sqrt((to_gates * to_gates).sum(axis=2)).min(axis=0), out=self.closest_m)
         self._last = whole[-1]
-        return verdict
+        return gate_event
 
     def favoured(self) -> int | None:
         """The gate nearest to where the drone is now, if one is near enough to call it a choice."""

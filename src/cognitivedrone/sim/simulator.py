@@ -1,4 +1,4 @@
-"""Worlds with a drone, three gates and a camera: flight, sight and referee as one. Knows stages, never tasks."""
+"""Worlds with a drone, three gates and a camera: flight, camera and gate monitor as one. Knows stages, never tasks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cognitivedrone.sim.airframe import RACER, Airframe
 from cognitivedrone.sim.camera import Cameras
 from cognitivedrone.sim.dynamics import Flight
 from cognitivedrone.sim.flying import Flying, Seeing
-from cognitivedrone.sim.gate_monitor import Referee, Verdict
+from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, DroneState, FloatArray, Image, Stage
 from cognitivedrone.world.appearance import PLAIN, Look
 
@@ -67,7 +67,7 @@ class Simulator:
         self._eyes: Seeing | None = eyes or self.cameras
         self.ticks = np.zeros(worlds, dtype=np.int64)
         """(worlds,) physics ticks since each world's flight began."""
-        self._referees: list[Referee | None] = [None] * worlds
+        self._gate_monitors: list[GateMonitor | None] = [None] * worlds
 
     def begin(self, world: int, stage: Stage, scenery: Scenery, start: Start) -> None:
         """Start a new flight in one world: the drone hovers at `start`."""
@@ -81,19 +81,19 @@ class Simulator:
             self._eyes.set_stage(world, stage, scenery.panels, scenery.board, scenery.look)
         left, middle, right = (image.shape[1] / image.shape[0] for image in scenery.panels)
         start = self.flight.position[world]
-        self._referees[world] = Referee(stage, start, self.airframe.hull_radius, (left, middle, right))
+        self._gate_monitors[world] = GateMonitor(stage, start, self.airframe.hull_radius, (left, middle, right))
 
     def command(self, world: int, action: FloatArray) -> None:
         """Set one world's velocity setpoint: (4,) heading frame, m/s and rad/s."""
         self.flight.command_one(world, action)
 
-    def advance(self, ticks: int = TICKS_PER_CONTROL) -> list[Verdict | None]:
+    def advance(self, ticks: int = TICKS_PER_CONTROL) -> list[GateEvent | None]:
         """Let all worlds go on by physics ticks; what happened in each."""
         path = self.flight.advance(ticks)
         self.ticks += ticks
         return [
-            None if referee is None or self.flight.diverged[world] else referee.follow(path[world])
-            for world, referee in enumerate(self._referees)
+            None if gate_monitor is None or self.flight.diverged[world] else gate_monitor.follow(path[world])
+            for world, gate_monitor in enumerate(self._gate_monitors)
         ]
 
     def frames(self, out: Image | None = None, worlds: Sequence[int] | None = None) -> Image:
@@ -105,12 +105,12 @@ class Simulator:
         chosen = list(worlds)
         return self._eyes.first_person(self.flight.position[chosen], self.flight.quaternion[chosen], out, chosen)
 
-    def referee(self, world: int) -> Referee:
-        """The referee of the stage at hand."""
-        referee = self._referees[world]
-        if referee is None:
+    def gate_monitor(self, world: int) -> GateMonitor:
+        """The gate monitor of the stage at hand."""
+        gate_monitor = self._gate_monitors[world]
+        if gate_monitor is None:
             raise ValueError(f"world {world} has no stage yet; call begin() first")
-        return referee
+        return gate_monitor
 
     def state(self, world: int) -> DroneState:
         """True state of one drone."""

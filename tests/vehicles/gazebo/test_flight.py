@@ -15,13 +15,13 @@ import pytest
 
 pytest.importorskip("pymavlink")
 
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, stage_of
 from moving import Moving, moving
 from reading import models, read_world
 from stand_in import StandIn
 
 from cognitivedrone.cli import main
-from cognitivedrone.control.loop import Leg, fly
-from cognitivedrone.envs.course import Course, CourseConfig, stage_of
+from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.envs.drone import SimulatedDrone
 from cognitivedrone.errors import GazeboError, RunError
 from cognitivedrone.frames import rotate_yaw
@@ -90,27 +90,31 @@ def test_a_track_is_flown_and_scored_by_true_poses(running):
     policy = make_policy("oracle")
     with opened(running) as flight:
         simulator = Simulator(1, airframe=IRIS, flight=flight, eyes=flight)
-        course = Course(simulator, 0, load_pack(), CourseConfig())
-        course.begin(track, np.random.default_rng(0))
-        assert simulator.state(0).position == pytest.approx(course.start.position, abs=0.15)
-        for number, center in enumerate(geometry.gate_centers(course.stage), start=1):
+        track_runner = TrackRunner(simulator, 0, load_pack(), TrackConfig())
+        track_runner.begin(track, np.random.default_rng(0))
+        assert simulator.state(0).position == pytest.approx(track_runner.start.position, abs=0.15)
+        for number, center in enumerate(geometry.gate_centers(track_runner.stage), start=1):
             expected = center - simulator.state(0).position
             assert gate_seen_from_the_vehicle(running, number) == pytest.approx(expected, abs=0.15)
-        drone = SimulatedDrone(simulator, course)
+        drone = SimulatedDrone(simulator, track_runner)
         assert drone.observe().image[0, 0, 0] == len(running.gazebo.poses)
 
-        def mission() -> Leg | None:
-            return None if course.finished else Leg(course.index, course.task.directive, course.truth())
+        def mission() -> Segment | None:
+            return (
+                None
+                if track_runner.finished
+                else Segment(track_runner.index, track_runner.task.directive, track_runner.truth())
+            )
 
         fly(drone, policy, drone, mission)
-        assert [result.outcome for result in course.results] == ["passed", "passed"]
-        assert all(0.95 < result.path_ratio < 1.2 for result in course.results)
+        assert [result.outcome for result in track_runner.results] == ["passed", "passed"]
+        assert all(0.95 < result.path_ratio < 1.2 for result in track_runner.results)
         assert flight.report.frames > 40
         assert flight.report.lost == 0
         assert (flight.report.restarts, flight.trouble) == (0, "")
         # The next one begins where it is drawn, though the vehicle is somewhere else by now.
-        course.begin(track[:1], np.random.default_rng(1))
-        assert simulator.state(0).position == pytest.approx(course.start.position, abs=0.15)
+        track_runner.begin(track[:1], np.random.default_rng(1))
+        assert simulator.state(0).position == pytest.approx(track_runner.start.position, abs=0.15)
         assert abs(running.vehicle.state().position[:2]).max() > 3
     assert not running.vehicle.modes.armed  # landed
     assert not any(running.gazebo.listeners.values())

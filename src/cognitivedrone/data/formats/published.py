@@ -82,8 +82,8 @@ def published_actions(position: NDArray[np.float64], quaternion: NDArray[np.floa
     ahead = np.minimum(steps + LOOKAHEAD, len(position) - 1)
     displacement = position[ahead] - position[steps]
     distance = np.hypot(displacement[:, 0], displacement[:, 1])
-    course = np.arctan2(displacement[:, 1], displacement[:, 0])
-    angle = np.where(distance < STILL_M, 0.0, wrap_angle(course - yaw_of(quaternion)))
+    track_runner = np.arctan2(displacement[:, 1], displacement[:, 0])
+    angle = np.where(distance < STILL_M, 0.0, wrap_angle(track_runner - yaw_of(quaternion)))
     return np.column_stack([-distance, np.zeros_like(distance), -displacement[:, 2], angle])
 
 

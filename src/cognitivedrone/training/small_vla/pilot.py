@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from cognitivedrone.envs.course import Course, CourseConfig, episode_rng
 from cognitivedrone.envs.drone import clip_action
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.labels import load_pack
 from cognitivedrone.models.small_vla import SmallVLA
 from cognitivedrone.models.text import Vocabulary
@@ -42,27 +42,27 @@ class NetworkPilot:
         return first
 
 
-def fly_suite(pilot: NetworkPilot, suite: Suite, config: CourseConfig, seed: int = 0) -> list[StageResult]:
+def fly_suite(pilot: NetworkPilot, suite: Suite, config: TrackConfig, seed: int = 0) -> list[StageResult]:
     """Fly every track of a suite in closed loop, all together; results in the order of the suite."""
     simulator = Simulator(len(suite.tracks))
     try:
         labels = load_pack("open-v1")
-        courses = [Course(simulator, world, labels, config) for world in range(simulator.worlds)]
-        for world, course in enumerate(courses):
-            course.begin(suite.tracks[world], episode_rng(suite.digest, world, seed))
-        while flying := [course.world for course in courses if not course.finished]:
+        track_runners = [TrackRunner(simulator, world, labels, config) for world in range(simulator.worlds)]
+        for world, track_runner in enumerate(track_runners):
+            track_runner.begin(suite.tracks[world], episode_rng(suite.digest, world, seed))
+        while flying := [track_runner.world for track_runner in track_runners if not track_runner.finished]:
             flight = simulator.flight
             poses = Poses(flight.position, flight.quaternion, flight.velocity, flight.body_rates[:, 2])
             frames, states = simulator.frames(worlds=flying), poses.state()[flying]
-            texts = [courses[world].task.instruction for world in flying]
+            texts = [track_runners[world].task.instruction for world in flying]
             for begin in range(0, len(flying), 32):
                 part = slice(begin, begin + 32)
                 actions = clip_action(pilot.act(frames[part], states[part], texts[part]))
                 for world, action in zip(flying[part], actions, strict=True):
                     simulator.command(world, action)
-            verdicts = simulator.advance()
+            gate_events = simulator.advance()
             for world in flying:
-                courses[world].update(verdicts[world])
-        return [result for course in courses for result in course.results]
+                track_runners[world].update(gate_events[world])
+        return [result for track_runner in track_runners for result in track_runner.results]
     finally:
         simulator.close()

@@ -13,7 +13,7 @@ import torch
 from torch import nn
 
 from cognitivedrone.data.store import Store
-from cognitivedrone.envs.course import CourseConfig
+from cognitivedrone.envs.track_runner import TrackConfig
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.small_vla import SmallVLA, SmallVLAConfig
 from cognitivedrone.models.text import Vocabulary
@@ -152,7 +152,7 @@ def training_batches(
 
 def trial(pilot: NetworkPilot, suite: str, count: int) -> Row:
     """Success of a pilot in closed loop on the first tracks of a suite, under a seed of its own, by family."""
-    results = fly_suite(pilot, load_suite(suite, size=count, seed=10**6), CourseConfig(time_limit_s=15.0))
+    results = fly_suite(pilot, load_suite(suite, size=count, seed=10**6), TrackConfig(time_limit_s=15.0))
     row: Row = {"success": sum(r.outcome == "passed" for r in results) / len(results)}
     for family in sorted({result.family for result in results}):
         own = [result.outcome == "passed" for result in results if result.family == family]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.data.episode import Split
 from cognitivedrone.data.store import Store
-from cognitivedrone.envs.course import stage_of
+from cognitivedrone.envs.track_runner import stage_of
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.frames import rotate_yaw, yaw_of
 from cognitivedrone.labels import load_pack

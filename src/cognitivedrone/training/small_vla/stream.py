@@ -15,8 +15,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.envs.course import draw_start, scenery_of, stage_of
 from cognitivedrone.envs.drone import clip_action
+from cognitivedrone.envs.track_runner import draw_start, scenery_of, stage_of
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
@@ -143,11 +143,11 @@ class Rehearsal:
             seen = frames[np.isin(shown, taken)]
             samples.append(self._sampler.sample(self._rng, self._poses(taken), flights, seen))
         self._command(led, frames[np.isin(shown, led)])
-        verdicts = self._simulator.advance()
+        gate_events = self._simulator.advance()
         flight = self._simulator.flight
         far = (np.abs(flight.position[:, :2]) > _BOUND_M).any(axis=1) | flight.diverged
-        for world, verdict in enumerate(verdicts):
-            if verdict is not None or far[world] or self._flights[world].steps > _TOO_LONG:
+        for world, gate_event in enumerate(gate_events):
+            if gate_event is not None or far[world] or self._flights[world].steps > _TOO_LONG:
                 self._flights[world] = self._begin(world)
         return samples
 

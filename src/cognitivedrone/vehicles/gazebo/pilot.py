@@ -65,7 +65,7 @@ def take_off(url: str, world: GazeboWorld) -> MavlinkDrone:
 
 
 class RefereesGuard:
-    """Lets every command pass until it is told to land: where a referee judges, no rule is to hold back.
+    """Lets every command pass until it is told to land: where a gate monitor judges, no rule is to hold back.
 
     Hands off, for good, where the motors stop or a mode shows that nobody here ordered.
     """

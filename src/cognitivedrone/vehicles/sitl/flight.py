@@ -2,7 +2,7 @@
 
 It takes off once and flies one task after the other. To begin at another place it flies to the height of the start and
 brakes; then the benchmark's world is turned and shifted over the ground, so that the drone hovers where the start was
-drawn. Heights are always true, and the referee sees the true path, not what the autopilot believes.
+drawn. Heights are always true, and the gate monitor sees the true path, not what the autopilot believes.
 """
 
 from __future__ import annotations

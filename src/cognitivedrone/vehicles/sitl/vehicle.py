@@ -46,7 +46,7 @@ class _Word:
 
 
 class OpenGuard:
-    """Lets every command pass while the vehicle is ours and armed: where a referee judges, no rule is to hold back.
+    """Lets every command pass while the vehicle is ours and armed: where a gate monitor judges, no rule holds it back.
 
     Times on the wall say nothing here, since the vehicle stands still while a policy thinks.
     """

@@ -126,11 +126,11 @@ def _global_position(m: Any, s: Snapshot) -> Any:
 def _gps_raw(m: Any, s: Snapshot) -> Any:
     latitude, longitude, altitude = _degrees(s)
     north, east, _ = (float(v) for v in s.velocity_ned)
-    course = round(math.degrees(math.atan2(east, north)) * 100) % 36000
+    track_runner = round(math.degrees(math.atan2(east, north)) * 100) % 36000
     speed = _clamped(math.hypot(north, east) * 100, 65534)
     fix = m.GPS_FIX_TYPE_RTK_FIXED if s.ready else m.GPS_FIX_TYPE_NO_FIX
     return m.MAVLink_gps_raw_int_message(
-        round(s.time * 1e6), fix, latitude, longitude, round(altitude * 1000), 50, 80, speed, course, 16 * s.ready
+        round(s.time * 1e6), fix, latitude, longitude, round(altitude * 1000), 50, 80, speed, track_runner, 16 * s.ready
     )
 
 

@@ -1,4 +1,4 @@
-"""The referee sees passes, misses, contacts and strays as a marshal at the gate would."""
+"""The gate monitor sees passes, misses, contacts and strays as a marshal at the gate would."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cognitivedrone.sim.gate_monitor import Referee, judge
+from cognitivedrone.sim.gate_monitor import GateMonitor, judge
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Stage
 from cognitivedrone.world import geometry
 
@@ -37,11 +37,11 @@ gates = st.builds(Gate, st.sampled_from(SIZES), st.sampled_from(SHAPES), st.samp
 @settings(max_examples=60)
 def test_the_centre_of_every_gate_can_be_flown_through(gate, yaw, x):
     stage = stage_with(gate, yaw, (x, -x))
-    verdict = judge(stage, straight(stage, 0, 0.0, 0.0), HULL, SQUARE)
-    assert verdict is not None
-    assert (verdict.kind, verdict.gate) == ("gate", 0)
+    gate_event = judge(stage, straight(stage, 0, 0.0, 0.0), HULL, SQUARE)
+    assert gate_event is not None
+    assert (gate_event.kind, gate_event.gate) == ("gate", 0)
     margin = float(geometry.opening_margin(gate, np.float64(0), np.float64(0)))
-    assert verdict.clearance_m == pytest.approx(margin - HULL)
+    assert gate_event.clearance_m == pytest.approx(margin - HULL)
 
 
 @given(gate=gates, side=st.floats(-1.9, 1.9), rise=st.floats(-0.7, 0.5))
@@ -50,14 +50,14 @@ def test_a_straight_flight_ends_as_the_geometry_of_its_plane_says(gate, side, ri
     stage = stage_with(gate)
     margin = float(geometry.opening_margin(gate, np.float64(side), np.float64(rise)))
     room = float(geometry.frame_distance(gate, 0.0, side, rise))
-    verdict = judge(stage, straight(stage, 0, side, rise), HULL, SQUARE)
-    assert verdict is not None
+    gate_event = judge(stage, straight(stage, 0, side, rise), HULL, SQUARE)
+    assert gate_event is not None
     if margin > HULL + 0.01:
-        assert verdict.kind == "gate"
+        assert gate_event.kind == "gate"
     elif room < HULL - 0.01:
-        assert verdict.kind == "collision"
+        assert gate_event.kind == "collision"
     elif margin < 0 and room > HULL + 0.01 and rise < 0.4:
-        assert verdict.kind == "missed"
+        assert gate_event.kind == "missed"
 
 
 def test_flying_back_through_a_gate_does_not_count():
@@ -68,25 +68,25 @@ def test_flying_back_through_a_gate_does_not_count():
 def test_the_floor_is_a_contact():
     stage = stage_with(Gate("big", "round", "red"))
     path = np.column_stack([np.zeros(50), np.zeros(50), np.linspace(1, 0.1, 50)])
-    verdict = judge(stage, path, HULL, SQUARE)
-    assert verdict is not None
-    assert (verdict.kind, verdict.gate) == ("collision", None)
-    assert path[verdict.sample, 2] < HULL <= path[verdict.sample - 1, 2]
+    gate_event = judge(stage, path, HULL, SQUARE)
+    assert gate_event is not None
+    assert (gate_event.kind, gate_event.gate) == ("collision", None)
+    assert path[gate_event.sample, 2] < HULL <= path[gate_event.sample - 1, 2]
 
 
 def test_a_panel_is_a_contact_at_its_gate():
     stage = stage_with(Gate("big", "round", "red"))
-    verdict = judge(stage, straight(stage, 1, 0.2, 2.0), HULL, SQUARE)
-    assert verdict is not None
-    assert (verdict.kind, verdict.gate) == ("collision", 1)
+    gate_event = judge(stage, straight(stage, 1, 0.2, 2.0), HULL, SQUARE)
+    assert gate_event is not None
+    assert (gate_event.kind, gate_event.gate) == ("collision", 1)
 
 
 def test_leaving_the_stage_is_out_of_bounds():
     stage = stage_with(Gate("big", "round", "red"))
     path = np.column_stack([np.linspace(-1, -6, 80), np.zeros(80), np.ones(80)])
-    verdict = judge(stage, path, HULL, SQUARE)
-    assert verdict is not None
-    assert verdict.kind == "out_of_bounds"
+    gate_event = judge(stage, path, HULL, SQUARE)
+    assert gate_event is not None
+    assert gate_event.kind == "out_of_bounds"
 
 
 @pytest.mark.parametrize("pieces", [1, 7, 25])
@@ -94,14 +94,14 @@ def test_following_in_pieces_finds_what_judging_at_once_finds(pieces):
     stage = stage_with(Gate("small", "triangle", "blue"), yaw=0.7, origin=(3.0, 2.0))
     path = straight(stage, 0, 0.01, 0.0, length=6.0, samples=301)
     whole = judge(stage, path, HULL, SQUARE)
-    referee = Referee(stage, path[0], HULL, SQUARE)
+    gate_monitor = GateMonitor(stage, path[0], HULL, SQUARE)
     found = None
     for piece in np.array_split(path[1:], pieces):
-        found = found or referee.follow(piece)
+        found = found or gate_monitor.follow(piece)
     assert whole is not None
     assert found is not None
     assert (found.kind, found.gate, found.clearance_m) == (whole.kind, whole.gate, whole.clearance_m)
-    assert referee.closest_m[0] < 0.02
+    assert gate_monitor.closest_m[0] < 0.02
 
 
 def alone(gate: Gate, index: int, yaw: float = 0.0) -> Stage:
@@ -121,11 +121,11 @@ def test_of_gates_that_are_not_there_nothing_is_seen_but_that_the_only_one_was_p
     absent = (index + other) % 3
     # Along the bar of the absent gate, where a frame would be hit, and on beyond the plane of the only gate.
     path = straight(stage, absent, 0.8, 0.0, length=4.0)
-    verdict = judge(stage, path, HULL, SQUARE)
+    gate_event = judge(stage, path, HULL, SQUARE)
     crosses = (to_only(stage, path)[[0, -1], 0] > 0).tolist() == [False, True]
-    assert crosses == (verdict is not None)
-    if verdict is not None:
-        assert (verdict.kind, verdict.gate) == ("missed", index)
+    assert crosses == (gate_event is not None)
+    if gate_event is not None:
+        assert (gate_event.kind, gate_event.gate) == ("missed", index)
 
 
 def to_only(stage: Stage, path: np.ndarray) -> np.ndarray:
@@ -146,24 +146,26 @@ def test_a_gate_alone_has_a_frame_to_touch_but_no_panel():
 def test_flying_straight_past_a_gate_that_stands_alone_is_a_miss_however_far_beside():
     path = np.column_stack([np.linspace(-1, 8.9, 200), np.zeros(200), np.ones(200)])
     for index in (0, 2):
-        referee = Referee(alone(Gate("big", "round", "red"), index), path[0], HULL, SQUARE)
-        verdicts = [verdict for piece in np.array_split(path[1:], 50) if (verdict := referee.follow(piece))]
-        assert (verdicts[0].kind, verdicts[0].gate) == ("missed", index)
-        assert referee.favoured() is None
+        gate_monitor = GateMonitor(alone(Gate("big", "round", "red"), index), path[0], HULL, SQUARE)
+        gate_events = [
+            gate_event for piece in np.array_split(path[1:], 50) if (gate_event := gate_monitor.follow(piece))
+        ]
+        assert (gate_events[0].kind, gate_events[0].gate) == ("missed", index)
+        assert gate_monitor.favoured() is None
 
 
 def test_only_the_gate_that_stands_can_be_favoured():
     for index in range(3):
         stage = alone(Gate("big", "round", "red"), index)
         for near, center in enumerate(geometry.gate_centers(stage)):
-            referee = Referee(stage, center - [0.5, 0.0, 0.0], HULL, SQUARE)
-            assert referee.favoured() == (index if near == index else None)
+            gate_monitor = GateMonitor(stage, center - [0.5, 0.0, 0.0], HULL, SQUARE)
+            assert gate_monitor.favoured() == (index if near == index else None)
 
 
-def test_the_referee_measures_the_way():
+def test_the_gate_monitor_measures_the_way():
     stage = stage_with(Gate("big", "round", "red"))
-    referee = Referee(stage, np.array([-1.0, 0.0, 1.0]), HULL, SQUARE)
-    assert referee.favoured() is None
-    assert referee.follow(np.column_stack([np.linspace(-1, 3.5, 50), np.zeros(50), np.ones(50)])) is None
-    assert referee.path_m == pytest.approx(4.5)
-    assert referee.favoured() == 1
+    gate_monitor = GateMonitor(stage, np.array([-1.0, 0.0, 1.0]), HULL, SQUARE)
+    assert gate_monitor.favoured() is None
+    assert gate_monitor.follow(np.column_stack([np.linspace(-1, 3.5, 50), np.zeros(50), np.ones(50)])) is None
+    assert gate_monitor.path_m == pytest.approx(4.5)
+    assert gate_monitor.favoured() == 1

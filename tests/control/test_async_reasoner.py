@@ -8,7 +8,7 @@ import threading
 import numpy as np
 import pytest
 
-from cognitivedrone.control.async_reasoner import Question, SimulatedMind, ThreadMind
+from cognitivedrone.control.async_reasoner import Question, SimulatedReasoner, ThreadedReasoner
 from cognitivedrone.errors import ReasonerError
 from cognitivedrone.types import Guidance
 
@@ -42,7 +42,7 @@ class Remembers:
 
 def test_a_reasoner_that_remembers_hears_of_the_flight_and_of_every_stage():
     reasoner = Remembers()
-    mind = SimulatedMind(reasoner)
+    mind = SimulatedReasoner(reasoner)
     for leg in (0, 0, 1):
         mind.ask(question(leg))
         assert mind.answer(0.0).guidance.confidence == 0.5
@@ -50,7 +50,7 @@ def test_a_reasoner_that_remembers_hears_of_the_flight_and_of_every_stage():
 
 
 def test_an_answer_comes_once():
-    mind = SimulatedMind(Remembers(), lambda _: 0.2)
+    mind = SimulatedReasoner(Remembers(), lambda _: 0.2)
     assert mind.idle(0.0)
     mind.ask(question())
     assert not mind.idle(0.1)
@@ -70,7 +70,7 @@ def test_faults_are_answers():
         def refine(self, image, instruction):
             raise ReasonerError("garbage", "it said <html>")
 
-    mind = SimulatedMind(Faulty())
+    mind = SimulatedReasoner(Faulty())
     mind.ask(question())
     answer = mind.answer(0.0)
     assert (answer.guidance, answer.fault, answer.message) == (None, "garbage", "it said <html>")
@@ -78,7 +78,7 @@ def test_faults_are_answers():
 
 
 def test_an_exception_of_the_reasoners_own_is_a_fault_whose_traceback_is_kept():
-    mind = SimulatedMind(Mistaken())
+    mind = SimulatedReasoner(Mistaken())
     mind.ask(question())
     answer = mind.answer(0.0)
     assert (answer.guidance, answer.fault) == (None, "raised")
@@ -108,7 +108,7 @@ def test_what_is_no_answer_is_a_fault(returned, fault):
         def refine(self, image, instruction):
             return returned
 
-    mind = SimulatedMind(Returns())
+    mind = SimulatedReasoner(Returns())
     mind.ask(question())
     answer = mind.answer(0.0)
     assert (answer.guidance, answer.fault) == (None, fault)
@@ -124,7 +124,7 @@ def test_a_thread_thinks_beside_the_loop():
             done.set()
             return Guidance(threading.current_thread().name, None, 1.0)
 
-    mind = ThreadMind(Slow())
+    mind = ThreadedReasoner(Slow())
     mind.ask(question())
     assert not mind.idle(0.0)
     assert mind.answer(0.0) is None
@@ -137,7 +137,7 @@ def test_a_thread_thinks_beside_the_loop():
 
 
 def test_an_exception_in_the_thread_is_a_fault_too():
-    mind = ThreadMind(Mistaken())
+    mind = ThreadedReasoner(Mistaken())
     mind.ask(question())
     assert wait(mind).fault == "raised"
     mind.close()

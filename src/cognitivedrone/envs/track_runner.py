@@ -1,6 +1,7 @@
 """One drone's way through the tasks of a track: which stage is on, where it stands, how each ended.
 
-The bridge between tasks and the simulator: here a verdict ("through gate 2") meets the question ("which was right?").
+The bridge between tasks and the simulator: here an event at a gate ("through gate 2") meets the question ("which was
+right?").
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 
 from cognitivedrone.errors import SimulationError, did_you_mean
 from cognitivedrone.interfaces import LabelPack
-from cognitivedrone.sim.gate_monitor import Verdict
+from cognitivedrone.sim.gate_monitor import GateEvent
 from cognitivedrone.sim.simulator import Scenery, Simulator, Start
 from cognitivedrone.types import Outcome, Stage, StageResult, Task, Track, Truth
 from cognitivedrone.world import geometry
@@ -25,7 +26,7 @@ FLOOR_ROOM_M = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class CourseConfig:
+class TrackConfig:
     """The conditions of a flight. Raises `SimulationError` where they cannot be simulated."""
 
     look: str = "plain"
@@ -73,14 +74,14 @@ def draw_start(rng: np.random.Generator, hull_radius: float, wind_m_s: float = 0
     return Start((float(x), float(y), max(float(z), lowest)), 0.0, wind)
 
 
-class Course:
+class TrackRunner:
     """Flies one world of a simulator through a track.
 
     A stage that is passed, or left through a wrong gate, leads to the next one behind that gate; anything else ends
     the flight, and the stages that were not reached count as such.
     """
 
-    def __init__(self, simulator: Simulator, world: int, labels: LabelPack, config: CourseConfig) -> None:
+    def __init__(self, simulator: Simulator, world: int, labels: LabelPack, config: TrackConfig) -> None:
         self.simulator = simulator
         self.world = world
         self.labels = labels
@@ -129,12 +130,12 @@ class Course:
         """What a privileged pilot is told."""
         return Truth(self.task, self.stage, lambda: self.simulator.state(self.world))
 
-    def update(self, verdict: Verdict | None) -> StageResult | None:
+    def update(self, gate_event: GateEvent | None) -> StageResult | None:
         """Take in what happened in the last stretch of flight; the result, where it ended the stage."""
         if self.simulator.flight.diverged[self.world]:
             return self.end("invalid")
-        if verdict is not None:
-            return self._judged(verdict)
+        if gate_event is not None:
+            return self._judged(gate_event)
         if self.simulator.time(self.world) - self._stage_start_s >= self.config.time_limit_s - 1e-9:
             return self.end("timeout")
         return None
@@ -142,34 +143,34 @@ class Course:
     def end(self, outcome: Outcome, *, chosen: int | None = None, clearance_m: float | None = None) -> StageResult:
         """End the flight here; what was not reached is recorded as such."""
         if chosen is None and outcome not in ("invalid", "policy_error"):
-            chosen = self.simulator.referee(self.world).favoured()
+            chosen = self.simulator.gate_monitor(self.world).favoured()
         result = self._result(outcome, chosen, clearance_m)
         self.results.append(result)
         for task in self.track[len(self.results) :]:
             self.results.append(unflown(task, "not_reached"))
         return result
 
-    def _judged(self, verdict: Verdict) -> StageResult:
-        if verdict.kind != "gate":
-            return self.end(verdict.kind, chosen=verdict.gate)
-        passed = verdict.gate == self.task.target
+    def _judged(self, gate_event: GateEvent) -> StageResult:
+        if gate_event.kind != "gate":
+            return self.end(gate_event.kind, chosen=gate_event.gate)
+        passed = gate_event.gate == self.task.target
         outcome: Outcome = "passed" if passed else "wrong_gate"
-        result = self._result(outcome, verdict.gate, verdict.clearance_m)
+        result = self._result(outcome, gate_event.gate, gate_event.clearance_m)
         self.results.append(result)
-        if not self.finished and verdict.gate is not None:
-            origin, yaw = geometry.next_stage_origin(self.stage, verdict.gate)
+        if not self.finished and gate_event.gate is not None:
+            origin, yaw = geometry.next_stage_origin(self.stage, gate_event.gate)
             self.stages.append(stage_of(self.track[self.index], origin, yaw))
             self.simulator.place(self.world, self.stage, scenery_of(self.stage, self.labels, self.look))
             self._stage_start_s = self.simulator.time(self.world)
         return result
 
     def _result(self, outcome: Outcome, chosen: int | None, clearance_m: float | None) -> StageResult:
-        referee = self.simulator.referee(self.world)
+        gate_monitor = self.simulator.gate_monitor(self.world)
         task = self.task
         ratio = None
         if outcome in ("passed", "wrong_gate") and chosen is not None:
-            straight = float(np.linalg.norm(referee.centers[chosen] - referee.start))
-            ratio = referee.path_m / straight
+            straight = float(np.linalg.norm(gate_monitor.centers[chosen] - gate_monitor.start))
+            ratio = gate_monitor.path_m / straight
         return StageResult(
             task_id=task.id,
             category=task.category,
@@ -178,10 +179,10 @@ class Course:
             outcome=outcome,
             chosen=chosen,
             time_s=self.simulator.time(self.world) - self._stage_start_s,
-            path_m=referee.path_m,
+            path_m=gate_monitor.path_m,
             path_ratio=ratio,
             clearance_m=clearance_m,
-            gate_distance_m=float(referee.closest_m[task.target]),
+            gate_distance_m=float(gate_monitor.closest_m[task.target]),
         )
 
 

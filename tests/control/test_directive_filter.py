@@ -1,0 +1,53 @@
+"""Which directive is flown by: a hesitant one is soon corrected, one that was confirmed is not given up lightly."""
+
+from __future__ import annotations
+
+import pytest
+
+from cognitivedrone.control.directive_filter import DirectiveFilter, SteeringRule, meaning_of
+from cognitivedrone.types import Guidance
+
+RED, BLUE = "Fly through the big red round gate", "Fly through the small blue square gate"
+
+
+def heard(directive_filter, *answers):
+    return [
+        directive_filter.update(Guidance(text, None, confidence), at) for at, (text, confidence) in enumerate(answers)
+    ]
+
+
+def test_the_first_answer_is_adopted_and_repeated_ones_agree():
+    directive_filter = DirectiveFilter()
+    assert directive_filter.guidance(0.0) is None
+    assert heard(directive_filter, (RED, 0.2), (RED, 0.9)) == ["adopted", "agreed"]
+    assert directive_filter.guidance(3.5).age == pytest.approx(2.5)
+    assert directive_filter.guidance(3.5).confidence == 0.9
+
+
+def test_a_hesitant_answer_gives_way_to_a_sure_one_at_once():
+    directive_filter = DirectiveFilter()
+    assert heard(directive_filter, (RED, 0.4), (BLUE, 1.0)) == ["adopted", "adopted"]
+    assert directive_filter.guidance(1.0).directive == BLUE
+
+
+def test_after_seconds_of_agreement_it_takes_three_to_turn():
+    directive_filter = DirectiveFilter()
+    assert heard(directive_filter, *[(RED, 1.0)] * 6, *[(BLUE, 1.0)] * 3)[6:] == ["kept", "kept", "adopted"]
+
+
+def test_answers_that_change_every_time_do_not_make_it_waver():
+    directive_filter = DirectiveFilter()
+    told = heard(directive_filter, *[(RED, 1.0), (BLUE, 1.0)] * 10)
+    assert told.count("adopted") == 1
+
+
+def test_other_words_of_the_same_meaning_agree():
+    directive_filter = DirectiveFilter()
+    assert heard(directive_filter, (RED, 1.0), ("Go to the large circular red gate", 1.0)) == ["adopted", "agreed"]
+    assert meaning_of("Land now") == "land now"
+    assert meaning_of(RED) != meaning_of("Fly through the red gate")
+
+
+def test_a_rule_without_memory_follows_every_answer():
+    directive_filter = DirectiveFilter(SteeringRule(fading=0.0))
+    assert heard(directive_filter, (RED, 1.0), (BLUE, 0.5), (RED, 0.5)) == ["adopted"] * 3
