@@ -22,15 +22,15 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from rich.table import Table
 
 from cognitivedrone.benchmark.episode import preflight
 from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.suites import suite_of
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import CognitiveDroneError, PolicyError
 from cognitivedrone.labels import load_pack
-from cognitivedrone.models.reasoner_file import EyesModel, MindModel
+from cognitivedrone.models.reasoner_file import GateSelectorModel, PanelReaderModel
 from cognitivedrone.models.small_file import SmallModel, describe, read_description
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite, load_suite, task_to_json
@@ -250,8 +250,8 @@ def weight_files(count: int, seed: int, folder: Path) -> dict[str, Counter[str]]
     loaders: dict[Path, Callable[[Path], object]] = {
         WEIGHTS / "small.onnx": SmallModel.load,
         WEIGHTS / "race.onnx": SmallModel.load,
-        WEIGHTS / "reasoner" / "eyes.onnx": EyesModel.load,
-        WEIGHTS / "reasoner" / "mind.onnx": MindModel.load,
+        WEIGHTS / "reasoner" / "eyes.onnx": PanelReaderModel.load,
+        WEIGHTS / "reasoner" / "mind.onnx": GateSelectorModel.load,
         _written_anew(folder / "written.onnx"): SmallModel.load,
     }
     sources = list(loaders)

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import tyro
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 
 from cognitivedrone.control.async_reasoner import SimulatedReasoner
-from cognitivedrone.control.hold import HeedingMind, HeldDrone, Hold, HoldRule
+from cognitivedrone.control.hold import HeldDrone, Hold, HoldAwareReasoner, HoldRule
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.envs.drone import SimulatedDrone
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners.small import SmallReasoner
@@ -54,7 +54,7 @@ class Flights:
         """How an episode ends: the outcome of its worst stage, or `hovered`."""
         track_runner, hold = self.track_runner, Hold(HoldRule(below=self.config.below))
         track_runner.begin(self.suite.tracks[episode], episode_rng(self.suite.digest, episode, self.config.seed))
-        mind = HeedingMind(SimulatedReasoner(self.reasoner), hold)
+        mind = HoldAwareReasoner(SimulatedReasoner(self.reasoner), hold)
 
         def leg() -> Segment | None:
             return (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cognitivedrone.control.async_reasoner import Answer, Question, SimulatedReasoner
-from cognitivedrone.control.hold import HeedingMind, HeldDrone, Hold, HoldRule
+from cognitivedrone.control.hold import HeldDrone, Hold, HoldAwareReasoner, HoldRule
 from cognitivedrone.errors import ReasonerError
 from cognitivedrone.types import Guidance
 
@@ -114,7 +114,7 @@ class Doubtful:
 
 def test_a_heeding_mind_answers_as_the_mind_and_is_heard():
     hold = Hold()
-    mind = HeedingMind(SimulatedReasoner(Doubtful(), lambda _: 0.5), hold)
+    mind = HoldAwareReasoner(SimulatedReasoner(Doubtful(), lambda _: 0.5), hold)
     for instruction in ("the bird", "blind", "the bird"):
         assert mind.idle(0.0)
         mind.ask(Question(3, instruction, FRAME, 0.0))

@@ -17,7 +17,7 @@ from cognitivedrone.errors import PolicyError
 from cognitivedrone.models import checksum
 from cognitivedrone.models.checksum import BLANK, MARK, check, check_own, seal
 from cognitivedrone.models.onnx_file import KEY
-from cognitivedrone.models.reasoner_file import EyesModel, MindModel
+from cognitivedrone.models.reasoner_file import GateSelectorModel, PanelReaderModel
 from cognitivedrone.models.small_file import SmallModel, describe, read_description
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -46,8 +46,8 @@ def test_a_sample_of_damaged_files_is_found(tmp_path: Path) -> None:
     [
         ("small.onnx", SmallModel.load),
         ("race.onnx", SmallModel.load),
-        ("reasoner/eyes.onnx", EyesModel.load),
-        ("reasoner/mind.onnx", MindModel.load),
+        ("reasoner/eyes.onnx", PanelReaderModel.load),
+        ("reasoner/mind.onnx", GateSelectorModel.load),
     ],
 )
 def test_a_shipped_file_is_known_wherever_it_is_and_whole(tmp_path: Path, name: str, load: object) -> None:

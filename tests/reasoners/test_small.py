@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cognitivedrone.errors import PolicyError, ReasonerError
-from cognitivedrone.models.reasoner_file import Facets, Sight
+from cognitivedrone.models.reasoner_file import AttributeSchema, Sight
 from cognitivedrone.reasoners.small import SmallReasoner, gate_of, value_index
 from cognitivedrone.training.reasoner.reading import SEEN, seen_facets
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
@@ -39,7 +39,7 @@ class Scripted:
     """Eyes that see what they are told, and a mind that notes what it is asked and answers as it is told."""
 
     def __init__(self, *sights, answer=(0.1, 0.8, 0.1)):
-        self.facets, self.sights, self.answer, self.asked = Facets(SEEN), list(sights), answer, []
+        self.facets, self.sights, self.answer, self.asked = AttributeSchema(SEEN), list(sights), answer, []
 
     def see(self, image):
         return self.sights.pop(0)
@@ -56,8 +56,8 @@ def made(monkeypatch, tmp_path):
         (tmp_path / name).touch()
 
     def make(parts):
-        monkeypatch.setattr("cognitivedrone.reasoners.small.EyesModel.load", lambda _: parts)
-        monkeypatch.setattr("cognitivedrone.reasoners.small.MindModel.load", lambda _: parts)
+        monkeypatch.setattr("cognitivedrone.reasoners.small.PanelReaderModel.load", lambda _: parts)
+        monkeypatch.setattr("cognitivedrone.reasoners.small.GateSelectorModel.load", lambda _: parts)
         return SmallReasoner(str(tmp_path))
 
     return make

@@ -11,14 +11,14 @@ from PIL import Image as PillowImage
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import BASE_FAMILIES
 from cognitivedrone.training.common.attributes import FACETS, PANEL_GROUPS, panel_facets
-from cognitivedrone.training.common.panel_crops import SHARES, Cards, glimpse_of
+from cognitivedrone.training.common.panel_crops import SHARES, PanelCrops, glimpse_of
 
 SIZE = 48
 
 
 @pytest.fixture(scope="module")
-def cards() -> Cards:
-    return Cards(load_pack("open-v1"), SIZE)
+def cards() -> PanelCrops:
+    return PanelCrops(load_pack("open-v1"), SIZE)
 
 
 def picture(label: str) -> PillowImage.Image:
@@ -45,7 +45,7 @@ def test_a_glimpse_shows_its_picture_and_none_is_like_another() -> None:
     assert len(glimpses) == 20
 
 
-def test_a_card_looks_like_the_label_that_its_facets_name(cards: Cards) -> None:
+def test_a_card_looks_like_the_label_that_its_facets_name(cards: PanelCrops) -> None:
     """The nearest of a few pictures is the one that is named, for most cards."""
     cards.forget()
     rng = np.random.default_rng(1)
@@ -66,7 +66,7 @@ def test_a_card_looks_like_the_label_that_its_facets_name(cards: Cards) -> None:
     assert right > 0.6 * total
 
 
-def test_everything_there_is_to_read_comes_up(cards: Cards) -> None:
+def test_everything_there_is_to_read_comes_up(cards: PanelCrops) -> None:
     cards.forget()
     rng = np.random.default_rng(2)
     counts: Counter[str] = Counter()
@@ -83,7 +83,7 @@ def test_everything_there_is_to_read_comes_up(cards: Cards) -> None:
     assert min(counts.values()) > 20
 
 
-def test_the_same_seed_draws_the_same_cards(cards: Cards) -> None:
+def test_the_same_seed_draws_the_same_cards(cards: PanelCrops) -> None:
     drawn = []
     for seed in (3, 4, 3):
         cards.forget()

@@ -22,7 +22,7 @@ from cognitivedrone.training.common.unknown_people import STRANGER
 from cognitivedrone.training.launch import TrainOptions, command_of, run
 from cognitivedrone.training.recipes import LANGUAGE
 from cognitivedrone.training.small_vla import language
-from cognitivedrone.training.small_vla.language import SHARES, LanguageSubject, draw_told, language_subject
+from cognitivedrone.training.small_vla.language import SHARES, LanguageTraining, draw_told, language_subject
 from cognitivedrone.training.small_vla.losses import text_loss, to_tensors, told_embedding
 from cognitivedrone.training.small_vla.policy import load_trained
 
@@ -42,13 +42,13 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")
-def subject(policy_checkpoint: Path) -> LanguageSubject:
+def subject(policy_checkpoint: Path) -> LanguageTraining:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(language, "_SENTENCES", 2000)
         return language_subject(TINY, policy_checkpoint)
 
 
-def practised(subject: LanguageSubject, batch: dict[str, torch.Tensor], steps: int) -> list[dict[str, float]]:
+def practised(subject: LanguageTraining, batch: dict[str, torch.Tensor], steps: int) -> list[dict[str, float]]:
     """The measures of the first and the last step on one batch."""
     lesson = subject.lesson(subject.network())
     optimizer = torch.optim.AdamW([p for p in lesson.parameters() if p.requires_grad], 0.01)
@@ -62,7 +62,7 @@ def practised(subject: LanguageSubject, batch: dict[str, torch.Tensor], steps: i
     return [rows[0], rows[-1]]
 
 
-def test_only_the_text_encoder_learns(policy_checkpoint: Path, subject: LanguageSubject, tmp_path: Path) -> None:
+def test_only_the_text_encoder_learns(policy_checkpoint: Path, subject: LanguageTraining, tmp_path: Path) -> None:
     taught, vocabulary, facts = load_trained(train(TrainConfig(tmp_path, subject), lambda _: None))
     before, known, _ = load_trained(policy_checkpoint)
     assert vocabulary.words[: len(known.words)] == known.words
@@ -77,7 +77,7 @@ def test_only_the_text_encoder_learns(policy_checkpoint: Path, subject: Language
             assert torch.equal(value, after[name]), name
 
 
-def test_a_killed_lesson_ends_with_the_same_weights(subject: LanguageSubject, tmp_path: Path) -> None:
+def test_a_killed_lesson_ends_with_the_same_weights(subject: LanguageTraining, tmp_path: Path) -> None:
     whole = load_trained(train(TrainConfig(tmp_path / "whole", subject), lambda _: None))[0]
 
     def kill(line: str) -> None:
@@ -93,7 +93,7 @@ def test_a_killed_lesson_ends_with_the_same_weights(subject: LanguageSubject, tm
         assert torch.equal(value, again.state_dict()[name]), name
 
 
-def test_what_was_not_understood_can_be_learned(subject: LanguageSubject) -> None:
+def test_what_was_not_understood_can_be_learned(subject: LanguageTraining) -> None:
     rng = np.random.default_rng(0)
     tasks = []
     while len(tasks) < 16:
@@ -117,7 +117,7 @@ def test_told_tasks_show_what_can_be_told_and_come_in_their_shares() -> None:
         assert counts[family] / len(tasks) == pytest.approx(SHARES[family], abs=0.03)
 
 
-def test_without_its_board_a_sentence_about_it_means_no_gate(subject: LanguageSubject) -> None:
+def test_without_its_board_a_sentence_about_it_means_no_gate(subject: LanguageTraining) -> None:
     rng = np.random.default_rng(3)
     batch = subject.told(rng, [draw_told(rng, TINY) for _ in range(600)])
     unknowable, board = batch["text_open"], batch["text_board"]
@@ -135,7 +135,7 @@ def test_without_its_board_a_sentence_about_it_means_no_gate(subject: LanguageSu
     assert float(loss) == pytest.approx(float(-logits.log_softmax(-1).mean()), rel=1e-5)
 
 
-def test_a_board_in_doubt_is_half_read_as_another(subject: LanguageSubject) -> None:
+def test_a_board_in_doubt_is_half_read_as_another(subject: LanguageTraining) -> None:
     rng = np.random.default_rng(4)
     recipe = replace(TINY, hidden=0.0)
     batch = replace(subject, recipe=recipe).told(rng, [draw_told(rng, recipe) for _ in range(2000)])
@@ -148,7 +148,7 @@ def test_a_board_in_doubt_is_half_read_as_another(subject: LanguageSubject) -> N
     assert 0 < batch["doubt"].max() < 0.5
 
 
-def test_what_was_known_is_said_as_before(subject: LanguageSubject, policy_checkpoint: Path) -> None:
+def test_what_was_known_is_said_as_before(subject: LanguageTraining, policy_checkpoint: Path) -> None:
     rng = np.random.default_rng(5)
     known_words = set(load_trained(policy_checkpoint)[1].words)
     tasks = [draw_told(rng, TINY) for _ in range(300)]
@@ -170,7 +170,7 @@ def test_what_was_known_is_said_as_before(subject: LanguageSubject, policy_check
     assert torch.isfinite(loss)
 
 
-def test_what_is_kept_is_of_every_base_family_and_of_no_stranger(subject: LanguageSubject) -> None:
+def test_what_is_kept_is_of_every_base_family_and_of_no_stranger(subject: LanguageTraining) -> None:
     rng = np.random.default_rng(6)
     tasks = [draw_told(rng, TINY) for _ in range(600)]
     known = subject.told(rng, tasks)["known"]
@@ -179,7 +179,7 @@ def test_what_is_kept_is_of_every_base_family_and_of_no_stranger(subject: Langua
     assert not any(one and STRANGER in task.instruction for task, one in zip(tasks, known, strict=True))
 
 
-def test_all_that_is_taught_has_words(subject: LanguageSubject) -> None:
+def test_all_that_is_taught_has_words(subject: LanguageTraining) -> None:
     rng = np.random.default_rng(2)
     sentences = [draw_told(rng, LANGUAGE).instruction.replace(STRANGER, "") for _ in range(300)]
     unknown = Counter(word for text in sentences for word in words_of(text) if word in subject.vocabulary.unknown(text))
@@ -188,7 +188,7 @@ def test_all_that_is_taught_has_words(subject: LanguageSubject) -> None:
     assert STRANGER not in subject.vocabulary.words
 
 
-def test_validation_tells_families_apart(subject: LanguageSubject, tmp_path: Path) -> None:
+def test_validation_tells_families_apart(subject: LanguageTraining, tmp_path: Path) -> None:
     batches = subject.validation(0)
     assert sum(len(batch["family"]) for batch in batches) == TINY.validation_sentences
     for batch in batches:

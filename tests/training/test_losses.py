@@ -19,14 +19,14 @@ from cognitivedrone.training.common.sampling import Batch
 from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.small_vla import losses
 from cognitivedrone.training.small_vla.losses import (
-    Lesson,
+    LossModule,
     LossWeights,
     action_loss,
     action_targets,
     to_tensors,
     true_slots,
 )
-from cognitivedrone.training.small_vla.stream import Rehearsal
+from cognitivedrone.training.small_vla.stream import RolloutStream
 
 DEBUG = RECIPES["debug"]
 VOCABULARY = Vocabulary.of(train_task(i, 0).instruction for i in range(500))
@@ -40,7 +40,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 def batch() -> Batch:
     """Frames of the debug recipe, with three actions each; boards are among them."""
     recipe = replace(DEBUG.stream, batch=12, worlds=8, chunk=3, varied=0.0)
-    rehearsal = Rehearsal(recipe, VOCABULARY, DEBUG.network)
+    rehearsal = RolloutStream(recipe, VOCABULARY, DEBUG.network)
     try:
         for made in itertools.islice(rehearsal((3,)), 200):
             if made["legible"][:, SLOTS].any():
@@ -50,17 +50,17 @@ def batch() -> Batch:
     raise AssertionError("no board in view")
 
 
-def lesson(head: Head = "tokens", chunk: int = 1, weights: LossWeights | None = None) -> Lesson:
+def lesson(head: Head = "tokens", chunk: int = 1, weights: LossWeights | None = None) -> LossModule:
     torch.manual_seed(0)
     sized = replace(DEBUG.network, vocabulary=len(VOCABULARY.words), facets=len(FACETS), head=head, chunk=chunk)
-    return Lesson(SmallVLA(sized), weights)
+    return LossModule(SmallVLA(sized), weights)
 
 
 def tensors(batch: Batch, chunk: int = 1) -> dict[str, Tensor]:
     return to_tensors({**batch, "action": batch["action"][:, :, :chunk]})
 
 
-def as_in_training(taught: Lesson, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+def as_in_training(taught: LossModule, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
     with torch.autocast("cpu", torch.bfloat16):
         total, measures = taught(batch)
     return total, measures

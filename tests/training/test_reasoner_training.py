@@ -11,8 +11,8 @@ import torch
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.labels import load_pack
-from cognitivedrone.models.reasoner_file import REMEMBERED, EyesModel, MindModel
-from cognitivedrone.models.small_reasoner import Eyes, MindConfig, ReaderConfig
+from cognitivedrone.models.reasoner_file import REMEMBERED, GateSelectorModel, PanelReaderModel
+from cognitivedrone.models.small_reasoner import PanelReader, ReaderConfig, SelectorConfig
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.tasks import FAMILIES, HARD_FAMILIES
@@ -37,7 +37,7 @@ SMALL_MIND = replace(
     round_steps=2,
     validate_every=2,
     validation_tasks=60,
-    network=MindConfig(width=32, layers=1, heads=2),
+    network=SelectorConfig(width=32, layers=1, heads=2),
 )
 TINY = RECIPES["debug"].network
 SMALL_READER = replace(
@@ -204,18 +204,18 @@ def test_the_reader_starts_from_the_policys_sight(policy_checkpoint: Path, tmp_p
 def test_eyes_in_onnx_see_what_they_see_in_torch(parts: Path, policy_checkpoint: Path) -> None:
     finder, _, _ = policy.load_trained(policy_checkpoint)
     reader, _ = load_reader(parts / "reader" / CHECKPOINT)
-    eyes = Eyes(finder, reader, {group: GROUPS[group] for group in GATE_GROUPS}).eval()
+    eyes = PanelReader(finder, reader, {group: GROUPS[group] for group in GATE_GROUPS}).eval()
     image = np.random.default_rng(0).integers(0, 256, (256, 256, 3), dtype=np.uint8)
     image[60:120, 80:140] = load_pack("open-v1").image("animal/cat@noto")[::4, ::4][:60, :60]
     with torch.no_grad():
         told = [part[0].numpy() for part in eyes(torch.from_numpy(image)[None])]
-    for mine, theirs in zip(EyesModel.load(parts / "eyes.onnx").see(image), told, strict=True):
+    for mine, theirs in zip(PanelReaderModel.load(parts / "eyes.onnx").see(image), told, strict=True):
         np.testing.assert_allclose(mine, theirs, atol=0.02, rtol=0.02)
 
 
 def test_the_mind_in_onnx_answers_as_in_torch(parts: Path) -> None:
     thinker, vocabulary, _ = load_mind(parts / "mind" / CHECKPOINT)
-    model = MindModel.load(parts / "mind.onnx")
+    model = GateSelectorModel.load(parts / "mind.onnx")
     assert model.vocabulary == vocabulary
     rng = np.random.default_rng(0)
     told = {
@@ -244,7 +244,7 @@ def test_one_command_trains_and_exports(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(mind, "_SENTENCES", 300)
     monkeypatch.setattr("cognitivedrone.training.recipes.ALL_RECIPES", {"mind": SMALL_MIND, "reader": SMALL_READER})
     assert run(TrainOptions(tmp_path / "mind", "mind")) == tmp_path / "mind" / "mind.onnx"
-    MindModel.load(tmp_path / "mind" / "mind.onnx")
+    GateSelectorModel.load(tmp_path / "mind" / "mind.onnx")
     with pytest.raises(TrainingError, match="need --start"):
         run(TrainOptions(tmp_path / "reader", "reader"))
     with pytest.raises(TrainingError, match="learns from no flights"):

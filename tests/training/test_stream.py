@@ -30,7 +30,7 @@ from cognitivedrone.training.common.sampling import NONE_IN_VIEW, Batch, StreamR
 from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.small_vla import stream
 from cognitivedrone.training.small_vla.policy import training_vocabulary
-from cognitivedrone.training.small_vla.stream import Rehearsal
+from cognitivedrone.training.small_vla.stream import RolloutStream
 from cognitivedrone.types import Gate, Task
 
 RECIPE = RECIPES["debug"].stream
@@ -47,7 +47,7 @@ def vocabulary() -> Vocabulary:
 def batches(
     recipe: StreamRecipe, vocabulary: Vocabulary, count: int, seed: tuple[int, ...] = (1, 2), learner: object = None
 ) -> list[Batch]:
-    rehearsal = Rehearsal(recipe, vocabulary, NETWORK)
+    rehearsal = RolloutStream(recipe, vocabulary, NETWORK)
     try:
         return list(itertools.islice(rehearsal(seed, learner), count))  # type: ignore[arg-type]
     finally:
@@ -144,7 +144,7 @@ def test_a_batch_has_its_layout(vocabulary: Vocabulary) -> None:
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(vocabulary: Vocabulary) -> None:
-    rehearsal = Rehearsal(RECIPE, vocabulary, NETWORK)
+    rehearsal = RolloutStream(RECIPE, vocabulary, NETWORK)
     try:
         first, other, again = (list(itertools.islice(rehearsal((seed,)), 3)) for seed in (5, 6, 5))
     finally:

@@ -21,7 +21,7 @@ from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.small_vla import Head, SmallVLA
 from cognitivedrone.training.common.checkpoint import read_checkpoint
 from cognitivedrone.training.common.curves import DIMENSIONS, action_measures, draw_curves, read_rows
-from cognitivedrone.training.common.prefetch import Feed, learner_path
+from cognitivedrone.training.common.prefetch import PrefetchQueue, learner_path
 from cognitivedrone.training.common.trainer import CHECKPOINT, METRICS, TrainConfig, learning_rate, train, what_is_left
 from cognitivedrone.training.common.training_task import Watched
 from cognitivedrone.training.recipes import RECIPES, TrainRecipe, find_recipe
@@ -317,7 +317,7 @@ def test_the_stream_tells_how_it_begins(tmp_path: Path) -> None:
     """The process starts, its first flights fill the buffer, and only then comes a batch; Ctrl-C is not its own."""
     told: list[str] = []
     subject = policy_subject(RECIPE)
-    with Feed(subject, tmp_path, seed=3, rank=0, first_round=0, waiting=told.append) as feed:
+    with PrefetchQueue(subject, tmp_path, seed=3, rank=0, first_round=0, waiting=told.append) as feed:
         next(iter(feed))
         size = RECIPE.stream.batch * RECIPE.stream.pool
         assert feed._filled[1] == size

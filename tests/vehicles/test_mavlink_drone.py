@@ -24,7 +24,7 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 from cognitivedrone.control.loop import Segment, fly
-from cognitivedrone.control.safety import Guard, Patience, SafetyConfig
+from cognitivedrone.control.safety import Guard, SafetyConfig, Timeouts
 from cognitivedrone.errors import LinkError, MissingExtra
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkConfig, MavlinkDrone
@@ -32,7 +32,7 @@ from cognitivedrone.vehicles.mavlink.server.modes import Mode
 from cognitivedrone.vehicles.mavlink.server.vehicle import STEP_S, SimulatedVehicle, VehicleConfig
 
 FAST = MavlinkConfig(heartbeat_timeout_s=0.5, ready_timeout_s=0.3, takeoff_timeout_s=0.5, landing_timeout_s=5)
-CALM = SafetyConfig(link=Patience(2, 4), state=Patience(2, 4), policy=Patience(2, 4), camera=Patience(2, 4))
+CALM = SafetyConfig(link=Timeouts(2, 4), state=Timeouts(2, 4), policy=Timeouts(2, 4), camera=Timeouts(2, 4))
 """For tests of something else, on machines that are busy."""
 FORWARD = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
 
@@ -138,7 +138,7 @@ def test_a_velocity_that_is_not_a_number_stops_at_once_and_may_recover():
 
 
 def test_a_silent_policy_is_held_braked_and_landed():
-    safety = replace(CALM, policy=Patience(0.2, 0.6), land_after_brake_s=0.3)
+    safety = replace(CALM, policy=Timeouts(0.2, 0.6), land_after_brake_s=0.3)
     with playing() as peer, flying(peer, safety) as drone:
         drone.send(FORWARD)
         due = time.monotonic() + 0.1
@@ -202,7 +202,7 @@ def test_a_stick_that_moves_brakes():
 
 
 def test_a_vehicle_that_falls_silent_is_told_to_stop():
-    safety = replace(CALM, link=Patience(0.15, 0.4))
+    safety = replace(CALM, link=Timeouts(0.15, 0.4))
     with playing() as peer, flying(peer, safety) as drone:
         drone.send(FORWARD)
         cut = time.monotonic()

@@ -137,7 +137,7 @@ class MavlinkCraft:
     def __init__(
         self,
         drone: MavlinkDrone,
-        eyes: Eyes,
+        eyes: TimestampedCamera,
         *,
         simulated: bool,
         scene: Scene | None = None,
@@ -201,7 +201,7 @@ class MavlinkCraft:
             self._undo()
 
 
-class Eyes:
+class TimestampedCamera:
     """A camera that remembers when its last frame that was looked at came."""
 
     def __init__(self, camera: Camera) -> None:

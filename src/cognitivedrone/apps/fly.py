@@ -24,7 +24,7 @@ from cognitivedrone.apps.scene import ChosenScene, choose_scene
 from cognitivedrone.apps.values import Ending, Instrument, Step, Summary
 from cognitivedrone.apps.view import Instruments, Printer
 from cognitivedrone.control.async_reasoner import ThreadedReasoner
-from cognitivedrone.control.hold import HeedingMind, HeldDrone, Hold, HoldRule
+from cognitivedrone.control.hold import HeldDrone, Hold, HoldAwareReasoner, HoldRule
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.data.formats.bags import Ros
@@ -98,7 +98,7 @@ def _fly(
             shown = Instruments(f"{config.policy} + {config.reasoner} on {config.link}", lambda: keys.typed)
             stack.enter_context(Live(shown, console=console, refresh_per_second=REDRAWN_HZ))
         recorder = _Recorder((log, shown), mission, craft, timed, hold)
-        mind = HeedingMind(ThreadedReasoner(reasoner), hold) if reasoner is not None else None
+        mind = HoldAwareReasoner(ThreadedReasoner(reasoner), hold) if reasoner is not None else None
         try:
             steps = fly(HeldDrone(drone, hold), timed, drone, mission, mind=mind, recorder=recorder)
             ending, seconds = mission.ending or Ending("told", ""), drone.now()

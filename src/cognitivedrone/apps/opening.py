@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cognitivedrone.apps.config import FlyConfig
-from cognitivedrone.apps.craft import Craft, Eyes, MavlinkCraft, SimulatedCraft
+from cognitivedrone.apps.craft import Craft, MavlinkCraft, SimulatedCraft, TimestampedCamera
 from cognitivedrone.apps.scene import ChosenScene, labels_of
 from cognitivedrone.control.fence import Fence
-from cognitivedrone.control.safety import Guard, Patience, SafetyConfig
+from cognitivedrone.control.safety import Guard, SafetyConfig, Timeouts
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import CameraError, LinkError
 from cognitivedrone.sim.simulator import Simulator
@@ -53,7 +53,7 @@ def open_craft(config: FlyConfig, tlog: Path, scene: ChosenScene | None, own_wor
     consent = config.i_understand_this_flies_a_real_drone
     if not (consent or config.on_loopback):
         raise LinkError(f"{config.link} may be a real drone: read docs/real-drone.md, then add {FLAG}")
-    eyes = Eyes(open_eye(config.camera))
+    eyes = TimestampedCamera(open_eye(config.camera))
     drone = MavlinkDrone(config.url, eyes, Guard(safety(config)), vehicle_config(config, tlog))
     simulated = config.on_loopback and drone.simulated
     if not simulated and (not consent or config.clock == "vehicle"):
@@ -86,7 +86,7 @@ def _refusal(config: FlyConfig, *, consent: bool) -> str:
 
 def safety(config: FlyConfig) -> SafetyConfig:
     """The rules of safety as the options have them."""
-    patience = Patience(config.policy_patience, max(1.0, 2 * config.policy_patience))
+    patience = Timeouts(config.policy_patience, max(1.0, 2 * config.policy_patience))
     return SafetyConfig(fence=Fence(radius_m=config.fence_radius, ceiling_m=config.ceiling), policy=patience)
 
 

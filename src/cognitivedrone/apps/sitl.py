@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cognitivedrone.apps.config import FlyConfig
-from cognitivedrone.apps.craft import Craft, Eyes, MavlinkCraft, Scene
+from cognitivedrone.apps.craft import Craft, MavlinkCraft, Scene, TimestampedCamera
 from cognitivedrone.apps.opening import open_track_runner, safety, vehicle_config
 from cognitivedrone.apps.scene import ChosenScene
 from cognitivedrone.control.safety import Guard
@@ -71,7 +71,7 @@ def open_sitl(config: FlyConfig, chosen: ChosenScene, tlog: Path) -> Craft:
             ArduCopter(binary, folder, instance=config.sitl_instance, defaults=config.sitl_defaults)
         )
         vehicle = replace(vehicle_config(config, tlog), clock="vehicle", set_parameters=True, ready_timeout_s=READY_S)
-        eyes = Eyes(camera)
+        eyes = TimestampedCamera(camera)
         drone = autopilot.connect(lambda url: MavlinkDrone(url, eyes, Guard(safety(config)), vehicle))
         scene = Scene(0, Truth(track_runner.task, track_runner.stage, plant.state))
         return MavlinkCraft(drone, eyes, simulated=True, scene=scene, undo=undo.pop_all().close)

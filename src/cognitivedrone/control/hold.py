@@ -78,7 +78,7 @@ class Hold:
             self.active = self._heard >= self.rule.answers and self.sure < self.rule.below
 
 
-class HeedingMind:
+class HoldAwareReasoner:
     """A mind whose answers are heard by a `Hold` as well."""
 
     def __init__(self, mind: AsyncReasoner, hold: Hold) -> None:

@@ -58,7 +58,7 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class Patience:
+class Timeouts:
     """How long something may be silent."""
 
     hold_s: float
@@ -75,14 +75,14 @@ class SafetyConfig:
 
     limits: Limits = field(default_factory=Limits)
     fence: Fence = field(default_factory=Fence)
-    policy: Patience = Patience(0.2, 1.0)
+    policy: Timeouts = Timeouts(0.2, 1.0)
     """For commands, which come every 0.1 s: one that is missed is held."""
-    first_command: Patience = Patience(0.0, 10.0)
+    first_command: Timeouts = Timeouts(0.0, 10.0)
     """For the first command: a policy may load before it flies."""
-    camera: Patience = Patience(0.5, 1.5)
-    link: Patience = Patience(0.15, 1.0)
+    camera: Timeouts = Timeouts(0.5, 1.5)
+    link: Timeouts = Timeouts(0.15, 1.0)
     """For any message; attitude and position come 20 times a second."""
-    state: Patience = Patience(0.3, 1.0)
+    state: Timeouts = Timeouts(0.3, 1.0)
     """For attitude and position."""
     land_after_brake_s: float = 4.0
     """Braked for as long as this, it lands."""

@@ -5,8 +5,8 @@ Contracts; the batch is a dynamic axis, F the number of facets, L the mind's `te
 - eyes: input `image` uint8 (batch, 256, 256, 3); outputs `facets` float32 (batch, 4, F), logits of what the three
   panels and the board show; `looks` float32 (batch, 3, 8), probabilities of a gate's colours, shapes and sizes; `boxes`
   float32 (batch, 4, 4) of panels and board: centre u, v and height in pixels, and the score, 0 to 1, that it is there;
-- mind: inputs as `small_reasoner.Mind.forward` tells them, `tokens` int64 (batch, L), with any number of remembered
-  panels up to `REMEMBERED`; output `logits` float32 (batch, 3) of the gates.
+- mind: inputs as `small_reasoner.GateSelector.forward` tells them, `tokens` int64 (batch, L), with any number of
+  remembered panels up to `REMEMBERED`; output `logits` float32 (batch, 3) of the gates.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Sight(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Facets:
+class AttributeSchema:
     """Names of all that can be read."""
 
     names: tuple[str, ...]
@@ -71,16 +71,16 @@ class Facets:
         return found
 
 
-class EyesModel:
+class PanelReaderModel:
     """Reads frames, by ONNX Runtime on the CPU."""
 
-    def __init__(self, session: Any, facets: Facets, provenance: Provenance) -> None:
+    def __init__(self, session: Any, facets: AttributeSchema, provenance: Provenance) -> None:
         self._session = session
         self.facets = facets
         self.provenance = provenance
 
     @classmethod
-    def load(cls, path: Path, *, threads: int = 1) -> EyesModel:
+    def load(cls, path: Path, *, threads: int = 1) -> PanelReaderModel:
         """Load a file; raises `PolicyError` where it is missing, broken or of another kind."""
         session, table = open_model(path, EYES, threads=threads, optimise=True)
         facets = _facets(table, str(path))
@@ -102,17 +102,17 @@ class EyesModel:
         return Sight(facets[0], looks[0], boxes[0])
 
 
-class MindModel:
+class GateSelectorModel:
     """Answers from what was read, by ONNX Runtime on the CPU."""
 
-    def __init__(self, session: Any, facets: Facets, vocabulary: Vocabulary, text_length: int) -> None:
+    def __init__(self, session: Any, facets: AttributeSchema, vocabulary: Vocabulary, text_length: int) -> None:
         self._session = session
         self.facets = facets
         self.vocabulary = vocabulary
         self.text_length = text_length
 
     @classmethod
-    def load(cls, path: Path, *, threads: int = 1) -> MindModel:
+    def load(cls, path: Path, *, threads: int = 1) -> GateSelectorModel:
         """Load a file; raises `PolicyError` where it is missing, broken or of another kind."""
         session, table = open_model(path, MIND, threads=threads, optimise=True)
         where = str(path)
@@ -140,8 +140,8 @@ class MindModel:
         return probabilities
 
 
-def _facets(table: Mapping[str, Any], where: str) -> Facets:
+def _facets(table: Mapping[str, Any], where: str) -> AttributeSchema:
     names = field_of(table, "facets", list, where)
     if not names or not all(isinstance(name, str) and "/" in name for name in names):
         raise PolicyError(f"the facets in {where} are not names of the form group/value")
-    return Facets(tuple(names))
+    return AttributeSchema(tuple(names))

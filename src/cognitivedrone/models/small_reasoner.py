@@ -56,7 +56,7 @@ class Reader(nn.Module):
         return logits
 
 
-class Eyes(nn.Module):
+class PanelReader(nn.Module):
     """A small VLA's own search for gates, panels and board, and a reader that looks at each panel."""
 
     def __init__(self, finder: SmallVLA, reader: Reader, gate_facets: Mapping[str, slice]) -> None:
@@ -86,7 +86,7 @@ class Eyes(nn.Module):
 
 
 @dataclass(frozen=True, slots=True)
-class MindConfig:
+class SelectorConfig:
     """Sizes of the mind."""
 
     vocabulary: int = 2
@@ -102,10 +102,10 @@ class MindConfig:
         return asdict(self)
 
 
-class Mind(nn.Module):
+class GateSelector(nn.Module):
     """A sentence and a scene that was read to the gate that is meant."""
 
-    def __init__(self, config: MindConfig) -> None:
+    def __init__(self, config: SelectorConfig) -> None:
         super().__init__()
         self.config = config
         width = config.width

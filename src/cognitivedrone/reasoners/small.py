@@ -15,7 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.errors import PolicyError, ReasonerError
-from cognitivedrone.models.reasoner_file import EYES_FILE, LOOKS, MIND_FILE, REMEMBERED, EyesModel, MindModel, Sight
+from cognitivedrone.models.reasoner_file import (
+    EYES_FILE,
+    LOOKS,
+    MIND_FILE,
+    REMEMBERED,
+    GateSelectorModel,
+    PanelReaderModel,
+    Sight,
+)
 from cognitivedrone.reasoners.calculator import calculate
 from cognitivedrone.tasks.directives import write_directive
 from cognitivedrone.tasks.facts import KIND_OF
@@ -61,7 +69,7 @@ class SmallReasoner:
     def __init__(self, folder: Path | str | None = None) -> None:
         """Raises `PolicyError` where a file is missing, or the two do not belong together."""
         place = _place_of(folder)
-        self.eyes, self.mind = EyesModel.load(place / EYES_FILE), MindModel.load(place / MIND_FILE)
+        self.eyes, self.mind = PanelReaderModel.load(place / EYES_FILE), GateSelectorModel.load(place / MIND_FILE)
         if self.eyes.facets != self.mind.facets:
             raise PolicyError(f"{place}: eyes and mind do not belong together; take both from one release")
         self._names = self.eyes.facets.names

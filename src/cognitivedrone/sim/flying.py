@@ -79,7 +79,7 @@ class Flying(Protocol):
         ...
 
 
-class Seeing(Protocol):
+class CameraSource(Protocol):
     """What drones see, one a world; `sim.camera.Cameras` is ours, and tells more of each member."""
 
     def set_stage(self, slot: int, stage: Stage, images: Sequence[Image], board: Image | None, look: Look) -> None:

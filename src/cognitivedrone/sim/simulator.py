@@ -10,7 +10,7 @@ import numpy as np
 from cognitivedrone.sim.airframe import RACER, Airframe
 from cognitivedrone.sim.camera import Cameras
 from cognitivedrone.sim.dynamics import Flight
-from cognitivedrone.sim.flying import Flying, Seeing
+from cognitivedrone.sim.flying import CameraSource, Flying
 from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, DroneState, FloatArray, Image, Stage
 from cognitivedrone.world.appearance import PLAIN, Look
@@ -57,14 +57,14 @@ class Simulator:
         size: int = IMAGE_SIZE,
         render: bool = True,
         flight: Flying | None = None,
-        eyes: Seeing | None = None,
+        eyes: CameraSource | None = None,
     ) -> None:
         self.worlds = worlds
         self.airframe = airframe
         self.flight: Flying = flight or Flight(worlds, airframe, threads=threads)
         self.cameras = Cameras(worlds, size, threads=threads) if render and eyes is None else None
         """Our own renderer, where it draws."""
-        self._eyes: Seeing | None = eyes or self.cameras
+        self._eyes: CameraSource | None = eyes or self.cameras
         self.ticks = np.zeros(worlds, dtype=np.int64)
         """(worlds,) physics ticks since each world's flight began."""
         self._gate_monitors: list[GateMonitor | None] = [None] * worlds

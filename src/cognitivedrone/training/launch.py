@@ -16,9 +16,9 @@ import tyro
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
 from cognitivedrone.models.reasoner_file import EYES_FILE, MIND_FILE
 from cognitivedrone.printable import visible
-from cognitivedrone.training.common.training_task import Subject
+from cognitivedrone.training.common.training_task import TrainingTask
 from cognitivedrone.training.reasoner.reader import ReaderRecipe, reader_subject
-from cognitivedrone.training.reasoner.selector import MindRecipe, mind_subject
+from cognitivedrone.training.reasoner.selector import SelectorRecipe, mind_subject
 from cognitivedrone.training.recipes import LanguageRecipe, TrainRecipe, find_recipe
 
 
@@ -88,7 +88,7 @@ def _check(options: TrainOptions) -> None:
 
 def _model_of(options: TrainOptions) -> Path:
     recipe = find_recipe(options.recipe)
-    names = {ReaderRecipe: EYES_FILE, MindRecipe: MIND_FILE}
+    names = {ReaderRecipe: EYES_FILE, SelectorRecipe: MIND_FILE}
     return options.out / names.get(type(recipe), "model.onnx")
 
 
@@ -122,12 +122,12 @@ def _export(options: TrainOptions, checkpoint: Path, model: Path) -> Path:
     return model
 
 
-def _subject(options: TrainOptions) -> Subject:
+def _subject(options: TrainOptions) -> TrainingTask:
     from cognitivedrone.training.small_vla.language import language_subject
     from cognitivedrone.training.small_vla.policy import policy_subject
 
     recipe = find_recipe(options.recipe)
-    if isinstance(recipe, MindRecipe):
+    if isinstance(recipe, SelectorRecipe):
         return mind_subject(recipe)
     if isinstance(recipe, ReaderRecipe):
         return reader_subject(recipe, options.start)

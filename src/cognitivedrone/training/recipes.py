@@ -10,7 +10,7 @@ from cognitivedrone.models.small_vla import SmallVLAConfig
 from cognitivedrone.training.common.sampling import StreamRecipe
 from cognitivedrone.training.common.training_task import Schedule
 from cognitivedrone.training.reasoner.reader import READER, ReaderRecipe
-from cognitivedrone.training.reasoner.selector import MIND, MindRecipe
+from cognitivedrone.training.reasoner.selector import MIND, SelectorRecipe
 from cognitivedrone.training.small_vla.losses import LossWeights
 
 
@@ -102,7 +102,7 @@ path in seconds, of no use otherwise. `ablation-*`: a ninth of `small`, each but
 
 LANGUAGE = LanguageRecipe(name="language", steps=3_000, learning_rate=1e-3, decay_share=0.5)
 
-Recipe: TypeAlias = TrainRecipe | LanguageRecipe | MindRecipe | ReaderRecipe
+Recipe: TypeAlias = TrainRecipe | LanguageRecipe | SelectorRecipe | ReaderRecipe
 
 ALL_RECIPES: dict[str, Recipe] = {**RECIPES, "language": LANGUAGE, "mind": MIND, "reader": READER}
 """`language`: what a policy that flies is taught to understand beyond its own training. `mind`: what the small reasoner

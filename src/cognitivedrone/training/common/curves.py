@@ -16,12 +16,12 @@ from torch import Tensor
 from cognitivedrone.models.small_vla import SmallVLA
 from cognitivedrone.training.common.sampling import Batch
 from cognitivedrone.training.common.training_task import Row
-from cognitivedrone.training.small_vla.losses import Lesson, action_loss, action_targets, to_tensors, true_slots
+from cognitivedrone.training.small_vla.losses import LossModule, action_loss, action_targets, to_tensors, true_slots
 
 DIMENSIONS = ("vx", "vy", "vz", "yaw_rate")
 
 
-def validate(lesson: Lesson, batches: Sequence[Batch], autocast: Any) -> Row:
+def validate(lesson: LossModule, batches: Sequence[Batch], autocast: Any) -> Row:
     """Losses and measures of a lesson on validation batches; actions toward the gate that is flown at, in its view."""
     network = lesson.network
     device = next(network.parameters()).device

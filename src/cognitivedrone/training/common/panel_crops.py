@@ -41,7 +41,7 @@ FacetsOf = Callable[[str], NDArray[np.int64]]
 """From a label reference to what it shows."""
 
 
-class Cards:
+class PanelCrops:
     """Draws cards: of the panels and boards of the training tasks, where nothing else is said."""
 
     def __init__(

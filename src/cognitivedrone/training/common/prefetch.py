@@ -18,7 +18,7 @@ from torch import nn
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.training.common.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.common.sampling import Batch
-from cognitivedrone.training.common.training_task import Subject, Watched
+from cognitivedrone.training.common.training_task import TrainingTask, Watched
 
 _AHEAD = 6  # batches made ahead of their use
 _PATIENCE_S = 600.0
@@ -30,7 +30,7 @@ def learner_path(out: Path, round_: int) -> Path:
     return out / "learners" / f"{round_:05d}.safetensors"
 
 
-class Feed:
+class PrefetchQueue:
     """The batches of one training process, round by round, made by one generating process beside it.
 
     What comes is a function of recipe, seed, rank and the weights of earlier rounds, so a training that goes on after
@@ -39,7 +39,7 @@ class Feed:
 
     def __init__(
         self,
-        subject: Subject,
+        subject: TrainingTask,
         out: Path,
         *,
         seed: int,
@@ -55,7 +55,7 @@ class Feed:
         arguments = (self._queue, self._filled, subject, out, seed, rank, first_round)
         self._process = context.Process(target=_generate, args=arguments, daemon=True)
 
-    def __enter__(self) -> Feed:
+    def __enter__(self) -> PrefetchQueue:
         # Ctrl-C reaches the whole process group: only the trainer is to answer it. The process inherits this mask from
         # its first instant; starting multiprocessing's tracker would lift it, so that goes first.
         resource_tracker.ensure_running()
@@ -93,7 +93,7 @@ class Feed:
 def _generate(
     out_queue: multiprocessing.queues.Queue[Batch],
     filled: MutableSequence[int],
-    subject: Subject,
+    subject: TrainingTask,
     out: Path,
     seed: int,
     rank: int,

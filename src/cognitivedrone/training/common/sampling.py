@@ -20,7 +20,7 @@ from cognitivedrone.tasks.generate import TRAIN, Pools
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.training.common.attributes import PANEL_GROUPS, board_facets, gate_facets, panel_facets
 from cognitivedrone.training.common.ground_truth import Poses, Truths, truths
-from cognitivedrone.training.common.panel_crops import Cards
+from cognitivedrone.training.common.panel_crops import PanelCrops
 from cognitivedrone.training.common.phrasing import SPOKEN
 from cognitivedrone.training.common.questions import ask, families
 from cognitivedrone.types import IMAGE_SIZE, Image, Stage, Task
@@ -33,7 +33,7 @@ board_facets (B, 3), indices into `FACETS` or -1; flown (B,) the gate flown at; 
 asked for, choice (B, K) the same, or 3 where it is not in view. And text_tokens (T, L), text_panels (T, 3, 10),
 text_gates (T, 3, 3), text_board (T, 3), text_asked (T,), text_named (T,) the concept that alone the sentence means, an
 index into `FACETS`, or -1. And card_image (C, g, g, 3) uint8, card_facets (C, 13), see
-`Cards`; absent where C is 0.
+`PanelCrops`; absent where C is 0.
 """
 
 NONE_IN_VIEW = 3
@@ -115,7 +115,7 @@ class Sampler:
         self.recipe = recipe
         self.vocabulary = vocabulary
         self.text_length = text_length
-        self._cards = Cards(labels, glimpse)
+        self._cards = PanelCrops(labels, glimpse)
 
     def begin(self) -> None:
         """Begin anew: what follows depends on nothing before."""

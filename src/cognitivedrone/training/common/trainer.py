@@ -24,9 +24,9 @@ from cognitivedrone.progress import progress_bar
 from cognitivedrone.terminal import console
 from cognitivedrone.training.common.checkpoint import read_checkpoint, restore, save_checkpoint
 from cognitivedrone.training.common.curves import draw_curves, read_rows
-from cognitivedrone.training.common.prefetch import Feed, learner_path
+from cognitivedrone.training.common.prefetch import PrefetchQueue, learner_path
 from cognitivedrone.training.common.sampling import Batch
-from cognitivedrone.training.common.training_task import Row, Schedule, Subject
+from cognitivedrone.training.common.training_task import Row, Schedule, TrainingTask
 from cognitivedrone.training.small_vla.losses import to_tensors
 
 CHECKPOINT = "checkpoint.safetensors"
@@ -40,7 +40,7 @@ class TrainConfig:
 
     out: Path
     """Folder of the run."""
-    subject: Subject
+    subject: TrainingTask
     """What is trained."""
     seed: int = 0
     resume: bool = False
@@ -84,7 +84,7 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
     ):
         bar = progress.add_task(schedule.name, total=schedule.steps, completed=step, note="drawing validation data")
         waiting = functools.partial(_wait, progress, bar)
-        feed = Feed(part, out, seed=config.seed, rank=rank, first_round=first_round, waiting=waiting)
+        feed = PrefetchQueue(part, out, seed=config.seed, rank=rank, first_round=first_round, waiting=waiting)
         stack.enter_context(feed)
         keeper = _Keeper(config, accelerator, report) if accelerator.is_main_process else None
         for batch in feed:

@@ -72,7 +72,7 @@ class Watched(Protocol):
         ...
 
 
-class Lesson(Protocol):
+class LossModule(Protocol):
     """A network with its teacher; a `torch.nn.Module`."""
 
     network: nn.Module
@@ -82,7 +82,7 @@ class Lesson(Protocol):
         ...
 
 
-class Subject(Protocol):
+class TrainingTask(Protocol):
     """Something to train. Generating processes get a copy, so it is small and can be pickled between them."""
 
     @property
@@ -103,7 +103,7 @@ class Subject(Protocol):
         ...
 
     def lesson(self, network: nn.Module) -> nn.Module:
-        """The network with its teacher: a `Lesson`."""
+        """The network with its teacher: a `LossModule`."""
         ...
 
     def learner(self, network: nn.Module) -> Learner | None:

@@ -18,10 +18,10 @@ from cognitivedrone.models.reasoner_file import (
     MIND,
     MIND_FILE,
     REMEMBERED,
-    EyesModel,
-    MindModel,
+    GateSelectorModel,
+    PanelReaderModel,
 )
-from cognitivedrone.models.small_reasoner import Eyes
+from cognitivedrone.models.small_reasoner import PanelReader
 from cognitivedrone.training.common.attributes import GATE_GROUPS, GROUPS
 from cognitivedrone.training.reasoner.reader import load_reader
 from cognitivedrone.training.reasoner.reading import SEEN
@@ -37,12 +37,12 @@ def export_eyes(policy: Path, reader: Path, folder: Path) -> Path:
     """
     finder, _, _ = load_trained(policy)
     network, facts = load_reader(reader)
-    eyes = Eyes(finder, network, {group: GROUPS[group] for group in GATE_GROUPS})
+    eyes = PanelReader(finder, network, {group: GROUPS[group] for group in GATE_GROUPS})
     example = {"image": torch.zeros(2, 256, 256, 3, dtype=torch.uint8)}
     table = {"facets": list(SEEN), "config": network.config.facts()}
     path = folder / EYES_FILE
     _export(eyes, example, ("facets", "looks", "boxes"), path, EYES, table, provenance_of(facts))
-    EyesModel.load(path)
+    PanelReaderModel.load(path)
     return path
 
 
@@ -67,7 +67,7 @@ def export_mind(checkpoint: Path, folder: Path) -> Path:
     }
     path = folder / MIND_FILE
     _export(mind, example, ("logits",), path, MIND, table, provenance_of(facts))
-    MindModel.load(path)
+    GateSelectorModel.load(path)
     return path
 
 

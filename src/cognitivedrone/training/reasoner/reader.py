@@ -23,7 +23,7 @@ from cognitivedrone.models.small_reasoner import Reader, ReaderConfig
 from cognitivedrone.tasks import BASE_FAMILIES
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.training.common.checkpoint import origin_of, read_checkpoint, restore
-from cognitivedrone.training.common.panel_crops import SHARES, Cards
+from cognitivedrone.training.common.panel_crops import SHARES, PanelCrops
 from cognitivedrone.training.common.sampling import Batch
 from cognitivedrone.training.common.training_task import Batches, Learner, Row, Schedule
 from cognitivedrone.training.reasoner.reading import SEEN, SEEN_GROUPS, seen_facets
@@ -44,7 +44,7 @@ class ReaderRecipe(Schedule):
 
 
 @dataclass(frozen=True)
-class ReaderSubject:
+class ReaderTraining:
     """The reader, to be trained."""
 
     recipe: ReaderRecipe
@@ -76,16 +76,16 @@ class ReaderSubject:
         reader.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return reader
 
-    def lesson(self, network: nn.Module) -> ReaderLesson:
+    def lesson(self, network: nn.Module) -> ReaderLoss:
         """The reader with its teacher."""
         assert isinstance(network, Reader)  # noqa: S101  (tells the type checker)
-        return ReaderLesson(network)
+        return ReaderLoss(network)
 
     def learner(self, network: nn.Module) -> None:
         """A reader flies nothing."""
         del network
 
-    def share(self, processes: int) -> ReaderSubject:
+    def share(self, processes: int) -> ReaderTraining:
         """Cards are shared."""
         return replace(self, recipe=replace(self.recipe, batch=-(-self.recipe.batch // processes)))
 
@@ -95,7 +95,7 @@ class ReaderSubject:
         def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
             del learner
             rng = np.random.default_rng(seed)
-            cards = Cards(load_pack("open-v1"), self.recipe.network.glimpse, draw_any_label, seen_facets)
+            cards = PanelCrops(load_pack("open-v1"), self.recipe.network.glimpse, draw_any_label, seen_facets)
             while True:
                 images, facets = cards.draw(rng, self.recipe.batch)
                 yield {"card_image": images, "card_facets": facets}
@@ -109,7 +109,7 @@ class ReaderSubject:
 
     def validate(self, lesson: nn.Module, batches: list[Batch], autocast: Any) -> Row:
         """Loss, and share of what is named rightly, overall and by group."""
-        assert isinstance(lesson, ReaderLesson)  # noqa: S101
+        assert isinstance(lesson, ReaderLoss)  # noqa: S101
         device = next(lesson.parameters()).device
         lesson.eval()
         rows: list[dict[str, float]] = []
@@ -128,7 +128,7 @@ class ReaderSubject:
         return {}
 
 
-class ReaderLesson(nn.Module):
+class ReaderLoss(nn.Module):
     """The reader and its teacher."""
 
     def __init__(self, network: Reader) -> None:
@@ -184,9 +184,9 @@ def draw_any_label(rng: np.random.Generator) -> str:
     return task.labels[int(rng.integers(3))]
 
 
-def reader_subject(recipe: ReaderRecipe, start: Path | None) -> ReaderSubject:
+def reader_subject(recipe: ReaderRecipe, start: Path | None) -> ReaderTraining:
     """The subject of a recipe, as large as the facets ask for."""
-    return ReaderSubject(replace(recipe, network=replace(recipe.network, facets=len(SEEN))), start)
+    return ReaderTraining(replace(recipe, network=replace(recipe.network, facets=len(SEEN))), start)
 
 
 def load_reader(path: Path) -> tuple[Reader, dict[str, Any]]:

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.reasoner_file import REMEMBERED
-from cognitivedrone.models.small_reasoner import STAGES, Mind, MindConfig
+from cognitivedrone.models.small_reasoner import STAGES, GateSelector, SelectorConfig
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.reasoners.calculator import calculate, evaluate
 from cognitivedrone.reasoners.small import value_index
@@ -46,10 +46,10 @@ _NAMES = (*FAMILIES, "directive")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MindRecipe(Schedule):
+class SelectorRecipe(Schedule):
     """Everything that decides what comes out of a training of the mind, but processes and seed."""
 
-    network: MindConfig = field(default_factory=MindConfig)
+    network: SelectorConfig = field(default_factory=SelectorConfig)
     batch: int = 256
     """Tasks; processes share them."""
     validation_tasks: int = 3000
@@ -92,7 +92,7 @@ class Problem:
 class Problems:
     """Draws problems of the training ingredients."""
 
-    def __init__(self, recipe: MindRecipe) -> None:
+    def __init__(self, recipe: SelectorRecipe) -> None:
         self.recipe = recipe
         shares = dict.fromkeys(BASE_FAMILIES, 1.0) | dict.fromkeys(HARD_FAMILIES, 0.7)
         shares |= {"association": 3.0, "people": 1.5, "attributes": 1.5, "comparison": 1.0, "memory": 0.4}
@@ -154,7 +154,7 @@ def _track(rng: np.random.Generator) -> list[Problem]:
 class Encoder:
     """Turns problems into what the mind is told."""
 
-    def __init__(self, recipe: MindRecipe, vocabulary: Vocabulary) -> None:
+    def __init__(self, recipe: SelectorRecipe, vocabulary: Vocabulary) -> None:
         self._recipe, self._vocabulary = recipe, vocabulary
 
     def encode(self, rng: np.random.Generator, problems: list[Problem], *, doubts: bool) -> Batch:
@@ -235,10 +235,10 @@ def _sum(label: str) -> int | None:
     return evaluate(rest.rpartition("@")[0]) if kind == "sum" else None
 
 
-class MindLesson(nn.Module):
+class SelectorLoss(nn.Module):
     """The mind and its teacher."""
 
-    def __init__(self, network: Mind) -> None:
+    def __init__(self, network: GateSelector) -> None:
         super().__init__()
         self.network = network
 
@@ -266,10 +266,10 @@ class MindLesson(nn.Module):
 
 
 @dataclass(frozen=True)
-class MindSubject:
+class SelectorTraining:
     """The mind, to be trained."""
 
-    recipe: MindRecipe
+    recipe: SelectorRecipe
     vocabulary: Vocabulary
 
     def identity(self) -> dict[str, Any]:
@@ -280,20 +280,20 @@ class MindSubject:
         """Vocabulary and facets."""
         return {"vocabulary": list(self.vocabulary.words), "facets": list(SEEN)}
 
-    def network(self) -> Mind:
+    def network(self) -> GateSelector:
         """A new mind."""
-        return Mind(self.recipe.network)
+        return GateSelector(self.recipe.network)
 
-    def lesson(self, network: nn.Module) -> MindLesson:
+    def lesson(self, network: nn.Module) -> SelectorLoss:
         """The mind with its teacher."""
-        assert isinstance(network, Mind)  # noqa: S101  (tells the type checker)
-        return MindLesson(network)
+        assert isinstance(network, GateSelector)  # noqa: S101  (tells the type checker)
+        return SelectorLoss(network)
 
     def learner(self, network: nn.Module) -> None:
         """A mind alone flies nothing."""
         del network
 
-    def share(self, processes: int) -> MindSubject:
+    def share(self, processes: int) -> SelectorTraining:
         """Problems are shared."""
         return replace(self, recipe=replace(self.recipe, batch=-(-self.recipe.batch // processes)))
 
@@ -329,7 +329,7 @@ class MindSubject:
 
     def validate(self, lesson: nn.Module, batches: list[Batch], autocast: Any) -> Row:
         """Loss and accuracy of the choice, overall and by family."""
-        assert isinstance(lesson, MindLesson)  # noqa: S101
+        assert isinstance(lesson, SelectorLoss)  # noqa: S101
         device = next(lesson.parameters()).device
         lesson.eval()
         losses, rights = [], []
@@ -352,22 +352,22 @@ class MindSubject:
         return {}
 
 
-MIND = MindRecipe(name="mind", steps=6_000, learning_rate=1e-3, warmup_steps=300)
+MIND = SelectorRecipe(name="mind", steps=6_000, learning_rate=1e-3, warmup_steps=300)
 
 
-def mind_subject(recipe: MindRecipe) -> MindSubject:
+def mind_subject(recipe: SelectorRecipe) -> SelectorTraining:
     """The subject of a recipe, with the vocabulary of all families."""
     rng, problems = np.random.default_rng((0, _VALIDATION + 1)), Problems(recipe)
     sentences = [problem.sentence for _ in range(_SENTENCES) for problem in problems.draw(rng)]
     vocabulary = Vocabulary.of(sentence.replace(STRANGER, "") for sentence in sentences)
     network = replace(recipe.network, vocabulary=len(vocabulary.words), facets=len(SEEN))
-    return MindSubject(replace(recipe, network=network), vocabulary)
+    return SelectorTraining(replace(recipe, network=network), vocabulary)
 
 
-def load_mind(path: Path) -> tuple[Mind, Vocabulary, dict[str, Any]]:
+def load_mind(path: Path) -> tuple[GateSelector, Vocabulary, dict[str, Any]]:
     """The mind of a checkpoint, its vocabulary, and the checkpoint's facts."""
     tensors, facts = read_checkpoint(path)
-    mind = Mind(MindConfig(**facts["recipe"]["network"]))
+    mind = GateSelector(SelectorConfig(**facts["recipe"]["network"]))
     restore(tensors, mind, None)
     mind.eval()
     return mind, Vocabulary(tuple(facts["vocabulary"])), facts

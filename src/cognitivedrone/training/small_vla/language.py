@@ -49,7 +49,7 @@ _FAMILIES = tuple(SHARES)
 
 
 @dataclass(frozen=True)
-class LanguageSubject:
+class LanguageTraining:
     """A small VLA of which all is held still but its text encoder."""
 
     recipe: LanguageRecipe
@@ -84,17 +84,17 @@ class LanguageSubject:
         network.text.requires_grad_()
         return network
 
-    def lesson(self, network: nn.Module) -> LanguageLesson:
+    def lesson(self, network: nn.Module) -> LanguageLoss:
         """The policy with its language teacher."""
         assert isinstance(network, SmallVLA)  # noqa: S101  (tells the type checker)
         before, known, _ = load_trained(self.start)
-        return LanguageLesson(network, before.text, len(known.words), self.recipe.kept)
+        return LanguageLoss(network, before.text, len(known.words), self.recipe.kept)
 
     def learner(self, network: nn.Module) -> None:
         """Nothing flies along."""
         del network
 
-    def share(self, processes: int) -> LanguageSubject:
+    def share(self, processes: int) -> LanguageTraining:
         """Sentences are shared."""
         return replace(self, recipe=replace(self.recipe, batch=-(-self.recipe.batch // processes)))
 
@@ -120,7 +120,7 @@ class LanguageSubject:
 
     def validate(self, lesson: nn.Module, batches: list[Batch], autocast: Any) -> Row:
         """Loss, and share of sentences that were understood, overall and by family."""
-        assert isinstance(lesson, LanguageLesson)  # noqa: S101
+        assert isinstance(lesson, LanguageLoss)  # noqa: S101
         device = next(lesson.parameters()).device
         losses, rights = [], []
         with torch.no_grad(), autocast():
@@ -168,7 +168,7 @@ class LanguageSubject:
         }
 
 
-class LanguageLesson(nn.Module):
+class LanguageLoss(nn.Module):
     """The policy and its language teacher, who has it say of what it knew before what it said then.
 
     What it knew it learned from what it saw; what is told says nothing of how surely a thing is seen.
@@ -210,11 +210,13 @@ def draw_told(rng: np.random.Generator, recipe: LanguageRecipe) -> Task:
             return task
 
 
-def language_subject(recipe: LanguageRecipe, start: Path) -> LanguageSubject:
+def language_subject(recipe: LanguageRecipe, start: Path) -> LanguageTraining:
     """The subject of a recipe: the policy of a checkpoint; beside the words that it knows, those that are taught."""
     facts = read_checkpoint(start)[1]
     known = tuple(facts["vocabulary"])
     rng = np.random.default_rng((0, _VALIDATION + 1))
     sentences = (draw_told(rng, recipe).instruction.replace(STRANGER, "") for _ in range(_SENTENCES))
     new = {word for sentence in sentences for word in words_of(sentence)} - set(known)
-    return LanguageSubject(recipe, start, Vocabulary((*known, *sorted(new))), facts["recipe"]["network"]["text_length"])
+    return LanguageTraining(
+        recipe, start, Vocabulary((*known, *sorted(new))), facts["recipe"]["network"]["text_length"]
+    )

@@ -1,4 +1,4 @@
-"""What the small VLA is taught by: one loss a part of it, all from one batch of a `Rehearsal`.
+"""What the small VLA is taught by: one loss a part of it, all from one batch of a `RolloutStream`.
 
 Each part learns from the truth of the simulator, not from the mistakes of the parts before it: gates are read at their
 true cells, panels in their true boxes, give or take what the network will miss them by when it flies alone.
@@ -41,7 +41,7 @@ def to_tensors(batch: Batch, device: torch.device | str = "cpu") -> dict[str, Te
     return {name: torch.from_numpy(np.ascontiguousarray(values)).to(device) for name, values in batch.items()}
 
 
-class Lesson(nn.Module):
+class LossModule(nn.Module):
     """The network and its teacher: a batch in, the loss and what it is made of out.
 
     One module, so that it can be wrapped for training on several devices.

@@ -28,17 +28,17 @@ from cognitivedrone.training.common.phrasing import SPOKEN
 from cognitivedrone.training.common.sampling import Batch, StreamRecipe
 from cognitivedrone.training.common.training_task import Batches, Row
 from cognitivedrone.training.recipes import TrainRecipe
-from cognitivedrone.training.small_vla.losses import Lesson
+from cognitivedrone.training.small_vla.losses import LossModule
 from cognitivedrone.training.small_vla.pilot import NetworkPilot, fly_suite
 from cognitivedrone.training.small_vla.recorded import Recorded
-from cognitivedrone.training.small_vla.stream import Rehearsal
+from cognitivedrone.training.small_vla.stream import RolloutStream
 
 _VALIDATION = 10**6  # rank of the generator of validation frames: no training process has it
 _SENTENCES = 40_000  # training sentences whose words are the vocabulary
 
 
 @dataclass(frozen=True)
-class PolicySubject:
+class PolicyTraining:
     """A small VLA that learns from flights made while it trains, or from a data set."""
 
     recipe: TrainRecipe
@@ -62,16 +62,16 @@ class PolicySubject:
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return network
 
-    def lesson(self, network: nn.Module) -> Lesson:
+    def lesson(self, network: nn.Module) -> LossModule:
         """With the recipe's weights of losses."""
         assert isinstance(network, SmallVLA)  # noqa: S101  (tells the type checker)
-        return Lesson(network, self.recipe.losses)
+        return LossModule(network, self.recipe.losses)
 
     def learner(self, network: nn.Module) -> NetworkPilot | None:
         """A pilot of many drones, where flights are made and the recipe gives it some."""
         return self._pilot(network) if self.data is None and self.recipe.stream.learner > 0 else None
 
-    def share(self, processes: int) -> PolicySubject:
+    def share(self, processes: int) -> PolicyTraining:
         """Frames, sentences and cards are shared."""
         stream = self.recipe.stream
         if stream.batch % processes:
@@ -97,7 +97,7 @@ class PolicySubject:
 
     def validate(self, lesson: nn.Module, batches: list[Batch], autocast: Any) -> Row:
         """As in the literature on OpenVLA."""
-        assert isinstance(lesson, Lesson)  # noqa: S101
+        assert isinstance(lesson, LossModule)  # noqa: S101
         return validate(lesson, batches, autocast)
 
     def trial(self, network: nn.Module) -> Row:
@@ -111,7 +111,7 @@ class PolicySubject:
         return NetworkPilot(network, self.vocabulary)
 
 
-def policy_subject(recipe: TrainRecipe, data: Path | None = None) -> PolicySubject:
+def policy_subject(recipe: TrainRecipe, data: Path | None = None) -> PolicyTraining:
     """The subject of a recipe, with the vocabulary of its tasks."""
     racing = recipe.stream.suite == "race"
     vocabulary = Vocabulary.of(INSTRUCTIONS) if racing else training_vocabulary(spoken=recipe.stream.spoken > 0)
@@ -122,7 +122,7 @@ def policy_subject(recipe: TrainRecipe, data: Path | None = None) -> PolicySubje
         board_bounds=BOARD_BOUNDS,
         chunk=recipe.stream.chunk,
     )
-    return PolicySubject(replace(recipe, network=network), vocabulary, data)
+    return PolicyTraining(replace(recipe, network=network), vocabulary, data)
 
 
 def training_vocabulary(*, spoken: bool = False) -> Vocabulary:
@@ -146,7 +146,7 @@ def training_batches(
 ) -> Batches:
     """Batches from a split of a data set or, without one, from flights made now, whose seeds are their splits."""
     if data is None:
-        return Rehearsal(stream, vocabulary, network)
+        return RolloutStream(stream, vocabulary, network)
     return Recorded(data, stream, vocabulary, network, "val" if validation else "train").batches
 
 
