@@ -1,11 +1,12 @@
 """Training data made while it is used: drones flown, disturbed and looked at in many scenes at once.
 
 Each world of a `RolloutStream` flies toward one gate, by the expert with wandering wrong commands on top, or by the
-network itself as it was a while ago (DAgger, all the time). Some moments of every flight become samples: a rendered frame,
-everything that is true of it, and several sentences that ask for this gate or that one. What is flown tells nothing
-about what is asked, except where the panels cannot be read: there a drone can only go on where it is going.
+network itself as it was a while ago (DAgger, all the time). Some moments of every flight become samples: a rendered
+frame, everything that is true of it, and several sentences that ask for this gate or that one. What is flown tells
+nothing about what is asked, except where the panels cannot be read: there a drone can only go on where it is going.
 
-A stream is a pure function of recipe, seed and the weights that fly along: the same batches on every machine of a kind.
+A stream is a pure function of recipe, seed and the weights that fly along: the same batches on every machine of a
+kind.
 """
 
 from __future__ import annotations
