@@ -2,7 +2,7 @@
 
     from cognitivedrone import evaluate
 
-    print(evaluate(MyPolicy(), suite="open-v1:smoke").table())
+    print(evaluate(MyPolicy(), suite="open-v1:smoke"))
 
 Importing the package is light: it loads no simulator and no learning framework until `evaluate` is asked for. The parts
 are reached by their rooms, for example `cognitivedrone.tasks` or `cognitivedrone.benchmark`.

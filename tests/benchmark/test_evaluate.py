@@ -24,24 +24,24 @@ def test_an_object_a_class_and_a_name_fly_alike(tmp_path):
     by_object = score(user_pilots.Straight(1.0))
     by_function = score(lambda: user_pilots.Straight(1.0))
     by_name = score("user_pilots:Straight:1.0", workers=0)
-    assert by_object.episodes == by_function.episodes == by_name.episodes
-    assert by_object.summary().overall.n == 2
-    assert by_object.run.policy == "user_pilots.Straight"
-    assert by_object.platform["command"] == "evaluate(user_pilots.Straight, 'open-v1:smoke', episodes=2)"
-    assert by_name.run.policy == "user_pilots:Straight:1.0"
+    assert by_object.results.episodes == by_function.results.episodes == by_name.results.episodes
+    assert by_object.summary.overall.n == 2
+    assert by_object.results.run.policy == "user_pilots.Straight"
+    assert by_object.results.platform["command"] == "evaluate(user_pilots.Straight, 'open-v1:smoke', episodes=2)"
+    assert by_name.results.run.policy == "user_pilots:Straight:1.0"
 
 
 def test_a_class_of_a_module_flies_in_other_processes(tmp_path):
-    results = score(user_pilots.Straight, workers=2, out=tmp_path / "run")
-    assert results.timing.workers == 2
-    assert results.run.policy == "user_pilots:Straight"
-    assert read_results(tmp_path / "run") == results
+    evaluation = score(user_pilots.Straight, workers=2, out=tmp_path / "run")
+    assert evaluation.results.timing.workers == 2
+    assert evaluation.results.run.policy == "user_pilots:Straight"
+    assert read_results(tmp_path / "run") == evaluation.results
 
 
 def test_a_reasoner_may_be_an_object_too():
     gold = score("colour_seeker", reasoner=Oracle())
-    assert gold.summary().overall.passed == 2
-    assert gold.summary().overall.reasoner.gate == 1.0
+    assert gold.summary.overall.passed == 2
+    assert gold.summary.overall.reasoner.gate == 1.0
 
 
 def test_objects_stay_in_one_process_and_that_is_said(capsys):
@@ -53,7 +53,7 @@ def test_objects_stay_in_one_process_and_that_is_said(capsys):
 
 def test_a_task_file_is_a_suite(tmp_path):
     write_tasks(tmp_path / "mine.json", [task for (task,) in load_suite("open-v1:smoke").tracks[:2]])
-    assert evaluate("oracle", tmp_path / "mine.json", workers=0, progress=False).summary().overall.n == 2
+    assert evaluate("oracle", tmp_path / "mine.json", workers=0, progress=False).summary.overall.n == 2
 
 
 def test_what_cannot_be_flown_is_said():
@@ -76,8 +76,8 @@ def test_a_script_of_three_lines_scores_its_own_class(tmp_path):
         Path(user_pilots.__file__).read_text()
         + "\nfrom cognitivedrone import evaluate\n"
         + "results = evaluate(Straight(), suite='open-v1:smoke', episodes=1)\n"
-        + "print(results.table())\n"
-        + "print(evaluate(Straight, episodes=1).summary().overall.n)\n"
+        + "print(results)\n"
+        + "print(evaluate(Straight, episodes=1).summary.overall.n)\n"
     )
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=120, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -27,16 +27,16 @@ def lasting(folder):
     ],
 )
 def test_a_mistake_is_a_policy_error_with_its_traceback(tmp_path, how, says, trace):
-    results = evaluate(
+    evaluation = evaluate(
         f"user_pilots:Faulty:{how}", episodes=2, workers=0, out=tmp_path / "run", clips=1, progress=False
     )
-    assert results.summary().overall.outcomes["policy_error"] == 2
-    for episode in results.episodes:
+    assert evaluation.summary.overall.outcomes["policy_error"] == 2
+    for episode in evaluation.results.episodes:
         assert says in episode.message
         assert episode.steps == 2
     kept = (tmp_path / "run" / "errors" / "episode-0001.txt").read_text()
     assert trace in kept
-    assert "policy errors, counted as not passed: 2" in " ".join(results.table().split())
+    assert "policy errors, counted as not passed: 2" in " ".join(evaluation.table().split())
 
 
 @pytest.mark.parametrize("how", ["raise", "quit", "hang"])
@@ -52,8 +52,8 @@ def test_mistakes_count_the_same_with_one_worker_and_with_two(tmp_path, how):
 
 
 def test_on_a_track_what_was_flown_before_the_mistake_stays(tmp_path):
-    results = evaluate("user_pilots:Faulty", "open-v1:track", episodes=1, workers=0, progress=False)
-    (episode,) = results.episodes
+    evaluation = evaluate("user_pilots:Faulty", "open-v1:track", episodes=1, workers=0, progress=False)
+    (episode,) = evaluation.results.episodes
     assert [stage.outcome for stage in episode.stages] == ["policy_error", *["not_reached"] * 4]
 
 
@@ -65,11 +65,11 @@ def test_fail_fast_stops_with_the_traceback(tmp_path):
 
 @pytest.mark.parametrize(("how", "fault"), [("text", "schema"), ("surrogate", "garbage"), ("raise", "raised")])
 def test_a_reasoner_that_returns_nonsense_is_counted_and_the_policy_flies_on(tmp_path, how, fault):
-    results = evaluate(
+    evaluation = evaluate(
         "user_pilots:Straight", reasoner=f"user_pilots:Reasons:{how}", episodes=1, workers=0,
         out=tmp_path / "run", clips=1, progress=False,
     )  # fmt: skip
-    overall = results.summary().overall
+    overall = evaluation.summary.overall
     assert overall.outcomes["policy_error"] == 0
     assert set(overall.reasoner.faults) == {fault}
     assert (tmp_path / "run" / "errors").exists() == (how == "raise")

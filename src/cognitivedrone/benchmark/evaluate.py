@@ -6,7 +6,7 @@ import importlib
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,6 +14,8 @@ from cognitivedrone.benchmark.episode import Pilot
 from cognitivedrone.benchmark.results import Results
 from cognitivedrone.benchmark.run_types import LookName, RunConfig
 from cognitivedrone.benchmark.runner import run
+from cognitivedrone.benchmark.scoring import Summary
+from cognitivedrone.benchmark.tables import as_text, results_table
 from cognitivedrone.errors import PolicyError, RunError
 from cognitivedrone.interfaces import Policy, Reasoner
 from cognitivedrone.policies import make_policy
@@ -21,6 +23,26 @@ from cognitivedrone.printable import visible
 from cognitivedrone.reasoners import NONE, make_reasoner
 
 Part = TypeVar("Part")
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """What `evaluate` found: printed, it is the table that the command prints."""
+
+    results: Results
+    """Every episode, and what identifies the run; the content of results.json."""
+
+    @property
+    def summary(self) -> Summary:
+        """The scores, such as `summary.overall.rate` and `summary.families["letters"].ci95`."""
+        return self.results.summary()
+
+    def table(self) -> str:
+        """The scores as text, 80 columns wide."""
+        return as_text(results_table(self.results))
+
+    def __str__(self) -> str:
+        return self.table()
 
 
 def evaluate(
@@ -44,13 +66,13 @@ def evaluate(
     decision_timeout: float = 60.0,
     fail_fast: bool = False,
     progress: bool = True,
-) -> Results:
+) -> Evaluation:
     """Fly a policy through a suite of tasks and score it, as `cognitivedrone bench` does.
 
         from cognitivedrone import evaluate
 
-        results = evaluate(MyPolicy(), suite="open-v1:test")
-        print(results.summary().overall.rate, results.table())
+        evaluation = evaluate(MyPolicy(), suite="open-v1:test")
+        print(evaluation, evaluation.summary.overall.rate)
 
     `policy` and `reasoner` are a name as on the command line ("small", "my_module:MyPolicy:weights.pt,device=cpu"), an
     object, or a class or function that makes one. Names, and classes and functions that another process can import,
@@ -92,9 +114,9 @@ def evaluate(
         config = replace(config, workers=0)
         pilot = replace(_pilot(policy, reasoner), command=_call_of(config))
     if out is not None:
-        return run(config, progress=progress, pilot=pilot)
+        return Evaluation(run(config, progress=progress, pilot=pilot))
     with tempfile.TemporaryDirectory(prefix="cognitivedrone-") as folder:
-        return run(replace(config, out=Path(folder) / "run"), progress=progress, pilot=pilot)
+        return Evaluation(run(replace(config, out=Path(folder) / "run"), progress=progress, pilot=pilot))
 
 
 def _name_of(part: object) -> str | None:

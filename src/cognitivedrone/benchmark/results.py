@@ -107,13 +107,6 @@ class Results:
         """The scores by a rule; by the run's own where none is named."""
         return summarize(self.episodes, rule or self.rule)
 
-    def table(self, rule: Rule | None = None) -> str:
-        """The scores as text, 80 columns wide, as `cognitivedrone bench` prints them."""
-        # The tables are made of results, so they cannot be imported before them.
-        from cognitivedrone.benchmark.tables import as_text, results_table
-
-        return as_text(results_table(self, rule))
-
 
 def versions() -> dict[str, str]:
     """Versions of what decides a result."""
