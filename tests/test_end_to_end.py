@@ -200,7 +200,7 @@ def test_a_malformed_task_is_one_sentence_and_exit_code_2(tmp_path, text, says):
         (("--tasks", "no/such/file.json"), "no/such/file.json"),
         (("--labels", "no/such/folder"), "no/such/folder"),
         (("--airframe", "irish"), "did you mean 'iris'"),
-        (("--workers", 0), "worker"),
+        (("--workers", -1), "worker"),
         (("--episodes", 0), "episode"),
     ],
 )

@@ -82,7 +82,7 @@ def test_an_exception_of_the_reasoners_own_is_a_fault_whose_traceback_is_kept():
     mind.ask(question())
     answer = mind.answer(0.0)
     assert (answer.guidance, answer.fault) == (None, "raised")
-    assert re.fullmatch(r"the reasoner raised KeyError: 'oops' \(test_mind.py, line \d+\)", answer.message)
+    assert re.fullmatch(r"the reasoner raised KeyError: 'oops' \(test_async_reasoner.py, line \d+\)", answer.message)
     assert "in refine" in mind.trace
 
 

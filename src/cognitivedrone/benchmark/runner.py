@@ -10,7 +10,7 @@ import shlex
 import statistics
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -78,7 +78,9 @@ def run(config: RunConfig, *, progress: bool = True, runner: str = RUNNER, pilot
     workers = min(_workers(config), max(len(missing), 1))
     with ExitStack() as stack:
         # Nothing is written before somebody can fly: a pilot that cannot be made changes no folder.
-        with console(stderr=True, quiet=not progress).status("starting the simulators"):
+        # A quiet console of older releases of rich ends a status with an empty line.
+        screen = console(stderr=True)
+        with screen.status("starting the simulators") if progress else nullcontext():
             pool = _open_pool(config, suite, workers, runner, pilot)
         stack.enter_context(pool)
         folder = stack.enter_context(RunFolder(path, facts, resume=config.resume, overwrite=config.overwrite))
