@@ -103,7 +103,7 @@ def test_ctrl_c_with_workers_ends_them_quietly(config):
     stopped = in_new_process(config, "benchmark_fakes:GroupInterruptedRunner", workers=2)
     assert stopped.returncode == 130
     assert "--resume" in stopped.stdout
-    assert stopped.stderr == ""
+    assert not stopped.stderr.strip()  # older versions of rich end the bar's line
     results = run(replace(config, resume=True), progress=False, runner=RUNNER)
     assert results.summary().overall.n == 20
 

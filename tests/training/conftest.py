@@ -5,16 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-import torch
-
-from cognitivedrone.training.common.checkpoint import save_checkpoint
-from cognitivedrone.training.common.trainer import CHECKPOINT
-from cognitivedrone.training.recipes import RECIPES
-from cognitivedrone.training.small_vla import policy
 
 
 @pytest.fixture(scope="session")
 def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    import torch
+
+    from cognitivedrone.training.common.checkpoint import save_checkpoint
+    from cognitivedrone.training.common.trainer import CHECKPOINT
+    from cognitivedrone.training.recipes import RECIPES
+    from cognitivedrone.training.small_vla import policy
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(policy, "_SENTENCES", 100)
         subject = policy.policy_subject(RECIPES["debug"])
