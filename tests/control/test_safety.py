@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from cognitivedrone.control.fence import Fence, keep_inside, outside_by
@@ -251,6 +251,8 @@ def test_distance_outside(fence, position, outside):
 
 
 @given(st.sampled_from(FENCES), vectors, st.tuples(*[st.floats(-3, 3)] * 3).map(np.array), st.floats(-7, 7))
+@example(FENCES[2], np.array([1.2, 1.2, 1.0]), np.array([0.0, 1.0, 0.0]), 0.0)  # on a side, but for rounding
+@example(FENCES[1], np.array([1.2, 1.2, 1.0]), np.array([0.0, 1.0, 0.0]), 0.0)
 def test_outside_nothing_leads_farther_out(fence, position, command, yaw):
     kept = keep_inside(command, position, np.zeros(3), yaw, fence)
     assert np.linalg.norm(kept) <= np.linalg.norm(command) + 1e-9

@@ -39,6 +39,10 @@ class Fence:
             raise ValueError(f"the fence floor {self.floor_m} m must be below its ceiling {self.ceiling_m} m")
 
 
+_ON_THE_EDGE_M = 1e-9
+"""Nearer to a side than this, the direction to it is rounding: there the drone is not outside yet."""
+
+
 def outside_by(position: FloatArray, fence: Fence) -> float:
     """How far outside the fence a position (3,) ENU is, m: the worst of sides, floor and ceiling; negative inside."""
     sides, _ = _sides(position[:2], fence)
@@ -79,7 +83,9 @@ def _sides(point: FloatArray, fence: Fence) -> tuple[float, FloatArray]:
     distances = np.hypot(gaps[:, 0], gaps[:, 1])
     nearest = int(distances.argmin())
     distance = float(distances[nearest])
-    outward = gaps[nearest] / distance if distance > 0 else np.array([1.0, 0.0])
+    if distance < _ON_THE_EDGE_M:
+        return 0.0, np.array([1.0, 0.0])
+    outward = gaps[nearest] / distance
     return (-distance, -outward) if _inside(point, corners) else (distance, outward)
 
 
