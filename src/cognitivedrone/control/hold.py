@@ -3,7 +3,7 @@
 A `Hold` listens to a mind and stands between the control loop and the drone:
 
     hold = Hold()
-    fly(HeldDrone(drone, hold), policy, clock, mission, mind=HeedingMind(mind, hold))
+    fly(HeldDrone(drone, hold), policy, clock, mission, mind=HoldAwareReasoner(mind, hold))
 
 The policy goes on thinking meanwhile, so that the flight goes on at once where an answer becomes sure. The benchmark
 flies without one.
