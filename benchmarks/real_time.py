@@ -14,12 +14,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import tyro
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 
 from cognitivedrone.control.async_reasoner import SimulatedReasoner, ThreadedReasoner
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.envs.drone import PacedDrone, SimulatedDrone
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.interfaces import Privileged, Reasoner
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy

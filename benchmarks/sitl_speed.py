@@ -16,8 +16,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.simulator import Simulator

@@ -11,7 +11,6 @@ from typing import get_args
 import numpy as np
 import pytest
 import reason_fakes
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from rich.console import Console
 
 from cognitivedrone.benchmark.codec import encode
@@ -22,6 +21,7 @@ from cognitivedrone.benchmark.reason_table import reason_table
 from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.runner import Interrupted
 from cognitivedrone.benchmark.suites import suite_of
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import PolicyError, ReasonerFault, RunError
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.labels import load_pack

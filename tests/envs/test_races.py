@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, stage_of
 
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, stage_of
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.expert import Expert
 from cognitivedrone.sim.simulator import Simulator, Start

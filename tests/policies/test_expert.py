@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.frames import rotate_yaw, yaw_of
 from cognitivedrone.labels import load_pack

@@ -15,7 +15,6 @@ import pytest
 
 pytest.importorskip("pymavlink")
 
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, stage_of
 from moving import Moving, moving
 from reading import models, read_world
 from stand_in import StandIn
@@ -23,6 +22,7 @@ from stand_in import StandIn
 from cognitivedrone.cli import main
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.envs.drone import SimulatedDrone
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, stage_of
 from cognitivedrone.errors import GazeboError, RunError
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.labels import load_pack
