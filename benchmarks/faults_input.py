@@ -22,11 +22,11 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+from cognitivedrone.benchmark.suites import suite_of
 from rich.table import Table
 
 from cognitivedrone.benchmark.episode import preflight
 from cognitivedrone.benchmark.run_types import RunConfig
-from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import CognitiveDroneError, PolicyError
 from cognitivedrone.labels import load_pack
@@ -55,7 +55,7 @@ VALUES: tuple[Any, ...] = (
 def task_files(count: int, seed: int, folder: Path) -> dict[str, Counter[str]]:
     """How mutated task files ended, by the kind of the mutation."""
     simulator = Simulator(1)
-    track_runner = TrackRunner(simulator, 0, load_pack(), TrackConfig())
+    track_runner = TrackRunner(simulator.world(0), load_pack(), TrackConfig())
     found: dict[str, Counter[str]] = {}
     sound = _sound_files()
     for number in range(count):

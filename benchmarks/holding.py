@@ -46,7 +46,7 @@ class Flights:
 
     def __init__(self, suite: Suite, config: Config) -> None:
         self.suite, self.config = suite, config
-        self.track_runner = TrackRunner(Simulator(1), 0, load_pack("open-v1"), TrackConfig(time_limit_s=LIMIT_S))
+        self.track_runner = TrackRunner(Simulator(1).world(0), load_pack("open-v1"), TrackConfig(time_limit_s=LIMIT_S))
         self.drone = SimulatedDrone(self.track_runner.simulator, self.track_runner)
         self.policy, self.reasoner = make_policy("small"), SmallReasoner()
 

@@ -17,10 +17,11 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from cognitivedrone.benchmark.suites import suite_of
+
 from cognitivedrone.benchmark.episode import PilotRunner
 from cognitivedrone.benchmark.run_types import Rollout, RunConfig
 from cognitivedrone.benchmark.runner import run as bench
-from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.collect import executors
 from cognitivedrone.collect.collector import CollectConfig, collect
 from cognitivedrone.collect.executors import Job, fly_here

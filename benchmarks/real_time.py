@@ -70,7 +70,7 @@ class TimedReasoner:
 def real_time(policy_name: str, reasoner_name: str, seconds: float) -> None:
     suite = load_suite("open-v1:test")
     simulator = Simulator(1)
-    track_runner = TrackRunner(simulator, 0, load_pack("open-v1"), TrackConfig())
+    track_runner = TrackRunner(simulator.world(0), load_pack("open-v1"), TrackConfig())
     policy = TimedPolicy(make_policy(policy_name))
     made = make_reasoner(reasoner_name)
     reasoner = TimedReasoner(made) if made is not None else None

@@ -70,7 +70,7 @@ def arducopter(binary: Path, render: bool) -> float:
     flight = SitlFlight(binary)
     simulator = Simulator(1, airframe=IRIS, flight=flight, render=render)
     try:
-        track_runner = TrackRunner(simulator, 0, load_pack("open-v1"), TrackConfig())
+        track_runner = TrackRunner(simulator.world(0), load_pack("open-v1"), TrackConfig())
         track_runner.begin(suite.tracks[0], episode_rng(suite.digest, 0, 0))
         ratios = []
         for _ in range(ROUNDS):

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cognitivedrone.sim.airframe import AIRFRAMES, IRIS
-from cognitivedrone.sim.responses import ARDUCOPTER, STEPS, Figures, Trace, fly, measure
+from cognitivedrone.sim.airframe import AIRFRAMES
+from cognitivedrone.sim.responses import ARDUCOPTER, STEPS, Figures, OwnMotion, Trace, fly, measure
 from cognitivedrone.types import FloatArray
 from cognitivedrone.vehicles.sitl.arducopter import BINARY_VARIABLE
 from cognitivedrone.vehicles.sitl.flight import SitlFlight
@@ -92,9 +92,9 @@ def main() -> None:
     try:
         for name, step in STEPS.items():
             print(row(name, "ArduCopter 4.6.3", ARDUCOPTER[name]))
-            traces = {frame: fly(step, airframe) for frame, airframe in AIRFRAMES.items()}
+            traces = {frame: fly(step, OwnMotion(airframe)) for frame, airframe in AIRFRAMES.items()}
             if arducopter is not None:
-                traces["ArduCopter, flown now"] = fly(step, IRIS, arducopter)
+                traces["ArduCopter, flown now"] = fly(step, arducopter)
             for who, trace in traces.items():
                 print(row(name, who, measure(step, trace)))
                 if options.traces:

@@ -98,6 +98,22 @@ def replace_file(path: Path, content: bytes) -> None:
         raise
 
 
+def digest_of_file(path: Path) -> str:
+    """SHA-256 of a file's content, hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def digest_of_folder(folder: Path) -> str:
+    """SHA-256 over the names and contents of a folder's files, hexadecimal."""
+    digest = hashlib.sha256()
+    for file in sorted(path for path in folder.rglob("*") if path.is_file()):
+        content = file.read_bytes()
+        digest.update(f"{file.relative_to(folder).as_posix()}\0{len(content)}\0".encode(errors="surrogateescape"))
+        digest.update(content)
+    return digest.hexdigest()
+
+
 def take_lock(descriptor: int) -> bool:
     """Take the exclusive lock of an open file or folder; false where another process has it.
 

@@ -153,7 +153,7 @@ def test_a_track_is_told_as_in_flight(config):
 
 def test_later_stages_are_looked_at_from_their_own_start_boxes():
     simulator = Simulator(1)
-    track_runner = TrackRunner(simulator, 0, load_pack("open-v1"), TrackConfig())
+    track_runner = TrackRunner(simulator.world(0), load_pack("open-v1"), TrackConfig())
     suite = load_suite("open-v1:track")
     low, high = (geometry.START + sign * geometry.START_HALF_EXTENT for sign in (-1, 1))
     starts = []

@@ -11,7 +11,8 @@ import pytest
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, stage_of
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.expert import Expert
-from cognitivedrone.sim.simulator import Simulator, Start
+from cognitivedrone.sim.drone_world import Start
+from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import load_suite, race_task
 from cognitivedrone.types import Color, Gate, Image, Task, Track
 from cognitivedrone.world import geometry
@@ -24,7 +25,7 @@ GATES = (Gate("big", "square", "red"), Gate("big", "square", "green"), Gate("big
 @pytest.fixture(scope="module")
 def track_runner() -> Iterator[TrackRunner]:
     simulator = Simulator(1)
-    yield TrackRunner(simulator, 0, load_pack("open-v1"), TrackConfig())
+    yield TrackRunner(simulator.world(0), load_pack("open-v1"), TrackConfig())
     simulator.close()
 
 
@@ -95,7 +96,7 @@ def test_flying_by_ends_the_race(track_runner):
 
 def test_the_races_of_the_suite_can_be_flown():
     simulator = Simulator(1, render=False)
-    track_runner = TrackRunner(simulator, 0, load_pack("open-v1"), TrackConfig())
+    track_runner = TrackRunner(simulator.world(0), load_pack("open-v1"), TrackConfig())
     expert = Expert()
     for episode, track in enumerate(load_suite("open-v1:race").tracks[::4]):
         track_runner.begin(track, np.random.default_rng(episode))

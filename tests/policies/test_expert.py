@@ -19,7 +19,7 @@ def fly(suite_name, size, speed):
     suite = load_suite(suite_name, size=size)
     simulator = Simulator(size, render=False)
     pack = load_pack("open-v1")
-    track_runners = [TrackRunner(simulator, world, pack, TrackConfig()) for world in range(size)]
+    track_runners = [TrackRunner(simulator.world(world), pack, TrackConfig()) for world in range(size)]
     experts = [Expert(ExpertConfig(speed_m_s=speed)) for _ in range(size)]
     commands = [[] for _ in range(size)]
     legs = [-1] * size

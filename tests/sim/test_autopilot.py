@@ -12,7 +12,7 @@ import pytest
 
 from cognitivedrone.sim.airframe import AIRFRAMES, GRAVITY, RACER
 from cognitivedrone.sim.autopilot import trim
-from cognitivedrone.sim.responses import ARDUCOPTER, STEPS, Trace, fly, measure
+from cognitivedrone.sim.responses import ARDUCOPTER, STEPS, OwnMotion, Trace, fly, measure
 
 RECORDS = Path(__file__).parents[2].parent / "shared" / "arducopter"
 FILES = {
@@ -29,7 +29,7 @@ every_step = pytest.mark.parametrize("name", STEPS)
 
 @cache
 def flown(name: str, airframe: str) -> Trace:
-    return fly(STEPS[name], AIRFRAMES[airframe])
+    return fly(STEPS[name], OwnMotion(AIRFRAMES[airframe]))
 
 
 @both

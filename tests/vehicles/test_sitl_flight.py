@@ -16,7 +16,7 @@ from cognitivedrone.errors import LinkError, PolicyError, RunError
 from cognitivedrone.frames import quaternion_from_yaw, wrap_angle, yaw_of
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.dynamics import Flight
-from cognitivedrone.sim.simulator import TICKS_PER_CONTROL
+from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL
 from cognitivedrone.types import DroneState
 from cognitivedrone.vehicles.one_drone import LinkReport, placed
 from cognitivedrone.vehicles.sitl.flight import STILL_M_S, SitlFlight

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from datetime import datetime
 from pathlib import Path
-from typing import TextIO, TypeVar
+from typing import TextIO
 
 import numpy as np
 from rich.console import Console
 from rich.live import Live
 
 from cognitivedrone import terminal
-from cognitivedrone.apps.config import FlyConfig
-from cognitivedrone.apps.craft import Craft
-from cognitivedrone.apps.log import TLOG_FILE, FlightLog, check_free
-from cognitivedrone.apps.opening import open_craft
+from cognitivedrone.apps.config import FlyPlan
+from cognitivedrone.apps.ending import ending_of, out_of_time
+from cognitivedrone.apps.log import FlightLog, check_free
 from cognitivedrone.apps.orders import Keyboard, Orders, landing_on_interrupt
 from cognitivedrone.apps.scene import ChosenScene, choose_scene
 from cognitivedrone.apps.values import Ending, Instrument, Step, Summary
@@ -28,41 +28,43 @@ from cognitivedrone.control.hold import HeldDrone, Hold, HoldAwareReasoner, Hold
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.data.formats.bags import Ros
+from cognitivedrone.envs.track_runner import TrackConfig, episode_rng
 from cognitivedrone.errors import PolicyError
-from cognitivedrone.interfaces import Checked, Policy, Privileged, Reasoner
-from cognitivedrone.policies import make_policy
-from cognitivedrone.reasoners import make_reasoner
+from cognitivedrone.interfaces import Privileged
+from cognitivedrone.labels import load_pack
+from cognitivedrone.pilot import Pilot, open_pilot
+from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.types import Action, Event, Guidance, Observation
+from cognitivedrone.vehicles import check_vehicle, open_vehicle
+from cognitivedrone.vehicles.contract import Request, Vehicle
 from cognitivedrone.vehicles.mavlink.client.preflight import Checklist
 
 CONFIRMATION = "arm"
 REDRAWN_HZ = 5
-Part = TypeVar("Part")
 
 
-def fly_mission(config: FlyConfig, *, console: Console | None = None, keyboard: TextIO | None = None) -> Summary:
-    """Fly as the options say, and land; everything is recorded in `config.out`.
+def fly_mission(plan: FlyPlan, *, console: Console | None = None, keyboard: TextIO | None = None) -> Summary:
+    """Fly as the options say, and land; everything is recorded in `plan.out`.
 
     `keyboard` is where confirmation and instructions are typed, standard input by default. Raises what cannot be
     flown as one of the package's errors; a drone that is in the air then is landed first.
     """
     console, keyboard = console or terminal.console(), keyboard or sys.stdin
-    out = config.out or Path("flights") / datetime.now().strftime("%Y-%m-%d-%H%M%S")
+    out = plan.out or Path("flights") / datetime.now().strftime("%Y-%m-%d-%H%M%S")
     orders = Orders()
     with ExitStack() as stack:
-        policy = _ready(stack, make_policy(config.policy))
-        reasoner = _ready(stack, make_reasoner(config.reasoner))
-        ros = Ros() if config.record == "mcap" else None
+        pilot = stack.enter_context(open_pilot(plan.pilot))
+        ros = Ros() if plan.record == "mcap" else None
         check_free(out)
-        scene = None if config.is_mavlink else choose_scene(config)
+        scene = None if plan.vehicle.kind == "mavlink" else choose_scene(plan)
         log, summary, error = None, None, ""
         try:
-            craft = open_craft(config, out / TLOG_FILE, scene, lambda: orders.given[1] or config.instruction.strip())
-            with closing(craft):
+            with closing(_open(plan, out)) as vehicle:
                 if scene is not None:
+                    vehicle.begin(scene.track, episode_rng(scene.suite.digest, scene.episode, plan.scenario.seed))
                     console.print(scene.told, markup=False, highlight=False, soft_wrap=True)
-                log = FlightLog(out, _about(config, scene), ros)
-                summary = _fly(config, craft, policy, reasoner, log, orders, console, keyboard)
+                log = FlightLog(out, _about(plan, scene), ros)
+                summary = _fly(plan, vehicle, pilot, log, orders, console, keyboard)
         except BaseException as stop:
             error = str(stop) or type(stop).__name__
             raise
@@ -72,38 +74,56 @@ def fly_mission(config: FlyConfig, *, console: Console | None = None, keyboard: 
     return summary
 
 
+def _open(plan: FlyPlan, out: Path) -> Vehicle:
+    """The vehicle of a plan; no scene of it times out, since a person ends the flight."""
+    scenario = plan.scenario
+    check_vehicle(plan.vehicle, scenario)
+    return open_vehicle(
+        Request(
+            plan.vehicle,
+            load_pack(scenario.labels),
+            find_airframe(scenario.airframe),
+            TrackConfig.of(scenario, time_limit_s=math.inf),
+            pace="wall",
+            safety=plan.safety,
+            folder=out,
+        )
+    )
+
+
 def _fly(
-    config: FlyConfig,
-    craft: Craft,
-    policy: Policy,
-    reasoner: Reasoner | None,
+    plan: FlyPlan,
+    vehicle: Vehicle,
+    pilot: Pilot,
     log: FlightLog,
     orders: Orders,
     console: Console,
     keyboard: TextIO,
 ) -> Summary:
     """From the ground to the ground."""
-    _check_truth(craft, policy, reasoner)
-    if config.link != "sim":
+    _check_truth(vehicle, pilot)
+    if plan.vehicle.kind != "sim":
         console.print("connected; waiting until the vehicle is ready, ctrl-C stops", highlight=False)
-    drone = craft.take_off(lambda checklist: _confirm(checklist, craft, console, keyboard))
-    hold = Hold(HoldRule(below=config.hold_below))
-    mission = _Mission(config, craft, orders, drone.now, hold)
-    timed = TimedPolicy(policy)
+    drone = vehicle.take_off(lambda checklist: _confirm(checklist, vehicle, console, keyboard))
+    hold = Hold(HoldRule(below=plan.hold_below))
+    mission = _Mission(plan, vehicle, orders, drone.now, hold)
+    timed = TimedPolicy(pilot.policy)
     with ExitStack() as stack:
         stack.enter_context(landing_on_interrupt(orders))
         keys = stack.enter_context(Keyboard(keyboard, orders.say))
         shown: Instruments | Printer = Printer(console)
-        if config.view and console.is_terminal:
-            shown = Instruments(f"{config.policy} + {config.reasoner} on {config.link}", lambda: keys.typed)
+        if plan.view and console.is_terminal:
+            shown = Instruments(
+                f"{plan.pilot.policy} + {plan.pilot.reasoner} on {plan.vehicle.link}", lambda: keys.typed
+            )
             stack.enter_context(Live(shown, console=console, refresh_per_second=REDRAWN_HZ))
-        recorder = _Recorder((log, shown), mission, craft, timed, hold)
-        mind = HoldAwareReasoner(ThreadedReasoner(reasoner), hold) if reasoner is not None else None
+        recorder = _Recorder((log, shown), mission, vehicle, timed, hold)
+        mind = HoldAwareReasoner(ThreadedReasoner(pilot.reasoner), hold) if pilot.reasoner is not None else None
         try:
             steps = fly(HeldDrone(drone, hold), timed, drone, mission, mind=mind, recorder=recorder)
             ending, seconds = mission.ending or Ending("told", ""), drone.now()
             recorder.note(Event(seconds, "over", ending.reason))
-            if craft.land():
+            if vehicle.land():
                 recorder.note(Event(drone.now(), "landed"))
         finally:
             if mind is not None:
@@ -116,43 +136,44 @@ def _fly(
 class _Mission:
     """The leg at hand: the newest of what was typed, asked for at the start, or written in the scene."""
 
-    def __init__(self, config: FlyConfig, craft: Craft, orders: Orders, now: Callable[[], float], hold: Hold) -> None:
+    def __init__(self, plan: FlyPlan, vehicle: Vehicle, orders: Orders, now: Callable[[], float], hold: Hold) -> None:
         self.leg: Segment | None = None
         self.ending: Ending | None = None
-        self._config, self._craft, self._orders, self._now, self._hold = config, craft, orders, now, hold
+        self._plan, self._vehicle, self._orders, self._now, self._hold = plan, vehicle, orders, now, hold
 
     def __call__(self) -> Segment | None:
-        self.ending = self._orders.ending or self._craft.ending()
-        if self.ending is None and self._now() >= self._config.time_limit:
-            self.ending = self._craft.out_of_time(self._config.time_limit)
+        count, typed = self._orders.given
+        instruction = typed or self._plan.instruction
+        self.ending = self._orders.ending or ending_of(self._vehicle, instruction.strip())
+        if self.ending is None and self._now() >= self._plan.time_limit:
+            self.ending = out_of_time(self._vehicle, self._plan.time_limit)
             if self._hold.active:
                 self.ending = Ending("unsure", f"{self.ending.reason}; it hovered, only {_doubt(self._hold)}")
         if self.ending is not None:
             return None
-        scene = self._craft.scene()
-        count, typed = self._orders.given
-        index, truth = (scene.index, scene.truth) if scene is not None else (0, None)
+        track = self._vehicle.track_runner
+        index, truth = (track.index, track.truth()) if track is not None else (0, None)
         of_scene = truth.task.instruction if truth is not None else ""
         self._hold.begin(index + count)
-        self.leg = Segment(index + count, typed or self._config.instruction or of_scene, truth)
+        self.leg = Segment(index + count, instruction or of_scene, truth)
         return self.leg
 
 
 class _Recorder:
-    """Puts what the loop tells together with how the craft is, and gives it to the instruments."""
+    """Joins what the loop reports with the status of the vehicle, and passes it to the instruments."""
 
     def __init__(
-        self, instruments: Sequence[Instrument], mission: _Mission, craft: Craft, timed: TimedPolicy, hold: Hold
+        self, instruments: Sequence[Instrument], mission: _Mission, vehicle: Vehicle, timed: TimedPolicy, hold: Hold
     ) -> None:
         self.late = 0
         self.answers_s: list[float] = []
-        self._instruments, self._mission, self._craft, self._timed = instruments, mission, craft, timed
+        self._instruments, self._mission, self._vehicle, self._timed = instruments, mission, vehicle, timed
         self._decisions = 0
         self._decision = "fly"
         self._hold, self._held = hold, False
 
     def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:
-        leg, status = self._mission.leg, self._craft.status()
+        leg, status = self._mission.leg, self._vehicle.status()
         if leg is None:
             return
         if status.decision != self._decision:
@@ -176,28 +197,16 @@ class _Recorder:
             instrument.event(event)
 
 
-def _ready(stack: ExitStack, part: Part) -> Part:
-    """A policy or reasoner that could fly now, closed at the end if it can be."""
-    close = getattr(part, "close", None)
-    if callable(close):
-        stack.callback(close)
-    if isinstance(part, Checked):
-        part.check()
-    return part
+def _check_truth(vehicle: Vehicle, pilot: Pilot) -> None:
+    for kind, part in (("policy", pilot.policy), ("reasoner", pilot.reasoner)):
+        if vehicle.track_runner is None and isinstance(part, Privileged):
+            raise PolicyError(f"this {kind} uses privileged state, which a vehicle over MAVLink does not have")
 
 
-def _check_truth(craft: Craft, policy: Policy, reasoner: Reasoner | None) -> None:
-    for kind, part in (("policy", policy), ("reasoner", reasoner)):
-        if craft.scene() is None and isinstance(part, Privileged):
-            raise PolicyError(
-                f"this {kind} must be told the truth about the scene, which only --link sim and sitl know"
-            )
-
-
-def _confirm(checklist: Checklist, craft: Craft, console: Console, keyboard: TextIO) -> bool:
+def _confirm(checklist: Checklist, vehicle: Vehicle, console: Console, keyboard: TextIO) -> bool:
     """Show the checklist; of what may be a real drone, a person must say yes to it."""
     console.print(str(checklist), markup=False, highlight=False, soft_wrap=True)
-    if craft.simulated:
+    if vehicle.simulated:
         return True
     console.print(f"type {CONFIRMATION!r} to arm and take off, anything else to stop: ", end="", highlight=False)
     return keyboard.readline().strip() == CONFIRMATION
@@ -208,9 +217,9 @@ def _doubt(hold: Hold) -> str:
     return f"{hold.sure:.0%} sure that what is asked is here"
 
 
-def _about(config: FlyConfig, scene: ChosenScene | None) -> dict[str, object]:
+def _about(plan: FlyPlan, scene: ChosenScene | None) -> dict[str, object]:
     """What the log says of how it was flown."""
-    about: dict[str, object] = {"config": {name: getattr(config, name) for name in config.__slots__}}
+    about: dict[str, object] = {"config": plan.values()}
     if scene is not None:
         about["scene"] = {"suite": scene.suite.name, "episode": scene.episode, "told": scene.told}
     return about | {"began": datetime.now().isoformat()}

@@ -33,8 +33,8 @@ from cognitivedrone.errors import RunError
 from cognitivedrone.files import writing
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Event, Image
 
-STEPS_FILE, EVENTS_FILE, FILM_FILE, TLOG_FILE, BAG_FOLDER, ABOUT_FILE = (
-    "steps.parquet", "events.parquet", "flight.mp4", "flight.tlog", "bag", "flight.json"
+STEPS_FILE, EVENTS_FILE, FILM_FILE, BAG_FOLDER, ABOUT_FILE = (
+    "steps.parquet", "events.parquet", "flight.mp4", "bag", "flight.json"
 )  # fmt: skip
 _NUMBERS = (
     "time_s", "x_m", "y_m", "z_m", "yaw_rad", "vx_m_s", "vy_m_s", "vz_m_s", "height_m", "yaw_rate_rad_s",

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TypeAlias
 
-from cognitivedrone.apps.config import FlyConfig
-from cognitivedrone.interfaces import LabelPack
-from cognitivedrone.labels import load_pack
+from cognitivedrone.apps.config import AUTO, FlyPlan
 from cognitivedrone.reasoners.calculator import calculate
-from cognitivedrone.tasks import Suite, load_suite, open_suite, track_at
+from cognitivedrone.tasks import Suite, load_suite, track_at
 from cognitivedrone.tasks.matching import Match, best_scene, made_scene
+from cognitivedrone.tasks.scenario import suite_of
 from cognitivedrone.tasks.suites import TRAIN_NAME, suite_of_tasks
 from cognitivedrone.types import Task, Track
 
@@ -37,27 +35,28 @@ class ChosenScene:
         return track_at(self.suite, self.episode)
 
 
-def choose_scene(config: FlyConfig) -> ChosenScene:
+def choose_scene(plan: FlyPlan) -> ChosenScene:
     """The scene of a simulated flight.
 
     With --episode that one. Without, and with an instruction of the user's own, one that shows what it asks for: of
     the suite or task file that is given, else of `SEARCHED`, else one that is made for it where it names a thing, else
     of the training suite. Otherwise the first. Raises `TaskError`.
     """
-    named = config.suite is not None or config.tasks is not None
-    suite = open_suite(config.suite or DEFAULT, config.tasks)
-    asked = config.instruction.strip()
-    if config.episode is not None or not asked:
-        return _named(suite, config.episode or 0)
+    scenario, seed = plan.scenario, plan.scenario.seed
+    named = scenario.suite != AUTO or scenario.tasks is not None
+    suite = suite_of(scenario if named else scenario.changed(suite=DEFAULT), (plan.episode or 0) + 1)
+    asked = plan.instruction.strip()
+    if plan.episode is not None or not asked:
+        return _named(suite, plan.episode or 0)
     calculated = calculate(asked)
     wanted = asked if calculated is None else f"the number {calculated}"
-    best = _best(wanted, suite if named else load_suite(SEARCHED), config.seed)
+    best = _best(wanted, suite if named else load_suite(SEARCHED), seed)
     if not named and (best is None or not best[2].complete):
-        made = made_scene(wanted, config.seed)
+        made = made_scene(wanted, seed)
         if made is not None:
             scene = _named(suite_of_tasks("a suite made for this flight", [replace(made, instruction=asked)]), 0)
             return replace(scene, told=f"{scene.told}; made since no task of {SEARCHED} shows all of it")
-        best = _better(best, _best(wanted, load_suite(TRAIN_NAME, size=TRAINED, seed=config.seed), config.seed))
+        best = _better(best, _best(wanted, load_suite(TRAIN_NAME, size=TRAINED, seed=seed), seed))
     if best is None:
         scene = _named(suite, 0)
         return replace(scene, told=f"no scene was found that shows what {asked!r} asks for; {scene.told}")
@@ -89,11 +88,6 @@ def _why(match: Match, task: Task) -> str:
     if match.missing:
         fit = f"{fit}, though {' and '.join(map(repr, match.missing))} {'do' if len(match.missing) > 1 else 'does'} not"
     return fit
-
-
-def labels_of(folder: Path | None) -> LabelPack:
-    """The pictures on the panels: the user's own before the shipped ones; raises `LabelError`."""
-    return load_pack("open-v1" if folder is None else str(folder))
 
 
 def _named(suite: Suite, episode: int) -> ChosenScene:

@@ -1,13 +1,13 @@
-"""What the parts of the cockpit tell each other: frozen values."""
+"""The values of a flight that a person watches: frozen dataclasses."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
-from cognitivedrone.types import Action, Event, FloatArray, Guidance, Observation
+from cognitivedrone.types import Action, Event, Guidance, Observation
+from cognitivedrone.vehicles.contract import Status
 
 EndKind = Literal["passed", "flown", "missed", "unsure", "told", "time", "vehicle", "interrupted"]
 """Through the right gate; through a gate of which nobody but the user knows whether it was meant; the scene was ended
@@ -25,28 +25,6 @@ class Ending:
     kind: EndKind
     reason: str
     """In words."""
-
-
-@dataclass(frozen=True, slots=True)
-class Status:
-    """How everything around the drone is doing; none and NaN where that is not known."""
-
-    position: FloatArray | None = None
-    """(3,) world or, of a vehicle, from the origin of its estimator; ENU, m."""
-    yaw: float = math.nan
-    """From east to the left, rad."""
-    mode: str = ""
-    armed: bool = True
-    battery: float | None = None
-    """0 to 1."""
-    frame_age_s: float = 0.0
-    """Of the frame that was flown by, now."""
-    link_age_s: float = 0.0
-    """Of the last message from the vehicle."""
-    decision: str = "fly"
-    """Of the guard: fly, hold, brake, land or hands_off."""
-    reason: str = ""
-    """Of the decision, in words."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
 import time
@@ -9,12 +10,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from cognitivedrone.apps.config import SimConfig
+from cognitivedrone.apps.config import SimPlan
 from cognitivedrone.apps.mjpeg import FrameServer
-from cognitivedrone.apps.opening import open_track_runner
-from cognitivedrone.apps.scene import ChosenScene
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import RunError
-from cognitivedrone.tasks import open_suite
+from cognitivedrone.labels import load_pack
+from cognitivedrone.sim.airframe import find_airframe
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.tasks import track_at
+from cognitivedrone.tasks.scenario import suite_of
 from cognitivedrone.types import Task
 from cognitivedrone.vehicles.mavlink.server.vehicle import SimulatedVehicle, VehicleConfig, serve
 
@@ -54,7 +58,7 @@ def until_interrupted() -> Iterator[Callable[[], bool]]:
             signal.signal(number, old)
 
 
-def serve_vehicle(config: SimConfig, stop: Callable[[], bool], announce: Callable[[Served], None]) -> float:
+def serve_vehicle(config: SimPlan, stop: Callable[[], bool], announce: Callable[[Served], None]) -> float:
     """Serve until `stop()` is true; returns the seconds that the vehicle fell behind the clock.
 
     The vehicle stands on the floor under the start of the episode, before its first stage. Raises `RunError`,
@@ -64,10 +68,13 @@ def serve_vehicle(config: SimConfig, stop: Callable[[], bool], announce: Callabl
         raise RunError("say how to serve the simulator: cognitivedrone sim --mavlink")
     if not 0 < config.camera_hz <= 60:
         raise RunError(f"--camera-hz is {config.camera_hz}; give more than 0, at most 60")
-    scene = ChosenScene(open_suite(config.suite, config.tasks), config.episode, "")
-    track_runner = open_track_runner(scene, config.labels, config.seed, render=config.camera_port is not None)
-    simulator = track_runner.simulator
+    scenario = config.scenario
+    suite = suite_of(scenario, config.episode + 1)
+    track, labels = track_at(suite, config.episode), load_pack(scenario.labels)
+    simulator = Simulator(1, airframe=find_airframe(scenario.airframe), render=config.camera_port is not None)
     try:
+        track_runner = TrackRunner(simulator.world(0), labels, TrackConfig.of(scenario, math.inf))
+        track_runner.begin(track, episode_rng(suite.digest, config.episode, scenario.seed))
         with SimulatedVehicle(simulator, VehicleConfig(links=config.links)) as vehicle, _camera(config, vehicle) as url:
             links = tuple(map(_as_bound, config.links, vehicle.addresses))
             announce(Served(track_runner.task, links, url))
@@ -83,7 +90,7 @@ def _as_bound(link: str, address: tuple[str, int]) -> str:
 
 
 @contextmanager
-def _camera(config: SimConfig, vehicle: SimulatedVehicle) -> Iterator[str | None]:
+def _camera(config: SimPlan, vehicle: SimulatedVehicle) -> Iterator[str | None]:
     """Serve what the vehicle sees, rendered while somebody looks; gives the address."""
     if config.camera_port is None:
         yield None

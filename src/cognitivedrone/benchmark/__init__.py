@@ -1,6 +1,6 @@
 """The benchmark: fly a policy through a suite, score it, report it, compare two runs.
 
-`run(RunConfig(...))` does it all and returns `Results`; `compare(a, b)` pairs two run folders. What is named here is
+`run(Plan.of(...))` does it all and returns `Results`; `compare(a, b)` pairs two run folders. What is named here is
 loaded when it is first used, so that the options of a command can be read without loading a simulator.
 """
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cognitivedrone.benchmark.comparison import Comparison, compare
-    from cognitivedrone.benchmark.config import RunConfig
+    from cognitivedrone.benchmark.config import Plan, RunConfig
     from cognitivedrone.benchmark.results import Results, read_results
     from cognitivedrone.benchmark.run_types import Rollout, Trace
     from cognitivedrone.benchmark.runner import Interrupted, run
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Comparison",
     "Interrupted",
+    "Plan",
     "Results",
     "Rollout",
     "RunConfig",
@@ -34,7 +35,7 @@ __all__ = [
 
 _ROOMS = {
     "comparison": ("Comparison", "compare"),
-    "config": ("RunConfig",),
+    "config": ("Plan", "RunConfig"),
     "results": ("Results", "read_results"),
     "run_types": ("Rollout", "Trace"),
     "runner": ("Interrupted", "run"),

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cognitivedrone.benchmark.results import Results, read_results
-from cognitivedrone.benchmark.run_types import Rule
 from cognitivedrone.benchmark.scoring import (
     Interval,
     Paired,
@@ -18,6 +17,7 @@ from cognitivedrone.benchmark.scoring import (
     passes,
 )
 from cognitivedrone.errors import RunError
+from cognitivedrone.plan import Rule
 from cognitivedrone.types import ALL_CATEGORIES, Category, StageResult
 
 
@@ -65,8 +65,8 @@ def compare_results(
     """As `compare`, for results at hand; `names` are used in error messages."""
     for what, in_a, in_b in (
         ("suite", f"{a.run.suite.name} ({a.run.suite.digest[:12]})", f"{b.run.suite.name} ({b.run.suite.digest[:12]})"),
-        ("seed", a.run.options.seed, b.run.options.seed),
-        ("track option", a.run.options.track, b.run.options.track),
+        ("seed", a.run.option("seed"), b.run.option("seed")),
+        ("track option", a.run.option("track"), b.run.option("track")),
     ):
         if in_a != in_b:
             raise RunError(f"{names[0]} and {names[1]} cannot be paired: their {what} differs, {in_a} and {in_b}")
@@ -121,7 +121,7 @@ def _pilot(results: Results) -> str:
 
 def _other_differences(a: Results, b: Results) -> tuple[str, ...]:
     of_a, of_b = (
-        {name: getattr(run.run.options, name) for name in ("look", "airframe", "labels", "link", "wind_m_s", "latency")}
+        {name: run.run.option(name) for name in ("look", "airframe", "labels", "link", "wind_m_s", "latency")}
         | dict(run.run.versions)
         | {"renderer": run.renderer}
         for run in (a, b)

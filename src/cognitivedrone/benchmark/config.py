@@ -1,99 +1,72 @@
-"""The options of the commands `bench`, `reason` and `sweep`; the docstrings of the fields are their help.
+"""The plans of the commands `bench`, `reason` and `sweep`; the docstrings of the fields are their help.
 
 This module imports nothing heavy, so that help is quick.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import warnings
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-Rule = Literal["through", "within_1m"]
-"""`through`: the drone's centre crosses the right gate's plane inside its opening. `within_1m`: the published rule, the
-drone comes within 1 m of the right gate's centre."""
-LookName = Literal["plain", "varied"]
-LinkName = Literal["sim", "sitl", "gazebo"]
+from cognitivedrone.plan import Options, PilotSpec, Rule, Scenario, VehicleSpec
+
+_NEVER = {"command": "never"}
 
 
 @dataclass(frozen=True, slots=True)
-class RunConfig:
+class Plan(Options):
     """Fly a policy through a suite of tasks and score it."""
 
-    policy: str = "small"
-    """Name of a policy, small:MODEL.onnx for a model file, or your own as module:attribute."""
-    reasoner: str = "none"
-    """Name of a reasoner, or your own as module:attribute."""
-    suite: str = "open-v1:test"
-    """Name of a suite of tasks."""
-    tasks: Path | None = None
-    """Task file, or folder of them, flown instead of a suite."""
-    labels: Path | None = None
-    """Folder of label images that come before the shipped ones."""
-    workers: int | None = None
-    """Processes that fly; as many as there are cores by default. Results do not depend on it. 0 flies in this process,
-    for debuggers: then nothing ends a policy that hangs."""
-    track: bool = False
-    """Chain single tasks into tracks of five, flown in one go."""
-    seed: int = 0
-    """Seed of the run. Same seed, same results."""
-    episodes: int | None = None
+    scenario: Scenario = Scenario()
+    pilot: PilotSpec = PilotSpec()
+    vehicle: VehicleSpec = VehicleSpec()
+    episodes: int | None = field(default=None, metadata={"identity": "episodes", "written": "always"})
     """Fly only so many episodes, from the first."""
-    look: LookName = "plain"
-    """How the room looks: as published, or varied from episode to episode."""
-    airframe: str = "racer"
-    """The drone that is flown."""
-    link: LinkName = "sim"
-    """sim: our own autopilot. sitl: a real ArduCopter on our physics, in lock-step; the environment variable ARDUCOPTER
-    names its binary (docs/ardupilot.md). gazebo: ArduPilot in the Gazebo that runs on this machine, as that sees it, in
-    its time (docs/gazebo.md); it needs --airframe iris."""
-    wind: float = 0.0
-    """Speed of a steady wind, m/s; every episode draws its direction."""
-    latency: str = "none"
-    """Time that policy and reasoner take, charged to the simulated clock: none, measured, or policy=80ms,reasoner=450ms
-    (a part may also be measured, or a file with a number of ms a line)."""
+    latency: str = field(default="none", metadata={"identity": "latency", "written": "where set"})
+    """Inference latency that is charged to the simulated clock: none, measured, or policy=80ms,reasoner=450ms (a part
+    may also be measured, or a file with a number of ms a line)."""
     rule: Rule = "through"
     """The rule that the table and the report show first; results.json always holds both."""
-    out: Path | None = None
+    workers: int | None = field(default=None, metadata=_NEVER)
+    """Processes that fly; as many as there are cores by default. Results do not depend on it. 0 flies in this process,
+    for debuggers: then nothing ends a policy that hangs."""
+    out: Path | None = field(default=None, metadata=_NEVER)
     """Folder for the results; results/<suite>-<policy>-<reasoner> by default."""
-    resume: bool = False
+    resume: bool = field(default=False, metadata=_NEVER)
     """Go on with the run in that folder."""
-    overwrite: bool = False
+    overwrite: bool = field(default=False, metadata=_NEVER)
     """Throw away the run in that folder and start anew."""
-    clips: int = 12
+    clips: int = field(default=12, metadata=_NEVER)
     """At most so many films in the report."""
-    decision_timeout: float = 60.0
+    decision_timeout: float = field(default=60.0, metadata=_NEVER)
     """Seconds that one call of policy or reasoner may take; then its process is ended, and the episode counts as
     policy_error."""
-    fail_fast: bool = False
+    fail_fast: bool = field(default=False, metadata=_NEVER)
     """Stop at the first exception of policy or reasoner instead of counting it."""
 
 
+def RunConfig(**options: Any) -> Plan:  # noqa: N802
+    """The plan of a run from options by name; the former name of `Plan.of`."""
+    warnings.warn("RunConfig(...) is now Plan.of(...)", DeprecationWarning, stacklevel=2)
+    return Plan.of(**{{"look": "appearance"}.get(name, name): value for name, value in options.items()})
+
+
 @dataclass(frozen=True, slots=True)
-class ReasonConfig:
+class ReasonPlan(Options):
     """Ask a reasoner about the first frame of every task, and score its answers."""
 
-    reasoner: str = "oracle"
+    scenario: Scenario = Scenario()
+    reasoner: str = field(default="oracle", metadata={"command": "always"})
     """Name of a reasoner, with its argument where it takes one, or your own as module:attribute."""
-    suite: str = "open-v1:test"
-    """Name of a suite of tasks."""
-    tasks: Path | None = None
-    """Task file, or folder of them, asked instead of a suite."""
-    labels: Path | None = None
-    """Folder of label images that come before the shipped ones."""
-    track: bool = False
-    """Chain single tasks into tracks of five, which the reasoner may remember."""
-    seed: int = 0
-    """Draws starts and looks, as in a flight of the same seed."""
-    episodes: int | None = None
+    episodes: int | None = field(default=None, metadata={"identity": "episodes", "written": "always"})
     """Ask only about so many episodes, from the first."""
-    look: LookName = "plain"
-    """How the room looks: as published, or varied from episode to episode."""
-    frames: int = 1
+    frames: int = field(default=1, metadata={"identity": "frames", "written": "always"})
     """Frames to look at in each stage, half a second apart while the drone hovers; the last answer counts."""
-    out: Path | None = None
+    out: Path | None = field(default=None, metadata=_NEVER)
     """Folder for the answers; results/reason-<suite>-<reasoner> by default."""
-    overwrite: bool = False
+    overwrite: bool = field(default=False, metadata=_NEVER)
     """Throw away the answers in that folder."""
 
 
@@ -101,21 +74,14 @@ Part = Literal["policy", "reasoner"]
 
 
 @dataclass(frozen=True, slots=True)
-class SweepConfig:
+class SweepPlan(Options):
     """Fly a suite with growing latency and plot the success against it."""
 
     out: Path
     """Folder of the runs and of the plot."""
-    policy: str = "small"
-    """Name of a policy."""
-    reasoner: str = "oracle"
-    """Name of a reasoner."""
-    suite: str = "open-v1:test"
-    """Name of a suite of tasks."""
-    tasks: Path | None = None
-    """Task file, or folder of them, flown instead of a suite."""
-    labels: Path | None = None
-    """Folder of label images that come before the shipped ones."""
+    scenario: Scenario = Scenario()
+    pilot: PilotSpec = PilotSpec(reasoner="oracle")
+    vehicle: VehicleSpec = VehicleSpec()
     part: Part = "reasoner"
     """Whose latency grows."""
     ms: tuple[float, ...] = (0, 200, 500, 1000, 2000, 4000)
@@ -124,7 +90,5 @@ class SweepConfig:
     """Latency of the other part, ms."""
     episodes: int | None = None
     """Fly only so many episodes, from the first."""
-    seed: int = 0
-    """Seed of the runs."""
     workers: int | None = None
     """Processes that fly; as many as there are cores by default."""

@@ -4,144 +4,110 @@ from __future__ import annotations
 
 import traceback
 from contextlib import ExitStack
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from cognitivedrone.benchmark.flight_log import FlightLog
-from cognitivedrone.benchmark.run_types import Rollout, RunConfig
-from cognitivedrone.benchmark.vehicles import autopilot_file, open_link
+from cognitivedrone.benchmark.job import Job
+from cognitivedrone.benchmark.run_types import Rollout
 from cognitivedrone.control.async_reasoner import SimulatedReasoner
 from cognitivedrone.control.calls import NO_WATCH, Watch, calling
-from cognitivedrone.control.latency import TimedPolicy, parse_delays
+from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
-from cognitivedrone.envs.drone import SimulatedDrone
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
-from cognitivedrone.errors import PolicyError, PolicyRaised, did_you_mean
-from cognitivedrone.interfaces import Checked, LabelPack, Policy, Reasoner, Seeded
+from cognitivedrone.errors import PolicyError, PolicyRaised, RunError
+from cognitivedrone.interfaces import Seeded
 from cognitivedrone.labels import load_pack
-from cognitivedrone.policies import make_policy
-from cognitivedrone.reasoners import make_reasoner
-from cognitivedrone.sim.airframe import AIRFRAMES
-from cognitivedrone.tasks import SUITES, Suite
+from cognitivedrone.pilot import Pilot, check_ready, open_pilot
+from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.types import EpisodeResult
-
-
-def preflight(config: RunConfig, suite: Suite) -> None:
-    """Find what would stop a run, before a process is started: raises `PolicyError` or `LabelError`."""
-    if config.airframe not in AIRFRAMES:
-        raise PolicyError(f"unknown airframe {config.airframe!r}; {did_you_mean(config.airframe, AIRFRAMES)}")
-    autopilot_file(config)
-    parse_delays(config.latency)
-    if config.labels is None and suite.name in SUITES:
-        return  # the shipped pack draws every shipped suite
-    pack = labels_of(config)
-    tasks = [task for track in suite.tracks[: config.episodes] for task in track]
-    for reference in sorted({reference for task in tasks for reference in (*task.labels, task.board) if reference}):
-        pack.image(reference)
-
-
-def labels_of(config: RunConfig) -> LabelPack:
-    """What draws the panels of a run; raises `LabelError`."""
-    return load_pack(str(config.labels) if config.labels else "open-v1")
-
-
-def _close(part: object) -> None:
-    """Let a policy or reasoner close what it holds open, such as a connection, if it can."""
-    close = getattr(part, "close", None)
-    if callable(close):
-        close()
-
-
-@dataclass(frozen=True, slots=True)
-class Pilot:
-    """What flies."""
-
-    policy: Policy
-    reasoner: Reasoner | None = None
-    lent: bool = False
-    """Whether somebody else closes them."""
-    command: str = ""
-    """What repeats the run, in words: a command line cannot give objects."""
+from cognitivedrone.vehicles import open_vehicle
+from cognitivedrone.vehicles.contract import Request, Vehicle
 
 
 class PilotRunner:
-    """A simulator, a policy and a reasoner, made once and used for any number of episodes in any order.
+    """A vehicle, a policy and a reasoner, made once and used for any number of episodes in any order.
 
-    `watch` is told of every call of policy and reasoner. `pilot` gives objects to fly instead of the options' names.
-    Raises `PolicyError` where one cannot be made, or says that it could not fly.
+    `watch` is told of every call of policy and reasoner. `pilot` gives objects to fly instead of the names in the plan;
+    whoever made them closes them. Raises `PolicyError` where one cannot be made, or reports that it could not fly.
     """
 
-    def __init__(self, config: RunConfig, suite: Suite, watch: Watch = NO_WATCH, pilot: Pilot | None = None) -> None:
-        self.config = config
-        self.suite = suite
+    def __init__(self, job: Job, watch: Watch = NO_WATCH, pilot: Pilot | None = None) -> None:
+        self.job = job
         self._watch = watch
-        self._undo = ExitStack()
-        try:
-            self._prepare(pilot or Pilot(make_policy(config.policy), make_reasoner(config.reasoner)))
-        except BaseException:
-            self._undo.close()
-            raise
-
-    def _prepare(self, pilot: Pilot) -> None:
-        config = self.config
-        self.policy, self.reasoner = pilot.policy, pilot.reasoner
-        for part in (self.policy, self.reasoner):
-            if not pilot.lent:
-                self._undo.callback(_close, part)
-            if isinstance(part, Checked):
-                part.check()
-        self._link = open_link(config, self._undo)
-        self.simulator = self._link.simulator
-        self.track_runner = TrackRunner(
-            self.simulator, 0, labels_of(config), TrackConfig(look=config.look, wind_m_s=config.wind)
-        )
-        self.drone = SimulatedDrone(self.simulator, self.track_runner)
-        self.delays = parse_delays(config.latency)
+        with ExitStack() as undo:
+            if pilot is None:
+                pilot = undo.enter_context(open_pilot(job.plan.pilot))
+            else:
+                check_ready(pilot)
+            self.policy, self.reasoner = pilot.policy, pilot.reasoner
+            self.vehicle = _open(job)
+            undo.callback(self.vehicle.close)
+            self.track_runner = _track_runner_of(self.vehicle)
+            self._undo = undo.pop_all()
 
     @property
     def renderer(self) -> str:
         """Name of what draws the frames."""
-        return self._link.renderer()
+        return self.vehicle.renderer
 
     def fly(self, episode: int, *, film: bool) -> Rollout:
         """Fly one track of the suite; the same flight every time."""
-        before = self._link.report
-        rng = episode_rng(self.suite.digest, episode, self.config.seed)
-        self.track_runner.begin(self.suite.tracks[episode], rng)
+        before, suite, seed = self.vehicle.report, self.job.suite, self.job.plan.scenario.seed
+        rng = episode_rng(suite.digest, episode, seed)
+        self.vehicle.begin(suite.tracks[episode], rng)
         # The reasoner first: what it draws must not depend on the policy that it flies with.
         parts: dict[str, Any] = {"the reasoner": self.reasoner, "the policy": self.policy}
         seeds = {what: int(rng.integers(2**31)) for what, part in parts.items() if isinstance(part, Seeded)}
-        thinking = np.random.default_rng(int(rng.integers(2**31)))
-        charge = self.delays.reasoner.charge(thinking)
+        latency_rng = np.random.default_rng(int(rng.integers(2**31)))
+        charge = self.job.delays.reasoner.charge(latency_rng)
         mind = SimulatedReasoner(self.reasoner, charge, self._watch) if self.reasoner else None
-        log = FlightLog(self.simulator, self.track_runner, keep_frames=film)
+        log = FlightLog(self.track_runner, keep_frames=film)
         timed = TimedPolicy(self.policy, self._watch)
-        charge = self.delays.policy.charge(thinking)
+        charge = self.job.delays.policy.charge(latency_rng)
         message = trace = ""
         try:
-            for what, seed in seeds.items():
+            for what, part_seed in seeds.items():
                 with calling(what, self._watch):
-                    parts[what].seed(seed)
-            fly(self.drone, timed, self.drone, self._mission, mind=mind, recorder=log, charge=charge)
+                    parts[what].seed(part_seed)
+            drone = self.vehicle.take_off(lambda _: True)
+            fly(drone, timed, drone, self._mission, mind=mind, recorder=log, charge=charge)
         except PolicyError as error:
             self.track_runner.end("policy_error")
             message = str(error)
             trace = error.trace if isinstance(error, PolicyRaised) else traceback.format_exc()
         if any(result.outcome == "invalid" for result in self.track_runner.results):
-            message = self._link.trouble or "the physics diverged"
-        result = EpisodeResult(episode, self.config.seed, log.results(), len(log.path), message)
-        way = log.trace(sum(timed.took_s) / max(len(timed.took_s), 1))
-        link = self._link.report - before
+            message = self.vehicle.trouble or "the physics diverged"
+        result = EpisodeResult(episode, seed, log.results(), len(log.path), message)
+        path = log.trace(sum(timed.took_s) / max(len(timed.took_s), 1))
+        link = self.vehicle.report - before
         trace = trace or (mind.trace if mind else "")
-        return Rollout(result, way, log.frames if film else None, link if link.frames else None, trace)
+        return Rollout(result, path, log.frames if film else None, link if link.frames else None, trace)
 
     def close(self) -> None:
-        """Free the renderer, and whatever policy and reasoner hold open, where they were made here."""
+        """Free the vehicle, and whatever policy and reasoner hold open, where they were made here."""
         self._undo.close()
 
     def _mission(self) -> Segment | None:
         if self.track_runner.finished:
             return None
         return Segment(self.track_runner.index, self.track_runner.task.instruction, self.track_runner.truth())
+
+
+def _open(job: Job) -> Vehicle:
+    scenario = job.plan.scenario
+    return open_vehicle(
+        Request(
+            job.plan.vehicle,
+            load_pack(scenario.labels),
+            find_airframe(scenario.airframe),
+            TrackConfig.of(scenario),
+        )
+    )
+
+
+def _track_runner_of(vehicle: Vehicle) -> TrackRunner:
+    if vehicle.track_runner is None:
+        raise RunError("nobody can score a flight of this vehicle: it has no ground truth")
+    return vehicle.track_runner

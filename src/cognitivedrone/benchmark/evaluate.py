@@ -6,18 +6,19 @@ import importlib
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from cognitivedrone.benchmark.episode import Pilot
+from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.results import Results
-from cognitivedrone.benchmark.run_types import LookName, RunConfig
 from cognitivedrone.benchmark.runner import run
 from cognitivedrone.benchmark.scoring import Summary
 from cognitivedrone.benchmark.tables import as_text, results_table
 from cognitivedrone.errors import PolicyError, RunError
 from cognitivedrone.interfaces import Policy, Reasoner
+from cognitivedrone.pilot import Pilot
+from cognitivedrone.plan import AppearanceName
 from cognitivedrone.policies import make_policy
 from cognitivedrone.printable import visible
 from cognitivedrone.reasoners import NONE, make_reasoner
@@ -54,7 +55,7 @@ def evaluate(
     workers: int | None = None,
     seed: int = 0,
     track: bool = False,
-    look: LookName = "plain",
+    appearance: AppearanceName = "plain",
     airframe: str = "racer",
     wind: float = 0.0,
     latency: str = "none",
@@ -87,7 +88,7 @@ def evaluate(
     names = {"policy": _name_of(policy), "reasoner": NONE if reasoner is None else _name_of(reasoner)}
     here = [kind for kind, name in names.items() if name is None]
     as_file = Path(suite).exists()
-    config = RunConfig(
+    plan = Plan.of(
         policy=names["policy"] or _description(policy),
         reasoner=names["reasoner"] or _description(reasoner),
         suite="" if as_file else str(suite),
@@ -97,7 +98,7 @@ def evaluate(
         track=track,
         seed=seed,
         episodes=episodes,
-        look=look,
+        appearance=appearance,
         airframe=airframe,
         wind=wind,
         latency=latency,
@@ -108,15 +109,16 @@ def evaluate(
         decision_timeout=decision_timeout,
         fail_fast=fail_fast,
     )
-    pilot = None
+    pilot, command = None, ""
     if here:
         _one_process(" and ".join(here), workers, progress)
-        config = replace(config, workers=0)
-        pilot = replace(_pilot(policy, reasoner), command=_call_of(config))
+        plan = plan.changed(workers=0)
+        pilot, command = _pilot(policy, reasoner), _call_of(plan)
     if out is not None:
-        return Evaluation(run(config, progress=progress, pilot=pilot))
+        return Evaluation(run(plan, progress=progress, pilot=pilot, command=command))
     with tempfile.TemporaryDirectory(prefix="cognitivedrone-") as folder:
-        return Evaluation(run(replace(config, out=Path(folder) / "run"), progress=progress, pilot=pilot))
+        plan = plan.changed(out=Path(folder) / "run")
+        return Evaluation(run(plan, progress=progress, pilot=pilot, command=command))
 
 
 def _name_of(part: object) -> str | None:
@@ -139,13 +141,14 @@ def _description(part: object) -> str:
     return f"{kind.__module__}.{kind.__qualname__}"
 
 
-def _call_of(config: RunConfig) -> str:
+def _call_of(plan: Plan) -> str:
     """The call that repeats a run of objects: without what does not change its results."""
-    default = RunConfig(policy="", suite="")
-    shown = ["seed", "track", "episodes", "look", "airframe", "wind", "latency", "labels"]
-    options = [f"{name}={value!r}" for name in shown if (value := getattr(config, name)) != getattr(default, name)]
-    reasoner = [] if config.reasoner == NONE else [f"reasoner={config.reasoner}"]
-    return f"evaluate({', '.join([config.policy, repr(str(config.tasks or config.suite)), *reasoner, *options])})"
+    named = ("policy", "reasoner", "suite", "tasks")
+    options = [f"{name}={value!r}" for name, value in plan.changes().items() if name not in named]
+    pilot, scenario = plan.pilot, plan.scenario
+    reasoner = [] if pilot.reasoner == NONE else [f"reasoner={pilot.reasoner}"]
+    where = repr(str(scenario.tasks or scenario.suite))
+    return f"evaluate({', '.join([pilot.policy, where, *reasoner, *options])})"
 
 
 def _one_process(what: str, workers: int | None, progress: bool) -> None:
@@ -166,7 +169,7 @@ def _pilot(policy: Any, reasoner: Any) -> Pilot:
         made_reasoner = make_reasoner(reasoner or NONE)
     else:
         made_reasoner = _made("reasoner", reasoner, ("refine",))
-    return Pilot(made_policy, made_reasoner, lent=True)
+    return Pilot(made_policy, made_reasoner)
 
 
 def _made(kind: str, part: Any, methods: tuple[str, ...]) -> Any:

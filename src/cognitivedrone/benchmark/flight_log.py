@@ -13,7 +13,6 @@ import numpy as np
 from cognitivedrone.benchmark.run_types import FilmFrame, Trace
 from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.errors import ReasonerFault
-from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks.directives import fitting_gate, parse_directive
 from cognitivedrone.types import (
     Action,
@@ -44,8 +43,7 @@ class _Stage:
 class FlightLog:
     """Records path, frames and directives of one flight of a track."""
 
-    def __init__(self, simulator: Simulator, track_runner: TrackRunner, *, keep_frames: bool) -> None:
-        self.simulator = simulator
+    def __init__(self, track_runner: TrackRunner, *, keep_frames: bool) -> None:
         self.track_runner = track_runner
         self.keep_frames = keep_frames
         self.path: list[FloatArray] = []
@@ -54,7 +52,7 @@ class FlightLog:
 
     def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:
         """One control step."""
-        self.path.append(self.simulator.state(0).position.copy())
+        self.path.append(self.track_runner.world.state().position.copy())
         if self.keep_frames:
             image, told = observation.image.copy(), observation.instruction
             self.frames.append(FilmFrame(image, told, guidance, action, observation.time, len(self._stages) - 1))
@@ -86,7 +84,7 @@ class FlightLog:
 
     def trace(self, decision_s: float) -> Trace:
         """Where the flight went, its last position included."""
-        path = np.array([*self.path, self.simulator.state(0).position], dtype=np.float32)
+        path = np.array([*self.path, self.track_runner.world.state().position], dtype=np.float32)
         stages = tuple(self.track_runner.stages[: len(self._stages)])
         return Trace(path, stages, tuple(stage.first_step for stage in self._stages), decision_s)
 

@@ -6,15 +6,15 @@ import math
 
 import numpy as np
 
+from cognitivedrone.benchmark.job import Job
 from cognitivedrone.benchmark.run_types import Rollout, Trace
 from cognitivedrone.envs.track_runner import unflown
-from cognitivedrone.tasks import Suite
 from cognitivedrone.types import EpisodeResult
 
 
-def lost_flight(suite: Suite, episode: int, seed: int, message: str, trace: str) -> Rollout:
+def lost_flight(job: Job, episode: int, message: str, trace: str) -> Rollout:
     """A `policy_error` in the first stage of the episode; the stages behind it count as not reached."""
-    first, *others = suite.tracks[episode]
+    first, *others = job.suite.tracks[episode]
     stages = (unflown(first, "policy_error"), *(unflown(task, "not_reached") for task in others))
     nowhere = Trace(np.empty((0, 3), np.float32), (), (), math.nan)
-    return Rollout(EpisodeResult(episode, seed, stages, 0, message), nowhere, error=trace)
+    return Rollout(EpisodeResult(episode, job.plan.scenario.seed, stages, 0, message), nowhere, error=trace)

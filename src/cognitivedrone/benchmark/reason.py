@@ -14,28 +14,30 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from cognitivedrone.benchmark.codec import dumps
-from cognitivedrone.benchmark.config import ReasonConfig, RunConfig
-from cognitivedrone.benchmark.episode import labels_of, preflight
+from cognitivedrone.benchmark.config import Plan, ReasonPlan
+from cognitivedrone.benchmark.job import Job, preflight, prepare
 from cognitivedrone.benchmark.provenance import platform_facts
 from cognitivedrone.benchmark.reason_scoring import Answer, ReasonSummary, judge, summarize_answers
-from cognitivedrone.benchmark.results import Options, SuiteFacts, versions, write_whole
-from cognitivedrone.benchmark.runner import Interrupted, facts_of, results_folder
-from cognitivedrone.benchmark.suites import suite_of
+from cognitivedrone.benchmark.results import SuiteFacts, versions, write_whole
+from cognitivedrone.benchmark.runner import Interrupted, results_folder
 from cognitivedrone.control.async_reasoner import asking, check_guidance
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, draw_start, episode_rng, scenery_of, stage_of
 from cognitivedrone.errors import PolicyError, ReasonerError, RunError
 from cognitivedrone.files import writing
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import Checked, Privileged, Reasoner, Seeded, StatefulReasoner
+from cognitivedrone.labels import load_pack
 from cognitivedrone.progress import counted
 from cognitivedrone.reasoners import make_reasoner
+from cognitivedrone.sim.airframe import find_airframe
+from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, DroneWorld, Start
 from cognitivedrone.sim.gl import renderer_name
-from cognitivedrone.sim.simulator import TICKS_PER_CONTROL, Simulator, Start
+from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import CONTROL_HZ, Guidance, Image, Stage, Truth
 from cognitivedrone.world import geometry
@@ -52,7 +54,7 @@ class ReasonResults:
     """What a reasoner answered, and how well."""
 
     suite: SuiteFacts
-    config: ReasonConfig
+    plan: ReasonPlan
     renderer: str
     """Name of what drew the frames."""
     answers: tuple[Answer, ...]
@@ -81,32 +83,31 @@ class View:
     1 / `LOOK_HZ` s later."""
 
 
-def score_reasoner(config: ReasonConfig, *, progress: bool = True) -> ReasonResults:
+def score_reasoner(plan: ReasonPlan, *, progress: bool = True) -> ReasonResults:
     """Ask, judge and write. Every answer is on the disk before the next task is asked.
 
     Raises `RunError` for options that cannot be and for a folder that holds answers already, `PolicyError` for a
     reasoner that cannot be made or gives what is no answer, and `Interrupted` on Ctrl-C; the answers are kept.
     """
     began = time.perf_counter()
-    run = _as_run(config)
-    if config.frames < 1:
-        raise RunError(f"--frames is {config.frames}; it must be at least 1")
-    suite = suite_of(run)
-    facts = facts_of(run, suite)
-    labels = labels_of(run)
-    reasoner = make_reasoner(config.reasoner)
+    if plan.frames < 1:
+        raise RunError(f"--frames is {plan.frames}; it must be at least 1")
+    # The flights whose first frames the reasoner sees.
+    job = prepare(Plan.of(reasoner=plan.reasoner, episodes=plan.episodes).changed(scenario=plan.scenario))
+    labels = load_pack(plan.scenario.labels)
+    reasoner = make_reasoner(plan.reasoner)
     if reasoner is None:
-        raise PolicyError(f"--reasoner {config.reasoner} gives no answer to score; name one, such as oracle")
-    preflight(run, suite)
+        raise PolicyError(f"--reasoner {plan.reasoner} gives no answer to score; name one, such as oracle")
+    preflight(job)
     if isinstance(reasoner, Checked):
         reasoner.check()
-    out = out_of(config)
+    out = out_of(plan)
     answers: list[Answer] = []
-    with _open_answers(out, overwrite=config.overwrite) as keep:
-        simulator = Simulator(1)
-        track_runner = TrackRunner(simulator, 0, labels, TrackConfig(look=config.look))
+    with _open_answers(out, overwrite=plan.overwrite) as keep:
+        simulator = Simulator(1, airframe=find_airframe(plan.scenario.airframe))
+        track_runner = TrackRunner(simulator.world(0), labels, TrackConfig.of(plan.scenario))
         try:
-            for answer in _ask_all(reasoner, track_runner, suite, config, progress):
+            for answer in _ask_all(reasoner, track_runner, job, plan.frames, progress):
                 answers.append(answer)
                 keep(answer)
             renderer = renderer_name()
@@ -114,18 +115,17 @@ def score_reasoner(config: ReasonConfig, *, progress: bool = True) -> ReasonResu
             raise Interrupted(f"stopped after {len(answers)} answers, all kept in {out / ANSWERS_FILE}") from None
         finally:
             simulator.close()
-    results = ReasonResults(facts.suite, config, renderer, tuple(answers), time.perf_counter() - began, out)
-    write_whole(out / SUMMARY_FILE, dumps(_document(results, facts.options), indent=1) + "\n")
+    results = ReasonResults(job.facts.suite, plan, renderer, tuple(answers), time.perf_counter() - began, out)
+    write_whole(out / SUMMARY_FILE, dumps(_document(results, job.facts.options), indent=1) + "\n")
     return results
 
 
-def out_of(config: ReasonConfig) -> Path:
+def out_of(plan: ReasonPlan) -> Path:
     """The folder of the answers: the one asked for, or one named after suite and reasoner."""
-    if config.out is not None:
-        return config.out
-    what = config.suite if config.tasks is None else config.tasks.stem
-    names = ["reason", what, config.reasoner] + (["track"] if config.track else [])
-    return results_folder(*names)
+    if plan.out is not None:
+        return plan.out
+    names = ["reason", plan.scenario.title, plan.reasoner]
+    return results_folder(*names, *(["track"] if plan.scenario.track else []))
 
 
 def views(track_runner: TrackRunner, suite: Suite, episode: int, rng: np.random.Generator) -> Iterator[View]:
@@ -135,30 +135,29 @@ def views(track_runner: TrackRunner, suite: Suite, episode: int, rng: np.random.
     mistakes, and its start is drawn in its own start box. What the caller draws from `rng` before it asks for the
     second view comes before the second start.
     """
-    world, simulator = track_runner.world, track_runner.simulator
+    world = track_runner.world
     track_runner.begin(suite.tracks[episode], rng)
-    yield View(episode, 0, track_runner.truth(), _looking(simulator, world))
+    yield View(episode, 0, track_runner.truth(), _looking(world))
     stage = track_runner.stage
     for index, task in enumerate(track_runner.track[1:], start=1):
         origin, yaw = geometry.next_stage_origin(stage, track_runner.track[index - 1].target)
         stage = stage_of(task, origin, yaw)
-        start = _placed(draw_start(rng, simulator.airframe.hull_radius), stage)
-        simulator.begin(world, stage, scenery_of(stage, track_runner.labels, track_runner.look), start)
-        yield View(episode, index, Truth(task, stage, lambda: simulator.state(world)), _looking(simulator, world))
+        start = _placed(draw_start(rng, world.hull_radius), stage)
+        world.begin(stage, scenery_of(stage, track_runner.labels, track_runner.look), start)
+        yield View(episode, index, Truth(task, stage, world.state), _looking(world))
 
 
-def _looking(simulator: Simulator, world: int) -> Callable[[], Image]:
+def _looking(world: DroneWorld) -> Callable[[], Image]:
     """A camera that lets time pass between two frames."""
     taken = 0
 
     def look() -> Image:
         nonlocal taken
         if taken:
-            simulator.command(world, np.zeros(4, np.float32))
-            simulator.advance(TICKS_PER_CONTROL * CONTROL_HZ // LOOK_HZ)
+            world.command(np.zeros(4, np.float32))
+            world.advance(TICKS_PER_CONTROL * CONTROL_HZ // LOOK_HZ)
         taken += 1
-        frame: Image = simulator.frames(worlds=[world])[0]
-        return frame
+        return world.frame()
 
     return look
 
@@ -169,14 +168,11 @@ def _placed(start: Start, stage: Stage) -> Start:
     return replace(start, position=(float(x), float(y), start.position[2]), yaw=start.yaw + stage.yaw)
 
 
-def _ask_all(
-    reasoner: Reasoner, track_runner: TrackRunner, suite: Suite, config: ReasonConfig, progress: bool
-) -> Iterator[Answer]:
+def _ask_all(reasoner: Reasoner, track_runner: TrackRunner, job: Job, frames: int, progress: bool) -> Iterator[Answer]:
     """The answers to every stage, in order; the reasoner is told what a flight would tell it."""
-    count = len(suite.tracks) if config.episodes is None else min(config.episodes, len(suite.tracks))
-    for episode in counted(range(count), "reasoning", count, show=progress):
-        rng = episode_rng(suite.digest, episode, config.seed)
-        for view in views(track_runner, suite, episode, rng):
+    for episode in counted(job.episodes, "reasoning", len(job.episodes), show=progress):
+        rng = episode_rng(job.suite.digest, episode, job.plan.scenario.seed)
+        for view in views(track_runner, job.suite, episode, rng):
             if view.index == 0:
                 if isinstance(reasoner, Seeded):
                     reasoner.seed(int(rng.integers(2**31)))
@@ -186,7 +182,7 @@ def _ask_all(
                 reasoner.new_stage()
             if isinstance(reasoner, Privileged):
                 reasoner.brief(view.truth)
-            yield _ask(reasoner, view, config.frames)
+            yield _ask(reasoner, view, frames)
 
 
 def _ask(reasoner: Reasoner, view: View, frames: int) -> Answer:
@@ -227,20 +223,6 @@ def _ask(reasoner: Reasoner, view: View, frames: int) -> Answer:
     )
 
 
-def _as_run(config: ReasonConfig) -> RunConfig:
-    """The flights whose first frames are looked at."""
-    return RunConfig(
-        reasoner=config.reasoner,
-        suite=config.suite,
-        tasks=config.tasks,
-        labels=config.labels,
-        track=config.track,
-        seed=config.seed,
-        episodes=config.episodes,
-        look=config.look,
-    )
-
-
 @contextmanager
 def _open_answers(out: Path, *, overwrite: bool) -> Iterator[Callable[[Answer], None]]:
     """Begin the file of the answers, and give what puts an answer into it, whole or not at all.
@@ -272,31 +254,19 @@ def _open_answers(out: Path, *, overwrite: bool) -> Iterator[Callable[[Answer], 
         yield keep
 
 
-def _document(results: ReasonResults, options: Options) -> Mapping[str, object]:
+def _document(results: ReasonResults, options: Mapping[str, Any]) -> Mapping[str, object]:
     """The content of reason.json."""
-    config = results.config
+    plan = results.plan
     names = ("seed", "track", "episodes", "look", "labels", "reasoner_model")
     return {
         "schema": SCHEMA,
         "suite": results.suite,
-        "reasoner": config.reasoner,
-        "options": {**{name: getattr(options, name) for name in names}, "frames": config.frames},
+        "reasoner": plan.reasoner,
+        "options": {**{name: options.get(name) for name in names}, "frames": plan.frames},
         "versions": versions(),
         "renderer": results.renderer,
         "scores": results.summary,
-        "platform": platform_facts(_command_of(config), reasoner=config.reasoner),
+        "platform": platform_facts(shlex.join(["cognitivedrone", "reason", *plan.words()]), reasoner=plan.reasoner),
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "wall_s": round(results.wall_s, 3),
     }
-
-
-def _command_of(config: ReasonConfig) -> str:
-    """The command line that repeats this anywhere: without what does not change its results."""
-    words = ["cognitivedrone", "reason", "--reasoner", config.reasoner]
-    words += ["--suite", config.suite] if config.tasks is None else ["--tasks", str(config.tasks)]
-    words += ["--track"] if config.track else []
-    default = ReasonConfig()
-    for name in ("labels", "seed", "episodes", "look", "frames"):
-        if getattr(config, name) != getattr(default, name):
-            words += [f"--{name}", str(getattr(config, name))]
-    return shlex.join(words)

@@ -20,7 +20,7 @@ def reason_table(results: ReasonResults) -> RenderableType:
     `gate` counts directives that fit the right gate and no other, the columns beside it the parts that they name.
     """
     summary = results.summary
-    table = new_table(f"{results.suite.name}: reasoner {results.config.reasoner}", *COLUMNS, gap=0)
+    table = new_table(f"{results.suite.name}: reasoner {results.plan.reasoner}", *COLUMNS, gap=0)
     table.add_row("overall", *_cells(summary.overall), style="bold", end_section=True)
     add_parts(table, summary.categories, summary.families, _cells)
     return Group(table, "", *_notes(results))

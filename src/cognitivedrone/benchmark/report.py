@@ -18,10 +18,11 @@ from cognitivedrone.benchmark import drawing
 from cognitivedrone.benchmark.clips import Clip
 from cognitivedrone.benchmark.published import PUBLISHED, comparable
 from cognitivedrone.benchmark.results import Results
-from cognitivedrone.benchmark.run_types import Rule, Trace
+from cognitivedrone.benchmark.run_types import Trace
 from cognitivedrone.benchmark.scoring import OUTCOMES, PUBLISHED_REACH_M, RULES, Score, Summary, score
 from cognitivedrone.benchmark.tables import DASH, interval, percent, words
 from cognitivedrone.envs.captions import readable
+from cognitivedrone.plan import Rule
 from cognitivedrone.types import Category, EpisodeResult, Outcome, StageResult, Track
 
 REPORT_FILE: Final = "report.html"

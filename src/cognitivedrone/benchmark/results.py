@@ -12,13 +12,20 @@ from typing import Any, Final
 
 import cognitivedrone
 from cognitivedrone.benchmark.codec import decode, dumps, encode
-from cognitivedrone.benchmark.run_types import LinkName, LookName, Rule
+from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.scoring import RULES, Summary, summarize
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import read_regular, reason_of, replace_file, writing
+from cognitivedrone.plan import Rule
 from cognitivedrone.types import EpisodeResult
-from cognitivedrone.vehicles.one_drone import LinkReport
+from cognitivedrone.vehicles.external import LinkReport
 
+FILES: Final = ("labels", "model", "reasoner_model", "autopilot")
+"""Options that hold the SHA-256 of a file: label images, weights of the policy, weights or answers of the reasoner, the
+program that flies; null where there is none."""
+_OPTIONS: Final = Plan.identity_options() | dict.fromkeys(FILES, (str | None, None))
+REQUIRED: Final = ("seed", "track", "episodes", "look", "airframe", "labels", "wind_m_s", "model")
+"""Options that every results file holds; later ones are left out at their defaults."""
 SCHEMA: Final = "cognitivedrone.results/1"
 RESULTS_FILE: Final = "results.json"
 MAX_FILE_BYTES: Final = 2**30
@@ -36,41 +43,20 @@ class SuiteFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
-    """What else decides a run's outcome."""
-
-    seed: int
-    track: bool
-    """Whether single tasks were chained into tracks."""
-    episodes: int | None
-    """The limit on episodes, if one was given."""
-    look: LookName
-    airframe: str
-    labels: str | None
-    """SHA-256 of the user's folder of label images, if one was given."""
-    wind_m_s: float
-    """Speed of a steady wind."""
-    model: str | None
-    """SHA-256 of the model file that the policy flies, if it flies one."""
-    latency: str = field(default="none", metadata={"json": "where set"})
-    """What was charged for thinking; a file is told by its SHA-256."""
-    reasoner_model: str | None = field(default=None, metadata={"json": "where set"})
-    """SHA-256 of the model file or the answers that the reasoner uses, if it uses one."""
-    link: LinkName = field(default="sim", metadata={"json": "where set"})
-    """Whose autopilot flew: `sim` is our own."""
-    autopilot: str | None = field(default=None, metadata={"json": "where set"})
-    """SHA-256 of the program that flew, where it was not our own."""
-
-
-@dataclass(frozen=True, slots=True)
 class RunFacts:
     """A run's identity: two runs of equal facts give equal results. The content of run.json."""
 
     suite: SuiteFacts
     policy: str
     reasoner: str
-    options: Options
+    options: Mapping[str, Any]
+    """What else decides the outcome: the options of the plan that have an `identity` (`cognitivedrone.plan`), and the
+    SHA-256 of every file in `FILES`. Some are left out at their defaults."""
     versions: Mapping[str, str]
+
+    def option(self, key: str) -> Any:
+        """The value of an option, its default where it was left out."""
+        return self.options.get(key, _OPTIONS[key][1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,11 +125,23 @@ def results_from_json(document: Any, where: str) -> Results:
     parts = {key: value for key, value in document.items() if key not in ("schema", "scores")}
     run = {key: parts.pop(key) for key in RunFacts.__dataclass_fields__ if key in parts}
     results = decode(Results, {"run": run, **parts}, where)
+    _check_options(results.run.options, where)
     written = document.get("scores")
     for rule in RULES:
         if not isinstance(written, dict) or written.get(rule) != encode(results.summary(rule)):
             raise RunError(f"{where}: scores.{rule} does not follow from the episodes; the file was changed or cut")
     return results
+
+
+def _check_options(options: Mapping[str, Any], where: str) -> None:
+    """Raise `RunError` for an option that is unknown, missing, or of another type."""
+    for key, (hint, _) in _OPTIONS.items():
+        if key in options:
+            decode(hint, options[key], f"{where}: options.{key}")
+        elif key in REQUIRED:
+            raise RunError(f"{where}: options.{key} is missing")
+    if unknown := options.keys() - _OPTIONS.keys():
+        raise RunError(f"{where}: options has {min(unknown)!r}, which this version does not know")
 
 
 def write_results(path: Path, results: Results) -> None:

@@ -8,11 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.benchmark.config import LinkName, LookName, Rule, RunConfig
 from cognitivedrone.types import Action, EpisodeResult, Guidance, Image, Stage
-from cognitivedrone.vehicles.one_drone import LinkReport
-
-__all__ = ["EpisodeRunner", "LinkName", "LookName", "Rollout", "Rule", "RunConfig", "Trace"]
+from cognitivedrone.vehicles.external import LinkReport
 
 
 @dataclass(frozen=True, slots=True)

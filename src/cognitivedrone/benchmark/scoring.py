@@ -17,7 +17,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, get_args
 
-from cognitivedrone.benchmark.run_types import Rule
+from cognitivedrone.plan import Rule
 from cognitivedrone.types import (
     ALL_CATEGORIES,
     CATEGORIES,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import Final
 
-from cognitivedrone.benchmark.config import RunConfig, SweepConfig
+from cognitivedrone.benchmark.config import Plan, SweepPlan
 from cognitivedrone.benchmark.results import Results, write_whole
 from cognitivedrone.benchmark.runner import run
 from cognitivedrone.errors import RunError
@@ -21,28 +21,25 @@ Points = Sequence[tuple[float, Results]]
 """Latencies, ms, each with its run."""
 
 
-def sweep(config: SweepConfig, *, progress: bool = True) -> Points:
+def sweep(config: SweepPlan, *, progress: bool = True) -> Points:
     """Fly every latency, and write the plot after each; what was flown before is not flown again."""
     if not config.ms or min(*config.ms, config.other_ms, 0.0) < 0:
         raise RunError("--ms needs at least one latency, and none below 0")
     points: list[tuple[float, Results]] = []
     for ms in sorted(set(config.ms)):
-        points.append((ms, run(run_config(config, ms), progress=progress)))
+        points.append((ms, run(plan_of(config, ms), progress=progress)))
         write_whole(config.out / PLOT_FILE, plot(points, config))
     return points
 
 
-def run_config(config: SweepConfig, ms: float) -> RunConfig:
+def plan_of(config: SweepPlan, ms: float) -> Plan:
     """The run of one latency."""
     times = {"policy": config.other_ms, "reasoner": config.other_ms, config.part: ms}
-    return RunConfig(
-        policy=config.policy,
-        reasoner=config.reasoner,
-        suite=config.suite,
-        tasks=config.tasks,
-        labels=config.labels,
+    return Plan(
+        scenario=config.scenario,
+        pilot=config.pilot,
+        vehicle=config.vehicle,
         workers=config.workers,
-        seed=config.seed,
         episodes=config.episodes,
         latency=",".join(f"{part}={value:g}ms" for part, value in times.items()),
         out=config.out / f"{config.part}-{ms:g}ms",
@@ -51,16 +48,16 @@ def run_config(config: SweepConfig, ms: float) -> RunConfig:
     )
 
 
-def plot(points: Points, config: SweepConfig) -> str:
+def plot(points: Points, config: SweepPlan) -> str:
     """An SVG: success with its 95 % interval, and the choice of the right gate, against latency."""
     longest = max(ms for ms, _ in points) or 1.0
     scores = [results.summary().overall for _, results in points]
     xs = [_LEFT + ms / longest * (_WIDTH - _LEFT - _RIGHT) for ms, _ in points]
-    title = escape(config.suite if config.tasks is None else config.tasks.name)
+    title = escape(f"{config.scenario.title}: {config.pilot.policy}, reasoner {config.pilot.reasoner}")
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" font-family="sans-serif" '
         'font-size="12"><rect width="100%" height="100%" fill="white"/>',
-        f'<text x="{_LEFT}" y="20" font-size="14">{title}: {config.policy}, reasoner {config.reasoner}</text>',
+        f'<text x="{_LEFT}" y="20" font-size="14">{title}</text>',
     ]
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         y = _y(share)

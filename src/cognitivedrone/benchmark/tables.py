@@ -14,8 +14,8 @@ from rich.text import Text
 from cognitivedrone.benchmark.comparison import Comparison, Difference
 from cognitivedrone.benchmark.published import PUBLISHED, comparable
 from cognitivedrone.benchmark.results import Results
-from cognitivedrone.benchmark.run_types import Rule
 from cognitivedrone.benchmark.scoring import Interval, Score, Summary
+from cognitivedrone.plan import Rule
 from cognitivedrone.terminal import console
 from cognitivedrone.types import Category
 
@@ -193,7 +193,7 @@ def _notes(results: Results, rule: Rule) -> list[Text]:
     if any(len(episode.stages) > 1 for episode in results.episodes):
         notes.append(Text(f"episodes completed: {summary.episodes_completed} of {summary.episodes}"))
     if overall.outcomes["invalid"]:
-        why = "the physics diverged" if results.run.options.link == "sim" else "the vehicle was lost"
+        why = "the physics diverged" if results.run.option("link") == "sim" else "the vehicle was lost"
         notes.append(Text(f"not counted: {overall.outcomes['invalid']} invalid ({why})", style="yellow"))
     if overall.outcomes["policy_error"]:
         first = next(e for e in results.episodes if any(s.outcome == "policy_error" for s in e.stages))
@@ -205,7 +205,7 @@ def _notes(results: Results, rule: Rule) -> list[Text]:
         notes.append(Text(f"the paper (arXiv 2503.01378), on its own tasks and simulator: {published}"))
     if (link := results.timing.link) is not None:
         what = f"ArduCopter: {link.frames} frames of physics, {link.lost} lost"
-        if results.run.options.link == "gazebo":
+        if results.run.option("link") == "gazebo":
             what = f"Gazebo: {link.frames} commands, {link.lost} of them late"
         text = f"{what}; started anew {link.restarts} times"
         notes.append(Text(text, style="yellow" if link.lost or link.restarts else ""))

@@ -26,14 +26,14 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from cognitivedrone import registry
+from cognitivedrone.benchmark.job import Job
 from cognitivedrone.benchmark.lost import lost_flight
-from cognitivedrone.benchmark.run_types import EpisodeRunner, Rollout, RunConfig
+from cognitivedrone.benchmark.run_types import EpisodeRunner, Rollout
 from cognitivedrone.control.calls import NO_WATCH
 from cognitivedrone.errors import CognitiveDroneError, PolicyError, RunError, warn_plainly
-from cognitivedrone.tasks import Suite
 
 RUNNER = "cognitivedrone.benchmark.episode:PilotRunner"
-"""What makes an `EpisodeRunner` from (RunConfig, Suite, Watch), as module:attribute for new processes."""
+"""What makes an `EpisodeRunner` from (Job, Watch), as module:attribute for new processes."""
 JOIN_TIMEOUT_S = 5.0
 """How long a worker may take to leave."""
 POLL_S = 0.2
@@ -86,7 +86,7 @@ class InProcess:
 
 
 @dataclass(frozen=True, slots=True)
-class _Job:
+class _Wanted:
     episode: int
     film: bool
 
@@ -148,8 +148,8 @@ class _Worker:
 class ProcessPool:
     """Flies in `workers` processes."""
 
-    def __init__(self, config: RunConfig, suite: Suite, workers: int, runner: str = RUNNER) -> None:
-        self._config, self._suite, self._runner = config, suite, runner
+    def __init__(self, job: Job, workers: int, runner: str = RUNNER) -> None:
+        self._job, self._runner = job, runner
         self._context = multiprocessing.get_context("spawn")
         self._folder = tempfile.TemporaryDirectory(prefix="cognitivedrone-")
         self._hired = 0
@@ -173,7 +173,7 @@ class ProcessPool:
         resource_tracker.ensure_running()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
-            arguments = (theirs, began, file, self._runner, self._config, self._suite)
+            arguments = (theirs, began, file, self._runner, self._job)
             process = self._context.Process(target=_work, args=arguments, daemon=True)
             process.start()
         finally:
@@ -202,7 +202,7 @@ class ProcessPool:
             now = time.monotonic()
             passed_s, looked = min(now - looked, 5 * POLL_S), now
             for position, worker in enumerate(self._workers):
-                hangs = worker.look(passed_s) > self._config.decision_timeout
+                hangs = worker.look(passed_s) > self._job.plan.decision_timeout
                 if worker.connection in arrived:
                     flown = self._receive(worker)
                 elif hangs:
@@ -225,7 +225,7 @@ class ProcessPool:
         worker.episode = todo.popleft()
         # Where it is gone, receiving from it says how.
         with contextlib.suppress(OSError):
-            worker.connection.send(_Job(worker.episode, film))
+            worker.connection.send(_Wanted(worker.episode, film))
 
     def _receive(self, worker: _Worker) -> Rollout | None:
         """What a worker sends: a flight, or none where it is ready for its first. Its death may be one too."""
@@ -269,7 +269,7 @@ class ProcessPool:
         worker.process.join(POLL_S)
         worker.process.kill()
         worker.process.join(JOIN_TIMEOUT_S)
-        limit = self._config.decision_timeout
+        limit = self._job.plan.decision_timeout
         return self._lost_flight(
             worker, f"a call of policy or reasoner took longer than {limit:g} s (--decision-timeout)"
         )
@@ -279,12 +279,12 @@ class ProcessPool:
         episode = worker.episode
         assert episode is not None  # noqa: S101 - only a flight can be lost
         trace = worker.crash_file.read_text(errors="replace") if worker.crash_file.exists() else ""
-        return lost_flight(self._suite, episode, self._config.seed, message, trace or message)
+        return lost_flight(self._job, episode, message, trace or message)
 
     def _doing(self, worker: _Worker) -> str:
         if worker.episode is None:
             return "making the simulator"
-        return f"episode {worker.episode} ({self._suite.tracks[worker.episode][0].id})"
+        return f"episode {worker.episode} ({self._job.suite.tracks[worker.episode][0].id})"
 
     def close(self) -> None:
         """Shut the workers down, each after it has freed its simulator."""
@@ -314,27 +314,25 @@ class ProcessPool:
             self.stop()
 
 
-def make_runner(name: str, config: RunConfig, suite: Suite, watch: Any = NO_WATCH) -> EpisodeRunner:
+def make_runner(name: str, job: Job, watch: Any = NO_WATCH) -> EpisodeRunner:
     """The episode runner of the class `name`, as module:attribute."""
-    made: EpisodeRunner = registry.load("episode runner", name, {})(config, suite, watch)
+    made: EpisodeRunner = registry.load("episode runner", name, {})(job, watch)
     return made
 
 
-def _work(
-    connection: Connection, began: Any, crash_file: Path, runner_name: str, config: RunConfig, suite: Suite
-) -> None:
+def _work(connection: Connection, began: Any, crash_file: Path, runner_name: str, job: Job) -> None:
     """Life of a worker process: make an episode runner, fly what is asked, leave when the stream ends."""
     warn_plainly()
     with crash_file.open("w") as crashes:
         faulthandler.enable(crashes)
         faulthandler.register(signal.SIGUSR1, crashes)
         try:
-            runner = make_runner(runner_name, config, suite, CallClock(began))
+            runner = make_runner(runner_name, job, CallClock(began))
             try:
                 connection.send(_Ready(runner.renderer))
                 while True:
-                    job: _Job = connection.recv()
-                    connection.send(runner.fly(job.episode, film=job.film))
+                    wanted: _Wanted = connection.recv()
+                    connection.send(runner.fly(wanted.episode, film=wanted.film))
             except (EOFError, BrokenPipeError, ConnectionResetError):
                 # The run is over, or its process is gone.
                 return

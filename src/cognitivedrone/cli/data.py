@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from tyro.conf import OmitArgPrefixes as Flat
 
-from cognitivedrone.collect.config import CollectConfig
+from cognitivedrone.collect.config import CollectPlan
 from cognitivedrone.printable import visible
 
 
-def collect(config: Annotated[CollectConfig, tyro.conf.arg(name="")]) -> None:
+def collect(config: Annotated[Flat[CollectPlan], tyro.conf.arg(name="")]) -> None:
     """Collect a data set: the expert flies the tasks of a suite, frames and actions go into a store.
 
     A run that was stopped goes on with --resume. With --policy the policy flies, and the expert says at every step what

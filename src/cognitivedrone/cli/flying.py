@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from tyro.conf import OmitArgPrefixes as Flat
 
-from cognitivedrone.apps.config import FlyConfig, SimConfig
+from cognitivedrone.apps.config import FlyPlan, SimPlan
 from cognitivedrone.printable import visible
 
 
-def fly(config: Annotated[FlyConfig, tyro.conf.arg(name="")]) -> None:
+def fly(plan: Annotated[Flat[FlyPlan], tyro.conf.arg(name="")]) -> None:
     """Fly a drone by an instruction, in real time: our simulator, ArduPilot SITL or a vehicle over MAVLink.
 
     While it flies, a line that is typed is its new instruction, "land" lands it, and so does ctrl-C. Steps, events and
@@ -29,12 +30,12 @@ def fly(config: Annotated[FlyConfig, tyro.conf.arg(name="")]) -> None:
     from cognitivedrone.terminal import console
 
     screen = console()
-    summary = fly_mission(config, console=screen)
+    summary = fly_mission(plan, console=screen)
     screen.print(summary_table(summary))
     sys.exit(summary.exit_code)
 
 
-def sim(config: Annotated[SimConfig, tyro.conf.arg(name="")]) -> None:
+def sim(plan: Annotated[Flat[SimPlan], tyro.conf.arg(name="")]) -> None:
     """Serve the simulator as a MAVLink vehicle, until ctrl-C: ground stations and `fly` connect to it.
 
     Needs the extra `mavlink`. Example:
@@ -44,7 +45,7 @@ def sim(config: Annotated[SimConfig, tyro.conf.arg(name="")]) -> None:
     from cognitivedrone.apps.vehicle import serve_vehicle, until_interrupted
 
     with until_interrupted() as stop:
-        lost = serve_vehicle(config, stop, lambda served: print(visible(str(served)), flush=True))  # noqa: T201
+        lost = serve_vehicle(plan, stop, lambda served: print(visible(str(served)), flush=True))  # noqa: T201
     print(f"stopped; the vehicle fell {lost:.1f} s behind the clock")  # noqa: T201
 
 

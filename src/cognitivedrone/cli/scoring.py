@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
+from tyro.conf import OmitArgPrefixes as Flat
 
-from cognitivedrone.benchmark.config import LookName, ReasonConfig, RunConfig, SweepConfig
+from cognitivedrone.benchmark.config import Plan, ReasonPlan, SweepPlan
+from cognitivedrone.plan import Options, Scenario
 from cognitivedrone.printable import visible
 
 
-def bench(config: Annotated[RunConfig, tyro.conf.arg(name="")]) -> None:
+def bench(plan: Annotated[Flat[Plan], tyro.conf.arg(name="")]) -> None:
     """Fly a policy through a suite of tasks and score it: without arguments, the small VLA through the test suite.
 
     Writes results.json, one record per episode, and a self-contained report.html. A run that was stopped goes on with
@@ -23,18 +26,18 @@ def bench(config: Annotated[RunConfig, tyro.conf.arg(name="")]) -> None:
       cognitivedrone bench --tasks my_tasks.json --labels my_pictures/
     """
     from cognitivedrone.benchmark.runner import out_of, run
-    from cognitivedrone.benchmark.suites import how_many
     from cognitivedrone.benchmark.tables import results_table
+    from cognitivedrone.tasks.scenario import how_many
     from cognitivedrone.terminal import console
 
     screen = console()
-    if told := how_many(config):
-        screen.print(told)
-    screen.print(results_table(run(config, progress=True)))
-    screen.print(f"report: {out_of(config) / 'report.html'}")
+    if notice := how_many(plan.scenario, plan.episodes):
+        screen.print(notice)
+    screen.print(results_table(run(plan, progress=True)))
+    screen.print(f"report: {out_of(plan) / 'report.html'}")
 
 
-def reason(config: Annotated[ReasonConfig, tyro.conf.arg(name="")]) -> None:
+def reason(plan: Annotated[Flat[ReasonPlan], tyro.conf.arg(name="")]) -> None:
     """Score a reasoner alone: ask it about the frame that every flight begins with, and fly nothing.
 
     Writes reason.json and reason.jsonl, which `--reasoner replay:FOLDER/reason.jsonl` reads. Examples:
@@ -47,12 +50,12 @@ def reason(config: Annotated[ReasonConfig, tyro.conf.arg(name="")]) -> None:
     from cognitivedrone.terminal import console
 
     screen = console()
-    results = score_reasoner(config)
+    results = score_reasoner(plan)
     screen.print(reason_table(results))
     screen.print(f"answers: {results.out / ANSWERS_FILE}")
 
 
-def sweep(config: Annotated[SweepConfig, tyro.conf.arg(name="")]) -> None:
+def sweep(plan: Annotated[Flat[SweepPlan], tyro.conf.arg(name="")]) -> None:
     """Fly a suite with growing latency of the reasoner, or of the policy, and plot the success against it.
 
     Latency is charged to the simulated clock, so the result does not depend on the machine. Stopped and started again,
@@ -66,8 +69,8 @@ def sweep(config: Annotated[SweepConfig, tyro.conf.arg(name="")]) -> None:
     from cognitivedrone.terminal import console
 
     screen = console()
-    screen.print(sweep_table(fly_all(config), config.part))
-    screen.print(f"plot: {config.out / PLOT_FILE}")
+    screen.print(sweep_table(fly_all(plan), plan.part))
+    screen.print(f"plot: {plan.out / PLOT_FILE}")
 
 
 def compare(
@@ -87,31 +90,24 @@ def compare(
     console().print(comparison_table(compare_runs(a, b)))
 
 
-def view(
-    suite: str = "open-v1:smoke",
-    tasks: Path | None = None,
-    episode: int = 0,
-    out: Path = Path("view.png"),
-    look: LookName = "plain",
-    labels: str = "open-v1",
-    seed: int = 0,
-) -> None:
-    """Draw what the drone sees at the start of a task, with a chase and a top view beside it.
+@dataclass(frozen=True, slots=True)
+class ViewPlan(Options):
+    """Draw what the drone sees at the start of a task."""
 
-    Args:
-        suite: Name of a suite of tasks.
-        tasks: Task file, or folder of them, instead of a suite.
-        episode: Which of its tasks, from 0.
-        out: Picture to write.
-        look: plain or varied.
-        labels: Label pack, or a folder of pictures.
-        seed: Draws start and look.
-    """
+    scenario: Scenario = Scenario(suite="open-v1:smoke")
+    episode: int = 0
+    """Which of its tasks, from 0."""
+    out: Path = Path("view.png")
+    """Picture to write."""
+
+
+def view(plan: Annotated[Flat[ViewPlan], tyro.conf.arg(name="")]) -> None:
+    """Draw what the drone sees at the start of a task, with a chase and a top view beside it."""
     from cognitivedrone.envs.snapshot import snapshot
-    from cognitivedrone.tasks import open_suite
 
-    task = snapshot(open_suite(suite, tasks), episode, out, look=look, labels=labels, seed=seed)
-    print(visible(f"{out}: {task.instruction}  (right: gate {task.target + 1}, {task.options[task.target]})"))  # noqa: T201
+    task = snapshot(plan.scenario, plan.episode, plan.out)
+    right = f"(right: gate {task.target + 1}, {task.options[task.target]})"
+    print(visible(f"{plan.out}: {task.instruction}  {right}"))  # noqa: T201
 
 
 def list_names() -> None:

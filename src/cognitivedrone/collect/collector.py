@@ -8,11 +8,12 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from rich.progress import Progress, SpinnerColumn, TaskID, TimeElapsedColumn
 
 from cognitivedrone import registry
-from cognitivedrone.collect.config import CollectConfig
+from cognitivedrone.collect.config import CollectPlan
 from cognitivedrone.collect.executors import EXECUTORS, Executor, Job, import_ray, learner_of, open_suite
 from cognitivedrone.collect.fleet import FlownEpisode
 from cognitivedrone.collect.recipe import find_recipe
@@ -20,6 +21,7 @@ from cognitivedrone.data.episode import Episode
 from cognitivedrone.data.layout import sole_writer
 from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.errors import DataError, did_you_mean
+from cognitivedrone.files import digest_of_folder
 from cognitivedrone.policies import make_policy
 from cognitivedrone.progress import progress_bar
 
@@ -52,7 +54,7 @@ class CollectReport:
         return self.flown / self.seconds if self.seconds > 0 else 0.0
 
 
-def collect(config: CollectConfig, progress: bool = True) -> CollectReport:
+def collect(config: CollectPlan, progress: bool = True) -> CollectReport:
     """Fill a store with exactly the episodes that are asked for, task by task of the suite.
 
     What is in the store depends on suite, recipe, policy, episodes and seed alone, not on workers, executor or
@@ -68,10 +70,10 @@ def collect(config: CollectConfig, progress: bool = True) -> CollectReport:
         line = bar.add_task("checking", total=job.episodes, speed="")
         writer = StoreWriter(
             config.out,
-            job.recipe.facts(),
+            _making(job),
             suite.name,
             suite.digest,
-            config.seed,
+            job.source.seed,
             episodes_per_shard=job.episodes_per_shard,
             policy=job.learner.facts() if job.learner else None,
             resume=config.resume,
@@ -176,14 +178,14 @@ def _count(ranges: Iterable[range]) -> int:
     return sum(map(len, ranges))
 
 
-def _prepare(config: CollectConfig) -> tuple[Job, Executor, int]:
+def _prepare(config: CollectPlan) -> tuple[Job, Executor, int]:
     recipe = find_recipe(config.recipe)
     episodes = recipe.episodes if config.episodes is None else config.episodes
     workers = len(os.sched_getaffinity(0)) if config.workers is None else config.workers
     numbers = (
         ("--episodes", episodes, 1),
         ("--workers", workers, 1),
-        ("--seed", config.seed, 0),
+        ("--seed", config.source.seed, 0),
         ("--episodes-per-shard", config.episodes_per_shard, 1),
     )
     for name, value, least in numbers:
@@ -191,6 +193,8 @@ def _prepare(config: CollectConfig) -> tuple[Job, Executor, int]:
             raise DataError(f"{name} {value}: must be at least {least}")
     if not 0 <= config.beta <= 1:
         raise DataError(f"--beta {config.beta}: must be a probability, from 0 to 1")
+    if config.source.labels is not None and not config.source.labels.is_dir():
+        raise DataError(f"--labels {config.source.labels} is not a folder of images")
     if config.beta and config.policy is None:
         raise DataError("--beta is the expert's share of a policy's flights; give a --policy, or leave it out")
     if config.executor not in EXECUTORS:
@@ -202,9 +206,14 @@ def _prepare(config: CollectConfig) -> tuple[Job, Executor, int]:
     if config.policy is not None:
         learner = learner_of(config.policy, config.beta)
         make_policy(config.policy)  # fails here, before anything is written
-    suite = config.suite if config.tasks is None else str(config.tasks)
-    job = Job(suite, replace(recipe, episodes=episodes), config.seed, config.episodes_per_shard, learner)
+    job = Job(config.source, replace(recipe, episodes=episodes), config.episodes_per_shard, learner)
     return job, executor, workers
+
+
+def _making(job: Job) -> dict[str, Any]:
+    """What the manifest says of the recipe; of the user's own label images, the hash."""
+    labels = job.source.labels
+    return job.recipe.facts() | ({} if labels is None else {"labels": digest_of_folder(labels)})
 
 
 def _advance(bar: Progress, line: TaskID, gathered: _Gathered, begin: float) -> None:

@@ -1,4 +1,4 @@
-"""The options of the command `collect`; the docstrings of the fields are its help. Imports nothing heavy."""
+"""The plan of the command `collect`; the docstrings of the fields are its help. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from cognitivedrone.plan import Options, TaskSource
+
 
 @dataclass(frozen=True, slots=True)
-class CollectConfig:
+class CollectPlan(Options):
     """What to collect, and where to."""
 
     out: Path
@@ -17,14 +19,9 @@ class CollectConfig:
     """`paper`, `robust` or `debug`."""
     episodes: int | None = None
     """How many; as many as the recipe says where left out (paper: 8,062)."""
-    suite: str = "open-v1:train"
-    """Name of a suite of single tasks."""
-    tasks: Path | None = None
-    """Task file, or folder of them, flown instead of a suite."""
+    source: TaskSource = TaskSource(suite="open-v1:train")
     workers: int | None = None
     """Processes, or shards under way on a cluster; one for each CPU where left out."""
-    seed: int = 0
-    """Draws the tasks of open-v1:train, and the conditions of every flight."""
     resume: bool = False
     """Go on with what is in the folder."""
     episodes_per_shard: int = 64

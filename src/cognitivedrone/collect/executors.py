@@ -7,7 +7,6 @@ An executor is a function from a `Job`, batches of episode indices and a number 
 from __future__ import annotations
 
 import functools
-import hashlib
 import multiprocessing
 import signal
 import traceback
@@ -23,6 +22,8 @@ from cognitivedrone import tasks
 from cognitivedrone.collect.fleet import Fleet, FlownEpisode
 from cognitivedrone.collect.recipe import Recipe
 from cognitivedrone.errors import CognitiveDroneError, DataError, MissingExtra, warn_plainly
+from cognitivedrone.files import digest_of_file
+from cognitivedrone.plan import TaskSource
 from cognitivedrone.policies import make_policy, model_file
 from cognitivedrone.tasks import Suite
 
@@ -55,18 +56,16 @@ def learner_of(policy: str, beta: float) -> Learner:
     file = model_file(policy)
     if file is None:
         return Learner(policy, beta, None)
-    with file.open("rb") as stream:
-        return Learner(policy, beta, hashlib.file_digest(stream, "sha256").hexdigest())
+    return Learner(policy, beta, digest_of_file(file))
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
     """All that decides what is in a shard."""
 
-    suite: str
-    """Name of a suite, or a task file or folder that every machine has."""
+    source: TaskSource
+    """A suite by its name, or files that every machine has."""
     recipe: Recipe
-    seed: int
     episodes_per_shard: int
     learner: Learner | None = None
     """Who flies in the expert's place."""
@@ -95,11 +94,12 @@ def open_suite(job: Job) -> Suite:
 
     Tasks of `open-v1:train` are drawn by the seed of the collection.
     """
-    suite = tasks.open_suite(job.suite, size=job.episodes, seed=job.seed)
+    source = job.source
+    suite = tasks.open_suite(source.suite, source.tasks, size=job.episodes, seed=source.seed)
     if len(suite.tracks) < job.episodes:
-        raise DataError(f"suite {job.suite!r} has {len(suite.tracks)} tasks; ask for that many episodes or fewer")
+        raise DataError(f"suite {source.title!r} has {len(suite.tracks)} tasks; ask for that many episodes or fewer")
     if any(len(track) != 1 for track in suite.tracks[: min(job.episodes, 100)]):
-        raise DataError(f"suite {job.suite!r} is made of tracks; episodes are recorded of single tasks")
+        raise DataError(f"suite {source.title!r} is made of tracks; episodes are recorded of single tasks")
     return suite
 
 
@@ -110,16 +110,24 @@ def fly_here(job: Job, indices: Sequence[int]) -> Iterator[FlownEpisode]:
 
 @functools.lru_cache(maxsize=1)
 def _fleet(job: Job) -> Fleet:
-    suite, learner = open_suite(job), job.learner
+    suite, learner, seed, labels = open_suite(job), job.learner, job.source.seed, job.source.labels
     if learner is None:
-        return Fleet(suite, job.recipe, job.seed)
+        return Fleet(suite, job.recipe, seed, labels=labels)
     if learner_of(learner.policy, learner.beta) != learner:
         raise DataError(
             f"policy {learner.policy!r}: its model file is another one on this machine, or has changed since the start;"
             " give the same file everywhere, and start anew"
         )
     # One world: a policy may fill the memory, and it decides one frame at a time anyway.
-    return Fleet(suite, job.recipe, job.seed, worlds=1, learner=lambda: make_policy(learner.policy), beta=learner.beta)
+    return Fleet(
+        suite,
+        job.recipe,
+        seed,
+        labels=labels,
+        worlds=1,
+        learner=lambda: make_policy(learner.policy),
+        beta=learner.beta,
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +88,7 @@ class Fleet:
         recipe: Recipe,
         seed: int,
         *,
+        labels: Path | None = None,
         worlds: int = WORLDS,
         learner: Learner | None = None,
         beta: float = 0.0,
@@ -98,9 +100,9 @@ class Fleet:
         self.beta = beta
         self._learners = [learner() for _ in range(worlds)] if learner else None
         self._simulator = Simulator(worlds, airframe=AIRFRAMES[AIRFRAME])
-        pack = load_pack("open-v1")
+        pack = load_pack(labels)
         config = TrackConfig(look=recipe.look, time_limit_s=recipe.time_limit_s)
-        self._courses = [TrackRunner(self._simulator, world, pack, config) for world in range(worlds)]
+        self._courses = [TrackRunner(self._simulator.world(world), pack, config) for world in range(worlds)]
         self._frames = np.empty((worlds, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)
 
     def close(self) -> None:
@@ -172,7 +174,7 @@ class Fleet:
         """Record the moment, and command."""
         simulator = self._simulator
         state = simulator.state(world)
-        velocity, height, yaw_rate = proprioception(simulator, world)
+        velocity, height, yaw_rate = proprioception(state)
         action = sent = clip_action(flight.expert.command())
         if flight.learner is not None:
             if not flight.pending:

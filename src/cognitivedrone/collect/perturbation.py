@@ -13,7 +13,7 @@ import numpy as np
 
 from cognitivedrone.collect.recipe import Recipe
 from cognitivedrone.envs.track_runner import draw_start
-from cognitivedrone.sim.simulator import Start
+from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.types import CONTROL_HZ, Action
 from cognitivedrone.world import geometry
 

@@ -9,8 +9,8 @@ import numpy as np
 from cognitivedrone.data.episode import Episode
 from cognitivedrone.errors import DataError, did_you_mean
 from cognitivedrone.sim.airframe import AIRFRAMES
+from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL
 from cognitivedrone.sim.dynamics import Flight
-from cognitivedrone.sim.simulator import TICKS_PER_CONTROL
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,34 +9,34 @@ import numpy as np
 from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.sim.dynamics import Flight
-from cognitivedrone.sim.simulator import Simulator
-from cognitivedrone.types import ACTION_LIMITS, Action, FloatArray, Observation
+from cognitivedrone.types import ACTION_LIMITS, Action, DroneState, FloatArray, Observation
 
 
 class SimulatedDrone:
-    """One world of a simulator. Time stands still between calls of `sleep_until`: it is drone and clock in one."""
+    """The drone of a simulated world, flown through a track. Time stands still between calls of `sleep_until`: it is
+    drone and clock in one.
+    """
 
-    def __init__(self, simulator: Simulator, track_runner: TrackRunner) -> None:
-        self.simulator = simulator
+    def __init__(self, track_runner: TrackRunner) -> None:
         self.track_runner = track_runner
+        self.world = track_runner.world
 
     def observe(self) -> Observation:
         """Frame and state of this moment."""
-        world = self.track_runner.world
-        velocity, height, yaw_rate = proprioception(self.simulator, world)
+        velocity, height, yaw_rate = proprioception(self.world.state())
         return Observation(
-            image=self.simulator.frames(worlds=[world])[0],
+            image=self.world.frame(),
             instruction=self.track_runner.task.instruction,
             velocity=velocity,
             height=height,
             yaw_rate=yaw_rate,
-            time=self.simulator.time(world),
+            time=self.world.time(),
         )
 
     def send(self, action: Action) -> Action:
         """Set the velocity setpoint, clipped to `ACTION_LIMITS`."""
         sent = clip_action(action)
-        self.simulator.command(self.track_runner.world, sent)
+        self.world.command(sent)
         return sent
 
     def close(self) -> None:
@@ -44,13 +44,13 @@ class SimulatedDrone:
 
     def now(self) -> float:
         """Simulated seconds since the flight began."""
-        return self.simulator.time(self.track_runner.world)
+        return self.world.time()
 
     def sleep_until(self, time_s: float) -> None:
         """Let the world go on, the last command standing, until `time_s` or the end of the flight."""
         ticks = round((time_s - self.now()) / Flight.TICK_S)
         if ticks > 0 and not self.track_runner.finished:
-            self.track_runner.update(self.simulator.advance(ticks)[self.track_runner.world])
+            self.track_runner.update(self.world.advance(ticks))
 
 
 class PacedDrone:
@@ -86,9 +86,8 @@ class PacedDrone:
         self.drone.sleep_until(self.now())
 
 
-def proprioception(simulator: Simulator, world: int) -> tuple[FloatArray, float, float]:
+def proprioception(state: DroneState) -> tuple[FloatArray, float, float]:
     """Heading-frame velocity (3,) float32 in m/s, height in m, yaw rate in rad/s."""
-    state = simulator.state(world)
     velocity = world_to_heading(state.velocity, yaw_of(state.quaternion)).astype(np.float32)
     return velocity, float(state.position[2]), float(state.body_rates[2])
 

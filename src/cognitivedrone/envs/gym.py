@@ -8,20 +8,22 @@ import gymnasium
 import numpy as np
 
 from cognitivedrone.envs.drone import clip_action, proprioception
+from cognitivedrone.envs.options import scenario_of, tasks_of
 from cognitivedrone.envs.spaces import Info, action_space, check_actions, observation_space
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import TaskError
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.sim.simulator import Simulator
-from cognitivedrone.tasks import UNLIMITED, Suite, load_suite
+from cognitivedrone.tasks import Suite
 from cognitivedrone.types import CONTROL_HZ, Action, StageResult, Truth
 
 
 class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
     """One episode is one track of the suite; a single task is a track of one stage.
 
-    `suite` is a name or a `Suite`; every episode of "open-v1:train" is a new task, without end.
+    `suite` is a name or a `Suite`; every episode of "open-v1:train" is a new task, without end. The other options are
+    those of `cognitivedrone.plan.Scenario`: tasks, labels, appearance, airframe, wind.
 
     Reward: 1 for every stage flown through the right gate. `terminated` when the track is done or the flight ended by
     contact, miss or leaving the stage; `truncated` when the stage's time ran out. `info` holds `task`, and the
@@ -38,21 +40,18 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         self,
         suite: str | Suite = "open-v1:train",
         *,
-        labels: str = "open-v1",
-        look: str = "plain",
-        airframe: str = "racer",
         time_limit_s: float = 30.0,
-        wind_m_s: float = 0.0,
         render_mode: str | None = None,
+        **options: Any,
     ) -> None:
-        self.suite = load_suite(suite, size=UNLIMITED) if isinstance(suite, str) else suite
+        scenario = scenario_of(suite, options)
+        self.suite = tasks_of(suite, scenario)
         self.observation_space = observation_space()
         self.action_space = action_space()  # type: ignore[assignment]
         self.render_mode = render_mode
-        config = TrackConfig(look=look, time_limit_s=time_limit_s, wind_m_s=wind_m_s)
-        pack = load_pack(labels)
-        self.simulator = Simulator(1, airframe=find_airframe(airframe))
-        self.track_runner = TrackRunner(self.simulator, 0, pack, config)
+        conditions, pack = TrackConfig.of(scenario, time_limit_s), load_pack(scenario.labels)
+        self.simulator = Simulator(1, airframe=find_airframe(scenario.airframe))
+        self.track_runner = TrackRunner(self.simulator.world(0), pack, conditions)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], Info]:
         """Begin an episode, drawn from the seed or given as `options["episode"]`."""
@@ -65,8 +64,8 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
     def step(self, action: Action) -> tuple[dict[str, Any], float, bool, bool, Info]:
         """Fly one control period, 0.1 s."""
         check_actions(action, (4,))
-        self.simulator.command(0, clip_action(action))
-        result = self.track_runner.update(self.simulator.advance()[0])
+        self.track_runner.world.command(clip_action(action))
+        result = self.track_runner.update(self.track_runner.world.advance())
         reward, terminated, truncated = score(result, self.track_runner.finished)
         return self._observe(), reward, terminated, truncated, self._info()
 
@@ -83,7 +82,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         return self.track_runner.truth()
 
     def _observe(self) -> dict[str, Any]:
-        velocity, height, yaw_rate = proprioception(self.simulator, 0)
+        velocity, height, yaw_rate = proprioception(self.track_runner.world.state())
         return {
             "image": self.simulator.frames()[0],
             "instruction": self.track_runner.task.instruction,

@@ -11,14 +11,17 @@ from PIL import Image as PillowImage
 from PIL import ImageDraw
 
 from cognitivedrone.envs.captions import font, readable, wrap
-from cognitivedrone.envs.track_runner import LOOKS, TrackConfig, TrackRunner, episode_rng
-from cognitivedrone.errors import RunError, did_you_mean
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
+from cognitivedrone.errors import RunError
 from cognitivedrone.files import replace_file, writing
 from cognitivedrone.frames import FloatArray
 from cognitivedrone.labels import load_pack
+from cognitivedrone.plan import Scenario
+from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.sim.views import View, chase_view, first_person_view, top_view
-from cognitivedrone.tasks import Suite, track_at
+from cognitivedrone.tasks import track_at
+from cognitivedrone.tasks.scenario import suite_of
 from cognitivedrone.types import IMAGE_SIZE, Gate, Image, Task
 from cognitivedrone.world import geometry
 
@@ -32,20 +35,19 @@ _BADGE: Final = 20
 """Radius of a gate's number, pixels."""
 
 
-def snapshot(suite: Suite, episode: int, out: Path, *, look: str, labels: str, seed: int) -> Task:
+def snapshot(scenario: Scenario, episode: int, out: Path) -> Task:
     """Write the picture to `out` and return the task that it shows."""
-    track = track_at(suite, episode)
-    if look not in LOOKS:
-        raise RunError(f"unknown look {look!r}; {did_you_mean(look, LOOKS)}")
+    suite = suite_of(scenario, episode + 1)
+    track, conditions = track_at(suite, episode), TrackConfig.of(scenario)
     if not out.parent.is_dir():
         raise RunError(f"cannot write {out}: there is no folder {out.parent}")
     form = PillowImage.registered_extensions().get(out.suffix.lower())
     if form not in PillowImage.SAVE:
         raise RunError(f"cannot write {out}: {out.suffix or 'no suffix'} is no kind of picture; end its name in .png")
-    simulator = Simulator(1)
+    simulator = Simulator(1, airframe=find_airframe(scenario.airframe))
     try:
-        track_runner = TrackRunner(simulator, 0, load_pack(labels), TrackConfig(look=look))
-        track_runner.begin(track, episode_rng(suite.digest, episode, seed))
+        track_runner = TrackRunner(simulator.world(0), load_pack(scenario.labels), conditions)
+        track_runner.begin(track, episode_rng(suite.digest, episode, scenario.seed))
         where = f"{suite.name}, episode {episode}"
         if len(track) > 1:
             where += f", stage 1 of {len(track)}"
@@ -63,10 +65,10 @@ def draw(simulator: Simulator, track_runner: TrackRunner, where: str) -> Image:
     """The task at hand in three views with gates named: (h, 1096, 3). `where` says which task it is."""
     if simulator.cameras is None:
         raise ValueError("this simulator was made without cameras")
-    state, stage = simulator.state(track_runner.world), track_runner.stage
-    seen = simulator.frames(worlds=[track_runner.world])[0].repeat(2, axis=0).repeat(2, axis=1)
-    top = simulator.cameras.top(track_runner.world, state, (SIDE, SIDE))
-    chase = simulator.cameras.chase(track_runner.world, state, _CHASE_SIZE)
+    state, stage = track_runner.world.state(), track_runner.stage
+    seen = track_runner.world.frame().repeat(2, axis=0).repeat(2, axis=1)
+    top = simulator.cameras.top(0, state, (SIDE, SIDE))
+    chase = simulator.cameras.chase(0, state, _CHASE_SIZE)
     heading = _heading(track_runner.task, where)
     titles = 34
     rows = (heading.height, heading.height + titles + SIDE + _GAP)

@@ -14,8 +14,9 @@ import numpy as np
 
 from cognitivedrone.errors import SimulationError, did_you_mean
 from cognitivedrone.interfaces import LabelPack
+from cognitivedrone.plan import Scenario
+from cognitivedrone.sim.drone_world import DroneWorld, Scenery, Start
 from cognitivedrone.sim.gate_monitor import GateEvent
-from cognitivedrone.sim.simulator import Scenery, Simulator, Start
 from cognitivedrone.types import Outcome, Stage, StageResult, Task, Track, Truth
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN, Look, varied_look
@@ -35,6 +36,11 @@ class TrackConfig:
     """For each stage."""
     wind_m_s: float = 0.0
     """Speed of a steady wind; its direction is drawn from the seed."""
+
+    @classmethod
+    def of(cls, scenario: Scenario, time_limit_s: float = 30.0) -> TrackConfig:
+        """The conditions of a scenario."""
+        return cls(scenario.appearance, time_limit_s, scenario.wind)
 
     def __post_init__(self) -> None:
         if self.look not in LOOKS:
@@ -75,14 +81,13 @@ def draw_start(rng: np.random.Generator, hull_radius: float, wind_m_s: float = 0
 
 
 class TrackRunner:
-    """Flies one world of a simulator through a track.
+    """Leads the drone of one world through a track.
 
     A stage that is passed, or left through a wrong gate, leads to the next one behind that gate; anything else ends
     the flight, and the stages that were not reached count as such.
     """
 
-    def __init__(self, simulator: Simulator, world: int, labels: LabelPack, config: TrackConfig) -> None:
-        self.simulator = simulator
+    def __init__(self, world: DroneWorld, labels: LabelPack, config: TrackConfig) -> None:
         self.world = world
         self.labels = labels
         self.config = config
@@ -101,9 +106,9 @@ class TrackRunner:
         self.results = []
         self.stages = [stage_of(track[0])]
         self.look = varied_look(rng) if self.config.look == "varied" else PLAIN
-        self.start = start or draw_start(rng, self.simulator.airframe.hull_radius, self.config.wind_m_s)
+        self.start = start or draw_start(rng, self.world.hull_radius, self.config.wind_m_s)
         scenery = scenery_of(self.stages[0], self.labels, self.look)
-        self.simulator.begin(self.world, self.stages[0], scenery, self.start)
+        self.world.begin(self.stages[0], scenery, self.start)
         self._stage_start_s = 0.0
 
     @property
@@ -128,22 +133,22 @@ class TrackRunner:
 
     def truth(self) -> Truth:
         """What a privileged pilot is told."""
-        return Truth(self.task, self.stage, lambda: self.simulator.state(self.world))
+        return Truth(self.task, self.stage, self.world.state)
 
     def update(self, gate_event: GateEvent | None) -> StageResult | None:
         """Take in what happened in the last stretch of flight; the result, where it ended the stage."""
-        if self.simulator.flight.diverged[self.world]:
+        if self.world.diverged:
             return self.end("invalid")
         if gate_event is not None:
             return self._judged(gate_event)
-        if self.simulator.time(self.world) - self._stage_start_s >= self.config.time_limit_s - 1e-9:
+        if self.world.time() - self._stage_start_s >= self.config.time_limit_s - 1e-9:
             return self.end("timeout")
         return None
 
     def end(self, outcome: Outcome, *, chosen: int | None = None, clearance_m: float | None = None) -> StageResult:
         """End the flight here; what was not reached is recorded as such."""
         if chosen is None and outcome not in ("invalid", "policy_error"):
-            chosen = self.simulator.gate_monitor(self.world).favoured()
+            chosen = self.world.gate_monitor.favoured()
         result = self._result(outcome, chosen, clearance_m)
         self.results.append(result)
         for task in self.track[len(self.results) :]:
@@ -160,12 +165,12 @@ class TrackRunner:
         if not self.finished and gate_event.gate is not None:
             origin, yaw = geometry.next_stage_origin(self.stage, gate_event.gate)
             self.stages.append(stage_of(self.track[self.index], origin, yaw))
-            self.simulator.place(self.world, self.stage, scenery_of(self.stage, self.labels, self.look))
-            self._stage_start_s = self.simulator.time(self.world)
+            self.world.place(self.stage, scenery_of(self.stage, self.labels, self.look))
+            self._stage_start_s = self.world.time()
         return result
 
     def _result(self, outcome: Outcome, chosen: int | None, clearance_m: float | None) -> StageResult:
-        gate_monitor = self.simulator.gate_monitor(self.world)
+        gate_monitor = self.world.gate_monitor
         task = self.task
         ratio = None
         if outcome in ("passed", "wrong_gate") and chosen is not None:
@@ -178,7 +183,7 @@ class TrackRunner:
             target=task.target,
             outcome=outcome,
             chosen=chosen,
-            time_s=self.simulator.time(self.world) - self._stage_start_s,
+            time_s=self.world.time() - self._stage_start_s,
             path_m=gate_monitor.path_m,
             path_ratio=ratio,
             clearance_m=clearance_m,

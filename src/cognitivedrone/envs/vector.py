@@ -11,6 +11,7 @@ from gymnasium.vector.utils import batch_space
 
 from cognitivedrone.envs.drone import clip_action
 from cognitivedrone.envs.gym import pick_episode, score
+from cognitivedrone.envs.options import scenario_of, tasks_of
 from cognitivedrone.envs.spaces import Info, action_space, check_actions, observation_space
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import SimulationError
@@ -18,7 +19,7 @@ from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.sim.simulator import Simulator
-from cognitivedrone.tasks import UNLIMITED, Suite, load_suite
+from cognitivedrone.tasks import Suite
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, FloatArray, StageResult, Truth
 
 
@@ -41,21 +42,18 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         num_envs: int = 16,
         suite: str | Suite = "open-v1:train",
         *,
-        labels: str = "open-v1",
-        look: str = "plain",
-        airframe: str = "racer",
         time_limit_s: float = 30.0,
-        wind_m_s: float = 0.0,
         threads: int | None = None,
         copy: bool = True,
         render_mode: str | None = None,
+        **options: Any,
     ) -> None:
         if num_envs < 1:
             raise SimulationError(f"num_envs is {num_envs}; it must be at least 1")
-        config = TrackConfig(look=look, time_limit_s=time_limit_s, wind_m_s=wind_m_s)
-        pack = load_pack(labels)
+        scenario = scenario_of(suite, options)
+        conditions, pack = TrackConfig.of(scenario, time_limit_s), load_pack(scenario.labels)
         self.num_envs = num_envs
-        self.suite = load_suite(suite, size=UNLIMITED) if isinstance(suite, str) else suite
+        self.suite = tasks_of(suite, scenario)
         self.render_mode = render_mode
         self.single_observation_space = observation_space()
         self.single_action_space = action_space()
@@ -63,8 +61,8 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._copy = copy
         threads = threads or min(len(os.sched_getaffinity(0)), num_envs)
-        self.simulator = Simulator(num_envs, airframe=find_airframe(airframe), threads=threads)
-        self.track_runners = [TrackRunner(self.simulator, world, pack, config) for world in range(num_envs)]
+        self.simulator = Simulator(num_envs, airframe=find_airframe(scenario.airframe), threads=threads)
+        self.track_runners = [TrackRunner(self.simulator.world(world), pack, conditions) for world in range(num_envs)]
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
         self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._images = np.zeros((num_envs, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)

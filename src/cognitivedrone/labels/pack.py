@@ -29,17 +29,17 @@ _CACHED_IMAGES = 128
 _CACHED_LAYERS = 64
 
 
-def load_pack(name_or_path: str = "open-v1") -> ShippedPack | FolderPack:
-    """The label pack of that name, or a folder of images `<kind>/<concept>.png`.
+def load_pack(name_or_path: str | Path | None = None) -> ShippedPack | FolderPack:
+    """The label pack of that name, or a folder of images `<kind>/<concept>.png`; the shipped pack by default.
 
     Raises `LabelError` where there is neither.
     """
-    if name_or_path in PACKS:
-        return _shipped(name_or_path)
+    if name_or_path is None or name_or_path in PACKS:
+        return _shipped(PACKS[0] if name_or_path is None else str(name_or_path))
     folder = Path(name_or_path)
     if not folder.is_dir():
         raise LabelError(
-            f"no label pack {name_or_path!r}: neither a folder of images nor a shipped pack ({', '.join(PACKS)})"
+            f"no label pack {str(name_or_path)!r}: neither a folder of images nor a shipped pack ({', '.join(PACKS)})"
         )
     return FolderPack(folder, _shipped(PACKS[0]))
 

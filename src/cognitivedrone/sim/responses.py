@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from cognitivedrone.frames import world_to_heading
+from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.sim.airframe import Airframe
+from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.sim.dynamics import Flight
-from cognitivedrone.sim.flying import Flying
-from cognitivedrone.types import FloatArray
+from cognitivedrone.types import DroneState, FloatArray
 
 SETTLE_S = 3.0
 """How long a response is watched after its command went back to zero, s."""
@@ -84,21 +85,66 @@ ARDUCOPTER: dict[str, Figures] = {
 }
 
 
-def fly(step: Step, airframe: Airframe, flight: Flying | None = None) -> Trace:
-    """Fly a step from hover, with setpoints at 10 Hz; on our own autopilot where no other `flight` is given."""
-    flight = flight or Flight(1, airframe)
-    flight.reset(0, np.array([0.0, 0.0, 1.5]))
+class Motion(Protocol):
+    """A drone in motion, such as `vehicles.external.ExternalFlight`."""
+
+    def begin(self, start: Start) -> None:
+        """Hover at `start`."""
+        ...
+
+    def command(self, action: FloatArray) -> None:
+        """Fly by a velocity (4,), heading frame, m/s and rad/s."""
+        ...
+
+    def advance(self, ticks: int) -> FloatArray:
+        """Fly on by ticks of `Flight.TICK_S`; the way there, (samples, 3), world, m."""
+        ...
+
+    def state(self) -> DroneState:
+        """The true state."""
+        ...
+
+
+class OwnMotion:
+    """One drone under our own autopilot."""
+
+    def __init__(self, airframe: Airframe) -> None:
+        self._flight = Flight(1, airframe)
+
+    def begin(self, start: Start) -> None:
+        """Hover at `start`."""
+        self._flight.reset(0, np.array(start.position), start.yaw, wind=np.array(start.wind))
+
+    def command(self, action: FloatArray) -> None:
+        """Fly by a velocity (4,)."""
+        self._flight.command_one(0, action)
+
+    def advance(self, ticks: int) -> FloatArray:
+        """Fly on by ticks."""
+        path: FloatArray = self._flight.advance(ticks)[0]
+        return path
+
+    def state(self) -> DroneState:
+        """The true state."""
+        return self._flight.state(0)
+
+
+def fly(step: Step, drone: Motion) -> Trace:
+    """Fly a step from hover, with setpoints at 10 Hz."""
+    drone.begin(Start((0.0, 0.0, 1.5)))
     count = round((step.duration + SETTLE_S) * 100)
     response, position, heading, tilt = np.empty((count + 1, 4)), np.empty((count + 1, 3)), np.empty(count + 1), []
     for k in range(count + 1):
-        response[k, :3] = world_to_heading(flight.velocity[0], flight.yaw[0])
-        response[k, 3] = flight.body_rates[0, 2]
-        position[k], heading[k] = flight.position[0], flight.yaw[0]
-        _, x, y, _ = flight.quaternion[0]
+        state = drone.state()
+        heading[k] = yaw_of(state.quaternion)
+        response[k, :3] = world_to_heading(state.velocity, heading[k])
+        response[k, 3] = state.body_rates[2]
+        position[k] = state.position
+        _, x, y, _ = state.quaternion
         tilt.append(math.acos(min(1.0, 1 - 2 * (x * x + y * y))))
         if k % 10 == 0:
-            flight.command(np.array([step.action if k < round(step.duration * 100) else (0.0,) * 4]))
-        flight.advance(Flight.SAMPLE_TICKS)
+            drone.command(np.array(step.action if k < round(step.duration * 100) else (0.0,) * 4))
+        drone.advance(Flight.SAMPLE_TICKS)
     return Trace(np.arange(count + 1) * 0.01, response, position, np.unwrap(heading), np.array(tilt))
 
 

@@ -1,51 +1,23 @@
-"""Worlds with a drone, three gates and a camera: flight, camera and gate monitor as one. Knows stages, never tasks."""
+"""The batched simulator: worlds with a drone, three gates and a camera, stepped and drawn together."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from cognitivedrone.sim.airframe import RACER, Airframe
 from cognitivedrone.sim.camera import Cameras
+from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, Scenery, Start
 from cognitivedrone.sim.dynamics import Flight
-from cognitivedrone.sim.flying import CameraSource, Flying
 from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor
-from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, DroneState, FloatArray, Image, Stage
-from cognitivedrone.world.appearance import PLAIN, Look
-
-TICKS_PER_CONTROL = round(1 / (CONTROL_HZ * Flight.TICK_S))
-if abs(TICKS_PER_CONTROL * CONTROL_HZ * Flight.TICK_S - 1) > 1e-9:
-    raise ValueError("the control period must be a whole number of physics ticks")
-
-
-@dataclass(frozen=True, slots=True)
-class Start:
-    """Where and how a flight begins, in the world."""
-
-    position: tuple[float, float, float]
-    """m."""
-    yaw: float = 0.0
-    """rad."""
-    wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Steady wind, world, m/s."""
-
-
-@dataclass(frozen=True, slots=True)
-class Scenery:
-    """The pictures and the look of a stage."""
-
-    panels: tuple[Image, Image, Image]
-    board: Image | None = None
-    look: Look = PLAIN
+from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Image, Stage
 
 
 class Simulator:
-    """n independent worlds, stepped together.
+    """n independent worlds, stepped together. Knows stages, never tasks.
 
-    `threads` are used for physics and rendering; results are the same bits whatever their number. `flight` is what
-    moves the drones and `eyes` what shows what they see, where they are not our own; they stay the caller's to close.
+    `threads` are used for physics and rendering; results are the same bits whatever their number.
     """
 
     def __init__(
@@ -56,18 +28,19 @@ class Simulator:
         threads: int = 1,
         size: int = IMAGE_SIZE,
         render: bool = True,
-        flight: Flying | None = None,
-        eyes: CameraSource | None = None,
     ) -> None:
         self.worlds = worlds
         self.airframe = airframe
-        self.flight: Flying = flight or Flight(worlds, airframe, threads=threads)
-        self.cameras = Cameras(worlds, size, threads=threads) if render and eyes is None else None
-        """Our own renderer, where it draws."""
-        self._eyes: CameraSource | None = eyes or self.cameras
+        self.flight = Flight(worlds, airframe, threads=threads)
+        self.cameras = Cameras(worlds, size, threads=threads) if render else None
+        """The renderer; none where nothing is drawn."""
         self.ticks = np.zeros(worlds, dtype=np.int64)
         """(worlds,) physics ticks since each world's flight began."""
         self._gate_monitors: list[GateMonitor | None] = [None] * worlds
+
+    def world(self, index: int) -> SimulatorWorld:
+        """One world by its index, to fly a track in."""
+        return SimulatorWorld(self, index)
 
     def begin(self, world: int, stage: Stage, scenery: Scenery, start: Start) -> None:
         """Start a new flight in one world: the drone hovers at `start`."""
@@ -77,11 +50,10 @@ class Simulator:
 
     def place(self, world: int, stage: Stage, scenery: Scenery) -> None:
         """Set the stage of one world; the drone flies on."""
-        if self._eyes is not None:
-            self._eyes.set_stage(world, stage, scenery.panels, scenery.board, scenery.look)
-        left, middle, right = (image.shape[1] / image.shape[0] for image in scenery.panels)
-        start = self.flight.position[world]
-        self._gate_monitors[world] = GateMonitor(stage, start, self.airframe.hull_radius, (left, middle, right))
+        if self.cameras is not None:
+            self.cameras.set_stage(world, stage, scenery.panels, scenery.board, scenery.look)
+        start, radius = self.flight.position[world], self.airframe.hull_radius
+        self._gate_monitors[world] = GateMonitor(stage, start, radius, scenery.aspects)
 
     def command(self, world: int, action: FloatArray) -> None:
         """Set one world's velocity setpoint: (4,) heading frame, m/s and rad/s."""
@@ -98,12 +70,12 @@ class Simulator:
 
     def frames(self, out: Image | None = None, worlds: Sequence[int] | None = None) -> Image:
         """First-person views (n, size, size, 3) of all worlds, or of some."""
-        if self._eyes is None:
+        if self.cameras is None:
             raise ValueError("this simulator was made without cameras")
         if worlds is None:
-            return self._eyes.first_person(self.flight.position, self.flight.quaternion, out, None)
+            return self.cameras.first_person(self.flight.position, self.flight.quaternion, out, None)
         chosen = list(worlds)
-        return self._eyes.first_person(self.flight.position[chosen], self.flight.quaternion[chosen], out, chosen)
+        return self.cameras.first_person(self.flight.position[chosen], self.flight.quaternion[chosen], out, chosen)
 
     def gate_monitor(self, world: int) -> GateMonitor:
         """The gate monitor of the stage at hand."""
@@ -124,3 +96,55 @@ class Simulator:
         """Free the renderer."""
         if self.cameras is not None:
             self.cameras.close()
+
+
+class SimulatorWorld:
+    """One world of a simulator, as a `DroneWorld`; `advance` is for simulators of a single world."""
+
+    def __init__(self, simulator: Simulator, index: int) -> None:
+        self.simulator = simulator
+        self.index = index
+
+    @property
+    def hull_radius(self) -> float:
+        """Of the airframe, m."""
+        return self.simulator.airframe.hull_radius
+
+    @property
+    def gate_monitor(self) -> GateMonitor:
+        """Of the stage at hand."""
+        return self.simulator.gate_monitor(self.index)
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the physics diverged."""
+        return bool(self.simulator.flight.diverged[self.index])
+
+    def begin(self, stage: Stage, scenery: Scenery, start: Start) -> None:
+        """Start a new flight: the drone hovers at `start`."""
+        self.simulator.begin(self.index, stage, scenery, start)
+
+    def place(self, stage: Stage, scenery: Scenery) -> None:
+        """Show another stage; the drone flies on."""
+        self.simulator.place(self.index, stage, scenery)
+
+    def command(self, action: FloatArray) -> None:
+        """Set the velocity setpoint: (4,) heading frame, m/s and rad/s."""
+        self.simulator.command(self.index, action)
+
+    def advance(self, ticks: int = TICKS_PER_CONTROL) -> GateEvent | None:
+        """Fly on by physics ticks, all worlds of the simulator together."""
+        return self.simulator.advance(ticks)[self.index]
+
+    def frame(self) -> Image:
+        """The first-person view, (size, size, 3) uint8."""
+        image: Image = self.simulator.frames(worlds=[self.index])[0]
+        return image
+
+    def state(self) -> DroneState:
+        """The drone's true state."""
+        return self.simulator.state(self.index)
+
+    def time(self) -> float:
+        """Seconds since the flight began."""
+        return self.simulator.time(self.index)

@@ -90,7 +90,7 @@ def test_a_track_is_flown_and_scored_by_true_poses(running):
     policy = make_policy("oracle")
     with opened(running) as flight:
         simulator = Simulator(1, airframe=IRIS, flight=flight, eyes=flight)
-        track_runner = TrackRunner(simulator, 0, load_pack(), TrackConfig())
+        track_runner = TrackRunner(simulator.world(0), load_pack(), TrackConfig())
         track_runner.begin(track, np.random.default_rng(0))
         assert simulator.state(0).position == pytest.approx(track_runner.start.position, abs=0.15)
         for number, center in enumerate(geometry.gate_centers(track_runner.stage), start=1):

@@ -47,10 +47,10 @@ def fly_suite(pilot: NetworkPilot, suite: Suite, config: TrackConfig, seed: int 
     simulator = Simulator(len(suite.tracks))
     try:
         labels = load_pack("open-v1")
-        track_runners = [TrackRunner(simulator, world, labels, config) for world in range(simulator.worlds)]
+        track_runners = [TrackRunner(simulator.world(world), labels, config) for world in range(simulator.worlds)]
         for world, track_runner in enumerate(track_runners):
             track_runner.begin(suite.tracks[world], episode_rng(suite.digest, world, seed))
-        while flying := [track_runner.world for track_runner in track_runners if not track_runner.finished]:
+        while flying := [world for world, track_runner in enumerate(track_runners) if not track_runner.finished]:
             flight = simulator.flight
             poses = Poses(flight.position, flight.quaternion, flight.velocity, flight.body_rates[:, 2])
             frames, states = simulator.frames(worlds=flying), poses.state()[flying]

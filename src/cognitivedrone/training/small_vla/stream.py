@@ -25,7 +25,8 @@ from cognitivedrone.models.small_vla import SmallVLAConfig
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.policies.expert import intent
 from cognitivedrone.sim.airframe import RACER
-from cognitivedrone.sim.simulator import Simulator, Start
+from cognitivedrone.sim.drone_world import Start
+from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.racing import crowded_task, race_task
 from cognitivedrone.training.common.ground_truth import Poses

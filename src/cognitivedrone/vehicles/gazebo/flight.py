@@ -1,7 +1,7 @@
-"""ArduPilot in a running Gazebo in the place of our own flight, and Gazebo's camera in the place of our renderer.
+"""ArduPilot in a running Gazebo as an external flight, and Gazebo's camera as the view of its stages.
 
     with open_gazebo() as flight:
-        simulator = Simulator(1, airframe=IRIS, flight=flight, eyes=flight)
+        world = ExternalWorld(flight, flight, IRIS.hull_radius)
 
 The vehicle takes off once and flies one task after the other. To begin at another place it flies to the height of the
 start and brakes; then the gates are put where they belong as seen from it. What is scored is the true path, as Gazebo
@@ -11,7 +11,7 @@ tells it. Time is Gazebo's: it goes on while anybody thinks.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
@@ -21,14 +21,14 @@ import numpy as np
 
 from cognitivedrone.errors import LinkError, RunError
 from cognitivedrone.frames import rotate_yaw
+from cognitivedrone.sim.drone_world import Scenery, Start
 from cognitivedrone.sim.dynamics import Flight
-from cognitivedrone.types import CONTROL_HZ, FloatArray, Image, Stage
+from cognitivedrone.types import CONTROL_HZ, DroneState, FloatArray, Image, Stage
 from cognitivedrone.vehicles.camera import Camera
+from cognitivedrone.vehicles.external import ExternalFlight, LinkReport, Placement, placed
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld
 from cognitivedrone.vehicles.gazebo.sight import TruePath
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
-from cognitivedrone.vehicles.one_drone import LinkReport, OneDrone, Placement, placed
-from cognitivedrone.world.appearance import PLAIN, Look
 
 STILL_M_S: Final = 0.1
 """Slower than this is a hover; also, within the same of the height in m and of turning in rad/s."""
@@ -47,12 +47,12 @@ LATE_S: Final = 0.05
 _LOOK_AGAIN_S = 0.002
 
 
-class GazeboFlight(OneDrone):
-    """One world, flown by the ArduPilot of a running Gazebo, and what `camera` sees of it. `close` lands the vehicle.
+class GazeboFlight(ExternalFlight):
+    """One drone, flown by the ArduPilot of a running Gazebo, and what `camera` sees of it. `close` lands the vehicle.
 
-    `path` is where the vehicle truly is. `connect` gives a drone in the air; it is called at the first `reset`, and
-    again where a vehicle was given up. Such a vehicle makes the world diverge: the flight does not count. Where Gazebo
-    itself falls silent, everything raises `GazeboError` or `CameraError`.
+    `path` is where the vehicle truly is. `connect` gives a drone in the air; it is called at the first `begin`, and
+    again where a vehicle was given up. Where Gazebo itself falls silent, everything raises `GazeboError` or
+    `CameraError`.
     """
 
     def __init__(self, world: GazeboWorld, path: TruePath, camera: Camera, connect: Callable[[], MavlinkDrone]) -> None:
@@ -69,35 +69,22 @@ class GazeboFlight(OneDrone):
         self._stagehand = ThreadPoolExecutor(1, "stagehand")
         self._showing: Future[None] | None = None
 
-    # What `Simulator` asks of `sim.dynamics.Flight`.
+    def begin(self, start: Start) -> None:
+        """Hover at `start`, within 10 cm of its height.
 
-    def reset(
-        self,
-        world: int,
-        position: FloatArray,
-        yaw: float = 0.0,
-        velocity: FloatArray | None = None,
-        *,
-        wind: FloatArray | None = None,
-    ) -> None:
-        """Hover at `position` (3,), m, within 10 cm of its height, heading `yaw`, rad.
-
-        Raises `ValueError` for a `velocity`, `RunError` for a wind, and where no vehicle comes to hover.
+        Raises `RunError` for a wind, and where no vehicle gets there.
         """
-        self._check_world(world)
-        if velocity is not None and np.any(velocity):
-            raise ValueError("a vehicle in Gazebo begins at a hover; give no velocity")
-        if wind is not None and np.any(wind):
+        if any(start.wind):
             raise RunError("no wind blows in the world that Gazebo runs; leave --wind out")
         for _ in range(STARTS):
             try:
                 self._drone = self._drone or self._connect()
-                self._hover(self._drone, float(position[2]))
+                self._hover(self._drone, start.position[2])
             except LinkError as error:
                 self._give_up(error)
                 continue
-            self._placement = placed(self._path.newest().state, position, yaw)
-            self._diverged, self._ticks = False, 0
+            self._placement = placed(self._path.newest().state, np.array(start.position), start.yaw)
+            self.diverged, self._ticks = False, 0
             self._resume()
             return
         raise RunError(
@@ -106,7 +93,7 @@ class GazeboFlight(OneDrone):
         )
 
     def advance(self, ticks: int) -> FloatArray:
-        """Fly on until ticks of `Flight.TICK_S` have passed in Gazebo; true positions (1, samples, 3) on the way.
+        """Fly on until ticks of `Flight.TICK_S` have passed in Gazebo; true positions (samples, 3) on the way.
 
         What somebody thought beyond that is not caught up with: the flight is as much longer.
         """
@@ -123,54 +110,38 @@ class GazeboFlight(OneDrone):
         self._state = states[-1]
         if self._drone is not None and self._drone.over is not None:
             self._give_up(LinkError(self._drone.over))
-        return np.array([[state.position for state in states]])
+        return np.array([state.position for state in states])
 
     @property
     def report(self) -> LinkReport:
         """Stretches of flight, those that were over before the next command came, and vehicles that were given up."""
         return self._report
 
-    # What it asks of `sim.camera.Cameras`.
-
-    def set_stage(
-        self, slot: int, stage: Stage, images: Sequence[Image], board: Image | None = None, look: Look = PLAIN
-    ) -> None:
+    def show(self, stage: Stage, scenery: Scenery) -> None:
         """Put up a stage in Gazebo, where it stands as seen from the vehicle.
 
-        The first one of a flight stands, and has been seen by the camera, when this returns. Later ones appear while
-        the vehicle flies on, within tenths of a second. Raises `GazeboError` where Gazebo does not do it; of a later
+        The first one of a flight is there, and the camera has seen it, when this returns. Later ones appear while the
+        vehicle flies on, within tenths of a second. Raises `GazeboError` where Gazebo does not do it; of a later
         one, the next call that has to do with stages or with time does.
         """
-        self._check_world(slot)
         if self._drone is None:
             return  # nobody is there to see it, and the flight is void
-        shown = dict(zip(stage.labels, images, strict=True)) | ({stage.board: board} if stage.board else {})
+        board = {stage.board: scenery.board} if stage.board else {}
+        shown = dict(zip(stage.labels, scenery.panels, strict=True)) | board
         there = on_the_ground(self._placement, stage)
         self._await_stage()
-        self._showing = self._stagehand.submit(self._world.show, there, Pictures(shown), look)
+        self._showing = self._stagehand.submit(self._world.show, there, Pictures(shown), scenery.look)
         if self._ticks == 0:
             self._await_stage()
             self._await_frames()
             self._resume()
 
-    def first_person(
-        self,
-        positions: FloatArray,
-        quaternions: FloatArray,
-        out: Image | None = None,
-        slots: Sequence[int] | None = None,
-    ) -> Image:
-        """The newest frame of Gazebo's camera, (1, 256, 256, 3), wherever the drone is said to be.
+    def frame(self, state: DroneState) -> Image:  # noqa: ARG002
+        """The newest frame of Gazebo's camera, wherever the drone is said to be.
 
         Raises `CameraError` where the camera is silent.
         """
-        if len(positions) != 1 or len(quaternions) != 1 or (slots is not None and list(slots) != [0]):
-            raise ValueError("Gazebo shows one world, seen from its one vehicle")
-        image = self._camera.read().image[None]
-        if out is None:
-            return image
-        out[:] = image
-        return out
+        return self._camera.read().image
 
     @property
     def renderer(self) -> str:

@@ -14,10 +14,13 @@ import numpy as np
 from cognitivedrone.errors import LinkError
 from cognitivedrone.interfaces import Health
 from cognitivedrone.types import Action
+from cognitivedrone.vehicles.contract import Request
+from cognitivedrone.vehicles.external import ExternalWorld
 from cognitivedrone.vehicles.gazebo.bindings import Bindings
 from cognitivedrone.vehicles.gazebo.flight import GazeboFlight
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkConfig, MavlinkDrone
+from cognitivedrone.vehicles.simulated import SimulatedFlight
 
 URL: Final = "tcp:127.0.0.1:5760"
 """Where the first ArduPilot of this machine waits for a ground station."""
@@ -32,7 +35,7 @@ SIMULATION_PARAMETER: Final = "SIM_SPEEDUP"
 def open_gazebo(
     url: str = URL, config: LiveConfig | None = None, bindings: Bindings | None = None
 ) -> Iterator[GazeboFlight]:
-    """The vehicle of the Gazebo that runs; it takes off at the first `reset`, and lands at the end.
+    """The vehicle of the Gazebo that runs; it takes off at the first `begin`, and lands at the end.
 
     Raises `GazeboError` without bindings, without a Gazebo that answers or with another world in it, and `CameraError`
     for a silent camera.
@@ -47,6 +50,14 @@ def open_gazebo(
         flight = GazeboFlight(world, path, camera, lambda: take_off(url, world))
         stack.callback(flight.close)
         yield flight
+
+
+def open_gazebo_vehicle(request: Request) -> SimulatedFlight:
+    """The vehicle of the Gazebo that runs. Time is Gazebo's, whatever the pace."""
+    with ExitStack() as undo:
+        flight = undo.enter_context(open_gazebo())
+        world = ExternalWorld(flight, flight, request.airframe.hull_radius)
+        return SimulatedFlight(world, request, undo.pop_all().close, flight=flight, renderer=lambda: flight.renderer)
 
 
 def take_off(url: str, world: GazeboWorld) -> MavlinkDrone:

@@ -1,4 +1,4 @@
-"""A real ArduCopter in the place of our own flight: what `sim.simulator.Simulator` asks of `sim.dynamics.Flight`.
+"""A real ArduCopter on our physics, in lock-step: the external flight of `--link sitl`.
 
 It takes off once and flies one task after the other. To begin at another place it flies to the height of the start and
 brakes; then the benchmark's world is turned and shifted over the ground, so that the drone hovers where the start was
@@ -16,9 +16,10 @@ import numpy as np
 from cognitivedrone.errors import LinkError, RunError
 from cognitivedrone.frames import rotate_yaw, yaw_of
 from cognitivedrone.sim.airframe import IRIS, Airframe
+from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.sim.dynamics import Flight
 from cognitivedrone.types import CONTROL_HZ, FloatArray
-from cognitivedrone.vehicles.one_drone import LinkReport, OneDrone, placed
+from cognitivedrone.vehicles.external import ExternalFlight, LinkReport, placed
 from cognitivedrone.vehicles.sitl.physics import Plant
 from cognitivedrone.vehicles.sitl.vehicle import SitlVehicle
 
@@ -67,11 +68,10 @@ class Vehicle(Protocol):
         ...
 
 
-class SitlFlight(OneDrone):
-    """One world, flown by one ArduCopter, which starts with the first `reset`. Call `close` at the end.
+class SitlFlight(ExternalFlight):
+    """One drone, flown by one ArduCopter, which starts with the first `begin`. Call `close` at the end.
 
-    A vehicle that crashes, lands by itself or falls silent makes the world diverge: the flight does not count, and the
-    next one begins with another vehicle.
+    After a vehicle that crashed, landed by itself or fell silent the next flight begins with another one.
     """
 
     def __init__(self, binary: Path, airframe: Airframe = IRIS, *, start: Callable[[], Vehicle] | None = None) -> None:
@@ -83,36 +83,22 @@ class SitlFlight(OneDrone):
         self._began = 0.0
         self._ticks = 0
 
-    def reset(
-        self,
-        world: int,
-        position: FloatArray,
-        yaw: float = 0.0,
-        velocity: FloatArray | None = None,
-        *,
-        wind: FloatArray | None = None,
-    ) -> None:
-        """Hover at `position` (3,), m, within 5 cm of its height, heading `yaw`, rad, in a steady wind (3,), m/s.
-
-        A flight begins at rest: raises `ValueError` for a `velocity`. Raises `RunError` where no vehicle gets there.
-        """
-        self._check_world(world)
-        if velocity is not None and np.any(velocity):
-            raise ValueError("an ArduCopter begins at a hover; give no velocity")
-        blowing = np.zeros(3) if wind is None else np.asarray(wind, dtype=np.float64)
+    def begin(self, start: Start) -> None:
+        """Hover at `start`, within 5 cm of its height. Raises `RunError` where no vehicle gets there."""
+        position, wind = np.asarray(start.position, dtype=np.float64), np.asarray(start.wind, dtype=np.float64)
         for _ in range(STARTS):
             try:
                 self._vehicle = self._vehicle or self._start()
-                self._hover(self._vehicle, np.asarray(position, dtype=np.float64), yaw, blowing)
+                self._hover(self._vehicle, position, start.yaw, wind)
             except LinkError as error:
                 self._give_up(error)
                 continue
-            self._diverged = False
+            self.diverged = False
             return
         raise RunError(f"ArduCopter did not come to hover in {STARTS} attempts; the last one: {self.trouble}")
 
     def advance(self, ticks: int) -> FloatArray:
-        """Fly on by ticks of `Flight.TICK_S`; true positions (1, samples, 3) after each fourth and after the last."""
+        """Fly on by ticks of `Flight.TICK_S`; true positions (samples, 3) after each fourth and after the last."""
         path: list[FloatArray] = []
         begin, self._ticks = self._ticks, self._ticks + ticks
         first = begin - begin % Flight.SAMPLE_TICKS + Flight.SAMPLE_TICKS
@@ -126,7 +112,7 @@ class SitlFlight(OneDrone):
                 self._vehicle.listen()
         except LinkError as error:
             self._give_up(error)
-        return np.array(path)[None] if path else np.empty((1, 0, 3))
+        return np.array(path) if path else np.empty((0, 3))
 
     @property
     def report(self) -> LinkReport:

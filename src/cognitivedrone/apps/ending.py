@@ -1,0 +1,54 @@
+"""Why a flight is over, as far as vehicle and scene can tell."""
+
+from __future__ import annotations
+
+from cognitivedrone.apps.values import Ending
+from cognitivedrone.envs.track_runner import TrackRunner
+from cognitivedrone.tasks.matching import asks_the_same
+from cognitivedrone.types import StageResult
+from cognitivedrone.vehicles.contract import Vehicle
+
+
+def ending_of(vehicle: Vehicle, instruction: str) -> Ending | None:
+    """How the flight ended, once it has: by the vehicle, or with the last stage of its track.
+
+    `instruction` is the user's own, "" where the scene's is flown. Where it asks for something else than the scene
+    does, nobody but the user knows which gate is right.
+    """
+    track = vehicle.track_runner
+    if track is not None and track.finished:
+        return _judged(track, instruction)
+    return None if vehicle.over is None else Ending("vehicle", vehicle.over)
+
+
+def out_of_time(vehicle: Vehicle, seconds: float) -> Ending:
+    """What the time limit means: in a scene no gate was passed in time; nobody judges a real flight."""
+    return Ending("time" if vehicle.track_runner is None else "missed", f"the time limit of {seconds:g} s is over")
+
+
+def _judged(track: TrackRunner, instruction: str) -> Ending:
+    flown = [
+        (result, not instruction or asks_the_same(instruction, task))
+        for result, task in zip(track.results, track.track, strict=True)
+        if result.outcome != "not_reached"
+    ]
+    text = "; ".join(_in_words(result, judged=judged) for result, judged in flown)
+    if any(result.outcome != "passed" and (judged or result.outcome != "wrong_gate") for result, judged in flown):
+        return Ending("missed", text)
+    return Ending("passed" if all(judged for _, judged in flown) else "flown", text)
+
+
+def _in_words(result: StageResult, *, judged: bool) -> str:
+    """How a stage ended, in words."""
+    if not judged and result.chosen is not None and result.outcome in ("passed", "wrong_gate"):
+        return f"flew through gate {result.chosen + 1} (not judged), after {result.time_s:.1f} s"
+    gate = "no gate" if result.chosen is None else f"gate {result.chosen + 1}"
+    how = {
+        "passed": f"through {gate}",
+        "wrong_gate": f"through {gate}, the right one was {result.target + 1}",
+        "collision": f"collided, flying at {gate}",
+        "missed": f"flew past the gates, at {gate}",
+        "out_of_bounds": f"left the stage, flying at {gate}",
+        "invalid": "the physics diverged",
+    }.get(result.outcome, result.outcome)
+    return f"{how}, after {result.time_s:.1f} s"

@@ -1,0 +1,94 @@
+"""A checked run: the plan with everything that its names stand for, found once and sent to every worker as it is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from cognitivedrone.benchmark.config import Plan
+from cognitivedrone.benchmark.results import RunFacts, SuiteFacts, versions
+from cognitivedrone.control.latency import Delays, parse_delays
+from cognitivedrone.errors import RunError
+from cognitivedrone.files import digest_of_file, digest_of_folder
+from cognitivedrone.labels import load_pack
+from cognitivedrone.policies import model_file
+from cognitivedrone.reasoners import reasoner_file
+from cognitivedrone.sim.airframe import find_airframe
+from cognitivedrone.tasks import SUITES, Suite
+from cognitivedrone.tasks.scenario import suite_of
+from cognitivedrone.vehicles import autopilot_file, check_vehicle
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What a run flies."""
+
+    plan: Plan
+    suite: Suite
+    facts: RunFacts
+    """The identity of the run."""
+    delays: Delays
+    """Inference latency that is charged."""
+
+    @property
+    def episodes(self) -> range:
+        """Indices of the tracks to fly."""
+        whole, limit = len(self.suite.tracks), self.plan.episodes
+        return range(whole if limit is None else min(limit, whole))
+
+
+def prepare(plan: Plan, *, named: bool = True) -> Job:
+    """Find and check everything that a plan names, before anything is started or written.
+
+    Where the pilot is not `named` but given as objects, its files are not known. Raises `RunError` for options that
+    cannot be, and the error of whatever is named and missing.
+    """
+    _check(plan)
+    suite = suite_of(plan.scenario, plan.episodes)
+    delays = parse_delays(plan.latency)
+    policy, reasoner = plan.pilot.policy, plan.pilot.reasoner
+    model, answers = (model_file(policy), reasoner_file(reasoner)) if named else (None, None)
+    autopilot = autopilot_file(plan.vehicle)
+    labels = plan.scenario.labels
+    resolved = {"labels": None if labels is None else digest_of_folder(labels), "latency": delays.identity}
+    options = plan.identity(resolved) | {"model": None if model is None else digest_of_file(model)}
+    options |= {} if answers is None else {"reasoner_model": digest_of_file(answers)}
+    options |= {} if autopilot is None else {"autopilot": digest_of_file(autopilot)}
+    facts = RunFacts(
+        suite=SuiteFacts(suite.name, suite.digest, suite.n_tasks),
+        policy=policy,
+        reasoner=reasoner,
+        options=options,
+        versions=versions(),
+    )
+    return Job(plan, suite, facts, delays)
+
+
+def preflight(job: Job) -> None:
+    """Find what would stop a flight, before a process is started: raises the error of what is missing."""
+    scenario = job.plan.scenario
+    find_airframe(scenario.airframe)
+    check_vehicle(job.plan.vehicle, scenario)
+    if scenario.labels is None and job.suite.name in SUITES:
+        return  # the shipped pack draws every shipped suite
+    pack = load_pack(scenario.labels)
+    tasks = [task for index in job.episodes for task in job.suite.tracks[index]]
+    for reference in sorted({reference for task in tasks for reference in (*task.labels, task.board) if reference}):
+        pack.image(reference)
+
+
+def _check(plan: Plan) -> None:
+    for name, value, least in (("episodes", plan.episodes, 1), ("workers", plan.workers, 0)):
+        if value is not None and value < least:
+            raise RunError(f"--{name} is {value}; it must be at least {least}")
+    if not 0 < plan.decision_timeout < math.inf:
+        raise RunError(f"--decision-timeout is {plan.decision_timeout}; it is a number of seconds above 0")
+    labels, wind = plan.scenario.labels, plan.scenario.wind
+    if labels is not None and not labels.is_dir():
+        raise RunError(f"--labels {labels} is not a folder of images")
+    if not 0 <= wind < math.inf:
+        raise RunError(f"--wind is {wind}; it is a speed in m/s, 0 or more")
+    if plan.vehicle.kind == "mavlink":
+        raise RunError(f"--link {plan.vehicle.link}: nobody can score a real flight; fly it with cognitivedrone fly")
+    if plan.vehicle.kind == "gazebo" and plan.workers not in (None, 0, 1):
+        raise RunError(f"one vehicle flies in Gazebo, so --workers {plan.workers} is too many; leave it out")

@@ -1,0 +1,277 @@
+"""What a command was asked to do: one frozen value, made where the command begins and handed on whole.
+
+A plan is a dataclass of dataclasses: `Scenario` (what is flown), `PilotSpec` (who flies), `VehicleSpec` (where), and
+options of the command itself. A field is an option of the command line: its name is the flag, its docstring the help.
+The identity of a run, the command line that repeats it and its JSON are derived from the fields, so a new option is
+added here and nowhere else. This module imports nothing heavy, so that help is quick.
+
+Metadata of a field: `identity` is its key among the options of run.json and results.json; a field without one does not
+decide the results. `written` is "always" or "where set", which leaves the key out at the option's default. `command`
+says when the command line that repeats a run names the option: "always", "where set" or "never".
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, Field, dataclass, field
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeVar, get_type_hints
+
+from cognitivedrone.errors import LinkError, did_you_mean
+
+Rule = Literal["through", "within_1m"]
+"""`through`: the drone's centre crosses the right gate's plane inside its opening. `within_1m`: the published rule, the
+drone comes within 1 m of the right gate's centre."""
+AppearanceName = Literal["plain", "varied"]
+"""`plain`: the room as published. `varied`: floor, walls, light, colours and camera noise drawn from the seed."""
+
+VEHICLE_KINDS = ("sim", "sitl", "gazebo", "mavlink")
+"""Names of the registry of vehicles, `cognitivedrone.vehicles`."""
+LOOPBACK = ("127.", "localhost:", "::1:", "[::1]:")
+
+_Written = Literal["always", "where set", "never"]
+_Value = TypeVar("_Value")
+_Self = TypeVar("_Self", bound="Options")
+
+
+def _option(
+    default: _Value, *, identity: str | None = None, written: _Written = "always", command: _Written = "where set"
+) -> _Value:
+    """A field of a plan, with the metadata that the module's docstring describes."""
+    metadata = {"identity": identity, "written": written, "command": command}
+    made: _Value = field(default=default, metadata=metadata)
+    return made
+
+
+class _Leaf(NamedTuple):
+    """One option of a plan."""
+
+    field: Field[Any]
+    default: Any
+    value: Any
+
+
+class Options:
+    """Base of plans and of their parts: options by name, however deep they are nested."""
+
+    __slots__ = ()
+
+    @classmethod
+    def of(cls: type[_Self], **values: Any) -> _Self:
+        """A plan from options by name. Raises `TypeError` for a name that it does not have."""
+        made = _build(cls, None, values)
+        _refuse(values, cls)
+        return made
+
+    def changed(self: _Self, **values: Any) -> _Self:
+        """This plan with some options changed. Raises `TypeError` for a name that it does not have."""
+        made = _build(type(self), self, values)
+        _refuse(values, type(self))
+        return made
+
+    def values(self) -> dict[str, Any]:
+        """Every option by name."""
+        return {name: leaf.value for name, leaf in _leaves(self)}
+
+    def changes(self) -> dict[str, Any]:
+        """The options that decide the results and differ from their defaults."""
+        return {
+            name: leaf.value
+            for name, leaf in _leaves(self)
+            if leaf.field.metadata.get("command") != "never" and leaf.value != leaf.default
+        }
+
+    def identity(self, resolved: Mapping[str, object]) -> dict[str, Any]:
+        """The options that decide the results, by their keys in run.json.
+
+        `resolved` gives, by option, what stands for it there where that is not its value, such as a file's hash.
+        """
+        found = {}
+        for name, leaf in _leaves(self):
+            metadata = leaf.field.metadata
+            key = metadata.get("identity")
+            value = resolved.get(name, leaf.value)
+            if key and (metadata["written"] == "always" or value != leaf.default):
+                found[key] = value
+        return found
+
+    @classmethod
+    def identity_options(cls) -> dict[str, tuple[Any, Any]]:
+        """Type and default of every option that is part of the identity, by its key."""
+        found: dict[str, tuple[Any, Any]] = {}
+        hints = get_type_hints(cls)
+        for each in dataclasses.fields(cls):  # type: ignore[arg-type]
+            usual = _default(each)
+            if isinstance(usual, Options):
+                found |= type(usual).identity_options()
+            elif key := each.metadata.get("identity"):
+                found[key] = hints[each.name], usual
+        return found
+
+    def words(self) -> list[str]:
+        """The options of the command line that repeats this, without what does not change its results."""
+        values, words = self.values(), list[str]()
+        for name, leaf in _leaves(self):
+            when = leaf.field.metadata.get("command", "where set")
+            if when == "never" or (when == "where set" and leaf.value == leaf.default):
+                continue
+            if name == "suite" and values.get("tasks") is not None:
+                continue
+            flag = f"--{name.replace('_', '-')}"
+            if isinstance(leaf.value, bool):
+                words += [flag if leaf.value else f"--no-{name}"]
+            else:
+                words += [flag, *map(str, leaf.value if isinstance(leaf.value, tuple) else (leaf.value,))]
+        return words
+
+
+@dataclass(frozen=True, slots=True)
+class TaskSource(Options):
+    """Which tasks, and the pictures on their panels."""
+
+    suite: str = _option("open-v1:test", command="always")
+    """Name of a suite of tasks."""
+    tasks: Path | None = _option(None)
+    """Task file, or folder of them, in place of a suite."""
+    labels: Path | None = _option(None, identity="labels")
+    """Folder of label images that come before the shipped ones."""
+    seed: int = _option(0, identity="seed", command="always")
+    """Seed of all random numbers. Same seed, same results."""
+
+    @property
+    def title(self) -> str:
+        """Name of the suite, or of the task file."""
+        return self.suite if self.tasks is None else self.tasks.stem
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario(TaskSource):
+    """What is flown."""
+
+    track: bool = _option(False, identity="track")
+    """Chain single tasks into tracks of five, flown without a stop."""
+    appearance: AppearanceName = _option("plain", identity="look")
+    """How the room looks: plain, as published, or varied from episode to episode."""
+    airframe: str = _option("racer", identity="airframe")
+    """The drone that flies."""
+    wind: float = _option(0.0, identity="wind_m_s")
+    """Speed of a steady wind, m/s; every episode draws its direction."""
+
+
+@dataclass(frozen=True, slots=True)
+class PilotSpec(Options):
+    """Who flies."""
+
+    policy: str = _option("small", command="always")
+    """Name of a policy, small:MODEL.onnx for a model file, or your own as module:attribute."""
+    reasoner: str = _option("none", command="always")
+    """Name of a reasoner, none to fly by the instruction as it is, or your own as module:attribute."""
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleSpec(Options):
+    """Where it flies."""
+
+    link: str = _option("sim", identity="link", written="where set")
+    """sim: the simulator. sitl: a real ArduCopter on our physics (docs/ardupilot.md). gazebo: ArduPilot in the Gazebo
+    that runs on this machine, in its time; needs --airframe iris (docs/gazebo.md). mavlink:URL: a vehicle, such as
+    mavlink:udp:127.0.0.1:14550, mavlink:tcp:HOST:PORT or mavlink:serial:DEVICE:BAUD; `fly` only."""
+    sitl: Path | None = _option(None, command="never")
+    """With sitl: the ArduCopter binary; the environment variable ARDUCOPTER by default."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in VEHICLE_KINDS or (self.kind == "mavlink" and not self.url):
+            raise LinkError(
+                f"cannot read --link {self.link!r}: expected sim, sitl, gazebo or mavlink:URL such as"
+                f" mavlink:udp:127.0.0.1:14550; {did_you_mean(self.kind, VEHICLE_KINDS)}"
+            )
+        if self.kind != "mavlink" and self.link != self.kind:
+            raise LinkError(f"--link {self.kind} takes nothing behind a colon, {self.link!r} was given")
+
+    @property
+    def kind(self) -> str:
+        """The name in the registry of vehicles."""
+        return self.link.partition(":")[0]
+
+    @property
+    def url(self) -> str:
+        """Of a vehicle over MAVLink."""
+        return self.link.partition(":")[2]
+
+    @property
+    def on_loopback(self) -> bool:
+        """Whether a vehicle over MAVLink is reached inside this machine."""
+        kind, _, address = self.url.partition(":")
+        return kind != "serial" and address.startswith(LOOPBACK)
+
+
+@dataclass(frozen=True, slots=True)
+class SafetySpec(Options):
+    """How a vehicle over MAVLink is flown, and held back."""
+
+    camera: str = _option("")
+    """With mavlink: /dev/videoN, an rtsp:// or http:// URL, a video file, a folder of images, or gazebo:TOPIC of a
+    running Gazebo, such as gazebo:/cognitivedrone/camera."""
+    takeoff_height: float = _option(1.0)
+    """Metres above where the vehicle stands."""
+    fence_radius: float = _option(30.0)
+    """Metres around the place of take-off that are not left."""
+    ceiling: float = _option(10.0)
+    """Metres above the place of take-off that are not exceeded."""
+    policy_patience: float = _option(0.2)
+    """Seconds without a command until the vehicle is stopped; a policy that thinks longer needs more."""
+    set_parameters: bool = _option(False)
+    """Consent to set GUID_TIMEOUT and FS_GCS_ENABLE of the vehicle where they are not fit to fly."""
+    clock: Literal["wall", "vehicle"] = _option("wall")
+    """With mavlink: fly by the vehicle's own time, for simulators that run faster or slower than real time."""
+    sitl_defaults: tuple[Path, ...] = _option(())
+    """With sitl: parameter files that are loaded before ours."""
+    sitl_instance: int = _option(0)
+    """With sitl: shifts its ports, so that several fly side by side."""
+    i_understand_this_flies_a_real_drone: bool = _option(False)
+    """Needed for everything that is not known to be simulated."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.takeoff_height < self.ceiling:
+            raise LinkError(
+                f"--takeoff-height {self.takeoff_height} must be above 0 and below --ceiling {self.ceiling}"
+            )
+        if not self.fence_radius > 0:
+            raise LinkError(f"--fence-radius is {self.fence_radius}; it is a number of metres above 0")
+        if not 0.1 <= self.policy_patience <= 5:
+            raise LinkError(f"--policy-patience is {self.policy_patience}; give 0.1 to 5 seconds")
+
+
+def _build(kind: type[_Self], base: _Self | None, values: dict[str, Any]) -> _Self:
+    """A plan of `kind`: `base`, or its defaults, with the options of `values`, which are taken out of there."""
+    given: dict[str, Any] = {}
+    for each in dataclasses.fields(kind):  # type: ignore[arg-type]
+        current = _default(each) if base is None else getattr(base, each.name)
+        if isinstance(current, Options):
+            given[each.name] = _build(type(current), current, values)
+        elif each.name in values:
+            given[each.name] = values.pop(each.name)
+        elif current is not MISSING:
+            given[each.name] = current
+    return kind(**given)
+
+
+def _refuse(values: Mapping[str, Any], kind: type[Options]) -> None:
+    if values:
+        raise TypeError(f"{kind.__name__} has no option {min(values)!r}")
+
+
+def _default(each: Field[Any]) -> Any:
+    return each.default if each.default_factory is MISSING else each.default_factory()
+
+
+def _leaves(plan: Options, default: Options | None = None) -> Iterator[tuple[str, _Leaf]]:
+    """The options of a plan by name, in the order of its fields."""
+    for each in dataclasses.fields(plan):  # type: ignore[arg-type]
+        value = getattr(plan, each.name)
+        usual = _default(each) if default is None else getattr(default, each.name)
+        if isinstance(value, Options):
+            yield from _leaves(value, usual)
+        else:
+            yield each.name, _Leaf(each, usual, value)

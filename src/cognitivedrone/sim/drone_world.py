@@ -1,0 +1,90 @@
+"""What a track is flown in: one simulated world with one drone, a camera and a gate monitor, whoever simulates it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor
+from cognitivedrone.types import CONTROL_HZ, DroneState, FloatArray, Image, Stage
+from cognitivedrone.world.appearance import PLAIN, Look
+
+TICKS_PER_CONTROL = round(1 / (CONTROL_HZ * Flight.TICK_S))
+"""Ticks of `Flight.TICK_S` in a control period."""
+if abs(TICKS_PER_CONTROL * CONTROL_HZ * Flight.TICK_S - 1) > 1e-9:
+    raise ValueError("the control period must be a whole number of physics ticks")
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where and how a flight begins, in the world."""
+
+    position: tuple[float, float, float]
+    """m."""
+    yaw: float = 0.0
+    """rad."""
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Steady wind, world, m/s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scenery:
+    """The pictures and the look of a stage."""
+
+    panels: tuple[Image, Image, Image]
+    board: Image | None = None
+    look: Look = PLAIN
+
+    @property
+    def aspects(self) -> tuple[float, float, float]:
+        """Width over height of the three panels."""
+        left, middle, right = (image.shape[1] / image.shape[0] for image in self.panels)
+        return left, middle, right
+
+
+class DroneWorld(Protocol):
+    """One drone in a simulated world. Time stands still between two calls of `advance`."""
+
+    @property
+    def hull_radius(self) -> float:
+        """Of the drone's bounding sphere, m."""
+        ...
+
+    @property
+    def gate_monitor(self) -> GateMonitor:
+        """Of the stage at hand; raises `ValueError` before the first `begin`."""
+        ...
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the flight can no longer be judged; the world then stands still until it is begun anew."""
+        ...
+
+    def begin(self, stage: Stage, scenery: Scenery, start: Start) -> None:
+        """Start a new flight: the drone hovers at `start`."""
+        ...
+
+    def place(self, stage: Stage, scenery: Scenery) -> None:
+        """Show another stage; the drone flies on."""
+        ...
+
+    def command(self, action: FloatArray) -> None:
+        """Set the velocity setpoint: (4,) heading frame, m/s and rad/s."""
+        ...
+
+    def advance(self, ticks: int = TICKS_PER_CONTROL) -> GateEvent | None:
+        """Fly on by ticks of `Flight.TICK_S`; what happened at the gates."""
+        ...
+
+    def frame(self) -> Image:
+        """The first-person view, (size, size, 3) uint8."""
+        ...
+
+    def state(self) -> DroneState:
+        """The drone's true state."""
+        ...
+
+    def time(self) -> float:
+        """Seconds since the flight began."""
+        ...

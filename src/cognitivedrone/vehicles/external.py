@@ -1,0 +1,192 @@
+"""Worlds whose drone another program flies: what they have in common, whatever the program.
+
+The vehicle flies over ground of its own. Where a flight begins, the benchmark's world is turned and shifted over that
+ground, so that the drone hovers where the start was drawn; heights are always true.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from cognitivedrone.errors import LinkError, PolicyError
+from cognitivedrone.frames import rotate_yaw, yaw_of
+from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, Scenery, Start
+from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor
+from cognitivedrone.types import DroneState, FloatArray, Image, Stage
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """From the ground that the vehicle flies over to the benchmark's world: a turn and a shift, heights stay."""
+
+    turn: float = 0.0
+    """To the left, rad."""
+    shift: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """(3,) after the turn, m; the last is 0."""
+
+    def apply(self, state: DroneState) -> DroneState:
+        """The same motion, in the benchmark's world."""
+        w, x, y, z = state.quaternion
+        c, s = np.cos(self.turn / 2), np.sin(self.turn / 2)
+        return DroneState(
+            rotate_yaw(state.position, self.turn) + self.shift,
+            rotate_yaw(state.velocity, self.turn),
+            np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w]),
+            state.body_rates,
+        )
+
+
+def placed(state: DroneState, position: FloatArray, yaw: float) -> Placement:
+    """The placement that puts a vehicle at x and y of `position` (3,), m, with heading `yaw`, rad."""
+    turn = yaw - float(yaw_of(state.quaternion))
+    shift = np.asarray(position, dtype=np.float64) - rotate_yaw(state.position, turn)
+    shift[2] = 0.0
+    return Placement(turn, shift)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkReport:
+    """What happened between us and an autopilot in another process."""
+
+    frames: int = 0
+    """Steps of physics that it asked for; in Gazebo, stretches of flight between two commands."""
+    lost: int = 0
+    """Steps that it counted and we never saw, 0 in strict lock-step; in Gazebo, stretches that were over when the next
+    command came."""
+    restarts: int = 0
+    """How often it had to be started anew, after a crash or a failsafe of its own."""
+
+    def __add__(self, other: LinkReport) -> LinkReport:
+        return LinkReport(self.frames + other.frames, self.lost + other.lost, self.restarts + other.restarts)
+
+    def __sub__(self, other: LinkReport) -> LinkReport:
+        return LinkReport(self.frames - other.frames, self.lost - other.lost, self.restarts - other.restarts)
+
+
+class ExternalFlight(ABC):
+    """One drone that another program moves. A vehicle that is lost makes the flight diverge: it does not count."""
+
+    def __init__(self) -> None:
+        self.trouble = ""
+        """Why the last vehicle was given up, in words."""
+        self.diverged = False
+        """Whether the vehicle was given up in this flight."""
+        self._placement = Placement()
+        self._state = DroneState(np.zeros(3), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
+
+    @property
+    @abstractmethod
+    def report(self) -> LinkReport:
+        """Of all vehicles so far."""
+
+    @abstractmethod
+    def begin(self, start: Start) -> None:
+        """Hover at `start`; raises `RunError` where no vehicle gets there."""
+
+    @abstractmethod
+    def advance(self, ticks: int) -> FloatArray:
+        """Fly on by ticks of `Flight.TICK_S`; true positions (samples, 3) on the way, world, m."""
+
+    @abstractmethod
+    def _send(self, action: FloatArray) -> None:
+        """Ask the vehicle, if there is one, for a velocity (4,); raises `LinkError` where it is lost."""
+
+    @abstractmethod
+    def _let_go(self) -> None:
+        """Let go of the vehicle, and count that it was given up."""
+
+    def command(self, action: FloatArray) -> None:
+        """Ask for a velocity (4,), heading frame, m/s and rad/s; the autopilot turns it to world axes on arrival.
+
+        Raises `PolicyError` for anything but four finite numbers.
+        """
+        action = np.asarray(action, dtype=np.float64)
+        if action.shape != (4,) or not np.isfinite(action).all():
+            raise PolicyError(f"the action {action.tolist()} cannot be flown; send four real numbers")
+        try:
+            self._send(action)
+        except LinkError as error:
+            self._give_up(error)
+
+    def state(self) -> DroneState:
+        """The true state, in the benchmark's world."""
+        return self._state
+
+    def _give_up(self, error: LinkError) -> None:
+        """Let go of a vehicle that does not fly; the flight diverges."""
+        self.trouble, self.diverged = str(error), True
+        self._let_go()
+
+
+class StageView(Protocol):
+    """Shows the stages of one world to its drone."""
+
+    def show(self, stage: Stage, scenery: Scenery) -> None:
+        """Put up a stage with its pictures."""
+        ...
+
+    def frame(self, state: DroneState) -> Image:
+        """The first-person view from a state, (size, size, 3) uint8."""
+        ...
+
+
+class ExternalWorld:
+    """A `DroneWorld` of an external flight and a view of the stages."""
+
+    def __init__(self, flight: ExternalFlight, view: StageView, hull_radius: float) -> None:
+        self.flight = flight
+        self.hull_radius = hull_radius
+        """m."""
+        self._view = view
+        self._ticks = 0
+        self._gate_monitor: GateMonitor | None = None
+
+    @property
+    def gate_monitor(self) -> GateMonitor:
+        """Of the stage at hand."""
+        if self._gate_monitor is None:
+            raise ValueError("this world has no stage yet; call begin() first")
+        return self._gate_monitor
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the vehicle was given up in this flight."""
+        return self.flight.diverged
+
+    def begin(self, stage: Stage, scenery: Scenery, start: Start) -> None:
+        """Start a new flight: the drone hovers at `start`."""
+        self.flight.begin(start)
+        self._ticks = 0
+        self.place(stage, scenery)
+
+    def place(self, stage: Stage, scenery: Scenery) -> None:
+        """Show another stage; the drone flies on."""
+        self._view.show(stage, scenery)
+        self._gate_monitor = GateMonitor(stage, self.state().position, self.hull_radius, scenery.aspects)
+
+    def command(self, action: FloatArray) -> None:
+        """Set the velocity setpoint: (4,) heading frame, m/s and rad/s."""
+        self.flight.command(action)
+
+    def advance(self, ticks: int = TICKS_PER_CONTROL) -> GateEvent | None:
+        """Fly on by ticks of `Flight.TICK_S`; what happened at the gates."""
+        path = self.flight.advance(ticks)
+        self._ticks += ticks
+        return None if self.diverged else self.gate_monitor.follow(path)
+
+    def frame(self) -> Image:
+        """The first-person view, (size, size, 3) uint8."""
+        return self._view.frame(self.state())
+
+    def state(self) -> DroneState:
+        """The drone's true state."""
+        return self.flight.state()
+
+    def time(self) -> float:
+        """Seconds since the flight began."""
+        return self._ticks * Flight.TICK_S

@@ -1,0 +1,154 @@
+"""A vehicle over MAVLink, from the checklist to the ground, with the rules of safety between it and the pilot."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from cognitivedrone.control.fence import Fence
+from cognitivedrone.control.safety import Guard, SafetyConfig, Timeouts
+from cognitivedrone.errors import CameraError, LinkError
+from cognitivedrone.plan import SafetySpec, VehicleSpec
+from cognitivedrone.types import Track
+from cognitivedrone.vehicles.camera import Camera, Shot, open_camera
+from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, Request, Status
+from cognitivedrone.vehicles.external import LinkReport
+from cognitivedrone.vehicles.gazebo.bindings import load_bindings
+from cognitivedrone.vehicles.gazebo.sight import GazeboCamera
+from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkConfig, MavlinkDrone
+
+FLAG = "--i-understand-this-flies-a-real-drone"
+TLOG_FILE = "flight.tlog"
+GAZEBO = "gazebo:"
+
+
+class TimestampedCamera:
+    """A camera that remembers when the last frame that was read had been received."""
+
+    def __init__(self, camera: Camera) -> None:
+        self._camera = camera
+        self.seen_at = time.monotonic()
+        """Of `time.monotonic`, s."""
+
+    def read(self) -> Shot:
+        """The newest frame."""
+        shot = self._camera.read()
+        self.seen_at = shot.time
+        return shot
+
+    def close(self) -> None:
+        """Let go of the source."""
+        self._camera.close()
+
+
+class MavlinkVehicle:
+    """A `Vehicle` that is a connected MAVLink drone; nobody knows the ground truth."""
+
+    track_runner = None
+    trouble = ""
+    renderer = ""
+
+    def __init__(self, drone: MavlinkDrone, camera: TimestampedCamera, *, simulated: bool) -> None:
+        self.simulated = simulated
+        self.report = LinkReport()
+        self._drone = drone
+        self._camera = camera
+
+    @property
+    def over(self) -> str | None:
+        """The rules of safety landed it, or somebody took over."""
+        return self._drone.over
+
+    def begin(self, track: Track, rng: np.random.Generator) -> None:  # noqa: ARG002
+        """Raise `LinkError`: the gates stand where they stand."""
+        raise LinkError("a vehicle over MAVLink flies no track of a suite; give it an instruction")
+
+    def take_off(self, confirm: Confirm) -> ClockedDrone:
+        """Check, have it confirmed, arm and climb."""
+        self._drone.take_off(confirm)
+        return self._drone
+
+    def status(self) -> Status:
+        """What the vehicle reports, and the guard's decision."""
+        telemetry, decision = self._drone.telemetry, self._drone.decision
+        now = time.monotonic()
+        return Status(
+            position=telemetry.position.copy(),
+            yaw=telemetry.yaw,
+            mode=telemetry.mode,
+            armed=telemetry.armed,
+            battery=telemetry.battery,
+            frame_age_s=now - self._camera.seen_at,
+            link_age_s=now - telemetry.heard_at,
+            decision=decision.kind if decision is not None else "fly",
+            reason=decision.reason if decision is not None else "",
+        )
+
+    def land(self) -> bool:
+        """Land it where it is."""
+        self._drone.land()
+        return not self._drone.telemetry.armed
+
+    def close(self) -> None:
+        """Land it, and hang up."""
+        self._drone.close()
+
+
+def open_mavlink(request: Request) -> MavlinkVehicle:
+    """The vehicle at the address of the link.
+
+    What is not known to be simulated is refused without the flag that consents; what is not inside this machine is not
+    even talked to.
+    """
+    spec, safety = request.spec, request.safety
+    consent = safety.i_understand_this_flies_a_real_drone
+    if not (consent or spec.on_loopback):
+        raise LinkError(f"{spec.link} may be a real drone: read docs/real-drone.md, then add {FLAG}")
+    camera = TimestampedCamera(open_source(safety.camera))
+    drone = MavlinkDrone(spec.url, camera, guard_of(safety), mavlink_config(safety, request.folder))
+    simulated = spec.on_loopback and drone.simulated
+    if not simulated and (not consent or safety.clock == "vehicle"):
+        drone.close()
+        raise LinkError(_refusal(spec, consent=consent))
+    return MavlinkVehicle(drone, camera, simulated=simulated)
+
+
+def open_source(source: str) -> Camera:
+    """The camera that --camera names, gazebo:TOPIC or a source of `vehicles/camera.py`.
+
+    Raises `CameraError`, or `GazeboError` without gz-transport's bindings.
+    """
+    if not source.startswith(GAZEBO):
+        return open_camera(source)
+    topic = source.removeprefix(GAZEBO)
+    if not topic:
+        raise CameraError(f"--camera {source} lacks its topic: write {GAZEBO}{CAMERA_TOPIC}, or see `gz topic -l`")
+    return GazeboCamera(load_bindings(), topic)
+
+
+def guard_of(safety: SafetySpec) -> Guard:
+    """The rules of safety as the options have them."""
+    patience = Timeouts(safety.policy_patience, max(1.0, 2 * safety.policy_patience))
+    return Guard(SafetyConfig(fence=Fence(radius_m=safety.fence_radius, ceiling_m=safety.ceiling), policy=patience))
+
+
+def mavlink_config(safety: SafetySpec, folder: Path | None) -> MavlinkConfig:
+    """How the options talk to a vehicle; the log of its messages goes into `folder`."""
+    return MavlinkConfig(
+        takeoff_height_m=safety.takeoff_height,
+        clock=safety.clock,
+        set_parameters=safety.set_parameters,
+        tlog=None if folder is None else folder / TLOG_FILE,
+    )
+
+
+def _refusal(spec: VehicleSpec, *, consent: bool) -> str:
+    """Why what may be a real drone is not flown like that."""
+    real = f"the vehicle at {spec.link} does not say that it is this project's simulator, so it may be a real drone"
+    if not consent:
+        return f"{real}: read docs/real-drone.md, then add {FLAG}"
+    # On vehicle time, silence is forgiven for seconds: a simulation may pause, a drone in the air does not.
+    return f"{real}, which flies by the clock on the wall: leave --clock vehicle out"

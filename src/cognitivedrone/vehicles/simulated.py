@@ -1,0 +1,79 @@
+"""Vehicles in a simulated world: our own simulator, and external autopilots that fly in lock-step with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from cognitivedrone.envs.drone import PacedDrone, SimulatedDrone
+from cognitivedrone.envs.track_runner import TrackRunner
+from cognitivedrone.frames import yaw_of
+from cognitivedrone.sim.drone_world import DroneWorld
+from cognitivedrone.sim.gl import renderer_name
+from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.types import Track
+from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, Pace, Request, Status
+from cognitivedrone.vehicles.external import ExternalFlight, LinkReport
+
+
+class SimulatedFlight:
+    """The drone of a simulated world as a `Vehicle`; it hovers at the start of its track. `close` frees the world."""
+
+    simulated = True
+    over: str | None = None
+
+    def __init__(
+        self,
+        world: DroneWorld,
+        request: Request,
+        close: Callable[[], None],
+        *,
+        pace: Pace = "lockstep",
+        flight: ExternalFlight | None = None,
+        renderer: Callable[[], str] = renderer_name,
+    ) -> None:
+        self.track_runner = TrackRunner(world, request.labels, request.conditions)
+        self.close = close
+        self._pace = pace
+        self._flight = flight
+        self._renderer = renderer
+
+    @property
+    def trouble(self) -> str:
+        """Why the last external vehicle was lost."""
+        return self._flight.trouble if self._flight else ""
+
+    @property
+    def report(self) -> LinkReport:
+        """Of the link to an external autopilot."""
+        return self._flight.report if self._flight else LinkReport()
+
+    @property
+    def renderer(self) -> str:
+        """Name of what draws the frames."""
+        return self._renderer()
+
+    def begin(self, track: Track, rng: np.random.Generator) -> None:
+        """Hover at the start of a track."""
+        self.track_runner.begin(track, rng)
+
+    def take_off(self, confirm: Confirm) -> ClockedDrone:  # noqa: ARG002
+        """It is in the air; nobody needs to confirm that."""
+        drone = SimulatedDrone(self.track_runner)
+        return PacedDrone(drone) if self._pace == "wall" else drone
+
+    def status(self) -> Status:
+        """Where it is; everything else is well in a simulation."""
+        state = self.track_runner.world.state()
+        return Status(position=state.position.copy(), yaw=float(yaw_of(state.quaternion)), mode="simulated")
+
+    def land(self) -> bool:
+        """A simulation ends in the air."""
+        return False
+
+
+def open_sim(request: Request) -> SimulatedFlight:
+    """Our own simulator, one world."""
+    simulator = Simulator(1, airframe=request.airframe)
+    return SimulatedFlight(simulator.world(0), request, simulator.close, pace=request.pace)
