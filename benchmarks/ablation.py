@@ -14,7 +14,7 @@ from pathlib import Path
 
 import tyro
 
-from cognitivedrone.benchmark import Results, RunConfig, run
+from cognitivedrone.benchmark import Plan, Results, run
 from cognitivedrone.training.common.curves import read_rows
 from cognitivedrone.training.common.trainer import METRICS
 from cognitivedrone.training.launch import TrainOptions
@@ -46,7 +46,16 @@ def measure(recipe: str, out: Path, processes: int) -> Line:
     if not model.exists():
         train(TrainOptions(out / recipe, recipe, resume=True, processes=processes))
     told, directed = (
-        run(RunConfig(f"small:{model}", reasoner, SUITE, out=out / recipe / f"bench-{reasoner}", resume=True, clips=0))
+        run(
+            Plan.of(
+                policy=f"small:{model}",
+                reasoner=reasoner,
+                suite=SUITE,
+                out=out / recipe / f"bench-{reasoner}",
+                resume=True,
+                clips=0,
+            )
+        )
         for reasoner in ("none", "oracle")
     )
     rows = read_rows(out / recipe / METRICS)

@@ -16,7 +16,7 @@ import tempfile
 import threading
 from pathlib import Path
 
-from cognitivedrone.collect.collector import CollectConfig, CollectReport, collect
+from cognitivedrone.collect.collector import CollectPlan, CollectReport, collect
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.data.store import Store
 
@@ -56,7 +56,7 @@ class Peak:
 
 def measure(out: Path, episodes: int, workers: int) -> CollectReport:
     with Peak() as peak:
-        report = collect(CollectConfig(out, episodes=episodes, workers=workers), progress=False)
+        report = collect(CollectPlan.of(out=out, episodes=episodes, workers=workers), progress=False)
     whole = RECIPES["paper"].episodes / report.episodes_per_s / 60
     print(
         f"workers {workers}: {report.episodes_per_s:5.1f} episodes/s ({whole:.1f} min for {RECIPES['paper'].episodes}),"

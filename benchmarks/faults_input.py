@@ -22,11 +22,10 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-from cognitivedrone.benchmark.suites import suite_of
 from rich.table import Table
 
+from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.episode import preflight
-from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import CognitiveDroneError, PolicyError
 from cognitivedrone.labels import load_pack
@@ -34,6 +33,7 @@ from cognitivedrone.models.reasoner_file import GateSelectorModel, PanelReaderMo
 from cognitivedrone.models.small_file import SmallModel, describe, read_description
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite, load_suite, task_to_json
+from cognitivedrone.tasks.scenario import suite_of
 from cognitivedrone.terminal import console
 
 WEIGHTS = Path(sys.modules["cognitivedrone.models"].__path__[0]) / "weights"
@@ -79,7 +79,7 @@ def mutated(rng: Rng, mutate: Mutation, sound: list[list[Json]]) -> bytes:
 
 def judge_tasks(path: Path, track_runner: TrackRunner) -> str:
     """`rejected`, `same meaning`, or what is wrong: `misread`, `not one sentence` or `error in flight`."""
-    config = RunConfig(policy="hover", tasks=path)
+    config = Plan.of(policy="hover", tasks=path)
     try:
         suite = suite_of(config)
         preflight(config, suite)
@@ -96,7 +96,7 @@ def judge_tasks(path: Path, track_runner: TrackRunner) -> str:
     try:
         for episode, track in enumerate(suite.tracks):
             track_runner.begin(track, episode_rng(suite.digest, episode, 0))
-            track_runner.simulator.frames(worlds=[0])
+            track_runner.world.frame()
     except Exception as error:
         return f"error in flight: {type(error).__name__}"
     return "same meaning"

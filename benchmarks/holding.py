@@ -46,8 +46,11 @@ class Flights:
 
     def __init__(self, suite: Suite, config: Config) -> None:
         self.suite, self.config = suite, config
-        self.track_runner = TrackRunner(Simulator(1).world(0), load_pack("open-v1"), TrackConfig(time_limit_s=LIMIT_S))
-        self.drone = SimulatedDrone(self.track_runner.simulator, self.track_runner)
+        self.simulator = Simulator(1)
+        self.track_runner = TrackRunner(
+            self.simulator.world(0), load_pack("open-v1"), TrackConfig(time_limit_s=LIMIT_S)
+        )
+        self.drone = SimulatedDrone(self.track_runner)
         self.policy, self.reasoner = make_policy("small"), SmallReasoner()
 
     def fly(self, episode: int, words: str | None) -> str:
@@ -92,7 +95,7 @@ def main(config: Config) -> None:
     print(f"  its own instruction  n {own.total():3d}: {dict(own.most_common())}")
     other = Counter(flights.fly(episode, words) for episode, words in strangers(suite, episodes, config.seed))
     print(f"  another's            n {other.total():3d}: {dict(other.most_common())}")
-    flights.track_runner.simulator.close()
+    flights.simulator.close()
 
 
 if __name__ == "__main__":

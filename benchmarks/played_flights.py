@@ -17,17 +17,16 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from cognitivedrone.benchmark.suites import suite_of
-
+from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.episode import PilotRunner
-from cognitivedrone.benchmark.run_types import Rollout, RunConfig
+from cognitivedrone.benchmark.run_types import Rollout
 from cognitivedrone.benchmark.runner import run as bench
 from cognitivedrone.collect import executors
-from cognitivedrone.collect.collector import CollectConfig, collect
+from cognitivedrone.collect.collector import CollectPlan, collect
 from cognitivedrone.collect.executors import Job, fly_here
 from cognitivedrone.collect.fleet import FlownEpisode
 from cognitivedrone.collect.recipe import RECIPES
-from cognitivedrone.tasks import Suite
+from cognitivedrone.tasks.scenario import suite_of
 
 EPISODES = 6
 PER_SHARD = 2
@@ -59,14 +58,14 @@ def _short_film(flown: Rollout) -> Rollout:
 
 def play_back(job: Job, batches: Sequence[Sequence[int]], workers: int) -> Iterator[FlownEpisode]:
     """An executor that flies nothing."""
-    flights = load(Path(os.environ[WHERE]) / f"collect-{job.seed}")
+    flights = load(Path(os.environ[WHERE]) / f"collect-{job.source.seed}")
     return (flights[index] for batch in batches for index in batch)
 
 
 class PlayedRunner:
     """An episode runner that flies nothing."""
 
-    def __init__(self, config: RunConfig, suite: Suite, watch: object = None) -> None:
+    def __init__(self, job: object, watch: object = None) -> None:
         folder = Path(os.environ[WHERE])
         self._flights: dict[int, Rollout] = load(folder / "bench")
         self.renderer: str = load(folder / "renderer")
@@ -82,7 +81,9 @@ class PlayedRunner:
 def collect_into(out: Path, executor: Callable[..., Iterator[FlownEpisode]] = play_back, seed: int = 0) -> None:
     """A small collection, or what is left of it."""
     executors.fly_local = executor
-    config = CollectConfig(out, "debug", EPISODES, seed=seed, workers=1, resume=True, episodes_per_shard=PER_SHARD)
+    config = CollectPlan.of(
+        out=out, recipe="debug", episodes=EPISODES, seed=seed, workers=1, resume=True, episodes_per_shard=PER_SHARD
+    )
     collect(config, progress=False)
 
 
@@ -137,8 +138,8 @@ def run_state(folder: Path) -> dict[str, str]:
     return found
 
 
-def _bench_config(out: Path, episodes: int = BENCH_EPISODES) -> RunConfig:
-    return RunConfig(
+def _bench_config(out: Path, episodes: int = BENCH_EPISODES) -> Plan:
+    return Plan.of(
         policy="colour_seeker",
         suite="open-v1:smoke",
         workers=1,

@@ -77,7 +77,7 @@ def real_time(policy_name: str, reasoner_name: str, seconds: float) -> None:
     log, end, episode = Log(), time.perf_counter() + seconds, 0
     while time.perf_counter() < end:
         track_runner.begin(suite.tracks[episode], episode_rng(suite.digest, episode, 0))
-        drone = PacedDrone(SimulatedDrone(simulator, track_runner))
+        drone = PacedDrone(SimulatedDrone(track_runner))
         mind = ThreadedReasoner(reasoner) if reasoner else None
 
         def mission() -> Segment | None:

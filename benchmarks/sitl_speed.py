@@ -20,12 +20,14 @@ import numpy as np
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.airframe import IRIS
-from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.sim.camera import Cameras
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import CONTROL_HZ
+from cognitivedrone.vehicles.external import ExternalWorld
 from cognitivedrone.vehicles.sitl.arducopter import BINARY_VARIABLE
 from cognitivedrone.vehicles.sitl.flight import SitlFlight
 from cognitivedrone.vehicles.sitl.json_interface import SitlServer
+from cognitivedrone.vehicles.sitl.session import RenderedView
 
 RATE_HZ = 1200
 FRAMES = 4000
@@ -68,24 +70,25 @@ def arducopter(binary: Path, render: bool) -> float:
     """How many times real time an ArduCopter flies to and fro: the median of rounds of `FLOWN_S`."""
     suite = load_suite("open-v1:smoke")
     flight = SitlFlight(binary)
-    simulator = Simulator(1, airframe=IRIS, flight=flight, render=render)
+    cameras = Cameras(1)
+    world = ExternalWorld(flight, RenderedView(cameras), IRIS.hull_radius)
     try:
-        track_runner = TrackRunner(simulator.world(0), load_pack("open-v1"), TrackConfig())
+        track_runner = TrackRunner(world, load_pack("open-v1"), TrackConfig())
         track_runner.begin(suite.tracks[0], episode_rng(suite.digest, 0, 0))
         ratios = []
         for _ in range(ROUNDS):
             began = time.perf_counter()
             for step in range(round(FLOWN_S * CONTROL_HZ)):
                 if render:
-                    simulator.frames()
-                simulator.command(0, np.array([np.sin(step / 10), 0.0, 0.0, 0.0]))
-                simulator.advance()
+                    world.frame()
+                world.command(np.array([np.sin(step / 10), 0.0, 0.0, 0.0]))
+                world.advance()
             ratios.append(FLOWN_S / (time.perf_counter() - began))
-        if flight.report.lost or flight.diverged.any():
+        if flight.report.lost or flight.diverged:
             raise SystemExit(f"not a fair flight: {flight.report}, {flight.trouble}")
         return statistics.median(ratios)
     finally:
-        simulator.close()
+        cameras.close()
         flight.close()
 
 

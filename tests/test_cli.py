@@ -14,15 +14,16 @@ from rich.console import Console
 
 import cognitivedrone
 from cognitivedrone import checkout
-from cognitivedrone.benchmark.config import ReasonConfig, RunConfig, SweepConfig
-from cognitivedrone.benchmark.suites import how_many, suite_of
-from cognitivedrone.benchmark.sweep import run_config
+from cognitivedrone.benchmark.config import Plan, SweepPlan
+from cognitivedrone.benchmark.sweep import plan_of
 from cognitivedrone.cli import FIRST, TARGETS, help_text, load, main
 from cognitivedrone.collect.collector import collect
-from cognitivedrone.collect.config import CollectConfig
+from cognitivedrone.collect.config import CollectPlan
 from cognitivedrone.data.store_writer import EPISODES_PER_SHARD
+from cognitivedrone.plan import Scenario
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.tasks import load_suite, write_tasks
+from cognitivedrone.tasks.scenario import how_many, suite_of
 
 
 def bench(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -248,11 +249,10 @@ def own_tasks(tmp_path: Path) -> Path:
 
 def test_tasks_are_flown_asked_drawn_and_exported(capsys, tmp_path, own_tasks):
     first = load_suite("open-v1:test").tracks[0][0]
-    sweep = run_config(SweepConfig(tmp_path, tasks=own_tasks, labels=tmp_path), 0)
-    assert (sweep.tasks, sweep.labels) == (own_tasks, tmp_path)
-    for config in (RunConfig(tasks=own_tasks), RunConfig(suite=str(own_tasks)), sweep):
-        assert suite_of(config).n_tasks == 3
-    assert "tasks" in ReasonConfig.__slots__
+    sweep = plan_of(SweepPlan.of(out=tmp_path, tasks=own_tasks, labels=tmp_path), 0)
+    assert (sweep.scenario.tasks, sweep.scenario.labels) == (own_tasks, tmp_path)
+    for config in (Plan.of(tasks=own_tasks), Plan.of(suite=str(own_tasks)), sweep):
+        assert suite_of(config.scenario).n_tasks == 3
     said = printed(capsys, "view", "--tasks", str(own_tasks), "--out", str(tmp_path / "view.png"))
     assert first.instruction in said
     out = tmp_path / "gazebo"
@@ -271,24 +271,26 @@ def test_a_suite_may_still_be_a_file(capsys, tmp_path, own_tasks):
 
 
 def test_own_tasks_are_collected(tmp_path, own_tasks):
-    report = collect(CollectConfig(tmp_path / "set", "debug", episodes=2, tasks=own_tasks, workers=1), progress=False)
+    report = collect(
+        CollectPlan.of(out=tmp_path / "set", recipe="debug", episodes=2, tasks=own_tasks, workers=1), progress=False
+    )
     assert report.episodes == 2
     manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())
     assert "mine.json" in json.dumps(manifest)
 
 
 def test_a_suite_without_an_end_says_how_much_of_it_is_flown(capsys, tmp_path):
-    assert how_many(RunConfig()) == ""
-    assert how_many(RunConfig(suite="open-v1:train", tasks=tmp_path)) == ""
-    assert "its first 300 tasks of seed 0 are flown, --episodes N" in how_many(RunConfig(suite="open-v1:train"))
-    assert len(suite_of(RunConfig(suite="open-v1:train")).tracks) == 300
+    assert how_many(Scenario(), None) == ""
+    assert how_many(Scenario(suite="open-v1:train", tasks=tmp_path), None) == ""
+    assert "its first 300 tasks of seed 0 are flown, --episodes N" in how_many(Scenario(suite="open-v1:train"), None)
+    assert len(suite_of(Scenario(suite="open-v1:train")).tracks) == 300
     main(["bench", "--suite", "open-v1:train", "--policy", "hover", "--episodes", "1", "--workers", "1",
           "--clips", "0", "--out", str(tmp_path)])  # fmt: skip
     assert "its first 1 tasks of seed 0 are flown" in capsys.readouterr().out
 
 
 def test_defaults_that_are_written_twice_are_the_same():
-    assert CollectConfig(Path()).episodes_per_shard == EPISODES_PER_SHARD
+    assert CollectPlan.of(out=Path()).episodes_per_shard == EPISODES_PER_SHARD
 
 
 def test_a_progress_bar_fits_into_80_columns_from_its_first_moment():

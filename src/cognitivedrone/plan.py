@@ -59,13 +59,13 @@ class Options:
 
     @classmethod
     def of(cls: type[_Self], **values: Any) -> _Self:
-        """A plan from options by name. Raises `TypeError` for a name that it does not have."""
+        """A plan from options, or whole parts, by name. Raises `TypeError` for a name that it does not have."""
         made = _build(cls, None, values)
         _refuse(values, cls)
         return made
 
     def changed(self: _Self, **values: Any) -> _Self:
-        """This plan with some options changed. Raises `TypeError` for a name that it does not have."""
+        """This plan with some options, or whole parts, changed. Raises `TypeError` for a name that it does not have."""
         made = _build(type(self), self, values)
         _refuse(values, type(self))
         return made
@@ -248,10 +248,10 @@ def _build(kind: type[_Self], base: _Self | None, values: dict[str, Any]) -> _Se
     given: dict[str, Any] = {}
     for each in dataclasses.fields(kind):  # type: ignore[arg-type]
         current = _default(each) if base is None else getattr(base, each.name)
-        if isinstance(current, Options):
-            given[each.name] = _build(type(current), current, values)
-        elif each.name in values:
+        if each.name in values:
             given[each.name] = values.pop(each.name)
+        elif isinstance(current, Options):
+            given[each.name] = _build(type(current), current, values)
         elif current is not MISSING:
             given[each.name] = current
     return kind(**given)

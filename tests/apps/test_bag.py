@@ -21,6 +21,7 @@ pytest.importorskip("rosbags")
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles" / "gazebo"))
 
+from cognitivedrone.apps.opening import open_eye
 from peer import playing
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
@@ -28,10 +29,9 @@ from stand_in import MESSAGES, StandIn
 
 from cognitivedrone.apps import opening
 from cognitivedrone.apps.bag import BagLog
-from cognitivedrone.apps.config import FlyConfig
+from cognitivedrone.apps.config import FlyPlan
 from cognitivedrone.apps.fly import fly_mission
 from cognitivedrone.apps.log import FlightLog
-from cognitivedrone.apps.opening import open_eye
 from cognitivedrone.apps.values import Status, Step
 from cognitivedrone.data.episode import decode_image
 from cognitivedrone.data.formats import bags
@@ -121,7 +121,7 @@ def test_a_full_disk_ends_the_bag_and_is_counted(tmp_path, monkeypatch):
 
 def test_without_rosbags_nothing_takes_off(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
-    config = FlyConfig(policy="hover", reasoner="none", record="mcap", out=tmp_path / "f")
+    config = FlyPlan.of(policy="hover", reasoner="none", record="mcap", out=tmp_path / "f")
     with pytest.raises(MissingExtra, match=r"cognitivedrone\[ros\]"):
         fly_mission(config, console=Console(file=io.StringIO()), keyboard=io.StringIO())
     assert not (tmp_path / "f").exists()
@@ -149,8 +149,8 @@ def gazebo_with_camera(monkeypatch: pytest.MonkeyPatch) -> Iterator[StandIn]:
 
 def test_a_vehicle_is_flown_by_the_camera_of_a_running_gazebo_and_recorded(tmp_path, monkeypatch):
     with gazebo_with_camera(monkeypatch) as gazebo, playing() as peer:
-        config = FlyConfig(
-            "go", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=f"gazebo:{TOPIC}", policy="hover",
+        config = FlyPlan.of(
+            instruction="go", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=f"gazebo:{TOPIC}", policy="hover",
             reasoner="none", out=tmp_path / "f", record="mcap", time_limit=0.5,
             i_understand_this_flies_a_real_drone=True,
         )  # fmt: skip

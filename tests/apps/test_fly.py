@@ -14,7 +14,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -32,15 +31,15 @@ from cockpit_fakes import Typist, camera
 from peer import MODES, Peer, playing
 from pymavlink import mavutil
 
-from cognitivedrone.apps.config import FlyConfig, SimConfig
+from cognitivedrone.apps.config import FlyPlan, SimPlan
 from cognitivedrone.apps.fly import fly_mission
-from cognitivedrone.apps.opening import FLAG
 from cognitivedrone.apps.vehicle import Served, serve_vehicle
 from cognitivedrone.cli import main
 from cognitivedrone.errors import CognitiveDroneError, LinkError, PolicyError, RunError
 from cognitivedrone.sim.gate_monitor import GateEvent, judge
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import load_suite
+from cognitivedrone.vehicles.mavlink.session import FLAG
 
 EPISODE = 4
 """Of the smoke suite: the shortest flight."""
@@ -102,8 +101,12 @@ def test_an_instruction_typed_in_flight_is_a_new_leg_and_asks_the_reasoner_at_on
     reading, writing = os.pipe()
     monkeypatch.setattr(Typist, "keyboard", writing)
     monkeypatch.setattr(Typist, "lines", {8: b"go to  blue\n", 16: b"LAND\n"})
-    config = FlyConfig(
-        "go to red", policy="cockpit_fakes:Typist", reasoner="cockpit_fakes:Echo", out=tmp_path / "f", time_limit=10
+    config = FlyPlan.of(
+        instruction="go to red",
+        policy="cockpit_fakes:Typist",
+        reasoner="cockpit_fakes:Echo",
+        out=tmp_path / "f",
+        time_limit=10,
     )
     with os.fdopen(reading) as keyboard:
         summary = fly_mission(config, console=quiet(), keyboard=keyboard)
@@ -123,7 +126,7 @@ def test_an_instruction_typed_in_flight_is_a_new_leg_and_asks_the_reasoner_at_on
 
 
 def test_the_served_vehicle_says_how_to_connect():
-    config = SimConfig(mavlink=True, links=("udpout:127.0.0.1:14599", "udpin:127.0.0.1:0"))
+    config = SimPlan.of(mavlink=True, links=("udpout:127.0.0.1:14599", "udpin:127.0.0.1:0"))
     with served(config) as vehicle:
         said = str(vehicle).splitlines()
     assert vehicle.task.instruction in said[0]
@@ -146,11 +149,11 @@ def test_the_served_vehicle_says_how_to_connect():
 )
 def test_what_cannot_be_served_is_said(options, says):
     with pytest.raises(CognitiveDroneError, match=says):
-        serve_vehicle(SimConfig(**options), lambda: True, lambda _: None)
+        serve_vehicle(SimPlan.of(**options), lambda: True, lambda _: None)
 
 
 @contextmanager
-def served(config: SimConfig) -> Iterator[Served]:
+def served(config: SimPlan) -> Iterator[Served]:
     """The simulated vehicle in a thread."""
     stopping, told = threading.Event(), list[Served]()
     ready = threading.Event()
@@ -185,7 +188,7 @@ def test_another_process_flies_the_served_vehicle_through_a_gate_and_ctrl_c_land
         return gate_events
 
     monkeypatch.setattr(Simulator, "advance", watched)
-    config = SimConfig(
+    config = SimPlan.of(
         mavlink=True, links=("tcpin:127.0.0.1:0",), camera_port=0, camera_hz=30, episode=EPISODE, speed=3
     )
     out = tmp_path / "f"
@@ -220,15 +223,17 @@ def test_another_process_flies_the_served_vehicle_through_a_gate_and_ctrl_c_land
 
 
 def test_what_is_not_inside_this_machine_is_not_even_talked_to(tmp_path):
-    config = FlyConfig("go", link="mavlink:udp:10.0.0.1:14550", camera="nowhere", policy="hover", reasoner="none")
+    config = FlyPlan.of(
+        instruction="go", link="mavlink:udp:10.0.0.1:14550", camera="nowhere", policy="hover", reasoner="none"
+    )
     with pytest.raises(LinkError, match=f"may be a real drone.*{FLAG}"):
         fly_mission(config, console=quiet(), keyboard=nobody())
     assert not list(tmp_path.iterdir())
 
 
-def vehicle(peer: Peer, url: str, out: Path, **options: object) -> FlyConfig:
+def vehicle(peer: Peer, url: str, out: Path, **options: object) -> FlyPlan:
     link = f"mavlink:udpout:127.0.0.1:{peer.port}"
-    return FlyConfig("go", link=link, camera=url, policy="hover", reasoner="none", out=out, **options)
+    return FlyPlan.of(instruction="go", link=link, camera=url, policy="hover", reasoner="none", out=out, **options)
 
 
 def test_a_vehicle_that_may_be_real_is_refused_without_the_flag_and_without_the_word(tmp_path):
@@ -241,7 +246,7 @@ def test_a_vehicle_that_may_be_real_is_refused_without_the_flag_and_without_the_
             with pytest.raises(LinkError, match="not confirmed"):
                 fly_mission(consent, console=console, keyboard=io.StringIO(typed))
             (tmp_path / "b" / "flight.json").unlink()
-        by_its_own = replace(consent, clock="vehicle")
+        by_its_own = consent.changed(clock="vehicle")
         with pytest.raises(LinkError, match="leave --clock vehicle out"):
             fly_mission(by_its_own, console=quiet(), keyboard=io.StringIO("arm\n"))
         assert commands(peer, 176, 400, 22) == []
@@ -265,12 +270,12 @@ def test_the_pilot_ends_the_flight(tmp_path):
 def test_arducopter_is_started_on_our_physics_and_flown(tmp_path):
     binary = played_arducopter(tmp_path)
     instance = free_instance()
-    config = FlyConfig(
+    config = FlyPlan.of(
         link="sitl", policy="hover", reasoner="oracle", sitl=binary, sitl_instance=instance, time_limit=1,
         out=tmp_path / "f", takeoff_height=0.5,
     )  # fmt: skip
     summary = fly_mission(config, console=quiet(), keyboard=nobody())
-    assert summary.ending.kind == "time"
+    assert summary.ending.kind == "missed"
     assert (tmp_path / "f" / "arducopter.log").read_text() == "parameters read\n"
     steps = pq.read_table(tmp_path / "f" / "steps.parquet").to_pydict()
     task = load_suite("open-v1:smoke").tracks[0][0]
@@ -314,17 +319,17 @@ def test_a_mistake_is_said_in_one_sentence_before_anything_is_written(tmp_path, 
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("ARDUCOPTER", raising=False)
     with pytest.raises(CognitiveDroneError, match=says):
-        fly_mission(FlyConfig(policy="hover", reasoner="none", **options), console=quiet(), keyboard=nobody())
+        fly_mission(FlyPlan.of(policy="hover", reasoner="none", **options), console=quiet(), keyboard=nobody())
     assert not (tmp_path / "flights").exists()
 
 
 def test_who_must_know_the_truth_flies_only_where_it_is_known(tmp_path):
     with playing() as peer, camera() as url:
-        config = FlyConfig(
-            "go", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=url, policy="oracle", reasoner="none",
-            out=tmp_path / "f", i_understand_this_flies_a_real_drone=True,
+        config = FlyPlan.of(
+            instruction="go", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=url,
+            policy="oracle", reasoner="none", out=tmp_path / "f", i_understand_this_flies_a_real_drone=True,
         )  # fmt: skip
-        with pytest.raises(PolicyError, match="this policy must be told the truth"):
+        with pytest.raises(PolicyError, match="this policy uses privileged state"):
             fly_mission(config, console=quiet(), keyboard=io.StringIO("arm\n"))
         assert commands(peer, 400) == []
 
@@ -332,11 +337,11 @@ def test_who_must_know_the_truth_flies_only_where_it_is_known(tmp_path):
 def test_a_log_is_never_written_over(tmp_path):
     (tmp_path / "flight.json").write_text("{}")
     with pytest.raises(RunError, match="holds a flight already"):
-        fly_mission(FlyConfig(policy="hover", reasoner="none", out=tmp_path), console=quiet(), keyboard=nobody())
+        fly_mission(FlyPlan.of(policy="hover", reasoner="none", out=tmp_path), console=quiet(), keyboard=nobody())
 
 
 def test_a_policy_that_fails_ends_the_flight_and_leaves_a_log(tmp_path):
-    config = FlyConfig("x", policy="cockpit_fakes:Broken", reasoner="none", out=tmp_path / "f")
+    config = FlyPlan.of(instruction="x", policy="cockpit_fakes:Broken", reasoner="none", out=tmp_path / "f")
     with pytest.raises(PolicyError, match="not all of it is a finite number"):
         fly_mission(config, console=quiet(), keyboard=nobody())
     about = json.loads((tmp_path / "f" / "flight.json").read_text())

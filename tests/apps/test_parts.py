@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from cockpit_fakes import camera
 
-from cognitivedrone.apps.config import FlyConfig
+from cognitivedrone.apps.config import FlyPlan
 from cognitivedrone.apps.log import FlightLog
 from cognitivedrone.apps.mjpeg import MOST_VIEWERS, FrameServer
 from cognitivedrone.apps.orders import Keyboard, Orders, landing_on_interrupt
@@ -239,7 +239,7 @@ def test_what_is_typed_said_and_told_is_no_markup() -> None:
 @pytest.mark.parametrize("evil", ["red\x1b[2J", "red\ud800", "red\u202e"])
 def test_an_instruction_is_a_text_that_can_be_shown_and_written(evil: str) -> None:
     with pytest.raises(LinkError, match=r"the instruction holds the .*; say it without"):
-        FlyConfig(instruction=evil)
+        FlyPlan.of(instruction=evil)
 
 
 def test_a_log_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:

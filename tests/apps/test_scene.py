@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
 from cockpit_fakes import Eager, camera
 from peer import playing
 
-from cognitivedrone.apps.config import FlyConfig, SimConfig
+from cognitivedrone.apps.config import FlyPlan, SimPlan
 from cognitivedrone.apps.fly import fly_mission
 from cognitivedrone.apps.scene import choose_scene
 from cognitivedrone.apps.vehicle import serve_vehicle
@@ -39,7 +39,7 @@ def quiet() -> Console:
 
 
 def chosen(words: str, **options: object) -> tuple[str, int, str]:
-    scene = choose_scene(FlyConfig(words, **options))
+    scene = choose_scene(FlyPlan.of(instruction=words, **options))
     return scene.suite.name, scene.episode, scene.told
 
 
@@ -53,12 +53,12 @@ def test_an_own_instruction_gets_a_scene_that_holds_it():
 
 
 def test_what_the_test_suite_does_not_show_is_made():
-    scene = choose_scene(FlyConfig("Fly through the gate with the police car", seed=3))
+    scene = choose_scene(FlyPlan.of(instruction="Fly through the gate with the police car", seed=3))
     (task,) = scene.track
     assert task.options[task.target] == "police_car"
     assert task.instruction == "Fly through the gate with the police car"  # so that it is judged
     assert "made since no task of open-v1:test shows all of it" in scene.told
-    assert scene.track == choose_scene(FlyConfig("Fly through the gate with the police car", seed=3)).track
+    assert scene.track == choose_scene(FlyPlan.of(instruction="Fly through the gate with the police car", seed=3)).track
 
 
 def test_who_is_shown_in_training_alone_is_looked_for_there():
@@ -98,8 +98,8 @@ def test_tasks_and_labels_of_ones_own_are_flown(tmp_path):
         Image.new("RGB", (64, 64), (10, 200, 30)).save(tmp_path / "Mine" / f"{name}.png")
     task = _published("Go to beta", ["alpha", "beta", "gamma"])
     (tmp_path / "Mine.json").write_text(json.dumps([task]))
-    config = FlyConfig(
-        "Go to beta", tasks=tmp_path / "Mine.json", labels=tmp_path, policy="hover", reasoner="none",
+    config = FlyPlan.of(
+        instruction="Go to beta", tasks=tmp_path / "Mine.json", labels=tmp_path, policy="hover", reasoner="none",
         out=tmp_path / "f", time_limit=0.2,
     )  # fmt: skip
     console = quiet()
@@ -109,10 +109,10 @@ def test_tasks_and_labels_of_ones_own_are_flown(tmp_path):
     about = json.loads((tmp_path / "f" / "flight.json").read_text())
     assert about["scene"]["suite"] == "Mine.json"
     with pytest.raises(LabelError, match="Mine/alpha"):
-        fly_mission(FlyConfig(tasks=tmp_path / "Mine.json", policy="hover", reasoner="none", out=tmp_path / "g"),
+        fly_mission(FlyPlan.of(tasks=tmp_path / "Mine.json", policy="hover", reasoner="none", out=tmp_path / "g"),
                     console=quiet(), keyboard=io.StringIO())  # fmt: skip
     served = []
-    sim = SimConfig(mavlink=True, tasks=tmp_path / "Mine.json", labels=tmp_path, links=("udpin:127.0.0.1:0",))
+    sim = SimPlan.of(mavlink=True, tasks=tmp_path / "Mine.json", labels=tmp_path, links=("udpin:127.0.0.1:0",))
     serve_vehicle(sim, lambda: True, served.append)
     assert served[0].task.instruction == "Go to beta"
 
@@ -138,8 +138,8 @@ def events(out: Path) -> dict[str, dict[str, object]]:
 
 def test_in_doubt_it_hovers_until_the_time_is_over_and_says_so(tmp_path):
     console = quiet()
-    config = FlyConfig(
-        "to the bird", policy="cockpit_fakes:Eager", reasoner="cockpit_fakes:Doubtful", out=tmp_path / "f",
+    config = FlyPlan.of(
+        instruction="to the bird", policy="cockpit_fakes:Eager", reasoner="cockpit_fakes:Doubtful", out=tmp_path / "f",
         time_limit=1.6, suite="open-v1:smoke", episode=0,
     )  # fmt: skip
     summary = fly_mission(config, console=console, keyboard=io.StringIO())
@@ -162,8 +162,8 @@ def test_another_instruction_ends_the_hovering(tmp_path, monkeypatch):
     reading, writing = os.pipe()
     monkeypatch.setattr(Eager, "keyboard", writing)
     monkeypatch.setattr(Eager, "lines", {14: b"to the cat\n"})
-    config = FlyConfig(
-        "to the bird", policy="cockpit_fakes:Eager", reasoner="cockpit_fakes:Doubtful", out=tmp_path / "f",
+    config = FlyPlan.of(
+        instruction="to the bird", policy="cockpit_fakes:Eager", reasoner="cockpit_fakes:Doubtful", out=tmp_path / "f",
         time_limit=2.5, suite="open-v1:smoke", episode=0,
     )  # fmt: skip
     with os.fdopen(reading) as keyboard:
@@ -178,8 +178,9 @@ def test_another_instruction_ends_the_hovering(tmp_path, monkeypatch):
 
 def test_on_a_vehicle_doubt_is_zero_velocity_as_well(tmp_path):
     with playing() as peer, camera() as url:
-        config = FlyConfig(
-            "to the bird", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=url, out=tmp_path / "f", time_limit=1.6,
+        config = FlyPlan.of(
+            instruction="to the bird", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=url, out=tmp_path / "f",
+            time_limit=1.6,
             policy="cockpit_fakes:Eager", reasoner="cockpit_fakes:Doubtful", i_understand_this_flies_a_real_drone=True,
         )  # fmt: skip
         summary = fly_mission(config, console=quiet(), keyboard=io.StringIO("arm\n"))
@@ -188,14 +189,14 @@ def test_on_a_vehicle_doubt_is_zero_velocity_as_well(tmp_path):
 
 
 def test_never_hovering_is_an_option(tmp_path):
-    config = FlyConfig(
-        "to the bird", policy="cockpit_fakes:Eager", reasoner="cockpit_fakes:Doubtful", out=tmp_path / "f",
+    config = FlyPlan.of(
+        instruction="to the bird", policy="cockpit_fakes:Eager", reasoner="cockpit_fakes:Doubtful", out=tmp_path / "f",
         time_limit=1.6, episode=0, hold_below=0.0,
     )  # fmt: skip
     assert fly_mission(config, console=quiet(), keyboard=io.StringIO()).ending.kind == "missed"
     assert "hold" not in events(tmp_path / "f")
     with pytest.raises(LinkError, match="--hold-below is 2"):
-        FlyConfig(hold_below=2)
+        FlyPlan.of(hold_below=2)
 
 
 def flown(capsys: pytest.CaptureFixture[str], out: Path, *words: str) -> tuple[int, str]:
@@ -223,5 +224,5 @@ def test_the_scenes_own_instruction_is_judged_also_when_it_is_typed(tmp_path, ca
 def test_task_files_are_taken_in_place_of_a_suite_by_the_old_name_too(tmp_path):
     write_tasks(tmp_path / "mine.json", [SMOKE.tracks[7][0]])
     for options in ({"tasks": tmp_path / "mine.json"}, {"suite": str(tmp_path / "mine.json")}):
-        scene = choose_scene(FlyConfig(**options))
+        scene = choose_scene(FlyPlan.of(**options))
         assert scene.track[0].instruction == SMOKE.tracks[7][0].instruction

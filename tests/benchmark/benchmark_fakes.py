@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cognitivedrone.benchmark.run_types import FilmFrame, Rollout, RunConfig, Trace
+from cognitivedrone.benchmark.job import Job
+from cognitivedrone.benchmark.run_types import FilmFrame, Rollout, Trace
 from cognitivedrone.control.calls import NO_WATCH, Watch, calling
 from cognitivedrone.errors import LabelError
-from cognitivedrone.tasks import Suite
 from cognitivedrone.types import EpisodeResult, Guidance, Outcome, Stage, StageResult, Task
 from cognitivedrone.world import geometry
 
@@ -25,14 +25,15 @@ class FakeRunner:
 
     renderer = "imagination"
 
-    def __init__(self, config: RunConfig, suite: Suite, watch: Watch = NO_WATCH) -> None:
-        self.config = config
-        self.suite = suite
+    def __init__(self, job: Job, watch: Watch = NO_WATCH) -> None:
+        self.suite = job.suite
+        self.policy = job.plan.pilot.policy
+        self.seed = job.plan.scenario.seed
         self.watch = watch
 
     def fly(self, episode: int, *, film: bool) -> Rollout:
-        digest = hashlib.sha256(f"{self.suite.digest} {self.config.policy}".encode()).digest()
-        rng = np.random.default_rng([int.from_bytes(digest[:8], "big"), episode, self.config.seed])
+        digest = hashlib.sha256(f"{self.suite.digest} {self.policy}".encode()).digest()
+        rng = np.random.default_rng([int.from_bytes(digest[:8], "big"), episode, self.seed])
         track = self.suite.tracks[episode]
         results: list[StageResult] = []
         stages: list[Stage] = []
@@ -51,7 +52,7 @@ class FakeRunner:
             results.append(ended(task, outcome, gate, rng))
             origin, yaw = geometry.next_stage_origin(stage, gate)
             stage = Stage(gates=task.gates, labels=task.labels, origin=origin, yaw=yaw)
-        result = EpisodeResult(episode, self.config.seed, tuple(results), len(path))
+        result = EpisodeResult(episode, self.seed, tuple(results), len(path))
         trace = Trace(path.astype(np.float32), tuple(stages), tuple(starts), float(os.getpid()) * 1e-9)
         return Rollout(result, trace, [frame_of(track[0], k) for k in range(8)] if film else None)
 
@@ -127,14 +128,14 @@ class RaisingRunner(FakeRunner):
 class UnlabelledRunner(FakeRunner):
     """Cannot be made."""
 
-    def __init__(self, config: RunConfig, suite: Suite, watch: Watch = NO_WATCH) -> None:
+    def __init__(self, job: Job, watch: Watch = NO_WATCH) -> None:
         raise LabelError("label 'zebr' is not in the pack; did you mean 'zebra'?")
 
 
 class StillbornRunner(FakeRunner):
     """Takes its process down while it is made."""
 
-    def __init__(self, config: RunConfig, suite: Suite, watch: Watch = NO_WATCH) -> None:
+    def __init__(self, job: Job, watch: Watch = NO_WATCH) -> None:
         os._exit(3)
 
 
@@ -170,7 +171,7 @@ class FickleRunner(FakeRunner):
     flights = 0
 
     def fly(self, episode: int, *, film: bool) -> Rollout:
-        self.suite = Suite(self.suite.name, f"{self.suite.digest}{self.flights}", self.suite.tracks)
+        self.suite = replace(self.suite, digest=f"{self.suite.digest}{self.flights}")
         self.flights += 1
         return super().fly(episode, film=film)
 

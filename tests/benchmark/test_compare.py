@@ -16,13 +16,13 @@ RUNNER = "benchmark_fakes:FakeRunner"
 
 @pytest.fixture
 def config(config):
-    return replace(config, suite="open-v1:smoke")
+    return config.changed(suite="open-v1:smoke")
 
 
 @pytest.fixture
 def two(config, tmp_path):
-    a = replace(config, out=tmp_path / "a")
-    b = replace(config, out=tmp_path / "b", policy="other")
+    a = config.changed(out=tmp_path / "a")
+    b = config.changed(out=tmp_path / "b", policy="other")
     return run(a, progress=False, runner=RUNNER), run(b, progress=False, runner=RUNNER), tmp_path / "a", tmp_path / "b"
 
 
@@ -75,7 +75,7 @@ def test_invalid_stages_are_left_out_of_both(two):
     ],
 )
 def test_unlike_runs_are_not_paired(two, config, tmp_path, option, message):
-    run(replace(config, out=tmp_path / "c", **option), progress=False, runner=RUNNER)
+    run(config.changed(out=tmp_path / "c", **option), progress=False, runner=RUNNER)
     with pytest.raises(RunError, match=message):
         compare(two[2], tmp_path / "c")
 

@@ -3,17 +3,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.episode import PilotRunner
-from cognitivedrone.benchmark.run_types import RunConfig
-from cognitivedrone.benchmark.suites import suite_of
+from cognitivedrone.benchmark.job import prepare
 from cognitivedrone.types import ACTION_LIMITS
 
 
 @pytest.mark.parametrize("reasoner", ["none", "oracle"])
 def test_a_film_holds_what_every_step_was_flown_by(reasoner):
-    config = RunConfig(policy="colour_seeker", reasoner=reasoner, suite="open-v1:smoke")
-    suite = suite_of(config)
-    runner = PilotRunner(config, suite)
+    config = Plan.of(policy="colour_seeker", reasoner=reasoner, suite="open-v1:smoke")
+    job = prepare(config)
+    runner = PilotRunner(job)
     try:
         flown, plain = runner.fly(0, film=True), runner.fly(0, film=False)
     finally:
@@ -24,7 +24,7 @@ def test_a_film_holds_what_every_step_was_flown_by(reasoner):
     film = flown.film
     assert film is not None
     assert len(film) == flown.result.steps
-    task = suite.tracks[0][0]
+    task = job.suite.tracks[0][0]
     told = task.instruction if reasoner == "none" else task.directive
     assert {frame.instruction for frame in film} == {told}
     assert all((frame.guidance is None) == (reasoner == "none") for frame in film)

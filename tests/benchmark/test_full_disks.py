@@ -15,10 +15,10 @@ from pathlib import Path
 
 import pytest
 
-from cognitivedrone.benchmark.reason import ReasonConfig, score_reasoner
+from cognitivedrone.benchmark.reason import ReasonPlan, score_reasoner
 from cognitivedrone.benchmark.records import read_records
 from cognitivedrone.benchmark.runner import run
-from cognitivedrone.benchmark.sweep import SweepConfig, sweep
+from cognitivedrone.benchmark.sweep import SweepPlan, sweep
 from cognitivedrone.cli import main
 from cognitivedrone.errors import RunError
 from cognitivedrone.reasoners.replay import read_answers
@@ -46,9 +46,9 @@ def lasting(folder: Path) -> dict:
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_full_disk_ends_a_run_in_one_sentence_and_keeps_what_was_flown(config, tmp_path, workers):
-    whole = replace(config, out=tmp_path / "whole")
+    whole = config.changed(out=tmp_path / "whole")
     run(whole, progress=False, runner=RUNNER)
-    full = replace(config, out=tmp_path / "full", workers=workers)
+    full = config.changed(out=tmp_path / "full", workers=workers)
     size = (whole.out / "episodes.jsonl").stat().st_size
     with (
         files_of_at_most(size // 2),
@@ -65,9 +65,9 @@ def test_a_full_disk_ends_a_run_in_one_sentence_and_keeps_what_was_flown(config,
 
 
 def test_a_report_that_does_not_fit_leaves_nothing_half_written(config, tmp_path):
-    first = replace(config, out=tmp_path / "first")
+    first = config.changed(out=tmp_path / "first")
     run(first, progress=False, runner=RUNNER)
-    second = replace(config, out=tmp_path / "second")
+    second = config.changed(out=tmp_path / "second")
     with (
         files_of_at_most((first.out / "report.html").stat().st_size - 1),
         pytest.raises(RunError, match=r"cannot write .*report\.html: File too large"),
@@ -90,9 +90,9 @@ def impossible(request, tmp_path) -> Path:
 
 def test_a_place_that_cannot_be_written_is_one_sentence(config, impossible):
     asks = (
-        lambda: run(replace(config, out=impossible), progress=False, runner=RUNNER),
-        lambda: sweep(SweepConfig(out=impossible, policy="hover", suite="open-v1:smoke", ms=(0,), episodes=1)),
-        lambda: score_reasoner(ReasonConfig(suite="open-v1:smoke", episodes=1, out=impossible), progress=False),
+        lambda: run(config.changed(out=impossible), progress=False, runner=RUNNER),
+        lambda: sweep(SweepPlan.of(out=impossible, policy="hover", suite="open-v1:smoke", ms=(0,), episodes=1)),
+        lambda: score_reasoner(ReasonPlan.of(suite="open-v1:smoke", episodes=1, out=impossible), progress=False),
     )
     for ask in asks:
         with pytest.raises(RunError) as told:
@@ -134,7 +134,7 @@ def test_a_picture_that_does_not_fit_leaves_the_old_one(tmp_path, capsys):
 
 
 def test_answers_that_do_not_fit_end_in_one_sentence(tmp_path):
-    config = ReasonConfig(suite="open-v1:smoke", episodes=4, out=tmp_path / "out")
+    config = ReasonPlan.of(suite="open-v1:smoke", episodes=4, out=tmp_path / "out")
     with files_of_at_most(1000), pytest.raises(RunError, match=r"cannot write .*reason\.jsonl: File too large") as told:
         score_reasoner(config, progress=False)
     assert "\n" not in str(told.value)

@@ -10,10 +10,11 @@ import pytest
 from rich.console import Console
 
 from cognitivedrone.benchmark.codec import decode, encode
+from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.drawing import episode_map
 from cognitivedrone.benchmark.records import read_records
 from cognitivedrone.benchmark.report import render_report
-from cognitivedrone.benchmark.run_types import RunConfig, Trace
+from cognitivedrone.benchmark.run_types import Trace
 from cognitivedrone.benchmark.runner import run
 from cognitivedrone.benchmark.scoring import summarize
 from cognitivedrone.benchmark.tables import results_table
@@ -27,7 +28,7 @@ BIG = Gate("big", "round", "red")
 def flown(tmp_path_factory):
     """Results and records of two races that the oracle flew."""
     out = tmp_path_factory.mktemp("race") / "run"
-    config = RunConfig(policy="oracle", suite="open-v1:race", episodes=2, workers=0, out=out, clips=1)
+    config = Plan.of(policy="oracle", suite="open-v1:race", episodes=2, workers=0, out=out, clips=1)
     return run(config, progress=False), read_records(out)
 
 

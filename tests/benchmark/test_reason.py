@@ -14,13 +14,13 @@ import reason_fakes
 from rich.console import Console
 
 from cognitivedrone.benchmark.codec import encode
+from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.episode import PilotRunner
-from cognitivedrone.benchmark.reason import ReasonConfig, ReasonResults, out_of, score_reasoner, views
+from cognitivedrone.benchmark.job import prepare
+from cognitivedrone.benchmark.reason import ReasonPlan, ReasonResults, out_of, score_reasoner, views
 from cognitivedrone.benchmark.reason_scoring import judge, summarize_answers
 from cognitivedrone.benchmark.reason_table import reason_table
-from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.runner import Interrupted
-from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import PolicyError, ReasonerFault, RunError
 from cognitivedrone.frames import world_to_heading, yaw_of
@@ -34,12 +34,12 @@ GATES = (Gate("big", "square", "green"), Gate("small", "triangle", "red"), Gate(
 
 
 @pytest.fixture
-def config(tmp_path: Path) -> ReasonConfig:
+def config(tmp_path: Path) -> ReasonPlan:
     """Six tasks."""
-    return ReasonConfig(suite="open-v1:smoke", episodes=6, out=tmp_path / "reason")
+    return ReasonPlan.of(suite="open-v1:smoke", episodes=6, out=tmp_path / "reason")
 
 
-def asked(config: ReasonConfig) -> ReasonResults:
+def asked(config: ReasonPlan) -> ReasonResults:
     return score_reasoner(config, progress=False)
 
 
@@ -84,9 +84,9 @@ def test_the_oracle_is_always_right(config):
 
 
 def test_a_noisy_oracle_is_wrong_in_the_same_tasks_every_time(config, tmp_path):
-    first = asked(replace(config, reasoner="noisy-oracle:0.5"))
-    again = asked(replace(config, reasoner="noisy-oracle:0.5", out=tmp_path / "again"))
-    other = asked(replace(config, reasoner="noisy-oracle:0.5", out=tmp_path / "other", seed=1))
+    first = asked(config.changed(reasoner="noisy-oracle:0.5"))
+    again = asked(config.changed(reasoner="noisy-oracle:0.5", out=tmp_path / "again"))
+    other = asked(config.changed(reasoner="noisy-oracle:0.5", out=tmp_path / "other", seed=1))
     assert lasting(first) == lasting(again)
     assert 0 < first.summary.overall.right < 6
     assert [a.directive for a in first.answers] != [a.directive for a in other.answers]
@@ -94,17 +94,17 @@ def test_a_noisy_oracle_is_wrong_in_the_same_tasks_every_time(config, tmp_path):
 
 
 def test_a_replay_of_its_answers_scores_the_same(config, tmp_path):
-    first = asked(replace(config, reasoner="noisy-oracle:0.5"))
-    replayed = asked(replace(config, reasoner=f"replay:{first.out / 'reason.jsonl'}", out=tmp_path / "replayed"))
+    first = asked(config.changed(reasoner="noisy-oracle:0.5"))
+    replayed = asked(config.changed(reasoner=f"replay:{first.out / 'reason.jsonl'}", out=tmp_path / "replayed"))
     assert lasting(replayed) == lasting(first)
     assert replayed.summary.families == first.summary.families
 
 
 def test_a_replay_of_faults_has_the_same_faults(config, tmp_path):
-    first = asked(replace(config, reasoner="reason_fakes:Overcounter"))
+    first = asked(config.changed(reasoner="reason_fakes:Overcounter"))
     assert first.summary.overall.faults == {"no_such_gate": 3}
     assert first.summary.overall.right == 3
-    replayed = asked(replace(config, reasoner=f"replay:{first.out / 'reason.jsonl'}", out=tmp_path / "replayed"))
+    replayed = asked(config.changed(reasoner=f"replay:{first.out / 'reason.jsonl'}", out=tmp_path / "replayed"))
     assert replayed.summary.overall == first.summary.overall
     assert "faults, counted as not right: no such gate 3; the first at open-v1:smoke/0000" in " ".join(
         text_of(first).split()
@@ -112,16 +112,16 @@ def test_a_replay_of_faults_has_the_same_faults(config, tmp_path):
 
 
 def test_what_is_no_answer_is_counted_and_written_and_the_next_task_is_asked(config):
-    nonsense = asked(replace(config, reasoner="reason_fakes:Boaster"))
+    nonsense = asked(config.changed(reasoner="reason_fakes:Boaster"))
     assert nonsense.summary.overall.faults == {"schema": nonsense.summary.overall.n}
     assert "the confidence is 2.0; expected a number from 0 to 1" in (nonsense.out / "reason.jsonl").read_text()
 
 
 @pytest.mark.parametrize("look", ["plain", "varied"])
 def test_it_sees_what_a_flight_of_the_same_seed_sees_first(config, look):
-    answer = asked(replace(config, look=look, seed=5, episodes=2)).answers[1]
-    run = RunConfig(policy="oracle", suite=config.suite, look=look, seed=5)
-    runner = PilotRunner(run, suite_of(run))
+    answer = asked(config.changed(appearance=look, seed=5, episodes=2)).answers[1]
+    run = Plan.of(policy="oracle", suite=config.scenario.suite, appearance=look, seed=5)
+    runner = PilotRunner(prepare(run))
     film = runner.fly(1, film=True).film
     runner.close()
     assert film is not None
@@ -129,22 +129,22 @@ def test_it_sees_what_a_flight_of_the_same_seed_sees_first(config, look):
 
 
 def test_free_words_count_for_what_they_say(config):
-    overall = asked(replace(config, reasoner="reason_fakes:FreeSpeaker")).summary.overall
+    overall = asked(config.changed(reasoner="reason_fakes:FreeSpeaker")).summary.overall
     assert (overall.rate, overall.color, overall.shape, overall.size, overall.complete) == (1.0, 1.0, 1.0, 0.0, 0.0)
     assert overall.index_given == 0
 
 
 def test_the_last_answer_of_several_frames_counts_and_a_later_fault_takes_nothing_back(config, tmp_path):
-    stumbler = replace(config, reasoner="reason_fakes:Stumbler", episodes=2)
+    stumbler = config.changed(reasoner="reason_fakes:Stumbler", episodes=2)
     assert asked(replace(stumbler, frames=2)).summary.overall.faults == {"timeout": 2}
     assert asked(replace(stumbler, frames=4, out=tmp_path / "four")).summary.overall.right == 2
-    each = asked(replace(config, reasoner="noisy-oracle:0.5,each", frames=1, out=tmp_path / "one"))
-    later = asked(replace(config, reasoner="noisy-oracle:0.5,each", frames=3, out=tmp_path / "three"))
+    each = asked(config.changed(reasoner="noisy-oracle:0.5,each", frames=1, out=tmp_path / "one"))
+    later = asked(config.changed(reasoner="noisy-oracle:0.5,each", frames=3, out=tmp_path / "three"))
     assert [a.directive for a in each.answers] != [a.directive for a in later.answers]
 
 
 def test_a_track_is_told_as_in_flight(config):
-    tracks = replace(config, reasoner="reason_fakes:Rememberer", suite="open-v1:track", episodes=2)
+    tracks = config.changed(reasoner="reason_fakes:Rememberer", suite="open-v1:track", episodes=2)
     results = asked(tracks)
     assert [(a.episode, a.stage) for a in results.answers] == [(e, s) for e in range(2) for s in range(5)]
     told = [word.partition(" ")[0] for word in reason_fakes.LOG]
@@ -177,7 +177,7 @@ def test_later_stages_are_looked_at_from_their_own_start_boxes():
 
 
 def test_what_is_written_is_what_was_scored(config):
-    results = asked(replace(config, reasoner="noisy-oracle:0.5", look="varied"))
+    results = asked(config.changed(reasoner="noisy-oracle:0.5", appearance="varied"))
     document = json.loads((results.out / "reason.json").read_text())
     assert document["scores"] == encode(results.summary)
     assert document["suite"]["name"] == "open-v1:smoke"
@@ -193,13 +193,13 @@ def test_answers_are_not_thrown_away_unasked(config):
     asked(config)
     with pytest.raises(RunError, match="already holds answers; give --overwrite"):
         asked(config)
-    assert asked(replace(config, episodes=2, overwrite=True)).summary.overall.n == 2
+    assert asked(config.changed(episodes=2, overwrite=True)).summary.overall.n == 2
     assert len((config.out / "reason.jsonl").read_text().splitlines()) == 2
 
 
 def test_ctrl_c_keeps_the_answers(config):
     with pytest.raises(Interrupted, match=r"stopped after 2 answers, all kept in .*reason\.jsonl"):
-        asked(replace(config, reasoner="reason_fakes:Interrupted"))
+        asked(config.changed(reasoner="reason_fakes:Interrupted"))
     assert len((config.out / "reason.jsonl").read_text().splitlines()) == 2
     assert not (config.out / "reason.json").exists()
 
@@ -230,11 +230,11 @@ def test_nothing_asked_nothing_scored():
 )
 def test_what_cannot_be_asked_is_told(config, change, error, message):
     with pytest.raises(error, match=message):
-        asked(replace(config, **change))
+        asked(config.changed(**change))
 
 
 def test_the_folder_is_named_after_suite_and_reasoner():
-    assert out_of(ReasonConfig(reasoner="noisy-oracle:0.5,each", track=True)) == Path(
+    assert out_of(ReasonPlan.of(reasoner="noisy-oracle:0.5,each", track=True)) == Path(
         "results/reason-open-v1-test-noisy-oracle-0.5-each-track"
     )
 
@@ -244,6 +244,6 @@ def test_the_reasoner_of_the_docs_answers(config, tmp_path, monkeypatch):
     (code,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
     (tmp_path / "my_reasoner.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
-    results = asked(replace(config, reasoner="my_reasoner:LargestPatch", episodes=3))
+    results = asked(config.changed(reasoner="my_reasoner:LargestPatch", episodes=3))
     assert all(answer.right.color is not None for answer in results.answers)
     assert all(f"`{kind}`" in page for kind in get_args(ReasonerFault))

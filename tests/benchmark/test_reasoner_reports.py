@@ -6,10 +6,10 @@ import json
 
 import pytest
 
-from cognitivedrone.benchmark import RunConfig, run
+from cognitivedrone.benchmark import Plan, run
 from cognitivedrone.benchmark.results import read_results
 from cognitivedrone.benchmark.scoring import score
-from cognitivedrone.benchmark.sweep import PLOT_FILE, SweepConfig, sweep
+from cognitivedrone.benchmark.sweep import PLOT_FILE, SweepPlan, sweep
 from cognitivedrone.errors import PolicyError, RunError
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import ReasonerReport, StageResult
@@ -37,10 +37,10 @@ def answers(tmp_path_factory):
 @pytest.fixture(scope="module")
 def flown(answers, tmp_path_factory):
     out = tmp_path_factory.mktemp("runs") / "run"
-    config = RunConfig(
-        "colour_seeker",
-        f"replay:{answers}",
-        "open-v1:smoke",
+    config = Plan.of(
+        policy="colour_seeker",
+        reasoner=f"replay:{answers}",
+        suite="open-v1:smoke",
         workers=0,
         episodes=EPISODES,
         latency="policy=30ms,reasoner=300ms",
@@ -81,12 +81,20 @@ def test_scores_of_mind_and_wings_stand_apart(flown):
 
 def test_the_file_of_results_holds_it_and_what_it_came_from(flown, answers):
     options = flown.run.options
-    assert options.latency == "policy=30ms,reasoner=300ms"
-    assert len(options.reasoner_model) == 64
+    assert options["latency"] == "policy=30ms,reasoner=300ms"
+    assert len(options["reasoner_model"]) == 64
 
 
 def test_results_with_reasoners_are_read_back(flown, tmp_path):
-    config = RunConfig("colour_seeker", "oracle", "open-v1:smoke", workers=0, episodes=2, out=tmp_path / "run", clips=0)
+    config = Plan.of(
+        policy="colour_seeker",
+        reasoner="oracle",
+        suite="open-v1:smoke",
+        workers=0,
+        episodes=2,
+        out=tmp_path / "run",
+        clips=0,
+    )
     done = run(config, progress=False)
     assert read_results(tmp_path / "run") == done
     assert done.summary().overall.reasoner.gate == 1.0
@@ -102,13 +110,13 @@ def test_stages_without_a_reasoner_have_no_such_score():
 
 def test_latency_that_cannot_be_read_stops_before_take_off(tmp_path):
     with pytest.raises(PolicyError, match="cannot read 'soon'"):
-        run(RunConfig("hover", suite="open-v1:smoke", latency="soon", out=tmp_path / "run"), progress=False)
+        run(Plan.of(policy="hover", suite="open-v1:smoke", latency="soon", out=tmp_path / "run"), progress=False)
     assert not (tmp_path / "run").exists()
 
 
 def test_a_sweep_flies_each_latency_once_and_plots(tmp_path):
-    config = SweepConfig(
-        tmp_path / "sweep", "colour_seeker", "oracle", "open-v1:smoke", ms=(2000, 0), episodes=3, workers=0
+    config = SweepPlan.of(
+        out=tmp_path / "sweep", policy="colour_seeker", suite="open-v1:smoke", ms=(2000, 0), episodes=3, workers=0
     )
     points = sweep(config, progress=False)
     assert [ms for ms, _ in points] == [0, 2000]
@@ -119,4 +127,4 @@ def test_a_sweep_flies_each_latency_once_and_plots(tmp_path):
     again = sweep(config, progress=False)
     assert [run.timing for _, run in again] == [run.timing for _, run in points]
     with pytest.raises(RunError, match="none below 0"):
-        sweep(SweepConfig(tmp_path / "no", ms=(-1,)))
+        sweep(SweepPlan.of(out=tmp_path / "no", ms=(-1,)))

@@ -6,20 +6,19 @@ from dataclasses import replace
 import pytest
 from benchmark_fakes import FakeRunner
 
+from cognitivedrone.benchmark.job import prepare
 from cognitivedrone.benchmark.records import EPISODES_FILE, RunFolder, read_records
-from cognitivedrone.benchmark.runner import facts_of
-from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.errors import RunError
 
 
 @pytest.fixture
 def facts(config):
-    return facts_of(config, suite_of(config))
+    return prepare(config).facts
 
 
 @pytest.fixture
 def flown(config):
-    runner = FakeRunner(config, suite_of(config))
+    runner = FakeRunner(prepare(config))
     return [runner.fly(episode, film=False) for episode in range(4)]
 
 
@@ -76,7 +75,7 @@ def test_resume_refuses_another_run_and_says_what_differs(folder, facts):
     with pytest.raises(RunError, match="policy is 'fake' there and 'other' here"):
         RunFolder(folder, replace(facts, policy="other"), resume=True)
     with pytest.raises(RunError, match=r"options\.seed is 0 there and 1 here"):
-        RunFolder(folder, replace(facts, options=replace(facts.options, seed=1)), resume=True)
+        RunFolder(folder, replace(facts, options={**facts.options, "seed": 1}), resume=True)
     assert (folder / EPISODES_FILE).read_bytes() == before
 
 

@@ -17,8 +17,8 @@ from cognitivedrone.benchmark.clips import choose_clips, encode_mp4, make_clip
 from cognitivedrone.benchmark.drawing import episode_map, overlay, stage_flights
 from cognitivedrone.benchmark.report import render_report
 from cognitivedrone.benchmark.runner import run
-from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.benchmark.tables import results_table, words
+from cognitivedrone.tasks.scenario import suite_of
 
 RUNNER = "benchmark_fakes:FakeRunner"
 
@@ -155,7 +155,7 @@ def test_families_that_passed_everything_share_a_row(pieces):
 
 
 def test_films_stand_over_the_tables_failures_first_and_loop(config):
-    run(replace(config, clips=12), progress=False, runner=RUNNER)
+    run(config.changed(clips=12), progress=False, runner=RUNNER)
     text = (config.out / "report.html").read_text()
     assert text.index("<video") < text.index("<h3>Passed") < text.index("<table")
     assert text.index("<h3>Not passed") < text.index("<h3>Passed")
@@ -164,7 +164,7 @@ def test_films_stand_over_the_tables_failures_first_and_loop(config):
 
 
 def test_the_instruction_of_every_failure_is_told(config):
-    results = run(replace(config, clips=0), progress=False, runner=RUNNER)
+    results = run(config.changed(clips=0), progress=False, runner=RUNNER)
     listed = (config.out / "report.html").read_text().partition("Every stage not passed")[2].partition("</table>")[0]
     tracks = suite_of(config).tracks
     failed = [e.episode for e in results.episodes if e.stages[0].outcome != "passed"]
@@ -240,14 +240,14 @@ def test_films_that_do_not_fit_are_left_out_and_told(pieces, monkeypatch):
 
 
 def test_a_pilot_that_flies_differently_the_second_time_is_told(config):
-    run(replace(config, clips=12), progress=False, runner="benchmark_fakes:FickleRunner")
+    run(config.changed(clips=12), progress=False, runner="benchmark_fakes:FickleRunner")
     assert "the pilot is not deterministic" in (config.out / "report.html").read_text()
-    run(replace(config, clips=12, overwrite=True), progress=False, runner=RUNNER)
+    run(config.changed(clips=12, overwrite=True), progress=False, runner=RUNNER)
     assert "the pilot is not deterministic" not in (config.out / "report.html").read_text()
 
 
 def test_a_page_of_tracks_draws_every_stage(config):
-    run(replace(config, track=True, clips=4), progress=False, runner=RUNNER)
+    run(config.changed(track=True, clips=4), progress=False, runner=RUNNER)
     text = (config.out / "report.html").read_text()
     Page(text)
     assert "episodes completed" in text
@@ -292,7 +292,7 @@ def test_a_film_plays_as_it_was_taken():
 
 
 def test_a_map_shows_each_flight_in_the_frame_of_its_stage(config):
-    config = replace(config, track=True)
+    config = config.changed(track=True)
     runner = FakeRunner(config, suite_of(config))
     flown = max((runner.fly(e, film=False) for e in range(4)), key=lambda one: len(one.trace.stages))
     flights = list(stage_flights(flown.result, flown.trace))

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.records import read_records
-from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.runner import Interrupted, command_of, out_of, run
-from cognitivedrone.benchmark.suites import chain, suite_of
 from cognitivedrone.errors import CognitiveDroneError, RunError
 from cognitivedrone.tasks import load_suite, open_suite, write_tasks
+from cognitivedrone.tasks.scenario import chain, suite_of
 
 RUNNER = "benchmark_fakes:FakeRunner"
 
@@ -26,17 +26,17 @@ def lasting(folder: Path) -> dict:
     return {key: value for key, value in document.items() if key not in ("timing", "platform")}
 
 
-def in_new_process(config: RunConfig, runner: str, workers: int) -> subprocess.CompletedProcess:
+def in_new_process(config: Plan, runner: str, workers: int) -> subprocess.CompletedProcess:
     """A run in a process, and a process group, of its own."""
     script = f"""
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a test run in the background is started deaf to it
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from pathlib import Path
-from cognitivedrone.benchmark.run_types import RunConfig
+from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runner import run
 if __name__ == "__main__":
-    config = RunConfig(policy="fake", suite="open-v1:train", episodes=20, clips=0, workers={workers},
+    config = Plan.of(policy="fake", suite="open-v1:train", episodes=20, clips=0, workers={workers},
                        out=Path({str(config.out)!r}))
     try:
         run(config, progress=False, runner={runner!r})
@@ -52,8 +52,8 @@ if __name__ == "__main__":
 
 
 def test_the_number_of_workers_changes_nothing(config, tmp_path):
-    alone = replace(config, out=tmp_path / "alone", clips=3)
-    team = replace(config, out=tmp_path / "team", clips=3, workers=3)
+    alone = config.changed(out=tmp_path / "alone", clips=3)
+    team = config.changed(out=tmp_path / "team", clips=3, workers=3)
     run(alone, progress=False, runner=RUNNER)
     results = run(team, progress=False, runner=RUNNER)
     assert [episode.episode for episode in results.episodes] == list(range(20))
@@ -63,7 +63,7 @@ def test_the_number_of_workers_changes_nothing(config, tmp_path):
 
 def test_the_seed_changes_the_flights(config, tmp_path):
     run(config, progress=False, runner=RUNNER)
-    run(replace(config, out=tmp_path / "other", seed=1), progress=False, runner=RUNNER)
+    run(config.changed(out=tmp_path / "other", seed=1), progress=False, runner=RUNNER)
     assert lasting(config.out)["episodes"] != lasting(tmp_path / "other")["episodes"]
 
 
@@ -72,20 +72,20 @@ def test_a_killed_run_goes_on_and_ends_as_if_nothing_had_happened(config, tmp_pa
     assert killed.returncode == -signal.SIGKILL
     assert sorted(read_records(config.out)) == [0, 1, 2, 3, 4]
     assert not (config.out / "results.json").exists()
-    results = run(replace(config, resume=True), progress=False, runner=RUNNER)
+    results = run(config.changed(resume=True), progress=False, runner=RUNNER)
     assert results.timing.episodes_flown == 15
-    run(replace(config, out=tmp_path / "whole"), progress=False, runner=RUNNER)
+    run(config.changed(out=tmp_path / "whole"), progress=False, runner=RUNNER)
     assert lasting(config.out) == lasting(tmp_path / "whole")
 
 
 def test_a_finished_run_is_not_flown_again(config):
     first = run(config, progress=False, runner=RUNNER)
-    assert run(replace(config, resume=True), progress=False, runner="benchmark_fakes:UnlabelledRunner") == first
+    assert run(config.changed(resume=True), progress=False, runner="benchmark_fakes:UnlabelledRunner") == first
 
 
 def test_another_rule_on_resume_gives_its_own_report_without_flying(config):
     through = run(config, progress=False, runner=RUNNER)
-    within = run(replace(config, resume=True, rule="within_1m"), progress=False, runner=RUNNER)
+    within = run(config.changed(resume=True, rule="within_1m"), progress=False, runner=RUNNER)
     assert within.timing.episodes_flown == 0
     assert within.episodes == through.episodes
     assert within.summary().overall.passed > through.summary().overall.passed
@@ -104,15 +104,15 @@ def test_ctrl_c_with_workers_ends_them_quietly(config):
     assert stopped.returncode == 130
     assert "--resume" in stopped.stdout
     assert not stopped.stderr.strip()  # older versions of rich end the bar's line
-    results = run(replace(config, resume=True), progress=False, runner=RUNNER)
+    results = run(config.changed(resume=True), progress=False, runner=RUNNER)
     assert results.summary().overall.n == 20
 
 
 def test_a_worker_that_dies_is_told_with_its_episode_and_the_rest_is_kept(config):
     with pytest.raises(RunError, match=r"episode 5 \(open-v1:train/0-5\) was killed by SIGKILL.*--resume"):
-        run(replace(config, workers=2), progress=False, runner="benchmark_fakes:DyingRunner")
+        run(config.changed(workers=2), progress=False, runner="benchmark_fakes:DyingRunner")
     assert set(read_records(config.out)) >= {0, 1, 2, 3}
-    assert run(replace(config, resume=True), progress=False, runner=RUNNER).summary().overall.n == 20
+    assert run(config.changed(resume=True), progress=False, runner=RUNNER).summary().overall.n == 20
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -125,7 +125,7 @@ def test_a_worker_that_dies_is_told_with_its_episode_and_the_rest_is_kept(config
     ],
 )
 def test_a_worker_that_a_policy_takes_down_costs_one_episode(config, runner, says, trace, workers):
-    config = replace(config, workers=workers, decision_timeout=1.0)
+    config = config.changed(workers=workers, decision_timeout=1.0)
     results = run(config, progress=False, runner=f"benchmark_fakes:{runner}")
     (failed,) = (episode for episode in results.episodes if episode.message)
     assert failed.episode == 5
@@ -135,57 +135,57 @@ def test_a_worker_that_a_policy_takes_down_costs_one_episode(config, runner, say
     assert trace in (config.out / "errors" / "episode-0005.txt").read_text()
     assert results.summary().overall.outcomes["policy_error"] == 1
     # What the others flew is what they fly without it.
-    whole = run(replace(config, workers=0, out=config.out / "whole"), progress=False, runner=RUNNER)
+    whole = run(config.changed(workers=0, out=config.out / "whole"), progress=False, runner=RUNNER)
     assert [e for e in results.episodes if e.episode != 5] == [e for e in whole.episodes if e.episode != 5]
 
 
 def test_a_worker_that_leaves_on_its_own_never_ends_a_run_well(config):
     with pytest.raises(RunError, match=r"the worker of episode 5 .* ended with exit code 0; give --resume"):
-        run(replace(config, workers=1), progress=False, runner="benchmark_fakes:LeavingRunner")
+        run(config.changed(workers=1), progress=False, runner="benchmark_fakes:LeavingRunner")
     assert not (config.out / "results.json").exists()
 
 
 def test_fail_fast_stops_at_the_first_exception_and_records_nothing_of_its_episode(config):
     with pytest.raises(RunError, match=r"episode 5: the reasoner raised an exception; its traceback is in .*0005\.txt"):
-        run(replace(config, fail_fast=True), progress=False, runner="benchmark_fakes:RaisingRunner")
+        run(config.changed(fail_fast=True), progress=False, runner="benchmark_fakes:RaisingRunner")
     assert sorted(read_records(config.out)) == [0, 1, 2, 3, 4]
-    assert run(replace(config, resume=True), progress=False, runner=RUNNER).summary().overall.n == 20
+    assert run(config.changed(resume=True), progress=False, runner=RUNNER).summary().overall.n == 20
 
 
 def test_a_pilot_that_cannot_be_made_costs_no_earlier_run(config):
     run(config, progress=False, runner=RUNNER)
     before = lasting(config.out)
     with pytest.raises(CognitiveDroneError, match="zebr"):
-        run(replace(config, overwrite=True), progress=False, runner="benchmark_fakes:UnlabelledRunner")
+        run(config.changed(overwrite=True), progress=False, runner="benchmark_fakes:UnlabelledRunner")
     assert lasting(config.out) == before
 
 
 def test_overwriting_takes_old_tracebacks_away(config):
     run(config, progress=False, runner="benchmark_fakes:RaisingRunner")
     assert (config.out / "errors").exists()
-    run(replace(config, overwrite=True), progress=False, runner=RUNNER)
+    run(config.changed(overwrite=True), progress=False, runner=RUNNER)
     assert not (config.out / "errors").exists()
 
 
 def test_a_bug_in_a_worker_is_told_with_its_episode_and_its_traceback_is_kept(config):
     with pytest.raises(RunError, match=r"episode 5 .* failed: ZeroDivisionError: a bug in a policy.*error\.txt"):
-        run(replace(config, workers=2), progress=False, runner="benchmark_fakes:BuggyRunner")
+        run(config.changed(workers=2), progress=False, runner="benchmark_fakes:BuggyRunner")
     assert "benchmark_fakes.py" in (config.out / "error.txt").read_text()
 
 
 def test_a_worker_that_cannot_start_is_told(config):
     with pytest.raises(RunError, match="a worker ended with exit code 3 before it was ready; --workers 0"):
-        run(replace(config, workers=2), progress=False, runner="benchmark_fakes:StillbornRunner")
+        run(config.changed(workers=2), progress=False, runner="benchmark_fakes:StillbornRunner")
 
 
 @pytest.mark.parametrize("workers", [0, 1, 2])
 def test_an_error_of_ours_arrives_as_its_own_sentence(config, workers):
     with pytest.raises(CognitiveDroneError, match=r"^label 'zebr' is not in the pack; did you mean 'zebra'\?$"):
-        run(replace(config, workers=workers), progress=False, runner="benchmark_fakes:UnlabelledRunner")
+        run(config.changed(workers=workers), progress=False, runner="benchmark_fakes:UnlabelledRunner")
 
 
 def test_no_more_workers_than_episodes(config):
-    assert run(replace(config, episodes=1, workers=8), progress=False, runner=RUNNER).timing.workers == 1
+    assert run(config.changed(episodes=1, workers=8), progress=False, runner=RUNNER).timing.workers == 1
 
 
 @pytest.mark.parametrize(
@@ -201,7 +201,7 @@ def test_no_more_workers_than_episodes(config):
 )
 def test_impossible_options_are_refused_before_anything_is_written(config, wrong, message):
     with pytest.raises(CognitiveDroneError, match=message):
-        run(replace(config, **wrong), progress=False, runner=RUNNER)
+        run(config.changed(**wrong), progress=False, runner=RUNNER)
     assert not config.out.exists()
 
 
@@ -209,25 +209,25 @@ def test_other_labels_are_another_run(config, tmp_path):
     labels = tmp_path / "labels"
     labels.mkdir()
     (labels / "cat.png").write_bytes(b"a cat")
-    run(replace(config, labels=labels), progress=False, runner=RUNNER)
+    run(config.changed(labels=labels), progress=False, runner=RUNNER)
     (labels / "cat.png").write_bytes(b"a dog")
     with pytest.raises(RunError, match=r"options\.labels is"):
-        run(replace(config, labels=labels, resume=True), progress=False, runner=RUNNER)
+        run(config.changed(labels=labels, resume=True), progress=False, runner=RUNNER)
 
 
 def test_another_wind_is_another_run(config):
-    windy = replace(config, wind=0.5)
-    assert run(windy, progress=False, runner=RUNNER).run.options.wind_m_s == 0.5
+    windy = config.changed(wind=0.5)
+    assert run(windy, progress=False, runner=RUNNER).run.option("wind_m_s") == 0.5
     assert "--wind 0.5" in command_of(windy)
     assert "--wind" not in command_of(config)
     with pytest.raises(RunError, match=r"options\.wind_m_s is 0\.5 there and 0\.0 here"):
-        run(replace(config, resume=True), progress=False, runner=RUNNER)
+        run(config.changed(resume=True), progress=False, runner=RUNNER)
 
 
 def test_another_model_in_the_same_file_is_another_run(config, tmp_path):
     file = tmp_path / "model.onnx"
     file.write_bytes(b"first")
-    flown = replace(config, policy=f"small:{file}")
+    flown = config.changed(policy=f"small:{file}")
     run(flown, progress=False, runner=RUNNER)
     file.write_bytes(b"second")
     with pytest.raises(RunError, match=r"options\.model is"):
@@ -250,7 +250,7 @@ def test_single_tasks_are_chained_in_order():
 
 
 def test_a_run_on_tracks_counts_the_stages_that_were_not_reached(config):
-    results = run(replace(config, track=True), progress=False, runner=RUNNER)
+    results = run(config.changed(track=True), progress=False, runner=RUNNER)
     assert len(results.episodes) == 4
     summary = results.summary()
     assert summary.overall.n == 20
@@ -259,9 +259,9 @@ def test_a_run_on_tracks_counts_the_stages_that_were_not_reached(config):
 
 
 def test_the_first_episodes_are_the_same_however_many_follow(config, tmp_path):
-    config = replace(config, suite="open-v1:smoke")
-    run(replace(config, episodes=None), progress=False, runner=RUNNER)
-    run(replace(config, episodes=3, out=tmp_path / "short"), progress=False, runner=RUNNER)
+    config = config.changed(suite="open-v1:smoke")
+    run(config.changed(episodes=None), progress=False, runner=RUNNER)
+    run(config.changed(episodes=3, out=tmp_path / "short"), progress=False, runner=RUNNER)
     assert lasting(config.out)["episodes"][:3] == lasting(tmp_path / "short")["episodes"]
 
 
@@ -269,19 +269,19 @@ def test_tasks_of_a_file_are_flown(config, tmp_path):
     tasks = [task for track in load_suite("open-v1:train", size=3).tracks for task in track]
     write_tasks(tmp_path / "mine.json", tasks)
     assert [t.instruction for (t,) in open_suite(str(tmp_path / "mine.json")).tracks] == [t.instruction for t in tasks]
-    given = replace(config, tasks=tmp_path / "mine.json", episodes=None)
+    given = config.changed(tasks=tmp_path / "mine.json", episodes=None)
     assert suite_of(given).n_tasks == 3
     assert run(given, progress=False, runner=RUNNER).summary().overall.n == 3
 
 
 def test_the_folder_is_named_after_suite_and_pilot():
-    assert out_of(RunConfig(suite="open-v1:test", policy="my.module:Mine", reasoner="oracle")) == Path(
+    assert out_of(Plan.of(suite="open-v1:test", policy="my.module:Mine", reasoner="oracle")) == Path(
         "results/open-v1-test-my.module-Mine-oracle"
     )
 
 
 def test_workers_do_not_outlive_a_run(config):
-    run(replace(config, workers=2), progress=False, runner="benchmark_fakes:NamedRunner")
+    run(config.changed(workers=2), progress=False, runner="benchmark_fakes:NamedRunner")
     renderer = json.loads((config.out / "results.json").read_text())["renderer"]
     pids = [int(name.split()[-1]) for name in renderer.split(" and ")]
     assert pids

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from cognitivedrone.benchmark import RunConfig, run
-from cognitivedrone.benchmark.reason import ReasonConfig, score_reasoner
+from cognitivedrone.benchmark import Plan, run
+from cognitivedrone.benchmark.reason import ReasonPlan, score_reasoner
 
 
 def test_the_small_reasoner_knows_the_gate_from_the_first_frame(tmp_path):
-    scored = score_reasoner(ReasonConfig("small", "open-v1:smoke", out=tmp_path / "answers"), progress=False)
+    scored = score_reasoner(
+        ReasonPlan.of(reasoner="small", suite="open-v1:smoke", out=tmp_path / "answers"), progress=False
+    )
     assert len(scored.answers) == 30
     assert scored.summary.overall.rate >= 28 / 30
 
 
 def test_policy_and_reasoner_fly_what_the_policy_alone_does_not_understand(tmp_path):
-    hard = RunConfig("small", "small", "open-v1:hard", episodes=10, out=tmp_path / "r1", clips=0)
+    hard = Plan.of(policy="small", reasoner="small", suite="open-v1:hard", episodes=10, out=tmp_path / "r1", clips=0)
     assert run(hard, progress=False).summary().overall.rate >= 0.8
 
 
 def test_the_racer_races(tmp_path):
-    race = RunConfig("race", "none", "open-v1:race", episodes=2, out=tmp_path / "race", clips=0)
+    race = Plan.of(policy="race", reasoner="none", suite="open-v1:race", episodes=2, out=tmp_path / "race", clips=0)
     assert run(race, progress=False).summary().overall.pass_given_choice >= 0.8

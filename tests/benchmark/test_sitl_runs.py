@@ -8,17 +8,17 @@ from dataclasses import replace
 import pytest
 from arducopters import REAL, needs_arducopter, played_arducopter
 
+from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.results import read_results, results_from_json
-from cognitivedrone.benchmark.run_types import RunConfig
 from cognitivedrone.benchmark.runner import command_of, run
 from cognitivedrone.benchmark.tables import results_table
 from cognitivedrone.errors import CognitiveDroneError
-from cognitivedrone.vehicles.one_drone import LinkReport
+from cognitivedrone.vehicles.external import LinkReport
 
 
 @pytest.fixture
-def sitl(tmp_path) -> RunConfig:
-    return RunConfig(
+def sitl(tmp_path) -> Plan:
+    return Plan.of(
         policy="colour_seeker", reasoner="oracle", suite="open-v1:smoke", episodes=1, workers=1, clips=0,
         link="sitl", airframe="iris", out=tmp_path / "run",
     )  # fmt: skip
@@ -36,8 +36,8 @@ def test_a_task_is_flown_on_another_autopilot_and_the_run_tells_so(sitl, tmp_pat
     # A flight of that long at 400 frames a second, and the take-off before it.
     assert link.frames > 400 * stage.time_s
     assert (link.lost, link.restarts) == (0, 0)
-    assert results.run.options.link == "sitl"
-    assert len(results.run.options.autopilot) == 64
+    assert results.run.option("link") == "sitl"
+    assert len(results.run.option("autopilot")) == 64
     assert "--link sitl" in command_of(sitl)
     assert read_results(sitl.out) == results
     document = json.loads((sitl.out / "results.json").read_text())
@@ -49,7 +49,7 @@ def test_files_without_a_link_are_of_our_own_autopilot(config):
     document = json.loads((config.out / "results.json").read_text())
     assert not {"link", "autopilot"} & document["options"].keys()
     assert "link" not in document["timing"]
-    assert results_from_json(document, "here").run.options.link == "sim"
+    assert results_from_json(document, "here").run.option("link") == "sim"
     timing = replace(results.timing, link=LinkReport(1200, 3, 2))
     table = results_table(replace(results, timing=timing))
     assert "ArduCopter: 1200 frames of physics, 3 lost; started anew 2 times" in [str(row) for row in table.renderables]
@@ -66,13 +66,13 @@ def test_files_without_a_link_are_of_our_own_autopilot(config):
 def test_what_cannot_be_flown_is_told_before_anything_is_written(sitl, monkeypatch, change, binary, says):
     monkeypatch.setenv("ARDUCOPTER", binary)
     with pytest.raises(CognitiveDroneError, match=says):
-        run(replace(sitl, **change), progress=False)
+        run(sitl.changed(**change), progress=False)
     assert not sitl.out.exists()
 
 
 @needs_arducopter
 def test_a_real_arducopter_flies_a_few_tasks_without_a_lost_frame(sitl):
-    results = run(replace(sitl, episodes=3, airframe="racer"), progress=False)
+    results = run(sitl.changed(episodes=3, airframe="racer"), progress=False)
     assert [stage.outcome for episode in results.episodes for stage in episode.stages] == ["passed"] * 3
     assert results.timing.link is not None
     assert (results.timing.link.lost, results.timing.link.restarts) == (0, 0)

@@ -8,7 +8,7 @@ import warnings
 import pytest
 from chat_server import Script, chat, serving
 
-from cognitivedrone.benchmark import RunConfig, run
+from cognitivedrone.benchmark import Plan, run
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.tasks import load_suite
 
@@ -24,10 +24,10 @@ def flown(script, out, timeout=2.0, latency="none"):
     """The result of the only stage, and the warnings that were said."""
     with serving(script) as url, warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        config = RunConfig(
-            "colour_seeker",
-            f"vlm:{url},model=eye-7b,timeout={timeout}",
-            "open-v1:smoke",
+        config = Plan.of(
+            policy="colour_seeker",
+            reasoner=f"vlm:{url},model=eye-7b,timeout={timeout}",
+            suite="open-v1:smoke",
             workers=0,
             episodes=1,
             latency=latency,
@@ -112,7 +112,9 @@ def test_a_wrong_key_or_model_stops_before_take_off(models, says, tmp_path):
 
 def test_a_server_that_is_down_stops_before_take_off(tmp_path):
     pytest.importorskip("httpx")
-    config = RunConfig("hover", "vlm:http://127.0.0.1:9/v1,model=eye-7b", "open-v1:smoke", out=tmp_path / "run")
+    config = Plan.of(
+        policy="hover", reasoner="vlm:http://127.0.0.1:9/v1,model=eye-7b", suite="open-v1:smoke", out=tmp_path / "run"
+    )
     with pytest.raises(PolicyError, match=r"127\.0\.0\.1:9"):
         run(config, progress=False)
     assert not (tmp_path / "run").exists()

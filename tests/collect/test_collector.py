@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from cognitivedrone.collect import collector, executors
-from cognitivedrone.collect.collector import CollectConfig, collect
+from cognitivedrone.collect.collector import CollectPlan, collect
 from cognitivedrone.collect.executors import Job, fly_here, fly_local
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.data.layout import sole_writer
@@ -24,7 +24,7 @@ from cognitivedrone.errors import DataError, MissingExtra, PolicyError, TaskErro
 
 
 def config(out, **changes):
-    return CollectConfig(out=out, **({"recipe": "debug", "episodes": 10, "episodes_per_shard": 3} | changes))
+    return CollectPlan.of(out=out, **({"recipe": "debug", "episodes": 10, "episodes_per_shard": 3} | changes))
 
 
 def digests(folder):
@@ -74,7 +74,8 @@ def fly(job, batches, workers):
             os.kill(os.getpid(), signal.SIGKILL)
         yield from executors.fly_here(job, batch)
 executors.fly_local = fly
-collector.collect(collector.CollectConfig(Path({str(out)!r}), "debug", 10, episodes_per_shard=3), progress=False)
+plan = collector.CollectPlan(Path({str(out)!r}), "debug", 10, episodes_per_shard=3)
+collector.collect(plan, progress=False)
 """
     killed = subprocess.run([sys.executable, "-c", script], env=os.environ, check=False)
     assert killed.returncode == -signal.SIGKILL

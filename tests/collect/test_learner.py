@@ -11,7 +11,7 @@ import pytest
 from tiny import DESCRIPTION, tiny_model
 
 from cognitivedrone.collect import executors
-from cognitivedrone.collect.collector import CollectConfig, collect
+from cognitivedrone.collect.collector import CollectPlan, collect
 from cognitivedrone.collect.executors import Job, fly_here, learner_of
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.data.store import Store
@@ -40,7 +40,7 @@ def model(tiny_model_file, tmp_path):
 
 def config(out, model, **changes):
     settings = {"recipe": "debug", "episodes": 5, "episodes_per_shard": 2, "policy": f"small:{model}", "beta": BETA}
-    return CollectConfig(out=out, **(settings | changes))
+    return CollectPlan.of(out=out, **(settings | changes))
 
 
 def digests(folder):

@@ -6,7 +6,7 @@ import hashlib
 
 import pytest
 
-from cognitivedrone.collect.collector import CollectConfig, collect
+from cognitivedrone.collect.collector import CollectPlan, collect
 from cognitivedrone.collect.executors import Job, fly_ray
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.errors import TaskError
@@ -25,7 +25,10 @@ def test_a_cluster_makes_the_same_bytes_as_local_workers(tmp_path):
         assert len([node for node in ray.nodes() if node["Alive"]]) == 2
         folders = {name: tmp_path / name for name in ("ray", "local")}
         for executor, out in folders.items():
-            collect(CollectConfig(out, "debug", 8, workers=2, episodes_per_shard=2, executor=executor), progress=False)
+            collect(
+                CollectPlan.of(out=out, recipe="debug", episodes=8, workers=2, episodes_per_shard=2, executor=executor),
+                progress=False,
+            )
         with pytest.raises(TaskError, match="nowhere"):
             list(fly_ray(Job("open-v1:nowhere", RECIPES["debug"], 0, 5), [[0]], 1))
     finally:

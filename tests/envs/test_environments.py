@@ -166,7 +166,7 @@ def test_observations_stay_as_they_were_given(vector):
 
 
 def test_looks_differ_by_seed_only_where_they_are_varied():
-    made = gymnasium.make("CognitiveDrone-v1", suite="open-v1:smoke", look="varied")
+    made = gymnasium.make("CognitiveDrone-v1", suite="open-v1:smoke", appearance="varied")
     first = made.reset(seed=1, options={"episode": 0})[0]["image"].copy()
     second = made.reset(seed=2, options={"episode": 0})[0]["image"].copy()
     made.close()

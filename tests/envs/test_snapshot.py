@@ -10,7 +10,8 @@ import pytest
 from PIL import Image
 
 from cognitivedrone.envs.snapshot import snapshot
-from cognitivedrone.errors import RunError, TaskError
+from cognitivedrone.errors import RunError, SimulationError, TaskError
+from cognitivedrone.plan import Scenario
 from cognitivedrone.tasks import Suite, load_suite
 
 GREEN = (18, 134, 95)
@@ -21,8 +22,8 @@ def smoke():
     return load_suite("open-v1:smoke")
 
 
-def picture_of(suite, out: Path, episode=0, labels="open-v1"):
-    task = snapshot(suite, episode, out, look="plain", labels=labels, seed=0)
+def picture_of(suite, out: Path, episode=0, labels=None):
+    task = snapshot(suite, episode, out, Scenario(labels=labels))
     with Image.open(out) as image:
         return task, np.asarray(image.convert("RGB"))
 
@@ -62,7 +63,7 @@ def test_own_pictures_of_any_shape_are_shown(smoke, tmp_path):
     for name, size in (("wide", (300, 100)), ("tall", (60, 240)), ("square", (80, 80))):
         Image.new("RGB", size, (200, 0, 200)).save(folder / f"{name}.png")
     task = replace(smoke.tracks[0][0], labels=("flags/wide", "flags/tall", "flags/square"))
-    _, picture = picture_of(Suite("mine", "0" * 64, ((task,),)), tmp_path / "a.png", labels=str(tmp_path / "labels"))
+    _, picture = picture_of(Suite("mine", "0" * 64, ((task,),)), tmp_path / "a.png", labels=tmp_path / "labels")
     assert (picture == (200, 0, 200)).all(axis=2).sum() > 5000
 
 
@@ -76,7 +77,7 @@ def test_a_gate_that_stands_alone_is_the_only_one_listed(tmp_path):
     ("change", "error", "message"),
     [
         ({"episode": 30}, TaskError, "has episodes 0 to 29, not 30"),
-        ({"look": "vareid"}, RunError, "unknown look 'vareid'; did you mean 'varied'"),
+        ({"appearance": "vareid"}, SimulationError, "unknown look 'vareid'; did you mean 'varied'"),
         ({"out": "nowhere/view.png"}, RunError, "there is no folder"),
         ({"out": "view.xyz"}, RunError, "no kind of picture; end its name in .png"),
         ({"out": "folder.png"}, RunError, "cannot write"),
@@ -84,7 +85,7 @@ def test_a_gate_that_stands_alone_is_the_only_one_listed(tmp_path):
 )
 def test_what_cannot_be_drawn_is_one_sentence(smoke, tmp_path, change, error, message):
     (tmp_path / "folder.png").mkdir()
-    options = {"episode": 0, "out": "view.png", "look": "plain", "labels": "open-v1", "seed": 0, **change}
+    options = {"episode": 0, "out": "view.png", **change}
     out = tmp_path / options.pop("out")
     with pytest.raises(error, match=message):
-        snapshot(smoke, options.pop("episode"), out, **options)
+        snapshot(smoke, options.pop("episode"), out, Scenario(**options))

@@ -71,6 +71,7 @@ if __name__ == "__main__":
     print("parameters read", flush=True)
     instance = int(options.instance)
     links = (f"tcpin:127.0.0.1:{5760 + 10 * instance}",)
-    simulator = Simulator(airframe=IRIS, render=False, flight=Remote(9002 + 10 * instance))
+    simulator = Simulator(airframe=IRIS, render=False)
+    simulator.flight = Remote(9002 + 10 * instance)
     with SimulatedVehicle(simulator, VehicleConfig(links=links)) as vehicle:
         serve(vehicle, lambda: False, speed=max(LEAST_SPEED, float(options.speedup)))

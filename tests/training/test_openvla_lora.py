@@ -17,10 +17,10 @@ import pytest
 import torch
 from openvla_files import write_checkpoint
 
-from cognitivedrone.benchmark.run_types import RunConfig
+from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runner import run
 from cognitivedrone.cli import main
-from cognitivedrone.collect.collector import CollectConfig, collect
+from cognitivedrone.collect.collector import CollectPlan, collect
 from cognitivedrone.data.formats import export
 from cognitivedrone.data.statistics import spread
 from cognitivedrone.data.store import Store
@@ -89,7 +89,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("openvla") / "flights"
     # Enough for two families to have a flight in both splits.
-    collect(CollectConfig(folder, "debug", 12, workers=1), progress=False)
+    collect(CollectPlan.of(out=folder, recipe="debug", episodes=12, workers=1), progress=False)
     return folder
 
 
@@ -191,7 +191,7 @@ def test_the_merged_checkpoint_has_the_statistics_of_the_training_split(runs: Ru
 
 def test_what_was_trained_flies(runs: Runs, tmp_path: Path) -> None:
     policy = f"openvla:{runs.whole.out / MERGED},device=cpu"
-    results = run(RunConfig(policy=policy, suite="open-v1:smoke", episodes=1, workers=0, out=tmp_path / "run", clips=0))
+    results = run(Plan.of(policy=policy, suite="open-v1:smoke", episodes=1, workers=0, out=tmp_path / "run", clips=0))
     outcomes = results.summary().overall.outcomes
     assert sum(outcomes.values()) == 1
     assert not outcomes["invalid"]

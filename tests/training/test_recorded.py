@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cognitivedrone.collect.collector import CollectConfig, collect
+from cognitivedrone.collect.collector import CollectPlan, collect
 from cognitivedrone.collect.recipe import RECIPES as COLLECTED
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import TrainingError
@@ -28,7 +28,7 @@ NETWORK = RECIPES["debug"].network
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recorded") / "flights"
-    collect(CollectConfig(folder, "debug", 24, workers=1, episodes_per_shard=8), progress=False)
+    collect(CollectPlan.of(out=folder, recipe="debug", episodes=24, workers=1, episodes_per_shard=8), progress=False)
     return folder
 
 
@@ -92,7 +92,9 @@ def test_a_learners_relabelled_flights_are_a_data_set_too(tmp_path: Path, monkey
     recipe = replace(COLLECTED["debug"], kicks_per_s=0.0, time_limit_s=1.0)
     monkeypatch.setitem(COLLECTED, "debug", recipe)
     folder = tmp_path / "dagger"
-    config = CollectConfig(folder, "debug", 4, workers=1, episodes_per_shard=2, policy="hover", beta=0.2)
+    config = CollectPlan.of(
+        out=folder, recipe="debug", episodes=4, workers=1, episodes_per_shard=2, policy="hover", beta=0.2
+    )
     collect(config, progress=False)
     monkeypatch.setattr(policy, "_SENTENCES", 300)
     short = replace(RECIPES["debug"], steps=2, fly_every=2, fly_tasks=1)

@@ -1,4 +1,4 @@
-"""ArduCopter in the place of our own flight: with a vehicle that our own autopilot plays, with a process, for real."""
+"""ArduCopter as an external flight: with a vehicle that our own autopilot plays, with a process, for real."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from cognitivedrone.errors import LinkError, PolicyError, RunError
 from cognitivedrone.frames import quaternion_from_yaw, wrap_angle, yaw_of
 from cognitivedrone.sim.airframe import IRIS
+from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, Start
 from cognitivedrone.sim.dynamics import Flight
-from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL
 from cognitivedrone.types import DroneState
-from cognitivedrone.vehicles.one_drone import LinkReport, placed
+from cognitivedrone.vehicles.external import LinkReport, placed
 from cognitivedrone.vehicles.sitl.flight import STILL_M_S, SitlFlight
 
 NOWHERE = Path("arducopter")
@@ -72,21 +72,21 @@ def fly(flight: SitlFlight, action: tuple[float, float, float, float], seconds: 
     """Path (k, 3) under one command, given ten times a second."""
     path = []
     for _ in range(round(10 * seconds)):
-        flight.command_one(0, np.array(action))
-        path.append(flight.advance(TICKS_PER_CONTROL)[0])
+        flight.command(np.array(action))
+        path.append(flight.advance(TICKS_PER_CONTROL))
     return np.concatenate(path)
 
 
 @pytest.mark.parametrize(("place", "yaw"), [((-1.0, 0.5, 0.4), 0.0), ((7.0, -3.0, 1.7), -1.2)])
 def test_it_hovers_at_the_start_wherever_it_has_been(flight, vehicles, place, yaw):
-    flight.reset(0, np.array([0.0, 0.0, 1.0]))
+    flight.begin(Start((0.0, 0.0, 1.0)))
     fly(flight, (2.0, 1.0, 0.5, 0.8), 2.0)
-    flight.reset(0, np.array(place), yaw)
-    assert flight.position[0, :2] == pytest.approx(place[:2], abs=1e-9)
-    assert flight.position[0, 2] == pytest.approx(place[2], abs=STILL_M_S)
-    assert flight.position[0, 2] == pytest.approx(vehicles[0].flight.position[0, 2], abs=1e-12)
-    assert flight.yaw[0] == pytest.approx(yaw, abs=1e-9)
-    assert np.linalg.norm(flight.velocity[0]) < STILL_M_S
+    flight.begin(Start(place, yaw))
+    assert flight.state().position[:2] == pytest.approx(place[:2], abs=1e-9)
+    assert flight.state().position[2] == pytest.approx(place[2], abs=STILL_M_S)
+    assert flight.state().position[2] == pytest.approx(vehicles[0].flight.position[0, 2], abs=1e-12)
+    assert yaw_of(flight.state().quaternion) == pytest.approx(yaw, abs=1e-9)
+    assert np.linalg.norm(flight.state().velocity) < STILL_M_S
     path = fly(flight, (1.5, 0.0, 0.0, 0.0), 2.0)
     forward = path[-1, :2] - place[:2]
     assert np.linalg.norm(forward) > 1.0
@@ -95,24 +95,23 @@ def test_it_hovers_at_the_start_wherever_it_has_been(flight, vehicles, place, ya
 
 
 def test_it_is_seen_as_our_own_flight_would_be(flight, vehicles):
-    flight.reset(0, np.array([0.0, 0.0, 1.0]))
+    flight.begin(Start((0.0, 0.0, 1.0)))
     twin = Flight(1, IRIS)
     for ticks in (40, 7, 1, 12, 0, 3):
-        assert flight.advance(ticks).shape == twin.advance(ticks).shape
+        assert flight.advance(ticks).shape == twin.advance(ticks)[0].shape
     fly(flight, (1.0, 0.0, 0.0, 0.5), 1.0)
-    own, state = vehicles[0].flight, flight.state(0)
-    assert np.array_equal(flight.advance(4)[0, -1], flight.position[0])
-    assert flight.body_rates == pytest.approx(own.body_rates)
+    own, state = vehicles[0].flight, flight.state()
+    assert np.array_equal(flight.advance(4)[-1], flight.state().position)
+    assert flight.state().body_rates == pytest.approx(own.body_rates[0])
     assert np.linalg.norm(state.velocity) == pytest.approx(np.linalg.norm(own.velocity[0]), rel=0.05)
-    assert float(wrap_angle(flight.yaw - own.yaw)[0]) == pytest.approx(-2.0, abs=0.02)
-    flight.command(np.zeros((1, 4)))
+    assert float(wrap_angle(yaw_of(flight.state().quaternion) - own.yaw[0])) == pytest.approx(-2.0, abs=0.02)
 
 
 def test_the_wind_blows_from_the_same_side(flight, vehicles):
-    flight.reset(0, np.array([0.0, 0.0, 1.0]), 0.5, wind=np.array([2.0, 0.0, 0.0]))
+    flight.begin(Start((0.0, 0.0, 1.0), 0.5, (2.0, 0.0, 0.0)))
     blowing, turned = np.array(vehicles[0].plant.wind), float(vehicles[0].flight.yaw[0]) - 0.5
     assert blowing == pytest.approx([2 * np.cos(turned), 2 * np.sin(turned), 0.0], abs=1e-6)
-    flight.reset(0, np.array([0.0, 0.0, 1.0]))
+    flight.begin(Start((0.0, 0.0, 1.0)))
     assert vehicles[0].plant.wind == pytest.approx((0.0, 0.0, 0.0))
 
 
@@ -136,24 +135,24 @@ def test_a_placement_moves_everything_alike(where, velocity, yaw, start, start_y
 
 
 def test_a_vehicle_that_is_lost_ends_the_flight_and_the_next_has_another(flight, vehicles):
-    flight.reset(0, np.array([0.0, 0.0, 1.0]))
+    flight.begin(Start((0.0, 0.0, 1.0)))
     fly(flight, (1.0, 0.0, 0.0, 0.0), 0.5)
     frames = vehicles[0].frames
     vehicles[0].trouble = "the mode became LAND"
-    assert flight.advance(40).shape == (1, 0, 3)
-    assert flight.diverged.all()
+    assert flight.advance(40).shape == (0, 3)
+    assert flight.diverged
     assert vehicles[0].closed
     assert flight.trouble == "the mode became LAND"
-    flight.command_one(0, np.zeros(4))
-    assert flight.advance(40).shape == (1, 0, 3)
+    flight.command(np.zeros(4))
+    assert flight.advance(40).shape == (0, 3)
     assert flight.report == LinkReport(frames, 0, 1)
-    flight.reset(0, np.array([0.0, 0.0, 1.0]))
-    assert not flight.diverged.any()
+    flight.begin(Start((0.0, 0.0, 1.0)))
+    assert not flight.diverged
     assert len(vehicles) == 2
     assert flight.report == LinkReport(frames + vehicles[1].frames, 0, 1)
     vehicles[1].trouble = "crashed"
-    flight.command_one(0, np.zeros(4))
-    assert flight.diverged.all()
+    flight.command(np.zeros(4))
+    assert flight.diverged
 
 
 def test_what_never_hovers_is_told(vehicles, monkeypatch):
@@ -166,19 +165,15 @@ def test_what_never_hovers_is_told(vehicles, monkeypatch):
 
     deaf = SitlFlight(NOWHERE, start=start)
     with pytest.raises(RunError, match=r"in 3 attempts; the last one: it did not come to hover 0\.40 m above"):
-        deaf.reset(0, np.array([0.0, 0.0, 0.4]))
+        deaf.begin(Start((0.0, 0.0, 0.4)))
     assert [vehicle.closed for vehicle in vehicles] == [True] * 3
     assert deaf.report.restarts == 3
 
 
 def test_what_cannot_be_flown_is_refused(flight):
-    with pytest.raises(ValueError, match="give no velocity"):
-        flight.reset(0, np.zeros(3), velocity=np.array([1.0, 0.0, 0.0]))
-    with pytest.raises(ValueError, match="no world 1"):
-        flight.reset(1, np.zeros(3))
     with pytest.raises(PolicyError, match="four real numbers"):
-        flight.command_one(0, np.array([0.0, np.nan, 0.0, 0.0]))
-    with pytest.raises(PolicyError, match=r"expected \(1, 4\)"):
+        flight.command(np.array([0.0, np.nan, 0.0, 0.0]))
+    with pytest.raises(PolicyError, match="four real numbers"):
         flight.command(np.zeros((2, 4)))
     flight.close()
 
@@ -194,7 +189,7 @@ def test_a_process_flies_in_lock_step_and_is_replaced_when_it_dies(tmp_path, mon
     monkeypatch.setattr(subprocess, "Popen", Watched)
     flight = SitlFlight(played_arducopter(tmp_path))
     try:
-        flight.reset(0, np.array([-1.0, 0.0, 0.8]))
+        flight.begin(Start((-1.0, 0.0, 0.8)))
         before = flight.report.frames
         path = fly(flight, (1.0, 0.0, 0.0, 0.0), 1.0)
         assert path.shape == (100, 3)
@@ -203,10 +198,10 @@ def test_a_process_flies_in_lock_step_and_is_replaced_when_it_dies(tmp_path, mon
         assert np.abs(np.diff(path[:, 0])).max() < 0.02
         processes[0].kill()
         flight.advance(TICKS_PER_CONTROL)
-        assert flight.diverged.all()
+        assert flight.diverged
         assert "ended with -9, its last words: parameters read" in flight.trouble
-        flight.reset(0, np.array([-1.0, 0.0, 0.8]))
-        assert not flight.diverged.any()
+        flight.begin(Start((-1.0, 0.0, 0.8)))
+        assert not flight.diverged
         assert flight.report.restarts == 1
     finally:
         flight.close()
@@ -222,15 +217,15 @@ def test_a_real_arducopter_hovers_at_every_start_and_stays_ours():
             ((0.0, 1.0, 1.7), 2.0, 0.0),
             ((0.0, 0.0, 1.0), 0.0, 3.0),
         ):
-            flight.reset(0, np.array(place), yaw, wind=np.array([0.0, wind, 0.0]))
-            assert flight.position[0] == pytest.approx(place, abs=STILL_M_S)
+            flight.begin(Start(place, yaw, (0.0, wind, 0.0)))
+            assert flight.state().position == pytest.approx(place, abs=STILL_M_S)
             path = fly(flight, (1.0, 0.0, 0.0, 0.0), 3.0)
             ahead = path[-1, :2] - place[:2]
             assert 1.8 < np.linalg.norm(ahead) < 3.0
             assert np.arctan2(ahead[1], ahead[0]) == pytest.approx(yaw, abs=0.15)
         # Half a minute of hover: without a heartbeat in its own time it would land.
         fly(flight, (0.0, 0.0, 0.0, 0.0), 30.0)
-        assert not flight.diverged.any()
+        assert not flight.diverged
         assert flight.report.lost == flight.report.restarts == 0
     finally:
         flight.close()

@@ -49,7 +49,7 @@ class Plan(Options):
 
 def RunConfig(**options: Any) -> Plan:  # noqa: N802
     """The plan of a run from options by name; the former name of `Plan.of`."""
-    warnings.warn("RunConfig(...) is now Plan.of(...)", DeprecationWarning, stacklevel=2)
+    warnings.warn("RunConfig(...) is now Plan.of(...)", FutureWarning, stacklevel=2)
     return Plan.of(**{{"look": "appearance"}.get(name, name): value for name, value in options.items()})
 
 

@@ -93,7 +93,7 @@ def score_reasoner(plan: ReasonPlan, *, progress: bool = True) -> ReasonResults:
     if plan.frames < 1:
         raise RunError(f"--frames is {plan.frames}; it must be at least 1")
     # The flights whose first frames the reasoner sees.
-    job = prepare(Plan.of(reasoner=plan.reasoner, episodes=plan.episodes).changed(scenario=plan.scenario))
+    job = prepare(Plan.of(scenario=plan.scenario, reasoner=plan.reasoner, episodes=plan.episodes))
     labels = load_pack(plan.scenario.labels)
     reasoner = make_reasoner(plan.reasoner)
     if reasoner is None:

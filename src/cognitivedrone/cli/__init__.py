@@ -10,6 +10,7 @@ import contextlib
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
@@ -51,6 +52,8 @@ COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
 """Module and function in this package, and one line of help, of every command; words of a command are blank-separated.
 The keys are the headings of the help."""
 TARGETS = {name: target for group in COMMANDS.values() for name, (target, _) in group.items()}
+FORMER_OPTIONS = {"--look": "--appearance"}
+"""Options that were renamed; the old names are still taken, with a warning."""
 FIRST = (
     ("bench --suite open-v1:smoke", "score the small VLA on 30 tasks"),
     ("view --suite open-v1:test --episode 29", "see a task as the drone does: view.png"),
@@ -92,7 +95,19 @@ def _run(arguments: list[str]) -> None:
     if name is None:
         _explain(arguments)
         return
-    tyro.cli(load(name), prog=f"{PROGRAM} {name}", args=arguments[len(name.split()) :])
+    tyro.cli(load(name), prog=f"{PROGRAM} {name}", args=_renamed(arguments[len(name.split()) :]))
+
+
+def _renamed(arguments: list[str]) -> list[str]:
+    """The arguments, options by their present names."""
+    present = []
+    for argument in arguments:
+        option, equals, value = argument.partition("=")
+        if option in FORMER_OPTIONS:
+            warnings.warn(f"{option} is now {FORMER_OPTIONS[option]}", FutureWarning, stacklevel=2)
+            argument = f"{FORMER_OPTIONS[option]}{equals}{value}"
+        present.append(argument)
+    return present
 
 
 def load(name: str) -> Callable[..., Any]:

@@ -104,8 +104,10 @@ class ViewPlan(Options):
 def view(plan: Annotated[Flat[ViewPlan], tyro.conf.arg(name="")]) -> None:
     """Draw what the drone sees at the start of a task, with a chase and a top view beside it."""
     from cognitivedrone.envs.snapshot import snapshot
+    from cognitivedrone.tasks.scenario import suite_of
 
-    task = snapshot(plan.scenario, plan.episode, plan.out)
+    suite = suite_of(plan.scenario, plan.episode + 1)
+    task = snapshot(suite, plan.episode, plan.out, plan.scenario)
     right = f"(right: gate {task.target + 1}, {task.options[task.target]})"
     print(visible(f"{plan.out}: {task.instruction}  {right}"))  # noqa: T201
 

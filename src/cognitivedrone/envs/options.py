@@ -17,7 +17,7 @@ def scenario_of(suite: str | Suite, options: Mapping[str, Any]) -> Scenario:
     named = dict(options)
     for former, name in FORMER_NAMES.items():
         if former in named:
-            warnings.warn(f"{former}= is now {name}=", DeprecationWarning, stacklevel=3)
+            warnings.warn(f"{former}= is now {name}=", FutureWarning, stacklevel=3)
             named[name] = named.pop(former)
     return Scenario.of(suite=suite if isinstance(suite, str) else suite.name, **named)
 

@@ -20,8 +20,7 @@ from cognitivedrone.plan import Scenario
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.sim.views import View, chase_view, first_person_view, top_view
-from cognitivedrone.tasks import track_at
-from cognitivedrone.tasks.scenario import suite_of
+from cognitivedrone.tasks import Suite, track_at
 from cognitivedrone.types import IMAGE_SIZE, Gate, Image, Task
 from cognitivedrone.world import geometry
 
@@ -35,9 +34,8 @@ _BADGE: Final = 20
 """Radius of a gate's number, pixels."""
 
 
-def snapshot(scenario: Scenario, episode: int, out: Path) -> Task:
-    """Write the picture to `out` and return the task that it shows."""
-    suite = suite_of(scenario, episode + 1)
+def snapshot(suite: Suite, episode: int, out: Path, scenario: Scenario) -> Task:
+    """Write the picture of a task in the conditions of `scenario` to `out`; returns the task."""
     track, conditions = track_at(suite, episode), TrackConfig.of(scenario)
     if not out.parent.is_dir():
         raise RunError(f"cannot write {out}: there is no folder {out.parent}")

@@ -10,13 +10,23 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 from stand_in import MESSAGES, StandIn
 
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.vehicles.gazebo import pilot
+from cognitivedrone.vehicles.gazebo.bindings import load_bindings
+from cognitivedrone.vehicles.gazebo.flight import GazeboFlight
+from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
+from cognitivedrone.vehicles.gazebo.pilot import open_gazebo
+from cognitivedrone.vehicles.gazebo.sight import Sample, TruePath
 from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC, NAME
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.server.vehicle import STEP_S, SimulatedVehicle, VehicleConfig
 
+PATIENT = LiveConfig(answer_s=30.0, first_s=30.0, silence_s=30.0)
+"""A machine that is busy otherwise is no silent Gazebo."""
 SPEED = 6.0
 POSE_S, FRAME_S = 0.016, 0.05
 """Between poses, of Gazebo's time, and between frames, of the wall clock."""
@@ -85,3 +95,26 @@ def pose(vehicle: SimulatedVehicle):
     o = one.orientation
     o.w, o.x, o.y, o.z = map(float, state.quaternion)
     return message
+
+
+@contextmanager
+def opened(running: Moving, config: LiveConfig = PATIENT) -> Iterator[GazeboFlight]:
+    """The flight. Gazebo's time goes on as far as it is asked to, and by itself at take-off and landing."""
+    with pytest.MonkeyPatch.context() as patch:
+        until, take_off = TruePath.until, pilot.take_off
+
+        def asked(path: TruePath, time_s: float) -> list[Sample]:
+            running.limit = max(time_s, running.vehicle.time) + 0.02
+            return until(path, time_s)
+
+        def free(url: str, world: GazeboWorld) -> MavlinkDrone:
+            running.limit = math.inf
+            return take_off(url, world)
+
+        patch.setattr(TruePath, "until", asked)
+        patch.setattr(pilot, "take_off", free)
+        with open_gazebo(running.url, config, load_bindings(load=running.gazebo.load)) as flight:
+            try:
+                yield flight
+            finally:
+                running.limit = math.inf

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +13,7 @@ import pytest
 
 pytest.importorskip("pymavlink")
 
-from moving import Moving, moving
+from moving import PATIENT, Moving, moving, opened
 from reading import models, read_world
 from stand_in import StandIn
 
@@ -28,21 +26,17 @@ from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
 from cognitivedrone.sim.airframe import IRIS
-from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.sim.drone_world import Scenery, Start
 from cognitivedrone.tasks import load_suite
+from cognitivedrone.vehicles.external import ExternalWorld, Placement
 from cognitivedrone.vehicles.gazebo import pilot
 from cognitivedrone.vehicles.gazebo.bindings import load_bindings
-from cognitivedrone.vehicles.gazebo.flight import GazeboFlight, on_the_ground
-from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
-from cognitivedrone.vehicles.gazebo.pilot import RefereesGuard, open_gazebo
-from cognitivedrone.vehicles.gazebo.sight import Sample, TruePath
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
-from cognitivedrone.vehicles.one_drone import Placement
+from cognitivedrone.vehicles.gazebo.flight import on_the_ground
+from cognitivedrone.vehicles.gazebo.live import GazeboWorld
+from cognitivedrone.vehicles.gazebo.pilot import RefereesGuard
 from cognitivedrone.world import geometry
 
-PATIENT = LiveConfig(answer_s=30.0, first_s=30.0, silence_s=30.0)
-"""A machine that is busy otherwise is no silent Gazebo."""
-START = np.array([-1.2, 0.3, 0.8])
+START = Start((-1.2, 0.3, 0.8))
 
 
 @pytest.fixture
@@ -51,29 +45,6 @@ def running(track_folder) -> Iterator[Moving]:
     stand_in = StandIn(models=tuple(models(read_world(track_folder / "stage_1.sdf"))))
     with stand_in.running() as gazebo, moving(gazebo) as flown:
         yield flown
-
-
-@contextmanager
-def opened(running: Moving, config: LiveConfig = PATIENT) -> Iterator[GazeboFlight]:
-    """The flight. Gazebo's time goes on as far as it is asked to, and by itself at take-off and landing."""
-    with pytest.MonkeyPatch.context() as patch:
-        until, take_off = TruePath.until, pilot.take_off
-
-        def asked(path: TruePath, time_s: float) -> list[Sample]:
-            running.limit = max(time_s, running.vehicle.time) + 0.02
-            return until(path, time_s)
-
-        def free(url: str, world: GazeboWorld) -> MavlinkDrone:
-            running.limit = math.inf
-            return take_off(url, world)
-
-        patch.setattr(TruePath, "until", asked)
-        patch.setattr(pilot, "take_off", free)
-        with open_gazebo(running.url, config, load_bindings(load=running.gazebo.load)) as flight:
-            try:
-                yield flight
-            finally:
-                running.limit = math.inf
 
 
 def gate_seen_from_the_vehicle(running: Moving, number: int) -> np.ndarray:
@@ -89,14 +60,14 @@ def test_a_track_is_flown_and_scored_by_true_poses(running):
     track = load_suite("open-v1:track").tracks[2][:2]  # an Iris fits through its gates
     policy = make_policy("oracle")
     with opened(running) as flight:
-        simulator = Simulator(1, airframe=IRIS, flight=flight, eyes=flight)
-        track_runner = TrackRunner(simulator.world(0), load_pack(), TrackConfig())
+        world = ExternalWorld(flight, flight, IRIS.hull_radius)
+        track_runner = TrackRunner(world, load_pack(), TrackConfig())
         track_runner.begin(track, np.random.default_rng(0))
-        assert simulator.state(0).position == pytest.approx(track_runner.start.position, abs=0.15)
+        assert world.state().position == pytest.approx(track_runner.start.position, abs=0.15)
         for number, center in enumerate(geometry.gate_centers(track_runner.stage), start=1):
-            expected = center - simulator.state(0).position
+            expected = center - world.state().position
             assert gate_seen_from_the_vehicle(running, number) == pytest.approx(expected, abs=0.15)
-        drone = SimulatedDrone(simulator, track_runner)
+        drone = SimulatedDrone(track_runner)
         assert drone.observe().image[0, 0, 0] == len(running.gazebo.poses)
 
         def mission() -> Segment | None:
@@ -114,7 +85,7 @@ def test_a_track_is_flown_and_scored_by_true_poses(running):
         assert (flight.report.restarts, flight.trouble) == (0, "")
         # The next one begins where it is drawn, though the vehicle is somewhere else by now.
         track_runner.begin(track[:1], np.random.default_rng(1))
-        assert simulator.state(0).position == pytest.approx(track_runner.start.position, abs=0.15)
+        assert world.state().position == pytest.approx(track_runner.start.position, abs=0.15)
         assert abs(running.vehicle.state().position[:2]).max() > 3
     assert not running.vehicle.modes.armed  # landed
     assert not any(running.gazebo.listeners.values())
@@ -124,23 +95,23 @@ def test_a_vehicle_that_is_lost_voids_the_flight_and_the_next_one_takes_off_agai
     stage = stage_of(load_suite("open-v1:track").tracks[0][0])
     pack = load_pack()
     with opened(running) as flight:
-        flight.reset(0, START)
+        flight.begin(START)
         running.vehicle.pilot(running.vehicle.modes.mode.LAND)
         for _ in range(100):
-            flight.command_one(0, np.zeros(4))
+            flight.command(np.zeros(4))
             flight.advance(40)
-            if flight.diverged[0]:
+            if flight.diverged:
                 break
-        assert flight.diverged == [True]
+        assert flight.diverged
         assert "mode became LAND" in flight.trouble
-        flight.set_stage(0, stage, [pack.image(reference) for reference in stage.labels])
+        flight.show(stage, Scenery(tuple(pack.image(reference) for reference in stage.labels)))
         for _ in range(100):  # it lands by itself
             flight.advance(40)
             if not running.vehicle.modes.armed:
                 break
-        flight.reset(0, START)
-        assert flight.diverged == [False]
-        assert flight.position[0] == pytest.approx(START, abs=0.15)
+        flight.begin(START)
+        assert not flight.diverged
+        assert flight.state().position == pytest.approx(START.position, abs=0.15)
         assert flight.report.restarts == 1
 
 
@@ -175,13 +146,13 @@ def test_what_the_benchmark_cannot_fly_in_gazebo_is_said(tmp_path, capsys, optio
 
 def test_thinking_for_longer_than_a_step_is_counted_and_not_caught_up_with(running):
     with opened(running) as flight:
-        flight.reset(0, START)
+        flight.begin(START)
         flight.advance(40)
         begin, late = running.vehicle.time, flight.report.lost
         running.limit = begin + 0.5
         while running.vehicle.time < begin + 0.49:
             time.sleep(0.005)
-        path = flight.advance(40)[0]
+        path = flight.advance(40)
         assert flight.report.lost == late + 1
         assert len(path) > 20  # what was flown meanwhile is judged all the same
         for _ in range(10):
@@ -190,11 +161,8 @@ def test_thinking_for_longer_than_a_step_is_counted_and_not_caught_up_with(runni
 
 
 def test_what_cannot_be_flown_is_said(running, monkeypatch):
-    with opened(running) as flight:
-        with pytest.raises(RunError, match="leave --wind out"):
-            flight.reset(0, START, wind=np.array([1.0, 0.0, 0.0]))
-        with pytest.raises(ValueError, match="one drone is flown"):
-            flight.command_one(1, np.zeros(4))
+    with opened(running) as flight, pytest.raises(RunError, match="leave --wind out"):
+        flight.begin(replace(START, wind=(1.0, 0.0, 0.0)))
     with opened(running, replace(PATIENT, silence_s=0.2)) as flight:
         running.paused = True
         with pytest.raises(GazeboError, match="has been silent for"):
@@ -203,7 +171,7 @@ def test_what_cannot_be_flown_is_said(running, monkeypatch):
     monkeypatch.setattr(pilot._Drone, "is_software", False)
     with opened(running) as flight:
         with pytest.raises(RunError, match=r"may be a real drone.*--resume"):
-            flight.reset(0, START)
+            flight.begin(START)
         assert not running.vehicle.modes.armed
 
 

@@ -1,0 +1,162 @@
+"""What every vehicle must do, ours and the fakes of those that are not at hand."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink")
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles" / "gazebo"))
+
+from arducopters import played_arducopter
+from moving import moving, opened
+from reading import models, read_world
+from stand_in import StandIn
+
+from cognitivedrone.apps.config import SimPlan
+from cognitivedrone.apps.vehicle import Served, serve_vehicle
+from cognitivedrone.control.loop import Segment, fly
+from cognitivedrone.envs.track_runner import episode_rng
+from cognitivedrone.errors import LinkError
+from cognitivedrone.labels import load_pack
+from cognitivedrone.plan import SafetySpec, VehicleSpec
+from cognitivedrone.policies import make_policy
+from cognitivedrone.sim.airframe import IRIS
+from cognitivedrone.tasks import load_suite
+from cognitivedrone.types import ACTION_LIMITS
+from cognitivedrone.vehicles import VEHICLES, open_vehicle
+from cognitivedrone.vehicles.contract import Pace, Request, Vehicle
+from cognitivedrone.vehicles.gazebo import pilot
+from cognitivedrone.vehicles.gazebo.export import export
+
+SUITE = load_suite("open-v1:smoke")
+EPISODE = 4
+"""The shortest flight."""
+INSTANCE = 37
+
+
+@contextmanager
+def opened_vehicle(kind: str, pace: Pace, folder: Path) -> Iterator[Vehicle]:
+    """A vehicle of the registry, flown in place of what is not at hand by our own simulator."""
+    with ExitStack() as stack:
+        spec, safety = VehicleSpec(kind if kind != "mavlink" else "mavlink:udp:127.0.0.1:1"), SafetySpec()
+        if kind == "sitl":
+            spec = VehicleSpec("sitl", sitl=played_arducopter(folder))
+            safety = SafetySpec(sitl_instance=INSTANCE, takeoff_height=0.8)
+        if kind == "gazebo":
+            world = export("open-v1:track", track="0", out=folder / "track").out / "stage_1.sdf"
+            gazebo = stack.enter_context(StandIn(models=tuple(models(read_world(world)))).running())
+            running = stack.enter_context(moving(gazebo))
+            patch = stack.enter_context(pytest.MonkeyPatch.context())
+            patch.setattr(pilot, "open_gazebo", lambda: opened(running))
+        if kind == "mavlink":
+            served = stack.enter_context(serving())
+            spec = VehicleSpec("mavlink:tcp:" + served.links[0].partition(":")[2])
+            safety = SafetySpec(camera=served.camera_url or "", set_parameters=True)
+        request = Request(spec, load_pack(), IRIS, pace=pace, safety=safety, folder=folder / "logs")
+        yield stack.enter_context(closing(open_vehicle(request)))
+
+
+@contextmanager
+def serving() -> Iterator[Served]:
+    """Our simulator as a MAVLink vehicle, in a thread."""
+    stopping, ready, served = threading.Event(), threading.Event(), list[Served]()
+
+    def announce(what: Served) -> None:
+        served.append(what)
+        ready.set()
+
+    plan = SimPlan.of(mavlink=True, links=("tcpin:127.0.0.1:0",), camera_port=0, airframe="iris")
+    thread = threading.Thread(target=serve_vehicle, args=(plan, stopping.is_set, announce))
+    thread.start()
+    try:
+        assert ready.wait(30)
+        yield served[0]
+    finally:
+        stopping.set()
+        thread.join()
+
+
+KINDS: list[tuple[str, Pace]] = [
+    ("sim", "lockstep"), ("sim", "wall"), ("sitl", "lockstep"), ("sitl", "wall"), ("gazebo", "lockstep"),
+    ("mavlink", "wall"),
+]  # fmt: skip
+
+
+@pytest.fixture(params=KINDS, ids=lambda each: "-".join(each))
+def vehicle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Vehicle]:
+    with opened_vehicle(*request.param, tmp_path) as found:
+        yield found
+
+
+def begin(vehicle: Vehicle) -> None:
+    if vehicle.track_runner is not None:
+        vehicle.begin(SUITE.tracks[EPISODE], episode_rng(SUITE.digest, EPISODE, 0))
+
+
+def yes(_: object) -> bool:
+    return True
+
+
+def test_every_vehicle_of_the_registry_is_tried():
+    assert {kind for kind, _ in KINDS} == set(VEHICLES)
+
+
+def test_it_flies_from_take_off_to_landing(vehicle: Vehicle):
+    begin(vehicle)
+    drone = vehicle.take_off(yes)
+    before, time = vehicle.status(), drone.now()
+    for _ in range(12):
+        seen = drone.observe()
+        assert (seen.image.shape, seen.image.dtype) == ((256, 256, 3), np.uint8)
+        assert seen.velocity.shape == (3,)
+        assert np.isfinite([*seen.velocity, seen.height, seen.yaw_rate, seen.time]).all()
+        sent = drone.send(np.array([9.0, 0.0, 0.0, 0.0], np.float32))
+        assert (np.abs(sent) <= np.array(ACTION_LIMITS, np.float32)).all()
+        drone.sleep_until(time + 0.1)
+        assert drone.now() >= time + 0.1 - 1e-6
+        time = drone.now()
+    after = vehicle.status()
+    assert before.position is not None
+    assert after.position is not None
+    assert np.linalg.norm(after.position - before.position) > 0.1
+    assert after.mode
+    assert vehicle.simulated
+    assert vehicle.over is None
+    assert vehicle.report.restarts == 0
+    assert vehicle.land() == (not vehicle.status().armed)
+
+
+def test_where_the_truth_is_known_the_right_gate_counts(vehicle: Vehicle):
+    runner = vehicle.track_runner
+    if runner is None:
+        with pytest.raises(LinkError, match="flies no track"):
+            vehicle.begin(SUITE.tracks[EPISODE], np.random.default_rng(0))
+        return
+    begin(vehicle)
+    drone = vehicle.take_off(yes)
+    assert runner.truth().state().position[2] > 0.1
+
+    def mission() -> Segment | None:
+        return None if runner.finished else Segment(runner.index, runner.task.instruction, runner.truth())
+
+    fly(drone, make_policy("oracle"), drone, mission)
+    assert [result.outcome for result in runner.results] == ["passed"]
+    assert runner.results[0].chosen == runner.track[0].target
+
+
+@pytest.mark.parametrize("kind", ["sitl", "mavlink"])
+def test_what_is_not_confirmed_does_not_take_off(kind: str, tmp_path: Path):
+    with opened_vehicle(kind, "wall", tmp_path) as vehicle:
+        begin(vehicle)
+        with pytest.raises(LinkError, match="not confirmed"):
+            vehicle.take_off(lambda _: False)
+        assert not vehicle.status().armed
