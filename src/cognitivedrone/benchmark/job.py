@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.results import RunFacts, SuiteFacts, versions
+from cognitivedrone.benchmark.results import REQUIRED, RunFacts, SuiteFacts, versions
 from cognitivedrone.control.latency import Delays, parse_delays
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import digest_of_file, digest_of_folder
@@ -58,7 +58,7 @@ def prepare(plan: Plan, *, named: bool = True) -> Job:
         suite=SuiteFacts(suite.name, suite.digest, suite.n_tasks),
         policy=policy,
         reasoner=reasoner,
-        options=options,
+        options={key: options[key] for key in (*REQUIRED, *options)},  # in the order that files always had
         versions=versions(),
     )
     return Job(plan, suite, facts, delays)
