@@ -21,24 +21,25 @@ pytest.importorskip("rosbags")
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles" / "gazebo"))
 
-from cognitivedrone.apps.opening import open_eye
 from peer import playing
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from stand_in import MESSAGES, StandIn
 
-from cognitivedrone.apps import opening
 from cognitivedrone.apps.bag import BagLog
 from cognitivedrone.apps.config import FlyPlan
 from cognitivedrone.apps.fly import fly_mission
 from cognitivedrone.apps.log import FlightLog
-from cognitivedrone.apps.values import Status, Step
+from cognitivedrone.apps.values import Step
 from cognitivedrone.data.episode import decode_image
 from cognitivedrone.data.formats import bags
 from cognitivedrone.data.formats.bags import Ros
 from cognitivedrone.errors import CameraError, GazeboError, MissingExtra, RunError
 from cognitivedrone.types import Event, Guidance, Observation
+from cognitivedrone.vehicles.contract import Status
 from cognitivedrone.vehicles.gazebo.bindings import load_bindings
+from cognitivedrone.vehicles.mavlink import session
+from cognitivedrone.vehicles.mavlink.session import open_source
 
 TOPIC = "/cognitivedrone/camera"
 PICTURE = np.full((256, 256, 3), (200, 30, 60), np.uint8)
@@ -137,7 +138,7 @@ def gazebo_with_camera(monkeypatch: pytest.MonkeyPatch) -> Iterator[StandIn]:
         while not stopping.wait(0.02):
             gazebo.publish(TOPIC, message)
 
-    monkeypatch.setattr(opening, "load_bindings", lambda: load_bindings(load=gazebo.load))
+    monkeypatch.setattr(session, "load_bindings", lambda: load_bindings(load=gazebo.load))
     thread = threading.Thread(target=film)
     thread.start()
     try:
@@ -166,11 +167,11 @@ def test_a_vehicle_is_flown_by_the_camera_of_a_running_gazebo_and_recorded(tmp_p
 
 def test_a_camera_of_gazebo_that_cannot_be_is_told_of(monkeypatch):
     with pytest.raises(CameraError, match=f"lacks its topic: write gazebo:{TOPIC}"):
-        open_eye("gazebo:")
+        open_source("gazebo:")
 
     def nothing(module: str) -> None:
         raise ModuleNotFoundError(f"No module named {module!r}", name=module)
 
-    monkeypatch.setattr(opening, "load_bindings", lambda: load_bindings(load=nothing))
+    monkeypatch.setattr(session, "load_bindings", lambda: load_bindings(load=nothing))
     with pytest.raises(GazeboError, match="python3-gz-transport13"):
-        open_eye(f"gazebo:{TOPIC}")
+        open_source(f"gazebo:{TOPIC}")

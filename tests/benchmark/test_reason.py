@@ -183,7 +183,8 @@ def test_what_is_written_is_what_was_scored(config):
     assert document["suite"]["name"] == "open-v1:smoke"
     assert document["options"]["look"] == "varied"
     assert document["platform"]["command"] == (
-        "cognitivedrone reason --reasoner noisy-oracle:0.5 --suite open-v1:smoke --episodes 6 --look varied"
+        "cognitivedrone reason --suite open-v1:smoke --seed 0 --appearance varied"
+        " --reasoner noisy-oracle:0.5 --episodes 6"
     )
     lines = [json.loads(line) for line in (results.out / "reason.jsonl").read_text().splitlines()]
     assert lines == [encode(answer) for answer in results.answers]

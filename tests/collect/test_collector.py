@@ -21,6 +21,7 @@ from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.data.layout import sole_writer
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError, MissingExtra, PolicyError, TaskError
+from cognitivedrone.plan import TaskSource
 
 
 def config(out, **changes):
@@ -195,13 +196,13 @@ def test_mistakes_are_told_before_anything_is_written(tmp_path, changes, error, 
 
 
 def test_a_mistake_in_a_worker_comes_through(tmp_path):
-    job = Job("open-v1:nowhere", RECIPES["debug"], 0, 5)
+    job = Job(TaskSource("open-v1:nowhere"), RECIPES["debug"], 5)
     with pytest.raises(TaskError, match="nowhere"):
         list(fly_local(job, [[0]], 1))
 
 
 def test_a_killed_worker_is_told_of():
-    flying = fly_local(Job("open-v1:train", RECIPES["debug"], 0, 1), [[index] for index in range(20)], 1)
+    flying = fly_local(Job(TaskSource("open-v1:train"), RECIPES["debug"], 1), [[index] for index in range(20)], 1)
     assert next(flying).episode.index == 0
     (worker,) = multiprocessing.active_children()
     worker.kill()
@@ -218,7 +219,7 @@ def test_without_ray_the_extra_is_named_before_anything_is_written(tmp_path, mon
 
 
 def test_shards_share_out_all_indices():
-    job = Job("open-v1:train", RECIPES["paper"], 0, 64)
+    job = Job(TaskSource("open-v1:train"), RECIPES["paper"], 64)
     indices = np.concatenate([job.indices(number) for number in range(job.shards)])
     assert np.array_equal(indices, np.arange(8062))
     families = Counter(index % 10 for index in indices)

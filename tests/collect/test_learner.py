@@ -17,6 +17,7 @@ from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.data.store import Store
 from cognitivedrone.data.verify import verify
 from cognitivedrone.errors import DataError
+from cognitivedrone.plan import TaskSource
 
 BETA = 0.4
 
@@ -93,4 +94,4 @@ def test_another_policy_share_or_model_is_another_set(tmp_path, model, monkeypat
 def test_a_machine_with_another_model_file_flies_nothing(model):
     learner = replace(learner_of(f"small:{model}", 0.0), model="00" * 32)
     with pytest.raises(DataError, match="its model file is another one on this machine"):
-        next(fly_here(Job("open-v1:train", RECIPES["debug"], 0, 2, learner), [0]))
+        next(fly_here(Job(TaskSource("open-v1:train"), RECIPES["debug"], 2, learner), [0]))

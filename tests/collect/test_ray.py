@@ -10,6 +10,7 @@ from cognitivedrone.collect.collector import CollectPlan, collect
 from cognitivedrone.collect.executors import Job, fly_ray
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.errors import TaskError
+from cognitivedrone.plan import TaskSource
 
 ray = pytest.importorskip("ray", reason="the extra 'ray' is not installed")
 
@@ -30,7 +31,7 @@ def test_a_cluster_makes_the_same_bytes_as_local_workers(tmp_path):
                 progress=False,
             )
         with pytest.raises(TaskError, match="nowhere"):
-            list(fly_ray(Job("open-v1:nowhere", RECIPES["debug"], 0, 5), [[0]], 1))
+            list(fly_ray(Job(TaskSource("open-v1:nowhere"), RECIPES["debug"], 5), [[0]], 1))
     finally:
         ray.shutdown()
         cluster.shutdown()

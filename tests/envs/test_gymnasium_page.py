@@ -13,6 +13,7 @@ import pytest
 from cognitivedrone.envs.gym import CognitiveDroneEnv
 from cognitivedrone.envs.spaces import observation_space
 from cognitivedrone.envs.vector import CognitiveDroneVectorEnv
+from cognitivedrone.plan import Scenario
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "gymnasium.md").read_text()
 
@@ -32,10 +33,10 @@ def test_its_python_runs(code):
 
 
 def test_it_lists_the_arguments():
-    parameters = [name for name in inspect.signature(CognitiveDroneEnv).parameters if name != "self"]
-    assert first_column("Making one") == parameters
-    more = {name for name in inspect.signature(CognitiveDroneVectorEnv).parameters if name not in parameters}
-    assert more == {"num_envs", "threads", "copy"}
+    own = [name for name in inspect.signature(CognitiveDroneEnv).parameters if name not in ("self", "suite", "options")]
+    assert first_column("Making one") == [*Scenario().values(), *own]
+    more = {name for name in inspect.signature(CognitiveDroneVectorEnv).parameters if name not in own}
+    assert more == {"num_envs", "threads", "copy", "suite", "options"}
 
 
 def test_it_lists_the_observation():

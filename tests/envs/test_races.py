@@ -35,7 +35,7 @@ def race_through(*targets: int) -> Track:
 
 def begin(track_runner: TrackRunner, *track: Task) -> Image:
     track_runner.begin(track, np.random.default_rng(0), START)
-    return track_runner.simulator.frames()[0]
+    return track_runner.world.frame()
 
 
 def colored(frame: Image) -> dict[Color, int]:
@@ -76,8 +76,8 @@ def test_the_expert_flies_from_gate_to_gate(track_runner):
             stage = track_runner.stage
             expert.reset(track_runner.task.instruction)
             expert.brief(track_runner.truth())
-        track_runner.simulator.command(0, expert.command())
-        track_runner.update(track_runner.simulator.advance()[0])
+        track_runner.world.command(expert.command())
+        track_runner.update(track_runner.world.advance())
     assert [(result.outcome, result.chosen) for result in track_runner.results] == [("passed", t.target) for t in track]
     assert [stage.only for stage in track_runner.stages] == [task.target for task in track]
     for before, after in zip(track_runner.stages, track_runner.stages[1:], strict=False):
@@ -88,8 +88,8 @@ def test_flying_by_ends_the_race(track_runner):
     begin(track_runner, *race_through(0, 1))
     result = None
     while result is None:
-        track_runner.simulator.command(0, np.array([2.0, 0.0, 0.0, 0.0]))
-        result = track_runner.update(track_runner.simulator.advance()[0])
+        track_runner.world.command(np.array([2.0, 0.0, 0.0, 0.0]))
+        result = track_runner.update(track_runner.world.advance())
     assert (result.outcome, result.chosen) == ("missed", 0)
     assert [result.outcome for result in track_runner.results] == ["missed", "not_reached"]
 

@@ -43,8 +43,8 @@ def prepare(plan: Plan, *, named: bool = True) -> Job:
     Where the pilot is not `named` but given as objects, its files are not known. Raises `RunError` for options that
     cannot be, and the error of whatever is named and missing.
     """
-    _check(plan)
     suite = suite_of(plan.scenario, plan.episodes)
+    _check(plan)
     delays = parse_delays(plan.latency)
     policy, reasoner = plan.pilot.policy, plan.pilot.reasoner
     model, answers = (model_file(policy), reasoner_file(reasoner)) if named else (None, None)

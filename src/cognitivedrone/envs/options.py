@@ -6,8 +6,11 @@ import warnings
 from collections.abc import Mapping
 from typing import Any
 
+from cognitivedrone.errors import TaskError
 from cognitivedrone.plan import Scenario
-from cognitivedrone.tasks import UNLIMITED, Suite, open_suite
+from cognitivedrone.tasks import UNLIMITED, Suite
+from cognitivedrone.tasks.scenario import suite_of
+from cognitivedrone.tasks.suites import TRAIN_NAME
 
 FORMER_NAMES = {"look": "appearance", "wind_m_s": "wind"}
 
@@ -26,4 +29,6 @@ def tasks_of(suite: str | Suite, scenario: Scenario) -> Suite:
     """The tasks of an environment; the training suite has no end. Raises `TaskError`."""
     if isinstance(suite, Suite):
         return suite
-    return open_suite(scenario.suite, scenario.tasks, size=UNLIMITED, seed=scenario.seed)
+    if scenario.track and scenario.tasks is None and scenario.suite == TRAIN_NAME:
+        raise TaskError(f"{TRAIN_NAME} has no end, so it cannot be chained into tracks; leave track=True out")
+    return suite_of(scenario, UNLIMITED)
