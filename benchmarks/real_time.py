@@ -26,7 +26,7 @@ from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.types import Action, Event, Guidance, Image, Observation, Truth
+from cognitivedrone.types import Action, Event, GroundTruth, Guidance, Image, Observation
 
 
 @dataclass
@@ -55,7 +55,7 @@ class TimedReasoner:
     def __init__(self, reasoner: Reasoner) -> None:
         self.reasoner, self.took_s = reasoner, list[float]()
 
-    def brief(self, truth: Truth) -> None:
+    def brief(self, truth: GroundTruth) -> None:
         if isinstance(self.reasoner, Privileged):
             self.reasoner.brief(truth)
 

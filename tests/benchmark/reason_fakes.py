@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from cognitivedrone.errors import ReasonerError
-from cognitivedrone.types import Guidance, Image, Task, Truth
+from cognitivedrone.types import Guidance, Image, Task, GroundTruth
 
 LOG: list[str] = []
-TRUTHS: list[Truth] = []
+TRUTHS: list[GroundTruth] = []
 
 
 class _Briefed:
@@ -17,7 +17,7 @@ class _Briefed:
         self.asked = 0
         """Frames of the stage at hand."""
 
-    def brief(self, truth: Truth) -> None:
+    def brief(self, truth: GroundTruth) -> None:
         LOG.append("brief")
         TRUTHS.append(truth)
         self.task, self.asked = truth.task, 0

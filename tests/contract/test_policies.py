@@ -13,7 +13,7 @@ from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.interfaces import Privileged, Seeded
 from cognitivedrone.policies import POLICIES, make_policy
 from cognitivedrone.reasoners import REASONERS, make_reasoner
-from cognitivedrone.types import ACTION_LIMITS, DroneState, Gate, Guidance, Observation, Stage, Task, Truth
+from cognitivedrone.types import ACTION_LIMITS, DroneState, Gate, Guidance, Observation, Stage, Task, GroundTruth
 
 GATES = (Gate("small", "round", "red"), Gate("big", "square", "green"), Gate("small", "triangle", "blue"))
 LABELS = ("letter/A@inter", "letter/B@inter", "letter/C@inter")
@@ -29,7 +29,7 @@ TASK = Task(
     gates=GATES,
 )
 STATE = DroneState(np.array([-1.0, 0.3, 0.8]), np.zeros(3), quaternion_from_yaw(0.1), np.zeros(3))
-TRUTH = Truth(TASK, Stage(GATES, LABELS), lambda: STATE)
+TRUTH = GroundTruth(TASK, Stage(GATES, LABELS), lambda: STATE)
 
 
 def noise(seed=0):

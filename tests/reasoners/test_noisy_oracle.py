@@ -12,17 +12,17 @@ from cognitivedrone.interfaces import Privileged, Seeded
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.reasoners.noisy_oracle import PUBLISHED_ACCURACY, NoisyOracle
 from cognitivedrone.tasks import load_suite, write_directive
-from cognitivedrone.types import CATEGORIES, DroneState, Guidance, Stage, Task, Truth
+from cognitivedrone.types import CATEGORIES, DroneState, Guidance, Stage, Task, GroundTruth
 
 TASKS = [task for (task,) in load_suite("open-v1:test").tracks]
 IMAGE = np.zeros((256, 256, 3), np.uint8)
 
 
-def truth_of(task: Task) -> Truth:
+def truth_of(task: Task) -> GroundTruth:
     def state() -> DroneState:
         raise AssertionError("a noisy oracle has no use for the drone's state")
 
-    return Truth(task, Stage(task.gates, task.labels), state)
+    return GroundTruth(task, Stage(task.gates, task.labels), state)
 
 
 def answers(reasoner: NoisyOracle, tasks: list[Task] = TASKS, seed: int = 0) -> list[Guidance]:

@@ -11,17 +11,17 @@ from cognitivedrone.interfaces import Privileged
 from cognitivedrone.reasoners import make_reasoner, replay
 from cognitivedrone.reasoners.replay import FAULTS, Replay
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.types import DroneState, Guidance, Stage, Truth
+from cognitivedrone.types import DroneState, Guidance, Stage, GroundTruth
 
 FIRST, SECOND, THIRD = (task for (task,) in load_suite("open-v1:test").tracks[:3])
 IMAGE = np.zeros((256, 256, 3), np.uint8)
 
 
-def truth_of(task) -> Truth:
+def truth_of(task) -> GroundTruth:
     def state() -> DroneState:
         raise AssertionError("a replay has no use for the drone's state")
 
-    return Truth(task, Stage(task.gates, task.labels), state)
+    return GroundTruth(task, Stage(task.gates, task.labels), state)
 
 
 def written(path: Path, *objects: dict) -> str:

@@ -14,7 +14,7 @@ from cognitivedrone.frames import yaw_of
 from cognitivedrone.interfaces import Clock, Drone
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks.matching import asks_the_same
-from cognitivedrone.types import StageResult, Truth
+from cognitivedrone.types import GroundTruth, StageResult
 from cognitivedrone.vehicles.camera import Camera, Shot
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.client.preflight import Checklist
@@ -33,7 +33,7 @@ class Scene:
 
     index: int
     """Which stage of the track."""
-    truth: Truth
+    truth: GroundTruth
 
 
 class Craft(Protocol):

@@ -29,7 +29,7 @@ from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.data.formats.bags import Ros
 from cognitivedrone.errors import PolicyError
-from cognitivedrone.interfaces import Checked, Policy, Privileged, Reasoner
+from cognitivedrone.interfaces import Policy, Reasoner
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.types import Action, Event, Guidance, Observation
@@ -37,7 +37,7 @@ from cognitivedrone.vehicles.mavlink.client.preflight import Checklist
 
 CONFIRMATION = "arm"
 REDRAWN_HZ = 5
-Part = TypeVar("Part")
+Part = TypeVar("Part", Policy, Reasoner | None)
 
 
 def fly_mission(config: FlyConfig, *, console: Console | None = None, keyboard: TextIO | None = None) -> Summary:
@@ -177,18 +177,16 @@ class _Recorder:
 
 
 def _ready(stack: ExitStack, part: Part) -> Part:
-    """A policy or reasoner that could fly now, closed at the end if it can be."""
-    close = getattr(part, "close", None)
-    if callable(close):
-        stack.callback(close)
-    if isinstance(part, Checked):
+    """A policy or reasoner that could fly now, closed at the end."""
+    if part is not None:
+        stack.callback(part.close)
         part.check()
     return part
 
 
 def _check_truth(craft: Craft, policy: Policy, reasoner: Reasoner | None) -> None:
     for kind, part in (("policy", policy), ("reasoner", reasoner)):
-        if craft.scene() is None and isinstance(part, Privileged):
+        if craft.scene() is None and part is not None and part.needs_ground_truth:
             raise PolicyError(
                 f"this {kind} must be told the truth about the scene, which only --link sim and sitl know"
             )

@@ -14,7 +14,7 @@ from cognitivedrone.apps.scene import ChosenScene
 from cognitivedrone.control.safety import Guard
 from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.errors import CameraError
-from cognitivedrone.types import Image, Truth
+from cognitivedrone.types import GroundTruth, Image
 from cognitivedrone.vehicles.camera import Shot
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.sitl.arducopter import BINARY_VARIABLE, ArduCopter, find_binary
@@ -73,5 +73,5 @@ def open_sitl(config: FlyConfig, chosen: ChosenScene, tlog: Path) -> Craft:
         vehicle = replace(vehicle_config(config, tlog), clock="vehicle", set_parameters=True, ready_timeout_s=READY_S)
         eyes = TimestampedCamera(camera)
         drone = autopilot.connect(lambda url: MavlinkDrone(url, eyes, Guard(safety(config)), vehicle))
-        scene = Scene(0, Truth(track_runner.task, track_runner.stage, plant.state))
+        scene = Scene(0, GroundTruth(track_runner.task, track_runner.stage, plant.state))
         return MavlinkCraft(drone, eyes, simulated=True, scene=scene, undo=undo.pop_all().close)

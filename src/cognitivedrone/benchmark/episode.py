@@ -5,7 +5,6 @@ from __future__ import annotations
 import traceback
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -13,13 +12,13 @@ from cognitivedrone.benchmark.flight_log import FlightLog
 from cognitivedrone.benchmark.run_types import Rollout, RunConfig
 from cognitivedrone.benchmark.vehicles import autopilot_file, open_link
 from cognitivedrone.control.async_reasoner import SimulatedReasoner
-from cognitivedrone.control.calls import NO_WATCH, Watch, calling
+from cognitivedrone.control.calls import NO_WATCH, Watch, seed_of
 from cognitivedrone.control.latency import TimedPolicy, parse_delays
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.envs.drone import SimulatedDrone
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import PolicyError, PolicyRaised, did_you_mean
-from cognitivedrone.interfaces import Checked, LabelPack, Policy, Reasoner, Seeded
+from cognitivedrone.interfaces import LabelPack, Policy, Reasoner
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
@@ -45,13 +44,6 @@ def preflight(config: RunConfig, suite: Suite) -> None:
 def labels_of(config: RunConfig) -> LabelPack:
     """What draws the panels of a run; raises `LabelError`."""
     return load_pack(str(config.labels) if config.labels else "open-v1")
-
-
-def _close(part: object) -> None:
-    """Let a policy or reasoner close what it holds open, such as a connection, if it can."""
-    close = getattr(part, "close", None)
-    if callable(close):
-        close()
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +80,11 @@ class PilotRunner:
         config = self.config
         self.policy, self.reasoner = pilot.policy, pilot.reasoner
         for part in (self.policy, self.reasoner):
+            if part is None:
+                continue
             if not pilot.lent:
-                self._undo.callback(_close, part)
-            if isinstance(part, Checked):
-                part.check()
+                self._undo.callback(part.close)
+            part.check()
         self._link = open_link(config, self._undo)
         self.simulator = self._link.simulator
         self.track_runner = TrackRunner(
@@ -111,20 +104,16 @@ class PilotRunner:
         rng = episode_rng(self.suite.digest, episode, self.config.seed)
         self.track_runner.begin(self.suite.tracks[episode], rng)
         # The reasoner first: what it draws must not depend on the policy that it flies with.
-        parts: dict[str, Any] = {"the reasoner": self.reasoner, "the policy": self.policy}
-        seeds = {what: int(rng.integers(2**31)) for what, part in parts.items() if isinstance(part, Seeded)}
+        reasoner_seed, policy_seed = (seed_of(part, rng) for part in (self.reasoner, self.policy))
         thinking = np.random.default_rng(int(rng.integers(2**31)))
         charge = self.delays.reasoner.charge(thinking)
-        mind = SimulatedReasoner(self.reasoner, charge, self._watch) if self.reasoner else None
+        mind = SimulatedReasoner(self.reasoner, charge, self._watch, seed=reasoner_seed) if self.reasoner else None
         log = FlightLog(self.simulator, self.track_runner, keep_frames=film)
         timed = TimedPolicy(self.policy, self._watch)
         charge = self.delays.policy.charge(thinking)
         message = trace = ""
         try:
-            for what, seed in seeds.items():
-                with calling(what, self._watch):
-                    parts[what].seed(seed)
-            fly(self.drone, timed, self.drone, self._mission, mind=mind, recorder=log, charge=charge)
+            fly(self.drone, timed, self.drone, self._mission, mind=mind, recorder=log, charge=charge, seed=policy_seed)
         except PolicyError as error:
             self.track_runner.end("policy_error")
             message = str(error)

@@ -6,18 +6,20 @@ import importlib
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from cognitivedrone.adapters import as_policy, as_reasoner
 from cognitivedrone.benchmark.episode import Pilot
 from cognitivedrone.benchmark.results import Results
 from cognitivedrone.benchmark.run_types import LookName, RunConfig
 from cognitivedrone.benchmark.runner import run
 from cognitivedrone.benchmark.scoring import Summary
 from cognitivedrone.benchmark.tables import as_text, results_table
-from cognitivedrone.errors import PolicyError, RunError
-from cognitivedrone.interfaces import Policy, Reasoner
+from cognitivedrone.errors import RunError
+from cognitivedrone.interfaces import PolicyLike, ReasonerLike
 from cognitivedrone.policies import make_policy
 from cognitivedrone.printable import visible
 from cognitivedrone.reasoners import NONE, make_reasoner
@@ -46,10 +48,10 @@ class Evaluation:
 
 
 def evaluate(
-    policy: str | Policy | Callable[[], Policy] = "small",
+    policy: str | PolicyLike | Callable[[], PolicyLike] = "small",
     suite: str | Path = "open-v1:smoke",
     *,
-    reasoner: str | Reasoner | Callable[[], Reasoner] | None = None,
+    reasoner: str | ReasonerLike | Callable[[], ReasonerLike] | None = None,
     episodes: int | None = None,
     workers: int | None = None,
     seed: int = 0,
@@ -108,15 +110,16 @@ def evaluate(
         decision_timeout=decision_timeout,
         fail_fast=fail_fast,
     )
-    pilot = None
-    if here:
-        _one_process(" and ".join(here), workers, progress)
-        config = replace(config, workers=0)
-        pilot = replace(_pilot(policy, reasoner), command=_call_of(config))
-    if out is not None:
+    with ExitStack() as undo:
+        pilot = None
+        if here:
+            _one_process(" and ".join(here), workers, progress)
+            config = replace(config, workers=0)
+            pilot = replace(_pilot(policy, reasoner, undo), command=_call_of(config))
+        if out is None:
+            folder = undo.enter_context(tempfile.TemporaryDirectory(prefix="cognitivedrone-"))
+            config = replace(config, out=Path(folder) / "run")
         return Evaluation(run(config, progress=progress, pilot=pilot))
-    with tempfile.TemporaryDirectory(prefix="cognitivedrone-") as folder:
-        return Evaluation(run(replace(config, out=Path(folder) / "run"), progress=progress, pilot=pilot))
 
 
 def _name_of(part: object) -> str | None:
@@ -159,22 +162,23 @@ def _one_process(what: str, workers: int | None, progress: bool) -> None:
         print(visible(why), file=sys.stderr)  # noqa: T201
 
 
-def _pilot(policy: Any, reasoner: Any) -> Pilot:
-    made_policy: Policy = make_policy(policy) if isinstance(policy, str) else _made("policy", policy, ("reset", "act"))
-    made_reasoner: Reasoner | None
-    if reasoner is None or isinstance(reasoner, str):
-        made_reasoner = make_reasoner(reasoner or NONE)
+def _pilot(policy: Any, reasoner: Any, undo: ExitStack) -> Pilot:
+    """What flies. `undo` closes what is made here; an object of the user's is closed by the user."""
+    flown = _part("policy", policy, "act", make_policy, as_policy, undo)
+    asked = None if reasoner is None else _part("reasoner", reasoner, "refine", make_reasoner, as_reasoner, undo)
+    return Pilot(flown, asked, lent=True)
+
+
+def _part(
+    kind: str, given: Any, method: str, make: Callable[[str], Any], adapt: Callable[[str, Any], Any], undo: ExitStack
+) -> Any:
+    """A policy or reasoner from its name, from what makes it, or from the object itself. Raises `PolicyError`."""
+    is_factory = isinstance(given, type) or (not hasattr(given, method) and callable(given))
+    if isinstance(given, str):
+        part = make(given)
     else:
-        made_reasoner = _made("reasoner", reasoner, ("refine",))
-    return Pilot(made_policy, made_reasoner, lent=True)
-
-
-def _made(kind: str, part: Any, methods: tuple[str, ...]) -> Any:
-    """An object from itself, or from what makes it. Raises `PolicyError` where it lacks a method."""
-    made = part() if isinstance(part, type) or (not hasattr(part, methods[-1]) and callable(part)) else part
-    missing = [method for method in methods if not callable(getattr(made, method, None))]
-    if missing:
-        raise PolicyError(
-            f"the {kind} {_description(made)} has no method {missing[0]}(); see cognitivedrone.interfaces"
-        )
-    return made
+        made = given() if is_factory else given
+        part = adapt(f"the {kind} {_description(made)}", made)
+    if part is not None and (is_factory or isinstance(given, str)):
+        undo.callback(part.close)
+    return part

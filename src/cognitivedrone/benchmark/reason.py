@@ -27,17 +27,18 @@ from cognitivedrone.benchmark.results import Options, SuiteFacts, versions, writ
 from cognitivedrone.benchmark.runner import Interrupted, facts_of, results_folder
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.control.async_reasoner import asking, check_guidance
+from cognitivedrone.control.calls import begin_stage, seed_of
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, draw_start, episode_rng, scenery_of, stage_of
 from cognitivedrone.errors import PolicyError, ReasonerError, RunError
 from cognitivedrone.files import writing
 from cognitivedrone.frames import rotate_yaw
-from cognitivedrone.interfaces import Checked, Privileged, Reasoner, Seeded, StatefulReasoner
+from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.progress import counted
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.sim.simulator import TICKS_PER_CONTROL, Simulator, Start
 from cognitivedrone.tasks import Suite
-from cognitivedrone.types import CONTROL_HZ, Guidance, Image, Stage, Truth
+from cognitivedrone.types import CONTROL_HZ, EpisodeContext, GroundTruth, Guidance, Image, Stage
 from cognitivedrone.world import geometry
 
 SCHEMA: Final = "cognitivedrone.reason/1"
@@ -75,7 +76,7 @@ class View:
     episode: int
     index: int
     """Of the stage on its track."""
-    truth: Truth
+    truth: GroundTruth
     look: Callable[[], Image]
     """A new frame, (256, 256, 3), of the drone hovering at the start; every call after the first one is
     1 / `LOOK_HZ` s later."""
@@ -98,8 +99,7 @@ def score_reasoner(config: ReasonConfig, *, progress: bool = True) -> ReasonResu
     if reasoner is None:
         raise PolicyError(f"--reasoner {config.reasoner} gives no answer to score; name one, such as oracle")
     preflight(run, suite)
-    if isinstance(reasoner, Checked):
-        reasoner.check()
+    reasoner.check()
     out = out_of(config)
     answers: list[Answer] = []
     with _open_answers(out, overwrite=config.overwrite) as keep:
@@ -144,7 +144,7 @@ def views(track_runner: TrackRunner, suite: Suite, episode: int, rng: np.random.
         stage = stage_of(task, origin, yaw)
         start = _placed(draw_start(rng, simulator.airframe.hull_radius), stage)
         simulator.begin(world, stage, scenery_of(stage, track_runner.labels, track_runner.look), start)
-        yield View(episode, index, Truth(task, stage, lambda: simulator.state(world)), _looking(simulator, world))
+        yield View(episode, index, GroundTruth(task, stage, lambda: simulator.state(world)), _looking(simulator, world))
 
 
 def _looking(simulator: Simulator, world: int) -> Callable[[], Image]:
@@ -178,14 +178,8 @@ def _ask_all(
         rng = episode_rng(suite.digest, episode, config.seed)
         for view in views(track_runner, suite, episode, rng):
             if view.index == 0:
-                if isinstance(reasoner, Seeded):
-                    reasoner.seed(int(rng.integers(2**31)))
-                if isinstance(reasoner, StatefulReasoner):
-                    reasoner.new_flight()
-            elif isinstance(reasoner, StatefulReasoner):
-                reasoner.new_stage()
-            if isinstance(reasoner, Privileged):
-                reasoner.brief(view.truth)
+                seed = seed_of(reasoner, rng)
+            begin_stage(reasoner, EpisodeContext(view.truth.task.instruction, seed, view.index, view.truth))
             yield _ask(reasoner, view, config.frames)
 
 

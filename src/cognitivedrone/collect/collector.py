@@ -201,7 +201,7 @@ def _prepare(config: CollectConfig) -> tuple[Job, Executor, int]:
     learner = None
     if config.policy is not None:
         learner = learner_of(config.policy, config.beta)
-        make_policy(config.policy)  # fails here, before anything is written
+        make_policy(config.policy).close()  # fails here, before anything is written
     suite = config.suite if config.tasks is None else str(config.tasks)
     job = Job(suite, replace(recipe, episodes=episodes), config.seed, config.episodes_per_shard, learner)
     return job, executor, workers

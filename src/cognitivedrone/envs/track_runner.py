@@ -16,7 +16,7 @@ from cognitivedrone.errors import SimulationError, did_you_mean
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.sim.gate_monitor import GateEvent
 from cognitivedrone.sim.simulator import Scenery, Simulator, Start
-from cognitivedrone.types import Outcome, Stage, StageResult, Task, Track, Truth
+from cognitivedrone.types import GroundTruth, Outcome, Stage, StageResult, Task, Track
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN, Look, varied_look
 
@@ -126,9 +126,9 @@ class TrackRunner:
         """The stage at hand; after the end, the last one."""
         return self.stages[-1]
 
-    def truth(self) -> Truth:
+    def truth(self) -> GroundTruth:
         """What a privileged pilot is told."""
-        return Truth(self.task, self.stage, lambda: self.simulator.state(self.world))
+        return GroundTruth(self.task, self.stage, lambda: self.simulator.state(self.world))
 
     def update(self, gate_event: GateEvent | None) -> StageResult | None:
         """Take in what happened in the last stretch of flight; the result, where it ended the stage."""
