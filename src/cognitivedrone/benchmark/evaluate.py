@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from cognitivedrone.adapters import as_policy, as_reasoner
 from cognitivedrone.benchmark.episode import Pilot
@@ -23,8 +23,6 @@ from cognitivedrone.interfaces import PolicyLike, ReasonerLike
 from cognitivedrone.policies import make_policy
 from cognitivedrone.printable import visible
 from cognitivedrone.reasoners import NONE, make_reasoner
-
-Part = TypeVar("Part")
 
 
 @dataclass(frozen=True, slots=True)
