@@ -116,7 +116,9 @@ def test_a_new_flight_draws_from_its_seed_and_a_later_stage_draws_on(name):
     policy = make_policy(name)
     image = np.zeros((256, 256, 3), np.uint8)
     for channel in range(3):
-        image[100:150, 20 + 80 * channel : 70 + 80 * channel, channel] = 200
+        left = 20 + 80 * channel
+        image[105:150, left : left + 45, channel] = 250
+        image[110:145, left + 5 : left + 40] = 0
     seen = [replace(observation(image), instruction=f"a sentence that names no gate, {n}") for n in range(20)]
 
     def drawn(context):
