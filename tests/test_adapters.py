@@ -143,7 +143,9 @@ class ByType(Log):
 
 def test_a_policy_of_the_former_contract_flies_as_before_with_a_warning():
     made = Former()
-    with pytest.warns(FutureWarning, match=r"policy 'mine' is written for the former contract.*reset\(self, context\)"):
+    with pytest.warns(
+        FutureWarning, match=r"'mine' has methods of the former contract \(reset\(instruction\), seed\(\), "
+    ):
         policy = as_policy("policy 'mine'", made)
     assert policy.needs_ground_truth
     assert policy.needs_seed
@@ -210,7 +212,7 @@ def test_who_takes_the_context_for_the_instruction_reads_what_to_change(when):
     if when == "act":
         policy.reset(CONTEXT)
     call = policy.act if when == "act" else policy.reset
-    with pytest.raises(PolicyError, match=r"'mine' takes the context .*: the instruction is context\.instruction$"):
+    with pytest.raises(PolicyError, match=r"'mine': reset\(context\) is given .*; read context\.instruction$"):
         call(CONTEXT)
 
 

@@ -1,8 +1,7 @@
-"""Policies and reasoners of the user's as the whole of their contract.
+"""Makes a user's object a whole `Policy` or `Reasoner`.
 
-A class that inherits `interfaces.Policy` or `interfaces.Reasoner` is taken as it is. Any other gets the contract's
-defaults for what it lacks. What was written for the contract before `EpisodeContext` is called as before, with a
-warning, until the next version.
+An object that inherits one of them is used as it is. Any other gets the defaults for the methods and attributes that it
+lacks. Classes written for the contract before `EpisodeContext` work as before, with a warning, until the next version.
 """
 
 from __future__ import annotations
@@ -52,10 +51,10 @@ class _Adapted(PlugIn):
         self.needs_ground_truth = getattr(part, "needs_ground_truth", False) is True or "brief" in self._old
         self.needs_seed = getattr(part, "needs_seed", False) is True or "seed" in self._old
         if old:
-            methods = ", ".join(f"{method}()" for method in (*self._old, *(["reset(instruction)"] * self._takes_text)))
+            methods = [*(["reset(instruction)"] if self._takes_text else []), *(f"{method}()" for method in self._old)]
             warnings.warn(
-                f"{what} is written for the former contract ({methods}), which the next version does not know: write"
-                " reset(self, context), with context.instruction, .seed, .stage and .ground_truth; docs/own_policy.md",
+                f"{what} has methods of the former contract ({', '.join(methods)}), which the next version will not call:"
+                " write reset(self, context) and read context.instruction (docs/own_policy.md)",
                 FutureWarning,
                 stacklevel=4,
             )
@@ -91,8 +90,7 @@ class _Adapted(PlugIn):
             if EpisodeContext.__name__ not in str(error):
                 raise
             raise PolicyError(
-                f"{self._what} takes the context that reset() is given for something else ({error}): the instruction is"
-                " context.instruction"
+                f"{self._what}: reset(context) is given an EpisodeContext, no text ({error}); read context.instruction"
             ) from error
 
 
