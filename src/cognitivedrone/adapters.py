@@ -53,8 +53,8 @@ class _Adapted(PlugIn):
         if old:
             methods = [*(["reset(instruction)"] if self._takes_text else []), *(f"{method}()" for method in self._old)]
             warnings.warn(
-                f"{what} has methods of the former contract ({', '.join(methods)}), which the next version will not call:"
-                " write reset(self, context) and read context.instruction (docs/own_policy.md)",
+                f"{what} has methods of the former contract ({', '.join(methods)}), which the next version will not"
+                " call: write reset(self, context) and read context.instruction (docs/own_policy.md)",
                 FutureWarning,
                 stacklevel=4,
             )
