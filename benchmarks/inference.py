@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from cognitivedrone.policies.small import Small
-from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Observation
+from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, EpisodeContext, Observation
 
 DECISIONS = 500
 WARM_UP = 20
@@ -44,7 +44,7 @@ def main() -> None:
     begin = time.perf_counter()
     policy = Small(str(file))
     loading = time.perf_counter() - begin
-    policy.reset(TEXT)
+    policy.reset(EpisodeContext(TEXT))
     seen = observations(8)
     times = []
     for step in range(WARM_UP + DECISIONS):

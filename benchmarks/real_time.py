@@ -20,13 +20,13 @@ from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.envs.drone import PacedDrone, SimulatedDrone
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
-from cognitivedrone.interfaces import Privileged, Reasoner
+from cognitivedrone.interfaces import Policy, Reasoner
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.types import Action, Event, Guidance, Image, Observation, Truth
+from cognitivedrone.types import Action, EpisodeContext, Event, Guidance, Image, Observation
 
 
 @dataclass
@@ -49,15 +49,15 @@ class Log:
         self.answers += event.kind in ("adopted", "agreed", "kept")
 
 
-class TimedReasoner:
+class TimedReasoner(Reasoner):
     """A reasoner whose answers are measured."""
 
     def __init__(self, reasoner: Reasoner) -> None:
         self.reasoner, self.took_s = reasoner, list[float]()
+        self.needs_ground_truth, self.needs_seed = reasoner.needs_ground_truth, reasoner.needs_seed
 
-    def brief(self, truth: Truth) -> None:
-        if isinstance(self.reasoner, Privileged):
-            self.reasoner.brief(truth)
+    def reset(self, context: EpisodeContext) -> None:
+        self.reasoner.reset(context)
 
     def refine(self, image: Image, instruction: str) -> Guidance:
         begin = time.perf_counter()
@@ -101,7 +101,7 @@ def real_time(policy_name: str, reasoner_name: str, seconds: float) -> None:
         )
 
 
-class Nothing:
+class Nothing(Policy, Reasoner):
     """Drone, clock, policy and reasoner that cost nothing."""
 
     def __init__(self) -> None:
@@ -121,9 +121,6 @@ class Nothing:
 
     def sleep_until(self, time_s: float) -> None:
         self.time = time_s
-
-    def reset(self, instruction: str) -> None:
-        pass
 
     def act(self, observation: Observation) -> Action:
         return self.action

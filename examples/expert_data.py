@@ -7,6 +7,7 @@ import gymnasium
 import numpy as np
 
 from cognitivedrone.policies.expert import Expert
+from cognitivedrone.types import EpisodeContext
 
 
 def main(worlds: int = 8, steps: int = 30) -> None:
@@ -14,7 +15,7 @@ def main(worlds: int = 8, steps: int = 30) -> None:
     observation, _ = env.reset(seed=0)
     experts = [Expert() for _ in range(worlds)]
     for expert, truth in zip(experts, env.unwrapped.truths(), strict=True):
-        expert.brief(truth)
+        expert.reset(EpisodeContext(truth.task.instruction, ground_truth=truth))
     actions = np.zeros((worlds, 4), dtype=np.float32)
     frames = 0
     for _ in range(steps):

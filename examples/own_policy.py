@@ -5,14 +5,14 @@ Run: PYTHONPATH=examples cognitivedrone bench --policy own_policy:Straight --sui
 
 import numpy as np
 
-from cognitivedrone.types import ActionChunk, Observation
+from cognitivedrone.types import ActionChunk, EpisodeContext, Observation
 
 
 class Straight:
     """Flies straight ahead at the gates' height: through the middle gate, whatever it is asked."""
 
-    def reset(self, instruction: str) -> None:
-        """Called at the start of every stage."""
+    def reset(self, context: EpisodeContext) -> None:
+        """A stage begins: `context.instruction` says what to do."""
 
     def act(self, observation: Observation) -> ActionChunk:
         """vx, vy, vz in m/s and yaw rate in rad/s, in the heading frame; one row a control step of 0.1 s."""

@@ -94,7 +94,7 @@ def test_nan_actions_are_counted_apart(tmp_path):
     (tmp_path / "broken.py").write_text(
         "import numpy as np\n"
         "class Broken:\n"
-        "    def reset(self, instruction): self.steps = 0\n"
+        "    def reset(self, context): self.steps = 0\n"
         "    def act(self, observation):\n"
         "        self.steps += 1\n"
         "        return np.full((1, 4), np.nan if self.steps > 3 else 0.1, np.float32)\n"

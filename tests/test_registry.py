@@ -60,7 +60,7 @@ DEFAULT = (None, "cpu", 1, 0.5, "", False)
     ],
 )
 def test_arguments_reach_the_parameters_as_their_types(name, argument, given):
-    assert registry.make("policy", name + argument, TABLE, ()).given == given
+    assert registry.make("policy", name + argument, TABLE).given == given
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_arguments_reach_the_parameters_as_their_types(name, argument, given):
 )
 def test_what_does_not_fit_is_one_sentence_with_the_way_to_write_it(text, says):
     with pytest.raises(PolicyError, match=says) as error:
-        registry.make("policy", text, TABLE, ())
+        registry.make("policy", text, TABLE)
     assert "\n" not in str(error.value)
 
 

@@ -1,81 +1,84 @@
-"""Every plug-in interface of the project. Plain Protocols: a class fits by its methods, it inherits nothing.
+"""Every plug-in interface of the project.
 
-Beside them stands `Health`, what links tell the rules of safety: neither room may know the other.
+`Policy` and `Reasoner` are base classes, with defaults for what few need; a user's class may inherit them, or have only
+the methods of `PolicyLike` or `ReasonerLike`. The others are Protocols: a class fits by its methods. Beside them stands
+`Health`, what links tell the rules of safety: neither room may know the other.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from cognitivedrone.types import (
     Action,
     ActionChunk,
+    EpisodeContext,
     Event,
     FloatArray,
     Guidance,
     Image,
     Observation,
-    Truth,
 )
 
 
-class Policy(Protocol):
-    """Image and text in, velocity commands out."""
+class PlugIn:
+    """What policies and reasoners have in common. A class that inherits it overrides only what it needs."""
 
-    def reset(self, instruction: str) -> None:
-        """Forget the last flight; the next `act` starts a new one."""
+    needs_ground_truth: bool = False
+    """Whether contexts hold the ground truth, for oracles and teachers: only a simulator has it."""
+    needs_seed: bool = False
+    """Whether it draws random numbers: contexts then hold a seed of its own."""
+
+    def reset(self, context: EpisodeContext) -> None:
+        """A stage begins; with `context.stage` 0 a new flight, and everything before it is forgotten."""
+
+    def check(self) -> None:
+        """Called once before take-off: raises `PolicyError` where it could not fly, as without its server."""
+
+    def close(self) -> None:
+        """Let go of what is held open, such as a connection: called once, after the last flight."""
+
+
+class Policy(PlugIn, ABC):
+    """Image and text in, velocity commands out. `reset` begins every stage."""
+
+    @abstractmethod
+    def act(self, observation: Observation) -> ActionChunk:
+        """Commands for the next k >= 1 control steps, (k, 4) float32 in the heading frame, m/s and rad/s."""
+
+
+class Reasoner(PlugIn, ABC):
+    """Turns the user's instruction into a plain directive, looking at the scene.
+
+    `reset` comes before the first question of a stage. With `context.stage` above 0 what was answered last was the
+    answer for the stage that has ended.
+    """
+
+    @abstractmethod
+    def refine(self, image: Image, instruction: str) -> Guidance:
+        """The directive for what `image` shows; raises `ReasonerError` where it has none to give this time."""
+
+
+class PolicyLike(Protocol):
+    """The least that a policy of the user's has; `adapters.as_policy` completes it."""
+
+    def reset(self, context: EpisodeContext) -> None:
+        """A stage begins."""
         ...
 
     def act(self, observation: Observation) -> ActionChunk:
-        """Commands for the next k >= 1 control steps, (k, 4) float32 in the heading frame, m/s and rad/s."""
+        """As `Policy.act`."""
         ...
 
 
-class Reasoner(Protocol):
-    """Turns the user's instruction into a plain directive, looking at the scene."""
+class ReasonerLike(Protocol):
+    """The least that a reasoner of the user's has; `adapters.as_reasoner` completes it."""
 
     def refine(self, image: Image, instruction: str) -> Guidance:
-        """The directive for what `image` shows; raises `ReasonerError` where it has none to give this time."""
+        """As `Reasoner.refine`."""
         ...
-
-
-@runtime_checkable
-class StatefulReasoner(Protocol):
-    """A reasoner that looks more than once: at several frames of a stage, and back at earlier stages of a track."""
-
-    def new_flight(self) -> None:
-        """Forget everything; the first stage begins."""
-        ...
-
-    def new_stage(self) -> None:
-        """The next stage begins: what was answered last was the answer for the one that has ended."""
-        ...
-
-
-@runtime_checkable
-class Privileged(Protocol):
-    """A policy or reasoner that asks for the truth: oracles and teachers. Only the simulator can tell it."""
-
-    def brief(self, truth: Truth) -> None:
-        """Called at the start of every stage, after a policy's `reset`."""
-        ...
-
-
-@runtime_checkable
-class Checked(Protocol):
-    """A policy or reasoner that depends on something outside: a server, a key."""
-
-    def check(self) -> None:
-        """Called once before take-off; raises `PolicyError` where it could not fly."""
-        ...
-
-
-@runtime_checkable
-class Seeded(Protocol):
-    """A policy or reasoner that draws random numbers: seeded once an episode, before `reset`."""
-
-    def seed(self, seed: int) -> None: ...
 
 
 class Drone(Protocol):

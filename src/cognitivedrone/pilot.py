@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
-from cognitivedrone.interfaces import Checked, Policy, Reasoner
+from cognitivedrone.interfaces import Policy, Reasoner
 from cognitivedrone.plan import PilotSpec
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
@@ -19,25 +19,25 @@ class Pilot:
     policy: Policy
     reasoner: Reasoner | None = None
 
+    def check(self) -> None:
+        """Raise `PolicyError` where policy or reasoner could not fly."""
+        self.policy.check()
+        if self.reasoner is not None:
+            self.reasoner.check()
+
 
 @contextmanager
 def open_pilot(spec: PilotSpec) -> Iterator[Pilot]:
-    """Policy and reasoner, ready to fly; whatever they hold open is closed at the end.
+    """Policy and reasoner, ready to fly; both are closed at the end.
 
-    Raises `PolicyError` where one cannot be made, or reports that it could not fly.
+    Raises `PolicyError` where one cannot be made, or could not fly.
     """
     with ExitStack() as stack:
-        pilot = Pilot(make_policy(spec.policy), make_reasoner(spec.reasoner))
-        for part in (pilot.policy, pilot.reasoner):
-            close = getattr(part, "close", None)
-            if callable(close):
-                stack.callback(close)
-        check_ready(pilot)
+        policy = make_policy(spec.policy)
+        stack.callback(policy.close)
+        reasoner = make_reasoner(spec.reasoner)
+        if reasoner is not None:
+            stack.callback(reasoner.close)
+        pilot = Pilot(policy, reasoner)
+        pilot.check()
         yield pilot
-
-
-def check_ready(pilot: Pilot) -> None:
-    """Raise `PolicyError` where policy or reasoner report that they could not fly."""
-    for part in (pilot.policy, pilot.reasoner):
-        if isinstance(part, Checked):
-            part.check()

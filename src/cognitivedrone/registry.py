@@ -84,23 +84,16 @@ def call_of(kind: str, text: str, table: Mapping[str, str]) -> Call:
     return Call(factory, _bind(kind, name, factory, rest))
 
 
-def make(kind: str, text: str, table: Mapping[str, str], methods: tuple[str, ...]) -> Any:
-    """A new object of the plug-in that `text` names.
-
-    Raises `PolicyError` where it cannot be made, or lacks one of the interface's methods.
-    """
+def make(kind: str, text: str, table: Mapping[str, str]) -> Any:
+    """A new object of the plug-in that `text` names; raises `PolicyError` where it cannot be made."""
     call = call_of(kind, text, table)
     own = text.partition(":")[0] not in table
     try:
-        made = call()
+        return call()
     except (Exception, SystemExit) as error:
         if not own:
             raise
         raise PolicyError(f"{kind} {text!r} cannot be made: {one_line(error)}") from error
-    missing = [method for method in methods if not callable(getattr(made, method, None))]
-    if missing:
-        raise PolicyError(f"{kind} {text!r} has no method {missing[0]}(); see cognitivedrone.interfaces")
-    return made
 
 
 def file_of(kind: str, text: str, table: Mapping[str, str]) -> Path | None:

@@ -146,13 +146,27 @@ class Observation:
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
-    """What only privileged pilots are told about the stage at hand."""
+class GroundTruth:
+    """What only a simulator knows of the stage at hand."""
 
     task: Task
     stage: Stage
     state: Callable[[], DroneState]
     """The drone's true state now."""
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeContext:
+    """What a policy or reasoner is given at the start of every stage."""
+
+    instruction: str
+    """The user's. Behind a reasoner a policy's observations hold the directive in its place."""
+    seed: int = 0
+    """To draw random numbers from in this episode, the same at every stage of it; 0 unless `needs_seed` is declared."""
+    stage: int = 0
+    """0 where a new flight begins; larger at each later stage of it."""
+    ground_truth: GroundTruth | None = None
+    """In a simulator, where `needs_ground_truth` is declared."""
 
 
 @dataclass(frozen=True, slots=True)

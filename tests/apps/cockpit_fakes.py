@@ -12,7 +12,7 @@ import numpy as np
 
 from cognitivedrone.apps.mjpeg import FrameServer
 from cognitivedrone.policies.blind import Hover
-from cognitivedrone.types import ActionChunk, Guidance, Image, Observation
+from cognitivedrone.types import ActionChunk, EpisodeContext, Guidance, Image, Observation
 
 
 class Echo:
@@ -57,7 +57,7 @@ class Eager(Typist):
 class Broken:
     """Flies twice, then asks for NaN."""
 
-    def reset(self, instruction: str) -> None:
+    def reset(self, context: EpisodeContext) -> None:
         self.left = 2
 
     def act(self, observation: Observation) -> ActionChunk:

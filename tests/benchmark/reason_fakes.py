@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from cognitivedrone.errors import ReasonerError
-from cognitivedrone.types import Guidance, Image, Task, Truth
+from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance, Image, Task
 
 LOG: list[str] = []
-TRUTHS: list[Truth] = []
+TRUTHS: list[GroundTruth] = []
 
 
-class _Briefed:
+class _Briefed(Reasoner):
+    needs_ground_truth = True
+
     def __init__(self) -> None:
         LOG.clear()
         TRUTHS.clear()
@@ -17,10 +20,11 @@ class _Briefed:
         self.asked = 0
         """Frames of the stage at hand."""
 
-    def brief(self, truth: Truth) -> None:
-        LOG.append("brief")
-        TRUTHS.append(truth)
-        self.task, self.asked = truth.task, 0
+    def reset(self, context: EpisodeContext) -> None:
+        LOG.append(f"reset {context.stage} {context.seed}")
+        assert context.ground_truth is not None
+        TRUTHS.append(context.ground_truth)
+        self.task, self.asked = context.ground_truth.task, 0
 
     def refine(self, image: Image, instruction: str) -> Guidance:
         self.asked += 1
@@ -40,16 +44,9 @@ class FreeSpeaker(_Briefed):
 
 
 class Rememberer(_Briefed):
-    """Remembers, and draws."""
+    """Draws random numbers."""
 
-    def new_flight(self) -> None:
-        LOG.append("new_flight")
-
-    def new_stage(self) -> None:
-        LOG.append("new_stage")
-
-    def seed(self, seed: int) -> None:
-        LOG.append("seed")
+    needs_seed = True
 
 
 class Stumbler(_Briefed):

@@ -44,6 +44,29 @@ def test_a_reasoner_may_be_an_object_too():
     assert gold.summary.overall.reasoner.gate == 1.0
 
 
+def test_what_is_made_is_closed_and_an_object_of_the_users_is_not():
+    class Closing(user_pilots.Straight):
+        closed = 0
+
+        def close(self):
+            Closing.closed += 1
+
+    evaluate(Closing(), episodes=1, progress=False)
+    assert Closing.closed == 0
+    evaluate(Closing, episodes=1, progress=False)
+    assert Closing.closed == 1
+
+
+def test_a_policy_of_the_former_contract_flies_the_same_with_a_warning():
+    class Former(user_pilots.Straight):
+        def reset(self, instruction: str) -> None:
+            assert instruction.lower()
+
+    with pytest.warns(FutureWarning, match="former contract"):
+        former = score(Former(1.0))
+    assert former.results.episodes == score(user_pilots.Straight(1.0)).results.episodes
+
+
 def test_objects_stay_in_one_process_and_that_is_said(capsys):
     evaluate(user_pilots.Straight(), episodes=1)
     assert "the policy can be used in this process alone" in capsys.readouterr().err

@@ -147,8 +147,12 @@ def test_a_track_is_told_as_in_flight(config):
     tracks = config.changed(reasoner="reason_fakes:Rememberer", suite="open-v1:track", episodes=2)
     results = asked(tracks)
     assert [(a.episode, a.stage) for a in results.answers] == [(e, s) for e in range(2) for s in range(5)]
-    told = [word.partition(" ")[0] for word in reason_fakes.LOG]
-    assert told == 2 * (["seed", "new_flight", "brief", "refine"] + 4 * ["new_stage", "brief", "refine"])
+    told = [word.split() for word in reason_fakes.LOG]
+    assert [word[0] for word in told] == 10 * ["reset", "refine"]
+    assert [int(word[1]) for word in told[::2]] == 2 * [0, 1, 2, 3, 4]
+    first, second = ({word[2] for word in told[10 * episode : 10 * episode + 10 : 2]} for episode in range(2))
+    assert len(first) == len(second) == 1
+    assert first != second
 
 
 def test_later_stages_are_looked_at_from_their_own_start_boxes():

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from cognitivedrone.types import Guidance
+from cognitivedrone.types import EpisodeContext, Guidance
 
 EPISODES = 0
 """Flights begun in this process."""
@@ -18,7 +18,7 @@ class Straight:
     def __init__(self, speed: float = 1.2) -> None:
         self.speed = speed
 
-    def reset(self, instruction: str) -> None:
+    def reset(self, context: EpisodeContext) -> None:
         pass
 
     def act(self, observation):
@@ -33,7 +33,7 @@ class Faulty(Straight):
         self.how = how
         self.decisions = 0
 
-    def reset(self, instruction: str) -> None:
+    def reset(self, context: EpisodeContext) -> None:
         self.decisions = 0
 
     def act(self, observation):

@@ -172,7 +172,7 @@ class Once:
 
     asked = 0
 
-    def reset(self, instruction):
+    def reset(self, context):
         self.steps = 0
 
     def act(self, observation):

@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from openvla_files import write_checkpoint
 
+from cognitivedrone import registry
+from cognitivedrone.control.calls import begin_stage
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.frames import quaternion_from_yaw
-from cognitivedrone.interfaces import Privileged, Seeded
+from cognitivedrone.interfaces import Policy, Reasoner
 from cognitivedrone.policies import POLICIES, make_policy
 from cognitivedrone.reasoners import REASONERS, make_reasoner
-from cognitivedrone.types import ACTION_LIMITS, DroneState, Gate, Guidance, Observation, Stage, Task, Truth
+from cognitivedrone.types import (
+    ACTION_LIMITS,
+    DroneState,
+    EpisodeContext,
+    Gate,
+    GroundTruth,
+    Guidance,
+    Observation,
+    Stage,
+    Task,
+)
 
 GATES = (Gate("small", "round", "red"), Gate("big", "square", "green"), Gate("small", "triangle", "blue"))
 LABELS = ("letter/A@inter", "letter/B@inter", "letter/C@inter")
@@ -29,7 +42,10 @@ TASK = Task(
     gates=GATES,
 )
 STATE = DroneState(np.array([-1.0, 0.3, 0.8]), np.zeros(3), quaternion_from_yaw(0.1), np.zeros(3))
-TRUTH = Truth(TASK, Stage(GATES, LABELS), lambda: STATE)
+TRUTH = GroundTruth(TASK, Stage(GATES, LABELS), lambda: STATE)
+CONTEXT = EpisodeContext(TASK.instruction, seed=7, stage=0, ground_truth=TRUTH)
+LATER = replace(CONTEXT, stage=1)
+DRAWING = ["colour_seeker", "random"]
 
 
 def noise(seed=0):
@@ -42,11 +58,8 @@ def observation(image, time=0.0):
 
 def prepared(name):
     policy = make_policy(name)
-    if isinstance(policy, Seeded):
-        policy.seed(7)
-    policy.reset(TASK.instruction)
-    if isinstance(policy, Privileged):
-        policy.brief(TRUTH)
+    policy.check()
+    begin_stage(policy, CONTEXT)
     return policy
 
 
@@ -84,12 +97,13 @@ class TestPolicy:
         begin = policy.act(observation(noise()))
         for step in range(1, 4):
             policy.act(observation(noise(step), step / 10))
-        if isinstance(policy, Seeded):
-            policy.seed(7)
-        policy.reset(TASK.instruction)
-        if isinstance(policy, Privileged):
-            policy.brief(TRUTH)
+        begin_stage(policy, CONTEXT)
         assert np.array_equal(policy.act(observation(noise())), begin)
+
+    def test_it_is_a_policy_that_closes(self, name):
+        policy = prepared(name)
+        assert isinstance(policy, Policy)
+        policy.close()
 
     def test_it_leaves_the_frame_as_it_was(self, name):
         image = noise()
@@ -97,29 +111,79 @@ class TestPolicy:
         assert np.array_equal(image, noise())
 
 
+@pytest.mark.parametrize("name", DRAWING)
+def test_a_new_flight_draws_from_its_seed_and_a_later_stage_draws_on(name):
+    policy = make_policy(name)
+    image = np.zeros((256, 256, 3), np.uint8)
+    for channel in range(3):
+        left = 20 + 80 * channel
+        image[105:150, left : left + 45, channel] = 250
+        image[110:145, left + 5 : left + 40] = 0
+    seen = [replace(observation(image), instruction=f"a sentence that names no gate, {n}") for n in range(20)]
+
+    def drawn(context):
+        begin_stage(policy, context)
+        return [policy.act(each).tolist() for each in seen]
+
+    first, later, other = drawn(CONTEXT), drawn(LATER), drawn(replace(CONTEXT, seed=8))
+    assert drawn(CONTEXT) == first
+    assert drawn(LATER) == later
+    assert first not in (later, other)
+
+
+@pytest.fixture
+def answers(tmp_path):
+    file = tmp_path / "answers.jsonl"
+    file.write_text(json.dumps({"task": TASK.id, "directive": TASK.directive}) + "\n")
+    return file
+
+
 # The VLMs need a server or weights, and the small reasoner may find no gate in noise: they have tests of their own.
 @pytest.mark.parametrize("name", ["oracle", "noisy-oracle", "noisy-oracle:0.5,each", "replay:FILE"])
-def test_a_reasoner_answers_with_a_directive(name, tmp_path):
-    answers = tmp_path / "answers.jsonl"
-    answers.write_text(json.dumps({"task": TASK.id, "directive": TASK.directive}) + "\n")
+def test_a_reasoner_answers_with_a_directive_and_the_same_after_a_reset(name, answers):
     reasoner = make_reasoner(name.replace("FILE", str(answers)))
-    if isinstance(reasoner, Seeded):
-        reasoner.seed(7)
-    if isinstance(reasoner, Privileged):
-        reasoner.brief(TRUTH)
-    guidance = reasoner.refine(noise(), TASK.instruction)
+    reasoner.check()
+    given = []
+    for _ in range(2):
+        begin_stage(reasoner, CONTEXT)
+        given.append([reasoner.refine(noise(), TASK.instruction) for _ in range(8)])
+    assert given[0] == given[1]
+    guidance = given[0][0]
     assert isinstance(guidance, Guidance)
     assert guidance.directive
     assert guidance.gate in (None, 0, 1, 2)
     assert 0 <= guidance.confidence <= 1
 
 
+@pytest.mark.parametrize("name", ["small", "oracle", "noisy-oracle", "replay:FILE", "vlm:http://127.0.0.1:9,model=m"])
+def test_every_reasoner_is_reset_with_and_without_ground_truth_and_closes(name, answers):
+    reasoner = make_reasoner(name.replace("FILE", str(answers)))
+    assert isinstance(reasoner, Reasoner)
+    for context in (CONTEXT, LATER, replace(CONTEXT, ground_truth=None)):
+        reasoner.reset(context)
+    reasoner.close()
+
+
 def test_every_reasoner_of_the_package_is_tested_somewhere():
     assert set(REASONERS) == {"small", "oracle", "noisy-oracle", "replay", "vlm", "vlm-local"}
+    assert all(issubclass(registry.load("reasoner", name, REASONERS), Reasoner) for name in REASONERS)
+
+
+def test_what_needs_ground_truth_or_a_seed_declares_it():
+    policies = {name: registry.load("policy", name, POLICIES) for name in POLICIES}
+    reasoners = {name: registry.load("reasoner", name, REASONERS) for name in REASONERS}
+    assert {name for name, made in policies.items() if made.needs_ground_truth} == {"oracle"}
+    assert {name for name, made in policies.items() if made.needs_seed} == set(DRAWING)
+    assert {name for name, made in reasoners.items() if made.needs_ground_truth} == {"oracle", "noisy-oracle", "replay"}
+    assert {name for name, made in reasoners.items() if made.needs_seed} == {"noisy-oracle"}
 
 
 def test_no_reasoner_is_a_choice():
     assert make_reasoner("none") is None
+
+
+class Nothing:
+    pass
 
 
 @pytest.mark.parametrize(
@@ -129,7 +193,8 @@ def test_no_reasoner_is_a_choice():
         ("no_such_module:Thing", "no module 'no_such_module'"),
         ("cognitivedrone.policies.blind:Hoover", "has no 'Hoover'"),
         ("cognitivedrone.types:COLORS", "is not a class or function"),
-        ("cognitivedrone.reasoners.oracle:Oracle", r"has no method reset\(\)"),
+        ("cognitivedrone.reasoners.oracle:Oracle", r"has no method act\(\)"),
+        (f"{__name__}:Nothing", r"policy '.*:Nothing' has no method reset\(\)"),
     ],
 )
 def test_a_policy_that_cannot_be_made_is_said_in_one_sentence(name, says):

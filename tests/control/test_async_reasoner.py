@@ -10,7 +10,8 @@ import pytest
 
 from cognitivedrone.control.async_reasoner import Question, SimulatedReasoner, ThreadedReasoner
 from cognitivedrone.errors import ReasonerError
-from cognitivedrone.types import Guidance
+from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.types import EpisodeContext, Guidance
 
 FRAME = np.zeros((256, 256, 3), np.uint8)
 
@@ -25,28 +26,35 @@ def wait(mind):
     return answer
 
 
-class Remembers:
+class Remembers(Reasoner):
     def __init__(self):
         self.heard = []
 
-    def new_flight(self):
-        self.heard.append("flight")
-
-    def new_stage(self):
-        self.heard.append("stage")
+    def reset(self, context):
+        self.heard.append(context)
 
     def refine(self, image, instruction):
         self.heard.append(instruction)
         return Guidance("Fly through the red gate", None, 0.5)
 
 
-def test_a_reasoner_that_remembers_hears_of_the_flight_and_of_every_stage():
+@pytest.mark.parametrize("first", [0, 3])
+def test_a_reasoner_is_reset_before_the_first_question_of_every_stage_and_the_first_of_a_flight_is_0(first):
     reasoner = Remembers()
-    mind = SimulatedReasoner(reasoner)
-    for leg in (0, 0, 1):
+    mind = SimulatedReasoner(reasoner, seed=7)
+    for leg in (first, first, first + 1):
         mind.ask(question(leg))
         assert mind.answer(0.0).guidance.confidence == 0.5
-    assert reasoner.heard == ["flight", "to the cat", "to the cat", "stage", "to the cat"]
+    begun, later = EpisodeContext("to the cat", 7, 0), EpisodeContext("to the cat", 7, first + 1)
+    assert reasoner.heard == [begun, "to the cat", "to the cat", later, "to the cat"]
+
+
+@pytest.mark.parametrize("needs", [True, False])
+def test_the_ground_truth_goes_to_reasoners_that_declare_that_they_need_it(needs):
+    reasoner, truth = Remembers(), object()
+    reasoner.needs_ground_truth = needs
+    SimulatedReasoner(reasoner).ask(Question(0, "to the cat", FRAME, 0.0, truth))
+    assert reasoner.heard[0].ground_truth is (truth if needs else None)
 
 
 def test_an_answer_comes_once():
@@ -60,13 +68,13 @@ def test_an_answer_comes_once():
     assert mind.idle(0.3)
 
 
-class Mistaken:
+class Mistaken(Reasoner):
     def refine(self, image, instruction):
         raise KeyError("oops")
 
 
 def test_faults_are_answers():
-    class Faulty:
+    class Faulty(Reasoner):
         def refine(self, image, instruction):
             raise ReasonerError("garbage", "it said <html>")
 
@@ -104,7 +112,7 @@ def test_an_exception_of_the_reasoners_own_is_a_fault_whose_traceback_is_kept():
     ],
 )
 def test_what_is_no_answer_is_a_fault(returned, fault):
-    class Returns:
+    class Returns(Reasoner):
         def refine(self, image, instruction):
             return returned
 
@@ -118,7 +126,7 @@ def test_what_is_no_answer_is_a_fault(returned, fault):
 def test_a_thread_thinks_beside_the_loop():
     go, done = threading.Event(), threading.Event()
 
-    class Slow:
+    class Slow(Reasoner):
         def refine(self, image, instruction):
             go.wait(10)
             done.set()

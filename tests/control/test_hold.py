@@ -8,6 +8,7 @@ import pytest
 from cognitivedrone.control.async_reasoner import Answer, Question, SimulatedReasoner
 from cognitivedrone.control.hold import HeldDrone, Hold, HoldAwareReasoner, HoldRule
 from cognitivedrone.errors import ReasonerError
+from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.types import Guidance
 
 FRAME = np.zeros((256, 256, 3), np.uint8)
@@ -105,7 +106,7 @@ def test_a_held_drone_is_sent_no_velocity():
     assert drone.sent == [action.tolist(), [0.0] * 4, "closed"]
 
 
-class Doubtful:
+class Doubtful(Reasoner):
     def refine(self, image, instruction):
         if instruction == "blind":
             raise ReasonerError("unsure", "cannot tell")

@@ -8,6 +8,9 @@ import pytest
 from cognitivedrone.control import latency
 from cognitivedrone.control.latency import TimedPolicy, parse_delays
 from cognitivedrone.errors import PolicyError
+from cognitivedrone.interfaces import Policy
+from cognitivedrone.policies.blind import Hover
+from cognitivedrone.types import EpisodeContext
 
 
 def charges(delay, seed=0, needed=0.123, n=200):
@@ -75,8 +78,10 @@ def test_a_file_that_cannot_be_read_is_said_with_its_line(tmp_path, content, sai
         parse_delays(f"policy={file}")
 
 
-class Slow:
-    """A policy that is told things and takes a quarter of a second a decision, by a clock of its own."""
+class Slow(Policy):
+    """A policy that takes a quarter of a second a decision, by a clock of its own."""
+
+    needs_ground_truth = needs_seed = True
 
     def __init__(self):
         self.told, self.clock = [], 0.0
@@ -84,39 +89,35 @@ class Slow:
     def perf_counter(self):
         return self.clock
 
-    def reset(self, instruction):
-        self.told.append(instruction)
-
-    def brief(self, truth):
-        self.told.append(truth)
+    def reset(self, context):
+        self.told.append(context)
 
     def act(self, observation):
         self.clock += 0.25
         return observation
 
+    def check(self):
+        self.told.append("check")
 
-class Blind:
-    """A policy that takes no truth."""
-
-    def reset(self, instruction):
-        pass
-
-    def act(self, observation):
-        return observation
+    def close(self):
+        self.told.append("close")
 
 
-def test_a_measured_policy_is_told_all_and_decides_as_ever(monkeypatch):
+def test_a_measured_policy_is_called_as_ever_and_needs_what_it_needs(monkeypatch):
     slow = Slow()
     monkeypatch.setattr(latency, "time", slow)
     timed = TimedPolicy(slow)
-    timed.reset("go")
-    timed.brief("truth")
-    assert slow.told == ["go", "truth"]
+    assert timed.needs_ground_truth
+    assert timed.needs_seed
+    timed.check()
+    timed.reset(EpisodeContext("go"))
     assert [timed.act(chunk) for chunk in ("a", "b")] == ["a", "b"]
     assert timed.took_s == [0.25, 0.25]
+    timed.close()
+    assert slow.told == ["check", EpisodeContext("go"), "close"]
 
 
-def test_a_truth_that_a_policy_does_not_take_is_kept_from_it():
-    timed = TimedPolicy(Blind())
-    timed.brief("truth")
-    assert timed.act("chunk") == "chunk"
+def test_a_measured_policy_needs_no_more_than_the_policy_in_it():
+    timed = TimedPolicy(Hover())
+    assert not timed.needs_ground_truth
+    assert not timed.needs_seed

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from cognitivedrone.control.async_reasoner import SimulatedReasoner
+from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Rates, Segment, fly
 from cognitivedrone.errors import NonFiniteAction, PolicyError, ReasonerError
-from cognitivedrone.types import Guidance, Observation
+from cognitivedrone.interfaces import Policy, Reasoner
+from cognitivedrone.types import EpisodeContext, Guidance, Observation
 
 
 class Ground:
@@ -36,14 +38,14 @@ class Ground:
         self.time = time_s
 
 
-class Counting:
+class Counting(Policy):
     """Answers with chunks of k, each numbered by the call that made it."""
 
     def __init__(self, k=1):
         self.k, self.calls, self.resets, self.texts = k, 0, [], []
 
-    def reset(self, instruction):
-        self.resets.append(instruction)
+    def reset(self, context):
+        self.resets.append(context)
 
     def act(self, observation):
         self.calls += 1
@@ -68,7 +70,7 @@ def test_a_chunk_is_flown_to_its_end_before_the_policy_is_asked_again():
     assert [round(float(a[0]) * 100) for _, a in ground.sent] == [1, 1, 1, 1, 2, 2, 2, 2, 3, 3]
 
 
-class Saying:
+class Saying(Reasoner):
     """A reasoner that says one thing after the other, the last one for ever; None is "cannot tell"."""
 
     def __init__(self, *directives):
@@ -195,9 +197,28 @@ def test_a_new_leg_resets_the_policy_and_drops_the_rest_of_the_chunk():
         return None if step >= 4 else Segment(step // 2, "the correct answer")
 
     fly(ground, policy, ground, mission, mind=SimulatedReasoner(reasoner))
-    assert policy.resets == ["the correct answer"] * 2
+    assert policy.resets == [EpisodeContext("the correct answer", stage=stage) for stage in (0, 1)]
     assert policy.calls == 2
     assert len(reasoner.asked) == 2
+
+
+def test_the_first_leg_is_stage_0_whatever_its_index_and_every_stage_has_the_seed():
+    ground, policy = Ground(), Counting()
+
+    def mission():
+        step = round(ground.time * 10)
+        return None if step >= 4 else Segment(2 + step // 2, "go")
+
+    fly(ground, policy, ground, mission, seed=5)
+    assert [(context.seed, context.stage) for context in policy.resets] == [(5, 0), (5, 3)]
+
+
+@pytest.mark.parametrize("needs", [True, False])
+def test_the_ground_truth_goes_to_policies_that_declare_that_they_need_it(needs):
+    ground, policy, truth = Ground(), Counting(), object()
+    policy.needs_ground_truth = needs
+    fly(ground, TimedPolicy(policy), ground, lambda: Segment(0, "go", truth) if ground.time < 0.05 else None)
+    assert [context.ground_truth for context in policy.resets] == [truth if needs else None]
 
 
 def test_a_number_that_is_none_ends_the_flight():

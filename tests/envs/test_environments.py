@@ -18,6 +18,7 @@ from cognitivedrone.envs.vector import CognitiveDroneVectorEnv
 from cognitivedrone.errors import LabelError, PolicyError, SimulationError, TaskError
 from cognitivedrone.policies.expert import Expert
 from cognitivedrone.tasks import train_task
+from cognitivedrone.types import EpisodeContext
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +100,7 @@ def test_training_goes_on_without_end():
 def test_the_expert_passes_and_is_rewarded(env):
     _, info = env.reset(seed=3, options={"episode": 4})
     expert = Expert()
-    expert.brief(env.unwrapped.truth())
+    expert.reset(EpisodeContext(info["task"].instruction, ground_truth=env.unwrapped.truth()))
     total, ended = 0.0, False
     while not ended:
         _, reward, terminated, truncated, info = env.step(expert.command())

@@ -14,12 +14,17 @@ from cognitivedrone.policies.expert import Expert
 from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import load_suite, race_task
-from cognitivedrone.types import Color, Gate, Image, Task, Track
+from cognitivedrone.types import Color, EpisodeContext, Gate, Image, Task, Track
 from cognitivedrone.world import geometry
 
 START = Start((-1.0, 0.0, 0.75))
 CHANNELS: dict[Color, int] = {"red": 0, "green": 1, "blue": 2}
 GATES = (Gate("big", "square", "red"), Gate("big", "square", "green"), Gate("big", "square", "blue"))
+
+
+def context_of(track_runner):
+    task = track_runner.task
+    return EpisodeContext(task.instruction, stage=track_runner.index, ground_truth=track_runner.truth())
 
 
 @pytest.fixture(scope="module")
@@ -74,8 +79,7 @@ def test_the_expert_flies_from_gate_to_gate(track_runner):
     while not track_runner.finished:
         if track_runner.stage is not stage:
             stage = track_runner.stage
-            expert.reset(track_runner.task.instruction)
-            expert.brief(track_runner.truth())
+            expert.reset(context_of(track_runner))
         track_runner.world.command(expert.command())
         track_runner.update(track_runner.world.advance())
     assert [(result.outcome, result.chosen) for result in track_runner.results] == [("passed", t.target) for t in track]
@@ -104,7 +108,7 @@ def test_the_races_of_the_suite_can_be_flown():
         while not track_runner.finished:
             if track_runner.stage is not stage:
                 stage = track_runner.stage
-                expert.brief(track_runner.truth())
+                expert.reset(context_of(track_runner))
             simulator.command(0, expert.command())
             track_runner.update(simulator.advance()[0])
         assert {result.outcome for result in track_runner.results} == {"passed"}, episode

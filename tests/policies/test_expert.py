@@ -12,6 +12,12 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.expert import Expert, ExpertConfig, intent, plan
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import load_suite
+from cognitivedrone.types import EpisodeContext
+
+
+def context_of(track_runner):
+    task = track_runner.task
+    return EpisodeContext(task.instruction, stage=track_runner.index, ground_truth=track_runner.truth())
 
 
 def fly(suite_name, size, speed):
@@ -31,8 +37,7 @@ def fly(suite_name, size, speed):
                 continue
             if track_runner.index != legs[world]:
                 legs[world] = track_runner.index
-                expert.reset(track_runner.task.instruction)
-                expert.brief(track_runner.truth())
+                expert.reset(context_of(track_runner))
             command = expert.command()
             yaw = yaw_of(simulator.state(world).quaternion)
             commands[world].append([*rotate_yaw(command[:3].astype(float), yaw), command[3]])

@@ -13,7 +13,7 @@ from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.policies import make_policy
 from cognitivedrone.policies.openvla import OpenVla
 from cognitivedrone.registry import make
-from cognitivedrone.types import Observation
+from cognitivedrone.types import EpisodeContext, Observation
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("transformers")
@@ -38,8 +38,8 @@ def seen(seed=0, instruction=INSTRUCTION):
 
 @pytest.mark.parametrize(("decoder", "length"), [("ar", 1), ("parallel", 5)])
 def test_it_answers_with_commands_within_its_statistics(folder, decoder, length):
-    policy = make("policy", f"openvla:{folder},decoder={decoder},device=cpu", TABLE, ("reset", "act"))
-    policy.reset(INSTRUCTION)
+    policy = make("policy", f"openvla:{folder},decoder={decoder},device=cpu", TABLE)
+    policy.reset(EpisodeContext(INSTRUCTION))
     chunk = policy.act(seen())
     assert chunk.shape == (length, 4)
     assert chunk.dtype == np.float32
@@ -50,7 +50,7 @@ def test_it_answers_with_commands_within_its_statistics(folder, decoder, length)
 
 def test_the_observations_own_instruction_counts(folder):
     policy = make_policy(f"openvla:{folder},decoder=parallel,device=cpu")
-    policy.reset(INSTRUCTION)
+    policy.reset(EpisodeContext(INSTRUCTION))
     one, other = policy.act(seen()), policy.act(seen(instruction="Fly home"))
     assert not np.array_equal(one, other)
     assert np.array_equal(policy.act(seen()), one)
@@ -65,7 +65,7 @@ def test_capitals_are_not_seen(folder):
 def test_bad_observations_are_refused(folder):
     policy = make_policy(f"openvla:{folder},device=cpu")
     with pytest.raises(PolicyError, match="the instruction is empty"):
-        policy.reset(" ")
+        policy.reset(EpisodeContext(" "))
     small = Observation(np.zeros((10, 10, 3), np.uint8), INSTRUCTION, np.zeros(3), 0.8, 0.0, 0.0)
     with pytest.raises(PolicyError, match=r"uint8 \(256, 256, 3\); what came is uint8 \(10, 10, 3\)"):
         policy.act(small)

@@ -14,7 +14,7 @@ from tiny import DESCRIPTION
 from cognitivedrone.errors import NonFiniteAction, PolicyError
 from cognitivedrone.policies import make_policy
 from cognitivedrone.policies.small import TOLD, Race, Small
-from cognitivedrone.types import Observation
+from cognitivedrone.types import EpisodeContext, Observation
 
 TEXT = "Fly through the red gate"
 OBSERVATION = Observation(
@@ -30,7 +30,7 @@ OBSERVATION = Observation(
 @pytest.fixture
 def policy(tiny_model_file):
     made = Small(str(tiny_model_file))
-    made.reset(TEXT)
+    made.reset(EpisodeContext(TEXT))
     return made
 
 
@@ -48,7 +48,7 @@ def test_it_keeps_what_the_network_said_for_viewers(policy):
     assert np.array_equal(policy.last.action[0], chunk)
     assert policy.last.choice.shape == (1, 4)
     assert policy.last.gates.shape == (1, 3, 4)
-    policy.reset(TEXT)
+    policy.reset(EpisodeContext(TEXT))
     assert policy.last is None
 
 
@@ -62,7 +62,7 @@ def test_a_directive_that_changes_in_flight_is_followed(policy):
 @pytest.mark.parametrize(("text", "says"), [("", "empty"), (" \n\t", "empty"), ("gate " * 2000, "10000 characters")])
 def test_an_instruction_that_says_nothing_or_too_much(policy, text, says):
     with pytest.raises(PolicyError, match=says):
-        policy.reset(text)
+        policy.reset(EpisodeContext(text))
     with pytest.raises(PolicyError, match=says):
         policy.act(replace(OBSERVATION, instruction=text))
     assert np.isfinite(policy.act(OBSERVATION)).all()
@@ -85,11 +85,11 @@ def test_an_image_of_the_wrong_size_or_type(policy, image, says):
 def test_unknown_words_are_named_once_and_flown_all_the_same(policy):
     text = "Fly through the gate with the quokka or the axolotl"
     with pytest.warns(UserWarning, match="'axolotl', 'or', 'quokka'") as caught:
-        policy.reset(text)
+        policy.reset(EpisodeContext(text))
     assert len(caught) == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        policy.reset(text)
+        policy.reset(EpisodeContext(text))
         chunk = policy.act(replace(OBSERVATION, instruction=text))
     assert np.isfinite(chunk).all()
     with pytest.warns(UserWarning, match="'numbat'"):
@@ -100,7 +100,7 @@ def test_of_many_sentences_with_unknown_words_the_first_few_are_told_of(policy):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for word in ("quokka", "axolotl", "!", "quokka", "numbat", "dingo", "wombat", "bilby", "kookaburra"):
-            policy.reset(f"Fly through the gate with the {word} !")
+            policy.reset(EpisodeContext(f"Fly through the gate with the {word} !"))
     told = [str(warning.message) for warning in caught]
     assert len(told) == TOLD
     assert "nothing will be said" in told[-1]
@@ -120,7 +120,7 @@ def test_a_model_file_is_given_behind_the_name(tiny_model_file):
     assert isinstance(racer, Race)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        racer.reset("Take the gate of the pangolin")
+        racer.reset(EpisodeContext("Take the gate of the pangolin"))
 
 
 @pytest.mark.parametrize(

@@ -8,28 +8,27 @@ import pytest
 from scipy.stats import binom
 
 from cognitivedrone.errors import PolicyError
-from cognitivedrone.interfaces import Privileged, Seeded
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.reasoners.noisy_oracle import PUBLISHED_ACCURACY, NoisyOracle
 from cognitivedrone.tasks import load_suite, write_directive
-from cognitivedrone.types import CATEGORIES, DroneState, Guidance, Stage, Task, Truth
+from cognitivedrone.types import CATEGORIES, DroneState, EpisodeContext, GroundTruth, Guidance, Stage, Task
 
 TASKS = [task for (task,) in load_suite("open-v1:test").tracks]
 IMAGE = np.zeros((256, 256, 3), np.uint8)
 
 
-def truth_of(task: Task) -> Truth:
+def context_of(task: Task, seed: int = 0, stage: int = 0) -> EpisodeContext:
     def state() -> DroneState:
         raise AssertionError("a noisy oracle has no use for the drone's state")
 
-    return Truth(task, Stage(task.gates, task.labels), state)
+    truth = GroundTruth(task, Stage(task.gates, task.labels), state)
+    return EpisodeContext(task.instruction, seed, stage, truth)
 
 
 def answers(reasoner: NoisyOracle, tasks: list[Task] = TASKS, seed: int = 0) -> list[Guidance]:
-    reasoner.seed(seed)
     given = []
-    for task in tasks:
-        reasoner.brief(truth_of(task))
+    for stage, task in enumerate(tasks):
+        reasoner.reset(context_of(task, seed, stage))
         given.append(reasoner.refine(IMAGE, task.instruction))
     return given
 
@@ -98,14 +97,14 @@ def test_the_more_accurate_is_right_wherever_the_less_accurate_is():
 
 def test_who_misunderstands_a_stage_keeps_misunderstanding_it():
     reasoner = NoisyOracle(0.5)
-    for task in TASKS[:20]:
-        reasoner.brief(truth_of(task))
+    for stage, task in enumerate(TASKS[:20]):
+        reasoner.reset(context_of(task, 0, stage))
         assert len({reasoner.refine(IMAGE, task.instruction).gate for _ in range(20)}) == 1
 
 
 def test_each_draws_every_answer_anew():
     reasoner = make_reasoner("noisy-oracle:0.5,each")
-    reasoner.brief(truth_of(TASKS[0]))
+    reasoner.reset(context_of(TASKS[0]))
     gates = Counter(reasoner.refine(IMAGE, "").gate for _ in range(400))
     assert set(gates) == {0, 1, 2}
     assert 150 < gates[TASKS[0].target] < 250
@@ -119,8 +118,8 @@ def test_a_gate_that_stands_alone_is_not_mistaken():
 
 
 def test_it_asks_for_the_truth_and_a_seed():
-    assert isinstance(NoisyOracle(), Privileged)
-    assert isinstance(NoisyOracle(), Seeded)
+    assert NoisyOracle().needs_ground_truth
+    assert NoisyOracle().needs_seed
     with pytest.raises(PolicyError, match="needs the simulator's truth"):
         NoisyOracle().refine(IMAGE, "Fly through the gate with the cat")
 

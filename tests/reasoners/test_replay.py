@@ -7,21 +7,20 @@ import numpy as np
 import pytest
 
 from cognitivedrone.errors import PolicyError, ReasonerError
-from cognitivedrone.interfaces import Privileged
 from cognitivedrone.reasoners import make_reasoner, replay
 from cognitivedrone.reasoners.replay import FAULTS, Replay
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.types import DroneState, Guidance, Stage, Truth
+from cognitivedrone.types import DroneState, EpisodeContext, GroundTruth, Guidance, Stage
 
 FIRST, SECOND, THIRD = (task for (task,) in load_suite("open-v1:test").tracks[:3])
 IMAGE = np.zeros((256, 256, 3), np.uint8)
 
 
-def truth_of(task) -> Truth:
+def context_of(task) -> EpisodeContext:
     def state() -> DroneState:
         raise AssertionError("a replay has no use for the drone's state")
 
-    return Truth(task, Stage(task.gates, task.labels), state)
+    return EpisodeContext(task.instruction, ground_truth=GroundTruth(task, Stage(task.gates, task.labels), state))
 
 
 def written(path: Path, *objects: dict) -> str:
@@ -36,13 +35,13 @@ def test_answers_come_one_after_the_other_and_the_last_one_stays(tmp_path):
         {"task": FIRST.id, "directive": "Fly through the blue gate", "gate": 2, "confidence": 0.9},
     ]
     reasoner = Replay(written(tmp_path / "answers.jsonl", *lines))
-    assert isinstance(reasoner, Privileged)
+    assert reasoner.needs_ground_truth
     for _ in range(2):
-        reasoner.brief(truth_of(FIRST))
+        reasoner.reset(context_of(FIRST))
         assert reasoner.refine(IMAGE, "") == Guidance("Fly through the red gate", 0, 0.4)
         for _ in range(3):
             assert reasoner.refine(IMAGE, "") == Guidance("Fly through the blue gate", 2, 0.9)
-        reasoner.brief(truth_of(SECOND))
+        reasoner.reset(context_of(SECOND))
         assert reasoner.refine(IMAGE, "") == Guidance("Go left", None, 1.0)
 
 
@@ -50,7 +49,7 @@ def test_answers_come_one_after_the_other_and_the_last_one_stays(tmp_path):
 def test_a_fault_is_raised_as_it_was_and_the_next_answer_follows(tmp_path, kind):
     lines = [{"task": FIRST.id, "fault": kind}, {"task": FIRST.id, "directive": "Fly through the red gate"}]
     reasoner = Replay(written(tmp_path / "answers.jsonl", *lines))
-    reasoner.brief(truth_of(FIRST))
+    reasoner.reset(context_of(FIRST))
     with pytest.raises(ReasonerError) as fault:
         reasoner.refine(IMAGE, "")
     assert fault.value.kind == kind
@@ -59,7 +58,7 @@ def test_a_fault_is_raised_as_it_was_and_the_next_answer_follows(tmp_path, kind)
 
 def test_a_task_that_the_file_does_not_have_gets_no_answer(tmp_path):
     reasoner = Replay(written(tmp_path / "answers.jsonl", {"task": FIRST.id, "directive": "Go left"}))
-    reasoner.brief(truth_of(THIRD))
+    reasoner.reset(context_of(THIRD))
     with pytest.raises(ReasonerError, match=f"answers.jsonl has no answer for task '{THIRD.id}'") as fault:
         reasoner.refine(IMAGE, "")
     assert fault.value.kind == "unsure"
@@ -76,7 +75,7 @@ def test_empty_lines_and_odd_line_separators_are_read(tmp_path):
     line = json.dumps({"task": FIRST.id, "directive": "Go\u2028left"}, ensure_ascii=False)
     file.write_bytes(f"\r\n{line}\r\n\n".encode())
     reasoner = Replay(str(file))
-    reasoner.brief(truth_of(FIRST))
+    reasoner.reset(context_of(FIRST))
     assert reasoner.refine(IMAGE, "").directive == "Go\u2028left"
 
 

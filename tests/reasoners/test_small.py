@@ -9,7 +9,7 @@ from cognitivedrone.errors import PolicyError, ReasonerError
 from cognitivedrone.models.reasoner_file import AttributeSchema, Sight
 from cognitivedrone.reasoners.small import SmallReasoner, gate_of, value_index
 from cognitivedrone.training.reasoner.reading import SEEN, seen_facets
-from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
+from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate
 
 FRAME = np.zeros((256, 256, 3), np.uint8)
 GATES = (Gate("big", "round", "red"), Gate("small", "square", "green"), Gate("big", "triangle", "blue"))
@@ -117,14 +117,14 @@ def test_earlier_stages_are_remembered_with_the_gate_it_sent_the_drone_to(made):
     others = ("letter/D@inter", "letter/E@inter", "letter/F@inter")
     parts = Scripted(sight(LETTERS), sight(others), sight(LETTERS))
     reasoner = made(parts)
-    reasoner.new_flight()
+    reasoner.reset(EpisodeContext("", stage=0))
     reasoner.refine(FRAME, "one")
-    reasoner.new_stage()
+    reasoner.reset(EpisodeContext("", stage=1))
     reasoner.refine(FRAME, "two")
     asked = parts.asked[1]
     np.testing.assert_array_equal(asked["stages"][:4], [[0, 0, 0], [0, 0, 1], [0, 0, 0], [-1, -1, -1]])
     assert [shown(panel, label) > 0.9 for panel, label in zip(asked["remembered"], LETTERS, strict=False)] == [True] * 3
-    reasoner.new_flight()
+    reasoner.reset(EpisodeContext("", stage=0))
     reasoner.refine(FRAME, "three")
     assert (parts.asked[2]["stages"] == -1).all()
 
@@ -134,7 +134,7 @@ def test_only_the_latest_stages_are_remembered(made):
     reasoner = made(parts)
     for _ in range(7):
         reasoner.refine(FRAME, "go")
-        reasoner.new_stage()
+        reasoner.reset(EpisodeContext("", stage=1))
     reasoner.refine(FRAME, "go")
     stages = parts.asked[-1]["stages"]
     assert stages[0].tolist() == [2, 4, 0]

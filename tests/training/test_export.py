@@ -17,7 +17,7 @@ from cognitivedrone.training.common.attributes import FACETS
 from cognitivedrone.training.common.checkpoint import save_checkpoint
 from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.small_vla.export import export
-from cognitivedrone.types import Observation
+from cognitivedrone.types import EpisodeContext, Observation
 
 WORDS = Vocabulary.of(["Fly through the big red round gate with the number 7"])
 
@@ -80,7 +80,7 @@ def test_the_file_names_no_source_file(exported):
 def test_the_policy_flies_it(exported):
     _, path, _ = exported
     policy = make_policy(f"small:{path}")
-    policy.reset("Fly through the red gate")
+    policy.reset(EpisodeContext("Fly through the red gate"))
     frame = np.full((256, 256, 3), 128, dtype=np.uint8)
     seen = Observation(frame, "Fly through the red gate", np.zeros(3, dtype=np.float32), 1.0, 0.0, 0.0)
     assert policy.act(seen).shape == (2, 4)

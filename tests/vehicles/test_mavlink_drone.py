@@ -26,6 +26,7 @@ from pymavlink.dialects.v20 import ardupilotmega as m
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.control.safety import Guard, SafetyConfig, Timeouts
 from cognitivedrone.errors import LinkError, MissingExtra
+from cognitivedrone.interfaces import Policy
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkConfig, MavlinkDrone
 from cognitivedrone.vehicles.mavlink.server.modes import Mode
@@ -444,11 +445,8 @@ class Sky:
             time.sleep(max(0.0, due - time.monotonic()))
 
 
-class Constant:
+class Constant(Policy):
     """A policy that wants one thing."""
-
-    def reset(self, instruction: str) -> None:
-        pass
 
     def act(self, observation):
         return np.array([[1.0, 0.0, 0.0, 0.0]], dtype=np.float32)

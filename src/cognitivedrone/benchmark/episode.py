@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import traceback
 from contextlib import ExitStack
-from typing import Any
 
 import numpy as np
 
@@ -12,14 +11,13 @@ from cognitivedrone.benchmark.flight_log import FlightLog
 from cognitivedrone.benchmark.job import Job
 from cognitivedrone.benchmark.run_types import Rollout
 from cognitivedrone.control.async_reasoner import SimulatedReasoner
-from cognitivedrone.control.calls import NO_WATCH, Watch, calling
+from cognitivedrone.control.calls import NO_WATCH, Watch, seed_of
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import PolicyError, PolicyRaised, RunError
-from cognitivedrone.interfaces import Seeded
 from cognitivedrone.labels import load_pack
-from cognitivedrone.pilot import Pilot, check_ready, open_pilot
+from cognitivedrone.pilot import Pilot, open_pilot
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.types import EpisodeResult
 from cognitivedrone.vehicles import open_vehicle
@@ -40,7 +38,7 @@ class PilotRunner:
             if pilot is None:
                 pilot = undo.enter_context(open_pilot(job.plan.pilot))
             else:
-                check_ready(pilot)
+                pilot.check()
             self.policy, self.reasoner = pilot.policy, pilot.reasoner
             self.vehicle = _open(job)
             undo.callback(self.vehicle.close)
@@ -58,21 +56,17 @@ class PilotRunner:
         rng = episode_rng(suite.digest, episode, seed)
         self.vehicle.begin(suite.tracks[episode], rng)
         # The reasoner first: what it draws must not depend on the policy that it flies with.
-        parts: dict[str, Any] = {"the reasoner": self.reasoner, "the policy": self.policy}
-        seeds = {what: int(rng.integers(2**31)) for what, part in parts.items() if isinstance(part, Seeded)}
+        reasoner_seed, policy_seed = (seed_of(part, rng) for part in (self.reasoner, self.policy))
         latency_rng = np.random.default_rng(int(rng.integers(2**31)))
         charge = self.job.delays.reasoner.charge(latency_rng)
-        mind = SimulatedReasoner(self.reasoner, charge, self._watch) if self.reasoner else None
+        mind = SimulatedReasoner(self.reasoner, charge, self._watch, seed=reasoner_seed) if self.reasoner else None
         log = FlightLog(self.track_runner, keep_frames=film)
         timed = TimedPolicy(self.policy, self._watch)
         charge = self.job.delays.policy.charge(latency_rng)
         message = trace = ""
         try:
-            for what, part_seed in seeds.items():
-                with calling(what, self._watch):
-                    parts[what].seed(part_seed)
             drone = self.vehicle.take_off(lambda _: True)
-            fly(drone, timed, drone, self._mission, mind=mind, recorder=log, charge=charge)
+            fly(drone, timed, drone, self._mission, mind=mind, recorder=log, charge=charge, seed=policy_seed)
         except PolicyError as error:
             self.track_runner.end("policy_error")
             message = str(error)

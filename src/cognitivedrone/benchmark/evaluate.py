@@ -6,24 +6,24 @@ import importlib
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
+from cognitivedrone.adapters import as_policy, as_reasoner
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.results import Results
 from cognitivedrone.benchmark.runner import run
 from cognitivedrone.benchmark.scoring import Summary
 from cognitivedrone.benchmark.tables import as_text, results_table
-from cognitivedrone.errors import PolicyError, RunError
-from cognitivedrone.interfaces import Policy, Reasoner
+from cognitivedrone.errors import RunError
+from cognitivedrone.interfaces import PolicyLike, ReasonerLike
 from cognitivedrone.pilot import Pilot
 from cognitivedrone.plan import AppearanceName
 from cognitivedrone.policies import make_policy
 from cognitivedrone.printable import visible
 from cognitivedrone.reasoners import NONE, make_reasoner
-
-Part = TypeVar("Part")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,10 +47,10 @@ class Evaluation:
 
 
 def evaluate(
-    policy: str | Policy | Callable[[], Policy] = "small",
+    policy: str | PolicyLike | Callable[[], PolicyLike] = "small",
     suite: str | Path = "open-v1:smoke",
     *,
-    reasoner: str | Reasoner | Callable[[], Reasoner] | None = None,
+    reasoner: str | ReasonerLike | Callable[[], ReasonerLike] | None = None,
     episodes: int | None = None,
     workers: int | None = None,
     seed: int = 0,
@@ -109,15 +109,15 @@ def evaluate(
         decision_timeout=decision_timeout,
         fail_fast=fail_fast,
     )
-    pilot, command = None, ""
-    if here:
-        _one_process(" and ".join(here), workers, progress)
-        plan = plan.changed(workers=0)
-        pilot, command = _pilot(policy, reasoner), _call_of(plan)
-    if out is not None:
-        return Evaluation(run(plan, progress=progress, pilot=pilot, command=command))
-    with tempfile.TemporaryDirectory(prefix="cognitivedrone-") as folder:
-        plan = plan.changed(out=Path(folder) / "run")
+    with ExitStack() as undo:
+        pilot, command = None, ""
+        if here:
+            _one_process(" and ".join(here), workers, progress)
+            plan = plan.changed(workers=0)
+            pilot, command = _pilot(policy, reasoner, undo), _call_of(plan)
+        if out is None:
+            folder = undo.enter_context(tempfile.TemporaryDirectory(prefix="cognitivedrone-"))
+            plan = plan.changed(out=Path(folder) / "run")
         return Evaluation(run(plan, progress=progress, pilot=pilot, command=command))
 
 
@@ -162,22 +162,23 @@ def _one_process(what: str, workers: int | None, progress: bool) -> None:
         print(visible(why), file=sys.stderr)  # noqa: T201
 
 
-def _pilot(policy: Any, reasoner: Any) -> Pilot:
-    made_policy: Policy = make_policy(policy) if isinstance(policy, str) else _made("policy", policy, ("reset", "act"))
-    made_reasoner: Reasoner | None
-    if reasoner is None or isinstance(reasoner, str):
-        made_reasoner = make_reasoner(reasoner or NONE)
+def _pilot(policy: Any, reasoner: Any, undo: ExitStack) -> Pilot:
+    """What flies. `undo` closes what is made here; an object of the user's is closed by the user."""
+    flown = _part("policy", policy, "act", make_policy, as_policy, undo)
+    asked = None if reasoner is None else _part("reasoner", reasoner, "refine", make_reasoner, as_reasoner, undo)
+    return Pilot(flown, asked)
+
+
+def _part(
+    kind: str, given: Any, method: str, make: Callable[[str], Any], adapt: Callable[[str, Any], Any], undo: ExitStack
+) -> Any:
+    """A policy or reasoner from its name, from what makes it, or from the object itself. Raises `PolicyError`."""
+    is_factory = isinstance(given, type) or (not hasattr(given, method) and callable(given))
+    if isinstance(given, str):
+        part = make(given)
     else:
-        made_reasoner = _made("reasoner", reasoner, ("refine",))
-    return Pilot(made_policy, made_reasoner)
-
-
-def _made(kind: str, part: Any, methods: tuple[str, ...]) -> Any:
-    """An object from itself, or from what makes it. Raises `PolicyError` where it lacks a method."""
-    made = part() if isinstance(part, type) or (not hasattr(part, methods[-1]) and callable(part)) else part
-    missing = [method for method in methods if not callable(getattr(made, method, None))]
-    if missing:
-        raise PolicyError(
-            f"the {kind} {_description(made)} has no method {missing[0]}(); see cognitivedrone.interfaces"
-        )
-    return made
+        made = given() if is_factory else given
+        part = adapt(f"the {kind} {_description(made)}", made)
+    if part is not None and (is_factory or isinstance(given, str)):
+        undo.callback(part.close)
+    return part

@@ -26,11 +26,12 @@ from cognitivedrone.benchmark.reason_scoring import Answer, ReasonSummary, judge
 from cognitivedrone.benchmark.results import SuiteFacts, versions, write_whole
 from cognitivedrone.benchmark.runner import Interrupted, results_folder
 from cognitivedrone.control.async_reasoner import asking, check_guidance
+from cognitivedrone.control.calls import begin_stage, seed_of
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, draw_start, episode_rng, scenery_of, stage_of
 from cognitivedrone.errors import PolicyError, ReasonerError, RunError
 from cognitivedrone.files import writing
 from cognitivedrone.frames import rotate_yaw
-from cognitivedrone.interfaces import Checked, Privileged, Reasoner, Seeded, StatefulReasoner
+from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.labels import load_pack
 from cognitivedrone.progress import counted
 from cognitivedrone.reasoners import make_reasoner
@@ -39,7 +40,7 @@ from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, DroneWorld, Start
 from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite
-from cognitivedrone.types import CONTROL_HZ, Guidance, Image, Stage, Truth
+from cognitivedrone.types import CONTROL_HZ, EpisodeContext, GroundTruth, Guidance, Image, Stage
 from cognitivedrone.world import geometry
 
 SCHEMA: Final = "cognitivedrone.reason/1"
@@ -77,7 +78,7 @@ class View:
     episode: int
     index: int
     """Of the stage on its track."""
-    truth: Truth
+    truth: GroundTruth
     look: Callable[[], Image]
     """A new frame, (256, 256, 3), of the drone hovering at the start; every call after the first one is
     1 / `LOOK_HZ` s later."""
@@ -99,8 +100,7 @@ def score_reasoner(plan: ReasonPlan, *, progress: bool = True) -> ReasonResults:
     if reasoner is None:
         raise PolicyError(f"--reasoner {plan.reasoner} gives no answer to score; name one, such as oracle")
     preflight(job)
-    if isinstance(reasoner, Checked):
-        reasoner.check()
+    reasoner.check()
     out = out_of(plan)
     answers: list[Answer] = []
     with _open_answers(out, overwrite=plan.overwrite) as keep:
@@ -144,7 +144,7 @@ def views(track_runner: TrackRunner, suite: Suite, episode: int, rng: np.random.
         stage = stage_of(task, origin, yaw)
         start = _placed(draw_start(rng, world.hull_radius), stage)
         world.begin(stage, scenery_of(stage, track_runner.labels, track_runner.look), start)
-        yield View(episode, index, Truth(task, stage, world.state), _looking(world))
+        yield View(episode, index, GroundTruth(task, stage, world.state), _looking(world))
 
 
 def _looking(world: DroneWorld) -> Callable[[], Image]:
@@ -174,14 +174,8 @@ def _ask_all(reasoner: Reasoner, track_runner: TrackRunner, job: Job, frames: in
         rng = episode_rng(job.suite.digest, episode, job.plan.scenario.seed)
         for view in views(track_runner, job.suite, episode, rng):
             if view.index == 0:
-                if isinstance(reasoner, Seeded):
-                    reasoner.seed(int(rng.integers(2**31)))
-                if isinstance(reasoner, StatefulReasoner):
-                    reasoner.new_flight()
-            elif isinstance(reasoner, StatefulReasoner):
-                reasoner.new_stage()
-            if isinstance(reasoner, Privileged):
-                reasoner.brief(view.truth)
+                seed = seed_of(reasoner, rng)
+            begin_stage(reasoner, EpisodeContext(view.truth.task.instruction, seed, view.index, view.truth))
             yield _ask(reasoner, view, frames)
 
 

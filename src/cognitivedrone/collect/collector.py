@@ -205,7 +205,7 @@ def _prepare(config: CollectPlan) -> tuple[Job, Executor, int]:
     learner = None
     if config.policy is not None:
         learner = learner_of(config.policy, config.beta)
-        make_policy(config.policy)  # fails here, before anything is written
+        make_policy(config.policy).close()  # fails here, before anything is written
     job = Job(config.source, replace(recipe, episodes=episodes), config.episodes_per_shard, learner)
     return job, executor, workers
 

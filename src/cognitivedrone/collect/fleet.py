@@ -5,26 +5,28 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cognitivedrone.adapters import as_policy
 from cognitivedrone.collect.perturbation import Disturbance, disturb, draw_beginning, draw_disturbances
 from cognitivedrone.collect.recipe import Recipe
+from cognitivedrone.control.calls import begin_stage, seed_of
 from cognitivedrone.control.loop import check_chunk
 from cognitivedrone.data.episode import Conditions, Episode, encode_image
 from cognitivedrone.envs.drone import clip_action, proprioception
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import CognitiveDroneError, DataError, NonFiniteAction, PolicyError
-from cognitivedrone.interfaces import Policy, Privileged, Seeded
+from cognitivedrone.interfaces import Policy, PolicyLike
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.expert import Expert, ExpertConfig
 from cognitivedrone.sim.airframe import AIRFRAMES
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite
-from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Action, FloatArray, Image, Observation
+from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Action, EpisodeContext, FloatArray, Image, Observation
 
 AIRFRAME = "racer"
 WORLDS = 16
@@ -32,7 +34,7 @@ WORLDS = 16
 MAX_ATTEMPTS = 20
 """A task that the expert fails this often cannot be flown."""
 
-Learner = Callable[[], Policy]
+Learner = Callable[[], PolicyLike]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +100,9 @@ class Fleet:
         self.recipe = recipe
         self.seed = seed
         self.beta = beta
-        self._learners = [learner() for _ in range(worlds)] if learner else None
+        made = [learner() for _ in range(worlds)] if learner else []
+        self._name = type(made[0]).__name__ if made else ""
+        self._learners = [as_policy(f"policy {self._name}", each) for each in made]
         self._simulator = Simulator(worlds, airframe=AIRFRAMES[AIRFRAME])
         pack = load_pack(labels)
         config = TrackConfig(look=recipe.look, time_limit_s=recipe.time_limit_s)
@@ -106,8 +110,10 @@ class Fleet:
         self._frames = np.empty((worlds, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)
 
     def close(self) -> None:
-        """Free the renderer."""
+        """Free the renderer, and what the learners hold open."""
         self._simulator.close()
+        for learner in self._learners:
+            learner.close()
 
     def fly(self, indices: Iterable[int]) -> Iterator[FlownEpisode]:
         """Fly these tasks; each episode is given back as it ends. Raises `DataError` for one that cannot be flown."""
@@ -139,16 +145,12 @@ class Fleet:
         learner = self._learners[world] if self._learners else None
         track_runner.begin(self.suite.tracks[index], rng, start)
         expert = Expert(ExpertConfig(speed_m_s=speed))
-        expert.reset(track_runner.task.instruction)
-        expert.brief(track_runner.truth())
+        context = EpisodeContext(track_runner.task.instruction, ground_truth=track_runner.truth())
+        expert.reset(context)
         expert_flies = np.zeros(int(self.recipe.time_limit_s * CONTROL_HZ) + 2, np.bool_)
         if learner is not None:
-            with _told_of(learner, index, 0):
-                if isinstance(learner, Seeded):
-                    learner.seed(int(rng.integers(2**31)))
-                learner.reset(track_runner.task.instruction)
-                if isinstance(learner, Privileged):
-                    learner.brief(track_runner.truth())
+            with _told_of(self._name, index, 0):
+                begin_stage(learner, replace(context, seed=seed_of(learner, rng)))
             if self.beta:
                 expert_flies = rng.random(len(expert_flies)) < self.beta
         return _Flight(index, attempt, expert, disturbances, learner, expert_flies, dropped)
@@ -180,7 +182,7 @@ class Fleet:
             if not flight.pending:
                 instruction = self._courses[world].task.instruction
                 seen = Observation(frame, instruction, velocity, height, yaw_rate, simulator.time(world))
-                with _told_of(flight.learner, flight.index, len(flight.sent)):
+                with _told_of(self._name, flight.index, len(flight.sent)):
                     flight.pending = list(check_chunk(flight.learner.act(seen)))
             learned = clip_action(flight.pending.pop(0))
             # The learner is asked at every step, so that its own clock and memory run on.
@@ -216,14 +218,14 @@ class Fleet:
 
 
 @contextmanager
-def _told_of(learner: Policy, index: int, step: int) -> Iterator[None]:
+def _told_of(name: str, index: int, step: int) -> Iterator[None]:
     """Turn whatever a policy raises into a `PolicyError` that says where."""
     try:
         yield
     except CognitiveDroneError:
         raise
     except Exception as error:
-        name, reason = type(learner).__name__, f"{type(error).__name__}: {error}"
+        reason = f"{type(error).__name__}: {error}"
         raise PolicyError(f"policy {name} failed in episode {index} at step {step} ({reason}); mend it") from error
 
 

@@ -16,11 +16,11 @@ from typing import Protocol
 
 import numpy as np
 
-from cognitivedrone.control.calls import NO_WATCH, Watch, calling
+from cognitivedrone.control.calls import NO_WATCH, Watch, begin_stage, calling
 from cognitivedrone.control.latency import Charge
 from cognitivedrone.errors import PolicyRaised, ReasonerError, ReasonerFault
-from cognitivedrone.interfaces import Privileged, Reasoner, StatefulReasoner
-from cognitivedrone.types import Guidance, Image, Truth
+from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance, Image
 
 LONGEST_DIRECTIVE = 1000
 """Characters."""
@@ -36,8 +36,8 @@ class Question:
     image: Image
     time: float
     """Of the frame, on the loop's clock, s."""
-    truth: Truth | None = None
-    """For privileged reasoners, in the simulator."""
+    truth: GroundTruth | None = None
+    """In the simulator, for reasoners that need it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +75,10 @@ class AsyncReasoner(Protocol):
 class SimulatedReasoner:
     """Thinks in no time and answers after the time that is charged for it."""
 
-    def __init__(self, reasoner: Reasoner, charge: Charge = lambda _: 0.0, watch: Watch = NO_WATCH) -> None:
-        self._thinker = _Thinker(reasoner, watch)
+    def __init__(
+        self, reasoner: Reasoner, charge: Charge = lambda _: 0.0, watch: Watch = NO_WATCH, *, seed: int = 0
+    ) -> None:
+        self._thinker = _Thinker(reasoner, watch, seed)
         self._charge = charge
         self.trace = ""
         """The first traceback of the reasoner's own exceptions; empty where it raised none."""
@@ -138,9 +140,10 @@ class ThreadedReasoner:
 class _Thinker:
     """Asks a reasoner, telling it of flights and stages, and turns its faults into answers."""
 
-    def __init__(self, reasoner: Reasoner, watch: Watch = NO_WATCH) -> None:
+    def __init__(self, reasoner: Reasoner, watch: Watch = NO_WATCH, seed: int = 0) -> None:
         self._reasoner = reasoner
         self._watch = watch
+        self._seed = seed
         self._leg: int | None = None
 
     def think(self, question: Question) -> Answer:
@@ -155,10 +158,8 @@ class _Thinker:
     def _ask(self, question: Question) -> Guidance:
         reasoner = self._reasoner
         if question.leg != self._leg:
-            if isinstance(reasoner, StatefulReasoner):
-                (reasoner.new_flight if self._leg is None else reasoner.new_stage)()
-            if question.truth is not None and isinstance(reasoner, Privileged):
-                reasoner.brief(question.truth)
+            stage = 0 if self._leg is None else question.leg
+            begin_stage(reasoner, EpisodeContext(question.instruction, self._seed, stage, question.truth))
             self._leg = question.leg
         return reasoner.refine(question.image, question.instruction)
 

@@ -5,10 +5,15 @@ from __future__ import annotations
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Protocol
 
+import numpy as np
+
 from cognitivedrone.errors import CognitiveDroneError, PolicyRaised
+from cognitivedrone.interfaces import PlugIn
 from cognitivedrone.registry import one_line
+from cognitivedrone.types import EpisodeContext
 
 
 class Watch(Protocol):
@@ -51,3 +56,13 @@ def calling(what: str, watch: Watch = NO_WATCH) -> Iterator[None]:
         raise PolicyRaised(f"{what} raised {one_line(error)}", traceback.format_exc()) from error
     finally:
         watch.end()
+
+
+def begin_stage(part: PlugIn, context: EpisodeContext) -> None:
+    """Reset a policy or reasoner for a stage; the ground truth goes to none that does not declare that it needs it."""
+    part.reset(context if part.needs_ground_truth else replace(context, ground_truth=None))
+
+
+def seed_of(part: PlugIn | None, rng: np.random.Generator) -> int:
+    """The seed of a part's episode, drawn from the episode's generator only where the part draws random numbers."""
+    return int(rng.integers(2**31)) if part is not None and part.needs_seed else 0

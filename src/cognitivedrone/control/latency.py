@@ -18,8 +18,8 @@ import numpy as np
 
 from cognitivedrone.control.calls import NO_WATCH, Watch, calling
 from cognitivedrone.errors import PolicyError
-from cognitivedrone.interfaces import Policy, Privileged
-from cognitivedrone.types import ActionChunk, Observation, Truth
+from cognitivedrone.interfaces import Policy
+from cognitivedrone.types import ActionChunk, EpisodeContext, Observation
 
 LONGEST_S = 60.0
 """No part may be told to think longer than this."""
@@ -31,28 +31,23 @@ Charge = Callable[[float], float]
 """From the seconds that were really needed to the seconds that are charged."""
 
 
-class TimedPolicy:
-    """A policy whose decisions are measured, and watched; told whatever the policy in it is told.
+class TimedPolicy(Policy):
+    """A policy whose decisions are measured, and whose calls are watched.
 
     Each method raises `PolicyRaised` where the policy raises something that is not an error of this package.
     """
 
     def __init__(self, policy: Policy, watch: Watch = NO_WATCH) -> None:
         self.policy = policy
+        self.needs_ground_truth, self.needs_seed = policy.needs_ground_truth, policy.needs_seed
         self._watch = watch
         self.took_s: list[float] = []
         """Of each decision, s on this machine's clock."""
 
-    def reset(self, instruction: str) -> None:
-        """Begin anew."""
+    def reset(self, context: EpisodeContext) -> None:
+        """Begin a stage."""
         with calling("the policy", self._watch):
-            self.policy.reset(instruction)
-
-    def brief(self, truth: Truth) -> None:
-        """Tell the truth to a policy that takes it."""
-        if isinstance(self.policy, Privileged):
-            with calling("the policy", self._watch):
-                self.policy.brief(truth)
+            self.policy.reset(context)
 
     def act(self, observation: Observation) -> ActionChunk:
         """Decide, and measure it."""
@@ -61,6 +56,14 @@ class TimedPolicy:
             chunk = self.policy.act(observation)
         self.took_s.append(time.perf_counter() - begin)
         return chunk
+
+    def check(self) -> None:
+        """As the policy."""
+        self.policy.check()
+
+    def close(self) -> None:
+        """As the policy."""
+        self.policy.close()
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,11 +10,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cognitivedrone.control.async_reasoner import AsyncReasoner, Question
+from cognitivedrone.control.calls import begin_stage
 from cognitivedrone.control.directive_filter import DirectiveFilter
 from cognitivedrone.control.latency import Charge
 from cognitivedrone.errors import NonFiniteAction, PolicyError
-from cognitivedrone.interfaces import Clock, Drone, Policy, Privileged, Recorder
-from cognitivedrone.types import CONTROL_HZ, Action, ActionChunk, Event, Guidance, Observation, Truth
+from cognitivedrone.interfaces import Clock, Drone, Policy, Recorder
+from cognitivedrone.types import (
+    CONTROL_HZ,
+    Action,
+    ActionChunk,
+    EpisodeContext,
+    Event,
+    GroundTruth,
+    Guidance,
+    Observation,
+)
 
 LATE_S = 0.010
 """A deadline that is missed by less than this counts as kept."""
@@ -27,8 +37,8 @@ class Segment:
     index: int
     """Counts the instructions given: a new index is a new leg even where the words are the same."""
     instruction: str
-    truth: Truth | None = None
-    """For privileged pilots, in the simulator."""
+    truth: GroundTruth | None = None
+    """In the simulator, for policies and reasoners that need it."""
 
 
 Mission = Callable[[], Segment | None]
@@ -83,6 +93,7 @@ def fly(
     recorder: Recorder | None = None,
     rates: Rates | None = None,
     charge: Charge | None = None,
+    seed: int = 0,
 ) -> int:
     """Fly until the mission ends; returns the number of commands sent.
 
@@ -90,9 +101,9 @@ def fly(
     thinking is over: on a wall clock that takes its time, on a simulated one what `charge` makes of it. A chunk of
     actions is flown to its end before the policy is asked again.
 
-    A new leg resets the policy and drops what is left of the chunk. The `mind` is asked then, and `reasoner_hz` times a
-    second, about the newest frame, as soon as it is idle. Its directive is flown by from when it arrives
-    (`DirectiveFilter` says whether it replaces another); without one, by the instruction.
+    A new leg resets the policy, with `seed` in its context, and drops what is left of the chunk. The `mind` is asked
+    then, and `reasoner_hz` times a second, about the newest frame, as soon as it is idle. Its directive is flown by
+    from when it arrives (`DirectiveFilter` says whether it replaces another); without one, by the instruction.
     """
     rates = rates or Rates()
     log = recorder or _NullRecorder()
@@ -107,10 +118,9 @@ def fly(
         if late > LATE_S:
             log.note(Event(clock.now() - start, "late", age_s=late))
         if leg.index != leg_index:
+            stage = 0 if leg_index is None else leg.index
             leg_index, directive_filter, pending, next_question = leg.index, DirectiveFilter(), [], slot
-            policy.reset(leg.instruction)
-            if leg.truth is not None and isinstance(policy, Privileged):
-                policy.brief(leg.truth)
+            begin_stage(policy, EpisodeContext(leg.instruction, seed, stage, leg.truth))
             log.note(Event(clock.now() - start, "leg", leg.instruction))
         observation = drone.observe()
         if mind is not None:

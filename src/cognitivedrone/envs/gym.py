@@ -16,7 +16,7 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite
-from cognitivedrone.types import CONTROL_HZ, Action, StageResult, Truth
+from cognitivedrone.types import CONTROL_HZ, Action, GroundTruth, StageResult
 
 
 class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
@@ -77,7 +77,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         """Free the renderer."""
         self.simulator.close()
 
-    def truth(self) -> Truth:
+    def truth(self) -> GroundTruth:
         """What privileged pilots are told: for experts that make training data."""
         return self.track_runner.truth()
 

@@ -17,7 +17,7 @@ from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.plan import Scenario
 from cognitivedrone.sim.drone_world import DroneWorld, Scenery, Start
 from cognitivedrone.sim.gate_monitor import GateEvent
-from cognitivedrone.types import Outcome, Stage, StageResult, Task, Track, Truth
+from cognitivedrone.types import GroundTruth, Outcome, Stage, StageResult, Task, Track
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN, Look, varied_look
 
@@ -131,9 +131,9 @@ class TrackRunner:
         """The stage at hand; after the end, the last one."""
         return self.stages[-1]
 
-    def truth(self) -> Truth:
+    def truth(self) -> GroundTruth:
         """What a privileged pilot is told."""
-        return Truth(self.task, self.stage, self.world.state)
+        return GroundTruth(self.task, self.stage, self.world.state)
 
     def update(self, gate_event: GateEvent | None) -> StageResult | None:
         """Take in what happened in the last stretch of flight; the result, where it ended the stage."""

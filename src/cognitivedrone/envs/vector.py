@@ -20,7 +20,7 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite
-from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, FloatArray, StageResult, Truth
+from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, FloatArray, GroundTruth, StageResult
 
 
 class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray]):
@@ -109,7 +109,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         if hasattr(self, "simulator"):
             self.simulator.close()
 
-    def truths(self) -> list[Truth]:
+    def truths(self) -> list[GroundTruth]:
         """What privileged pilots are told in each world: for experts that make training data."""
         return [track_runner.truth() for track_runner in self.track_runners]
 

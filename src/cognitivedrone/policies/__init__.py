@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cognitivedrone import registry
+from cognitivedrone.adapters import as_policy
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.interfaces import Policy
 
@@ -35,5 +36,4 @@ def make_policy(name: str) -> Policy:
     """A new policy by its name and arguments, in the syntax of `registry`; raises `PolicyError`."""
     if name.endswith(".onnx") and ":" not in name:
         raise PolicyError(f"policy {name!r} is a model file; write small:{name}")
-    policy: Policy = registry.make("policy", name, POLICIES, ("reset", "act"))
-    return policy
+    return as_policy(f"policy {name!r}", registry.make("policy", name, POLICIES))

@@ -4,33 +4,31 @@ from __future__ import annotations
 
 import numpy as np
 
-from cognitivedrone.types import ActionChunk, Observation
+from cognitivedrone.interfaces import Policy
+from cognitivedrone.types import ActionChunk, EpisodeContext, Observation
 
 
-class Hover:
+class Hover(Policy):
     """Stays where it is."""
-
-    def reset(self, instruction: str) -> None:
-        """Nothing to forget."""
 
     def act(self, observation: Observation) -> ActionChunk:
         """Zero velocity."""
         return np.zeros((1, 4), dtype=np.float32)
 
 
-class Random:
+class Random(Policy):
     """Flies forward with smooth random turns: a new wish every second."""
+
+    needs_seed = True
 
     def __init__(self) -> None:
         self._rng = np.random.default_rng(0)
         self._wish = np.zeros(4)
 
-    def seed(self, seed: int) -> None:
-        """Draw from `seed` from now on."""
-        self._rng = np.random.default_rng(seed)
-
-    def reset(self, instruction: str) -> None:
-        """Start from rest."""
+    def reset(self, context: EpisodeContext) -> None:
+        """Start from rest; a new flight draws from its seed."""
+        if context.stage == 0:
+            self._rng = np.random.default_rng(context.seed)
         self._wish = np.zeros(4)
 
     def act(self, observation: Observation) -> ActionChunk:

@@ -15,10 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from cognitivedrone.interfaces import Policy
 from cognitivedrone.policies.guidance import Pursuit, pursue
 from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.tasks.directives import parse_directive
-from cognitivedrone.types import COLORS, IMAGE_SIZE, ActionChunk, Color, FloatArray, Image, Observation, Shape, Size
+from cognitivedrone.types import (
+    COLORS,
+    IMAGE_SIZE,
+    ActionChunk,
+    Color,
+    EpisodeContext,
+    FloatArray,
+    Image,
+    Observation,
+    Shape,
+    Size,
+)
 from cognitivedrone.world.geometry import BAR_WIDTH, GATE_HEIGHT
 
 FOCAL_PX = IMAGE_SIZE / 2 / math.tan(FIELD_OF_VIEW / 2)
@@ -131,20 +143,23 @@ def ring_height(size: Size, shape: Shape) -> float:
     return opening + 2 * BAR_WIDTH
 
 
-class ColourSeeker:
+class ColourSeeker(Policy):
     """Keeps an estimate of where the gate is, corrects it by every good sighting, and flies through it."""
+
+    needs_seed = True
 
     def __init__(self) -> None:
         self._rng = np.random.default_rng(0)
         self.config = Pursuit(speed_m_s=1.4, slow_m_s=0.6)
-        self.reset("")
+        self._forget("")
 
-    def seed(self, seed: int) -> None:
-        """Draw the colour of uninformed choices from `seed` from now on."""
-        self._rng = np.random.default_rng(seed)
+    def reset(self, context: EpisodeContext) -> None:
+        """Forget the last gate; a new flight draws the colours of uninformed choices from its seed."""
+        if context.stage == 0:
+            self._rng = np.random.default_rng(context.seed)
+        self._forget(context.instruction)
 
-    def reset(self, instruction: str) -> None:
-        """Forget the last gate."""
+    def _forget(self, instruction: str) -> None:
         self._text = instruction
         self._choice: Wanted | None = None
         self._gate: FloatArray | None = None

@@ -9,7 +9,8 @@ from scipy.interpolate import CubicHermiteSpline
 
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.frames import world_to_heading, wrap_angle, yaw_of
-from cognitivedrone.types import CONTROL_HZ, Action, ActionChunk, FloatArray, Observation, Truth
+from cognitivedrone.interfaces import Policy
+from cognitivedrone.types import CONTROL_HZ, Action, ActionChunk, EpisodeContext, FloatArray, GroundTruth, Observation
 from cognitivedrone.world.geometry import gate_centers, gate_yaws
 
 _PERIOD_S = 1 / CONTROL_HZ
@@ -123,33 +124,31 @@ def within(vector: FloatArray, limit: float) -> FloatArray:
     return shortened
 
 
-class Expert:
+class Expert(Policy):
     """Closed loop from the true state: a fresh spline to the gate every step, commanded smoothly.
 
     The commanded velocity changes within the acceleration and jerk of the configuration, in world axes, over the whole
     of a flight: on a track also from the exit of one gate to the next stage.
     """
 
+    needs_ground_truth = True
+
     def __init__(self, config: ExpertConfig | None = None) -> None:
         self.config = config or ExpertConfig()
-        self._truth: Truth | None = None
+        self._truth: GroundTruth | None = None
         self._velocity = np.zeros(3)  # commanded last, world
         self._acceleration = np.zeros(3)
         self._yaw_rate = 0.0
 
-    def reset(self, instruction: str) -> None:
-        """Forget the stage at hand."""
-        self._truth = None
+    def reset(self, context: EpisodeContext) -> None:
+        """Take the ground truth of the stage.
 
-    def brief(self, truth: Truth) -> None:
-        """Take the truth of the stage at hand.
-
-        The first stage of a flight lies at the world's origin: there commands start from the drone's own velocity.
-        Later ones carry on from the last command.
+        At the start of a flight commands begin with the drone's own velocity; later stages carry on from the last
+        command.
         """
-        self._truth = truth
-        if truth.stage.origin == (0.0, 0.0):
-            self._velocity = np.array(truth.state().velocity, dtype=np.float64)
+        self._truth = context.ground_truth
+        if self._truth is not None and context.stage == 0:
+            self._velocity = np.array(self._truth.state().velocity, dtype=np.float64)
             self._acceleration = np.zeros(3)
             self._yaw_rate = 0.0
 

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from cognitivedrone.errors import MissingExtra, NonFiniteAction, PolicyError
+from cognitivedrone.interfaces import Policy
 from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.models.openvla.checkpoint import Checkpoint, DecoderName, Quantisation
 from cognitivedrone.models.openvla.config import IMAGE
 from cognitivedrone.models.openvla.prepare import BEGIN, prompt_ids, read_encoder
-from cognitivedrone.types import IMAGE_SIZE, ActionChunk, Observation
+from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, Observation
 
 if TYPE_CHECKING:
     from cognitivedrone.models.openvla.decode import Decoder
@@ -38,7 +39,7 @@ class Options:
     unnorm_key: str | None = None
 
 
-class OpenVla:
+class OpenVla(Policy):
     """Flies the OpenVLA checkpoint in `folder`.
 
     `device` is a GPU by default where there is one; `unnorm_key` names the action statistics where there are several.
@@ -67,9 +68,9 @@ class OpenVla:
         self._text: str | None = None
         self._ids: list[int] = []
 
-    def reset(self, instruction: str) -> None:
+    def reset(self, context: EpisodeContext) -> None:
         """Take a new instruction; raises `PolicyError` for one that is empty or too long."""
-        self._listen(instruction)
+        self._listen(context.instruction)
 
     def act(self, observation: Observation) -> ActionChunk:
         """Commands (k, 4) by the observation's own instruction: one, or those of the parallel decoder's chunk.

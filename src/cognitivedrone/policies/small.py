@@ -10,8 +10,9 @@ from string import punctuation
 import numpy as np
 
 from cognitivedrone.errors import NonFiniteAction, PolicyError
+from cognitivedrone.interfaces import Policy
 from cognitivedrone.models.small_file import Output, SmallModel
-from cognitivedrone.types import IMAGE_SIZE, ActionChunk, FloatArray, Image, Observation
+from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, FloatArray, Image, Observation
 
 LONGEST_INSTRUCTION = 1000
 """Characters."""
@@ -20,7 +21,7 @@ TOLD = 5
 _SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 
 
-class Small:
+class Small(Policy):
     """Flies a small model: the packaged one, or the file at `path`.
 
     Every decision depends on its observation alone. Raises `PolicyError` where the file cannot be flown.
@@ -53,14 +54,14 @@ class Small:
             raise PolicyError(f"there is no model file {found}")
         return found
 
-    def reset(self, instruction: str) -> None:
+    def reset(self, context: EpisodeContext) -> None:
         """Take a new instruction.
 
         Raises `PolicyError` for one that is empty or longer than `LONGEST_INSTRUCTION`; warns of words that the
         model has never seen, of each once, and of the first few sentences alone.
         """
         self.last = None
-        self._listen(instruction)
+        self._listen(context.instruction)
 
     def act(self, observation: Observation) -> ActionChunk:
         """Commands (k, 4) for the next k control steps by the observation's own instruction.

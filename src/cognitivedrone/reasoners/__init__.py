@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cognitivedrone import registry
+from cognitivedrone.adapters import as_reasoner
 from cognitivedrone.interfaces import Reasoner
 
 REASONERS: dict[str, str] = {
@@ -35,5 +36,4 @@ def make_reasoner(name: str) -> Reasoner | None:
     """A new reasoner by name and arguments, in the syntax of `registry`, or none for "none"; raises `PolicyError`."""
     if name == NONE:
         return None
-    reasoner: Reasoner = registry.make("reasoner", name, {**REASONERS, NONE: NONE}, ("refine",))
-    return reasoner
+    return as_reasoner(f"reasoner {name!r}", registry.make("reasoner", name, {**REASONERS, NONE: NONE}))

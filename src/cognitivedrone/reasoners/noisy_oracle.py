@@ -7,8 +7,9 @@ from typing import Final
 import numpy as np
 
 from cognitivedrone.errors import PolicyError
+from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.tasks import write_directive
-from cognitivedrone.types import CATEGORIES, Guidance, Image, Task, Truth
+from cognitivedrone.types import CATEGORIES, EpisodeContext, Guidance, Image, Task
 
 PUBLISHED_ACCURACY: Final = 153 / 218
 """How often the published reasoner (CognitiveDrone-R1, arXiv 2503.01378) is right, about 70 %.
@@ -18,13 +19,16 @@ all three categories.
 """
 
 
-class NoisyOracle:
+class NoisyOracle(Reasoner):
     """Gives the gold directive with a given probability, else that of one of the other two gates.
 
     The draw is made once a stage: who misunderstands keeps misunderstanding. With `each` it is made anew at every
     answer. A gate that stands alone is never mistaken. Of two noisy oracles of one seed, the one that is right
     more often is right wherever the other is: a sweep over accuracies compares like with like.
     """
+
+    needs_ground_truth = True
+    needs_seed = True
 
     def __init__(
         self,
@@ -51,15 +55,13 @@ class NoisyOracle:
         self._task: Task | None = None
         self._gate = 0
 
-    def seed(self, seed: int) -> None:
-        """Draw from this seed on."""
-        self._rng = np.random.default_rng(seed)
-
-    def brief(self, truth: Truth) -> None:
-        """Take the task at hand, and draw whether it is understood."""
-        self._task = truth.task
-        if not self.each:
-            self._gate = self._draw(truth.task)
+    def reset(self, context: EpisodeContext) -> None:
+        """Take the task at hand, and draw whether it is understood; a new flight draws from its seed."""
+        if context.stage == 0:
+            self._rng = np.random.default_rng(context.seed)
+        self._task = context.ground_truth.task if context.ground_truth else None
+        if self._task is not None and not self.each:
+            self._gate = self._draw(self._task)
 
     def refine(self, image: Image, instruction: str) -> Guidance:
         """The directive of the gate that was drawn; always as if it were sure."""

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from cognitivedrone.errors import PolicyError
-from cognitivedrone.types import Guidance, Image, Task, Truth
+from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.types import EpisodeContext, Guidance, Image, Task
 
 
-class Oracle:
+class Oracle(Reasoner):
     """Knows the right gate; looks at nothing."""
+
+    needs_ground_truth = True
 
     def __init__(self) -> None:
         self._task: Task | None = None
 
-    def brief(self, truth: Truth) -> None:
+    def reset(self, context: EpisodeContext) -> None:
         """Take the task at hand."""
-        self._task = truth.task
+        self._task = context.ground_truth.task if context.ground_truth else None
 
     def refine(self, image: Image, instruction: str) -> Guidance:
         """The gold directive of the task at hand."""

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, Final, get_args
 
 from cognitivedrone.errors import PolicyError, ReasonerError, ReasonerFault, did_you_mean
-from cognitivedrone.types import Guidance, Image, Truth
+from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.types import EpisodeContext, Guidance, Image
 
 MAX_FILE_BYTES: Final = 64 * 2**20
 FAULTS: Final[tuple[ReasonerFault, ...]] = get_args(ReasonerFault)
@@ -77,12 +78,14 @@ def _entry(obj: Mapping[str, Any], where: str) -> Entry:
     return Guidance(directive, gate, float(confidence))
 
 
-class Replay:
+class Replay(Reasoner):
     """Gives the answers of a file, whatever is seen; several of one task one after the other, the last one stays.
 
     The task at hand is told by the simulator. An answer that was a fault is raised as that fault, and a task that the
     file does not have as `unsure`.
     """
+
+    needs_ground_truth = True
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
@@ -95,9 +98,9 @@ class Replay:
         """The file of answers, which a run is identified by."""
         return Path(path)
 
-    def brief(self, truth: Truth) -> None:
+    def reset(self, context: EpisodeContext) -> None:
         """Take the id of the task at hand, and begin with its first answer."""
-        self._task = truth.task.id
+        self._task = context.ground_truth.task.id if context.ground_truth else None
         self._given = 0
 
     def refine(self, image: Image, instruction: str) -> Guidance:

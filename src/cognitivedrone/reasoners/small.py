@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.errors import PolicyError, ReasonerError
+from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.models.reasoner_file import (
     EYES_FILE,
     LOOKS,
@@ -28,7 +29,7 @@ from cognitivedrone.reasoners.calculator import calculate
 from cognitivedrone.tasks.directives import write_directive
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.matching import asked_concepts, asked_kinds
-from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Guidance, Image
+from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate, Guidance, Image
 
 LARGEST_VALUE = 20
 _SEEN = 0.3  # score from which a gate or board counts as there
@@ -63,7 +64,7 @@ class _Stage:
     """Colour of the gate that the last answer named."""
 
 
-class SmallReasoner:
+class SmallReasoner(Reasoner):
     """The packaged reasoner, or the one in a folder with `eyes.onnx` and `mind.onnx`."""
 
     def __init__(self, folder: Path | str | None = None) -> None:
@@ -84,12 +85,15 @@ class SmallReasoner:
         """The file of the eyes, which a run is told by; raises `PolicyError` where it is missing."""
         return _place_of(folder) / EYES_FILE
 
-    def new_flight(self) -> None:
-        """Forget everything."""
-        self._stage, self._earlier = self._new(), []
+    def reset(self, context: EpisodeContext) -> None:
+        """Forget everything for a new flight.
 
-    def new_stage(self) -> None:
-        """Remember the stage that has ended by what its panels showed, and which gate was flown through."""
+        Of one that goes on, remember the stage that has ended: what its panels showed, and which gate was flown
+        through.
+        """
+        if context.stage == 0:
+            self._stage, self._earlier = self._new(), []
+            return
         stage = self._stage
         panels = [(gate.facets / gate.weight, int(color == stage.chosen)) for color, gate in _by_place(stage)]
         self._earlier.append(panels)

@@ -20,6 +20,7 @@ from urllib.parse import urlsplit
 from PIL import Image as PillowImage
 
 from cognitivedrone.errors import MissingExtra, PolicyError, ReasonerError, ReasonerFault, did_you_mean
+from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.reasoners.prompt import ANSWER_SCHEMA, MAX_TOKENS, load_prompt, write_prompt
 from cognitivedrone.reasoners.reply import quote, read_reply
 from cognitivedrone.types import Guidance, Image
@@ -37,7 +38,7 @@ _BUSY = (429, 500, 502, 503, 504)
 _REFUSED_FORMAT = (400, 422)
 
 
-class Vlm:
+class Vlm(Reasoner):
     """Image and instruction to a vision-language model's answer.
 
     `url` is the base URL of the server, `timeout` in s, `prompt` a file with a prompt of your own. The environment

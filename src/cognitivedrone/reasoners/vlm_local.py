@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cognitivedrone.errors import MissingExtra, PolicyError, did_you_mean
+from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.reasoners.prompt import MAX_TOKENS, load_prompt, write_prompt
 from cognitivedrone.reasoners.reply import read_reply
 from cognitivedrone.types import Guidance, Image
@@ -28,7 +29,7 @@ _AFTER_IMAGE = "<|vision_end|>"
 _CLOSING = "<|im_end|>\n<|im_start|>assistant\n"
 
 
-class LocalVlm:
+class LocalVlm(Reasoner):
     """Image and instruction to the answer of a model in this process.
 
     `model` is a folder, or a name on the hub. Nothing is downloaded unless `download` is true; weights are read from
