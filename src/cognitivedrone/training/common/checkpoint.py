@@ -16,6 +16,8 @@ from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import check_regular, reason_of
 from cognitivedrone.models.checksum import BLANK, Finding, check_own, seal
 
+CHECKPOINT = "checkpoint.safetensors"
+"""Name of the file in the folder of a run."""
 FORMAT = 1
 _KEY = "cognitivedrone"
 

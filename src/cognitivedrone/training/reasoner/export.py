@@ -23,11 +23,10 @@ from cognitivedrone.models.reasoner_file import (
 )
 from cognitivedrone.models.small_reasoner import PanelReader
 from cognitivedrone.training.common.attributes import GATE_GROUPS, GROUPS
-from cognitivedrone.training.reasoner.reader import load_reader
 from cognitivedrone.training.reasoner.reading import SEEN
-from cognitivedrone.training.reasoner.selector import load_mind
+from cognitivedrone.training.reasoner.trained import load_mind, load_reader
 from cognitivedrone.training.small_vla.export import provenance_of, write_onnx
-from cognitivedrone.training.small_vla.policy import load_trained
+from cognitivedrone.training.small_vla.trained import load_trained
 
 
 def export_eyes(policy: Path, reader: Path, folder: Path) -> Path:

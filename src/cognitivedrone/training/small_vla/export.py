@@ -24,7 +24,8 @@ from cognitivedrone.models.small_file import ActionStatistics, Description, Smal
 from cognitivedrone.models.small_vla import STATE, SmallVLA
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.training.common.sampling import StreamRecipe
-from cognitivedrone.training.small_vla.policy import load_trained, stream_of, training_batches
+from cognitivedrone.training.small_vla.recorded import training_batches
+from cognitivedrone.training.small_vla.trained import load_trained, stream_of
 
 _STATISTICS_FRAMES = 2_000
 _HALVED_FROM = 256  # elements; smaller tensors are biases, scales and shapes
