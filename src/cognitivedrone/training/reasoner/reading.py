@@ -12,7 +12,7 @@ from itertools import accumulate
 import numpy as np
 
 from cognitivedrone.labels.images import parse_several
-from cognitivedrone.labels.reference import parse_reference
+from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.hard import COUNTABLE
 from cognitivedrone.training.common import attributes as facets
 from cognitivedrone.training.common.attributes import BOARD_GROUPS, PANEL_GROUPS, Indices
