@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+EPISODES_PER_SHARD = 64
+
 
 @dataclass(frozen=True, slots=True)
 class CollectConfig:
@@ -27,7 +29,7 @@ class CollectConfig:
     """Draws the tasks of open-v1:train, and the conditions of every flight."""
     resume: bool = False
     """Go on with what is in the folder."""
-    episodes_per_shard: int = 64
+    episodes_per_shard: int = EPISODES_PER_SHARD
     """Flown, stored and resumed as one."""
     executor: Literal["local", "ray"] = "local"
     """`local` processes, or the machines of a `ray` cluster."""

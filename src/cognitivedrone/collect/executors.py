@@ -7,7 +7,6 @@ An executor is a function from a `Job`, batches of episode indices and a number 
 from __future__ import annotations
 
 import functools
-import hashlib
 import multiprocessing
 import signal
 import traceback
@@ -23,6 +22,7 @@ from cognitivedrone import tasks
 from cognitivedrone.collect.fleet import Fleet, FlownEpisode
 from cognitivedrone.collect.recipe import Recipe
 from cognitivedrone.errors import CognitiveDroneError, DataError, MissingExtra, warn_plainly
+from cognitivedrone.files import sha256_of
 from cognitivedrone.policies import make_policy, model_file
 from cognitivedrone.tasks import Suite
 
@@ -53,10 +53,7 @@ class Learner:
 def learner_of(policy: str, beta: float) -> Learner:
     """The learner by the name of a policy. Raises `PolicyError` where its model file is missing."""
     file = model_file(policy)
-    if file is None:
-        return Learner(policy, beta, None)
-    with file.open("rb") as stream:
-        return Learner(policy, beta, hashlib.file_digest(stream, "sha256").hexdigest())
+    return Learner(policy, beta, None if file is None else sha256_of(file))
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ import numpy as np
 
 from cognitivedrone.data.episode import Encoding, decode_image, encode_image
 from cognitivedrone.errors import MissingExtra
-from cognitivedrone.sim.views import FIELD_OF_VIEW
+from cognitivedrone.sim.views import FOCAL_PX
 from cognitivedrone.types import IMAGE_SIZE, FloatArray
 
 IMAGE_TYPE: Final = "sensor_msgs/msg/CompressedImage"
@@ -108,8 +108,8 @@ class Ros:
 
     def camera(self, stamp_ns: int) -> Any:
         """The CameraInfo of the first-person view: a pinhole without distortion."""
-        focal, middle = float(IMAGE_SIZE / 2 / np.tan(FIELD_OF_VIEW / 2)), IMAGE_SIZE / 2
-        k = np.array([focal, 0, middle, 0, focal, middle, 0, 0, 1])
+        middle = IMAGE_SIZE / 2
+        k = np.array([FOCAL_PX, 0, middle, 0, FOCAL_PX, middle, 0, 0, 1])
         region = self._make["sensor_msgs/msg/RegionOfInterest"](
             x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
         )

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from cognitivedrone.files import replacing
 from cognitivedrone.models.onnx_file import Provenance, write_table
 from cognitivedrone.models.reasoner_file import (
     EYES,
@@ -80,7 +81,6 @@ def _export(
     provenance: Provenance,
 ) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_suffix(".part.onnx")
-    write_onnx(network, example, outputs, beside)
-    write_table(beside, kind, {**table, "provenance": asdict(provenance)})
-    beside.replace(path)
+    with replacing(path, path.with_suffix(".part.onnx")) as beside:
+        write_onnx(network, example, outputs, beside)
+        write_table(beside, kind, {**table, "provenance": asdict(provenance)})

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from cognitivedrone import checkout
+from cognitivedrone.files import replacing
 from cognitivedrone.models.onnx_file import Provenance
 from cognitivedrone.models.small_file import ActionStatistics, Description, SmallModel, describe
 from cognitivedrone.models.small_vla import STATE, SmallVLA
@@ -44,8 +45,6 @@ def export(
     recipe = facts["recipe"]
     stream = stream_of(facts)
     out.parent.mkdir(parents=True, exist_ok=True)
-    beside = out.with_suffix(".part.onnx")
-    write_graph(network, beside)
     description = Description(
         name=recipe["name"],
         vocabulary=vocabulary,
@@ -55,9 +54,10 @@ def export(
         config=network.config.facts(),
         provenance=provenance_of(facts, scores),
     )
-    describe(beside, description)
-    SmallModel.load(beside)  # what cannot be loaded never lies in its place
-    beside.replace(out)
+    with replacing(out, out.with_suffix(".part.onnx")) as beside:
+        write_graph(network, beside)
+        describe(beside, description)
+        SmallModel.load(beside)  # what cannot be loaded never lies in its place
     return description
 
 
