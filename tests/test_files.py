@@ -139,9 +139,14 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyt
 def test_an_error_while_a_file_is_written_leaves_the_old_one_alone(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"old")
-    with pytest.raises(KeyboardInterrupt), replacing(path, tmp_path / "beside") as beside:
-        beside.write_bytes(b"half of the n")
-        raise KeyboardInterrupt
+
+    def stopped() -> None:
+        with replacing(path, tmp_path / "beside") as beside:
+            beside.write_bytes(b"half of the n")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped()
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
 

@@ -17,7 +17,8 @@ from cognitivedrone.types import Action
 from cognitivedrone.vehicles.gazebo.bindings import Bindings
 from cognitivedrone.vehicles.gazebo.flight import GazeboFlight
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkConfig, MavlinkDrone
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
+from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 
 URL: Final = "tcp:127.0.0.1:5760"
 """Where the first ArduPilot of this machine waits for a ground station."""
