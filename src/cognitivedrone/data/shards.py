@@ -221,6 +221,13 @@ class ShardFile:
             table = self._file.read(columns=list(names), use_threads=False)
             return {name: _to_numpy(table[name], name) for name in names}
 
+    def rows(self) -> Iterator[tuple[dict[str, Any], slice]]:
+        """The facts of each episode, and where its steps stand in what `numbers` gives."""
+        first = 0
+        for facts in self.facts:
+            yield facts, slice(first, first + facts["length"])
+            first += facts["length"]
+
     def episode(self, index: int) -> Episode:
         """A whole episode; raises `DataError`."""
         number = self._row_groups[index]

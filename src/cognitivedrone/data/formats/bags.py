@@ -10,7 +10,6 @@ Frames of reference: `world` (ENU), `heading` (level, yaw only), `camera`.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from cognitivedrone.data.episode import Encoding, decode_image, encode_image
-from cognitivedrone.errors import MissingExtra
+from cognitivedrone.errors import import_extra
 from cognitivedrone.sim.views import FOCAL_PX
 from cognitivedrone.types import IMAGE_SIZE, FloatArray
 
@@ -67,11 +66,8 @@ class Ros:
     """Makes, writes and reads ROS 2 messages; raises `MissingExtra` without rosbags."""
 
     def __init__(self) -> None:
-        try:
-            self._bags: Any = importlib.import_module("rosbags.rosbag2")
-            systems: Any = importlib.import_module("rosbags.typesys")
-        except ModuleNotFoundError:
-            raise MissingExtra("rosbags", "ros") from None
+        self._bags = import_extra("rosbags.rosbag2", "ros", "rosbags")
+        systems = import_extra("rosbags.typesys", "ros", "rosbags")
         self._store = systems.get_typestore(systems.Stores.ROS2_HUMBLE)
         self._make: Mapping[str, Any] = self._store.types
 
