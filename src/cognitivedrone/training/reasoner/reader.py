@@ -100,7 +100,7 @@ class ReaderTraining:
         def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
             del learner
             rng = np.random.default_rng(seed)
-            cards = PanelCrops(load_pack("open-v1"), self.recipe.network.glimpse, draw_any_label, seen_facets)
+            cards = PanelCrops(load_pack(), self.recipe.network.glimpse, draw_any_label, seen_facets)
             while True:
                 images, facets = cards.draw(rng, self.recipe.batch)
                 yield {"card_image": images, "card_facets": facets}

@@ -39,7 +39,7 @@ class Recorded:
         split: Split = "train",
     ) -> None:
         self._recipe, self._split = recipe, split
-        labels = load_pack("open-v1")
+        labels = load_pack()
         self._sampler = Sampler(recipe, vocabulary, network.text_length, network.glimpse, labels)
         self._store = Store(folder)
         self._steps = self._store.step_numbers(split)
