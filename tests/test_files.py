@@ -15,11 +15,11 @@ from cognitivedrone.errors import RunError
 from cognitivedrone.files import (
     LONGEST_NAME,
     check_regular,
+    digest_of_file,
     read_regular,
     replace_file,
     replacing,
     safe_name,
-    sha256_of,
     writing,
 )
 
@@ -154,4 +154,4 @@ def test_an_error_while_a_file_is_written_leaves_the_old_one_alone(tmp_path: Pat
 def test_a_files_hash_is_that_of_its_content(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"abc")
-    assert sha256_of(path) == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert digest_of_file(path) == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"

@@ -105,10 +105,10 @@ def replacing(path: Path, temporary: Path | None = None) -> Iterator[Path]:
         raise
 
 
-def sha256_of(path: Path) -> str:
-    """Hexadecimal content hash of a file; raises `OSError`."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def digest_of_file(path: Path) -> str:
+    """SHA-256 of a file's content, hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def take_lock(descriptor: int) -> bool:

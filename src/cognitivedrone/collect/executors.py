@@ -22,7 +22,7 @@ from cognitivedrone import tasks
 from cognitivedrone.collect.fleet import Fleet, FlownEpisode
 from cognitivedrone.collect.recipe import Recipe
 from cognitivedrone.errors import CognitiveDroneError, DataError, MissingExtra, warn_plainly
-from cognitivedrone.files import sha256_of
+from cognitivedrone.files import digest_of_file
 from cognitivedrone.policies import make_policy, model_file
 from cognitivedrone.tasks import Suite
 
@@ -53,7 +53,9 @@ class Learner:
 def learner_of(policy: str, beta: float) -> Learner:
     """The learner by the name of a policy. Raises `PolicyError` where its model file is missing."""
     file = model_file(policy)
-    return Learner(policy, beta, None if file is None else sha256_of(file))
+    if file is None:
+        return Learner(policy, beta, None)
+    return Learner(policy, beta, digest_of_file(file))
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,7 +98,7 @@ class Fleet:
         self.beta = beta
         self._learners = [learner() for _ in range(worlds)] if learner else None
         self._simulator = Simulator(worlds, airframe=AIRFRAMES[AIRFRAME])
-        pack = load_pack()
+        pack = load_pack("open-v1")
         config = TrackConfig(look=recipe.look, time_limit_s=recipe.time_limit_s)
         self._courses = [TrackRunner(self._simulator, world, pack, config) for world in range(worlds)]
         self._frames = np.empty((worlds, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)

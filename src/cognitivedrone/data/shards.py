@@ -132,7 +132,7 @@ def read_json(path: Path) -> Any:
 def sha256_of(path: Path) -> str:
     """Hexadecimal content hash of a file; raises `DataError`."""
     with clear_errors(path, "read"):
-        return files.sha256_of(path)
+        return files.digest_of_file(path)
 
 
 def write_shard_file(path: Path, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> None:

@@ -46,7 +46,7 @@ def fly_suite(pilot: NetworkPilot, suite: Suite, config: TrackConfig, seed: int 
     """Fly every track of a suite in closed loop, all together; results in the order of the suite."""
     simulator = Simulator(len(suite.tracks))
     try:
-        labels = load_pack()
+        labels = load_pack("open-v1")
         track_runners = [TrackRunner(simulator, world, labels, config) for world in range(simulator.worlds)]
         for world, track_runner in enumerate(track_runners):
             track_runner.begin(suite.tracks[world], episode_rng(suite.digest, world, seed))
