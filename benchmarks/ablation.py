@@ -15,8 +15,7 @@ from pathlib import Path
 import tyro
 
 from cognitivedrone.benchmark import Plan, Results, run
-from cognitivedrone.training.common.curves import read_rows
-from cognitivedrone.training.common.trainer import METRICS
+from cognitivedrone.training.common.run_log import METRICS, read_rows
 from cognitivedrone.training.launch import TrainOptions
 from cognitivedrone.training.launch import run as train
 from cognitivedrone.training.recipes import RECIPES

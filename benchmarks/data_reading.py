@@ -47,7 +47,7 @@ def frame(rng: np.random.Generator) -> np.ndarray:
 def made_store(path: Path, encoding: Encoding) -> Store:
     rng = np.random.default_rng(0)
     images = [encode_image(frame(rng), encoding) for _ in range(64)]
-    writer = StoreWriter(path, {"name": "benchmark"}, "open-v1:train", "0" * 64, 0)
+    writer = StoreWriter(path, {"name": "benchmark"}, "open-v1:train", "0" * 64, 0, episodes_per_shard=64)
     for number in range(EPISODES // 64):
         indices = range(64 * number, 64 * (number + 1))
         writer.write_shard(number, [made_episode(index, images, encoding, rng) for index in indices], {})

@@ -19,7 +19,6 @@ from cognitivedrone.benchmark.sweep import plan_of
 from cognitivedrone.cli import FIRST, TARGETS, help_text, load, main
 from cognitivedrone.collect.collector import collect
 from cognitivedrone.collect.config import CollectPlan
-from cognitivedrone.data.store_writer import EPISODES_PER_SHARD
 from cognitivedrone.plan import Scenario
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.tasks import load_suite, write_tasks
@@ -287,10 +286,6 @@ def test_a_suite_without_an_end_says_how_much_of_it_is_flown(capsys, tmp_path):
     main(["bench", "--suite", "open-v1:train", "--policy", "hover", "--episodes", "1", "--workers", "1",
           "--clips", "0", "--out", str(tmp_path)])  # fmt: skip
     assert "its first 1 tasks of seed 0 are flown" in capsys.readouterr().out
-
-
-def test_defaults_that_are_written_twice_are_the_same():
-    assert CollectPlan.of(out=Path()).episodes_per_shard == EPISODES_PER_SHARD
 
 
 def test_a_progress_bar_fits_into_80_columns_from_its_first_moment():

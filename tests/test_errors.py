@@ -10,7 +10,7 @@ from importlib import metadata
 import pytest
 from packaging.requirements import Requirement
 
-from cognitivedrone.errors import MissingExtra, install_command
+from cognitivedrone.errors import MissingExtra, import_extra, install_command
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 EDITABLE = {"url": "file:///home/me/my%20drones", "dir_info": {"editable": True}}
@@ -51,3 +51,11 @@ def test_the_message_of_a_missing_extra_ends_with_that_line():
     assert str(MissingExtra("httpx", "vlm")) == (
         f"httpx is not installed; it comes with cognitivedrone[vlm]: {install_command('vlm')}"
     )
+
+
+def test_a_missing_module_names_the_package_and_the_extra_that_brings_it() -> None:
+    with pytest.raises(MissingExtra, match=r"^no_such_module is not installed; it comes with cognitivedrone\[ros\]"):
+        import_extra("no_such_module.part", "ros")
+    with pytest.raises(MissingExtra, match=r"^its-package is not installed; it comes with cognitivedrone\[ros\]"):
+        import_extra("no_such_module", "ros", "its-package")
+    assert import_extra("json", "ros") is json

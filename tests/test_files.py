@@ -12,7 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cognitivedrone.errors import RunError
-from cognitivedrone.files import LONGEST_NAME, check_regular, read_regular, replace_file, safe_name, writing
+from cognitivedrone.files import (
+    LONGEST_NAME,
+    check_regular,
+    digest_of_file,
+    read_regular,
+    replace_file,
+    replacing,
+    safe_name,
+    writing,
+)
 
 EVIL = (
     "", ".", "..", "../x", "../../../../tmp/x", "/etc/x", "a/b", "a/../../b", "x/", "\\..\\x", "a\x00b", "a\nb", " ",
@@ -125,3 +134,24 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyt
         replace_file(path, b"newer")
     assert path.read_bytes() == b"new"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_error_while_a_file_is_written_leaves_the_old_one_alone(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"old")
+
+    def stopped() -> None:
+        with replacing(path, tmp_path / "beside") as beside:
+            beside.write_bytes(b"half of the n")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped()
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_files_hash_is_that_of_its_content(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"abc")
+    assert digest_of_file(path) == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"

@@ -22,13 +22,14 @@ CognitiveDroneError
 from __future__ import annotations
 
 import difflib
+import importlib
 import json
 import shlex
 import sys
 import warnings
 from collections.abc import Iterable
 from contextlib import suppress
-from typing import Literal
+from typing import Any, Literal
 from urllib.parse import unquote, urlsplit
 
 from cognitivedrone.printable import visible
@@ -127,6 +128,14 @@ class MissingExtra(CognitiveDroneError):
 
     def __init__(self, package: str, extra: str) -> None:
         super().__init__(f"{package} is not installed; it comes with cognitivedrone[{extra}]: {install_command(extra)}")
+
+
+def import_extra(module: str, extra: str, package: str | None = None) -> Any:
+    """A module of an optional dependency; raises `MissingExtra` of `package` or, without one, of what was not found."""
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        raise MissingExtra(package or str(error.name or module), extra) from None
 
 
 def install_command(extra: str) -> str:

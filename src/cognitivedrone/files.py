@@ -1,8 +1,8 @@
 """Files and folders whose names or contents come from somebody else, and disks that refuse.
 
 `safe_name` is the only way from a text of some data to a part of a path, `read_regular` the way to read a file that
-could be a pipe, a device or endless, `writing` the way to tell in one sentence that a disk is full, and `take_lock` the
-lock of a folder that has one writer.
+could be a pipe, a device or endless, `replacing` the way to write one whole or not at all, `writing` the way to tell in
+one sentence that a disk is full, and `take_lock` the lock of a folder that has one writer.
 """
 
 from __future__ import annotations
@@ -81,18 +81,25 @@ def _refuse_others(mode: int, path: Path) -> None:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file such that a kill or a full disk at any moment leaves the old one or the new one, and nothing beside.
+    """Write a file whole or not at all, as `replacing` does. Raises `OSError`."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
 
-    Raises `OSError`.
+
+@contextlib.contextmanager
+def replacing(path: Path, temporary: Path | None = None) -> Iterator[Path]:
+    """A neighbour of `path` to write into, which takes its place at the end, once it is safe on disk.
+
+    A kill or a full disk at any moment leaves the old file or the new one; an error leaves nothing beside it. Raises
+    `OSError`.
     """
-    temporary = path.with_name(path.name + ".tmp")
+    temporary = temporary or path.with_name(path.name + ".tmp")
     try:
-        with temporary.open("wb") as file:
-            file.write(content)
-            file.flush()
+        yield temporary
+        with temporary.open("rb") as file:
             os.fsync(file.fileno())
         temporary.replace(path)
-    except OSError:
+    except BaseException:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 import cognitivedrone.labels
 from cognitivedrone.errors import LabelError
-from cognitivedrone.labels import ATTRIBUTES, BACKGROUNDS, PACKS, load_pack
+from cognitivedrone.labels import BACKGROUNDS, PACKS, PERSON_ATTRIBUTES, load_pack
 from cognitivedrone.labels.people import layer_names, parse_person
-from cognitivedrone.tasks import people, vocabulary
+from cognitivedrone.tasks import vocabulary
 
 PICTURE_KINDS = ("animal", "food", "object", "logo")
 ALIKE = {frozenset({"ram", "sheep"})}
@@ -103,7 +103,7 @@ def test_every_sign_of_a_sum_is_a_glyph_of_its_own(pack):
 
 
 @given(
-    st.fixed_dictionaries({attribute: st.sampled_from(values) for attribute, values in ATTRIBUTES.items()}),
+    st.fixed_dictionaries({attribute: st.sampled_from(values) for attribute, values in PERSON_ATTRIBUTES.items()}),
     st.sampled_from(list(BACKGROUNDS)),
 )
 def test_every_person_draws_from_layers_that_are_there(person, background):
@@ -116,18 +116,18 @@ def test_every_person_draws_from_layers_that_are_there(person, background):
     assert all((folder("open-v1") / "people" / f"{name}.webp").exists() for name in layer_names(person))
 
 
-@pytest.mark.parametrize("attribute", ATTRIBUTES)
+@pytest.mark.parametrize("attribute", PERSON_ATTRIBUTES)
 def test_every_value_of_an_attribute_shows(pack, attribute):
     worn = {"hat_color": "hat=hat,", "hair_color": "hair=long,"}.get(attribute, "")
-    panels = [small(pack.image(f"person/{worn}{attribute}={value}")) for value in ATTRIBUTES[attribute]]
+    panels = [small(pack.image(f"person/{worn}{attribute}={value}")) for value in PERSON_ATTRIBUTES[attribute]]
     for i, one in enumerate(panels):
         for j, other in enumerate(panels[:i]):
             changed = np.abs(one - other).max(axis=2) > 12
-            assert changed.sum() >= 8, (ATTRIBUTES[attribute][j], ATTRIBUTES[attribute][i])
+            assert changed.sum() >= 8, (PERSON_ATTRIBUTES[attribute][j], PERSON_ATTRIBUTES[attribute][i])
 
 
 def test_left_out_attributes_are_the_first_values_and_order_does_not_matter(pack):
-    first = ",".join(f"{attribute}={values[0]}" for attribute, values in ATTRIBUTES.items())
+    first = ",".join(f"{attribute}={values[0]}" for attribute, values in PERSON_ATTRIBUTES.items())
     assert (pack.image("person/") == pack.image(f"person/{first}@white")).all()
     one, other = pack.image("person/hat=hat,beard=full"), pack.image("person/beard=full,hat=hat")
     assert (one == other).all()
@@ -221,7 +221,6 @@ def test_an_unknown_pack_is_named(tmp_path):
 
 
 def test_tasks_and_labels_agree(pack):
-    assert people.SCHEMA == ATTRIBUTES
     for kind, names in (("animal", vocabulary.ANIMALS), ("food", vocabulary.FOODS), ("object", vocabulary.OBJECTS)):
         assert set(names) <= set(pack.concepts(kind))
         assert {*vocabulary.TRAIN_STYLES, *vocabulary.HELD_OUT_STYLES} == set(pack.styles(kind))

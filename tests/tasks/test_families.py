@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from cognitivedrone.errors import TaskError
+from cognitivedrone.references import PERSON_ATTRIBUTES
 from cognitivedrone.tasks import (
     BASE_FAMILIES,
     FAMILIES,
@@ -97,7 +98,7 @@ def test_enough_can_be_said_of_people() -> None:
     assert len({feature.phrase for feature in people.FEATURES}) == len(people.FEATURES) >= 25
     for feature in people.FEATURES:
         for name, values in (*feature.wanted.items(), *feature.doubtful.items()):
-            assert set(values) <= set(people.SCHEMA[name]), feature.phrase
+            assert set(values) <= set(PERSON_ATTRIBUTES[name]), feature.phrase
         assert "skin" not in feature.wanted
 
 
@@ -113,7 +114,7 @@ def test_no_two_of_the_cast_differ_in_less_than_two_things_one_can_see() -> None
         for name, identity in people.CAST.items()
     }
     for identity in people.CAST.values():
-        assert all(shown in people.SCHEMA[key] for key, shown in identity.items())
+        assert all(shown in PERSON_ATTRIBUTES[key] for key, shown in identity.items())
         assert set(identity) <= set(people.IDENTITY)
     for (first, a), (second, b) in itertools.combinations(looks.items(), 2):
         assert sum(a[key] != b[key] for key in a) >= 2, (first, second)

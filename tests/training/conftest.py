@@ -11,14 +11,13 @@ import pytest
 def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     import torch
 
-    from cognitivedrone.training.common.checkpoint import save_checkpoint
-    from cognitivedrone.training.common.trainer import CHECKPOINT
+    from cognitivedrone.training.common.checkpoint import CHECKPOINT, save_checkpoint
     from cognitivedrone.training.recipes import RECIPES
     from cognitivedrone.training.small_vla import policy
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(policy, "_SENTENCES", 100)
-        subject = policy.policy_subject(RECIPES["debug"])
+        subject = RECIPES["debug"].training()
     torch.manual_seed(0)
     path = tmp_path_factory.mktemp("policy") / CHECKPOINT
     save_checkpoint(path, subject.network(), None, subject.identity() | subject.facts() | {"seed": 0, "step": 6})

@@ -17,14 +17,16 @@ from cognitivedrone.models.small_file import SmallModel
 from cognitivedrone.models.text import words_of
 from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES
 from cognitivedrone.training.common.attributes import FACETS, panel_facets
-from cognitivedrone.training.common.trainer import CHECKPOINT, METRICS, TrainConfig, train
+from cognitivedrone.training.common.checkpoint import CHECKPOINT
+from cognitivedrone.training.common.run_log import METRICS
+from cognitivedrone.training.common.trainer import TrainConfig, train
+from cognitivedrone.training.common.training_task import to_tensors
 from cognitivedrone.training.common.unknown_people import STRANGER
 from cognitivedrone.training.launch import TrainOptions, command_of, run
-from cognitivedrone.training.recipes import LANGUAGE
 from cognitivedrone.training.small_vla import language
-from cognitivedrone.training.small_vla.language import SHARES, LanguageTraining, draw_told, language_subject
-from cognitivedrone.training.small_vla.losses import text_loss, to_tensors, told_embedding
-from cognitivedrone.training.small_vla.policy import load_trained
+from cognitivedrone.training.small_vla.language import LANGUAGE, SHARES, LanguageTraining, draw_told
+from cognitivedrone.training.small_vla.losses import text_loss, told_embedding
+from cognitivedrone.training.small_vla.trained import load_trained
 
 TINY = replace(
     LANGUAGE,
@@ -45,7 +47,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 def subject(policy_checkpoint: Path) -> LanguageTraining:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(language, "_SENTENCES", 2000)
-        return language_subject(TINY, policy_checkpoint)
+        return TINY.training(start=policy_checkpoint)
 
 
 def practised(subject: LanguageTraining, batch: dict[str, torch.Tensor], steps: int) -> list[dict[str, float]]:

@@ -16,6 +16,7 @@ from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.tasks import train_task
 from cognitivedrone.training.common.attributes import FACETS
 from cognitivedrone.training.common.sampling import Batch
+from cognitivedrone.training.common.training_task import to_tensors
 from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.small_vla import losses
 from cognitivedrone.training.small_vla.losses import (
@@ -23,7 +24,6 @@ from cognitivedrone.training.small_vla.losses import (
     LossWeights,
     action_loss,
     action_targets,
-    to_tensors,
     true_slots,
 )
 from cognitivedrone.training.small_vla.stream import RolloutStream

@@ -33,9 +33,8 @@ from cognitivedrone.models.openvla.network import IGNORED
 from cognitivedrone.models.openvla.prepare import END, ImagePreparation, prompt_ids, read_encoder
 from cognitivedrone.models.openvla.tensors import elements, unused_tensors, used_tensors
 from cognitivedrone.models.openvla.weights import load
-from cognitivedrone.training.common.checkpoint import read_checkpoint
-from cognitivedrone.training.common.curves import DIMENSIONS, read_rows
-from cognitivedrone.training.common.trainer import CHECKPOINT, METRICS
+from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint
+from cognitivedrone.training.common.run_log import DIMENSIONS, METRICS, read_rows
 from cognitivedrone.training.openvla import lora as openvla_lora
 from cognitivedrone.training.openvla.adapters import add_adapters, take_adapters
 from cognitivedrone.training.openvla.base import (

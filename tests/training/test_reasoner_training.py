@@ -17,17 +17,19 @@ from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.tasks import FAMILIES, HARD_FAMILIES
 from cognitivedrone.training.common.attributes import FACETS, GATE_GROUPS, GROUPS
+from cognitivedrone.training.common.checkpoint import CHECKPOINT
 from cognitivedrone.training.common.sampling import muddled
-from cognitivedrone.training.common.trainer import CHECKPOINT, TrainConfig, train
+from cognitivedrone.training.common.trainer import TrainConfig, train
+from cognitivedrone.training.common.training_task import to_tensors
 from cognitivedrone.training.launch import TrainOptions, run
 from cognitivedrone.training.reasoner import selector as mind
 from cognitivedrone.training.reasoner.export import export_eyes, export_mind
-from cognitivedrone.training.reasoner.reader import READER, draw_any_label, load_reader, reader_subject
+from cognitivedrone.training.reasoner.reader import READER, draw_any_label
 from cognitivedrone.training.reasoner.reading import SEEN, SEEN_GROUPS, seen_facets
-from cognitivedrone.training.reasoner.selector import MIND, Encoder, Problems, load_mind, mind_subject, values_of
+from cognitivedrone.training.reasoner.selector import MIND, Encoder, Problems, values_of
+from cognitivedrone.training.reasoner.trained import load_mind, load_reader
 from cognitivedrone.training.recipes import RECIPES
-from cognitivedrone.training.small_vla import policy
-from cognitivedrone.training.small_vla.losses import to_tensors
+from cognitivedrone.training.small_vla.trained import load_trained
 from cognitivedrone.types import COLORS, SHAPES, SIZES
 
 SMALL_MIND = replace(
@@ -59,8 +61,8 @@ def parts(tmp_path_factory: pytest.TempPathFactory, policy_checkpoint: Path) -> 
     folder = tmp_path_factory.mktemp("reasoner")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(mind, "_SENTENCES", 400)
-        thinks = train(TrainConfig(folder / "mind", mind_subject(SMALL_MIND)), lambda _: None)
-    reads = train(TrainConfig(folder / "reader", reader_subject(SMALL_READER, policy_checkpoint)), lambda _: None)
+        thinks = train(TrainConfig(folder / "mind", SMALL_MIND.training()), lambda _: None)
+    reads = train(TrainConfig(folder / "reader", SMALL_READER.training(start=policy_checkpoint)), lambda _: None)
     export_mind(thinks, folder)
     export_eyes(policy_checkpoint, reads, folder)
     return folder
@@ -125,7 +127,7 @@ def test_problems_are_of_every_family_and_their_values_are_right() -> None:
 def test_what_is_told_without_doubt_is_the_truth() -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(mind, "_SENTENCES", 300)
-        subject = mind_subject(SMALL_MIND)
+        subject = SMALL_MIND.training()
     rng, problems = np.random.default_rng(1), Problems(MIND)
     drawn = [problem for _ in range(60) for problem in problems.draw(rng)]
     encoder = Encoder(subject.recipe, subject.vocabulary)
@@ -146,7 +148,7 @@ def test_what_is_told_without_doubt_is_the_truth() -> None:
 def test_earlier_stages_that_say_nothing_come_later_in_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mind, "_SENTENCES", 200)
     recipe = replace(SMALL_MIND, batch=256, round_steps=10, earlier_from=20)
-    made = mind_subject(recipe).batches()
+    made = recipe.training().batches()
     first, last, after = (next(made((0, 0, round_))) for round_ in (0, 1, 2))
     on_tracks = [float((batch["stages"][:, 0, 0] >= 0).mean()) for batch in (first, last, after)]
     assert on_tracks[0] < 0.15
@@ -172,7 +174,7 @@ def test_a_muddled_sentence_keeps_most_of_its_words_in_their_order() -> None:
 def test_the_mind_learns_a_batch_by_heart(family: str) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(mind, "_SENTENCES", 300)
-        subject = mind_subject(SMALL_MIND)
+        subject = SMALL_MIND.training()
     torch.manual_seed(0)
     rng = np.random.default_rng(3)
     problems = Problems(SMALL_MIND)
@@ -192,17 +194,17 @@ def test_the_mind_learns_a_batch_by_heart(family: str) -> None:
 
 
 def test_the_reader_starts_from_the_policys_sight(policy_checkpoint: Path, tmp_path: Path) -> None:
-    reader = reader_subject(SMALL_READER, policy_checkpoint).network()
-    finder, _, _ = policy.load_trained(policy_checkpoint)
+    reader = SMALL_READER.training(start=policy_checkpoint).network()
+    finder, _, _ = load_trained(policy_checkpoint)
     for name, value in finder.sight.state_dict().items():
         assert torch.equal(value, reader.sight.state_dict()[name]), name
     other = replace(SMALL_READER, network=replace(SMALL_READER.network, embedding=24))
     with pytest.raises(TrainingError, match="another size"):
-        reader_subject(other, policy_checkpoint).network()
+        other.training(start=policy_checkpoint).network()
 
 
 def test_eyes_in_onnx_see_what_they_see_in_torch(parts: Path, policy_checkpoint: Path) -> None:
-    finder, _, _ = policy.load_trained(policy_checkpoint)
+    finder, _, _ = load_trained(policy_checkpoint)
     reader, _ = load_reader(parts / "reader" / CHECKPOINT)
     eyes = PanelReader(finder, reader, {group: GROUPS[group] for group in GATE_GROUPS}).eval()
     image = np.random.default_rng(0).integers(0, 256, (256, 256, 3), dtype=np.uint8)

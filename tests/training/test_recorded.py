@@ -14,11 +14,10 @@ from cognitivedrone.collect.recipe import RECIPES as COLLECTED
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.text import Vocabulary
-from cognitivedrone.training.common.checkpoint import read_checkpoint
-from cognitivedrone.training.common.trainer import CHECKPOINT, TrainConfig, train
+from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint
+from cognitivedrone.training.common.trainer import TrainConfig, train
 from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.small_vla import policy
-from cognitivedrone.training.small_vla.policy import policy_subject
 from cognitivedrone.training.small_vla.recorded import Recorded
 
 STREAM = replace(RECIPES["debug"].stream, chunk=3, batch=16)
@@ -80,12 +79,12 @@ def test_a_training_from_a_data_set_says_so_and_does_not_go_on_with_another(
 ) -> None:
     monkeypatch.setattr(policy, "_SENTENCES", 300)
     recipe = replace(RECIPES["debug"], steps=2, fly_every=2, fly_tasks=1)
-    train(TrainConfig(tmp_path / "run", policy_subject(recipe, flights)), lambda _: None)
+    train(TrainConfig(tmp_path / "run", recipe.training(data=flights)), lambda _: None)
     tensors, facts = read_checkpoint(tmp_path / "run" / CHECKPOINT)
     assert facts["data"] == f"store {Store(flights).content_hash()}"
     assert all(value.isfinite().all() for value in tensors.values())
     with pytest.raises(TrainingError, match="another recipe, seed or data"):
-        train(TrainConfig(tmp_path / "run", policy_subject(recipe), resume=True))
+        train(TrainConfig(tmp_path / "run", recipe.training(), resume=True))
 
 
 def test_a_learners_relabelled_flights_are_a_data_set_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -98,7 +97,7 @@ def test_a_learners_relabelled_flights_are_a_data_set_too(tmp_path: Path, monkey
     collect(config, progress=False)
     monkeypatch.setattr(policy, "_SENTENCES", 300)
     short = replace(RECIPES["debug"], steps=2, fly_every=2, fly_tasks=1)
-    train(TrainConfig(tmp_path / "run", policy_subject(short, folder)), lambda _: None)
+    train(TrainConfig(tmp_path / "run", short.training(data=folder)), lambda _: None)
     tensors, facts = read_checkpoint(tmp_path / "run" / CHECKPOINT)
     assert facts["data"] == f"store {Store(folder).content_hash()}"
     assert all(value.isfinite().all() for value in tensors.values())

@@ -19,14 +19,16 @@ from PIL import Image
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.small_vla import Head, SmallVLA
-from cognitivedrone.training.common.checkpoint import read_checkpoint
-from cognitivedrone.training.common.curves import DIMENSIONS, action_measures, draw_curves, read_rows
+from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint
 from cognitivedrone.training.common.prefetch import PrefetchQueue, learner_path
-from cognitivedrone.training.common.trainer import CHECKPOINT, METRICS, TrainConfig, learning_rate, train, what_is_left
+from cognitivedrone.training.common.run_log import DIMENSIONS, METRICS, draw_curves, read_rows
+from cognitivedrone.training.common.trainer import TrainConfig, learning_rate, train, what_is_left
 from cognitivedrone.training.common.training_task import Watched
-from cognitivedrone.training.recipes import RECIPES, TrainRecipe, find_recipe
+from cognitivedrone.training.recipes import RECIPES, find_recipe
 from cognitivedrone.training.small_vla import policy
-from cognitivedrone.training.small_vla.policy import load_trained, policy_subject
+from cognitivedrone.training.small_vla.policy import TrainRecipe
+from cognitivedrone.training.small_vla.trained import load_trained
+from cognitivedrone.training.small_vla.validation import action_measures
 
 # Trials once, at the end, and few words: the rest of the time goes into processes that start.
 RECIPE = replace(RECIPES["debug"], fly_every=6, fly_tasks=2)
@@ -48,7 +50,7 @@ def report(line):
 if __name__ == "__main__":
     policy._SENTENCES = 500
     recipe = replace(RECIPES["debug"], fly_every=6, fly_tasks=2)
-    trainer.train(trainer.TrainConfig(Path(sys.argv[1]), policy.policy_subject(recipe), seed=3), report)
+    trainer.train(trainer.TrainConfig(Path(sys.argv[1]), recipe.training(), seed=3), report)
 """
 
 
@@ -84,8 +86,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
     assert killed.returncode == -signal.SIGKILL, killed.stderr
     at_kill = read_checkpoint(resumed / CHECKPOINT)[1]["step"], read_rows(resumed / METRICS)[-1]["step"]
     reports: list[str] = []
-    train(TrainConfig(resumed, policy_subject(RECIPE), seed=3, resume=True), lambda _: None)
-    train(TrainConfig(whole, policy_subject(RECIPE), seed=3), reports.append)
+    train(TrainConfig(resumed, RECIPE.training(), seed=3, resume=True), lambda _: None)
+    train(TrainConfig(whole, RECIPE.training(), seed=3), reports.append)
     return Runs(whole, resumed, at_kill, reports)
 
 
@@ -176,7 +178,7 @@ def test_a_finished_training_has_nothing_left_to_do(runs: Runs) -> None:
     before = {path: path.stat().st_mtime_ns for path in runs.whole.rglob("*")}
     reports: list[str] = []
     assert (
-        train(TrainConfig(runs.whole, policy_subject(RECIPE), seed=3, resume=True), reports.append)
+        train(TrainConfig(runs.whole, RECIPE.training(), seed=3, resume=True), reports.append)
         == runs.whole / CHECKPOINT
     )
     assert reports == []
@@ -185,7 +187,7 @@ def test_a_finished_training_has_nothing_left_to_do(runs: Runs) -> None:
 
 def test_a_training_is_not_begun_over_another(runs: Runs) -> None:
     with pytest.raises(TrainingError, match="holds a training already; go on with --resume or choose another folder"):
-        train(TrainConfig(runs.whole, policy_subject(RECIPE), seed=3))
+        train(TrainConfig(runs.whole, RECIPE.training(), seed=3))
 
 
 @pytest.mark.parametrize(
@@ -195,7 +197,7 @@ def test_a_training_is_not_begun_over_another(runs: Runs) -> None:
 )
 def test_a_training_does_not_go_on_by_another_recipe_or_seed(runs: Runs, recipe: TrainRecipe, seed: int) -> None:
     with pytest.raises(TrainingError, match="a training by another recipe, seed or data; choose another folder"):
-        train(TrainConfig(runs.whole, policy_subject(recipe), seed=seed, resume=True))
+        train(TrainConfig(runs.whole, recipe.training(), seed=seed, resume=True))
 
 
 # ---- curves
@@ -261,7 +263,7 @@ def test_recipes_are_whole(name: str) -> None:
 
 
 def test_processes_share_a_batch() -> None:
-    subject = policy_subject(replace(RECIPES["small"], stream=replace(RECIPES["small"].stream, cards=10)))
+    subject = replace(RECIPES["small"], stream=replace(RECIPES["small"].stream, cards=10)).training()
     part = subject.share(4)
     whole, shared = subject.recipe.stream, part.recipe.stream
     assert shared.batch * 4 == whole.batch
@@ -273,7 +275,7 @@ def test_processes_share_a_batch() -> None:
 
 
 def test_a_policy_flies_along_where_flights_are_made_and_the_recipe_gives_it_some() -> None:
-    subject = policy_subject(RECIPE)
+    subject = RECIPE.training()
     network = subject.network()
     pilot = subject.learner(network)
     assert pilot is not None
@@ -310,13 +312,13 @@ def test_ctrl_c_before_the_first_checkpoint_says_that_there_is_nothing_to_resume
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("cognitivedrone.training.common.trainer._Keeper", Stopped)
         with pytest.raises(KeyboardInterrupt, match=r"stopped at step 0, before the first checkpoint; .*start again"):
-            train(TrainConfig(tmp_path / "run", policy_subject(RECIPE), seed=3))
+            train(TrainConfig(tmp_path / "run", RECIPE.training(), seed=3))
 
 
 def test_the_stream_tells_how_it_begins(tmp_path: Path) -> None:
     """The process starts, its first flights fill the buffer, and only then comes a batch; Ctrl-C is not its own."""
     told: list[str] = []
-    subject = policy_subject(RECIPE)
+    subject = RECIPE.training()
     with PrefetchQueue(subject, tmp_path, seed=3, rank=0, first_round=0, waiting=told.append) as feed:
         next(iter(feed))
         size = RECIPE.stream.batch * RECIPE.stream.pool
@@ -336,7 +338,7 @@ def _ignores_ctrl_c(pid: int | None) -> bool:
 
 
 def test_a_buffer_tells_how_it_fills() -> None:
-    subject = policy_subject(RECIPE)
+    subject = RECIPE.training()
     told: list[tuple[int, int]] = []
     batches = subject.batches()
     assert isinstance(batches, Watched)

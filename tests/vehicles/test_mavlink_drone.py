@@ -28,7 +28,8 @@ from cognitivedrone.control.safety import Guard, SafetyConfig, Timeouts
 from cognitivedrone.errors import LinkError, MissingExtra
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.sim.simulator import Simulator
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkConfig, MavlinkDrone
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
+from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.server.modes import Mode
 from cognitivedrone.vehicles.mavlink.server.vehicle import STEP_S, SimulatedVehicle, VehicleConfig
 

@@ -10,10 +10,10 @@ from typing import Final
 
 import av
 import numpy as np
-import PIL.Image
 
 from cognitivedrone.benchmark.film import compose
 from cognitivedrone.benchmark.run_types import Rollout, Trace
+from cognitivedrone.data.episode import encode_image
 from cognitivedrone.types import CONTROL_HZ, EpisodeResult, Image, Outcome, Track
 
 FAILURES: Final = 6
@@ -22,6 +22,8 @@ ENCODER: Final = {"crf": "30", "preset": "veryfast", "threads": "1"}
 """For x264: about 10 kB a second of what `film` draws. One thread, because the output depends on their number."""
 POSTER_STEP: Final = 5
 """The still picture is that of this step: half a second into the flight, when the reasoner has answered."""
+POSTER_QUALITY: Final = 60
+"""Of its JPEG."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +63,7 @@ def make_clip(flown: Rollout, track: Track, scored: EpisodeResult) -> Clip:
     """A clip of a filmed flight; `scored` is the result of the same episode that entered the score."""
     same = [stage.outcome for stage in flown.result.stages] == [stage.outcome for stage in scored.stages]
     film = [compose(frame, len(track)) for frame in flown.film or []]
-    poster = encode_jpeg(film[min(POSTER_STEP, len(film) - 1)]) if film else b""
+    poster = encode_image(film[min(POSTER_STEP, len(film) - 1)], "jpeg", POSTER_QUALITY) if film else b""
     return Clip(flown.result, track, flown.trace, encode_mp4(film), poster, same)
 
 
@@ -78,13 +80,6 @@ def encode_mp4(frames: Sequence[Image], fps: int = CONTROL_HZ) -> bytes:
             picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")
             container.mux(stream.encode(picture))
         container.mux(stream.encode())
-    return buffer.getvalue()
-
-
-def encode_jpeg(frame: Image) -> bytes:
-    """A small still picture."""
-    buffer = io.BytesIO()
-    PIL.Image.fromarray(frame).save(buffer, "JPEG", quality=60)
     return buffer.getvalue()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
 import os
 import platform
@@ -13,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from cognitivedrone import checkout
+from cognitivedrone.files import digest_of_file
 from cognitivedrone.policies import POLICIES
 from cognitivedrone.reasoners import REASONERS
 
@@ -37,7 +37,7 @@ def platform_facts(command: str, policy: str = "", reasoner: str = "") -> dict[s
         if file is None:
             continue
         facts[f"{kind}_file"] = _shown(file)
-        facts[f"{kind}_sha256"] = hashlib.sha256(file.read_bytes()).hexdigest()
+        facts[f"{kind}_sha256"] = digest_of_file(file)
         root = _root(file, name.partition(":")[0])
         roots += [_shown(root)] if root not in _installed() and _shown(root) not in roots else []
     if roots:

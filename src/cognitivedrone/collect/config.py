@@ -8,6 +8,8 @@ from typing import Literal
 
 from cognitivedrone.plan import Options, TaskSource
 
+EPISODES_PER_SHARD = 64
+
 
 @dataclass(frozen=True, slots=True)
 class CollectPlan(Options):
@@ -24,7 +26,7 @@ class CollectPlan(Options):
     """Processes, or shards under way on a cluster; one for each CPU where left out."""
     resume: bool = False
     """Go on with what is in the folder."""
-    episodes_per_shard: int = 64
+    episodes_per_shard: int = EPISODES_PER_SHARD
     """Flown, stored and resumed as one."""
     executor: Literal["local", "ray"] = "local"
     """`local` processes, or the machines of a `ray` cluster."""

@@ -7,9 +7,10 @@ from dataclasses import replace
 from itertools import count, islice
 from pathlib import Path
 
+from cognitivedrone.collect.config import EPISODES_PER_SHARD
 from cognitivedrone.data.formats import import_
 from cognitivedrone.data.layout import sole_writer
-from cognitivedrone.data.store_writer import EPISODES_PER_SHARD, StoreWriter
+from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.errors import DataError
 
 
@@ -26,7 +27,8 @@ def import_set(source: Path, form: str, out: Path) -> int:
     flights = import_(source, form)
     taken = 0
     with sole_writer(out):
-        writer = StoreWriter(out, recipe, name, hashlib.sha256(name.encode()).hexdigest(), seed=0)
+        digest = hashlib.sha256(name.encode()).hexdigest()
+        writer = StoreWriter(out, recipe, name, digest, seed=0, episodes_per_shard=EPISODES_PER_SHARD)
         for number in count():
             read = [episode for _, episode in islice(flights, EPISODES_PER_SHARD)]
             shard = [replace(episode, index=taken + offset) for offset, episode in enumerate(read)]

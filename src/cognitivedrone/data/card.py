@@ -8,7 +8,6 @@ from __future__ import annotations
 import base64
 import math
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import Final
 
@@ -17,9 +16,9 @@ import numpy as np
 from PIL import Image
 
 from cognitivedrone.data import drawing
-from cognitivedrone.data.episode import Episode, decode_image
+from cognitivedrone.data.episode import Episode, decode_image, encode_image
 from cognitivedrone.data.overview import ACTION_NAMES, FamilyCount, Histogram, megabytes, overview
-from cognitivedrone.data.shards import write_atomically
+from cognitivedrone.data.shards import write_text
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
 
@@ -61,11 +60,7 @@ def card(path: Path | str, out: Path | str) -> None:
     page = render_card(Store.open(path))
     if not target.parent.is_dir():
         raise DataError(f"{target}: its folder does not exist; make it first")
-    write_atomically(target, lambda temporary: _write(temporary, page))
-
-
-def _write(path: Path, page: str) -> None:
-    path.write_text(page, encoding="utf-8")
+    write_text(target, page)
 
 
 def render_card(store: Store) -> str:
@@ -122,7 +117,5 @@ def _thumbnail(store: Store, episode: Episode, step: int) -> str:
         raise DataError(
             f"{store.path}: the frame of episode {episode.index}, step {step}, is broken ({error})"
         ) from None
-    buffer = BytesIO()
     small = Image.fromarray(image).resize((FRAME_PIXELS, FRAME_PIXELS), Image.Resampling.LANCZOS)
-    small.save(buffer, "JPEG", quality=FRAME_QUALITY)
-    return base64.b64encode(buffer.getvalue()).decode("ascii")
+    return base64.b64encode(encode_image(np.asarray(small), "jpeg", FRAME_QUALITY)).decode("ascii")

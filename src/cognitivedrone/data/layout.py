@@ -121,10 +121,7 @@ def flown_in(shards: Sequence[ShardFile]) -> list[Flown]:
     for shard in shards:
         columns = shard.numbers(["action", "velocity", "height", "yaw_rate"])
         state = np.column_stack([columns["velocity"], columns["height"], columns["yaw_rate"]])
-        first = 0
-        for facts in shard.facts:
-            rows = slice(first, first + facts["length"])
-            first += facts["length"]
+        for facts, rows in shard.rows():
             task = facts["task"]
             flown.append(Flown(facts["index"], task["family"], task["category"], columns["action"][rows], state[rows]))
     return sorted(flown, key=lambda episode: episode.index)

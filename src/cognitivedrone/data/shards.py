@@ -8,7 +8,6 @@ episode as a whole (task, conditions, encoding, end) stands as JSON in the file'
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -21,6 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from cognitivedrone import files
 from cognitivedrone.data.episode import Conditions, Episode
 from cognitivedrone.errors import CognitiveDroneError, DataError
 from cognitivedrone.tasks.format import task_from_json, task_to_json
@@ -82,15 +82,10 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with clear_errors(path, "written"):
-        try:
+        with files.replacing(path, temporary):
             write(temporary)
-            with temporary.open("rb") as file:
-                os.fsync(file.fileno())
-            temporary.replace(path)
-            with folder_descriptor(path.parent) as folder:
-                os.fsync(folder)  # the new name must outlive a power cut as well
-        finally:
-            temporary.unlink(missing_ok=True)
+        with folder_descriptor(path.parent) as folder:
+            os.fsync(folder)  # the new name must outlive a power cut as well
 
 
 @contextlib.contextmanager
@@ -136,8 +131,8 @@ def read_json(path: Path) -> Any:
 
 def sha256_of(path: Path) -> str:
     """Hexadecimal content hash of a file; raises `DataError`."""
-    with clear_errors(path, "read"), path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    with clear_errors(path, "read"):
+        return files.digest_of_file(path)
 
 
 def write_shard_file(path: Path, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> None:
@@ -225,6 +220,13 @@ class ShardFile:
         with clear_errors(self.path, "read"):
             table = self._file.read(columns=list(names), use_threads=False)
             return {name: _to_numpy(table[name], name) for name in names}
+
+    def rows(self) -> Iterator[tuple[dict[str, Any], slice]]:
+        """The facts of each episode, and where its steps stand in what `numbers` gives."""
+        first = 0
+        for facts in self.facts:
+            yield facts, slice(first, first + facts["length"])
+            first += facts["length"]
 
     def episode(self, index: int) -> Episode:
         """A whole episode; raises `DataError`."""

@@ -169,10 +169,7 @@ class Store:
             with self._lock:
                 shard = self._file(number)
                 columns = shard.numbers(list(names))
-            first = 0
-            for facts in shard.facts:
-                rows = slice(first, first + facts["length"])
-                first += facts["length"]
+            for facts, rows in shard.rows():
                 parts[facts["index"]] = {name: column[rows] for name, column in columns.items()}
         return {name: np.concatenate([parts[index][name] for index in self._places]) for name in names}
 

@@ -46,7 +46,6 @@ from cognitivedrone.data.statistics import draw_splits, statistics
 from cognitivedrone.errors import DataError
 from cognitivedrone.tasks.format import write_tasks
 
-EPISODES_PER_SHARD: Final = 64
 PACKAGES: Final = ("cognitivedrone", "mujoco", "numpy", "pillow", "pyarrow")
 """Whose version can change a bit of the data."""
 _NAMES: Final = {MANIFEST, STATISTICS, TASKS, SUMS, SHARDS, PARTIAL}
@@ -63,7 +62,7 @@ class StoreWriter:
         suite_digest: str,
         seed: int,
         *,
-        episodes_per_shard: int = EPISODES_PER_SHARD,
+        episodes_per_shard: int,
         policy: Mapping[str, Any] | None = None,
         resume: bool = False,
     ) -> None:

@@ -8,14 +8,15 @@ References are `kind/concept@style`; `docs/labels.md` lists what there is.
 """
 
 from cognitivedrone.labels.folder import FolderPack
-from cognitivedrone.labels.pack import PACKS, ShippedPack, load_pack
-from cognitivedrone.labels.people import ATTRIBUTES, BACKGROUNDS
-from cognitivedrone.labels.reference import Reference, parse_reference
+from cognitivedrone.labels.pack import load_pack
+from cognitivedrone.labels.people import BACKGROUNDS
+from cognitivedrone.labels.shipped import PACKS, ShippedPack
+from cognitivedrone.references import PERSON_ATTRIBUTES, Reference, parse_reference
 
 __all__ = [
-    "ATTRIBUTES",
     "BACKGROUNDS",
     "PACKS",
+    "PERSON_ATTRIBUTES",
     "FolderPack",
     "Reference",
     "ShippedPack",

@@ -10,16 +10,13 @@ import hashlib
 import os
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cognitivedrone import types
 from cognitivedrone.errors import LabelError, did_you_mean
 from cognitivedrone.files import check_regular, reason_of
 from cognitivedrone.labels.images import SUFFIXES, draw_several, frozen_array, read_image
-from cognitivedrone.labels.reference import Reference, parse_reference
-
-if TYPE_CHECKING:
-    from cognitivedrone.labels.pack import ShippedPack
+from cognitivedrone.labels.shipped import ShippedPack
+from cognitivedrone.references import Reference, parse_reference
 
 MAX_FILES = 50_000
 _CACHED_IMAGES = 128

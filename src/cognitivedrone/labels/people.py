@@ -8,23 +8,10 @@ from functools import cache
 from PIL import Image, ImageChops, ImageDraw
 
 from cognitivedrone.errors import LabelError, did_you_mean
+from cognitivedrone.references import PERSON_ATTRIBUTES, full_person
 
 SIDE = 256
 """Of a panel, px."""
-
-ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
-    "skin": ("light", "tan", "brown", "dark"),
-    "hair": ("short", "curly", "long", "bob", "bun", "afro", "dreadlocks", "shaved_sides", "bald"),
-    "hair_color": ("brown", "black", "blond", "red", "gray", "pink"),
-    "hat": ("none", "hat", "beanie", "turban", "hijab"),
-    "hat_color": ("red", "blue", "green", "yellow", "black", "white"),
-    "glasses": ("none", "glasses", "round", "sunglasses", "eyepatch"),
-    "beard": ("none", "full", "stubble", "moustache"),
-    "clothes": ("tshirt", "hoodie", "blazer", "overall", "sweater", "vneck"),
-    "clothes_color": ("blue", "red", "green", "yellow", "black", "white", "gray", "pink"),
-    "expression": ("smile", "serious", "sad", "surprised", "laughing", "wink"),
-}
-"""Attribute to its values; the first is what a reference that leaves it out means. Beards are of the hair's colour."""
 
 BACKGROUNDS: Mapping[str, tuple[int, int, int]] = {
     "white": (255, 255, 255),
@@ -52,23 +39,23 @@ LayerSource = Callable[[str], tuple[Image.Image, tuple[int, int]]]
 def parse_person(concept: str) -> dict[str, str]:
     """All attributes of a person given as `attribute=value,attribute=value`; left-out ones at their first value.
 
-    Raises `LabelError` with near names for an attribute or a value that is not in `ATTRIBUTES`.
+    Raises `LabelError` with near names for an attribute or a value that is not in `PERSON_ATTRIBUTES`.
     """
     chosen: dict[str, str] = {}
     for item in filter(None, concept.split(",")):
         attribute, equals, value = item.partition("=")
         if not equals:
             raise LabelError(f"label 'person/{concept}': {item!r} is not of the form attribute=value")
-        if attribute not in ATTRIBUTES:
-            hint = did_you_mean(attribute, ATTRIBUTES)
+        if attribute not in PERSON_ATTRIBUTES:
+            hint = did_you_mean(attribute, PERSON_ATTRIBUTES)
             raise LabelError(f"label 'person/{concept}': people have no attribute {attribute!r}; {hint}")
-        if value not in ATTRIBUTES[attribute]:
-            hint = did_you_mean(value, ATTRIBUTES[attribute])
+        if value not in PERSON_ATTRIBUTES[attribute]:
+            hint = did_you_mean(value, PERSON_ATTRIBUTES[attribute])
             raise LabelError(f"label 'person/{concept}': {attribute} cannot be {value!r}; {hint}")
         if attribute in chosen:
             raise LabelError(f"label 'person/{concept}' gives {attribute} twice")
         chosen[attribute] = value
-    return {attribute: chosen.get(attribute, values[0]) for attribute, values in ATTRIBUTES.items()}
+    return full_person(chosen)
 
 
 def layer_names(person: Mapping[str, str]) -> list[str]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from cognitivedrone.errors import MissingExtra, PolicyError
+from cognitivedrone.errors import PolicyError, import_extra
 from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.models.checksum import BLANK, check, seal
 from cognitivedrone.models.text import Vocabulary
@@ -49,10 +49,7 @@ def write_table(path: str | Path, kind: str, table: Mapping[str, Any]) -> None:
 
     Raises `MissingExtra` where the `onnx` package is not installed.
     """
-    try:
-        onnx: Any = importlib.import_module("onnx")
-    except ModuleNotFoundError:
-        raise MissingExtra("onnx", "train") from None
+    onnx = import_extra("onnx", "train", "onnx")
     model = onnx.load(str(path))
     others = {entry.key: entry.value for entry in model.metadata_props if entry.key != KEY}
     text = json.dumps({"format": FORMAT, "checksum": BLANK, "kind": kind, **table}, ensure_ascii=False)

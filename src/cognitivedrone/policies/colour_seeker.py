@@ -17,11 +17,10 @@ from scipy import ndimage
 
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.policies.guidance import Pursuit, pursue
-from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
+from cognitivedrone.sim.views import FOCAL_PX, MOUNT
 from cognitivedrone.tasks.directives import parse_directive
 from cognitivedrone.types import (
     COLORS,
-    IMAGE_SIZE,
     ActionChunk,
     Color,
     EpisodeContext,
@@ -33,7 +32,6 @@ from cognitivedrone.types import (
 )
 from cognitivedrone.world.geometry import BAR_WIDTH, GATE_HEIGHT
 
-FOCAL_PX = IMAGE_SIZE / 2 / math.tan(FIELD_OF_VIEW / 2)
 CONTRASTS = (180, 40)
 """A pixel has a gate's colour where that channel exceeds both others by this much. The first is asked for first: it
 parts a gate in good light from what shows a paler shade of its colour on the panel behind."""

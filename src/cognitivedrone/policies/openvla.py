@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from cognitivedrone.errors import MissingExtra, NonFiniteAction, PolicyError
+from cognitivedrone.errors import NonFiniteAction, PolicyError, import_extra
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.models.openvla.checkpoint import Checkpoint, DecoderName, Quantisation
@@ -95,9 +94,9 @@ class OpenVla(Policy):
 
 def _decoder(options: Options, checkpoint: Checkpoint) -> Decoder:
     """The loaded network behind its decoder, when it is known to fit."""
-    torch = _import("torch")
+    torch = import_extra("torch", "openvla")
     for package in ("transformers", "safetensors", "tokenizers"):
-        _import(package)
+        import_extra(package, "openvla")
     has_gpu = torch.cuda.is_available()
     device = options.device or ("cuda" if has_gpu else "cpu")
     if options.quant == "int4" and device == "cpu":
@@ -128,10 +127,3 @@ def _decoder(options: Options, checkpoint: Checkpoint) -> Decoder:
         for length in _USUAL_LENGTHS:
             decoder(np.zeros((6, IMAGE, IMAGE), np.float32), [BEGIN] * length)
     return decoder
-
-
-def _import(package: str) -> Any:
-    try:
-        return importlib.import_module(package)
-    except ModuleNotFoundError as error:
-        raise MissingExtra(str(error.name or package), "openvla") from None

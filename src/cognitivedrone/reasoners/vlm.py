@@ -7,7 +7,6 @@ wrong on the way is a `ReasonerError` of its kind, and the flight goes on. Serve
 from __future__ import annotations
 
 import base64
-import importlib
 import io
 import json
 import os
@@ -19,7 +18,7 @@ from urllib.parse import urlsplit
 
 from PIL import Image as PillowImage
 
-from cognitivedrone.errors import MissingExtra, PolicyError, ReasonerError, ReasonerFault, did_you_mean
+from cognitivedrone.errors import PolicyError, ReasonerError, ReasonerFault, did_you_mean, import_extra
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.reasoners.prompt import ANSWER_SCHEMA, MAX_TOKENS, load_prompt, write_prompt
 from cognitivedrone.reasoners.reply import quote, read_reply
@@ -67,7 +66,7 @@ class Vlm(Reasoner):
         self._template = load_prompt(prompt)
         self._constrain = True
         self._warned: set[ReasonerFault] = set()
-        self._httpx = _import_httpx()
+        self._httpx = import_extra("httpx", "vlm", "httpx")
         headers = {"Accept-Encoding": "identity"}
         if self._key:
             headers["Authorization"] = f"Bearer {self._key}"
@@ -224,13 +223,6 @@ class Vlm(Reasoner):
     def _hide(self, text: str) -> str:
         """A server's words without the key, which some repeat."""
         return text.replace(self._key, "***") if self._key else text
-
-
-def _import_httpx() -> Any:
-    try:
-        return importlib.import_module("httpx")
-    except ModuleNotFoundError:
-        raise MissingExtra("httpx", "vlm") from None
 
 
 def _server(url: str | None) -> tuple[str, str]:

@@ -6,12 +6,11 @@ also loads one for videos, which asks for torchvision even where there is no vid
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 from pathlib import Path
 from typing import Any, Literal
 
-from cognitivedrone.errors import MissingExtra, PolicyError, did_you_mean
+from cognitivedrone.errors import MissingExtra, PolicyError, did_you_mean, import_extra
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.reasoners.prompt import MAX_TOKENS, load_prompt, write_prompt
 from cognitivedrone.reasoners.reply import read_reply
@@ -49,8 +48,8 @@ class LocalVlm(Reasoner):
         download: bool = False,
     ) -> None:
         self._template = load_prompt(prompt)
-        self._torch = _import("torch")
-        self._transformers = _import("transformers")
+        self._torch = import_extra("torch", "vlm-local")
+        self._transformers = import_extra("transformers", "vlm-local")
         device = device or ("cuda" if self._torch.cuda.is_available() else "cpu")
         dtype = dtype or ("float32" if device == "cpu" else "bfloat16")
         loading = {
@@ -142,10 +141,3 @@ def _quantised(library: Any, torch: Any, bits: int, device: Any) -> dict[str, An
         bnb_4bit_compute_dtype=torch.bfloat16,
     )
     return {"quantization_config": config, "device_map": {"": device}}
-
-
-def _import(package: str) -> Any:
-    try:
-        return importlib.import_module(package)
-    except ModuleNotFoundError as error:
-        raise MissingExtra(str(error.name or package), "vlm-local") from None

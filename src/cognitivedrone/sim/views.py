@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from cognitivedrone.frames import FloatArray, rotate_yaw, rotation_matrix, yaw_of
-from cognitivedrone.types import DroneState, Stage
+from cognitivedrone.types import IMAGE_SIZE, DroneState, Stage
 
 FIELD_OF_VIEW: Final = 1.85
 """Of the first-person camera, horizontal and, as images are square, vertical, rad."""
@@ -18,6 +19,15 @@ MOUNT: Final = (0.1, 0.0, 0.3)
 _OVERLOOK_FIELD_OF_VIEW: Final = 1.1  # of the views for people, vertical, rad
 _CHASE_EYE, _CHASE_TARGET = (-2.0, 0.0, 0.8), (2.0, 0.0, 0.5)  # from the drone, heading frame, m
 _TOP_EYE, _TOP_TARGET = (-6.0, 0.0, 9.0), (2.2, 0.0, 1.0)  # stage frame, m
+
+
+def focal_length(pixels: int, field_of_view: float) -> float:
+    """In pixels, of a pinhole camera that sees `field_of_view` (rad) over that many pixels."""
+    return pixels / 2 / math.tan(field_of_view / 2)
+
+
+FOCAL_PX: Final = focal_length(IMAGE_SIZE, FIELD_OF_VIEW)
+"""Of the first-person camera, pixels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +52,7 @@ class View:
         offset = np.asarray(points, dtype=np.float64) - self.eye
         depth = offset @ self.forward
         depth = np.where(depth > 0, depth, np.nan)
-        focal = height / 2 / np.tan(self.field_of_view / 2)
+        focal = focal_length(height, self.field_of_view)
         right = offset @ np.cross(self.forward, self.up)
         return np.column_stack([width / 2 + focal * right / depth, height / 2 - focal * (offset @ self.up) / depth])
 

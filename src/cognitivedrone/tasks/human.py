@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from cognitivedrone.references import PERSON_ATTRIBUTES
 from cognitivedrone.tasks import wording
 from cognitivedrone.tasks.generate import Draw, Panel, Puzzle
-from cognitivedrone.tasks.people import CAST, FEATURES, SCHEMA, TRAIN_CAST, Feature, Person
+from cognitivedrone.tasks.people import CAST, FEATURES, TRAIN_CAST, Feature, Person
 
 _HATS = {"none": 0.6, "hat": 0.12, "beanie": 0.12, "turban": 0.08, "hijab": 0.08}
 _GLASSES = {"none": 0.5, "glasses": 0.15, "round": 0.15, "sunglasses": 0.1, "eyepatch": 0.1}
@@ -28,7 +29,7 @@ _THINGS: tuple[tuple[str, ...], ...] = tuple(
 
 def random_person(draw: Draw) -> Person:
     """Anybody."""
-    person = {name: draw.pick(values) for name, values in SCHEMA.items()}
+    person = {name: draw.pick(values) for name, values in PERSON_ATTRIBUTES.items()}
     person["hat"] = draw.weighted(_HATS)
     person["glasses"] = draw.weighted(_GLASSES)
     person["beard"] = "none" if person["hat"] == "hijab" else draw.weighted(_BEARDS)
@@ -47,7 +48,7 @@ def impose(draw: Draw, person: Person, feature: Feature) -> Person:
     if "hair" in feature.wanted or "hair_color" in feature.wanted:
         changed["hat"] = "none"
         if changed.get("hair", "bald") == "bald" and "hair" not in feature.wanted:
-            changed["hair"] = draw.pick(SCHEMA["hair"][:-1])
+            changed["hair"] = draw.pick(PERSON_ATTRIBUTES["hair"][:-1])
     if changed.get("hat") == "hijab":
         # A headscarf covers chin and collar: the newer of the two stays.
         changed |= {"hat": "none"} if {"beard", "clothes"} & set(feature.wanted) else {"beard": "none"}
@@ -126,5 +127,5 @@ def people(draw: Draw) -> Puzzle:
 
 def _picture(draw: Draw, name: str) -> Panel:
     """One of many pictures of a member of the cast: the face stays, mood and clothes change."""
-    mood = {key: draw.pick(SCHEMA[key]) for key in ("clothes", "clothes_color", "expression")}
+    mood = {key: draw.pick(PERSON_ATTRIBUTES[key]) for key in ("clothes", "clothes_color", "expression")}
     return draw.portrait(CAST[name] | mood, name)

@@ -1,4 +1,4 @@
-"""Drawn people: the attribute schema, what can be said of somebody, and a cast of invented names.
+"""Drawn people: what can be said of somebody, and a cast of invented names.
 
 A person is a mapping from attribute to value; what is left out has the first value of its row. Nothing is ever asked
 about skin.
@@ -9,21 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-Person = dict[str, str]
+from cognitivedrone.references import PERSON_ATTRIBUTES, full_person
 
-SCHEMA: dict[str, tuple[str, ...]] = {
-    "skin": ("light", "tan", "brown", "dark"),
-    "hair": ("short", "curly", "long", "bob", "bun", "afro", "dreadlocks", "shaved_sides", "bald"),
-    "hair_color": ("brown", "black", "blond", "red", "gray", "pink"),
-    "hat": ("none", "hat", "beanie", "turban", "hijab"),
-    "hat_color": ("red", "blue", "green", "yellow", "black", "white"),
-    "glasses": ("none", "glasses", "round", "sunglasses", "eyepatch"),
-    "beard": ("none", "full", "stubble", "moustache"),
-    "clothes": ("tshirt", "hoodie", "blazer", "overall", "sweater", "vneck"),
-    "clothes_color": ("blue", "red", "green", "yellow", "black", "white", "gray", "pink"),
-    "expression": ("smile", "serious", "sad", "surprised", "laughing", "wink"),
-}
-"""Attributes of a person in canonical order, the default first."""
+Person = dict[str, str]
 
 IDENTITY: tuple[str, ...] = ("skin", "hair", "hair_color", "hat", "hat_color", "glasses", "beard")
 """What stays the same in every picture of a member of the cast; the rest varies."""
@@ -33,11 +21,11 @@ def person_label(person: Mapping[str, str], background: str) -> str:
     """The label reference of a person, canonical: schema order, defaults left out, skin always written."""
     words = [
         f"{name}={person[name]}"
-        for name, values in SCHEMA.items()
+        for name, values in PERSON_ATTRIBUTES.items()
         if name in person and (name == "skin" or person[name] != values[0])
     ]
     if "skin" not in person:
-        words.insert(0, f"skin={SCHEMA['skin'][0]}")
+        words.insert(0, f"skin={PERSON_ATTRIBUTES['skin'][0]}")
     return f"person/{','.join(words)}@{background}"
 
 
@@ -48,7 +36,7 @@ def parse_person(concept: str) -> Person:
 
 def seen(person: Mapping[str, str]) -> Person:
     """Every attribute as a viewer sees it; what a hat or a headscarf covers is `hidden`."""
-    full = {name: person.get(name, values[0]) for name, values in SCHEMA.items()}
+    full = full_person(person)
     if full["hat"] == "none":
         full["hat_color"] = "hidden"
         if full["hair"] == "bald":
@@ -90,7 +78,7 @@ def _hat(phrase: str, kind: str, *, doubtful: tuple[str, ...] = ()) -> list[Feat
     plain = Feature(f"a {phrase}", {"hat": (kind,)}, {"hat": doubtful})
     colored = [
         Feature(f"a {color} {phrase}", {"hat": (kind,), "hat_color": (color,)}, {"hat": doubtful})
-        for color in SCHEMA["hat_color"]
+        for color in PERSON_ATTRIBUTES["hat_color"]
     ]
     return [plain, *colored]
 
@@ -102,7 +90,7 @@ def _hair(phrase: str, kind: str, *doubtful: str) -> Feature:
 def _clothes(phrase: str, kind: str, doubtful: tuple[str, ...]) -> list[Feature]:
     return [
         Feature(f"a {color} {phrase}", {"clothes": (kind,), "clothes_color": (color,)}, {"clothes": doubtful})
-        for color in SCHEMA["clothes_color"]
+        for color in PERSON_ATTRIBUTES["clothes_color"]
     ]
 
 

@@ -14,12 +14,9 @@ from pathlib import Path
 import tyro
 
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
-from cognitivedrone.models.reasoner_file import EYES_FILE, MIND_FILE
 from cognitivedrone.printable import visible
-from cognitivedrone.training.common.training_task import TrainingTask
-from cognitivedrone.training.reasoner.reader import ReaderRecipe, reader_subject
-from cognitivedrone.training.reasoner.selector import SelectorRecipe, mind_subject
-from cognitivedrone.training.recipes import LanguageRecipe, TrainRecipe, find_recipe
+from cognitivedrone.training.common.training_task import Recipe
+from cognitivedrone.training.recipes import find_recipe
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +44,7 @@ class TrainOptions:
 
 def run(options: TrainOptions) -> Path:
     """Train, on as many processes as asked for, and export; returns the model file."""
-    _check(options)
+    recipe = _check(options)
     if options.processes == 1:
         return _work(options)
     if options.processes < 1:
@@ -60,7 +57,7 @@ def run(options: TrainOptions) -> Path:
         raise KeyboardInterrupt(what_is_left(options.out)) from None
     if done.returncode:
         raise TrainingError(f"the training ended with exit code {done.returncode}; its messages are above")
-    return _model_of(options)
+    return options.out / recipe.model_file
 
 
 def command_of(options: TrainOptions) -> list[str]:
@@ -75,66 +72,36 @@ def command_of(options: TrainOptions) -> list[str]:
     return [sys.executable, "-m", *launcher, "-m", "--", __name__, *map(str, flags), resume]
 
 
-def _check(options: TrainOptions) -> None:
+def _check(options: TrainOptions) -> Recipe:
     recipe = find_recipe(options.recipe)
-    if isinstance(recipe, LanguageRecipe | ReaderRecipe) != (options.start is not None):
+    if recipe.needs_start != (options.start is not None):
         raise TrainingError(
             "the recipes language and reader need --start with the checkpoint of a policy, such as"
             " runs/small/checkpoint.safetensors; other recipes start from nothing"
         )
-    if options.data is not None and not isinstance(recipe, TrainRecipe):
+    if options.data is not None and not recipe.takes_data:
         raise TrainingError(f"the recipe {options.recipe} learns from no flights; leave out --data")
-
-
-def _model_of(options: TrainOptions) -> Path:
-    recipe = find_recipe(options.recipe)
-    names = {ReaderRecipe: EYES_FILE, SelectorRecipe: MIND_FILE}
-    return options.out / names.get(type(recipe), "model.onnx")
+    return recipe
 
 
 def _work(options: TrainOptions) -> Path:
     """This process's part."""
     from cognitivedrone.training.common.trainer import TrainConfig, train
 
-    _check(options)
-    checkpoint = train(TrainConfig(options.out, _subject(options), options.seed, options.resume, options.threads))
-    model = _model_of(options)
+    recipe = _check(options)
+    training = recipe.training(start=options.start, data=options.data)
+    checkpoint = train(TrainConfig(options.out, training, options.seed, options.resume, options.threads))
+    model = options.out / recipe.model_file
     if os.environ.get("RANK", "0") != "0":
         return model
     print(f"writing {model.name}")  # noqa: T201
     try:
-        return _export(options, checkpoint, model)
+        training.export(checkpoint, options.out)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"stopped while {model} was written; the training is whole, the same command with --resume writes it"
         ) from None
-
-
-def _export(options: TrainOptions, checkpoint: Path, model: Path) -> Path:
-    from cognitivedrone.training.reasoner.export import export_eyes, export_mind
-    from cognitivedrone.training.small_vla.export import export
-
-    if model.name == EYES_FILE and options.start is not None:
-        return export_eyes(options.start, checkpoint, options.out)
-    if model.name == MIND_FILE:
-        return export_mind(checkpoint, options.out)
-    export(checkpoint, model, data=options.data)
     return model
-
-
-def _subject(options: TrainOptions) -> TrainingTask:
-    from cognitivedrone.training.small_vla.language import language_subject
-    from cognitivedrone.training.small_vla.policy import policy_subject
-
-    recipe = find_recipe(options.recipe)
-    if isinstance(recipe, SelectorRecipe):
-        return mind_subject(recipe)
-    if isinstance(recipe, ReaderRecipe):
-        return reader_subject(recipe, options.start)
-    if isinstance(recipe, LanguageRecipe):
-        assert options.start is not None  # noqa: S101  (as `_check` saw)
-        return language_subject(recipe, options.start)
-    return policy_subject(recipe, options.data)
 
 
 def main() -> None:

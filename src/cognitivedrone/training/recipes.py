@@ -2,55 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TypeAlias
+from dataclasses import replace
 
 from cognitivedrone.errors import TrainingError, did_you_mean
 from cognitivedrone.models.small_vla import SmallVLAConfig
 from cognitivedrone.training.common.sampling import StreamRecipe
-from cognitivedrone.training.common.training_task import Schedule
-from cognitivedrone.training.reasoner.reader import READER, ReaderRecipe
-from cognitivedrone.training.reasoner.selector import MIND, SelectorRecipe
-from cognitivedrone.training.small_vla.losses import LossWeights
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrainRecipe(Schedule):
-    """Everything that decides what comes out of a training of the small VLA, but processes and seed."""
-
-    network: SmallVLAConfig = field(default_factory=SmallVLAConfig)
-    stream: StreamRecipe = field(default_factory=StreamRecipe)
-    """Its batch is that of the whole training: processes share it."""
-    losses: LossWeights = field(default_factory=LossWeights)
-    validation_frames: int = 512
-    fly_tasks: int = 60
-    """Tasks of a trial."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LanguageRecipe(Schedule):
-    """Everything that decides what comes out of teaching a policy language alone, but its start, processes and seed."""
-
-    batch: int = 256
-    """Sentences; processes share them."""
-    spoken: float = 0.6
-    """Share of sentences that are said in more ways than the training tasks."""
-    muddled: float = 0.1
-    """Share of sentences that are put otherwise: words lost, left out and added, so that the rest must do."""
-    directives: float = 0.08
-    """Share of sentences that are directives."""
-    strangers: float = 0.4
-    """Share of sentences about people that ask for somebody unknown among known ones."""
-    hidden: float = 0.3
-    """Share of sentences about a board where there is none in view, so that nobody can know which gate is meant."""
-    doubted: float = 0.4
-    """Share of boards that are in doubt: they get a second reading, that of another sentence."""
-    kept: float = 1.0
-    """How much it counts to say, of the families that the policy knows, what it said before."""
-    validation_sentences: int = 3000
-    fly_tasks: int = 60
-    """Tasks of a trial."""
-
+from cognitivedrone.training.common.training_task import Recipe
+from cognitivedrone.training.reasoner.reader import READER
+from cognitivedrone.training.reasoner.selector import MIND
+from cognitivedrone.training.small_vla.language import LANGUAGE
+from cognitivedrone.training.small_vla.policy import TrainRecipe
 
 SMALL = TrainRecipe(name="small", steps=9_000, decay_share=1 / 3, stream=StreamRecipe(spoken=0.5, muddled=0.1))
 
@@ -99,10 +60,6 @@ RECIPES: dict[str, TrainRecipe] = {
 """`small`: the shipped policy. `race`: the baseline without language. `base`: larger, for a GPU. `debug`: the whole
 path in seconds, of no use otherwise. `ablation-*`: a ninth of `small`, each but the first with one thing changed."""
 
-
-LANGUAGE = LanguageRecipe(name="language", steps=3_000, learning_rate=1e-3, decay_share=0.5)
-
-Recipe: TypeAlias = TrainRecipe | LanguageRecipe | SelectorRecipe | ReaderRecipe
 
 ALL_RECIPES: dict[str, Recipe] = {**RECIPES, "language": LANGUAGE, "mind": MIND, "reader": READER}
 """`language`: what a policy that flies is taught to understand beyond its own training. `mind`: what the small reasoner

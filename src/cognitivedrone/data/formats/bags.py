@@ -10,7 +10,6 @@ Frames of reference: `world` (ENU), `heading` (level, yaw only), `camera`.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,8 +18,8 @@ from typing import Any, Final
 import numpy as np
 
 from cognitivedrone.data.episode import Encoding, decode_image, encode_image
-from cognitivedrone.errors import MissingExtra
-from cognitivedrone.sim.views import FIELD_OF_VIEW
+from cognitivedrone.errors import import_extra
+from cognitivedrone.sim.views import FOCAL_PX
 from cognitivedrone.types import IMAGE_SIZE, FloatArray
 
 IMAGE_TYPE: Final = "sensor_msgs/msg/CompressedImage"
@@ -67,11 +66,8 @@ class Ros:
     """Makes, writes and reads ROS 2 messages; raises `MissingExtra` without rosbags."""
 
     def __init__(self) -> None:
-        try:
-            self._bags: Any = importlib.import_module("rosbags.rosbag2")
-            systems: Any = importlib.import_module("rosbags.typesys")
-        except ModuleNotFoundError:
-            raise MissingExtra("rosbags", "ros") from None
+        self._bags = import_extra("rosbags.rosbag2", "ros", "rosbags")
+        systems = import_extra("rosbags.typesys", "ros", "rosbags")
         self._store = systems.get_typestore(systems.Stores.ROS2_HUMBLE)
         self._make: Mapping[str, Any] = self._store.types
 
@@ -108,8 +104,8 @@ class Ros:
 
     def camera(self, stamp_ns: int) -> Any:
         """The CameraInfo of the first-person view: a pinhole without distortion."""
-        focal, middle = float(IMAGE_SIZE / 2 / np.tan(FIELD_OF_VIEW / 2)), IMAGE_SIZE / 2
-        k = np.array([focal, 0, middle, 0, focal, middle, 0, 0, 1])
+        middle = IMAGE_SIZE / 2
+        k = np.array([FOCAL_PX, 0, middle, 0, FOCAL_PX, middle, 0, 0, 1])
         region = self._make["sensor_msgs/msg/RegionOfInterest"](
             x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
         )

@@ -15,9 +15,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.labels.reference import parse_reference
+from cognitivedrone.references import PERSON_ATTRIBUTES, parse_reference
 from cognitivedrone.tasks.facts import KIND_OF
-from cognitivedrone.tasks.people import SCHEMA, Person, parse_person, seen
+from cognitivedrone.tasks.people import Person, parse_person, seen
 from cognitivedrone.tasks.reasoning import LARGEST_ANSWER, OPERATORS
 from cognitivedrone.tasks.vocabulary import LETTERS, LOGOS
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
@@ -29,7 +29,7 @@ ABSENT = -1
 
 _NUMBERS = tuple(str(number) for number in range(LARGEST_ANSWER + 1))
 # Nothing is ever asked about skin, so nothing has to see it.
-_ATTRIBUTES = tuple(name for name in SCHEMA if name != "skin")
+_ATTRIBUTES = tuple(name for name in PERSON_ATTRIBUTES if name != "skin")
 
 _VALUES: dict[str, tuple[str, ...]] = {
     "concept": (
@@ -39,7 +39,7 @@ _VALUES: dict[str, tuple[str, ...]] = {
         *(f"number:{number}" for number in _NUMBERS),
         "person",
     ),
-    **{name: SCHEMA[name] for name in _ATTRIBUTES},
+    **{name: PERSON_ATTRIBUTES[name] for name in _ATTRIBUTES},
     "first": _NUMBERS,
     "sign": tuple(OPERATORS),
     "second": _NUMBERS,
@@ -71,7 +71,7 @@ def known_person(concept: str) -> Person | None:
     if not all("=" in word for word in concept.split(",")):
         return None
     person = parse_person(concept)
-    return person if all(value in SCHEMA.get(name, ()) for name, value in person.items()) else None
+    return person if all(value in PERSON_ATTRIBUTES.get(name, ()) for name, value in person.items()) else None
 
 
 def parse_sum(label: str) -> tuple[int, str, int] | None:

@@ -13,9 +13,11 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.files import check_regular, reason_of
+from cognitivedrone.files import check_regular, reason_of, replacing
 from cognitivedrone.models.checksum import BLANK, Finding, check_own, seal
 
+CHECKPOINT = "checkpoint.safetensors"
+"""Name of the file in the folder of a run."""
 FORMAT = 1
 _KEY = "cognitivedrone"
 
@@ -29,10 +31,9 @@ def save_checkpoint(
         for number, state in optimizer.state_dict()["state"].items():
             tensors |= {f"optimizer.{number}.{name}": value for name, value in state.items()}
     whole = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
-    beside = path.with_suffix(".part")
-    save_file(whole, beside, metadata={_KEY: json.dumps({"format": FORMAT, **facts}), "checksum": BLANK})
-    seal(beside)
-    beside.replace(path)
+    with replacing(path, path.with_suffix(".part")) as beside:
+        save_file(whole, beside, metadata={_KEY: json.dumps({"format": FORMAT, **facts}), "checksum": BLANK})
+        seal(beside)
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:

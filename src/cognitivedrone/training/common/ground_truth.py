@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 
 from cognitivedrone.frames import rotate_yaw, rotation_matrix, world_to_heading, wrap_angle, yaw_of
 from cognitivedrone.policies.expert import ExpertConfig, intent
-from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
+from cognitivedrone.sim.views import FOCAL_PX, MOUNT
 from cognitivedrone.types import ACTION_LIMITS, CONTROL_HZ, IMAGE_SIZE, FloatArray, Stage
 from cognitivedrone.world import geometry
 
-FOCAL = IMAGE_SIZE / 2 / np.tan(FIELD_OF_VIEW / 2)
-"""Focal length of the first-person camera, pixels."""
 LEGIBLE_HEIGHT = 10.0
 """A panel lower than this in the image, pixels, cannot be read by anybody."""
 LEGIBLE_SHARE = 0.6
@@ -74,8 +72,8 @@ def project(points: FloatArray, position: FloatArray, quaternion: FloatArray) ->
     eye = position + np.einsum("nij,j->ni", axes, np.array(MOUNT))
     body = np.einsum("nij,nmi->nmj", axes, points - eye[:, None])
     depth = np.maximum(body[..., 0], 1e-2)
-    half = IMAGE_SIZE / 2
-    return np.stack([half - FOCAL * body[..., 1] / depth, half - FOCAL * body[..., 2] / depth, body[..., 0]], axis=-1)
+    u, v = (IMAGE_SIZE / 2 - FOCAL_PX * body[..., axis] / depth for axis in (1, 2))
+    return np.stack([u, v, body[..., 0]], axis=-1)
 
 
 def truths(poses: Poses, stages: list[Stage], chunk: int, expert: ExpertConfig) -> Truths:

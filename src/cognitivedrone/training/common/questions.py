@@ -18,13 +18,13 @@ from typing import TypeAlias
 import numpy as np
 
 from cognitivedrone.errors import TaskError, did_you_mean
-from cognitivedrone.labels.reference import parse_reference
+from cognitivedrone.references import full_person, parse_reference
 from cognitivedrone.tasks import human, reasoning, symbols, vocabulary, wording
 from cognitivedrone.tasks.directives import write_directive
 from cognitivedrone.tasks.facts import FACTS, HEALTHY, KIND_OF, UNHEALTHY
 from cognitivedrone.tasks.families import BASE_FAMILIES
 from cognitivedrone.tasks.generate import TRAIN, Draw, Pools, article, words
-from cognitivedrone.tasks.people import CAST, FEATURES, IDENTITY, SCHEMA, TRAIN_CAST, Person, seen
+from cognitivedrone.tasks.people import CAST, FEATURES, IDENTITY, TRAIN_CAST, Person, seen
 from cognitivedrone.tasks.validate import check_gates
 from cognitivedrone.training.common.attributes import known_person, parse_sum
 from cognitivedrone.types import Gate
@@ -86,15 +86,11 @@ _CLAIMS: tuple[_Claim, ...] = (
 )
 
 
-def _full(person: Person) -> Person:
-    return {name: person.get(name, values[0]) for name, values in SCHEMA.items()}
-
-
 def _identity(person: Person) -> tuple[str, ...]:
     return tuple(person[name] for name in IDENTITY)
 
 
-_NAMES = {_identity(_full(CAST[name])): name for name in TRAIN_CAST}
+_NAMES = {_identity(full_person(CAST[name])): name for name in TRAIN_CAST}
 
 _PARTS = tuple(human.touched_parts(feature) for feature in FEATURES)
 _TOGETHER = tuple(frozenset(j for j, other in enumerate(_PARTS) if not parts & other) for parts in _PARTS)
@@ -141,7 +137,7 @@ def _panel(label: str) -> _Panel:
             concept,
             shows=frozenset(i for i, known in enumerate(holds) if known is True),
             lacks=frozenset(i for i, known in enumerate(holds) if known is False),
-            name=_NAMES.get(_identity(_full(person))),
+            name=_NAMES.get(_identity(full_person(person))),
             identity=_identity(look),
         )
     thing = f"{kind}/{concept}"

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image as PillowImage
 from PIL import ImageChops, ImageFilter, ImageOps
 
-from cognitivedrone.labels.reference import parse_reference
+from cognitivedrone.references import parse_reference
 from cognitivedrone.types import Image
 
 SIDE = 128

@@ -17,21 +17,18 @@ import torch
 from accelerate import Accelerator
 from rich.progress import Progress, SpinnerColumn, TaskID, TimeElapsedColumn
 from torch import nn
-from torch.utils.tensorboard import SummaryWriter
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.terminal import console
-from cognitivedrone.training.common.checkpoint import read_checkpoint, restore, save_checkpoint
-from cognitivedrone.training.common.curves import draw_curves, read_rows
+from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint
 from cognitivedrone.training.common.prefetch import PrefetchQueue, learner_path
+from cognitivedrone.training.common.run_log import RunLog
 from cognitivedrone.training.common.sampling import Batch
-from cognitivedrone.training.common.training_task import Row, Schedule, TrainingTask
-from cognitivedrone.training.small_vla.losses import to_tensors
+from cognitivedrone.training.common.training_task import Row, Schedule, TrainingTask, to_tensors
 
-CHECKPOINT = "checkpoint.safetensors"
-METRICS = "metrics.jsonl"
-_HEADLINES = ("loss", "choice accuracy", "text accuracy", "l1", "accuracy", "cross-entropy", "success")
+_VALIDATED = ("choice accuracy", "text accuracy", "l1", "accuracy", "cross-entropy", "success")
+_HEADLINES = {"train loss": "loss", **{name: name for name in _VALIDATED}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,14 +194,14 @@ class _Keeper:
     """What the main process does beside the steps: writes checkpoints and curves, validates and flies."""
 
     def __init__(self, config: TrainConfig, accelerator: Accelerator, report: Callable[[str], None]) -> None:
-        self._config, self._accelerator, self._report = config, accelerator, report
+        self._config, self._accelerator = config, accelerator
         self._subject, self._schedule = config.subject, config.subject.recipe
         self._facts = _identity(config) | config.subject.facts()
         self._sums: dict[str, float] = defaultdict(float)
         self._count = 0
         self._since = time.monotonic()
         self._recent = ""
-        self._board = SummaryWriter(str(config.out / "tensorboard"))
+        self._log = RunLog(config.out, report, "steps_per_s", _HEADLINES)
         self._batches: list[Batch] = config.subject.validation(config.seed)
 
     def follow(self, measures: dict[str, torch.Tensor]) -> None:
@@ -213,8 +210,8 @@ class _Keeper:
             self._sums[name] += float(value)
         self._count += 1
         if self._count % 10 == 0:
-            means = {name: value / self._count for name, value in self._sums.items()}
-            self._recent = ", ".join(f"{name} {means[name]:.3f}" for name in _HEADLINES[:2] if name in means)
+            shown = [name for name in ("loss", "choice accuracy") if name in self._sums]
+            self._recent = ", ".join(f"{name} {self._sums[name] / self._count:.3f}" for name in shown)
 
     def note(self) -> str:
         """What stands beside the progress bar."""
@@ -230,7 +227,7 @@ class _Keeper:
             row |= self._subject.validate(lesson, self._batches, self._accelerator.autocast)
         if step % schedule.fly_every == 0 or last:
             row |= self._subject.trial(lesson.network)
-        self._write(row, step)
+        self._log.write(row)
         facts = self._facts | {"step": step}
         round_ = (step - 1) // schedule.round_steps
         save_checkpoint(learner_path(out, round_), lesson.network, None, facts)
@@ -238,19 +235,3 @@ class _Keeper:
         save_checkpoint(out / CHECKPOINT, lesson.network, optimizer, facts)
         self._sums.clear()
         self._count, self._since = 0, time.monotonic()
-
-    def _write(self, row: Row, step: int) -> None:
-        path = self._config.out / METRICS
-        rows = [old for old in read_rows(path) if old["step"] < step] + [row]
-        path.write_text("".join(json.dumps(each) + "\n" for each in rows))
-        for name, value in row.items():
-            if name != "step":
-                self._board.add_scalar(name.replace(" ", "/", 1), value, step)
-        self._board.flush()
-        told = [f"step {step}", f"{row['steps_per_s']:.2f} steps/s", f"loss {row['train loss']:.3f}"]
-        for name in _HEADLINES[1:]:
-            if name in row:
-                told.append(f"{name} {row[name]:.3f}")
-        self._report("  ".join(told))
-        if "l1" in row:
-            draw_curves([each for each in rows if "l1" in each], self._config.out / "curves.png")

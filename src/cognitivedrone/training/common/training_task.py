@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
@@ -39,8 +43,25 @@ class Schedule:
     """Steps between trials; a multiple of `validate_every`."""
 
     def facts(self) -> dict[str, Any]:
-        """As plain JSON values."""
-        return asdict(self)
+        """As JSON gives them back: tuples as lists."""
+        facts: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        return facts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recipe(Schedule, ABC):
+    """Everything that decides what comes out of a training, but its start, its data, processes and seed."""
+
+    model_file: ClassVar[str] = "model.onnx"
+    """What is written at the end."""
+    needs_start: ClassVar[bool] = False
+    """Whether it starts from the checkpoint of a policy."""
+    takes_data: ClassVar[bool] = False
+    """Whether it can learn from a data set."""
+
+    @abstractmethod
+    def training(self, *, start: Path | None = None, data: Path | None = None) -> TrainingTask:
+        """What is trained, from the checkpoint `start` and on `data` where those are asked for."""
 
 
 class Learner(Protocol):
@@ -129,3 +150,12 @@ class TrainingTask(Protocol):
     def trial(self, network: nn.Module) -> Row:
         """What the network can do, in closed loop or alone; rows with "success"."""
         ...
+
+    def export(self, checkpoint: Path, folder: Path) -> None:
+        """Write the recipe's `model_file` into a folder. Raises `TrainingError` for a bad checkpoint."""
+        ...
+
+
+def to_tensors(batch: Batch, device: torch.device | str = "cpu") -> dict[str, Tensor]:
+    """The arrays of a batch as tensors, sharing memory where they can."""
+    return {name: torch.from_numpy(np.ascontiguousarray(values)).to(device) for name, values in batch.items()}

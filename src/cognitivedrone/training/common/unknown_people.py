@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cognitivedrone.tasks.people import CAST, IDENTITY, SCHEMA, TRAIN_CAST, person_label, seen
+from cognitivedrone.references import PERSON_ATTRIBUTES
+from cognitivedrone.tasks.people import CAST, IDENTITY, TRAIN_CAST, person_label, seen
 from cognitivedrone.types import Task
 
 STRANGER = "somebodynobodyknows"
@@ -18,11 +19,11 @@ def with_stranger(rng: np.random.Generator, task: Task) -> Task:
     """A task of the family `people`, but about somebody unknown, who may look much like somebody known."""
     near = rng.random() < _ALIKE
     while True:
-        person = {key: values[int(rng.integers(len(values)))] for key, values in SCHEMA.items()}
+        person = {key: values[int(rng.integers(len(values)))] for key, values in PERSON_ATTRIBUTES.items()}
         if near:
             like = CAST[TRAIN_CAST[int(rng.integers(len(TRAIN_CAST)))]]
             kept = set(rng.permutation(IDENTITY)[: len(IDENTITY) - 3].tolist())
-            person |= {key: like.get(key, SCHEMA[key][0]) for key in kept}
+            person |= {key: like.get(key, PERSON_ATTRIBUTES[key][0]) for key in kept}
         looks = seen(person)
         if all(sum(looks[k] != seen(CAST[n]).get(k) for k in IDENTITY if k != "skin") >= 2 for n in TRAIN_CAST):
             break

@@ -31,7 +31,6 @@ from rich.progress import Progress
 from torch import Tensor, nn
 from torch.distributed.fsdp import MixedPrecisionPolicy
 from torch.nn import functional as F  # noqa: N812
-from torch.utils.tensorboard import SummaryWriter
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.openvla import checkpoint as checkpoints
@@ -39,9 +38,8 @@ from cognitivedrone.models.openvla.checkpoint import Checkpoint
 from cognitivedrone.models.openvla.config import ACTION_SIZE, KEY
 from cognitivedrone.models.openvla.prepare import read_encoder
 from cognitivedrone.models.openvla.weights import load, save
-from cognitivedrone.training.common.checkpoint import read_checkpoint, save_checkpoint
-from cognitivedrone.training.common.curves import draw_curves, read_rows
-from cognitivedrone.training.common.trainer import CHECKPOINT, METRICS
+from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint, save_checkpoint
+from cognitivedrone.training.common.run_log import RunLog
 from cognitivedrone.training.common.training_task import Row
 from cognitivedrone.training.openvla.adapters import (
     add_adapters,
@@ -69,7 +67,7 @@ MERGED = "merged"
 Found: TypeAlias = tuple[dict[str, Tensor], dict[str, Any]]
 """Tensors and facts of a checkpoint."""
 _IDENTITY = ("recipe", "seed", "data", "base", "key")
-_HEADLINES = ("train loss", "l1", "accuracy", "baseline accuracy", "cross-entropy")
+_HEADLINES = {name: name for name in ("train loss", "l1", "accuracy", "baseline accuracy", "cross-entropy")}
 _LAYERS = ["LlamaDecoderLayer", "Block"]  # what is sharded as one
 
 
@@ -321,9 +319,9 @@ class _Keeper:
     """What is done beside the steps: checkpoints, rows, curves. Every process has one, the main process's writes."""
 
     def __init__(self, config: FineTuning, accelerator: Accelerator, report: Callable[[str], None]) -> None:
-        self._config, self._accelerator, self._report = config, accelerator, report
-        self._main = accelerator.is_main_process
-        self._board = SummaryWriter(str(config.out / "tensorboard")) if self._main else None
+        self._config, self._accelerator = config, accelerator
+        main = accelerator.is_main_process
+        self._log = RunLog(config.out, report, "samples_per_s", _HEADLINES) if main else None
         self._steps: list[Tensor] = []
         self._since = time.monotonic()
 
@@ -335,25 +333,11 @@ class _Keeper:
         """Write down how it went and where the training is; `row` has the measures of validation, if it was time."""
         mean = self._accelerator.reduce(torch.stack(self._steps).mean(0), "mean").tolist()
         rate = len(self._steps) * self._config.recipe.batch / (time.monotonic() - self._since)
-        if self._main:
+        if self._log is not None:
             named = dict(zip(("train loss", "train accuracy"), mean, strict=True))
-            self._write({**named, **row, "step": step, "samples_per_s": rate})
+            self._log.write({**named, **row, "step": step, "samples_per_s": rate})
             facts = self._config.identity | {"step": step}
             save_checkpoint(self._config.out / CHECKPOINT, as_module(state), None, facts)
         self._accelerator.wait_for_everyone()
         self._steps.clear()
         self._since = time.monotonic()
-
-    def _write(self, row: Row) -> None:
-        path, step = self._config.out / METRICS, row["step"]
-        rows = [old for old in read_rows(path) if old["step"] < step] + [row]
-        path.write_text("".join(json.dumps(each) + "\n" for each in rows))
-        if self._board is not None:
-            for name, value in row.items():
-                if name != "step":
-                    self._board.add_scalar(name.replace(" ", "/", 1), value, step)
-            self._board.flush()
-        told = [f"{name} {row[name]:.3f}" for name in _HEADLINES if name in row]
-        self._report("  ".join([f"step {step}", f"{row['samples_per_s']:.2f} samples/s", *told]))
-        if "l1" in row:
-            draw_curves([each for each in rows if "l1" in each], self._config.out / "curves.png")

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from cognitivedrone.files import replacing
 from cognitivedrone.models.onnx_file import Provenance, write_table
 from cognitivedrone.models.reasoner_file import (
     EYES,
@@ -23,11 +24,10 @@ from cognitivedrone.models.reasoner_file import (
 )
 from cognitivedrone.models.small_reasoner import PanelReader
 from cognitivedrone.training.common.attributes import GATE_GROUPS, GROUPS
-from cognitivedrone.training.reasoner.reader import load_reader
 from cognitivedrone.training.reasoner.reading import SEEN
-from cognitivedrone.training.reasoner.selector import load_mind
+from cognitivedrone.training.reasoner.trained import load_mind, load_reader
 from cognitivedrone.training.small_vla.export import provenance_of, write_onnx
-from cognitivedrone.training.small_vla.policy import load_trained
+from cognitivedrone.training.small_vla.trained import load_trained
 
 
 def export_eyes(policy: Path, reader: Path, folder: Path) -> Path:
@@ -81,7 +81,6 @@ def _export(
     provenance: Provenance,
 ) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_suffix(".part.onnx")
-    write_onnx(network, example, outputs, beside)
-    write_table(beside, kind, {**table, "provenance": asdict(provenance)})
-    beside.replace(path)
+    with replacing(path, path.with_suffix(".part.onnx")) as beside:
+        write_onnx(network, example, outputs, beside)
+        write_table(beside, kind, {**table, "provenance": asdict(provenance)})

@@ -5,12 +5,11 @@ It starts from the sight of a trained policy, which can read most of it already.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -19,28 +18,36 @@ from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.labels import load_pack
+from cognitivedrone.models.reasoner_file import EYES_FILE
 from cognitivedrone.models.small_reasoner import Reader, ReaderConfig
 from cognitivedrone.tasks import BASE_FAMILIES
 from cognitivedrone.tasks.suites import drawn_task
-from cognitivedrone.training.common.checkpoint import origin_of, read_checkpoint, restore
+from cognitivedrone.training.common.checkpoint import origin_of, read_checkpoint
 from cognitivedrone.training.common.panel_crops import SHARES, PanelCrops
 from cognitivedrone.training.common.sampling import Batch
-from cognitivedrone.training.common.training_task import Batches, Learner, Row, Schedule
+from cognitivedrone.training.common.training_task import Batches, Learner, Recipe, Row, to_tensors
 from cognitivedrone.training.reasoner.reading import SEEN, SEEN_GROUPS, seen_facets
-from cognitivedrone.training.small_vla.losses import to_tensors
 
 _VALIDATION = 10**6
 _SHARES = {**{family: 0.7 * SHARES[family] for family in BASE_FAMILIES}, "counting": 0.18, "comparison": 0.12}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ReaderRecipe(Schedule):
+class ReaderRecipe(Recipe):
     """Everything that decides what comes out of a training of the reader, but its start, processes and seed."""
 
     network: ReaderConfig = field(default_factory=ReaderConfig)
     batch: int = 192
     """Cards; processes share them."""
     validation_cards: int = 2000
+
+    model_file: ClassVar[str] = EYES_FILE
+    needs_start: ClassVar[bool] = True
+
+    def training(self, *, start: Path | None = None, data: Path | None = None) -> ReaderTraining:
+        """A reader as large as the facets ask for."""
+        del data
+        return ReaderTraining(replace(self, network=replace(self.network, facets=len(SEEN))), start)
 
 
 @dataclass(frozen=True)
@@ -53,10 +60,8 @@ class ReaderTraining:
 
     def identity(self) -> dict[str, Any]:
         """Recipe and start."""
-        told: dict[str, Any] = {"recipe": json.loads(json.dumps(self.recipe.facts()))}
-        if self.start is None:
-            return told
-        return told | {"data": origin_of(read_checkpoint(self.start)[1])}
+        origin = {} if self.start is None else {"data": origin_of(read_checkpoint(self.start)[1])}
+        return {"recipe": self.recipe.facts()} | origin
 
     def facts(self) -> dict[str, Any]:
         """The facets."""
@@ -95,7 +100,7 @@ class ReaderTraining:
         def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
             del learner
             rng = np.random.default_rng(seed)
-            cards = PanelCrops(load_pack("open-v1"), self.recipe.network.glimpse, draw_any_label, seen_facets)
+            cards = PanelCrops(load_pack(), self.recipe.network.glimpse, draw_any_label, seen_facets)
             while True:
                 images, facets = cards.draw(rng, self.recipe.batch)
                 yield {"card_image": images, "card_facets": facets}
@@ -126,6 +131,13 @@ class ReaderTraining:
         """Nothing beside the curves."""
         del network
         return {}
+
+    def export(self, checkpoint: Path, folder: Path) -> None:
+        """The eyes, which find gates by the policy that the reader started from."""
+        from cognitivedrone.training.reasoner.export import export_eyes  # a training does without ONNX until its end
+
+        assert self.start is not None  # noqa: S101  (tells the type checker)
+        export_eyes(self.start, checkpoint, folder)
 
 
 class ReaderLoss(nn.Module):
@@ -182,18 +194,3 @@ def draw_any_label(rng: np.random.Generator) -> str:
     if task.board is not None and rng.random() < 0.7:
         return task.board
     return task.labels[int(rng.integers(3))]
-
-
-def reader_subject(recipe: ReaderRecipe, start: Path | None) -> ReaderTraining:
-    """The subject of a recipe, as large as the facets ask for."""
-    return ReaderTraining(replace(recipe, network=replace(recipe.network, facets=len(SEEN))), start)
-
-
-def load_reader(path: Path) -> tuple[Reader, dict[str, Any]]:
-    """The reader of a checkpoint, and the checkpoint's facts."""
-    tensors, facts = read_checkpoint(path)
-    told = facts["recipe"]["network"]
-    reader = Reader(ReaderConfig(**{**told, "sight": tuple(told["sight"])}))
-    restore(tensors, reader, None)
-    reader.eval()
-    return reader, facts

@@ -12,10 +12,10 @@ from itertools import accumulate
 import numpy as np
 
 from cognitivedrone.labels.images import parse_several
-from cognitivedrone.labels.reference import parse_reference
+from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.hard import COUNTABLE
 from cognitivedrone.training.common import attributes as facets
-from cognitivedrone.training.common.attributes import BOARD_GROUPS, PANEL_GROUPS, Indices
+from cognitivedrone.training.common.attributes import Indices
 
 KINDS = ("thing", "logo", "letter", "number", "person", "sum", "several")
 MOST = 6
@@ -39,16 +39,6 @@ SEEN_GROUPS: dict[str, slice] = {
     group: slice(end - len(_VALUES[group]), end) for group, end in zip(_VALUES, _ENDS, strict=True)
 }
 """Where the facets of each group stand in `SEEN`; the groups follow each other without gaps."""
-GROUPS_OF: dict[str, tuple[str, ...]] = {
-    "thing": ("concept",),
-    "logo": ("concept",),
-    "letter": ("concept",),
-    "number": ("concept",),
-    "person": PANEL_GROUPS[1:],
-    "sum": BOARD_GROUPS,
-    "several": ("thing_a", "count_a", "thing_b", "count_b"),
-}
-"""Which groups tell something of a picture of each kind."""
 
 _INDEX = {name: index for index, name in enumerate(SEEN)}
 _COLUMNS = tuple(SEEN_GROUPS)

@@ -6,12 +6,11 @@ eyes will get wrong is part of it: now and then a panel is read with doubt, or w
 
 from __future__ import annotations
 
-import json
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-from cognitivedrone.models.reasoner_file import REMEMBERED
+from cognitivedrone.models.reasoner_file import MIND_FILE, REMEMBERED
 from cognitivedrone.models.small_reasoner import STAGES, GateSelector, SelectorConfig
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.reasoners.calculator import calculate, evaluate
@@ -28,14 +27,12 @@ from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES
 from cognitivedrone.tasks.generate import TRAIN, Draw
 from cognitivedrone.tasks.memory import memory_track
 from cognitivedrone.tasks.suites import drawn_task
-from cognitivedrone.training.common.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.common.phrasing import SPOKEN
 from cognitivedrone.training.common.questions import ask
 from cognitivedrone.training.common.sampling import Batch, muddled
-from cognitivedrone.training.common.training_task import Batches, Learner, Row, Schedule
+from cognitivedrone.training.common.training_task import Batches, Learner, Recipe, Row, to_tensors
 from cognitivedrone.training.common.unknown_people import STRANGER, with_stranger
 from cognitivedrone.training.reasoner.reading import SEEN, SEEN_GROUPS, seen_facets
-from cognitivedrone.training.small_vla.losses import to_tensors
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 
 _VALIDATION = 10**6
@@ -46,7 +43,7 @@ _NAMES = (*FAMILIES, "directive")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SelectorRecipe(Schedule):
+class SelectorRecipe(Recipe):
     """Everything that decides what comes out of a training of the mind, but processes and seed."""
 
     network: SelectorConfig = field(default_factory=SelectorConfig)
@@ -73,6 +70,17 @@ class SelectorRecipe(Schedule):
     """Share of words that are not known."""
     muddled: float = 0.4
     """Share of sentences that are put otherwise: words lost, left out and added, so that the rest must do."""
+
+    model_file: ClassVar[str] = MIND_FILE
+
+    def training(self, *, start: Path | None = None, data: Path | None = None) -> SelectorTraining:
+        """A new mind, with the vocabulary of all families."""
+        del start, data
+        rng, problems = np.random.default_rng((0, _VALIDATION + 1)), Problems(self)
+        sentences = [problem.sentence for _ in range(_SENTENCES) for problem in problems.draw(rng)]
+        vocabulary = Vocabulary.of(sentence.replace(STRANGER, "") for sentence in sentences)
+        network = replace(self.network, vocabulary=len(vocabulary.words), facets=len(SEEN))
+        return SelectorTraining(replace(self, network=network), vocabulary)
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +282,7 @@ class SelectorTraining:
 
     def identity(self) -> dict[str, Any]:
         """Its recipe."""
-        return {"recipe": json.loads(json.dumps(self.recipe.facts()))}
+        return {"recipe": self.recipe.facts()}
 
     def facts(self) -> dict[str, Any]:
         """Vocabulary and facets."""
@@ -351,23 +359,11 @@ class SelectorTraining:
         del network
         return {}
 
+    def export(self, checkpoint: Path, folder: Path) -> None:
+        """The mind's file."""
+        from cognitivedrone.training.reasoner.export import export_mind
+
+        export_mind(checkpoint, folder)
+
 
 MIND = SelectorRecipe(name="mind", steps=6_000, learning_rate=1e-3, warmup_steps=300)
-
-
-def mind_subject(recipe: SelectorRecipe) -> SelectorTraining:
-    """The subject of a recipe, with the vocabulary of all families."""
-    rng, problems = np.random.default_rng((0, _VALIDATION + 1)), Problems(recipe)
-    sentences = [problem.sentence for _ in range(_SENTENCES) for problem in problems.draw(rng)]
-    vocabulary = Vocabulary.of(sentence.replace(STRANGER, "") for sentence in sentences)
-    network = replace(recipe.network, vocabulary=len(vocabulary.words), facets=len(SEEN))
-    return SelectorTraining(replace(recipe, network=network), vocabulary)
-
-
-def load_mind(path: Path) -> tuple[GateSelector, Vocabulary, dict[str, Any]]:
-    """The mind of a checkpoint, its vocabulary, and the checkpoint's facts."""
-    tensors, facts = read_checkpoint(path)
-    mind = GateSelector(SelectorConfig(**facts["recipe"]["network"]))
-    restore(tensors, mind, None)
-    mind.eval()
-    return mind, Vocabulary(tuple(facts["vocabulary"])), facts

@@ -19,12 +19,14 @@ import torch
 from torch import Tensor, nn
 
 from cognitivedrone import checkout
+from cognitivedrone.files import replacing
 from cognitivedrone.models.onnx_file import Provenance
 from cognitivedrone.models.small_file import ActionStatistics, Description, SmallModel, describe
 from cognitivedrone.models.small_vla import STATE, SmallVLA
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.training.common.sampling import StreamRecipe
-from cognitivedrone.training.small_vla.policy import load_trained, stream_of, training_batches
+from cognitivedrone.training.small_vla.recorded import training_batches
+from cognitivedrone.training.small_vla.trained import load_trained, stream_of
 
 _STATISTICS_FRAMES = 2_000
 _HALVED_FROM = 256  # elements; smaller tensors are biases, scales and shapes
@@ -43,8 +45,6 @@ def export(
     recipe = facts["recipe"]
     stream = stream_of(facts)
     out.parent.mkdir(parents=True, exist_ok=True)
-    beside = out.with_suffix(".part.onnx")
-    write_graph(network, beside)
     description = Description(
         name=recipe["name"],
         vocabulary=vocabulary,
@@ -54,9 +54,10 @@ def export(
         config=network.config.facts(),
         provenance=provenance_of(facts, scores),
     )
-    describe(beside, description)
-    SmallModel.load(beside)  # what cannot be loaded never lies in its place
-    beside.replace(out)
+    with replacing(out, out.with_suffix(".part.onnx")) as beside:
+        write_graph(network, beside)
+        describe(beside, description)
+        SmallModel.load(beside)  # what cannot be loaded never lies in its place
     return description
 
 

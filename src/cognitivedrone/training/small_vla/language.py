@@ -7,11 +7,10 @@ those of the hard ones that ask for a gate by what itself shows, not by what sta
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -26,12 +25,12 @@ from cognitivedrone.training.common.attributes import panel_facets
 from cognitivedrone.training.common.checkpoint import origin_of, read_checkpoint
 from cognitivedrone.training.common.phrasing import SPOKEN
 from cognitivedrone.training.common.sampling import Batch, muddled, told
-from cognitivedrone.training.common.training_task import Batches, Learner, Row
+from cognitivedrone.training.common.training_task import Batches, Learner, Recipe, Row, to_tensors
 from cognitivedrone.training.common.unknown_people import STRANGER, with_stranger
-from cognitivedrone.training.recipes import LanguageRecipe
-from cognitivedrone.training.small_vla.losses import known_mean, text_loss, to_tensors, told_embedding, told_query
+from cognitivedrone.training.small_vla.losses import known_mean, text_loss, told_embedding, told_query
 from cognitivedrone.training.small_vla.pilot import NetworkPilot
-from cognitivedrone.training.small_vla.policy import load_trained, trial
+from cognitivedrone.training.small_vla.policy import trial
+from cognitivedrone.training.small_vla.trained import load_trained
 from cognitivedrone.types import Task
 
 _VALIDATION = 10**6
@@ -46,6 +45,49 @@ SHARES = {
 """How often each family is taught. Not among them: places beside something else, earlier stages and numbers of things,
 of which a gate by itself, as the network sees it, says nothing."""
 _FAMILIES = tuple(SHARES)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LanguageRecipe(Recipe):
+    """Everything that decides what comes out of teaching a policy language alone, but its start, processes and seed."""
+
+    batch: int = 256
+    """Sentences; processes share them."""
+    spoken: float = 0.6
+    """Share of sentences that are said in more ways than the training tasks."""
+    muddled: float = 0.1
+    """Share of sentences that are put otherwise: words lost, left out and added, so that the rest must do."""
+    directives: float = 0.08
+    """Share of sentences that are directives."""
+    strangers: float = 0.4
+    """Share of sentences about people that ask for somebody unknown among known ones."""
+    hidden: float = 0.3
+    """Share of sentences about a board where there is none in view, so that nobody can know which gate is meant."""
+    doubted: float = 0.4
+    """Share of boards that are in doubt: they get a second reading, that of another sentence."""
+    kept: float = 1.0
+    """How much it counts to say, of the families that the policy knows, what it said before."""
+    validation_sentences: int = 3000
+    fly_tasks: int = 60
+    """Tasks of a trial."""
+
+    needs_start: ClassVar[bool] = True
+
+    def training(self, *, start: Path | None = None, data: Path | None = None) -> LanguageTraining:
+        """The policy of a checkpoint; beside the words that it knows, those that are taught."""
+        del data
+        assert start is not None  # noqa: S101  (tells the type checker)
+        facts = read_checkpoint(start)[1]
+        known = tuple(facts["vocabulary"])
+        rng = np.random.default_rng((0, _VALIDATION + 1))
+        sentences = (draw_told(rng, self).instruction.replace(STRANGER, "") for _ in range(_SENTENCES))
+        new = {word for sentence in sentences for word in words_of(sentence)} - set(known)
+        return LanguageTraining(
+            self, start, Vocabulary((*known, *sorted(new))), facts["recipe"]["network"]["text_length"]
+        )
+
+
+LANGUAGE = LanguageRecipe(name="language", steps=3_000, learning_rate=1e-3, decay_share=0.5)
 
 
 @dataclass(frozen=True)
@@ -63,9 +105,11 @@ class LanguageTraining:
     def identity(self) -> dict[str, Any]:
         """Recipe, with the policy's network and stream, and the start."""
         facts = read_checkpoint(self.start)[1]
-        own = json.loads(json.dumps(self.recipe.facts()))
         network = facts["recipe"]["network"] | {"vocabulary": len(self.vocabulary.words)}
-        return {"recipe": own | {"network": network, "stream": facts["recipe"]["stream"]}, "data": origin_of(facts)}
+        return {
+            "recipe": self.recipe.facts() | {"network": network, "stream": facts["recipe"]["stream"]},
+            "data": origin_of(facts),
+        }
 
     def facts(self) -> dict[str, Any]:
         """The vocabulary."""
@@ -136,6 +180,12 @@ class LanguageTraining:
         """Success in closed loop on training tasks under another seed, by family."""
         assert isinstance(network, SmallVLA)  # noqa: S101
         return trial(NetworkPilot(network, self.vocabulary), "open-v1:train", self.recipe.fly_tasks)
+
+    def export(self, checkpoint: Path, folder: Path) -> None:
+        """The ONNX file that flies."""
+        from cognitivedrone.training.small_vla.export import export
+
+        export(checkpoint, folder / self.recipe.model_file)
 
     def told(self, rng: np.random.Generator, tasks: list[Task]) -> Batch:
         """The `text_` fields of a batch about these tasks, with doubts about boards.
@@ -208,15 +258,3 @@ def draw_told(rng: np.random.Generator, recipe: LanguageRecipe) -> Task:
             return with_stranger(rng, task)
         if all(panel_facets(label)[0] >= 0 for label in task.labels):
             return task
-
-
-def language_subject(recipe: LanguageRecipe, start: Path) -> LanguageTraining:
-    """The subject of a recipe: the policy of a checkpoint; beside the words that it knows, those that are taught."""
-    facts = read_checkpoint(start)[1]
-    known = tuple(facts["vocabulary"])
-    rng = np.random.default_rng((0, _VALIDATION + 1))
-    sentences = (draw_told(rng, recipe).instruction.replace(STRANGER, "") for _ in range(_SENTENCES))
-    new = {word for sentence in sentences for word in words_of(sentence)} - set(known)
-    return LanguageTraining(
-        recipe, start, Vocabulary((*known, *sorted(new))), facts["recipe"]["network"]["text_length"]
-    )

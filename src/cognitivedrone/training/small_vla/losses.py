@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.small_vla import SLOTS, STRIDE, Scene, Seen, Slots, SmallVLA
 from cognitivedrone.training.common.attributes import BOARD_GROUPS, GATE_GROUPS, GROUPS, PANEL_GROUPS
-from cognitivedrone.training.common.sampling import Batch
 
 _BLUR_BINS = 2.0  # labels are bells this wide, so that a neighbouring bin is nearly right
 _BOX_SHIFT, _BOX_SCALE = 0.06, 0.08  # spread of the boxes that panels are read in, in heights
@@ -34,11 +32,6 @@ class LossWeights:
     choice: float = 1.0
     text: float = 2.0
     action: float = 1.0
-
-
-def to_tensors(batch: Batch, device: torch.device | str = "cpu") -> dict[str, Tensor]:
-    """The arrays of a batch as tensors, sharing memory where they can."""
-    return {name: torch.from_numpy(np.ascontiguousarray(values)).to(device) for name, values in batch.items()}
 
 
 class LossModule(nn.Module):

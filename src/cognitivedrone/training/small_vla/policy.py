@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -17,24 +16,49 @@ from cognitivedrone.envs.track_runner import TrackConfig
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.small_vla import SmallVLA, SmallVLAConfig
 from cognitivedrone.models.text import Vocabulary
-from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.tasks import BASE_FAMILIES, load_suite, train_task
 from cognitivedrone.tasks.racing import INSTRUCTIONS
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.training.common.attributes import BOARD_BOUNDS, FACETS
-from cognitivedrone.training.common.checkpoint import read_checkpoint, restore
-from cognitivedrone.training.common.curves import validate
 from cognitivedrone.training.common.phrasing import SPOKEN
 from cognitivedrone.training.common.sampling import Batch, StreamRecipe
-from cognitivedrone.training.common.training_task import Batches, Row
-from cognitivedrone.training.recipes import TrainRecipe
-from cognitivedrone.training.small_vla.losses import LossModule
+from cognitivedrone.training.common.training_task import Batches, Recipe, Row
+from cognitivedrone.training.small_vla.losses import LossModule, LossWeights
 from cognitivedrone.training.small_vla.pilot import NetworkPilot, fly_suite
-from cognitivedrone.training.small_vla.recorded import Recorded
-from cognitivedrone.training.small_vla.stream import RolloutStream
+from cognitivedrone.training.small_vla.recorded import training_batches
+from cognitivedrone.training.small_vla.validation import validate
 
 _VALIDATION = 10**6  # rank of the generator of validation frames: no training process has it
 _SENTENCES = 40_000  # training sentences whose words are the vocabulary
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainRecipe(Recipe):
+    """Everything that decides what comes out of a training of the small VLA, but processes and seed."""
+
+    network: SmallVLAConfig = field(default_factory=SmallVLAConfig)
+    stream: StreamRecipe = field(default_factory=StreamRecipe)
+    """Its batch is that of the whole training: processes share it."""
+    losses: LossWeights = field(default_factory=LossWeights)
+    validation_frames: int = 512
+    fly_tasks: int = 60
+    """Tasks of a trial."""
+
+    takes_data: ClassVar[bool] = True
+
+    def training(self, *, start: Path | None = None, data: Path | None = None) -> PolicyTraining:
+        """A new policy, with the vocabulary of its tasks."""
+        del start
+        racing = self.stream.suite == "race"
+        vocabulary = Vocabulary.of(INSTRUCTIONS) if racing else training_vocabulary(spoken=self.stream.spoken > 0)
+        network = replace(
+            self.network,
+            vocabulary=len(vocabulary.words),
+            facets=len(FACETS),
+            board_bounds=BOARD_BOUNDS,
+            chunk=self.stream.chunk,
+        )
+        return PolicyTraining(replace(self, network=network), vocabulary, data)
 
 
 @dataclass(frozen=True)
@@ -48,9 +72,9 @@ class PolicyTraining:
 
     def identity(self) -> dict[str, Any]:
         """Recipe, and the data set's hash."""
-        # As JSON gives them back: tuples as lists.
-        told: dict[str, Any] = {"recipe": json.loads(json.dumps(self.recipe.facts()))}
-        return told | ({"data": f"store {Store(self.data).content_hash()}"} if self.data else {})
+        return {"recipe": self.recipe.facts()} | (
+            {"data": f"store {Store(self.data).content_hash()}"} if self.data else {}
+        )
 
     def facts(self) -> dict[str, Any]:
         """The vocabulary."""
@@ -106,23 +130,15 @@ class PolicyTraining:
         count = max(1, self.recipe.fly_tasks // 5) if racing else self.recipe.fly_tasks
         return trial(self._pilot(network), "open-v1:race" if racing else "open-v1:train", count)
 
+    def export(self, checkpoint: Path, folder: Path) -> None:
+        """The ONNX file that flies."""
+        from cognitivedrone.training.small_vla.export import export  # processes that make batches do without ONNX
+
+        export(checkpoint, folder / self.recipe.model_file, data=self.data)
+
     def _pilot(self, network: nn.Module) -> NetworkPilot:
         assert isinstance(network, SmallVLA)  # noqa: S101
         return NetworkPilot(network, self.vocabulary)
-
-
-def policy_subject(recipe: TrainRecipe, data: Path | None = None) -> PolicyTraining:
-    """The subject of a recipe, with the vocabulary of its tasks."""
-    racing = recipe.stream.suite == "race"
-    vocabulary = Vocabulary.of(INSTRUCTIONS) if racing else training_vocabulary(spoken=recipe.stream.spoken > 0)
-    network = replace(
-        recipe.network,
-        vocabulary=len(vocabulary.words),
-        facets=len(FACETS),
-        board_bounds=BOARD_BOUNDS,
-        chunk=recipe.stream.chunk,
-    )
-    return PolicyTraining(replace(recipe, network=network), vocabulary, data)
 
 
 def training_vocabulary(*, spoken: bool = False) -> Vocabulary:
@@ -136,20 +152,6 @@ def training_vocabulary(*, spoken: bool = False) -> Vocabulary:
     return Vocabulary.of([*plain, *(t.instruction for t in tasks), *INSTRUCTIONS])
 
 
-def training_batches(
-    stream: StreamRecipe,
-    vocabulary: Vocabulary,
-    network: SmallVLAConfig,
-    data: Path | None,
-    *,
-    validation: bool = False,
-) -> Batches:
-    """Batches from a split of a data set or, without one, from flights made now, whose seeds are their splits."""
-    if data is None:
-        return RolloutStream(stream, vocabulary, network)
-    return Recorded(data, stream, vocabulary, network, "val" if validation else "train").batches
-
-
 def trial(pilot: NetworkPilot, suite: str, count: int) -> Row:
     """Success of a pilot in closed loop on the first tracks of a suite, under a seed of its own, by family."""
     results = fly_suite(pilot, load_suite(suite, size=count, seed=10**6), TrackConfig(time_limit_s=15.0))
@@ -158,21 +160,3 @@ def trial(pilot: NetworkPilot, suite: str, count: int) -> Row:
         own = [result.outcome == "passed" for result in results if result.family == family]
         row[f"success {family}"] = sum(own) / len(own)
     return row
-
-
-def load_trained(path: Path) -> tuple[SmallVLA, Vocabulary, dict[str, Any]]:
-    """The network of a checkpoint, ready to fly, its vocabulary, and the checkpoint's facts."""
-    tensors, facts = read_checkpoint(path)
-    fields: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in facts["recipe"]["network"].items()
-    }
-    network = SmallVLA(SmallVLAConfig(**fields))
-    restore(tensors, network, None)
-    network.eval()
-    return network, Vocabulary(tuple(facts["vocabulary"])), facts
-
-
-def stream_of(facts: dict[str, Any]) -> StreamRecipe:
-    """The stream that a checkpoint was trained from."""
-    told = facts["recipe"]["stream"]
-    return StreamRecipe(**{**told, "expert": ExpertConfig(**told["expert"])})

@@ -23,7 +23,8 @@ from cognitivedrone.models.small_vla import SmallVLAConfig
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.training.common.ground_truth import Poses
 from cognitivedrone.training.common.sampling import Batch, Sampler, Setting, StreamRecipe
-from cognitivedrone.training.common.training_task import Learner
+from cognitivedrone.training.common.training_task import Batches, Learner
+from cognitivedrone.training.small_vla.stream import RolloutStream
 
 
 class Recorded:
@@ -38,7 +39,7 @@ class Recorded:
         split: Split = "train",
     ) -> None:
         self._recipe, self._split = recipe, split
-        labels = load_pack("open-v1")
+        labels = load_pack()
         self._sampler = Sampler(recipe, vocabulary, network.text_length, network.glimpse, labels)
         self._store = Store(folder)
         self._steps = self._store.step_numbers(split)
@@ -83,3 +84,17 @@ class Recorded:
             task = self._tasks[row]
             self._settings[row] = Setting(task, stage_of(task), task.target)
         return self._settings[row]
+
+
+def training_batches(
+    stream: StreamRecipe,
+    vocabulary: Vocabulary,
+    network: SmallVLAConfig,
+    data: Path | None,
+    *,
+    validation: bool = False,
+) -> Batches:
+    """Batches from a split of a data set or, without one, from flights made now, whose seeds are their splits."""
+    if data is None:
+        return RolloutStream(stream, vocabulary, network)
+    return Recorded(data, stream, vocabulary, network, "val" if validation else "train").batches

@@ -19,7 +19,8 @@ from cognitivedrone.vehicles.external import ExternalWorld
 from cognitivedrone.vehicles.gazebo.bindings import Bindings
 from cognitivedrone.vehicles.gazebo.flight import GazeboFlight
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkConfig, MavlinkDrone
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
+from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.simulated import SimulatedFlight
 
 URL: Final = "tcp:127.0.0.1:5760"

@@ -18,7 +18,8 @@ from cognitivedrone.vehicles.external import LinkReport
 from cognitivedrone.vehicles.gazebo.bindings import load_bindings
 from cognitivedrone.vehicles.gazebo.sight import GazeboCamera
 from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkConfig, MavlinkDrone
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
+from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 
 FLAG = "--i-understand-this-flies-a-real-drone"
 TLOG_FILE = "flight.tlog"

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from cognitivedrone.errors import import_extra
 from cognitivedrone.frames import enu_to_ned, flu_to_frd, world_to_heading
 from cognitivedrone.types import FloatArray
 
@@ -40,6 +41,11 @@ STICK_MOVED_US = 120
 TEXTS_KEPT = 20
 
 
+def dialect() -> Any:
+    """The module of ArduPilot's messages in pymavlink; raises `MissingExtra` where it is not installed."""
+    return import_extra("pymavlink.dialects.v20.ardupilotmega", "mavlink", "pymavlink")
+
+
 @dataclass(frozen=True, slots=True)
 class Text:
     """A status text, as the vehicle said it."""
@@ -56,7 +62,6 @@ class Telemetry:
 
     mode: str = ""
     armed: bool = False
-    heartbeat_at: float = -math.inf
     heard_at: float = -math.inf
     """Any message."""
     position: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
@@ -70,8 +75,7 @@ class Telemetry:
     """Positive to the left, rad/s."""
     attitude_at: float = -math.inf
     vehicle_time: float = 0.0
-    """Since its start, s, as of `vehicle_time_at`."""
-    vehicle_time_at: float = -math.inf
+    """Since its start, s."""
     battery: float | None = None
     """What is left, 0 to 1."""
     prearm: bool | None = None
@@ -111,16 +115,16 @@ def heard(before: Telemetry, message: Any, now: float) -> Telemetry:
     match message.get_type():
         case "HEARTBEAT":
             mode = MODES.get(message.custom_mode, f"mode {message.custom_mode}")
-            return replace(t, mode=mode, armed=bool(message.base_mode & ARMED_FLAG), heartbeat_at=now)
+            return replace(t, mode=mode, armed=bool(message.base_mode & ARMED_FLAG))
         case "LOCAL_POSITION_NED":
             position = enu_to_ned(np.array([message.x, message.y, message.z]))
             velocity = enu_to_ned(np.array([message.vx, message.vy, message.vz]))
-            return _timed(replace(t, position=position, velocity=velocity, position_at=now), message, now)
+            return _timed(replace(t, position=position, velocity=velocity, position_at=now), message)
         case "ATTITUDE":
             nose = enu_to_ned(np.array([math.cos(message.yaw), math.sin(message.yaw), 0.0]))
             rates = flu_to_frd(np.array([message.rollspeed, message.pitchspeed, message.yawspeed]))
             yaw = math.atan2(nose[1], nose[0])
-            return _timed(replace(t, yaw=yaw, yaw_rate=float(rates[2]), attitude_at=now), message, now)
+            return _timed(replace(t, yaw=yaw, yaw_rate=float(rates[2]), attitude_at=now), message)
         case "SYS_STATUS":
             left = message.battery_remaining
             checks = message.onboard_control_sensors_present & PREARM_BIT
@@ -153,5 +157,5 @@ def is_vehicle(message: Any) -> bool:
     return bool(message.autopilot != 8 and message.get_srcComponent() == 1)  # 8: MAV_AUTOPILOT_INVALID
 
 
-def _timed(telemetry: Telemetry, message: Any, now: float) -> Telemetry:
-    return replace(telemetry, vehicle_time=message.time_boot_ms / 1000, vehicle_time_at=now)
+def _timed(telemetry: Telemetry, message: Any) -> Telemetry:
+    return replace(telemetry, vehicle_time=message.time_boot_ms / 1000)

@@ -20,7 +20,8 @@ from cognitivedrone.interfaces import Health
 from cognitivedrone.sim.airframe import IRIS, Airframe
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.camera import Shot
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkConfig, MavlinkDrone
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
+from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.sitl.arducopter import ArduCopter, port_is_free
 from cognitivedrone.vehicles.sitl.json_interface import SitlServer, serving
 from cognitivedrone.vehicles.sitl.physics import Plant

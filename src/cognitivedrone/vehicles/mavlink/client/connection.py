@@ -7,7 +7,6 @@ microseconds since 1970 before each packet.
 from __future__ import annotations
 
 import contextlib
-import importlib
 import math
 import struct
 import threading
@@ -17,9 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from cognitivedrone.errors import LinkError, MissingExtra
+from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.mavlink.client.transport import Transport
-from cognitivedrone.vehicles.mavlink.telemetry import GROUND_STATION, Telemetry, heard, is_vehicle, last_words
+from cognitivedrone.vehicles.mavlink.telemetry import GROUND_STATION, Telemetry, dialect, heard, is_vehicle, last_words
 
 T = TypeVar("T")
 
@@ -49,14 +48,6 @@ class Vehicle:
     """MAV_AUTOPILOT."""
 
 
-def load_dialect() -> Any:
-    """The ArduPilot dialect of pymavlink; raises `MissingExtra`."""
-    try:
-        return importlib.import_module("pymavlink.dialects.v20.ardupilotmega")
-    except ModuleNotFoundError:
-        raise MissingExtra("pymavlink", "mavlink") from None
-
-
 class Connection:
     """Talks to the first vehicle that is heard, or to the one with system id `system`.
 
@@ -72,7 +63,7 @@ class Connection:
         tlog: Path | None = None,
         watch: Callable[[], None] = lambda: None,
     ) -> None:
-        self._dialect = load_dialect()
+        self._dialect = dialect()
         self._transport = transport
         self._system = system
         self._watch = watch

@@ -19,8 +19,6 @@ import math
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
-from pathlib import Path
 from time import monotonic, sleep
 from typing import Literal
 
@@ -31,54 +29,21 @@ from cognitivedrone.frames import flu_to_frd
 from cognitivedrone.interfaces import Health
 from cognitivedrone.types import Action, FloatArray, Observation
 from cognitivedrone.vehicles.camera import Camera
-from cognitivedrone.vehicles.mavlink.client.connection import Connection, Vehicle
+from cognitivedrone.vehicles.mavlink.client.connection import Connection
 from cognitivedrone.vehicles.mavlink.client.guard import Decision, Guard
-from cognitivedrone.vehicles.mavlink.client.preflight import (
-    EXPECTED,
-    Checklist,
-    build_checklist,
-    check_vehicle,
-    misfits,
-)
+from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, meet
+from cognitivedrone.vehicles.mavlink.client.preflight import EXPECTED, Checklist, build_checklist, misfits
 from cognitivedrone.vehicles.mavlink.client.transport import open_transport
-from cognitivedrone.vehicles.mavlink.telemetry import MODE_NUMBERS, SIMULATED, Telemetry, last_words, stick_moved
+from cognitivedrone.vehicles.mavlink.telemetry import MODE_NUMBERS, Telemetry, last_words, stick_moved
 
 BODY_NED, VELOCITY_AND_YAW_RATE = 8, 0x05C7
 """MAV_FRAME_BODY_NED; the type mask that leaves velocity and yaw rate."""
-SET_MODE, ARM, TAKE_OFF, SET_MESSAGE_INTERVAL = 176, 400, 22, 511
-"""MAV_CMD of DO_SET_MODE, COMPONENT_ARM_DISARM, NAV_TAKEOFF and SET_MESSAGE_INTERVAL."""
-AUTOPILOT_VERSION = 148
-STATE_MESSAGES = {"ATTITUDE": 30, "LOCAL_POSITION_NED": 32}
-"""What cannot be flown without, at `stream_hz`."""
-SLOW_MESSAGES = {"SYS_STATUS": 1, "EKF_STATUS_REPORT": 193, "RC_CHANNELS": 65}
-SLOW_HZ, HEARTBEAT_HZ = 5, 10
+SET_MODE, ARM, TAKE_OFF = 176, 400, 22
+"""MAV_CMD of DO_SET_MODE, COMPONENT_ARM_DISARM and NAV_TAKEOFF."""
 PAUSE_S = 5.0
 """A simulation whose time stands still for longer is not waited for."""
 REPEAT_S = {"hold": 0.1, "brake": 0.5, "land": 0.5}
 """How often what a decision asks for is said again, until the vehicle does it."""
-
-
-@dataclass(frozen=True, slots=True)
-class MavlinkConfig:
-    """How a vehicle is talked to."""
-
-    takeoff_height_m: float = 1.5
-    """Above where it stands."""
-    clock: Literal["wall", "vehicle"] = "wall"
-    """`vehicle` for simulators that do not run in real time; its steps are those of the telemetry."""
-    system: int | None = None
-    """System id of the vehicle where several are on the link; the first one heard otherwise."""
-    stream_hz: int = 20
-    """Rate of attitude and position."""
-    set_parameters: bool = False
-    """Consent to change those parameters of the vehicle without which it is not flown, where they will not do."""
-    tlog: Path | None = None
-    """Where everything received and sent is written."""
-    heartbeat_timeout_s: float = 10.0
-    ready_timeout_s: float = 60.0
-    """For the vehicle to know where it is and to pass its own checks."""
-    takeoff_timeout_s: float = 30.0
-    landing_timeout_s: float = 60.0
 
 
 class MavlinkDrone:
@@ -93,8 +58,6 @@ class MavlinkDrone:
         self.camera = camera
         self.decision: Decision | None = None
         """The guard's last one; none before take-off."""
-        self.simulated = False
-        """Whether the vehicle says that it is this project's simulator."""
         self._guard = guard
         self._lock = threading.RLock()
         self._phase: Literal["ground", "climbing", "flying", "released"] = "ground"
@@ -115,7 +78,7 @@ class MavlinkDrone:
             undo.callback(transport.close)
             self._link = Connection(transport, system=self.config.system, tlog=self.config.tlog, watch=self._watch)
             undo.callback(self._link.close)
-            self.vehicle, self.version = self._meet(url)
+            self.vehicle, self.version, self.simulated = meet(self._link, url, self.config)
             undo.pop_all()
 
     def __enter__(self) -> MavlinkDrone:
@@ -260,29 +223,6 @@ class MavlinkDrone:
             self.camera.close()
 
     # The parts.
-
-    def _meet(self, url: str) -> tuple[Vehicle, tuple[int, int] | None]:
-        """Wait for the vehicle, see that it can be flown, and ask for what must be known of it."""
-        vehicle = self._link.wait(lambda: self._link.vehicle, self.config.heartbeat_timeout_s)
-        if vehicle is None:
-            who = f"a vehicle with system id {self.config.system}" if self.config.system else "any vehicle"
-            raise LinkError(
-                f"no heartbeat of {who} on {url} in {self.config.heartbeat_timeout_s:g} s;"
-                " is it powered, is the port (or baud rate) right, and is no other program using it?"
-            )
-        check_vehicle(vehicle, None)
-        told = self._link.message("AUTOPILOT_VERSION", AUTOPILOT_VERSION)
-        version = check_vehicle(vehicle, told.flight_sw_version if told is not None else None)
-        self.simulated = told is not None and bytes(told.flight_custom_version) == SIMULATED
-        for name, number in STATE_MESSAGES.items():
-            interval_us = 1e6 / self.config.stream_hz
-            self._link.command(SET_MESSAGE_INTERVAL, number, interval_us, what=f"to send {name}")
-        # How we learn of the pilot: ArduCopter heartbeats at once when its mode changes, others may not.
-        self._link.order(SET_MESSAGE_INTERVAL, 0, 1e6 / HEARTBEAT_HZ)
-        for name, number in SLOW_MESSAGES.items():
-            self._link.order(SET_MESSAGE_INTERVAL, number, 1e6 / SLOW_HZ)
-            self._link.message(name, number, 1.0)  # the first one now: before arming it must not be missed
-        return vehicle, version
 
     def _get_ready(self) -> None:
         """Wait until it knows where it is and its own checks pass."""

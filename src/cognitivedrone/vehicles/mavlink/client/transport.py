@@ -11,13 +11,12 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import select
 import socket
 from collections.abc import Hashable
 from typing import Any, Protocol
 
-from cognitivedrone.errors import LinkError, MissingExtra, did_you_mean
+from cognitivedrone.errors import LinkError, did_you_mean, import_extra
 
 KINDS = ("udp", "udpin", "udpout", "tcp", "serial")
 LARGEST_READ = 65_536
@@ -145,10 +144,7 @@ class _Serial:
     datagrams = False
 
     def __init__(self, device: str, baud: int) -> None:
-        try:
-            serial = importlib.import_module("serial")
-        except ModuleNotFoundError:
-            raise MissingExtra("pyserial", "mavlink") from None
+        serial = import_extra("serial", "mavlink", "pyserial")
         self._device = device
         try:
             self._port = serial.Serial(device, baud, timeout=0, write_timeout=1.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from cognitivedrone.errors import MissingExtra
 from cognitivedrone.frames import enu_to_ned, flu_to_frd, ned_euler, ned_quaternion
 from cognitivedrone.types import DroneState, FloatArray
 from cognitivedrone.vehicles.mavlink.server.modes import Mode
@@ -21,14 +19,6 @@ CELLS, EMPTY_V, FULL_V, HOVER_A = 3, 3.5, 4.2, 12.0
 """The battery that is told of: cells, V a cell when empty and when full, A in flight."""
 _UNKNOWN_U16 = 0xFFFF
 _EKF_HEALTHY = 0x33F  # attitude, velocities, positions, predictions: as a healthy ArduCopter reports
-
-
-def dialect() -> Any:
-    """The module of ArduPilot's messages in pymavlink; raises `MissingExtra` where it is not installed."""
-    try:
-        return importlib.import_module("pymavlink.dialects.v20.ardupilotmega")
-    except ModuleNotFoundError:
-        raise MissingExtra("pymavlink", "mavlink") from None
 
 
 @dataclass(frozen=True, slots=True)

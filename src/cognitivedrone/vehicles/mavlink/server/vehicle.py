@@ -26,8 +26,9 @@ from cognitivedrone.vehicles.mavlink.server.commands import Commands
 from cognitivedrone.vehicles.mavlink.server.modes import FlightModes, Mode, Severity
 from cognitivedrone.vehicles.mavlink.server.parameters import TABLE, Parameters
 from cognitivedrone.vehicles.mavlink.server.ports import Address, Port, endpoint, open_port
-from cognitivedrone.vehicles.mavlink.server.reports import REPORTS, Snapshot, dialect
+from cognitivedrone.vehicles.mavlink.server.reports import REPORTS, Snapshot
 from cognitivedrone.vehicles.mavlink.server.targets import Home
+from cognitivedrone.vehicles.mavlink.telemetry import dialect
 
 STEP_TICKS = Flight.SAMPLE_TICKS
 STEP_S = STEP_TICKS * Flight.TICK_S

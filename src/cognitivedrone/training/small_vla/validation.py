@@ -1,12 +1,10 @@
-"""Learning curves as in the literature on OpenVLA: L1 error, action accuracy and cross-entropy, per dimension and
-overall, on frames that are never trained, beside what guessing the commonest token would give.
+"""A point of the learning curves as in the literature on OpenVLA: L1 error, action accuracy and cross-entropy, per
+dimension and overall, on frames that are never trained, beside what guessing the commonest token would give.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,11 +12,10 @@ import torch
 from torch import Tensor
 
 from cognitivedrone.models.small_vla import SmallVLA
+from cognitivedrone.training.common.run_log import DIMENSIONS
 from cognitivedrone.training.common.sampling import Batch
-from cognitivedrone.training.common.training_task import Row
-from cognitivedrone.training.small_vla.losses import LossModule, action_loss, action_targets, to_tensors, true_slots
-
-DIMENSIONS = ("vx", "vy", "vz", "yaw_rate")
+from cognitivedrone.training.common.training_task import Row, to_tensors
+from cognitivedrone.training.small_vla.losses import LossModule, action_loss, action_targets, true_slots
 
 
 def validate(lesson: LossModule, batches: Sequence[Batch], autocast: Any) -> Row:
@@ -84,62 +81,3 @@ def action_measures(network: SmallVLA, raw: Tensor, target: Tensor) -> Row:
     for measure in ("accuracy", "baseline accuracy", "baseline l1"):
         row[measure] = float(np.mean([row[f"{measure} {name}"] for name in DIMENSIONS]))
     return row
-
-
-def read_rows(path: Path) -> list[Row]:
-    """The rows of a metrics file, one JSON object a line; a line cut short by a kill is left out."""
-    rows = []
-    for line in path.read_text().splitlines() if path.exists() else []:
-        try:
-            rows.append(json.loads(line))
-        except ValueError:
-            continue
-    return rows
-
-
-def draw_curves(rows: Sequence[Row], path: Path) -> None:
-    """Plot the rows of a training into a PNG."""
-    import matplotlib as mpl  # takes a second to import
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    panels = (
-        ("L1 error, m/s and rad/s", "l1", "baseline l1"),
-        ("action accuracy (256 tokens)", "accuracy", "baseline accuracy"),
-        ("cross-entropy of actions", "cross-entropy", None),
-        ("right gate, panels legible", "choice accuracy", None),
-        ("losses", "losses", None),
-        ("closed-loop success", "success", None),
-    )
-    figure, axes = plt.subplots(2, 3, figsize=(15, 8), constrained_layout=True)
-    for axis, (title, name, baseline) in zip(axes.flat, panels, strict=True):
-        axis.set_title(title)
-        axis.set_xlabel("step")
-        axis.grid(alpha=0.3)
-        if name == "losses":
-            for part in ("heat", "place", "facets", "cards", "choice", "text"):
-                _line(axis, rows, part, part)
-            axis.set_yscale("log")
-        elif name == "success":
-            for key in sorted({key for row in rows for key in row if key.startswith("success")}):
-                _line(axis, rows, key, key.removeprefix("success ") or "all", width=2.5 if key == "success" else 1)
-            axis.set_ylim(0, 1.02)
-        else:
-            _line(axis, rows, name, "overall", width=2.5)
-            for dimension in DIMENSIONS:
-                _line(axis, rows, f"{name} {dimension}", dimension)
-        if name == "choice accuracy":
-            _line(axis, rows, "text accuracy", "told instead of seen")
-        if baseline:
-            _line(axis, rows, baseline, "majority token", style="k--")
-        if axis.lines:
-            axis.legend(fontsize=8)
-    figure.savefig(path, dpi=90)
-    plt.close(figure)
-
-
-def _line(axis: Any, rows: Sequence[Row], key: str, label: str, *, style: str = "-", width: float = 1) -> None:
-    points = [(row["step"], row[key]) for row in rows if row.get(key) is not None]
-    if points:
-        axis.plot(*zip(*points, strict=True), style, label=label, linewidth=width)

@@ -1,0 +1,29 @@
+"""The trained parts of the small reasoner, from their checkpoints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from cognitivedrone.models.small_reasoner import GateSelector, Reader, ReaderConfig, SelectorConfig
+from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.training.common.checkpoint import read_checkpoint, restore
+
+
+def load_reader(path: Path) -> tuple[Reader, dict[str, Any]]:
+    """The reader of a checkpoint, and the checkpoint's facts."""
+    tensors, facts = read_checkpoint(path)
+    told = facts["recipe"]["network"]
+    reader = Reader(ReaderConfig(**{**told, "sight": tuple(told["sight"])}))
+    restore(tensors, reader, None)
+    reader.eval()
+    return reader, facts
+
+
+def load_mind(path: Path) -> tuple[GateSelector, Vocabulary, dict[str, Any]]:
+    """The mind of a checkpoint, its vocabulary, and the checkpoint's facts."""
+    tensors, facts = read_checkpoint(path)
+    mind = GateSelector(SelectorConfig(**facts["recipe"]["network"]))
+    restore(tensors, mind, None)
+    mind.eval()
+    return mind, Vocabulary(tuple(facts["vocabulary"])), facts
