@@ -26,7 +26,7 @@ _CACHED_IMAGES = 128
 
 
 class FolderPack:
-    """Panels from the images of a folder; kinds that the folder lacks (sums, numbers, ...) come from the shipped pack."""
+    """Label pack of a folder of images; kinds that it lacks (sums, numbers, ...) come from the shipped pack."""
 
     def __init__(self, folder: Path, fallback: ShippedPack) -> None:
         self.name = str(folder)

@@ -99,7 +99,7 @@ def build_assets(slots: int, image_size: int) -> Assets:
 
 
 def write_picture(assets: Assets, slot: int, picture: int, image: Image) -> int:
-    """Write an RGB image (h, w, 3) of any size into a slot's texture in memory; returns the texture's number, for upload."""
+    """Write an RGB image (h, w, 3) of any size into a slot's texture; returns the texture's number, for upload."""
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
         raise ValueError(f"a picture is uint8 (h, w, 3), not {image.dtype} {image.shape}")
     size = (TEXTURE_SIZE, TEXTURE_SIZE)
