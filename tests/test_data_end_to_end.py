@@ -130,4 +130,4 @@ def test_a_folder_with_another_set_is_left_alone(store):
 def test_a_folder_that_is_no_set_is_said_to_be_none(tmp_path, what):
     done = run("data", what, tmp_path)
     assert done.returncode == 2, done.stdout
-    assert "no data set" in done.stderr
+    assert "not a data set" in done.stderr

@@ -88,7 +88,7 @@ def collect(config: CollectConfig, progress: bool = True) -> CollectReport:
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 f"stopped; {gathered.keep()} of {job.episodes} episodes are kept in {config.out},"
-                " the same command with --resume does the rest"
+                " the same command with --resume collects the rest"
             ) from None
         except BaseException:
             gathered.keep()

@@ -16,13 +16,13 @@ class CollectConfig:
     recipe: str = "paper"
     """Recipe: `paper`, `robust` or `debug`."""
     episodes: int | None = None
-    """Number of episodes; default: the recipe's (paper: 8,062)."""
+    """Number of episodes; if omitted, the recipe's (paper: 8,062)."""
     suite: str = "open-v1:train"
     """Name of a suite of single tasks."""
     tasks: Path | None = None
     """Task file, or folder of them, to fly instead of a suite."""
     workers: int | None = None
-    """Number of processes, or of concurrent shards on a cluster; default: one per CPU."""
+    """Number of processes, or of concurrent shards on a cluster; if omitted, one per CPU."""
     seed: int = 0
     """Seed of the tasks of open-v1:train, and of the conditions of every flight."""
     resume: bool = False
@@ -35,5 +35,4 @@ class CollectConfig:
     """Fly this policy instead of the expert, and record the expert's command as the label (DAgger).
     A name, small:MODEL.onnx, or your own as module:attribute. Flights are stored however they end."""
     beta: float = 0.0
-    """With --policy: the probability, at each control step, that the expert's command is flown instead of the
-    policy's."""
+    """With --policy: the probability, at each control step, that the expert's command replaces the policy's."""

@@ -127,8 +127,12 @@ class Fleet:
         if attempt == MAX_ATTEMPTS:
             task = self.suite.tracks[index][0]
             if self._learners:
-                raise DataError(f"task {task.id}: in {attempt} flights the policy gave no finite command; mend it")
-            raise DataError(f"task {task.id}: no flight out of {attempt} was passed; make the recipe gentler")
+                raise DataError(
+                    f"task {task.id}: in {attempt} flights the policy gave no finite command; fix the policy"
+                )
+            raise DataError(
+                f"task {task.id}: no flight out of {attempt} was passed; use a recipe with weaker disturbances"
+            )
         rng = attempt_rng(self.suite.digest, index, self.seed, attempt)
         track_runner = self._courses[world]
         start = draw_beginning(rng, self.recipe, self._simulator.airframe.hull_radius)
@@ -222,7 +226,9 @@ def _told_of(learner: Policy, index: int, step: int) -> Iterator[None]:
         raise
     except Exception as error:
         name, reason = type(learner).__name__, f"{type(error).__name__}: {error}"
-        raise PolicyError(f"policy {name} failed in episode {index} at step {step} ({reason}); mend it") from error
+        raise PolicyError(
+            f"policy {name} failed in episode {index} at step {step} ({reason}); fix the policy"
+        ) from error
 
 
 def relabel(

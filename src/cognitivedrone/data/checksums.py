@@ -25,5 +25,5 @@ def read_sums(path: Path) -> dict[str, str]:
         content = (path / SUMS).read_bytes().decode()
     hashes = {name: digest for digest, name in _LINE.findall(content)}
     if not hashes or sums_text(hashes) != content:
-        raise DataError(f"{path / SUMS}: is damaged; collect again with --resume to mend it")
+        raise DataError(f"{path / SUMS}: is damaged; collect again with --resume to repair it")
     return hashes

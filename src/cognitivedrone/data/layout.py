@@ -32,7 +32,7 @@ HEAD: Final = ("format", "version", "recipe", "suite", "seed", "episodes_per_sha
 def read_manifest(path: Path) -> dict[str, Any]:
     """The manifest of a finished store of this version; raises `DataError`, also if its checksum is wrong."""
     if not (path / MANIFEST).exists():
-        raise DataError(f"{path}: is no data set, it has no {MANIFEST}; make one with `cognitivedrone collect`")
+        raise DataError(f"{path}: is not a data set: it has no {MANIFEST}; make one with `cognitivedrone collect`")
     manifest: dict[str, Any] = read_json(path / MANIFEST)
     check_format(path, manifest)
     if manifest.get("complete") is False:
@@ -44,7 +44,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
 def check_format(path: Path, manifest: Any) -> None:
     """Raise `DataError` unless the manifest is that of a store of a supported version."""
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
-        raise DataError(f"{path / MANIFEST}: is not the manifest of a data set of ours; give another folder")
+        raise DataError(f"{path / MANIFEST}: is not the manifest of a data set of this package; give another folder")
     if manifest.get("version") != FORMAT_VERSION:
         raise DataError(
             f"{path / MANIFEST}: the store has version {manifest.get('version')!r}, this release reads "
@@ -57,7 +57,7 @@ def check_sum(path: Path, name: str) -> None:
     if (path / SUMS).exists() and read_sums(path).get(name) != sha256_of(path / name):
         raise DataError(
             f"{path / name}: does not match its checksum in {SUMS}; one of them was altered, collect again with "
-            "--resume to mend it"
+            "--resume to repair it"
         )
 
 

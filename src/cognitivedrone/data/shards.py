@@ -212,7 +212,7 @@ class ShardFile:
             self.dropped: dict[str, int] = footer["dropped"]
             self._row_groups = {facts["index"]: number for number, facts in enumerate(self.facts)}
         if self._file.num_row_groups != len(self.facts):
-            raise DataError(f"{path}: tells of {len(self.facts)} episodes but holds {self._file.num_row_groups}")
+            raise DataError(f"{path}: lists {len(self.facts)} episodes but holds {self._file.num_row_groups}")
 
     def images(self, index: int) -> Any:
         """The encoded frames of an episode as an Arrow binary array, in order of time."""

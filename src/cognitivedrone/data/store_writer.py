@@ -96,7 +96,7 @@ class StoreWriter:
         manifest = self.path / MANIFEST
         if not self._only_left_over():
             if not manifest.exists() and not self._looks_like_a_store():
-                raise DataError(f"{self.path}: is not empty and no data set of ours; give a new folder")
+                raise DataError(f"{self.path}: is neither empty nor a data set of this package; give a new folder")
             if not resume:
                 raise DataError(f"{self.path}: holds a data set already; go on with --resume or give another folder")
             if self._is_begun():
@@ -200,7 +200,7 @@ class StoreWriter:
         ordered = sorted(episodes, key=lambda episode: episode.index)
         indices = Counter(episode.index for episode in ordered)
         if len(indices) < len(ordered):
-            raise DataError(f"{shard}: episode {indices.most_common(1)[0][0]} comes twice; give every index once")
+            raise DataError(f"{shard}: episode {indices.most_common(1)[0][0]} is repeated; give every index once")
         path, receipt = self.path / shard, self.path / receipt_name(shard)
         with clear_errors(path, "written"):
             path.parent.mkdir(exist_ok=True)

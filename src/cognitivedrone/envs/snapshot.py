@@ -41,7 +41,7 @@ def snapshot(suite: Suite, episode: int, out: Path, *, look: str, labels: str, s
         raise RunError(f"cannot write {out}: there is no folder {out.parent}")
     form = PillowImage.registered_extensions().get(out.suffix.lower())
     if form not in PillowImage.SAVE:
-        raise RunError(f"cannot write {out}: {out.suffix or 'no suffix'} is no kind of picture; end its name in .png")
+        raise RunError(f"cannot write {out}: {out.suffix or 'no suffix'} is not an image format; end the name in .png")
     simulator = Simulator(1)
     try:
         track_runner = TrackRunner(simulator, 0, load_pack(labels), TrackConfig(look=look))

@@ -110,7 +110,7 @@ def _check_image_file(path: Path) -> None:
         check_regular(path)
     except OSError as error:
         link = "it is a link to nothing" if path.is_symlink() and not path.exists() else reason_of(error)
-        raise LabelError(f"label image {path} cannot be read: {link}; take it out of the folder") from None
+        raise LabelError(f"label image {path} cannot be read: {link}; remove it from the folder") from None
 
 
 def _scan(folder: Path) -> dict[str, dict[str, dict[str, Path]]]:

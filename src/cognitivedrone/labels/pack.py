@@ -109,8 +109,8 @@ class ShippedPack:
         if reference.kind == "sum":
             if not is_sum(concept):
                 raise LabelError(
-                    f"label '{reference}' is no sum; expected numbers, + - * / and brackets in at most {LONGEST_SUM} "
-                    "characters, as in 7*(9-2)"
+                    f"label '{reference}' is not a sum; expected numbers, + - * / and brackets in at most "
+                    f"{LONGEST_SUM} characters, as in 7*(9-2)"
                 )
             return sum_panel(concept, font)
         if reference.kind == "letter" and concept not in _LETTERS:

@@ -80,12 +80,12 @@ def open_model(path: Path, kind: str, *, threads: int, optimise: bool) -> tuple[
     except OSError as error:
         raise PolicyError(f"{path} cannot be read: {reason_of(error)}") from None
     if (finding := check(content)) == "damaged":
-        raise PolicyError(f"{path} does not match its checksum, so it is damaged; fetch or train it anew")
+        raise PolicyError(f"{path} does not match its checksum, so it is damaged; download or train it again")
     # Use the bytes that were checked, not the file's current content.
     session = _open_session(content, path, threads=threads, optimise=optimise)
     table = _read_table(session, kind, str(path))
     if finding == "unknown" and table["format"] == FORMAT:
-        raise PolicyError(f"{path} has lost its checksum, so it is damaged; fetch or train it anew")
+        raise PolicyError(f"{path} has lost its checksum, so it is damaged; download or train it again")
     if finding == "unknown" and multiprocessing.parent_process() is None:  # once, not in every worker
         warnings.warn(
             f"{path} was written before model files had checksums: damage to it would not be noticed", stacklevel=4
@@ -112,7 +112,7 @@ def _open_session(content: bytes, path: Path, *, threads: int, optimise: bool) -
         reason = next(iter(str(error).splitlines()), type(error).__name__)
         no_graph = "No graph was found" in reason or "does not have a graph" in reason  # the latter until 1.23
         if type(error).__name__ == "InvalidProtobuf" or no_graph or not content:
-            raise PolicyError(f"{path} is not an ONNX file, or it was cut short; fetch or train it anew") from None
+            raise PolicyError(f"{path} is not an ONNX file, or it was cut short; download or train it again") from None
         raise PolicyError(f"ONNX Runtime {ort.__version__} cannot load {path}: {reason}") from None
 
 
@@ -131,7 +131,7 @@ def _read_table(session: Any, kind: str, where: str) -> dict[str, Any]:
     if version not in (1, FORMAT):
         raise PolicyError(
             f"{where} is a model file of format {version!r} and this version reads formats 1 and {FORMAT};"
-            " take a file and a release of cognitivedrone that belong together"
+            " use a file and a release of cognitivedrone that match"
         )
     found = cast(dict[str, Any], table)
     if found.get("kind") != kind:
@@ -169,7 +169,7 @@ def field_of(table: Mapping[str, Any], name: str, kind: type[T], where: str) -> 
         raise PolicyError(f"the description in {where} lacks {name!r}")
     value = table[name]
     if not isinstance(value, kind) or isinstance(value, bool):
-        raise PolicyError(f"{name!r} of the description in {where} is {value!r:.60}, which is no {kind.__name__}")
+        raise PolicyError(f"{name!r} of the description in {where} is {value!r:.60}, which is not a {kind.__name__}")
     return value
 
 
@@ -184,7 +184,7 @@ def count_of(table: Mapping[str, Any], name: str, where: str) -> int:
 def vocabulary_of(words: list[Any], where: str) -> Vocabulary:
     """A vocabulary of words; raises `PolicyError`."""
     if not all(isinstance(word, str) for word in words):
-        raise PolicyError(f"the vocabulary in {where} holds something that is no word")
+        raise PolicyError(f"the vocabulary in {where} contains an entry that is not a word")
     try:
         return Vocabulary(tuple(words))
     except PolicyError as error:

@@ -97,7 +97,7 @@ class PanelReaderModel:
         """The attributes in a frame (256, 256, 3); raises `PolicyError` for one of another shape or type."""
         if image.dtype != np.uint8 or image.shape != (IMAGE_SIZE, IMAGE_SIZE, 3):
             raise PolicyError(
-                f"the eyes need an image of uint8 (256, 256, 3); what came is {image.dtype} {image.shape}"
+                f"the panel reader needs an image of uint8 (256, 256, 3), not {image.dtype} {image.shape}"
             )
         facets, looks, boxes = self._session.run(("facets", "looks", "boxes"), {"image": image[None]})
         return Sight(facets[0], looks[0], boxes[0])

@@ -58,7 +58,7 @@ class Vocabulary:
         numbers = {word: (number,) for number, word in enumerate(self.words)}
         if len(numbers) != len(self.words):
             twice = next(word for number, word in enumerate(self.words) if numbers[word] != (number,))
-            raise PolicyError(f"a vocabulary holds every word once; {twice!r} comes twice")
+            raise PolicyError(f"a vocabulary holds every word once; {twice!r} is repeated")
         object.__setattr__(self, "_numbers", numbers)
 
     @classmethod

@@ -34,7 +34,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Scenery:
-    """The pictures and the look of a stage."""
+    """The pictures and the appearance of a stage."""
 
     panels: tuple[Image, Image, Image]
     board: Image | None = None

@@ -114,7 +114,7 @@ def _check_keys(obj: Mapping[str, Any], where: str) -> None:
         if known is not None and key != known:
             raise TaskError(f"{where}: unknown key {key[:40]!r}; did you mean {known!r}?")
         if problem := unprintable(key):
-            raise TaskError(f"{where}: the key {key[:40]!r} holds {problem}; take it out")
+            raise TaskError(f"{where}: the key {key[:40]!r} contains {problem}; remove it")
 
 
 def _three(value: object, what: str, where: str) -> tuple[str, str, str]:
@@ -207,7 +207,7 @@ def _each_key_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found) < len(pairs):
         seen: set[str] = set()
         twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
-        raise ValueError(f"the key {twice[:40]!r} stands twice in one object")
+        raise ValueError(f"the key {twice[:40]!r} appears twice in one object")
     return found
 
 

@@ -26,7 +26,7 @@ def check_text(value: object, what: str, where: str) -> None:
     if len(value) > MAX_TEXT:
         raise TaskError(f"{where}: {what} has {len(value)} characters; shorten it to {MAX_TEXT} at most")
     if problem := unprintable(value):
-        raise TaskError(f"{where}: {what} holds {problem}; take it out")
+        raise TaskError(f"{where}: {what} contains {problem}; remove it")
 
 
 def check_gates(gates: tuple[Gate, Gate, Gate], where: str) -> None:

@@ -80,10 +80,10 @@ def _check(options: TrainOptions) -> None:
     if isinstance(recipe, LanguageRecipe | ReaderRecipe) != (options.start is not None):
         raise TrainingError(
             "the recipes language and reader need --start with the checkpoint of a policy, such as"
-            " runs/small/checkpoint.safetensors; other recipes start from nothing"
+            " runs/small/checkpoint.safetensors; other recipes start from scratch"
         )
     if options.data is not None and not isinstance(recipe, TrainRecipe):
-        raise TrainingError(f"the recipe {options.recipe} learns from no flights; leave out --data")
+        raise TrainingError(f"the recipe {options.recipe} does not use flights; leave out --data")
 
 
 def _model_of(options: TrainOptions) -> Path:
@@ -106,7 +106,7 @@ def _work(options: TrainOptions) -> Path:
         return _export(options, checkpoint, model)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
-            f"stopped while {model} was written; the training is whole, the same command with --resume writes it"
+            f"stopped while {model} was written; the training is complete, the same command with --resume writes it"
         ) from None
 
 

@@ -66,7 +66,7 @@ PLAIN = Look(
 
 
 def varied_look(rng: np.random.Generator) -> Look:
-    """A look drawn from `rng`: random room, light and camera. Gate colours remain recognisable by name."""
+    """An appearance drawn from `rng`: random room, light and camera. Gate colours remain recognisable by name."""
 
     def hsv(hue: float, saturation: tuple[float, float], value: tuple[float, float]) -> RGB:
         return colorsys.hsv_to_rgb(hue % 1.0, rng.uniform(*saturation), rng.uniform(*value))
@@ -99,9 +99,9 @@ def varied_look(rng: np.random.Generator) -> Look:
 
 
 def expose(image: Image, look: Look, key: int) -> None:
-    """Apply the look's camera to a perfect `image` (h, w, 3), in place: response curve, gain, pixel noise.
+    """Apply the camera of an appearance to a perfect `image` (h, w, 3), in place: response curve, gain, pixel noise.
 
-    The noise depends only on the look's seed and `key`, so equal keys give equal bits; h and w are at most 512.
+    The noise depends only on its seed and `key`, so equal keys give equal bits; h and w are at most 512.
     """
     if look.gain != 1.0 or look.gamma != 1.0:
         # bytes.translate is several times faster than indexing a table with an array.
@@ -117,7 +117,7 @@ def expose(image: Image, look: Look, key: int) -> None:
 
 
 def pattern_texture(pattern: Pattern) -> NDArray[np.uint8]:
-    """(128, 128, 3) seamless grey texture; it is multiplied with a look's colour."""
+    """(128, 128, 3) seamless grey texture; it is multiplied with an appearance's colour."""
     y, x = np.mgrid[0:_PATTERN_SIZE, 0:_PATTERN_SIZE]
     rng = np.random.default_rng(PATTERNS.index(pattern))
     grey = np.ones((_PATTERN_SIZE, _PATTERN_SIZE))

@@ -314,7 +314,7 @@ def read(path: Path) -> Iterator[tuple[Split, Episode]]:
     is_video = isinstance(image, dict) and image.get("dtype") == "video"
     rows = _read_table(path / EPISODES_PATH).to_pylist()
     if rows and "record" not in rows[0]:
-        raise DataError(f"{path / EPISODES_PATH}: has no column 'record'; only own exports can be imported")
+        raise DataError(f"{path / EPISODES_PATH}: has no column 'record'; only exports of this package can be imported")
     opened: Path | None = None
     for row in rows:
         place = _place_of(row, path / EPISODES_PATH)

@@ -110,7 +110,7 @@ def records(path: Path) -> Iterator[Record]:
     info = read_json(folder / INFO)
     if not isinstance(info, dict) or info.get("name") != NAME:
         name = info.get("name") if isinstance(info, dict) else None
-        raise DataError(f"{folder}: is data set {name!r}; only own exports, named {NAME!r}, can be read")
+        raise DataError(f"{folder}: is data set {name!r}; only exports of this package, named {NAME!r}, can be read")
     for name, lengths in _splits(info, folder / INFO):
         for number, length in enumerate(lengths):
             shard = folder / _shard_name(name, number, len(lengths))

@@ -54,7 +54,7 @@ class RldsSteps:
             digest.update(record.payload)
             flight = _flight_of(record)
             if flight.index in flights:
-                raise DataError(f"{record.shard}: episode {flight.index} is there twice; export it again")
+                raise DataError(f"{record.shard}: episode {flight.index} appears twice; export it again")
             flights[flight.index] = flight
         self._flights = [flights[index] for index in sorted(flights)]
         self._digest = digest.hexdigest()

@@ -116,7 +116,7 @@ def check_reading(whole: int, free: int, quantisation: Quantisation) -> None:
     """Raise `PolicyError` if the host cannot hold a network that must be read whole to be quantised."""
     if whole > free:
         raise PolicyError(
-            f"quant={quantisation}: the network is read whole before it becomes small, and that needs"
+            f"quant={quantisation}: the whole network is read before it is quantised, and that needs"
             f" {whole / 1e9:.1f} GB of the host's memory, has {free / 1e9:.1f} GB free; close what else runs, or take a"
             " machine with more"
         )
@@ -151,7 +151,7 @@ def read_header(path: Path) -> dict[str, Any]:
     except (ValueError, KeyError, TypeError, IndexError, AttributeError):
         raise PolicyError(f"{path} is not a safetensors file; if it is a pointer of Git LFS, fetch the file") from None
     if held != end:
-        raise PolicyError(f"{path} is cut off: it holds {held} bytes of tensors, not {end}; copy it again")
+        raise PolicyError(f"{path} is truncated: it holds {held} bytes of tensors, not {end}; copy it again")
     return header
 
 
@@ -202,7 +202,7 @@ def _head(folder: Path, config: Config) -> Path | None:
         return None
     path = folder / HEAD
     if not path.is_file():
-        raise PolicyError(f"{folder} lacks {HEAD}, and its {CONFIG} tells of chunks of {config.chunk} actions")
+        raise PolicyError(f"{folder} lacks {HEAD}, and its {CONFIG} has chunks of {config.chunk} actions")
     shapes = {name: tuple(entry["shape"]) for name, entry in read_header(path).items()}
     check_tensors(shapes, head_tensors(config), {}, str(path))
     return path

@@ -132,6 +132,6 @@ def _load(network: nn.Module, path: Path) -> None:
     until = time.monotonic() + _PATIENCE_S
     while not path.exists():
         if time.monotonic() > until:
-            raise TrainingError(f"{path}: the weights that should fly along did not come")
+            raise TrainingError(f"{path}: the weights of the policy under training did not arrive")
         time.sleep(0.2)
     restore(read_checkpoint(path)[0], network, None)

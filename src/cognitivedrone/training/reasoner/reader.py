@@ -72,7 +72,7 @@ class ReaderTraining:
             try:
                 reader.sight.load_state_dict(own)
             except RuntimeError:
-                raise TrainingError(f"{self.start}: its sight has another size than the reader's") from None
+                raise TrainingError(f"{self.start}: its panel encoder has another size than the reader's") from None
         reader.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return reader
 
