@@ -104,7 +104,7 @@ def test_a_misspelled_key_is_not_overlooked(tmp_path: Path, key: str) -> None:
 
 def test_keys_of_others_are_left_alone(tmp_path: Path) -> None:
     assert read_tasks(written(tmp_path, TASK | {"weather": "\x1b[2J", "x": {"y": []}}))[1].id == "mine"
-    with pytest.raises(TaskError, match=r"the key 'a\\x1bb' holds the control character"):
+    with pytest.raises(TaskError, match=r"the key 'a\\x1bb' contains the control character"):
         read_tasks(written(tmp_path, TASK | {"a\x1bb": 1}))
 
 

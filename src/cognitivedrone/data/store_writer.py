@@ -96,7 +96,7 @@ class StoreWriter:
         manifest = self.path / MANIFEST
         if not self._only_left_over():
             if not manifest.exists() and not self._looks_like_a_store():
-                raise DataError(f"{self.path}: is neither empty nor a data set of this package; give a new folder")
+                raise DataError(f"{self.path}: is not empty and not a data set of this package; give a new folder")
             if not resume:
                 raise DataError(f"{self.path}: holds a data set already; go on with --resume or give another folder")
             if self._is_begun():
