@@ -43,7 +43,7 @@ def store(tmp_path_factory):
 
 
 def test_a_collected_set_is_whole_and_shown(store, tmp_path):
-    assert "whole" in ok("data", "verify", store)
+    assert "intact" in ok("data", "verify", store)
     shown = ok("data", "show", store)
     assert "math_board" in shown.replace(" ", "_")
     ok("data", "report", store, "--out", tmp_path / "card.html")
