@@ -13,26 +13,25 @@ EPISODES_PER_SHARD = 64
 
 @dataclass(frozen=True, slots=True)
 class CollectPlan(Options):
-    """What to collect, and where to."""
+    """Options of a collection."""
 
     out: Path
     """Folder of the store."""
     recipe: str = "paper"
-    """`paper`, `robust` or `debug`."""
+    """Recipe: `paper`, `robust` or `debug`."""
     episodes: int | None = None
-    """How many; as many as the recipe says where left out (paper: 8,062)."""
+    """Number of episodes; if omitted, the recipe's (paper: 8,062)."""
     source: TaskSource = TaskSource(suite="open-v1:train")
     workers: int | None = None
-    """Processes, or shards under way on a cluster; one for each CPU where left out."""
+    """Number of processes, or of concurrent shards on a cluster; if omitted, one per CPU."""
     resume: bool = False
-    """Go on with what is in the folder."""
+    """Continue with the content of the folder."""
     episodes_per_shard: int = EPISODES_PER_SHARD
-    """Flown, stored and resumed as one."""
+    """Episodes that are flown, stored and resumed as one unit."""
     executor: Literal["local", "ray"] = "local"
     """`local` processes, or the machines of a `ray` cluster."""
     policy: str | None = None
-    """Fly this policy instead of the expert, and record beside its commands what the expert would have done (DAgger).
-    A name, small:MODEL.onnx, or your own as module:attribute. Flights are kept however they end."""
+    """Fly this policy instead of the expert, and record the expert's command as the label (DAgger).
+    A name, small:MODEL.onnx, or your own as module:attribute. Flights are stored however they end."""
     beta: float = 0.0
-    """With --policy: the expert's share. At each control step the expert's command is flown with this probability, the
-    policy's otherwise."""
+    """With --policy: the probability, at each control step, that the expert's command replaces the policy's."""

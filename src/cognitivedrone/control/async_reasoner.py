@@ -23,7 +23,7 @@ from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance, Image
 
 LONGEST_DIRECTIVE = 1000
-"""Characters."""
+"""Maximum length in characters."""
 
 
 @dataclass(frozen=True, slots=True)

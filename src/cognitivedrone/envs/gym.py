@@ -70,7 +70,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         return self._observe(), reward, terminated, truncated, self._info()
 
     def render(self) -> Any:
-        """The first-person view, (256, 256, 3) uint8; none without a `render_mode`."""
+        """The first-person view, (256, 256, 3) uint8; None without a `render_mode`."""
         return None if self.render_mode is None else self.simulator.frames()[0]
 
     def close(self) -> None:
@@ -78,7 +78,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         self.simulator.close()
 
     def truth(self) -> GroundTruth:
-        """What privileged pilots are told: for experts that make training data."""
+        """Ground truth, for experts that make training data."""
         return self.track_runner.truth()
 
     def _observe(self) -> dict[str, Any]:
@@ -96,7 +96,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
 
 
 def pick_episode(suite: Suite, rng: np.random.Generator, options: dict[str, Any] | None) -> int:
-    """An episode of the suite: the one that the options name, or a random one."""
+    """An episode of the suite: the one in the options, or a random one."""
     count = len(suite.tracks)
     if not options or "episode" not in options:
         return int(rng.integers(count))

@@ -18,7 +18,7 @@ if abs(TICKS_PER_CONTROL * CONTROL_HZ * Flight.TICK_S - 1) > 1e-9:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where and how a flight begins, in the world."""
+    """Initial conditions of a flight, in the world."""
 
     position: tuple[float, float, float]
     """m."""
@@ -30,7 +30,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Scenery:
-    """The pictures and the look of a stage."""
+    """The pictures and the appearance of a stage."""
 
     panels: tuple[Image, Image, Image]
     board: Image | None = None

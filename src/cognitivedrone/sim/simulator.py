@@ -49,7 +49,7 @@ class Simulator:
         self.place(world, stage, scenery)
 
     def place(self, world: int, stage: Stage, scenery: Scenery) -> None:
-        """Set the stage of one world; the drone flies on."""
+        """Replace the stage of one world; the drone flies on."""
         if self.cameras is not None:
             self.cameras.set_stage(world, stage, scenery.panels, scenery.board, scenery.look)
         start, radius = self.flight.position[world], self.airframe.hull_radius
@@ -60,7 +60,7 @@ class Simulator:
         self.flight.command_one(world, action)
 
     def advance(self, ticks: int = TICKS_PER_CONTROL) -> list[GateEvent | None]:
-        """Let all worlds go on by physics ticks; what happened in each."""
+        """Advance all worlds by physics ticks; returns each world's event."""
         path = self.flight.advance(ticks)
         self.ticks += ticks
         return [
@@ -78,7 +78,7 @@ class Simulator:
         return self.cameras.first_person(self.flight.position[chosen], self.flight.quaternion[chosen], out, chosen)
 
     def gate_monitor(self, world: int) -> GateMonitor:
-        """The gate monitor of the stage at hand."""
+        """The gate monitor of the current stage."""
         gate_monitor = self._gate_monitors[world]
         if gate_monitor is None:
             raise ValueError(f"world {world} has no stage yet; call begin() first")

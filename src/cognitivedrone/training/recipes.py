@@ -1,4 +1,4 @@
-"""How the small models are trained, as named frozen recipes."""
+"""Training recipes of the small models, as named frozen dataclasses."""
 
 from __future__ import annotations
 
@@ -58,16 +58,16 @@ RECIPES: dict[str, TrainRecipe] = {
     ),
 } | {recipe.name: recipe for recipe in _ABLATION}
 """`small`: the shipped policy. `race`: the baseline without language. `base`: larger, for a GPU. `debug`: the whole
-path in seconds, of no use otherwise. `ablation-*`: a ninth of `small`, each but the first with one thing changed."""
+training path in seconds, for tests. `ablation-*`: a ninth of `small`, all but the first with one change."""
 
 
 ALL_RECIPES: dict[str, Recipe] = {**RECIPES, "language": LANGUAGE, "mind": MIND, "reader": READER}
-"""`language`: what a policy that flies is taught to understand beyond its own training. `mind`: what the small reasoner
-answers by. `reader`: what it reads panels with, from a policy's sight."""
+"""`language`: teaches a trained policy more language. `mind`: the small reasoner's gate selector. `reader`: its network
+for reading panels, which starts from a policy's panel encoder."""
 
 
 def find_recipe(name: str) -> Recipe:
-    """The recipe of that name; raises `TrainingError` with near names."""
+    """The recipe of that name; raises `TrainingError` with similar names."""
     if name not in ALL_RECIPES:
         raise TrainingError(f"unknown recipe {name!r}; {did_you_mean(name, ALL_RECIPES)}")
     return ALL_RECIPES[name]

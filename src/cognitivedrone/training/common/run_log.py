@@ -46,7 +46,7 @@ class RunLog:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """The rows of a metrics file, one JSON object a line; a line cut short by a kill is left out."""
+    """The rows of a metrics file, one JSON object per line; a truncated line is skipped."""
     rows = []
     for line in path.read_text().splitlines() if path.exists() else []:
         try:

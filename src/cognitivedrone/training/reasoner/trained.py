@@ -21,7 +21,7 @@ def load_reader(path: Path) -> tuple[Reader, dict[str, Any]]:
 
 
 def load_mind(path: Path) -> tuple[GateSelector, Vocabulary, dict[str, Any]]:
-    """The mind of a checkpoint, its vocabulary, and the checkpoint's facts."""
+    """The gate selector of a checkpoint, its vocabulary, and the checkpoint's facts."""
     tensors, facts = read_checkpoint(path)
     mind = GateSelector(SelectorConfig(**facts["recipe"]["network"]))
     restore(tensors, mind, None)

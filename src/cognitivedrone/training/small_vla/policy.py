@@ -1,4 +1,4 @@
-"""The small VLA as a subject of training: its vocabulary, batches, curves and trials."""
+"""The small VLA as a training task: its vocabulary, batches, curves and trials."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from cognitivedrone.training.small_vla.recorded import training_batches
 from cognitivedrone.training.small_vla.validation import validate
 
 _VALIDATION = 10**6  # rank of the generator of validation frames: no training process has it
-_SENTENCES = 40_000  # training sentences whose words are the vocabulary
+_SENTENCES = 40_000  # training sentences whose words make the vocabulary
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainRecipe(Recipe):
-    """Everything that decides what comes out of a training of the small VLA, but processes and seed."""
+    """Everything that determines a training of the small VLA, except processes and seed."""
 
     network: SmallVLAConfig = field(default_factory=SmallVLAConfig)
     stream: StreamRecipe = field(default_factory=StreamRecipe)
-    """Its batch is that of the whole training: processes share it."""
+    """Its batch is that of the whole training; processes share it."""
     losses: LossWeights = field(default_factory=LossWeights)
     validation_frames: int = 512
     fly_tasks: int = 60
-    """Tasks of a trial."""
+    """Number of tasks in a trial."""
 
     takes_data: ClassVar[bool] = True
 
@@ -63,10 +63,10 @@ class TrainRecipe(Recipe):
 
 @dataclass(frozen=True)
 class PolicyTraining:
-    """A small VLA that learns from flights made while it trains, or from a data set."""
+    """A small VLA that learns from flights made during training, or from a data set."""
 
     recipe: TrainRecipe
-    """Its network is as large as words and facets ask for."""
+    """Its network is as large as words and attribute values require."""
     vocabulary: Vocabulary
     data: Path | None = None
 
@@ -81,22 +81,22 @@ class PolicyTraining:
         return {"vocabulary": list(self.vocabulary.words)}
 
     def network(self) -> SmallVLA:
-        """Channels last in memory, for speed."""
+        """The network, channels last in memory for speed."""
         network = SmallVLA(self.recipe.network)
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return network
 
     def lesson(self, network: nn.Module) -> LossModule:
-        """With the recipe's weights of losses."""
+        """The network with the recipe's loss weights."""
         assert isinstance(network, SmallVLA)  # noqa: S101  (tells the type checker)
         return LossModule(network, self.recipe.losses)
 
     def learner(self, network: nn.Module) -> NetworkPilot | None:
-        """A pilot of many drones, where flights are made and the recipe gives it some."""
+        """A batched policy, if flights are made and the recipe lets the network fly some."""
         return self._pilot(network) if self.data is None and self.recipe.stream.learner > 0 else None
 
     def share(self, processes: int) -> PolicyTraining:
-        """Frames, sentences and cards are shared."""
+        """Processes share frames, sentences and panel crops."""
         stream = self.recipe.stream
         if stream.batch % processes:
             raise TrainingError(f"a batch of {stream.batch} frames cannot be shared by {processes} processes")
@@ -109,18 +109,18 @@ class PolicyTraining:
         return replace(self, recipe=replace(self.recipe, stream=part))
 
     def batches(self) -> Batches:
-        """Of the training split."""
+        """Batches of the training split."""
         return training_batches(self.recipe.stream, self.vocabulary, self.recipe.network, self.data)
 
     def validation(self, seed: int) -> list[Batch]:
-        """Few frames of each flight, so that they are of many scenes; of the data set its validation split."""
+        """Few frames per flight, so that they cover many scenes; for a data set, its validation split."""
         count = self.recipe.validation_frames
         stream = replace(self.recipe.stream, batch=min(32, count), learner=0.0, sampled=0.05)
         made = training_batches(stream, self.vocabulary, self.recipe.network, self.data, validation=True)
         return list(islice(made((seed, _VALIDATION)), max(1, count // stream.batch)))
 
     def validate(self, lesson: nn.Module, batches: list[Batch], autocast: Any) -> Row:
-        """As in the literature on OpenVLA."""
+        """Metrics as in the literature on OpenVLA."""
         assert isinstance(lesson, LossModule)  # noqa: S101
         return validate(lesson, batches, autocast)
 
@@ -142,7 +142,7 @@ class PolicyTraining:
 
 
 def training_vocabulary(*, spoken: bool = False) -> Vocabulary:
-    """All words of the training tasks, of their directives, and of racing; also of what else is `spoken`."""
+    """All words of training tasks, directives and racing; with `spoken`, also of additional wordings."""
     tasks = [train_task(index, 0) for index in range(_SENTENCES)]
     if spoken:
         rng = np.random.default_rng(0)
@@ -153,7 +153,7 @@ def training_vocabulary(*, spoken: bool = False) -> Vocabulary:
 
 
 def trial(pilot: NetworkPilot, suite: str, count: int) -> Row:
-    """Success of a pilot in closed loop on the first tracks of a suite, under a seed of its own, by family."""
+    """Success of a policy in closed loop on the first tracks of a suite, under its own seed, by family."""
     results = fly_suite(pilot, load_suite(suite, size=count, seed=10**6), TrackConfig(time_limit_s=15.0))
     row: Row = {"success": sum(r.outcome == "passed" for r in results) / len(results)}
     for family in sorted({result.family for result in results}):

@@ -25,6 +25,6 @@ def load_trained(path: Path) -> tuple[SmallVLA, Vocabulary, dict[str, Any]]:
 
 
 def stream_of(facts: dict[str, Any]) -> StreamRecipe:
-    """The stream that a checkpoint was trained from."""
+    """The rollout stream that a checkpoint was trained from."""
     told = facts["recipe"]["stream"]
     return StreamRecipe(**{**told, "expert": ExpertConfig(**told["expert"])})
