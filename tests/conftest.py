@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import sys
 from collections.abc import Iterable, Iterator
@@ -15,6 +16,8 @@ from cognitivedrone.errors import MissingExtra
 # Tests load models/tiny.py and what lies in support/ by their names.
 for folder in ("models", "support"):
     sys.path.insert(0, str(Path(__file__).parent / folder))
+
+importlib.import_module("typechecked").install()
 
 # A busy machine makes no example wrong.
 settings.register_profile("no deadline", deadline=None)

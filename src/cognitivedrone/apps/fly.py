@@ -28,7 +28,7 @@ from cognitivedrone.control.hold import HeldDrone, Hold, HoldAwareReasoner, Hold
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.data.formats.bags import Ros
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import GroundTruthError
 from cognitivedrone.interfaces import Checked, Policy, Privileged, Reasoner
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
@@ -189,7 +189,7 @@ def _ready(stack: ExitStack, part: Part) -> Part:
 def _check_truth(craft: Craft, policy: Policy, reasoner: Reasoner | None) -> None:
     for kind, part in (("policy", policy), ("reasoner", reasoner)):
         if craft.scene() is None and isinstance(part, Privileged):
-            raise PolicyError(
+            raise GroundTruthError(
                 f"this {kind} must be told the truth about the scene, which only --link sim and sitl know"
             )
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
+from cognitivedrone.choices import DecisionKind
 from cognitivedrone.types import Action, Event, FloatArray, Guidance, Observation
 
 EndKind = Literal["passed", "flown", "missed", "unsure", "told", "time", "vehicle", "interrupted"]
@@ -43,7 +44,7 @@ class Status:
     """Of the frame that was flown by, now."""
     link_age_s: float = 0.0
     """Of the last message from the vehicle."""
-    decision: str = "fly"
+    decision: DecisionKind = "fly"
     """Of the guard: fly, hold, brake, land or hands_off."""
     reason: str = ""
     """Of the decision, in words."""

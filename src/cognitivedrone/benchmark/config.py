@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from cognitivedrone.choices import LookName as LookName
+
 Rule = Literal["through", "within_1m"]
 """`through`: the drone's centre crosses the right gate's plane inside its opening. `within_1m`: the published rule, the
 drone comes within 1 m of the right gate's centre."""
-LookName = Literal["plain", "varied"]
 LinkName = Literal["sim", "sitl", "gazebo"]
 
 

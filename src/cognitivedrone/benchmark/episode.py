@@ -18,20 +18,19 @@ from cognitivedrone.control.latency import TimedPolicy, parse_delays
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.envs.drone import SimulatedDrone
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
-from cognitivedrone.errors import PolicyError, PolicyRaised, did_you_mean
+from cognitivedrone.errors import PolicyError, PolicyRaised
 from cognitivedrone.interfaces import Checked, LabelPack, Policy, Reasoner, Seeded
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
-from cognitivedrone.sim.airframe import AIRFRAMES
+from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.tasks import SUITES, Suite
 from cognitivedrone.types import EpisodeResult
 
 
 def preflight(config: RunConfig, suite: Suite) -> None:
-    """Find what would stop a run, before a process is started: raises `PolicyError` or `LabelError`."""
-    if config.airframe not in AIRFRAMES:
-        raise PolicyError(f"unknown airframe {config.airframe!r}; {did_you_mean(config.airframe, AIRFRAMES)}")
+    """Find what would stop a run, before a process is started: raises one of this package's errors."""
+    find_airframe(config.airframe)
     autopilot_file(config)
     parse_delays(config.latency)
     if config.labels is None and suite.name in SUITES:

@@ -16,7 +16,7 @@ from cognitivedrone.benchmark.run_types import LookName, RunConfig
 from cognitivedrone.benchmark.runner import run
 from cognitivedrone.benchmark.scoring import Summary
 from cognitivedrone.benchmark.tables import as_text, results_table
-from cognitivedrone.errors import PolicyError, RunError
+from cognitivedrone.errors import PluginError, RunError
 from cognitivedrone.interfaces import Policy, Reasoner
 from cognitivedrone.policies import make_policy
 from cognitivedrone.printable import visible
@@ -174,7 +174,7 @@ def _made(kind: str, part: Any, methods: tuple[str, ...]) -> Any:
     made = part() if isinstance(part, type) or (not hasattr(part, methods[-1]) and callable(part)) else part
     missing = [method for method in methods if not callable(getattr(made, method, None))]
     if missing:
-        raise PolicyError(
+        raise PluginError(
             f"the {kind} {_description(made)} has no method {missing[0]}(); see cognitivedrone.interfaces"
         )
     return made

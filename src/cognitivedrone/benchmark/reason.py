@@ -28,7 +28,7 @@ from cognitivedrone.benchmark.runner import Interrupted, facts_of, results_folde
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.control.async_reasoner import asking, check_guidance
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, draw_start, episode_rng, scenery_of, stage_of
-from cognitivedrone.errors import PolicyError, ReasonerError, RunError
+from cognitivedrone.errors import PluginError, ReasonerError, RunError
 from cognitivedrone.files import writing
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import Checked, Privileged, Reasoner, Seeded, StatefulReasoner
@@ -96,7 +96,7 @@ def score_reasoner(config: ReasonConfig, *, progress: bool = True) -> ReasonResu
     labels = labels_of(run)
     reasoner = make_reasoner(config.reasoner)
     if reasoner is None:
-        raise PolicyError(f"--reasoner {config.reasoner} gives no answer to score; name one, such as oracle")
+        raise PluginError(f"--reasoner {config.reasoner} gives no answer to score; name one, such as oracle")
     preflight(run, suite)
     if isinstance(reasoner, Checked):
         reasoner.check()

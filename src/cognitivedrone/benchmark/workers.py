@@ -29,7 +29,7 @@ from cognitivedrone import registry
 from cognitivedrone.benchmark.lost import lost_flight
 from cognitivedrone.benchmark.run_types import EpisodeRunner, Rollout, RunConfig
 from cognitivedrone.control.calls import NO_WATCH
-from cognitivedrone.errors import CognitiveDroneError, PolicyError, RunError, warn_plainly
+from cognitivedrone.errors import CognitiveDroneError, PolicyError, RunError, plain_warnings
 from cognitivedrone.tasks import Suite
 
 RUNNER = "cognitivedrone.benchmark.episode:PilotRunner"
@@ -320,11 +320,11 @@ def make_runner(name: str, config: RunConfig, suite: Suite, watch: Any = NO_WATC
     return made
 
 
+@plain_warnings()
 def _work(
     connection: Connection, began: Any, crash_file: Path, runner_name: str, config: RunConfig, suite: Suite
 ) -> None:
     """Life of a worker process: make an episode runner, fly what is asked, leave when the stream ends."""
-    warn_plainly()
     with crash_file.open("w") as crashes:
         faulthandler.enable(crashes)
         faulthandler.register(signal.SIGUSR1, crashes)

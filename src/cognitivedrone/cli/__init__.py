@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 
 import tyro
 
-from cognitivedrone.errors import CognitiveDroneError, UsageError, did_you_mean, warn_plainly
+from cognitivedrone.errors import CognitiveDroneError, UsageError, did_you_mean, plain_warnings
 from cognitivedrone.files import reason_of
 from cognitivedrone.printable import visible
 
@@ -59,9 +59,9 @@ FIRST = (
 """What to try first."""
 
 
+@plain_warnings()
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; a mistake of the user's ends in one sentence and exit code 2."""
-    warn_plainly()
     try:
         _run(list(sys.argv[1:] if arguments is None else arguments))
         sys.stdout.flush()  # a full disk behind it shows here, not after the last line

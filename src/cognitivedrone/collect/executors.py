@@ -22,7 +22,7 @@ from typing import Any
 from cognitivedrone import tasks
 from cognitivedrone.collect.fleet import Fleet, FlownEpisode
 from cognitivedrone.collect.recipe import Recipe
-from cognitivedrone.errors import CognitiveDroneError, DataError, MissingExtra, warn_plainly
+from cognitivedrone.errors import CognitiveDroneError, DataError, MissingExtra, plain_warnings
 from cognitivedrone.policies import make_policy, model_file
 from cognitivedrone.tasks import Suite
 
@@ -211,9 +211,9 @@ def _killed() -> DataError:
     return DataError("a worker was killed, perhaps for want of memory; go on with --resume, or fewer --workers")
 
 
+@plain_warnings()
 def _work(theirs: Connection, job: Job) -> None:
     """Life of a worker process: fly what is asked, end when the stream does."""
-    warn_plainly()
     try:
         while True:
             for flown in fly_here(job, theirs.recv()):

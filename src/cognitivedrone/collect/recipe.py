@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from cognitivedrone.choices import LookName
 from cognitivedrone.data.episode import Encoding
 from cognitivedrone.errors import DataError, did_you_mean
 
@@ -18,7 +19,7 @@ class Recipe:
     """How many of them."""
     speed_m_s: tuple[float, float] = (1.0, 2.5)
     """The expert's speed, drawn evenly from this range for each flight."""
-    look: str = "plain"
+    look: LookName = "plain"
     """`plain` as published, or `varied`: floor, walls, light, colours and camera noise."""
     off_track_share: float = 0.0
     """Share of flights that begin on the way, off the straight line to the gate, instead of in the published box."""

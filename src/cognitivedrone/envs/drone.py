@@ -10,7 +10,7 @@ from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.sim.dynamics import Flight
 from cognitivedrone.sim.simulator import Simulator
-from cognitivedrone.types import ACTION_LIMITS, Action, FloatArray, Observation
+from cognitivedrone.types import ACTION_LIMITS, Action, Commands, Observation, Vector
 
 
 class SimulatedDrone:
@@ -86,14 +86,14 @@ class PacedDrone:
         self.drone.sleep_until(self.now())
 
 
-def proprioception(simulator: Simulator, world: int) -> tuple[FloatArray, float, float]:
+def proprioception(simulator: Simulator, world: int) -> tuple[Vector, float, float]:
     """Heading-frame velocity (3,) float32 in m/s, height in m, yaw rate in rad/s."""
     state = simulator.state(world)
     velocity = world_to_heading(state.velocity, yaw_of(state.quaternion)).astype(np.float32)
     return velocity, float(state.position[2]), float(state.body_rates[2])
 
 
-def clip_action(action: FloatArray) -> Action:
+def clip_action(action: Commands) -> Commands:
     """The action (..., 4) within `ACTION_LIMITS`, float32."""
     limit = np.array(ACTION_LIMITS, dtype=np.float32)
     return np.clip(np.asarray(action, dtype=np.float32), -limit, limit)

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 
+from cognitivedrone.choices import LookName
 from cognitivedrone.envs.drone import clip_action, proprioception
 from cognitivedrone.envs.spaces import Info, action_space, check_actions, observation_space
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
@@ -39,7 +40,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         suite: str | Suite = "open-v1:train",
         *,
         labels: str = "open-v1",
-        look: str = "plain",
+        look: LookName = "plain",
         airframe: str = "racer",
         time_limit_s: float = 30.0,
         wind_m_s: float = 0.0,

@@ -10,16 +10,16 @@ import numpy as np
 from PIL import Image as PillowImage
 from PIL import ImageDraw
 
+from cognitivedrone.choices import LookName
 from cognitivedrone.envs.captions import font, readable, wrap
 from cognitivedrone.envs.track_runner import LOOKS, TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import RunError, did_you_mean
 from cognitivedrone.files import replace_file, writing
-from cognitivedrone.frames import FloatArray
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.sim.views import View, chase_view, first_person_view, top_view
 from cognitivedrone.tasks import Suite, track_at
-from cognitivedrone.types import IMAGE_SIZE, Gate, Image, Task
+from cognitivedrone.types import IMAGE_SIZE, FloatArray, Gate, Image, Task
 from cognitivedrone.world import geometry
 
 SIDE: Final = 2 * IMAGE_SIZE
@@ -32,7 +32,7 @@ _BADGE: Final = 20
 """Radius of a gate's number, pixels."""
 
 
-def snapshot(suite: Suite, episode: int, out: Path, *, look: str, labels: str, seed: int) -> Task:
+def snapshot(suite: Suite, episode: int, out: Path, *, look: LookName, labels: str, seed: int) -> Task:
     """Write the picture to `out` and return the task that it shows."""
     track = track_at(suite, episode)
     if look not in LOOKS:

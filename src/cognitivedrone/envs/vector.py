@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from cognitivedrone.choices import LookName
 from cognitivedrone.envs.drone import clip_action
 from cognitivedrone.envs.gym import pick_episode, score
 from cognitivedrone.envs.spaces import Info, action_space, check_actions, observation_space
@@ -42,7 +43,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         suite: str | Suite = "open-v1:train",
         *,
         labels: str = "open-v1",
-        look: str = "plain",
+        look: LookName = "plain",
         airframe: str = "racer",
         time_limit_s: float = 30.0,
         wind_m_s: float = 0.0,

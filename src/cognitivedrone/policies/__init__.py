@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cognitivedrone import registry
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import PluginError
 from cognitivedrone.interfaces import Policy
 
 POLICIES: dict[str, str] = {
@@ -34,6 +34,6 @@ def model_file(name: str) -> Path | None:
 def make_policy(name: str) -> Policy:
     """A new policy by its name and arguments, in the syntax of `registry`; raises `PolicyError`."""
     if name.endswith(".onnx") and ":" not in name:
-        raise PolicyError(f"policy {name!r} is a model file; write small:{name}")
+        raise PluginError(f"policy {name!r} is a model file; write small:{name}")
     policy: Policy = registry.make("policy", name, POLICIES, ("reset", "act"))
     return policy

@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image as PillowImage
 
 from cognitivedrone.errors import RenderError
-from cognitivedrone.frames import FloatArray, rotation_matrix
+from cognitivedrone.frames import rotation_matrix
 from cognitivedrone.sim.gl import GLThread
 from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT, View, chase_view, top_view
-from cognitivedrone.types import IMAGE_SIZE, DroneState, Image, Stage
+from cognitivedrone.types import IMAGE_SIZE, DroneState, Image, Images, Stage, Vector, Vectors
 from cognitivedrone.world.appearance import PLAIN, Look, expose
 from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture
 from cognitivedrone.world.engine import mujoco
@@ -80,9 +80,9 @@ class Cameras:
         self,
         positions: ArrayLike,
         quaternions: ArrayLike,
-        out: Image | None = None,
+        out: Images | None = None,
         slots: Sequence[int] | None = None,
-    ) -> Image:
+    ) -> Images:
         """First-person images (n, size, size, 3) uint8 of drones at `positions` (n, 3) world m, attitudes (n, 4) wxyz.
 
         Image i shows the world of `slots[i]`; of slot i where `slots` is left out. A slot may occur several times.
@@ -178,7 +178,7 @@ class _Renderer:
         self._stages[slot], self._looks[slot] = stage, look
 
     def first_person(
-        self, job: list[tuple[int, int]], eye: FloatArray, forward: FloatArray, up: FloatArray, out: Image
+        self, job: list[tuple[int, int]], eye: Vectors, forward: Vectors, up: Vectors, out: Images
     ) -> None:
         """Render (index, slot) pairs of `job` into `out[index]`."""
         for index, slot in job:
@@ -228,7 +228,7 @@ def _set_lens(scene: Any, field_of_view: float) -> None:
         camera.frustum_near, camera.frustum_far = _NEAR, _FAR
 
 
-def _aim(scene: Any, eye: FloatArray, forward: FloatArray, up: FloatArray) -> None:
+def _aim(scene: Any, eye: Vector, forward: Vector, up: Vector) -> None:
     # Two cameras because MuJoCo can draw in stereo; a single view averages them.
     for camera in scene.camera:
         camera.pos = eye

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.types import DroneState, FloatArray, Image, Stage
+from cognitivedrone.types import DroneState, FloatArray, Image, Images, Quaternions, Stage, Vectors
 from cognitivedrone.world.appearance import Look
 
 
@@ -87,7 +87,7 @@ class CameraSource(Protocol):
         ...
 
     def first_person(
-        self, positions: FloatArray, quaternions: FloatArray, out: Image | None, slots: Sequence[int] | None
-    ) -> Image:
+        self, positions: Vectors, quaternions: Quaternions, out: Images | None, slots: Sequence[int] | None
+    ) -> Images:
         """(n, size, size, 3) views from (n, 3) world, m, and (n, 4) w, x, y, z; into `out` where given."""
         ...

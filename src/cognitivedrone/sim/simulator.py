@@ -12,7 +12,7 @@ from cognitivedrone.sim.camera import Cameras
 from cognitivedrone.sim.dynamics import Flight
 from cognitivedrone.sim.flying import CameraSource, Flying
 from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor
-from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, DroneState, FloatArray, Image, Stage
+from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, DroneState, FloatArray, Image, Images, Stage
 from cognitivedrone.world.appearance import PLAIN, Look
 
 TICKS_PER_CONTROL = round(1 / (CONTROL_HZ * Flight.TICK_S))
@@ -96,7 +96,7 @@ class Simulator:
             for world, gate_monitor in enumerate(self._gate_monitors)
         ]
 
-    def frames(self, out: Image | None = None, worlds: Sequence[int] | None = None) -> Image:
+    def frames(self, out: Images | None = None, worlds: Sequence[int] | None = None) -> Images:
         """First-person views (n, size, size, 3) of all worlds, or of some."""
         if self._eyes is None:
             raise ValueError("this simulator was made without cameras")

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from cognitivedrone.frames import FloatArray, rotate_yaw, rotation_matrix, yaw_of
-from cognitivedrone.types import DroneState, Stage
+from cognitivedrone.frames import rotate_yaw, rotation_matrix, yaw_of
+from cognitivedrone.types import DroneState, FloatArray, Stage, Vector
 
 FIELD_OF_VIEW: Final = 1.85
 """Of the first-person camera, horizontal and, as images are square, vertical, rad."""
@@ -24,11 +24,11 @@ _TOP_EYE, _TOP_TARGET = (-6.0, 0.0, 9.0), (2.2, 0.0, 1.0)  # stage frame, m
 class View:
     """A pinhole camera in the world. `forward` and `up` are unit vectors at a right angle."""
 
-    eye: FloatArray
+    eye: Vector
     """(3,) m"""
-    forward: FloatArray
+    forward: Vector
     """(3,)"""
-    up: FloatArray
+    up: Vector
     """(3,)"""
     field_of_view: float
     """Vertical, rad."""
@@ -68,7 +68,7 @@ def top_view(stage: Stage) -> View:
     return _looking_at(eye, target)
 
 
-def _looking_at(eye: FloatArray, target: FloatArray) -> View:
+def _looking_at(eye: Vector, target: Vector) -> View:
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     return View(eye, forward, np.cross(right / np.linalg.norm(right), forward), _OVERLOOK_FIELD_OF_VIEW)

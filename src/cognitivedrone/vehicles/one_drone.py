@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.errors import LinkError, PolicyError
+from cognitivedrone.errors import ActionError, LinkError
 from cognitivedrone.frames import rotate_yaw, yaw_of
 from cognitivedrone.types import DroneState, FloatArray
 
@@ -96,7 +96,7 @@ class OneDrone(ABC):
     def command(self, actions: FloatArray) -> None:
         """As `command_one`, (1, 4)."""
         if np.shape(actions) != (1, 4):
-            raise PolicyError(f"actions have shape {np.shape(actions)}; expected (1, 4): one drone is flown")
+            raise ActionError(f"actions have shape {np.shape(actions)}; expected (1, 4): one drone is flown")
         self.command_one(0, actions[0])
 
     def command_one(self, world: int, action: FloatArray) -> None:
@@ -104,7 +104,7 @@ class OneDrone(ABC):
         self._check_world(world)
         action = np.asarray(action, dtype=np.float64)
         if action.shape != (4,) or not np.isfinite(action).all():
-            raise PolicyError(f"the action {action.tolist()} cannot be flown; send four real numbers")
+            raise ActionError(f"the action {action.tolist()} cannot be flown; send four real numbers")
         try:
             self._send(action)
         except LinkError as error:

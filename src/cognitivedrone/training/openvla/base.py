@@ -25,7 +25,7 @@ _TAIL = 2**20  # bytes at the end of a file that tell it from another of the sam
 def read_base(folder: Path, key: str, statistics: ActionStatistics) -> Checkpoint:
     """The checkpoint in `folder`, to be fine-tuned for `statistics`: its own, of arms as a rule, are not looked at.
 
-    A head of the parallel decoder is left out, for it would not fit the fine-tuned network. Raises `PolicyError` as
+    A head of the parallel decoder is left out, for it would not fit the fine-tuned network. Raises `ModelError` as
     `inspect` does.
     """
     found = inspect(folder, given=(key, statistics))

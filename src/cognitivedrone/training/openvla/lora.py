@@ -99,7 +99,7 @@ class FineTuning:
 
     @cached_property
     def checkpoint(self) -> Checkpoint:
-        """The base, looked at but not loaded; raises `PolicyError`, see `read_base`."""
+        """The base, looked at but not loaded; raises `ModelError`, see `read_base`."""
         return read_base(self.base, self.key, self.flights.statistics)
 
     @cached_property
@@ -119,7 +119,7 @@ def fine_tune(config: FineTuning, report: Callable[[str], None] = print) -> Path
 
     Every process of a distributed training calls this. Stopped at any moment, it goes on from the last checkpoint with
     `resume` and ends with the same weights on the same machine and as many processes. Raises `TrainingError`,
-    `DataError` and `PolicyError` for what does not do, before the weights are loaded.
+    `DataError` and `ModelError` for what does not do, before the weights are loaded.
     """
     recipe, out = config.recipe, config.out
     found = _found(config, resume=config.resume)
