@@ -23,8 +23,8 @@ importlib.import_module("typechecked").install()
 settings.register_profile("no deadline", deadline=None)
 settings.load_profile("no deadline")
 
-OPTIONAL = ("accelerate", "httpx", "matplotlib", "peft", "pymavlink", "rosbags", "safetensors", "serial", "tensorboard")
-OPTIONAL += ("tokenizers", "torch", "torchao", "transformers")
+OPTIONAL: tuple[str, ...] = ("accelerate", "httpx", "matplotlib", "peft", "pymavlink", "rosbags", "safetensors")
+OPTIONAL += ("serial", "tensorboard", "tokenizers", "torch", "torchao", "transformers")
 ABSENT = {name for name in OPTIONAL if importlib.util.find_spec(name) is None}
 
 

@@ -28,22 +28,22 @@ if TYPE_CHECKING:
     """One number for each member of a batch; a NumPy scalar where there is no batch."""
 else:  # NumPy gives a scalar for an array without axes, and its stubs call that an array
     FloatArray = Float[np.ndarray | np.floating, "..."]
-    Scalars = Float[np.ndarray | np.floating, "*batch"]
+    Scalars = Float[np.ndarray | np.floating, "..."]
 Vector: TypeAlias = Float[NDArray[np.floating[Any]], "3"]
 """(3,) x, y, z."""
-Vectors: TypeAlias = Float[NDArray[np.floating[Any]], "*batch 3"]
+Vectors: TypeAlias = Float[NDArray[np.floating[Any]], "... 3"]
 """(..., 3), with the axes of the batch in front."""
 Quaternion: TypeAlias = Float[NDArray[np.floating[Any]], "4"]
 """(4,) w, x, y, z."""
-Quaternions: TypeAlias = Float[NDArray[np.floating[Any]], "*batch 4"]
+Quaternions: TypeAlias = Float[NDArray[np.floating[Any]], "... 4"]
 """(..., 4)."""
-Commands: TypeAlias = Float[NDArray[np.floating[Any]], "*batch 4"]
+Commands: TypeAlias = Float[NDArray[np.floating[Any]], "... 4"]
 """(..., 4) vx, vy, vz and yaw rate, of whatever kind of number."""
-Rotations: TypeAlias = Float[NDArray[np.floating[Any]], "*batch 3 3"]
+Rotations: TypeAlias = Float[NDArray[np.floating[Any]], "... 3 3"]
 """(..., 3, 3) matrices."""
-Image: TypeAlias = UInt8[NDArray[np.uint8], "height width 3"]
+Image: TypeAlias = UInt8[NDArray[np.uint8], "_height _width 3"]
 """(H, W, 3) RGB."""
-Images: TypeAlias = UInt8[NDArray[np.uint8], "images height width 3"]
+Images: TypeAlias = UInt8[NDArray[np.uint8], "images _height _width 3"]
 """(n, H, W, 3) RGB."""
 Action: TypeAlias = Float32[NDArray[np.float32], "4"]
 """(4,): vx, vy, vz in m/s and yaw rate in rad/s, in the heading frame."""

@@ -91,15 +91,15 @@ def test_an_exception_of_the_reasoners_own_is_a_fault_whose_traceback_is_kept():
     [
         ("Fly through the red gate", "schema"),
         (None, "schema"),
-        (Guidance(7, None, 1.0), "schema"),
+        (Guidance(7, None, 1.0), "schema"),  # type: ignore[arg-type]
         (Guidance("Fly through the \ud800 gate", None, 1.0), "garbage"),
         (Guidance("Fly \x1b[31m", None, 1.0), "garbage"),
         (Guidance(" ", None, 1.0), "garbage"),
         (Guidance("Fly " * 400, None, 1.0), "too_long"),
         (Guidance("Fly through the red gate", 3, 1.0), "no_such_gate"),
-        (Guidance("Fly through the red gate", "1", 1.0), "no_such_gate"),
+        (Guidance("Fly through the red gate", "1", 1.0), "no_such_gate"),  # type: ignore[arg-type]
         (Guidance("Fly through the red gate", None, float("nan")), "schema"),
-        (Guidance("Fly through the red gate", None, "sure"), "schema"),
+        (Guidance("Fly through the red gate", None, "sure"), "schema"),  # type: ignore[arg-type]
         (Guidance("Fly through the red gate", None, None), "schema"),
     ],
 )

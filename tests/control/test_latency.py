@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from cognitivedrone.control import latency
 from cognitivedrone.control.latency import TimedPolicy, parse_delays
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import SimulationError
 
 
 def charges(delay, seed=0, needed=0.123, n=200):
@@ -60,7 +62,7 @@ def test_equal_delays_have_equal_identities(tmp_path):
     ],
 )
 def test_what_cannot_be_read_is_said(text, said):
-    with pytest.raises(PolicyError, match=said):
+    with pytest.raises(SimulationError, match=said):
         parse_delays(text)
 
 
@@ -71,7 +73,7 @@ def test_what_cannot_be_read_is_said(text, said):
 def test_a_file_that_cannot_be_read_is_said_with_its_line(tmp_path, content, said):
     file = tmp_path / "samples.txt"
     file.write_text(content)
-    with pytest.raises(PolicyError, match=said):
+    with pytest.raises(SimulationError, match=said):
         parse_delays(f"policy={file}")
 
 
@@ -108,7 +110,7 @@ class Blind:
 def test_a_measured_policy_is_told_all_and_decides_as_ever(monkeypatch):
     slow = Slow()
     monkeypatch.setattr(latency, "time", slow)
-    timed = TimedPolicy(slow)
+    timed: Any = TimedPolicy(slow)
     timed.reset("go")
     timed.brief("truth")
     assert slow.told == ["go", "truth"]
@@ -117,6 +119,6 @@ def test_a_measured_policy_is_told_all_and_decides_as_ever(monkeypatch):
 
 
 def test_a_truth_that_a_policy_does_not_take_is_kept_from_it():
-    timed = TimedPolicy(Blind())
+    timed: Any = TimedPolicy(Blind())
     timed.brief("truth")
     assert timed.act("chunk") == "chunk"

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, get_args
 
 from beartype import beartype
-from jaxtyping import AbstractArray, install_import_hook
+from jaxtyping import AbstractArray, config, install_import_hook
 
-CHECKED = ("types", "frames", "world.geometry", "sim", "envs.drone", "control", "policies", "models", "data.episode")
+CHECKED: tuple[str, ...] = (
+    "types",
+    "frames",
+    "world.geometry",
+    "sim",
+    "envs.drone",
+    "control.loop",
+    "control.safety",
+    "control.fence",
+)
+CHECKED += ("policies", "models", "data.episode")
 """The modules where arrays are made and handed on."""
 
 
@@ -27,6 +38,16 @@ def checked(part: Callable[..., Any]) -> Callable[..., Any]:
 def install() -> None:
     """From now on, check what is imported of `CHECKED`."""
     install_import_hook([f"cognitivedrone.{name}" for name in CHECKED], f"{__name__}.checked")
+
+
+@contextmanager
+def unchecked() -> Iterator[None]:
+    """Without the checks, as users have it: for tests of what the package says to wrong values."""
+    config.update("jaxtyping_disable", True)
+    try:
+        yield
+    finally:
+        config.update("jaxtyping_disable", False)
 
 
 def _of_array(hint: Any) -> bool:

@@ -68,7 +68,12 @@ class Cameras:
         self._finalizer()
 
     def set_stage(
-        self, slot: int, stage: Stage, images: Sequence[Image], board: Image | None = None, look: Look = PLAIN
+        self,
+        slot: int,
+        stage: Stage,
+        images: Sequence[NDArray[np.uint8]],
+        board: NDArray[np.uint8] | None = None,
+        look: Look = PLAIN,
     ) -> None:
         """Show `stage` in `slot`, with the label `images` (h, w, 3) of gates 1 to 3, and a board if given."""
         if len(images) != 3:
@@ -165,7 +170,9 @@ class _Renderer:
             raise RenderError("this slot shows no stage yet; call set_stage first.")
         return stage
 
-    def set_stage(self, slot: int, stage: Stage, images: Sequence[Image], board: Image | None, look: Look) -> None:
+    def set_stage(
+        self, slot: int, stage: Stage, images: Sequence[NDArray[np.uint8]], board: NDArray[np.uint8] | None, look: Look
+    ) -> None:
         pictures = dict(enumerate(images)) | ({} if board is None else {BOARD: board})
         for picture, image in pictures.items():
             texture = write_picture(self._assets, slot, picture, image)
@@ -236,7 +243,7 @@ def _aim(scene: Any, eye: Vector, forward: Vector, up: Vector) -> None:
         camera.up = up
 
 
-def _aspect(image: Image) -> float:
+def _aspect(image: NDArray[np.uint8]) -> float:
     return float(image.shape[1] / image.shape[0])
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cognitivedrone.errors import ActionError
 from cognitivedrone.frames import world_to_heading, yaw_of
@@ -89,7 +89,7 @@ class Flight:
         if self.worlds == 1:
             self._phase = 0
 
-    def command(self, actions: FloatArray) -> None:
+    def command(self, actions: ArrayLike) -> None:
         """Latch (worlds, 4) heading-frame velocities in m/s and yaw rates in rad/s, turned to world axes now.
 
         Speeds and rates beyond the autopilot's limits are flown at the limit. Raises `ActionError` on values that are
@@ -97,7 +97,7 @@ class Flight:
         """
         self._latch(slice(None), np.asarray(actions, dtype=np.float64), (self.worlds, 4))
 
-    def command_one(self, world: int, action: FloatArray) -> None:
+    def command_one(self, world: int, action: ArrayLike) -> None:
         """As `command`, (4,) for one world."""
         self._latch(slice(world, world + 1), np.asarray(action, dtype=np.float64)[None], (1, 4))
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cognitivedrone.frames import rotate_yaw, world_to_heading
-from cognitivedrone.types import FloatArray, Gate, Size, Stage, Vector, Vectors
+from cognitivedrone.types import FloatArray, Gate, Size, Stage, Vectors
 
 GATE_XY: Final = np.array([[4.0, 4.0], [5.0, 0.0], [4.0, -4.0]])
 """Gate centres from the stage's origin, in the stage frame, m."""
@@ -97,7 +97,7 @@ def next_stage_origin(stage: Stage, gate_index: int) -> tuple[tuple[float, float
     return (x, y), wrapped
 
 
-def to_gate_frame(points: Vectors, center: Vector, yaw: ArrayLike) -> Vectors:
+def to_gate_frame(points: Vectors, center: Vectors, yaw: ArrayLike) -> Vectors:
     """World points (..., 3) as (along, lateral, vertical) of the gate at `center` (..., 3) with heading `yaw` (...)."""
     return world_to_heading(np.asarray(points) - center, yaw)
 

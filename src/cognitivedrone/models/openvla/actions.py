@@ -122,11 +122,11 @@ def _numbers(told: Any) -> int | None:
         return None
 
 
-def to_tokens(normalised: Commands) -> Tokens:
+def to_tokens(normalised: FloatArray) -> Tokens:
     """Ids of the words that stand for actions (..., 4) in [-1, 1]: `WORDS` - 1 for -1, `WORDS` - 256 for 1."""
     return np.asarray(WORDS - np.digitize(np.clip(normalised, -1.0, 1.0), EDGES), dtype=np.int64)
 
 
-def from_tokens(tokens: Tokens) -> Commands:
+def from_tokens(tokens: Tokens) -> FloatArray:
     """Bin centres of the ids (..., 4); a word that stands for no action counts as the nearest that does."""
     return np.asarray(CENTRES[np.clip(WORDS - tokens - 1, 0, len(CENTRES) - 1)])
