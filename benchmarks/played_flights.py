@@ -22,7 +22,8 @@ from cognitivedrone.benchmark.run_types import Rollout, RunConfig
 from cognitivedrone.benchmark.runner import run as bench
 from cognitivedrone.benchmark.suites import suite_of
 from cognitivedrone.collect import executors
-from cognitivedrone.collect.collector import CollectConfig, collect
+from cognitivedrone.collect.collector import collect
+from cognitivedrone.collect.config import CollectConfig
 from cognitivedrone.collect.executors import Job, fly_here
 from cognitivedrone.collect.fleet import FlownEpisode
 from cognitivedrone.collect.recipe import RECIPES

@@ -33,7 +33,7 @@ def test_another_shape_fails():
 
 def test_another_kind_of_number_fails():
     with pytest.raises(TypeCheckError, match="image"):
-        Observation(FRAME / 255, "", AT_REST, 1.0, 0.0, 0.0)
+        Observation(FRAME / 255, "", AT_REST, 1.0, 0.0, 0.0)  # type: ignore[arg-type]
     with pytest.raises(TypeCheckError, match="position"):
         DroneState(np.zeros(3, int), AT_REST, LEVEL, AT_REST)
 

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -226,7 +227,7 @@ def test_what_is_not_inside_this_machine_is_not_even_talked_to(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def vehicle(peer: Peer, url: str, out: Path, **options: object) -> FlyConfig:
+def vehicle(peer: Peer, url: str, out: Path, **options: Any) -> FlyConfig:
     link = f"mavlink:udpout:127.0.0.1:{peer.port}"
     return FlyConfig("go", link=link, camera=url, policy="hover", reasoner="none", out=out, **options)
 

@@ -7,6 +7,7 @@ import json
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -38,7 +39,7 @@ def quiet() -> Console:
     return Console(file=io.StringIO(), width=100)
 
 
-def chosen(words: str, **options: object) -> tuple[str, int, str]:
+def chosen(words: str, **options: Any) -> tuple[str, int, str]:
     scene = choose_scene(FlyConfig(words, **options))
     return scene.suite.name, scene.episode, scene.told
 

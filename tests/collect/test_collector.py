@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,8 @@ from cognitivedrone.errors import DataError, MissingExtra, PolicyError, TaskErro
 
 
 def config(out, **changes):
-    return CollectConfig(out=out, **({"recipe": "debug", "episodes": 10, "episodes_per_shard": 3} | changes))
+    settings: dict[str, Any] = {"recipe": "debug", "episodes": 10, "episodes_per_shard": 3}
+    return CollectConfig(out=out, **(settings | changes))
 
 
 def digests(folder):

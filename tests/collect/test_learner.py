@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import shutil
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,7 +40,13 @@ def model(tiny_model_file, tmp_path):
 
 
 def config(out, model, **changes):
-    settings = {"recipe": "debug", "episodes": 5, "episodes_per_shard": 2, "policy": f"small:{model}", "beta": BETA}
+    settings: dict[str, Any] = {
+        "recipe": "debug",
+        "episodes": 5,
+        "episodes_per_shard": 2,
+        "policy": f"small:{model}",
+        "beta": BETA,
+    }
     return CollectConfig(out=out, **(settings | changes))
 
 

@@ -96,7 +96,7 @@ class Recorded:
 def test_a_held_drone_is_sent_no_velocity():
     drone, hold = Recorded(), Hold()
     held = HeldDrone(drone, hold)
-    assert held.observe() == "seen"  # type: ignore[comparison-overlap]
+    assert held.observe() == "seen"
     action = np.array([1.0, 0.5, -0.25, 0.5], np.float32)
     assert held.send(action).tolist() == action.tolist()
     hold.active = True

@@ -71,7 +71,7 @@ def serving(script: Script) -> Iterator[str]:
     server = ThreadingHTTPServer(("127.0.0.1", 0), type("Scripted", (Handler,), {"script": script}))
     server.daemon_threads = True
     # A client that hangs up is what some tests do.
-    server.handle_error = lambda request, address: None  # type: ignore[method-assign,assignment]
+    server.handle_error = lambda request, address: None  # type: ignore[assignment]
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True)
     thread.start()
     try:
