@@ -28,7 +28,20 @@ def test_no_room_of_the_base_loads_a_learning_framework(room):
     assert not modules_after(f"import cognitivedrone.{room}") & {"torch", "transformers", "tensorflow", "jax"}
 
 
-HEAVY = {"mujoco", "scipy", "gymnasium", "av", "PIL", "pyarrow", "onnxruntime", "torch", "rich", "numpy", "jinja2"}
+HEAVY = {
+    "jaxtyping",
+    "mujoco",
+    "scipy",
+    "gymnasium",
+    "av",
+    "PIL",
+    "pyarrow",
+    "onnxruntime",
+    "torch",
+    "rich",
+    "numpy",
+    "jinja2",
+}
 
 
 def loaded_by(*arguments: str) -> set[str]:

@@ -17,37 +17,43 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
-from numpy.typing import NDArray
 
 from cognitivedrone.choices import EventKind
 
+# Not NumPy's NDArray: of some versions that is an alias that jaxtyping cannot look into.
+_Floats: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.floating[Any]]]
+_Bytes: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.uint8]]
+Float32Array: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.float32]]
+"""Of any shape."""
+Float64Array: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.float64]]
+"""Of any shape."""
 if TYPE_CHECKING:
-    FloatArray: TypeAlias = NDArray[np.floating[Any]]
+    FloatArray: TypeAlias = _Floats
     """Of any shape."""
-    Scalars: TypeAlias = NDArray[np.floating[Any]]
+    Scalars: TypeAlias = _Floats
     """One number for each member of a batch; a NumPy scalar where there is no batch."""
 else:  # NumPy gives a scalar for an array without axes, and its stubs call that an array
     FloatArray = Float[np.ndarray | np.floating, "..."]
     Scalars = Float[np.ndarray | np.floating, "..."]
-Vector: TypeAlias = Float[NDArray[np.floating[Any]], "3"]
+Vector: TypeAlias = Float[_Floats, "3"]
 """(3,) x, y, z."""
-Vectors: TypeAlias = Float[NDArray[np.floating[Any]], "... 3"]
+Vectors: TypeAlias = Float[_Floats, "... 3"]
 """(..., 3), with the axes of the batch in front."""
-Quaternion: TypeAlias = Float[NDArray[np.floating[Any]], "4"]
+Quaternion: TypeAlias = Float[_Floats, "4"]
 """(4,) w, x, y, z."""
-Quaternions: TypeAlias = Float[NDArray[np.floating[Any]], "... 4"]
+Quaternions: TypeAlias = Float[_Floats, "... 4"]
 """(..., 4)."""
-Commands: TypeAlias = Float[NDArray[np.floating[Any]], "... 4"]
+Commands: TypeAlias = Float[_Floats, "... 4"]
 """(..., 4) vx, vy, vz and yaw rate, of whatever kind of number."""
-Rotations: TypeAlias = Float[NDArray[np.floating[Any]], "... 3 3"]
+Rotations: TypeAlias = Float[_Floats, "... 3 3"]
 """(..., 3, 3) matrices."""
-Image: TypeAlias = UInt8[NDArray[np.uint8], "_height _width 3"]
+Image: TypeAlias = UInt8[_Bytes, "_height _width 3"]
 """(H, W, 3) RGB."""
-Images: TypeAlias = UInt8[NDArray[np.uint8], "images _height _width 3"]
+Images: TypeAlias = UInt8[_Bytes, "images _height _width 3"]
 """(n, H, W, 3) RGB."""
-Action: TypeAlias = Float32[NDArray[np.float32], "4"]
+Action: TypeAlias = Float32[Float32Array, "4"]
 """(4,): vx, vy, vz in m/s and yaw rate in rad/s, in the heading frame."""
-ActionChunk: TypeAlias = Float32[NDArray[np.float32], "steps 4"]
+ActionChunk: TypeAlias = Float32[Float32Array, "steps 4"]
 """(k, 4) actions for the next k control steps, k >= 1."""
 
 Category = Literal["human_recognition", "symbol_understanding", "reasoning", "racing"]

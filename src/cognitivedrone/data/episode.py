@@ -8,11 +8,10 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float32, Float64
-from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from cognitivedrone.choices import LookName
-from cognitivedrone.types import ActionChunk, Image, Task
+from cognitivedrone.types import ActionChunk, Float32Array, Float64Array, Image, Task
 
 Encoding = Literal["jpeg", "png", "webp"]
 """`jpeg` is lossy; `png` and `webp` (lossless) give back every bit."""
@@ -53,24 +52,24 @@ class Episode:
     """(T, 4) the label: the clean expert action, heading frame, vx, vy, vz m/s and yaw rate rad/s."""
     sent: ActionChunk
     """(T, 4) what was really commanded; differs from `action` where the flight was perturbed."""
-    velocity: Float32[NDArray[np.float32], "steps 3"]
+    velocity: Float32[Float32Array, "steps 3"]
     """(T, 3) heading frame, m/s."""
-    height: Float32[NDArray[np.float32], " steps"]
+    height: Float32[Float32Array, " steps"]
     """(T,) above ground, m."""
-    yaw_rate: Float32[NDArray[np.float32], " steps"]
+    yaw_rate: Float32[Float32Array, " steps"]
     """(T,) rad/s."""
-    position: Float64[NDArray[np.float64], "steps 3"]
+    position: Float64[Float64Array, "steps 3"]
     """(T, 3) true, world, m. For scoring and conversion, never for a policy."""
-    quaternion: Float64[NDArray[np.float64], "steps 4"]
+    quaternion: Float64[Float64Array, "steps 4"]
     """(T, 4) true, w, x, y, z, body to world."""
-    final_position: Float64[NDArray[np.float64], 3]
+    final_position: Float64[Float64Array, 3]
     """(3,) world, m, after the last action."""
 
     def __len__(self) -> int:
         return len(self.images)
 
     @property
-    def state(self) -> Float32[NDArray[np.float32], "steps 5"]:
+    def state(self) -> Float32[Float32Array, "steps 5"]:
         """(T, 5) what a policy may know of itself: heading-frame velocity, height, yaw rate."""
         return np.column_stack([self.velocity, self.height, self.yaw_rate]).astype(np.float32)
 

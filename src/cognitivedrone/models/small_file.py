@@ -35,7 +35,7 @@ from cognitivedrone.models.onnx_file import (
     write_table,
 )
 from cognitivedrone.models.text import Vocabulary
-from cognitivedrone.types import IMAGE_SIZE
+from cognitivedrone.types import IMAGE_SIZE, Float32Array
 
 KIND = "small-vla"
 
@@ -108,11 +108,11 @@ class Description:
 class Output:
     """What the network says of n frames."""
 
-    action: Float32[NDArray[np.float32], "images steps 4"]
+    action: Float32[Float32Array, "images steps 4"]
     """(n, k, 4), heading frame, m/s and rad/s: for the next k control steps."""
-    choice: Float32[NDArray[np.float32], "images 4"]
+    choice: Float32[Float32Array, "images 4"]
     """(n, 4) probability that each of the seen gates is meant; last, that none of them is."""
-    gates: Float32[NDArray[np.float32], "images 3 4"]
+    gates: Float32[Float32Array, "images 3 4"]
     """(n, 3, 4) of each seen gate: centre u, v in pixels, detection score 0 to 1, distance in m."""
 
 
