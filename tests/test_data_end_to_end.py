@@ -43,7 +43,7 @@ def store(tmp_path_factory):
 
 
 def test_a_collected_set_is_whole_and_shown(store, tmp_path):
-    assert "whole" in ok("data", "verify", store)
+    assert "intact" in ok("data", "verify", store)
     shown = ok("data", "show", store)
     assert "math_board" in shown.replace(" ", "_")
     ok("data", "report", store, "--out", tmp_path / "card.html")
@@ -130,4 +130,4 @@ def test_a_folder_with_another_set_is_left_alone(store):
 def test_a_folder_that_is_no_set_is_said_to_be_none(tmp_path, what):
     done = run("data", what, tmp_path)
     assert done.returncode == 2, done.stdout
-    assert "no data set" in done.stderr
+    assert "not a data set" in done.stderr

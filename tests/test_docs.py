@@ -71,7 +71,9 @@ def test_the_page_of_tasks_names_every_key_that_a_task_file_needs():
     page = (ROOT / "docs" / "tasks.md").read_text(encoding="utf-8")
     example = json.loads(re.search(r"```json\n(.*?)```", page, flags=re.DOTALL).group(1))
     told = set(
-        re.findall(r"`(\w+)`", re.search(r"Needed are (.*?), and `category` where", page, flags=re.DOTALL).group(1))
+        re.findall(
+            r"`(\w+)`", re.search(r"Required keys are (.*?), and `category` where", page, flags=re.DOTALL).group(1)
+        )
     )
     needed = set()
     for key in example:

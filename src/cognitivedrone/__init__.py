@@ -4,8 +4,8 @@
 
     print(evaluate(MyPolicy(), suite="open-v1:smoke"))
 
-Importing the package is light: it loads no simulator and no learning framework until `evaluate` is asked for. The parts
-are reached by their rooms, for example `cognitivedrone.tasks` or `cognitivedrone.benchmark`.
+Importing the package is fast: it loads no simulator and no learning framework until `evaluate` is used. Other parts
+have their own packages, for example `cognitivedrone.tasks` or `cognitivedrone.benchmark`.
 """
 
 from typing import TYPE_CHECKING, Any

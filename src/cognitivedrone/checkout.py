@@ -1,4 +1,4 @@
-"""Which commit of this project's source is running."""
+"""The git commit of the running source."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pathlib import Path
 
 @lru_cache(maxsize=1)
 def commit() -> str | None:
-    """The git commit of the checkout that this code is in, with "-dirty" where tracked files were changed.
+    """The git commit of the checkout that contains this code, with "-dirty" if tracked files were changed.
 
-    None where it is in no checkout (an installed wheel, also inside somebody else's repository), or git is missing.
+    None outside a checkout (an installed wheel, also inside another repository), or if git is missing.
     """
     here = Path(__file__).resolve()
     if _git(here.parent, "ls-files", "--error-unmatch", here.name) is None:
@@ -20,7 +20,7 @@ def commit() -> str | None:
 
 
 def _git(folder: Path, *arguments: str) -> str | None:
-    """What git prints; none where it fails or is missing."""
+    """Git's output; None if it fails or is missing."""
     try:
         done = subprocess.run(["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=False)  # noqa: S603, S607
     except OSError:

@@ -1,8 +1,8 @@
-"""Files and folders whose names or contents come from somebody else, and disks that refuse.
+"""Untrusted file names, untrusted files, and write errors.
 
-`safe_name` is the only way from a text of some data to a part of a path, `read_regular` the way to read a file that
-could be a pipe, a device or endless, `writing` the way to tell in one sentence that a disk is full, and `take_lock` the
-lock of a folder that has one writer.
+`safe_name` is the only way to turn a text from data into a part of a path. `read_regular` reads a file that
+might be a pipe, a device or endless. `writing` reports in one sentence that a disk is full. `take_lock` is the
+lock of a folder with one writer.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 from cognitivedrone.errors import CognitiveDroneError
 
 LONGEST_NAME = 100
-"""Bytes of a name that `safe_name` gives, in UTF-8; file systems take 255."""
+"""Maximum length of the result of `safe_name` in bytes of UTF-8; file systems allow 255."""
 _HASHED = 8
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -32,10 +32,10 @@ _KINDS = (
 
 
 def safe_name(text: str) -> str:
-    """A name for one file or folder that says what `text` says, whatever that holds: never a path, hidden or empty.
+    """A name for one file or folder that resembles `text`, whatever that contains: never a path, hidden or empty.
 
     Letters, digits, space and `._-` stay. A text that had to be changed or cut gets a part of its hash, so that
-    `a/b` and `a_b` do not fall together.
+    `a/b` and `a_b` stay distinct.
     """
     composed = unicodedata.normalize("NFKC", text)
     kept = "".join(each if _fits(each) else "_" for each in composed).strip(" .")
@@ -51,18 +51,18 @@ def _fits(character: str) -> bool:
 
 
 def check_regular(path: Path) -> None:
-    """Raise `OSError` whose `strerror` says what is at `path`, unless that is an ordinary file; opens nothing."""
+    """Raise `OSError`, whose `strerror` describes what is at `path`, unless that is a regular file; opens nothing."""
     _refuse_others(path.stat().st_mode, path)
 
 
 def read_regular(path: Path, max_bytes: int) -> bytes:
-    """The content of an ordinary file of at most that size.
+    """The content of a regular file of at most that size.
 
-    Raises `OSError` whose `strerror` says why not: for what cannot be read, for folders, pipes, devices and sockets,
-    which are never waited for, and for larger files.
+    Raises `OSError`, whose `strerror` gives the reason, for unreadable and larger files, and at once for folders,
+    pipes, devices and sockets.
     """
     check_regular(path)
-    # It may be another by now; and without O_NONBLOCK, opening a pipe waits for somebody to write into it.
+    # The file may have been replaced since; and without O_NONBLOCK, opening a pipe waits for a writer.
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     with open(descriptor, "rb") as file:  # noqa: PTH123 - of a descriptor
         facts = os.fstat(descriptor)
@@ -81,7 +81,7 @@ def _refuse_others(mode: int, path: Path) -> None:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file such that a kill or a full disk at any moment leaves the old one or the new one, and nothing beside.
+    """Write a file atomically: after a kill or a full disk at any moment, either the old or the new one is there.
 
     Raises `OSError`.
     """
@@ -99,10 +99,10 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 def take_lock(descriptor: int) -> bool:
-    """Take the exclusive lock of an open file or folder; false where another process has it.
+    """Take the exclusive lock of an open file or folder; False if another process holds it.
 
     The operating system frees it when the last copy of the descriptor is closed, however its process ends. Raises
-    `OSError` where the file system has no locks.
+    `OSError` if the file system has no locks.
     """
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -115,7 +115,7 @@ def take_lock(descriptor: int) -> bool:
 def writing(
     path: Path, error: type[CognitiveDroneError], then: str = "make room there or give another place"
 ) -> Iterator[None]:
-    """Turn what the operating system says of writing to `path` into one `error` that ends with what to do."""
+    """Turn errors of writing to `path` into one `error` that ends with the way out."""
     try:
         yield
     except OSError as refused:
@@ -123,5 +123,5 @@ def writing(
 
 
 def reason_of(error: OSError) -> str:
-    """What the operating system said, without its number and the file's name."""
+    """The operating system's message, without its number and the file's name."""
     return error.strerror or str(error) or type(error).__name__

@@ -1,7 +1,7 @@
-"""Frames and rotations. The only place where a frame is converted.
+"""Reference frames and rotations. The only place for frame conversions.
 
 World ENU, body FLU, heading frame = body turned level. MAVLink and aerospace code is NED/FRD. Quaternions are
-(w, x, y, z), body to world. All functions but `ned_euler` accept leading batch dimensions.
+(w, x, y, z), body to world. All functions except `ned_euler` accept leading batch dimensions.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def quaternion_from_yaw(yaw: ArrayLike) -> Quaternions:
 
 
 def rotate_yaw(vector: FloatArray, yaw: ArrayLike) -> FloatArray:
-    """Turn vectors (..., 2 or 3) to the left by yaw: heading frame to world."""
+    """Rotate vectors (..., 2 or 3) to the left by yaw: heading frame to world."""
     c, s = np.cos(yaw), np.sin(yaw)
     out = np.array(vector, dtype=np.float64)
     x, y = vector[..., 0], vector[..., 1]
@@ -69,9 +69,9 @@ def flu_to_frd(vector: Vectors) -> Vectors:
 
 
 def ned_quaternion(quaternion: Quaternions) -> Quaternions:
-    """(..., 4) w, x, y, z from body FRD to NED, of those from body FLU to ENU; its own inverse.
+    """(..., 4) w, x, y, z from body FRD to NED, for those from body FLU to ENU; its own inverse.
 
-    The half turn about the line between east and north, the attitude, and the half turn about forward, multiplied out.
+    The product of the half turn about the line between east and north, the attitude, and the half turn about forward.
     """
     w, x, y, z = (quaternion[..., i] for i in range(4))
     return np.stack([w + z, x + y, x - y, w - z], axis=-1) * math.sqrt(0.5)

@@ -1,7 +1,7 @@
-"""Text from files and networks: which characters it must not hold, and how it is shown where it holds them.
+"""Forbidden characters in texts from files and networks, and their visible form.
 
-Control characters move a terminal's cursor and change its colours, bidirectional overrides let a sentence read other
-than it is, lone surrogates cannot be written into any file, and invisible characters make two names look alike.
+Control characters move a terminal's cursor and change its colours, bidirectional overrides change how a sentence
+reads, lone surrogates cannot be written to any file, and invisible characters make two names look alike.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ _UNPRINTABLE = re.compile("|".join(f"([{characters}])" for _, characters in _KIN
 
 
 def unprintable(text: str) -> str | None:
-    """The first character that must not be in a text, in words; none where the text is fit to be shown.
+    """The first forbidden character of a text, in words; None if the text can be shown.
 
-    Joiners and the marks of right-to-left scripts are fit: words of some languages need them.
+    Joiners and the marks of right-to-left scripts are allowed: words of some languages need them.
     """
     found = _UNPRINTABLE.search(text)
     if found is None or found.lastindex is None:
@@ -30,7 +30,7 @@ def unprintable(text: str) -> str | None:
 
 
 def visible(text: str, keep: str = "") -> str:
-    """The text with every unfit character, but those of `keep`, written as its escape sequence."""
+    """The text with every forbidden character, except those of `keep`, as an escape sequence."""
     return _UNPRINTABLE.sub(lambda found: found.group() if found.group() in keep else _escape(found.group()), text)
 
 

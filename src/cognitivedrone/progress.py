@@ -1,4 +1,4 @@
-"""Progress bars on standard error that fit into 80 columns: what is done, of how much, how fast, time left."""
+"""Progress bars on standard error, within 80 columns: progress, total, rate, time left."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BAR_WIDTH = 16
 def progress_bar(
     *fields: str, show: bool = True, columns: Iterable[ProgressColumn] = (), screen: Console | None = None
 ) -> Progress:
-    """A bar of tasks; `fields` are texts that `update` changes, `columns` come before the remaining time."""
+    """A progress bar; `fields` are texts that `update` changes, `columns` come before the remaining time."""
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(bar_width=BAR_WIDTH),
@@ -32,7 +32,7 @@ def progress_bar(
 
 
 class _Field(ProgressColumn):
-    """A text of the task's; where the line is too long it is the first to be cut."""
+    """A text of the task; on a long line it is truncated first."""
 
     def __init__(self, name: str) -> None:
         super().__init__()
@@ -43,7 +43,7 @@ class _Field(ProgressColumn):
 
 
 def counted(items: Iterable[T], description: str, total: int, *, show: bool = True) -> Iterator[T]:
-    """The items, while a bar counts them."""
+    """The items, counted by a bar."""
     with progress_bar(show=show) as bar:
         task = bar.add_task(description, total=total)
         for item in items:

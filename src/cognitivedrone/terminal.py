@@ -1,7 +1,7 @@
-"""The one console of all commands: what it is given is text, never markup.
+"""The shared console of all commands: its input is plain text, never markup.
 
-Tasks, labels, directives, data sets and models come from anywhere. A bracket in one of them must not be taken for a
-style of rich's, nor an escape sequence reach the terminal.
+Tasks, labels, directives, data sets and models are untrusted. A bracket in one of them must not become one of rich's
+styles, nor may an escape sequence reach the terminal.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from cognitivedrone.printable import visible
 
 
 class _PlainConsole(Console):
-    """Shows control characters of texts as their escape sequences; styles come from the program alone."""
+    """Shows control characters in texts as escape sequences; styles come only from the program."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-        """As rich renders, with every text made visible."""
+        """Render like rich, with every text made visible."""
         for segment in super().render(renderable, options):
             if segment.control:
                 yield segment
@@ -30,8 +30,8 @@ class _PlainConsole(Console):
 def console(
     *, stderr: bool = False, quiet: bool = False, width: int | None = None, file: IO[str] | None = None
 ) -> Console:
-    """A console on standard output, standard error or a file, that takes no text for markup, emoji codes or numbers.
+    """A console on standard output, standard error or a file, without markup, emoji codes or number highlighting.
 
-    `quiet` prints nothing; `width` is in characters, that of the terminal by default.
+    `quiet` prints nothing; `width` is in characters, by default the terminal's.
     """
     return _PlainConsole(stderr=stderr, quiet=quiet, width=width, file=file, markup=False, emoji=False, highlight=False)

@@ -1,4 +1,4 @@
-"""Which CognitiveDrone this is, and on what it runs."""
+"""Version and runtime environment of CognitiveDrone."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cognitivedrone import __version__, checkout
 
 
 def version_line() -> str:
-    """Version, commit of a checkout, Python and MuJoCo: what a report of a fault should begin with."""
+    """Version, commit of a checkout, Python and MuJoCo: the first line of a bug report."""
     commit = checkout.commit()
     source = f" (git {commit})" if commit else ""
     try:

@@ -104,8 +104,8 @@ def test_a_place_that_cannot_be_written_is_one_sentence(config, impossible):
 @pytest.mark.parametrize(
     ("out", "says"),
     [
-        ("view.xyz", ".xyz is no kind of picture; end its name in .png"),
-        ("view", "no suffix is no kind of picture; end its name in .png"),
+        ("view.xyz", ".xyz is not an image format; end the name in .png"),
+        ("view", "no suffix is not an image format; end the name in .png"),
         ("file/view.png", "there is no folder"),
         ("folder.png", "Is a directory"),
         ("/proc/view.png", "No such file or directory"),

@@ -48,7 +48,7 @@ def test_table_and_report_have_the_race_and_no_chance_of_guessing_right(flown):
     for text in (table, page):
         assert "racing" in text
         assert "100.0 %" in text
-        for word in ("mean of", "a guess"):
+        for word in ("mean of", "random choice"):
             assert word not in text
     assert 'class="chance"' not in page
     assert "Beside the published scores" not in page

@@ -177,7 +177,7 @@ def test_the_paper_stands_beside_shipped_suites_alone(pieces):
     results, traces, clips = pieces
     assert "77.2 %" not in render_report(results, traces, clips)
     results = replace(results, run=replace(results.run, suite=replace(results.run.suite, name="open-v1:test")))
-    text = render_report(results, traces, clips).partition("Beside the paper")[2]
+    text = render_report(results, traces, clips).partition("Compared with the paper")[2]
     row = next(row for row in re.findall(r"<tr>.*?</tr>", text) if "human recognition" in row)
     assert re.findall(r"\d+\.\d %", row)[1:] == ["76.8 %", "45.2 %", "23.1 %"]
     own = replace(results, run=replace(results.run, suite=replace(results.run.suite, name="my_tasks.json")))
@@ -236,7 +236,7 @@ def test_films_that_do_not_fit_are_left_out_and_told(pieces, monkeypatch):
     monkeypatch.setattr(report, "CLIP_BUDGET", len(clips[0].video) + len(clips[0].poster) + 1)
     text = render_report(results, traces, clips)
     assert Page(text).tags.count("video") == 1
-    assert "2 more would not fit" in text
+    assert "2 more did not fit" in text
 
 
 def test_a_pilot_that_flies_differently_the_second_time_is_told(config):

@@ -94,7 +94,7 @@ def test_an_import_stays_in_its_folder_and_goes_out_again(tmp_path: Path, form: 
 @pytest.mark.parametrize("form", FORMATS)
 def test_texts_of_an_import_are_checked_as_those_of_a_task_file(tmp_path: Path, form: str) -> None:
     export([("train", evil_episode("a\x1b[2Jb"))], form, tmp_path / "set")
-    with pytest.raises(DataError, match=r"id holds the control character U\+001B at position 2; take it out"):
+    with pytest.raises(DataError, match=r"id contains the control character U\+001B at position 2; remove it"):
         list(import_(tmp_path / "set", form))
 
 
@@ -220,7 +220,7 @@ def test_a_set_with_evil_names_is_shown_as_it_is(tmp_path: Path, capsys: pytest.
     main(["data", "show", str(store)])
     assert evil in capsys.readouterr().out
     main(["data", "verify", str(store)])
-    assert "[red]: whole" in capsys.readouterr().out
+    assert "[red]: intact" in capsys.readouterr().out
     main(["data", "report", str(store), "--out", str(tmp_path / "card.html")])
     assert evil in (tmp_path / "card.html").read_text()
     main(["data", "export", str(store), "--to", "published", "--out", str(tmp_path / "[out]")])

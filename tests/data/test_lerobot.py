@@ -172,5 +172,5 @@ def test_no_data_set_is_told(tmp_path):
 def test_data_of_others_is_told_apart(copied):
     path = copied / "meta/episodes/chunk-000/file-000.parquet"
     pq.write_table(pq.read_table(path).drop_columns(["record"]), path)
-    with pytest.raises(DataError, match="only own exports can be imported"):
+    with pytest.raises(DataError, match="only exports of this package can be imported"):
         list(import_(copied, "lerobot"))

@@ -150,7 +150,7 @@ def test_data_of_others_is_told_apart(copied):
 def test_data_sets_of_other_names_are_told_apart(copied):
     path = copied / "cognitivedrone/1.0.0/dataset_info.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"name": "bridge"}))
-    with pytest.raises(DataError, match="is data set 'bridge'; only own exports"):
+    with pytest.raises(DataError, match="is data set 'bridge'; only exports of this package"):
         list(import_(copied, "rlds"))
 
 

@@ -67,7 +67,7 @@ def test_a_number_out_of_range_is_refused(steps, number):
 def test_an_episode_that_is_there_twice_is_named(sound_store, tmp_path):
     labelled = list(Store(sound_store).labelled())
     export([*labelled, labelled[3]], "rlds", tmp_path / "set")
-    with pytest.raises(DataError, match=rf"episode {labelled[3][1].index} is there twice"):
+    with pytest.raises(DataError, match=rf"episode {labelled[3][1].index} appears twice"):
         RldsSteps(tmp_path / "set")
 
 

@@ -221,7 +221,7 @@ def test_a_place_that_cannot_be_a_folder_is_refused(tmp_path: Path) -> None:
 
 
 def test_unfinished_and_foreign_folders_do_not_open(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="is no data set"):
+    with pytest.raises(DataError, match="is not a data set"):
         Store.open(tmp_path)
     writer_at(tmp_path / "store")
     with pytest.raises(DataError, match=r"is not finished; go on with .*--resume"):
@@ -305,7 +305,7 @@ def test_flights_that_do_not_fit_are_refused(tmp_path: Path, flights: list[Episo
     ]:
         with pytest.raises(DataError, match=message):
             writer.write_shard(0, [bad], {})
-    with pytest.raises(DataError, match=r"shard-00000\.parquet: episode 0 comes twice"):
+    with pytest.raises(DataError, match=r"shard-00000\.parquet: episode 0 is repeated"):
         writer.write_shard(0, [flight, flight], {})
     writer.write_shard(0, [flight], {})
     writer.write_shard(1, [flight], {})

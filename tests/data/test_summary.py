@@ -30,7 +30,7 @@ def test_summary_names_what_is_in_the_set(sound_store: Path, flights: list[Episo
 
 
 def test_summary_of_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="is no data set"):
+    with pytest.raises(DataError, match="is not a data set"):
         summary(tmp_path)
 
 

@@ -180,7 +180,7 @@ def test_a_manifest_is_not_made_up_for_the_shards_of_another_set(store: Path) ->
         writer_at(store)
     (store / "manifest.json").write_text("{}")
     (store / "thesis.txt").write_text("mine")
-    with pytest.raises(DataError, match="is not the manifest of a data set of ours"):
+    with pytest.raises(DataError, match="is not the manifest of a data set of this package"):
         writer_at(store, resume=True)
     (store / "manifest.json").unlink()
     (store / "thesis.txt").unlink()

@@ -33,7 +33,7 @@ def test_its_python_runs(code):
 
 def test_it_lists_the_arguments():
     parameters = [name for name in inspect.signature(CognitiveDroneEnv).parameters if name != "self"]
-    assert first_column("Making one") == parameters
+    assert first_column("Create an environment") == parameters
     more = {name for name in inspect.signature(CognitiveDroneVectorEnv).parameters if name not in parameters}
     assert more == {"num_envs", "threads", "copy"}
 

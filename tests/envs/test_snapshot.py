@@ -78,7 +78,7 @@ def test_a_gate_that_stands_alone_is_the_only_one_listed(tmp_path):
         ({"episode": 30}, TaskError, "has episodes 0 to 29, not 30"),
         ({"look": "vareid"}, RunError, "unknown look 'vareid'; did you mean 'varied'"),
         ({"out": "nowhere/view.png"}, RunError, "there is no folder"),
-        ({"out": "view.xyz"}, RunError, "no kind of picture; end its name in .png"),
+        ({"out": "view.xyz"}, RunError, "not an image format; end the name in .png"),
         ({"out": "folder.png"}, RunError, "cannot write"),
     ],
 )

@@ -88,7 +88,7 @@ def test_transparent_images_are_laid_on_white(tmp_path):
         ("animal/dog@oil", "in style 'oil'; known: photo, sketch"),
         ("anymal/cat", "has no kind 'anymal'; did you mean 'animal'"),
         ("animal/../../secret", "no file"),
-        ("sum/1+", "is no sum"),
+        ("sum/1+", "is not a sum"),
     ],
 )
 def test_what_is_not_there_is_named_with_a_way_out(folder, reference, message):
@@ -186,7 +186,7 @@ def test_what_is_named_like_an_image_and_is_none_is_refused_at_once(tmp_path, ki
     says = "it is a link to nothing" if kind in ("link", "loop") else f"it is a {kind}, not a file"
     with pytest.raises(LabelError) as told:
         load_pack(str(tmp_path / "labels"))
-    assert str(told.value) == f"label image {odd} cannot be read: {says}; take it out of the folder"
+    assert str(told.value) == f"label image {odd} cannot be read: {says}; remove it from the folder"
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device"])

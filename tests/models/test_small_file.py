@@ -162,7 +162,7 @@ def test_a_file_that_does_not_describe_itself(tmp_path):
         (changed(format=3), "format 3 and this version reads formats 1 and 2"),
         (changed(kind="reasoner"), "kind 'reasoner'"),
         (changed(vocabulary=["fly"]), "begins with"),
-        (changed(vocabulary=["<pad>", 1]), "no word"),
+        (changed(vocabulary=["<pad>", 1]), "not a word"),
         (changed(text_length=0), "'text_length'"),
         (changed(text_length="8"), "'text_length'"),
         (changed(chunk=True), "'chunk'"),

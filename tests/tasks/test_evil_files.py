@@ -58,7 +58,7 @@ def test_an_unfit_character_is_told_with_file_index_field_and_fix(
     path = written(tmp_path, TASK | {field: ["a", text, "c"] if field in ("options", "labels") else text})
     with pytest.raises(TaskError) as told:
         suite_from_files(path)
-    assert str(told.value) == f"{path}[1]: {said} holds the {UNFIT[unfit]} at position 8; take it out"
+    assert str(told.value) == f"{path}[1]: {said} contains the {UNFIT[unfit]} at position 8; remove it"
 
 
 @pytest.mark.parametrize("unfit", UNFIT, ids=ascii)
@@ -92,7 +92,7 @@ def test_a_sum_and_its_board_say_the_same(tmp_path: Path) -> None:
 def test_a_key_that_stands_twice_is_ambiguous(tmp_path: Path) -> None:
     path = tmp_path / "tasks.json"
     path.write_text(json.dumps([TASK]).replace('"correct":', '"correct": 1, "correct":'))
-    with pytest.raises(TaskError, match="the key 'correct' stands twice in one object"):
+    with pytest.raises(TaskError, match="the key 'correct' appears twice in one object"):
         read_tasks(path)
 
 
@@ -104,7 +104,7 @@ def test_a_misspelled_key_is_not_overlooked(tmp_path: Path, key: str) -> None:
 
 def test_keys_of_others_are_left_alone(tmp_path: Path) -> None:
     assert read_tasks(written(tmp_path, TASK | {"weather": "\x1b[2J", "x": {"y": []}}))[1].id == "mine"
-    with pytest.raises(TaskError, match=r"the key 'a\\x1bb' holds the control character"):
+    with pytest.raises(TaskError, match=r"the key 'a\\x1bb' contains the control character"):
         read_tasks(written(tmp_path, TASK | {"a\x1bb": 1}))
 
 

@@ -213,7 +213,7 @@ def test_one_command_teaches_and_exports(
         run(TrainOptions(tmp_path, "language"))
     with pytest.raises(TrainingError, match="no such checkpoint"):
         run(TrainOptions(tmp_path, "language", start=tmp_path / "nothing.safetensors"))
-    with pytest.raises(TrainingError, match="learns from no flights"):
+    with pytest.raises(TrainingError, match="does not use flights"):
         run(TrainOptions(tmp_path, "language", start=policy_checkpoint, data=tmp_path))
     file = run(TrainOptions(tmp_path / "taught", "language", start=policy_checkpoint))
     model = SmallModel.load(file)

@@ -397,12 +397,12 @@ def nothing_is_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("nothing_is_loaded")
 class TestBeforeAnythingHeavyIsLoaded:
     def test_no_store(self, base: Path, tmp_path: Path) -> None:
-        with pytest.raises(DataError, match="is no data set, it has no manifest"):
+        with pytest.raises(DataError, match="is not a data set: it has no manifest"):
             fine_tune(FineTuning(base, tmp_path, tmp_path / "run"))
 
     def test_an_rlds_data_set_of_others(self, base: Path, tmp_path: Path) -> None:
         (tmp_path / "dataset_info.json").write_text('{"name": "bridge_orig"}')
-        with pytest.raises(DataError, match=r"is data set 'bridge_orig'; only own exports"):
+        with pytest.raises(DataError, match=r"is data set 'bridge_orig'; only exports of this package"):
             fine_tune(FineTuning(base, tmp_path, tmp_path / "run"))
 
     def test_no_flight_of_the_recipes_category(self, base: Path, flights: Path, tmp_path: Path) -> None:
@@ -431,7 +431,7 @@ class TestBeforeAnythingHeavyIsLoaded:
         copy = Path(shutil.copytree(base, tmp_path / "cut"))
         weights = copy / checkpoints.WEIGHTS
         weights.write_bytes(weights.read_bytes()[:-100])
-        with pytest.raises(PolicyError, match="is cut off"):
+        with pytest.raises(PolicyError, match="is truncated"):
             fine_tune(FineTuning(copy, flights, tmp_path / "run"))
 
     def test_shards_on_one_process(self, base: Path, flights: Path, tmp_path: Path) -> None:

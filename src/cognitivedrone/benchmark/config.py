@@ -28,7 +28,7 @@ class RunConfig:
     suite: str = "open-v1:test"
     """Name of a suite of tasks."""
     tasks: Path | None = None
-    """Task file, or folder of them, flown instead of a suite."""
+    """Task file, or folder of them, to fly instead of a suite."""
     labels: Path | None = None
     """Folder of label images that come before the shipped ones."""
     workers: int | None = None
@@ -114,7 +114,7 @@ class SweepConfig:
     suite: str = "open-v1:test"
     """Name of a suite of tasks."""
     tasks: Path | None = None
-    """Task file, or folder of them, flown instead of a suite."""
+    """Task file, or folder of them, to fly instead of a suite."""
     labels: Path | None = None
     """Folder of label images that come before the shipped ones."""
     part: Part = "reasoner"

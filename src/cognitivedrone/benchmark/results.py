@@ -78,7 +78,7 @@ class Timing:
     """How long it took on this machine."""
 
     finished: str
-    """ISO 8601, UTC."""
+    """Time of training, ISO 8601, UTC."""
     wall_s: float
     """Of this session; a resumed run had others before."""
     workers: int

@@ -1,7 +1,7 @@
-"""The `cognitivedrone` command: its table of commands, its help, and what a mistake looks like.
+"""The `cognitivedrone` command: table of commands, help, and reporting of user errors.
 
-The module of a command is loaded when that command is run, and its parser knows that command's options alone: so help
-is quick, and a misspelt option is answered with those of the command at hand.
+A command's module is loaded only when that command runs, and its parser knows only that command's options: so help
+is fast, and the error for a misspelt option lists the options of the same command.
 """
 
 from __future__ import annotations
@@ -21,59 +21,59 @@ from cognitivedrone.printable import visible
 
 PROGRAM = "cognitivedrone"
 COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
-    "score pilots": {
+    "score policies": {
         "bench": ("scoring:bench", "fly a policy through a suite of tasks and score it"),
         "compare": ("scoring:compare", "compare two runs, task by task"),
         "view": ("scoring:view", "draw what the drone sees at the start of a task"),
         "reason": ("scoring:reason", "score a reasoner alone, without flying"),
-        "sweep": ("scoring:sweep", "fly a suite with growing latency and plot the success"),
+        "sweep": ("scoring:sweep", "fly a suite with increasing latency and plot the success rate"),
         "list": ("scoring:list_names", "names for the options: suites, policies, reasoners, airframes"),
     },
     "fly": {
-        "fly": ("flying:fly", "fly the simulator, ArduPilot or a real drone by a sentence"),
+        "fly": ("flying:fly", "fly the simulator, ArduPilot or a real drone by instruction"),
         "sim": ("flying:sim", "serve the simulator as a MAVLink vehicle"),
         "gazebo export": ("flying:export_world", "write tasks as worlds for Gazebo"),
-        "gazebo check": ("flying:check_world", "have worlds checked by Gazebo's own parser"),
-        "gazebo import": ("flying:import_models", "take the published Gazebo tasks"),
+        "gazebo check": ("flying:check_world", "check worlds with Gazebo's own parser"),
+        "gazebo import": ("flying:import_models", "import the published Gazebo tasks"),
     },
-    "make data and train": {
+    "collect data and train": {
         "collect": ("data:collect", "collect a data set of expert flights"),
         "data show": ("data:show", "counts, lengths and actions of a data set"),
         "data report": ("data:report_card", "a page with film strips and statistics"),
         "data verify": ("data:verify", "check every shard against its hash"),
         "data export": ("data:export", "write a data set as RLDS, LeRobot, published or MCAP"),
-        "data import": ("data:import_", "take a data set of another format"),
+        "data import": ("data:import_", "import a data set of another format"),
         "data replay": ("data:replay", "fly a recorded episode again"),
         "train": ("training:train", "train a small model"),
         "train-openvla": ("training:train_openvla", "fine-tune OpenVLA-7B"),
     },
 }
-"""Module and function in this package, and one line of help, of every command; words of a command are blank-separated.
-The keys are the headings of the help."""
+"""Module and function in this package, and one line of help, for every command; words of a command are separated by
+blanks. The keys are the headings of the help."""
 TARGETS = {name: target for group in COMMANDS.values() for name, (target, _) in group.items()}
 FIRST = (
     ("bench --suite open-v1:smoke", "score the small VLA on 30 tasks"),
-    ("view --suite open-v1:test --episode 29", "see a task as the drone does: view.png"),
-    ('fly "Fly through the gate with the bird"', "say where to fly, and watch"),
+    ("view --suite open-v1:test --episode 29", "draw the drone's view of a task: view.png"),
+    ('fly "Fly through the gate with the bird"', "type an instruction and watch the flight"),
 )
-"""What to try first."""
+"""Suggested first commands."""
 
 
 @plain_warnings()
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; a mistake of the user's ends in one sentence and exit code 2."""
+    """Run the command; a user error ends in one sentence and exit code 2."""
     try:
         _run(list(sys.argv[1:] if arguments is None else arguments))
-        sys.stdout.flush()  # a full disk behind it shows here, not after the last line
+        sys.stdout.flush()  # a full disk behind it shows up here, not after the last line
     except CognitiveDroneError as error:
         _end(str(error))
     except BrokenPipeError:
-        _drop_output()  # whoever read it has seen enough
+        _drop_output()  # the reader of the output has closed it
         sys.exit(1)
     except OSError as error:
         place = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
         _drop_output()
-        _end(f"{place}{reason_of(error)}; is there room, and may it be read and written?")
+        _end(f"{place}{reason_of(error)}; check the free space and the permissions")
     except KeyboardInterrupt as stop:
         print(visible(f"{PROGRAM}: {str(stop) or 'stopped'}"), file=sys.stderr)  # noqa: T201
         sys.exit(130)
@@ -106,19 +106,19 @@ def help_text(first_word: str = "") -> str:
     """The commands under their headings, or those that begin with a word such as "data"."""
     lines = [f"usage: {PROGRAM} {first_word or 'COMMAND'} ..."]
     if not first_word:
-        lines += ["", "Language-driven drones: score pilots, fly them, make data, train.", "", "try first:"]
+        lines += ["", "Language-driven drones: score policies, fly them, collect data, train.", "", "try first:"]
         for command, effect in FIRST:
             lines += [f"  {PROGRAM} {command}", f"      {effect}"]
     for heading, commands in COMMANDS.items():
         shown = {name: text for name, (_, text) in commands.items() if first_word in ("", name.partition(" ")[0])}
         if shown:
             lines += ["", f"{heading}:", *(f"  {name:<15}{text}" for name, text in shown.items())]
-    lines += ["", "COMMAND --help tells the options of a command; --version what is installed."]
+    lines += ["", "COMMAND --help lists its options; --version shows the installed version."]
     return "\n".join(lines)
 
 
 def _explain(arguments: list[str]) -> None:
-    """Help for a first word that several commands share; raises `UsageError` for what is no command."""
+    """Help for a first word that several commands share; raises `UsageError` for an unknown command."""
     first = arguments[0]
     second = {name.partition(" ")[2] for name in TARGETS if name.startswith(f"{first} ")}
     if second and (len(arguments) == 1 or arguments[1] in ("-h", "--help")):
@@ -137,7 +137,7 @@ def _end(sentence: str) -> NoReturn:
 
 
 def _drop_output() -> None:
-    """Forget what standard output does not take, so that the end of the process does not complain of it once more."""
+    """Discard output that standard output refuses, so that the process does not report the error again at its end."""
     try:
         sys.stdout.flush()
     except OSError:

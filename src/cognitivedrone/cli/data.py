@@ -1,4 +1,4 @@
-"""Commands that make data sets and work on them: collect, and those of `data`."""
+"""Commands for data sets: collect, and those of `data`."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from cognitivedrone.printable import visible
 def collect(config: Annotated[CollectConfig, tyro.conf.arg(name="")]) -> None:
     """Collect a data set: the expert flies the tasks of a suite, frames and actions go into a store.
 
-    A run that was stopped goes on with --resume. With --policy the policy flies, and the expert says at every step what
-    it would have done (DAgger). Examples:
+    Continue a stopped run with --resume. With --policy, the policy flies and the expert labels every step with its own
+    command (DAgger). Examples:
 
       cognitivedrone collect --out data/paper
       cognitivedrone collect --recipe robust --episodes 500 --out data/robust
@@ -61,7 +61,7 @@ def report_card(folder: tyro.conf.Positional[Path], out: Path = Path("card.html"
 
 
 def verify(folder: tyro.conf.Positional[Path]) -> None:
-    """Check every shard of a data set against its hash; exit code 1 where something is missing, cut short or altered.
+    """Check every shard of a data set against its hash; exit code 1 if anything is missing, truncated or altered.
 
     Args:
         folder: The data set.
@@ -73,13 +73,13 @@ def verify(folder: tyro.conf.Positional[Path]) -> None:
         print(visible(str(problem)))  # noqa: T201
     if problems:
         again = "collect it again with --resume and the settings it was made with; an import is imported again"
-        print(f"{folder}: {len(problems)} problems; to mend them, {again}", file=sys.stderr)  # noqa: T201
+        print(f"{folder}: {len(problems)} problems; to repair them, {again}", file=sys.stderr)  # noqa: T201
         sys.exit(1)
-    print(visible(f"{folder}: whole"))  # noqa: T201
+    print(visible(f"{folder}: intact"))  # noqa: T201
 
 
 def export(folder: tyro.conf.Positional[Path], to: str, out: Path) -> None:
-    """Write a data set in a format that trainers read.
+    """Export a data set to a format for trainers.
 
     Args:
         folder: The data set.
@@ -96,7 +96,7 @@ def export(folder: tyro.conf.Positional[Path], to: str, out: Path) -> None:
 
 
 def import_(source: tyro.conf.Positional[Path], form: Annotated[str, tyro.conf.arg(name="from")], out: Path) -> None:
-    """Take a data set of another format into a store of ours.
+    """Import a data set of another format into a new store.
 
     Args:
         source: The data set to read.
@@ -109,7 +109,7 @@ def import_(source: tyro.conf.Positional[Path], form: Annotated[str, tyro.conf.a
 
 
 def replay(folder: tyro.conf.Positional[Path], episode: tyro.conf.Positional[int]) -> None:
-    """Fly the recorded commands of an episode again and say how far the end is from the record.
+    """Fly the recorded commands of an episode again and print the distance from the recorded end.
 
     Args:
         folder: The data set.

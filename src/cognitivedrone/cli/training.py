@@ -1,4 +1,4 @@
-"""Commands that train: train, train-openvla."""
+"""Training commands: train, train-openvla."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def train(
     processes: int = 1,
     threads: int = 1,
 ) -> None:
-    """Train a small model, from flights made while it trains or from a data set, and write it as one ONNX file.
+    """Train a small model, from flights made during training or from a data set, and write it as one ONNX file.
 
-    Needs the extra `train`. A training that was stopped goes on with --resume. Examples:
+    Needs the extra `train`. Continue a stopped training with --resume. Examples:
 
       cognitivedrone train --recipe small --out runs/small --processes 2
       cognitivedrone train --recipe small --out runs/recorded --processes 2 --data flights
@@ -31,14 +31,14 @@ def train(
 
     Args:
         out: Folder of the run: checkpoint, curves.png, TensorBoard logs and, at the end, model.onnx.
-        recipe: small, race, base or debug; language, more to understand for a policy that flies; reader or mind, the
-            two parts of the small reasoner.
-        data: A data set made by `collect`, to learn from it instead of from flights made on the way.
-        start: Checkpoint of a policy: the one that is taught language, or whose sight the reader starts from.
-        seed: Of everything random.
-        resume: Go on from the checkpoint in the folder.
+        recipe: small, race, base or debug; language, which teaches a trained policy more language; reader or mind,
+            the two networks of the small reasoner.
+        data: A data set made by `collect`, used instead of flights made during training.
+        start: Checkpoint of a policy: the start of recipe language, or the source of the reader's panel encoder.
+        seed: Random seed.
+        resume: Continue from the checkpoint in the folder.
         processes: Processes that share each batch: the number of CPU cores, or of GPUs.
-        threads: CPU threads of each process's network.
+        threads: CPU threads per process.
     """
     print("loading PyTorch and the vocabulary", file=sys.stderr, flush=True)  # noqa: T201
     try:
@@ -62,25 +62,25 @@ def train_openvla(
     key: str = "cognitivedrone",
     merge: bool = False,
 ) -> None:
-    """Fine-tune OpenVLA-7B on a data set by low-rank adapters, and merge them into a checkpoint that can be flown.
+    """Fine-tune OpenVLA-7B on a data set with low-rank adapters, and merge them into a checkpoint that can be flown.
 
-    Needs the extras `openvla` and `train`, and peft. On several GPUs, start it by torchrun. Examples:
+    Needs the extras `openvla` and `train`, and peft. On several GPUs, start it with torchrun. Examples:
 
       cognitivedrone train-openvla --base openvla-7b --data flights --out out/7b
       torchrun --nproc-per-node 8 -m cognitivedrone train-openvla --base openvla-7b --data flights --out out/7b
       cognitivedrone bench --policy openvla:out/7b/merged
 
     Args:
-        base: Folder of the checkpoint to start from: config.json, tokenizer.json, *.safetensors.
+        base: Folder of the base checkpoint: config.json, tokenizer.json, *.safetensors.
         data: A data set made by `collect` or `data import`.
         out: Folder of the run: checkpoint, metrics.jsonl, curves.png, TensorBoard logs and, at the end, merged/.
         recipe: paper, race or debug.
-        seed: Of everything random.
-        resume: Go on from the checkpoint in the folder.
-        micro_batch: Samples at once on each GPU, 8 by default: fewer take less memory.
-        shard: Spread the weights over the GPUs instead of copying them to each.
+        seed: Random seed.
+        resume: Continue from the checkpoint in the folder.
+        micro_batch: Samples at once on each GPU, 8 by default; fewer need less memory.
+        shard: Shard the weights over the GPUs instead of copying them to each.
         key: Name of the action statistics in the checkpoint.
-        merge: Train no further, merge what the folder's checkpoint has.
+        merge: Do not train; merge the adapters of the folder's checkpoint.
     """
     from dataclasses import replace
 

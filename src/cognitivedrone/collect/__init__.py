@@ -1,1 +1,1 @@
-"""Training data at scale: the expert flies, episodes are recorded and stored."""
+"""Collection of training data: the expert flies, episodes are recorded and stored."""

@@ -1,4 +1,4 @@
-"""Collects a data set: the expert, or a policy that it relabels, flies the tasks of a suite into a store."""
+"""Collector of data sets: the expert, or a policy whose flights it relabels, flies a suite's tasks into a store."""
 
 from __future__ import annotations
 
@@ -26,39 +26,39 @@ from cognitivedrone.progress import progress_bar
 
 @dataclass(frozen=True, slots=True)
 class CollectReport:
-    """What was collected."""
+    """Statistics of a collection run."""
 
     out: Path
     episodes: int
-    """In the store now."""
+    """Episodes in the store now."""
     flown: int
-    """Flown and kept in this run."""
+    """Flown and stored in this run."""
     dropped: dict[str, int]
-    """Flights of this run that were not kept and flown again, by outcome."""
+    """Flights of this run that were dropped and flown again, by outcome."""
     outcomes: dict[str, int]
-    """Flights of this run that were kept, by outcome: all passed where the expert flew."""
+    """Stored flights of this run, by outcome: all passed if the expert flew."""
     seconds: float
     """Wall time of this run."""
 
     @property
     def success_rate(self) -> float:
-        """Share of this run's flights that were passed."""
+        """Share of this run's flights that passed."""
         flights = self.flown + sum(self.dropped.values())
         return self.outcomes.get("passed", 0) / flights if flights else 1.0
 
     @property
     def episodes_per_s(self) -> float:
-        """Kept episodes a second."""
+        """Stored episodes per second."""
         return self.flown / self.seconds if self.seconds > 0 else 0.0
 
 
 def collect(config: CollectConfig, progress: bool = True) -> CollectReport:
-    """Fill a store with exactly the episodes that are asked for, task by task of the suite.
+    """Fill a store with exactly the requested episodes, task by task of the suite.
 
-    What is in the store depends on suite, recipe, policy, episodes and seed alone, not on workers, executor or
-    interruptions. A run that was stopped at any moment goes on with `resume`. Raises `DataError` for a configuration or
-    a folder that does not do, `TaskError` for a suite, `PolicyError` for a policy, `MissingExtra` for Ray that is not
-    installed, and `KeyboardInterrupt` on Ctrl-C, which says how many episodes are kept.
+    The store's content depends only on suite, recipe, policy, episodes and seed, not on workers, executor or
+    interruptions. `resume` continues a run that was stopped at any moment. Raises `DataError` for an unusable
+    configuration or folder, `TaskError` for a suite, `PolicyError` for a policy, `MissingExtra` if Ray is not
+    installed, and `KeyboardInterrupt` on Ctrl-C, whose message gives the number of saved episodes.
     """
     job, executor, workers = _prepare(config)
     suite = open_suite(job)
@@ -88,7 +88,7 @@ def collect(config: CollectConfig, progress: bool = True) -> CollectReport:
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 f"stopped; {gathered.keep()} of {job.episodes} episodes are kept in {config.out},"
-                " the same command with --resume does the rest"
+                " the same command with --resume collects the rest"
             ) from None
         except BaseException:
             gathered.keep()
@@ -105,14 +105,14 @@ def collect(config: CollectConfig, progress: bool = True) -> CollectReport:
 
 @dataclass(slots=True)
 class _Part:
-    """What is there of a shard that is not whole yet."""
+    """The finished episodes of an incomplete shard."""
 
     episodes: list[Episode] = field(default_factory=list)
     dropped: Counter[str] = field(default_factory=Counter)
 
 
 class _Gathered:
-    """The episodes of a collection, gathered into shards, which are written as soon as they are whole."""
+    """The episodes of a collection, grouped into shards, which are written as soon as they are complete."""
 
     def __init__(self, writer: StoreWriter, job: Job) -> None:
         self._writer = writer
@@ -128,15 +128,15 @@ class _Gathered:
 
     @property
     def there(self) -> int:
-        """How many episodes there are, on disk or in memory."""
+        """Number of episodes on disk or in memory."""
         return self._written() + sum(len(part.episodes) for part in self._parts.values())
 
     def missing(self) -> list[list[int]]:
-        """The indices that are left to fly, by shard."""
+        """The indices that remain to be flown, by shard."""
         return [self._left(number) for number in self._parts]
 
     def add(self, flown: FlownEpisode) -> None:
-        """Take in an episode. Raises `DataError` where its shard is whole and cannot be written."""
+        """Add an episode. Raises `DataError` if its shard is complete but cannot be written."""
         number = flown.episode.index // self._job.episodes_per_shard
         part = self._parts[number]
         part.episodes.append(flown.episode)
@@ -147,7 +147,7 @@ class _Gathered:
         self._write_if_whole(number)
 
     def keep(self) -> int:
-        """Put what is in memory on the disk as well as that goes; how many episodes are there then."""
+        """Write the episodes in memory to disk as far as possible; returns the number of saved episodes."""
         kept = self._written()
         for number, part in self._parts.items():
             try:
@@ -155,7 +155,7 @@ class _Gathered:
                     self._writer.keep(number, part.episodes, part.dropped)
                     kept += len(part.episodes)
             except DataError:
-                break  # a full disk, most likely, which whoever stopped this has said already
+                break  # probably a full disk, which the original error has reported already
         return kept
 
     def _write_if_whole(self, number: int) -> None:

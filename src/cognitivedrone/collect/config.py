@@ -1,4 +1,4 @@
-"""The options of the command `collect`; the docstrings of the fields are its help. Imports nothing heavy."""
+"""Options of the command `collect`; the docstrings of the fields are its help. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -9,31 +9,30 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True)
 class CollectConfig:
-    """What to collect, and where to."""
+    """Options of a collection."""
 
     out: Path
     """Folder of the store."""
     recipe: str = "paper"
-    """`paper`, `robust` or `debug`."""
+    """Recipe: `paper`, `robust` or `debug`."""
     episodes: int | None = None
-    """How many; as many as the recipe says where left out (paper: 8,062)."""
+    """Number of episodes; if omitted, the recipe's (paper: 8,062)."""
     suite: str = "open-v1:train"
     """Name of a suite of single tasks."""
     tasks: Path | None = None
-    """Task file, or folder of them, flown instead of a suite."""
+    """Task file, or folder of them, to fly instead of a suite."""
     workers: int | None = None
-    """Processes, or shards under way on a cluster; one for each CPU where left out."""
+    """Number of processes, or of concurrent shards on a cluster; if omitted, one per CPU."""
     seed: int = 0
-    """Draws the tasks of open-v1:train, and the conditions of every flight."""
+    """Seed of the tasks of open-v1:train, and of the conditions of every flight."""
     resume: bool = False
-    """Go on with what is in the folder."""
+    """Continue with the content of the folder."""
     episodes_per_shard: int = 64
-    """Flown, stored and resumed as one."""
+    """Episodes that are flown, stored and resumed as one unit."""
     executor: Literal["local", "ray"] = "local"
     """`local` processes, or the machines of a `ray` cluster."""
     policy: str | None = None
-    """Fly this policy instead of the expert, and record beside its commands what the expert would have done (DAgger).
-    A name, small:MODEL.onnx, or your own as module:attribute. Flights are kept however they end."""
+    """Fly this policy instead of the expert, and record the expert's command as the label (DAgger).
+    A name, small:MODEL.onnx, or your own as module:attribute. Flights are stored however they end."""
     beta: float = 0.0
-    """With --policy: the expert's share. At each control step the expert's command is flown with this probability, the
-    policy's otherwise."""
+    """With --policy: the probability, at each control step, that the expert's command replaces the policy's."""

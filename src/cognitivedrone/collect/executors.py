@@ -1,7 +1,7 @@
-"""Where episodes are flown: in processes of this machine, or on the machines of a Ray cluster.
+"""Executors of flights: processes of this machine, or the machines of a Ray cluster.
 
 An executor is a function from a `Job`, batches of episode indices and a number of workers to an iterator over
-`FlownEpisode`, in any order, each as soon as it has ended. Who flies an episode does not matter to what is in it.
+`FlownEpisode`, in any order, each as soon as it has ended. The executor does not affect the content of an episode.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ EXECUTORS: dict[str, str] = {
     "ray": "cognitivedrone.collect.executors:fly_ray",
 }
 PATIENCE_S = 5.0
-"""How long a worker may take to end."""
+"""Time-out for a worker to exit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Learner:
-    """A policy whose flights the expert relabels."""
+    """A policy under training, whose flights the expert relabels."""
 
     policy: str
-    """As `make_policy` takes it."""
+    """In the syntax of `make_policy`."""
     beta: float
-    """Chance of each control step that the expert's command is sent instead of the policy's."""
+    """Probability, at each control step, that the expert's command is sent instead of the policy's."""
     model: str | None
-    """SHA-256 of the policy's model file; none where it has none that is known."""
+    """SHA-256 of the policy's model file; None if no file is known."""
 
     def facts(self) -> dict[str, Any]:
-        """What the manifest says of it."""
+        """The policy's entry in the manifest."""
         return asdict(self)
 
 
 def learner_of(policy: str, beta: float) -> Learner:
-    """The learner by the name of a policy. Raises `PolicyError` where its model file is missing."""
+    """The policy under training of this name. Raises `PolicyError` if its model file is missing."""
     file = model_file(policy)
     if file is None:
         return Learner(policy, beta, None)
@@ -61,19 +61,19 @@ def learner_of(policy: str, beta: float) -> Learner:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """All that decides what is in a shard."""
+    """Everything that determines the content of a shard."""
 
     suite: str
-    """Name of a suite, or a task file or folder that every machine has."""
+    """Name of a suite, or a task file or folder that exists on every machine."""
     recipe: Recipe
     seed: int
     episodes_per_shard: int
     learner: Learner | None = None
-    """Who flies in the expert's place."""
+    """The policy that flies instead of the expert."""
 
     @property
     def episodes(self) -> int:
-        """How many there are."""
+        """Number of episodes."""
         return self.recipe.episodes
 
     @property
@@ -91,9 +91,9 @@ Executor = Callable[[Job, Sequence[Sequence[int]], int], Iterator[FlownEpisode]]
 
 
 def open_suite(job: Job) -> Suite:
-    """The suite of a job, as long as its number of episodes; raises `TaskError` or `DataError`.
+    """The suite of a job, of the job's number of episodes; raises `TaskError` or `DataError`.
 
-    Tasks of `open-v1:train` are drawn by the seed of the collection.
+    The collection's seed draws the tasks of `open-v1:train`.
     """
     suite = tasks.open_suite(job.suite, size=job.episodes, seed=job.seed)
     if len(suite.tracks) < job.episodes:
@@ -104,7 +104,7 @@ def open_suite(job: Job) -> Suite:
 
 
 def fly_here(job: Job, indices: Sequence[int]) -> Iterator[FlownEpisode]:
-    """Fly some episodes in this process, with a fleet that is kept for the next."""
+    """Fly some episodes in this process, with a fleet that is reused for the next batch."""
     yield from _fleet(job).fly(indices)
 
 
@@ -132,14 +132,14 @@ class _Failed:
     """What a worker raised."""
 
     error: CognitiveDroneError | None
-    """None for what was not raised on purpose."""
+    """None for unexpected exceptions."""
     trace: str
 
 
 def fly_local(job: Job, batches: Sequence[Sequence[int]], workers: int) -> Iterator[FlownEpisode]:
-    """In `workers` processes of this machine. Processes end with the iterator, and with the parent however it ends.
+    """Fly in `workers` processes of this machine. They end with the iterator, and with the parent however it ends.
 
-    Raises `DataError` where a worker is killed, and whatever of this package's errors it raises.
+    Raises `DataError` if a worker is killed, and any error of this package that a worker raises.
     """
     todo = deque(batches)
     team = _start(job, min(workers, len(todo)))
@@ -154,7 +154,7 @@ def fly_local(job: Job, batches: Sequence[Sequence[int]], workers: int) -> Itera
                 elif not _give(ours, todo):
                     del busy[ours]
     finally:
-        # Whoever is in the middle of a flight is not waited for: Ctrl-C answers at once.
+        # Do not wait for flights in progress, so that Ctrl-C responds at once.
         for ours, process in team.items():
             process.terminate()
             process.join(PATIENCE_S)
@@ -162,10 +162,10 @@ def fly_local(job: Job, batches: Sequence[Sequence[int]], workers: int) -> Itera
 
 
 def _start(job: Job, workers: int) -> dict[Connection, BaseProcess]:
-    """Processes that wait for batches, by the stream to each.
+    """Worker processes that wait for batches, by the stream to each.
 
-    They inherit from their first instant that Ctrl-C, which reaches the whole process group, is left to this process.
-    Starting the tracker would lift that, so it goes first.
+    From their start they ignore Ctrl-C, which reaches the whole process group: only this process handles it.
+    Starting the tracker would undo that, so it starts first.
     """
     context = multiprocessing.get_context("spawn")
     team: dict[Connection, BaseProcess] = {}
@@ -176,7 +176,7 @@ def _start(job: Job, workers: int) -> dict[Connection, BaseProcess]:
             ours, theirs = context.Pipe()
             process = context.Process(target=_work, args=(theirs, job), daemon=True)
             process.start()
-            theirs.close()  # so that the death of a worker is the end of its stream
+            theirs.close()  # so that the death of a worker closes its stream
             team[ours] = process
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
@@ -184,7 +184,7 @@ def _start(job: Job, workers: int) -> dict[Connection, BaseProcess]:
 
 
 def _give(ours: Connection, todo: deque[Sequence[int]]) -> bool:
-    """Give out the next batch; false where there is none."""
+    """Send the next batch; False if there is none."""
     if not todo:
         return False
     try:
@@ -213,7 +213,7 @@ def _killed() -> DataError:
 
 @plain_warnings()
 def _work(theirs: Connection, job: Job) -> None:
-    """Life of a worker process: fly what is asked, end when the stream does."""
+    """Main loop of a worker process: fly requested batches until the stream closes."""
     try:
         while True:
             for flown in fly_here(job, theirs.recv()):
@@ -228,7 +228,7 @@ def _work(theirs: Connection, job: Job) -> None:
 
 
 def import_ray() -> Any:
-    """The module; raises `MissingExtra` where it is not installed."""
+    """The Ray module; raises `MissingExtra` if it is not installed."""
     try:
         import ray
     except ImportError:
@@ -237,10 +237,10 @@ def import_ray() -> Any:
 
 
 def fly_ray(job: Job, batches: Sequence[Sequence[int]], workers: int) -> Iterator[FlownEpisode]:
-    """As tasks of a Ray cluster: the one that `RAY_ADDRESS` names, or one of this machine.
+    """Fly as tasks of a Ray cluster: the one that `RAY_ADDRESS` names, or one on this machine.
 
-    `workers` batches are under way at a time, one CPU each; the package must be installed on every node. Raises
-    `MissingExtra` where Ray is not installed here.
+    `workers` batches run at a time, one CPU each; the package must be installed on every node. Raises
+    `MissingExtra` if Ray is not installed here.
     """
     ray = import_ray()
     started = not ray.is_initialized()

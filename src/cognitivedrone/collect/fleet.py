@@ -1,4 +1,4 @@
-"""Flies and records episodes, many worlds together in one simulator."""
+"""Batched flying and recording of episodes, many worlds in one simulator."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Action, FloatArray, Ima
 
 AIRFRAME = "racer"
 WORLDS = 16
-"""Flown together by one process."""
+"""Number of worlds that one process flies together."""
 MAX_ATTEMPTS = 20
-"""A task that the expert fails this often cannot be flown."""
+"""After this many failures of the expert, a task counts as infeasible."""
 
 Learner = Callable[[], Policy]
 
 
 @dataclass(frozen=True, slots=True)
 class FlownEpisode:
-    """One episode that is kept."""
+    """One episode to store."""
 
     episode: Episode
     outcome: Outcome
-    """How it ended; "passed" where the expert flew."""
+    """Outcome; "passed" if the expert flew."""
     dropped: Mapping[str, int]
-    """Flights of its task that were not kept, by outcome: it was flown again after each."""
+    """Dropped flights of its task, by outcome; each was followed by another attempt."""
 
 
 @dataclass(slots=True)
 class _Flight:
-    """One flight in the air, and its record so far."""
+    """One flight in progress, and its record so far."""
 
     index: int
     attempt: int
@@ -55,7 +55,7 @@ class _Flight:
     disturbances: tuple[Disturbance, ...]
     learner: Policy | None
     expert_flies: NDArray[np.bool_]
-    """By control step, of a learner's flight: whether the expert's command is sent in place of the learner's."""
+    """By control step, for a policy under training: whether the expert's command is sent instead of the policy's."""
     dropped: Counter[str]
     pending: list[Action] = field(default_factory=list)
     images: list[bytes] = field(default_factory=list)
@@ -73,12 +73,12 @@ def attempt_rng(suite_digest: str, index: int, seed: int, attempt: int) -> np.ra
 
 
 class Fleet:
-    """Flies tasks of a suite: with the expert, or with a learner whose flights the expert relabels.
+    """Flies tasks of a suite with the expert, or with a policy under training whose flights the expert relabels.
 
-    An episode depends on suite, index, seed and recipe alone, to the last bit: not on the other worlds. A flight of the
-    expert that fails is dropped and its task flown again from new conditions, until it is passed: a set has exactly the
-    episodes that were asked for. A learner's flights are kept however they end, but for those that physics or the
-    learner's own numbers ended.
+    An episode depends only on suite, index, seed and recipe, to the last bit: not on the other worlds. A failed flight
+    of the expert is dropped and its task flown again under new conditions until it passes, so a set has exactly the
+    requested episodes. Flights of a policy under training are stored however they end, except those ended by diverged
+    physics or by the policy's own numbers.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class Fleet:
         learner: Learner | None = None,
         beta: float = 0.0,
     ) -> None:
-        """`beta`: of a learner's flight, the chance of each control step that the expert's command is sent instead."""
+        """`beta`: for a policy under training, the probability of the expert's command at each control step."""
         self.suite = suite
         self.recipe = recipe
         self.seed = seed
@@ -108,7 +108,7 @@ class Fleet:
         self._simulator.close()
 
     def fly(self, indices: Iterable[int]) -> Iterator[FlownEpisode]:
-        """Fly these tasks; each episode is given back as it ends. Raises `DataError` for one that cannot be flown."""
+        """Fly these tasks; yields each episode as it ends. Raises `DataError` for one that cannot be flown."""
         waiting = deque((index, 0, Counter[str]()) for index in indices)
         flights: dict[int, _Flight] = {}
         while waiting or flights:
@@ -127,8 +127,12 @@ class Fleet:
         if attempt == MAX_ATTEMPTS:
             task = self.suite.tracks[index][0]
             if self._learners:
-                raise DataError(f"task {task.id}: in {attempt} flights the policy gave no finite command; mend it")
-            raise DataError(f"task {task.id}: no flight out of {attempt} was passed; make the recipe gentler")
+                raise DataError(
+                    f"task {task.id}: in {attempt} flights the policy gave no finite command; fix the policy"
+                )
+            raise DataError(
+                f"task {task.id}: no flight out of {attempt} was passed; use a recipe with weaker disturbances"
+            )
         rng = attempt_rng(self.suite.digest, index, self.seed, attempt)
         track_runner = self._courses[world]
         start = draw_beginning(rng, self.recipe, self._simulator.airframe.hull_radius)
@@ -169,7 +173,7 @@ class Fleet:
                 yield world, flights[world], result.outcome
 
     def _decide(self, world: int, flight: _Flight, frame: Image) -> None:
-        """Record the moment, and command."""
+        """Record the current step, and command."""
         simulator = self._simulator
         state = simulator.state(world)
         velocity, height, yaw_rate = proprioception(simulator, world)
@@ -181,7 +185,7 @@ class Fleet:
                 with _told_of(flight.learner, flight.index, len(flight.sent)):
                     flight.pending = list(check_chunk(flight.learner.act(seen)))
             learned = clip_action(flight.pending.pop(0))
-            # The learner is asked at every step, so that its own clock and memory run on.
+            # The policy acts at every step, so that its own clock and memory continue.
             sent = action if flight.expert_flies[len(flight.sent)] else learned
         sent = clip_action(disturb(sent, len(flight.sent), flight.disturbances))
         simulator.command(world, sent)
@@ -215,14 +219,16 @@ class Fleet:
 
 @contextmanager
 def _told_of(learner: Policy, index: int, step: int) -> Iterator[None]:
-    """Turn whatever a policy raises into a `PolicyError` that says where."""
+    """Turn any exception of a policy into a `PolicyError` that names the place."""
     try:
         yield
     except CognitiveDroneError:
         raise
     except Exception as error:
         name, reason = type(learner).__name__, f"{type(error).__name__}: {error}"
-        raise PolicyError(f"policy {name} failed in episode {index} at step {step} ({reason}); mend it") from error
+        raise PolicyError(
+            f"policy {name} failed in episode {index} at step {step} ({reason}); fix the policy"
+        ) from error
 
 
 def relabel(
@@ -235,11 +241,11 @@ def relabel(
     worlds: int = WORLDS,
     beta: float = 0.0,
 ) -> Iterator[Episode]:
-    """Fly a learner and record what the expert would have done in its place (DAgger; Ross et al., AISTATS 2011).
+    """Fly a policy under training and record the expert's commands as labels (DAgger; Ross et al., AISTATS 2011).
 
-    `learner` makes one policy for each world; `beta` is the paper's, the expert's share of the control steps. Of the
-    episodes, `sent` is what was flown and `action` the expert's; flights are kept however they end, and come in the
-    order of `indices`, some at a time.
+    `learner` creates one policy per world; `beta` is the paper's mixing parameter, the expert's share of the control
+    steps. In the episodes, `sent` is what was flown and `action` is the expert's; flights are stored however they end.
+    They come in the order of `indices`, several at a time.
     """
     fleet = Fleet(suite, recipe, seed, worlds=worlds, learner=learner, beta=beta)
     try:

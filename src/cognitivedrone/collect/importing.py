@@ -1,4 +1,4 @@
-"""Takes data sets of other formats into a store of ours."""
+"""Import of data sets in other formats into a store."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cognitivedrone.errors import DataError
 def import_set(source: Path, form: str, out: Path) -> int:
     """Read the data set `source` of the format `form` into a new store `out`; returns the number of episodes.
 
-    Episodes are numbered anew in the order they come, and splits are drawn anew. Raises `DataError` naming the file
+    Episodes are renumbered in order of arrival, and splits are drawn anew. Raises `DataError` with the name of the file
     that is missing or broken; the store is then not readable.
     """
     if not source.exists():

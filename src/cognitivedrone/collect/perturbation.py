@@ -1,7 +1,7 @@
-"""What goes wrong on purpose, drawn from the episode's own generator. Pure functions.
+"""Deliberate perturbations, drawn from the episode's own generator. Pure functions.
 
-A perturbed flight records the expert's clean action as the label and what was really sent beside it. Everything that
-disturbs passes through the command or the start, so a record holds all it takes to fly it again to the bit.
+A perturbed flight records the expert's clean action as the label, and beside it the command that was sent.
+Perturbations act only through the command or the start, so a record suffices to repeat the flight bit for bit.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from cognitivedrone.types import CONTROL_HZ, Action
 from cognitivedrone.world import geometry
 
 OFF_TRACK_X_M = (-2.0, 2.0)
-"""Off-track starts: how far in the stage's direction, m. Every gate's plane is at least 2.4 m further."""
+"""Off-track starts: range in the stage's direction, m. Every gate's plane is at least 2.4 m further."""
 OFF_TRACK_Y_M = 2.5
-"""Off-track starts: how far aside at most, m."""
+"""Off-track starts: maximum lateral offset, m."""
 OFF_TRACK_Z_M = (0.4, 2.2)
 OFF_TRACK_YAW = 0.6
-"""rad to either side."""
+"""Maximum yaw offset to either side, rad."""
 
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """A command that is sent instead of the pilot's."""
+    """A command that is sent instead of the policy's."""
 
     first: int
-    """Control step it begins at."""
+    """First control step."""
     last: int
-    """Control step it ends with."""
+    """Last control step."""
     action: tuple[float, float, float, float]
     """Heading frame, m/s and rad/s."""
 
 
 def draw_beginning(rng: np.random.Generator, recipe: Recipe, hull_radius: float) -> Start:
-    """Where a flight begins: as published, or for the recipe's share of flights on the way and aside; and the wind."""
+    """Initial conditions of a flight: as published, or off track for the recipe's share of flights; and the wind."""
     published = draw_start(rng, hull_radius, recipe.wind_m_s * float(rng.random()))
     if rng.random() >= recipe.off_track_share:
         return published
@@ -50,7 +50,7 @@ def draw_beginning(rng: np.random.Generator, recipe: Recipe, hull_radius: float)
 
 
 def draw_disturbances(rng: np.random.Generator, recipe: Recipe) -> tuple[Disturbance, ...]:
-    """The kicks and the wrong commands of one flight, up to its time limit, in order of their beginning."""
+    """The kicks and the wrong commands of one flight, up to its time limit, in order of their start."""
     drawn = [
         *_draw(rng, recipe, recipe.kicks_per_s, recipe.kick_steps, _kick),
         *_draw(rng, recipe, recipe.wrongs_per_s, recipe.wrong_steps, _wrong),
@@ -59,7 +59,7 @@ def draw_disturbances(rng: np.random.Generator, recipe: Recipe) -> tuple[Disturb
 
 
 def disturb(action: Action, step: int, disturbances: tuple[Disturbance, ...]) -> Action:
-    """What is sent at a control step instead of `action` (4,): the disturbance in force, or the action itself."""
+    """The command sent instead of `action` (4,) at a control step: the active disturbance, or the action itself."""
     for disturbance in disturbances:
         if disturbance.first <= step <= disturbance.last:
             return np.array(disturbance.action, dtype=np.float32)
@@ -90,13 +90,13 @@ def _draw(
 
 
 def _kick(rng: np.random.Generator, recipe: Recipe) -> _Command:
-    """A hard push in any level direction, and a little up or down."""
+    """A hard push in a random horizontal direction, slightly up or down."""
     direction = rng.uniform(-np.pi, np.pi)
     x, y = recipe.kick_m_s * np.cos(direction), recipe.kick_m_s * np.sin(direction)
     return (float(x), float(y), float(rng.uniform(-0.5, 0.5)), 0.0)
 
 
 def _wrong(rng: np.random.Generator, recipe: Recipe) -> _Command:
-    """Any slow velocity and turn."""
+    """A random slow velocity and yaw rate."""
     x, y, z = rng.uniform(-1, 1, 3) * (recipe.wrong_m_s, recipe.wrong_m_s, recipe.wrong_m_s / 3)
     return (float(x), float(y), float(z), float(rng.uniform(-recipe.wrong_yaw_rate, recipe.wrong_yaw_rate)))

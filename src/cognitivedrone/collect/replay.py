@@ -1,4 +1,4 @@
-"""Flies a recorded episode again: what was sent, from where it began."""
+"""Replay of a recorded episode: the commands that were sent, from the recorded start."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from cognitivedrone.sim.simulator import TICKS_PER_CONTROL
 
 @dataclass(frozen=True, slots=True)
 class ReplayReport:
-    """How near a replay came to its record."""
+    """Differences between a replay and its record."""
 
     index: int
     steps: int
     end_error_m: float
-    """Between the ends of replay and record."""
+    """Distance between the ends of replay and record."""
     path_error_m: float
-    """Largest distance between replay and record at any step."""
+    """Maximum distance between replay and record over all steps."""
     same_bits: bool
-    """Whether every recorded position and attitude, and the end, came out to the last bit."""
+    """Whether every recorded position and attitude, and the end, are bit-identical."""
 
 
 def replay(episode: Episode) -> ReplayReport:

@@ -23,7 +23,7 @@ from cognitivedrone.interfaces import Privileged, Reasoner, StatefulReasoner
 from cognitivedrone.types import Guidance, Image, Truth
 
 LONGEST_DIRECTIVE = 1000
-"""Characters."""
+"""Maximum length in characters."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,1 +1,1 @@
-"""Recorded flights: the in-memory episode, the store on disk, and the formats that trainers read."""
+"""Recorded flights: the in-memory episode, the store on disk, and the exchange formats of trainers."""

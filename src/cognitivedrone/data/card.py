@@ -1,6 +1,6 @@
-"""The data set's card: one self-contained HTML page. It loads nothing, and every text in it is escaped.
+"""Data set card: one self-contained HTML page. It loads nothing, and all its text is escaped.
 
-The page is the same for the same store. Everything shown is computed here; the template only lays it out.
+The page is the same for the same store. All content is computed here; the template only does the layout.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from cognitivedrone.errors import DataError
 
 STRIP_FRAMES: Final = 6
 SHOWN_SHARE: Final = 0.87
-"""Of a flight; in its last steps the gate has left the view."""
+"""Shown share of a flight; in its last steps the gate is out of view."""
 FRAME_PIXELS: Final = 160
 FRAME_QUALITY: Final = 78
 PATHS_DRAWN: Final = 240
@@ -53,7 +53,7 @@ class Chart:
 def card(path: Path | str, out: Path | str) -> None:
     """Write the card of the store at `path` to `out`, an HTML file.
 
-    Raises `DataError` where the store cannot be read, a frame is broken, or `out` cannot be written.
+    Raises `DataError` if the store cannot be read, a frame is broken, or `out` cannot be written.
     """
     target = Path(out)
     if target.is_dir():
@@ -69,7 +69,7 @@ def _write(path: Path, page: str) -> None:
 
 
 def render_card(store: Store) -> str:
-    """The page; raises `DataError` where the store is broken or empty."""
+    """The page; raises `DataError` if the store is broken or empty."""
     if not len(store):
         raise DataError(f"{store.path}: holds no episode; there is nothing to show")
     seen = overview(store)
@@ -100,7 +100,7 @@ def _chart(shape: Histogram) -> Chart:
 
 
 def _spread_out(indices: list[int], most: int) -> list[int]:
-    """At most so many of them, evenly from the first to the last."""
+    """At most `most` of them, evenly spaced from the first to the last."""
     if len(indices) <= most:
         return indices
     return [indices[k] for k in np.linspace(0, len(indices) - 1, most).round().astype(int)]
@@ -118,7 +118,7 @@ def _strip(store: Store, family: FamilyCount) -> Strip:
 def _thumbnail(store: Store, episode: Episode, step: int) -> str:
     try:
         image = decode_image(episode.images[step])
-    except (OSError, ValueError, SyntaxError) as error:  # Pillow tells of broken PNG chunks by SyntaxError
+    except (OSError, ValueError, SyntaxError) as error:  # Pillow reports broken PNG chunks as SyntaxError
         raise DataError(
             f"{store.path}: the frame of episode {episode.index}, step {step}, is broken ({error})"
         ) from None

@@ -1,4 +1,4 @@
-"""The file SHA256SUMS of a finished store: what every other file of it hashes to. `sha256sum -c` reads it too."""
+"""SHA256SUMS of a finished store: the hash of every other file. `sha256sum -c` also reads it."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _LINE: Final = re.compile(r"([0-9a-f]{64})  (\S+)\n")
 
 
 def sums_text(hashes: Mapping[str, str]) -> str:
-    """The content of the file for these files, named relative to the store."""
+    """The content of SHA256SUMS for these files, named relative to the store."""
     return "".join(f"{digest}  {name}\n" for name, digest in sorted(hashes.items()))
 
 
 def read_sums(path: Path) -> dict[str, str]:
-    """Hashes by file of the store at `path`. Raises `DataError` where the file is missing or not as it was written."""
+    """Hashes by file of the store at `path`. Raises `DataError` if the file is missing or was altered."""
     with clear_errors(path / SUMS, "read"):
         content = (path / SUMS).read_bytes().decode()
     hashes = {name: digest for digest, name in _LINE.findall(content)}
     if not hashes or sums_text(hashes) != content:
-        raise DataError(f"{path / SUMS}: is damaged; collect again with --resume to mend it")
+        raise DataError(f"{path / SUMS}: is damaged; collect again with --resume to repair it")
     return hashes

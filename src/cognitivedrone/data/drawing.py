@@ -1,4 +1,4 @@
-"""Shapes of a data set's card, as numbers that an SVG takes: histograms, action traces, flight paths from above."""
+"""Shapes of a data set card as SVG coordinates: histograms, action traces, flight paths from above."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from cognitivedrone.types import ACTION_LIMITS
 
 WIDTH: Final = 100.0
 HEIGHT: Final = 40.0
-"""Of histograms and traces, in SVG units."""
+"""Height of histograms and traces, SVG units."""
 MAP_SCALE: Final = 10.0
-"""SVG units a metre."""
+"""SVG units per metre."""
 MAP_MARGIN: Final = 0.4
-"""Around the flights, m."""
+"""Margin around the flights, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """One action component over the time of a flight, as SVG points; `sent` is empty where it was the label itself."""
+    """One action component over the time of a flight, as SVG points; `sent` is empty if it equals the label."""
 
     name: str
     label: str
@@ -48,19 +48,19 @@ class Path:
 
     points: str
     color: str
-    """Of the right gate."""
+    """Colour of the right gate."""
 
 
 @dataclass(frozen=True, slots=True)
 class Map:
-    """Flights from above, x to the top and y to the left, as the drone looks at the start."""
+    """Flights from above, x to the top and y to the left, as the drone faces at the start."""
 
     view_box: str
     paths: tuple[Path, ...]
 
 
 def columns(shape: Histogram) -> list[Column]:
-    """The bars of a histogram that are not empty, in a box of `WIDTH` by `HEIGHT`."""
+    """The non-empty bars of a histogram, in a box of `WIDTH` by `HEIGHT`."""
     top = max(shape.counts, default=0) or 1
     step = WIDTH / len(shape.counts)
     bin_width = (shape.high - shape.low) / len(shape.counts)
@@ -76,7 +76,7 @@ def columns(shape: Histogram) -> list[Column]:
 
 
 def traces(episode: Episode, names: Sequence[tuple[str, str]]) -> list[Trace]:
-    """The four components over time, each scaled to its flown limits, in a box of `WIDTH` by `HEIGHT`."""
+    """The four components over time, each scaled to its flight limits, in a box of `WIDTH` by `HEIGHT`."""
     return [
         Trace(
             f"{name}, ±{limit:g} {unit}",

@@ -1,4 +1,4 @@
-"""One recorded flight in memory. Every store, export and import speaks through this."""
+"""One recorded flight in memory: the common type of every store, export and import."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from cognitivedrone.choices import LookName
 from cognitivedrone.types import ActionChunk, Float32Array, Float64Array, Image, Task
 
 Encoding = Literal["jpeg", "png", "webp"]
-"""`jpeg` is lossy; `png` and `webp` (lossless) give back every bit."""
+"""`jpeg` is lossy; `png` and `webp` are lossless."""
 Split = Literal["train", "val"]
 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What a flight began with: enough, with the actions that were sent, to fly it again to the bit."""
+    """Initial conditions of a flight: with the commands that were sent, enough to repeat it bit for bit."""
 
     seed: int
-    """Seed of the collection it belongs to."""
+    """Seed of its collection."""
     airframe: str
     look: LookName | Literal["published"]
     """`published`: imported from a data set in the published layout, whose look is not told."""
@@ -37,10 +37,10 @@ class Conditions:
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """T control steps of one stage, 0.1 s apart. Row t is what was seen and done at time t."""
+    """T control steps of one stage, 0.1 s apart. Row t holds observation and command at time t."""
 
     index: int
-    """Of the task in its suite; unique in a store."""
+    """Index of the task in its suite; unique in a store."""
     suite: str
     """Name of the suite, such as "open-v1:train"."""
     task: Task
@@ -51,7 +51,7 @@ class Episode:
     action: ActionChunk
     """(T, 4) the label: the clean expert action, heading frame, vx, vy, vz m/s and yaw rate rad/s."""
     sent: ActionChunk
-    """(T, 4) what was really commanded; differs from `action` where the flight was perturbed."""
+    """(T, 4) the command sent; differs from `action` where the flight was perturbed."""
     velocity: Float32[Float32Array, "steps 3"]
     """(T, 3) heading frame, m/s."""
     height: Float32[Float32Array, " steps"]
@@ -59,9 +59,9 @@ class Episode:
     yaw_rate: Float32[Float32Array, " steps"]
     """(T,) rad/s."""
     position: Float64[Float64Array, "steps 3"]
-    """(T, 3) true, world, m. For scoring and conversion, never for a policy."""
+    """(T, 3) ground truth, world, m. For scoring and conversion, never for a policy."""
     quaternion: Float64[Float64Array, "steps 4"]
-    """(T, 4) true, w, x, y, z, body to world."""
+    """(T, 4) ground truth, w, x, y, z, body to world."""
     final_position: Float64[Float64Array, 3]
     """(3,) world, m, after the last action."""
 
@@ -70,7 +70,7 @@ class Episode:
 
     @property
     def state(self) -> Float32[Float32Array, "steps 5"]:
-        """(T, 5) what a policy may know of itself: heading-frame velocity, height, yaw rate."""
+        """(T, 5) the drone's own state that a policy may know: heading-frame velocity, height, yaw rate."""
         return np.column_stack([self.velocity, self.height, self.yaw_rate]).astype(np.float32)
 
 

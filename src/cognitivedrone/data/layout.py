@@ -1,4 +1,4 @@
-"""What lies where in a store, and what its manifest must say: shared by those who write, read and check it."""
+"""File layout and manifest of a store: shared by the code that writes, reads and checks it."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ STATISTICS: Final = "statistics.json"
 TASKS: Final = "tasks.json"
 SHARDS: Final = "shards"
 PARTIAL: Final = "partial"
-"""Folder of shards that Ctrl-C cut short, until they are whole."""
+"""Folder of shards that Ctrl-C interrupted, until they are complete."""
 HEAD: Final = ("format", "version", "recipe", "suite", "seed", "episodes_per_shard", "versions", "policy")
-"""The part of a manifest that is there from the start and decides every bit; `policy` only where one flew."""
+"""The part of a manifest that exists from the start and determines every bit; `policy` only if a policy flew."""
 
 
 def read_manifest(path: Path) -> dict[str, Any]:
-    """The manifest of a finished store of this version; raises `DataError`, also where its checksum is wrong."""
+    """The manifest of a finished store of this version; raises `DataError`, also if its checksum is wrong."""
     if not (path / MANIFEST).exists():
-        raise DataError(f"{path}: is no data set, it has no {MANIFEST}; make one with `cognitivedrone collect`")
+        raise DataError(f"{path}: is not a data set: it has no {MANIFEST}; make one with `cognitivedrone collect`")
     manifest: dict[str, Any] = read_json(path / MANIFEST)
     check_format(path, manifest)
     if manifest.get("complete") is False:
@@ -42,9 +42,9 @@ def read_manifest(path: Path) -> dict[str, Any]:
 
 
 def check_format(path: Path, manifest: Any) -> None:
-    """Raise `DataError` unless the manifest is of a store, and of a version that is read here."""
+    """Raise `DataError` unless the manifest is that of a store of a supported version."""
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
-        raise DataError(f"{path / MANIFEST}: is not the manifest of a data set of ours; give another folder")
+        raise DataError(f"{path / MANIFEST}: is not the manifest of a data set of this package; give another folder")
     if manifest.get("version") != FORMAT_VERSION:
         raise DataError(
             f"{path / MANIFEST}: the store has version {manifest.get('version')!r}, this release reads "
@@ -53,26 +53,26 @@ def check_format(path: Path, manifest: Any) -> None:
 
 
 def check_sum(path: Path, name: str) -> None:
-    """Raise `DataError` where a file of a store does not match its checksum; stores of old have none."""
+    """Raise `DataError` if a file of a store does not match its checksum; old stores have none."""
     if (path / SUMS).exists() and read_sums(path).get(name) != sha256_of(path / name):
         raise DataError(
             f"{path / name}: does not match its checksum in {SUMS}; one of them was altered, collect again with "
-            "--resume to mend it"
+            "--resume to repair it"
         )
 
 
 def head_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """The part of a manifest that says what the data was made of."""
+    """The part of a manifest that determines the data."""
     return {key: manifest[key] for key in HEAD if key in manifest}
 
 
 def making_of(head: Mapping[str, Any]) -> str:
-    """Hash of the head of a manifest: the same for the same making, whose shards fit each other."""
+    """Hash of the head of a manifest: equal hashes mean that shards belong together."""
     return hashlib.sha256(json.dumps(head, sort_keys=True, ensure_ascii=False).encode()).hexdigest()
 
 
 def is_sound(path: Path, manifest: Any) -> bool:
-    """Whether a manifest that could be read is as it was written, as far as its checksum can tell."""
+    """Whether a readable manifest is unaltered, as far as its checksum can tell."""
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         return False
     if manifest.get("complete") is False:
@@ -85,9 +85,9 @@ def is_sound(path: Path, manifest: Any) -> bool:
 
 
 def receipt_of(path: Path, name: str, digest: str) -> dict[str, Any]:
-    """What the manifest says of the shard at `path`, which is called `name` there and has this hash.
+    """The manifest's entry for the shard at `path`, which is called `name` there and has this hash.
 
-    Everything in it follows from the shard. Raises `DataError` for a file that is no shard.
+    Everything in it follows from the shard. Raises `DataError` for a file that is not a shard.
     """
     shard = ShardFile(path)
     return {
@@ -101,17 +101,17 @@ def receipt_of(path: Path, name: str, digest: str) -> dict[str, Any]:
 
 
 def receipt_text(receipt: Mapping[str, Any], making: str) -> str:
-    """Content of the file beside a shard: its entry of the manifest, and whose it is."""
+    """Content of the file beside a shard: its manifest entry, and the hash of the manifest head."""
     return json_text({**receipt, "making": making})
 
 
 def receipt_name(shard: str) -> str:
-    """Of a shard's receipt, relative to the store as the shard's own name is."""
+    """Name of a shard's receipt, relative to the store like the shard's own name."""
     return shard.removesuffix(".parquet") + ".json"
 
 
 def shard_name(number: int, folder: str = SHARDS) -> str:
-    """Of shard `number`, relative to the store."""
+    """Name of shard `number`, relative to the store."""
     return f"{folder}/shard-{number:05d}.parquet"
 
 
@@ -131,7 +131,7 @@ def flown_in(shards: Sequence[ShardFile]) -> list[Flown]:
 
 
 def check_same_making(path: Path, manifest: Mapping[str, Any], head: Mapping[str, Any]) -> None:
-    """Raise `DataError` unless the store at `path` was begun with this head of a manifest."""
+    """Raise `DataError` unless the store at `path` was begun with this manifest head."""
     check_format(path, manifest)
     for key in HEAD:
         theirs, ours = manifest.get(key), head.get(key)
@@ -151,10 +151,10 @@ def _difference(theirs: Any, ours: Any) -> str:
 
 @contextmanager
 def sole_writer(path: Path) -> Iterator[None]:
-    """Make the folder of a store, and keep it from every other process that wants to write it.
+    """Create the folder of a store, and lock it against other writers.
 
-    The lock is one on the folder itself and leaves no file. Raises `DataError` where another process has it, or the
-    folder cannot be made.
+    The lock is on the folder itself and leaves no file. Raises `DataError` if another process holds it, or if the
+    folder cannot be created.
     """
     if path.exists() and not path.is_dir():
         raise DataError(f"{path}: is a file; give a new folder")

@@ -1,4 +1,4 @@
-"""What there is to say about a store at a glance: shared by the terminal's summary and the HTML card."""
+"""Overview of a store: shared by the terminal's summary and the HTML card."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BINS: Final = 24
 
 @dataclass(frozen=True, slots=True)
 class Histogram:
-    """How often values fall into equal bins from `low` to `high`."""
+    """Counts of values in equal bins from `low` to `high`."""
 
     name: str
     unit: str
@@ -38,33 +38,33 @@ class FamilyCount:
 
     @property
     def total(self) -> int:
-        """In both splits."""
+        """Episodes in both splits."""
         return self.train + self.val
 
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """A store at a glance."""
+    """Overview of a store."""
 
     manifest: dict[str, Any]
     statistics: dict[str, Any]
     families: tuple[FamilyCount, ...]
     """By category, then by name."""
     actions: tuple[Histogram, ...]
-    """One for each of the four components."""
+    """One histogram for each of the four components."""
     lengths: Histogram
-    """Of the episodes, in seconds."""
+    """Lengths of the episodes, in seconds."""
     bytes_on_disk: int
     frame_bytes: float
-    """Mean of an encoded frame, nearly: the shards' bytes over their steps."""
+    """Approximate mean size of an encoded frame: the shards' bytes over their steps."""
     encodings: dict[str, int]
     """Episodes by image encoding."""
     hours: float
-    """Of flight."""
+    """Hours of flight."""
 
 
 def overview(store: Store) -> Overview:
-    """Read a store at a glance; touches no frame. Raises `DataError` where a shard or the statistics are broken."""
+    """The overview of a store, without reading frames. Raises `DataError` if a shard or the statistics are broken."""
     facts = store.facts()
     shard_bytes = sum(receipt["bytes"] for receipt in store.manifest["shards"])
     actions = store.actions()
@@ -83,7 +83,7 @@ def overview(store: Store) -> Overview:
 
 
 def histogram(values: NDArray[Any], name: str, unit: str, bins: int = BINS) -> Histogram:
-    """Of values (N,), over their whole range; a range of nothing is widened so that it can be shown."""
+    """Histogram of values (N,) over their whole range; an empty range is widened so that it can be shown."""
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
     if high - low < 1e-6:
         low, high = low - 0.5, high + 0.5
@@ -100,7 +100,7 @@ def _family_counts(store: Store, facts: list[dict[str, Any]]) -> tuple[FamilyCou
 
 
 def megabytes(size: float) -> str:
-    """A size as people read it."""
+    """A size in human-readable form."""
     for unit in ("bytes", "KB", "MB"):
         if size < 1000:
             return f"{size:.0f} {unit}" if unit == "bytes" or size >= 100 else f"{size:.1f} {unit}"

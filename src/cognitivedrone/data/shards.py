@@ -1,8 +1,8 @@
-"""One shard of a store: a Parquet file that explains itself.
+"""One shard of a store: a self-describing Parquet file.
 
-One row a control step, one row group an episode, so that a single frame is read without touching its neighbours.
-Numbers are compressed with zstd; frames are compressed already and lie in the file as they are. What belongs to an
-episode as a whole (task, conditions, encoding, end) stands as JSON in the file's footer, in the row groups' order.
+One row per control step, one row group per episode, so that a single frame is read without its neighbours.
+Numbers are compressed with zstd; frames are already compressed and stored as they are. Facts about a whole
+episode (task, conditions, encoding, end) are JSON in the file's footer, in the order of the row groups.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ WIDTHS: Final[dict[str, tuple[str, int]]] = {
     "position": ("float64", 3),
     "quaternion": ("float64", 4),
 }
-"""Type and numbers a step of every array of an episode; a width of one is a plain column."""
+"""Type and width of every array of an episode; a width of one is a plain column."""
 
 
 def _arrow_type(dtype: str, width: int) -> Any:
@@ -52,12 +52,12 @@ SCHEMA: Final = pa.schema(
 COMPRESSION: Final = {"episode": "zstd", "step": "zstd", "image": "none"} | {
     name if width == 1 else f"{name}.list.element": "zstd" for name, (_, width) in WIDTHS.items()
 }
-"""By Parquet's own column paths."""
+"""Compression by Parquet's column paths."""
 
 
 @contextlib.contextmanager
 def clear_errors(path: Path, doing: str) -> Iterator[None]:
-    """Turn what the operating system or Parquet complains of into one `DataError` that names the file."""
+    """Turn errors of the operating system or Parquet into one `DataError` that names the file."""
     try:
         yield
     except OSError as error:
@@ -76,9 +76,9 @@ def _way_out(doing: str) -> str:
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """`write` fills a temporary neighbour of `path`, which takes its place once it is safe on disk.
+    """`write` fills a temporary file beside `path`, which replaces `path` once it is safe on disk.
 
-    Whatever happens on the way, `path` is either as it was or whole. Raises `DataError` naming the file.
+    In any case `path` is either unchanged or complete. Raises `DataError` with the file's name.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with clear_errors(path, "written"):
@@ -88,14 +88,14 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
                 os.fsync(file.fileno())
             temporary.replace(path)
             with folder_descriptor(path.parent) as folder:
-                os.fsync(folder)  # the new name must outlive a power cut as well
+                os.fsync(folder)  # the new name must also survive a power failure
         finally:
             temporary.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
 def folder_descriptor(path: Path) -> Iterator[int]:
-    """A folder, opened to be synced or locked."""
+    """A folder, opened for syncing or locking."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         yield descriptor
@@ -104,7 +104,7 @@ def folder_descriptor(path: Path) -> Iterator[int]:
 
 
 def remove_left_over(folder: Path) -> None:
-    """Remove what writers that were killed have left in a folder."""
+    """Remove files that killed writers left in a folder."""
     for path in folder.glob(".*.tmp"):
         path.unlink(missing_ok=True)
 
@@ -120,7 +120,7 @@ def write_json(path: Path, content: object) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """A text as a file, whole or not at all. Raises `DataError`."""
+    """Write a text file atomically. Raises `DataError`."""
 
     def write(temporary: Path) -> None:
         temporary.write_text(text, encoding="utf-8")
@@ -129,7 +129,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """What a JSON file of the store holds; raises `DataError`."""
+    """The content of a JSON file of the store; raises `DataError`."""
     with clear_errors(path, "read"):
         return json.loads(path.read_text(encoding="utf-8"))
 
@@ -141,7 +141,7 @@ def sha256_of(path: Path) -> str:
 
 
 def write_shard_file(path: Path, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> None:
-    """A shard of whole episodes: the same bytes for the same episodes. Raises `DataError`; then `path` is as it was."""
+    """Write a shard of complete episodes: same episodes, same bytes. Raises `DataError` and leaves `path` unchanged."""
     for episode in episodes:
         check_episode(episode)
     footer = {"episodes": [_facts(episode) for episode in episodes], "dropped": dict(sorted(dropped.items()))}
@@ -158,7 +158,7 @@ def write_shard_file(path: Path, episodes: Sequence[Episode], dropped: Mapping[s
 
 
 def check_episode(episode: Episode) -> None:
-    """Raise `DataError` unless every array has the type and shape that an episode of this length has."""
+    """Raise `DataError` unless every array has the type and shape for an episode of this length."""
     where = f"episode {episode.index}"
     if len(episode) == 0:
         raise DataError(f"{where}: has no step; a recorded flight has at least one")
@@ -188,7 +188,7 @@ def _table(episode: Episode) -> Any:
 
 
 def _facts(episode: Episode) -> dict[str, Any]:
-    """What the footer says of an episode."""
+    """The footer's entry for an episode."""
     return {
         "index": episode.index,
         "length": len(episode),
@@ -201,7 +201,7 @@ def _facts(episode: Episode) -> dict[str, Any]:
 
 
 class ShardFile:
-    """A shard opened for reading, memory-mapped. Not safe to share between threads."""
+    """A shard opened for reading, memory-mapped. Do not share it between threads."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -212,7 +212,7 @@ class ShardFile:
             self.dropped: dict[str, int] = footer["dropped"]
             self._row_groups = {facts["index"]: number for number, facts in enumerate(self.facts)}
         if self._file.num_row_groups != len(self.facts):
-            raise DataError(f"{path}: tells of {len(self.facts)} episodes but holds {self._file.num_row_groups}")
+            raise DataError(f"{path}: lists {len(self.facts)} episodes but holds {self._file.num_row_groups}")
 
     def images(self, index: int) -> Any:
         """The encoded frames of an episode as an Arrow binary array, in order of time."""
@@ -221,7 +221,7 @@ class ShardFile:
             return table["image"].combine_chunks()
 
     def numbers(self, names: Iterable[str]) -> dict[str, NDArray[Any]]:
-        """Whole columns of the shard, (steps,) or (steps, width), its episodes one after the other."""
+        """Whole columns of the shard, (steps,) or (steps, width), episode after episode."""
         with clear_errors(self.path, "read"):
             table = self._file.read(columns=list(names), use_threads=False)
             return {name: _to_numpy(table[name], name) for name in names}

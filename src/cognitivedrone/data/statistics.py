@@ -1,4 +1,4 @@
-"""Statistics of a store, by split: what normalises actions in training, and what a reader wants to know first."""
+"""Statistics of a store by split, for normalising actions in training and for a first overview."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from cognitivedrone.data.episode import Split
 VAL_SHARE: Final = 0.05
 SPLITS: Final[tuple[Split, ...]] = ("train", "val")
 LARGE: Final = 1000
-"""Episodes from which on a hash alone decides who is in `val`: of ten families, each has some there."""
+"""From this number of episodes on, a hash alone selects `val`: each of ten families is then represented."""
 EXACT: Final = "exactly 5 %"
-"""What the manifest of a smaller set calls its rule."""
+"""The manifest's name for the rule of smaller sets."""
 
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """What statistics need to know of an episode."""
+    """The parts of an episode that statistics need."""
 
     index: int
     family: str
@@ -35,16 +35,16 @@ class Flown:
 
 
 def draw_of(suite_digest: str, index: int) -> float:
-    """A number in [0, 1) that an episode has for good: it depends on the suite's content and its index alone."""
+    """A permanent number in [0, 1) for an episode: it depends only on the suite's content and its index."""
     digest = hashlib.sha256(f"{suite_digest}/{index}".encode()).digest()
     return int.from_bytes(digest[:8], "big") / 2**64
 
 
 def draw_splits(suite_digest: str, families: Mapping[int, str]) -> dict[str, Any]:
-    """The splits of a set as its manifest tells them; `families` names the family of every episode index.
+    """The splits of a set in the manifest's form; `families` names the family of every episode index.
 
-    A set of `LARGE` episodes or more is split by `threshold_indices`, and of `rule` nothing is said. A smaller one has
-    exactly 5 % to validate, by `exact_indices`.
+    A set of `LARGE` episodes or more is split by `threshold_indices`, without an entry `rule`. A smaller one has
+    exactly 5 % for validation, by `exact_indices`.
     """
     if len(families) >= LARGE:
         val = threshold_indices(suite_digest, families)
@@ -54,7 +54,7 @@ def draw_splits(suite_digest: str, families: Mapping[int, str]) -> dict[str, Any
 
 
 def splits_again(said: Mapping[str, Any], suite_digest: str, families: Mapping[int, str]) -> dict[str, Any]:
-    """What a manifest with these splits must say, by its own rule: small sets of old have the one of large ones."""
+    """Recomputed splits for a manifest, by its own rule: old small sets use the rule of large ones."""
     if "rule" in said:
         return draw_splits(suite_digest, families)
     val = threshold_indices(suite_digest, families)
@@ -62,9 +62,9 @@ def splits_again(said: Mapping[str, Any], suite_digest: str, families: Mapping[i
 
 
 def threshold_indices(suite_digest: str, families: Mapping[int, str]) -> list[int]:
-    """The episodes whose draw is below 5 %, in order: about 5 %, and for good, whatever else is in the set.
+    """The episodes whose draw is below 5 %, in order: about 5 %, regardless of the other episodes.
 
-    A family of two episodes or more that would be missing from a split lends it the episode whose draw lies nearest.
+    If a family of two episodes or more would be missing from a split, its episode with the nearest draw is moved there.
     """
     val: set[int] = set()
     for members in _by_draw(suite_digest, families).values():
@@ -76,9 +76,9 @@ def threshold_indices(suite_digest: str, families: Mapping[int, str]) -> list[in
 
 
 def exact_indices(suite_digest: str, families: Mapping[int, str]) -> list[int]:
-    """5 % of the episodes to the nearest whole number, one at least where there are two or more; in order.
+    """5 % of the episodes to the nearest whole number, at least one of two or more; in order.
 
-    Families have their share of them as nearly as whole numbers can. Within a family the lowest draws are taken.
+    Each family gets its share, as nearly as whole numbers allow. Within a family the lowest draws are taken.
     """
     count = len(families)
     wanted = max((count + 10) // 20, 1) if count > 1 else 0
@@ -91,7 +91,7 @@ def exact_indices(suite_digest: str, families: Mapping[int, str]) -> list[int]:
 
 
 def _by_draw(suite_digest: str, families: Mapping[int, str]) -> dict[str, list[tuple[float, int]]]:
-    """Draws and indices of every family, in order of the draws."""
+    """Draws and indices of every family, sorted by draw."""
     members: dict[str, list[tuple[float, int]]] = {}
     for index, family in families.items():
         members.setdefault(family, []).append((draw_of(suite_digest, index), index))
@@ -125,7 +125,7 @@ def _describe(episodes: Sequence[Flown]) -> dict[str, Any]:
 
 
 def spread(values: NDArray[Any]) -> dict[str, list[float]]:
-    """Of values (N, D): quantiles at 1 and 99 %, mean, standard deviation, least and largest, D numbers each."""
+    """Spread of values (N, D): 1 % and 99 % quantiles, mean, standard deviation, minimum and maximum, D each."""
     exact = values.astype(np.float64)
     return {
         "q01": np.quantile(exact, 0.01, axis=0).tolist(),

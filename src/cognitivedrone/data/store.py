@@ -1,4 +1,4 @@
-"""The store: the one canonical form of a data set on disk. Written shard by shard, read whole or frame by frame.
+"""The store: the single canonical form of a data set on disk. Written shard by shard, read whole or frame by frame.
 
 ```
 DIR/
@@ -7,12 +7,12 @@ DIR/
   tasks.json                 the task of every episode, in order of index, in the published layout
   SHA256SUMS                 hashes of all other files, written last
   shards/shard-00012.parquet 64 episodes, see `shards.py`
-  shards/shard-00012.json    its receipt, written after it: hash, size, which episodes, of which making
-  partial/                   while it is collected: what Ctrl-C has cut short, in the same form
+  shards/shard-00012.json    its receipt, written after it: hash, size, episode indices, hash of the manifest head
+  partial/                   during collection: what Ctrl-C interrupted, in the same form
 ```
 
-A shard counts from the moment its receipt is there and fits. Every file appears whole under its name or not at all, so
-a collection that dies at any moment is finished by writing the shards that have none.
+A shard counts once its receipt exists and matches. Every file appears complete under its name or not at all, so
+a collection that dies at any moment is finished by writing the shards without a receipt.
 """
 
 from __future__ import annotations
@@ -51,22 +51,22 @@ class Batch(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where an episode lies."""
+    """Location of an episode."""
 
     shard: int
     first_step: int
-    """Its first step's number in the store."""
+    """Number of its first step in the store."""
     length: int
 
 
 class Store:
     """A finished store, opened for reading. Steps are numbered through the whole store, episode after episode.
 
-    May be pickled and shared between threads: frames are read under a lock and decoded outside it.
+    Can be pickled and shared between threads: frames are read under a lock and decoded outside it.
     """
 
     def __init__(self, path: Path | str) -> None:
-        """Open `path`. Raises `DataError` for anything but a finished store of this version with all its bytes."""
+        """Open `path`. Raises `DataError` for anything but a complete, finished store of this version."""
         self.path = Path(path)
         self.manifest = read_manifest(self.path)
         self._files: dict[int, ShardFile] = {}
@@ -119,13 +119,13 @@ class Store:
         return "val" if index in self._val else "train"
 
     def statistics(self) -> dict[str, Any]:
-        """What statistics.json says, by split and for `all`. Raises `DataError` where it was altered."""
+        """The content of statistics.json, by split and for `all`. Raises `DataError` if it was altered."""
         content: dict[str, Any] = read_json(self.path / STATISTICS)
         check_sum(self.path, STATISTICS)
         return content
 
     def episode(self, index: int) -> Episode:
-        """The episode of that index; raises `DataError` where the store has none, or its shard is broken."""
+        """The episode of that index; raises `DataError` if the store has none, or its shard is broken."""
         place = self._places.get(index)
         if place is None:
             known = f"{min(self._places)} to {max(self._places)}" if self._places else "none"
@@ -138,11 +138,11 @@ class Store:
         return (self.episode(index) for index in self.indices(split))
 
     def labelled(self) -> Iterator[tuple[Split, Episode]]:
-        """All episodes with their split, in order of index, one in memory at a time: what exports take."""
+        """All episodes with their split, in order of index, one in memory at a time: the input of exports."""
         return ((self.split_of(index), self.episode(index)) for index in self._places)
 
     def facts(self) -> list[dict[str, Any]]:
-        """What is known of every episode as a whole, as plain JSON, in order of index.
+        """Facts about every episode as a whole, as plain JSON, in order of index.
 
         Keys: index, length, suite, encoding, conditions, final_position, and task in the published layout.
         """
@@ -155,7 +155,7 @@ class Store:
         return self._numbers.action[self.step_numbers(split)]
 
     def step_numbers(self, split: Split | None = None) -> NDArray[np.int64]:
-        """The numbers of the steps of a split, or of all: what `steps` takes."""
+        """The step numbers of a split, or of all: the input of `steps`."""
         if split not in (None, *SPLITS):
             raise DataError(f"unknown split {split!r}; {did_you_mean(str(split), SPLITS)}")
         places = [self._places[index] for index in self.indices(split)]
@@ -163,7 +163,7 @@ class Store:
         return np.concatenate([np.empty(0, np.int64), *ranges])
 
     def columns(self, *names: str) -> dict[str, NDArray[Any]]:
-        """Columns of numbers, (n_steps,) or (n_steps, width), whole and in order of the steps' numbers."""
+        """Complete numeric columns, (n_steps,) or (n_steps, width), in order of step numbers."""
         parts: dict[int, dict[str, NDArray[Any]]] = {}
         for number in range(len(self.manifest["shards"])):
             with self._lock:
@@ -177,7 +177,7 @@ class Store:
         return {name: np.concatenate([parts[index][name] for index in self._places]) for name in names}
 
     def content_hash(self) -> str:
-        """Of the manifest, which names the hashes of all shards: the same for the same flights."""
+        """Hash of the manifest, which holds the hashes of all shards: the same for the same flights."""
         return sha256_of(self.path / MANIFEST)
 
     def tasks(self) -> list[Task]:
@@ -188,7 +188,7 @@ class Store:
         return [found[index] for index in self._places]
 
     def episode_rows(self) -> NDArray[np.int64]:
-        """(n_steps,) the place in `tasks` of the episode that each step belongs to."""
+        """(n_steps,) the index in `tasks` of each step's episode."""
         return np.repeat(np.arange(len(self)), [place.length for place in self._places.values()])
 
     @cached_property
@@ -206,10 +206,10 @@ class Store:
         )
 
     def steps(self, numbers: Sequence[int] | NDArray[np.integer[Any]], threads: int = 1) -> Batch:
-        """The steps of these numbers, 0 to `n_steps` - 1, in any order, their frames decoded by `threads` threads.
+        """The steps with these numbers, 0 to `n_steps` - 1, in any order; `threads` threads decode their frames.
 
-        The first call reads all actions, states and instructions of the store (some tens of bytes a step) and keeps
-        them. Raises `DataError` for a number out of range, and for a broken frame naming file, episode and step.
+        The first call reads all actions, states and instructions of the store (some tens of bytes per step) and keeps
+        them. Raises `DataError` for a number out of range, and for a broken frame with file, episode and step.
         """
         wanted = np.asarray(numbers, np.int64)
         if wanted.size and not 0 <= wanted.min() <= wanted.max() < self.n_steps:
@@ -220,7 +220,7 @@ class Store:
         images = np.empty((len(wanted), IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
         if threads > 1:
             with ThreadPoolExecutor(threads) as pool:
-                list(pool.map(self._decode_into, images, encoded))  # the list passes errors on
+                list(pool.map(self._decode_into, images, encoded))  # list() raises the threads' errors
         else:
             list(map(self._decode_into, images, encoded))
         return Batch(
@@ -245,7 +245,7 @@ class Store:
             if decoded.shape != image.shape:
                 raise ValueError(f"it is {decoded.shape[1]}x{decoded.shape[0]}, not {IMAGE_SIZE}x{IMAGE_SIZE}")
             image[:] = decoded
-        except (OSError, ValueError, SyntaxError) as error:  # Pillow tells of broken PNG chunks by SyntaxError
+        except (OSError, ValueError, SyntaxError) as error:  # Pillow reports broken PNG chunks as SyntaxError
             file = self.manifest["shards"][self._places[frame.index].shard]["file"]
             raise DataError(
                 f"{self.path / file}: the frame of episode {frame.index}, step {frame.step}, is broken ({error}); "
@@ -262,7 +262,7 @@ class _Frame:
 
 @dataclass(frozen=True, slots=True)
 class _Numbers:
-    """What `steps` keeps in memory; rows of episodes are in order of index."""
+    """The arrays that `steps` keeps in memory; rows of episodes are in order of index."""
 
     first_steps: NDArray[np.int64]
     indices: list[int]

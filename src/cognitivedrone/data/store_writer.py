@@ -1,4 +1,4 @@
-"""Writes the store of `store.py`, shard by shard, in any order; what is there and sound is not made again."""
+"""Writer of the store of `store.py`: shard by shard, in any order; intact shards are not written again."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ from cognitivedrone.tasks.format import write_tasks
 
 EPISODES_PER_SHARD: Final = 64
 PACKAGES: Final = ("cognitivedrone", "mujoco", "numpy", "pillow", "pyarrow")
-"""Whose version can change a bit of the data."""
+"""Packages whose version can change a bit of the data."""
 _NAMES: Final = {MANIFEST, STATISTICS, TASKS, SUMS, SHARDS, PARTIAL}
 
 
 class StoreWriter:
-    """Writes a store in whole shards, in any order and from any process: it holds nothing open and can be pickled."""
+    """Writes a store in whole shards, in any order and from any process: it holds no open file and can be pickled."""
 
     def __init__(
         self,
@@ -67,11 +67,10 @@ class StoreWriter:
         policy: Mapping[str, Any] | None = None,
         resume: bool = False,
     ) -> None:
-        """Start a store in a folder that is new or empty or, with `resume`, go on with one of the same making.
+        """Start a store in a new or empty folder or, with `resume`, continue one with the same manifest head.
 
-        `recipe` and `policy`, which says who flew where it was not the expert, are plain JSON. A manifest that is
-        missing or damaged is written anew on `resume`. Raises `DataError` for a folder that holds anything else, or
-        cannot be written.
+        `recipe` and `policy`, which identifies a policy other than the expert, are plain JSON. `resume` rewrites a
+        missing or damaged manifest. Raises `DataError` for a folder that holds anything else, or cannot be written.
         """
         self.path = Path(path)
         self._suite_digest = suite_digest
@@ -84,10 +83,10 @@ class StoreWriter:
             "episodes_per_shard": episodes_per_shard,
             "versions": {package: version(package) for package in PACKAGES},
         } | ({"policy": dict(policy)} if policy else {})
-        self._head = json.loads(json.dumps(head))  # as it comes back: tuples are lists
+        self._head = json.loads(json.dumps(head))  # as it is read back: tuples become lists
         self._making = making_of(self._head)
         self._receipts: dict[int, dict[str, Any]] = {}
-        """Of the shards that were written, or found to be sound."""
+        """Receipts of the shards that were written, or found intact."""
         with clear_errors(self.path, "written"):
             self._start(resume)
 
@@ -97,7 +96,7 @@ class StoreWriter:
         manifest = self.path / MANIFEST
         if not self._only_left_over():
             if not manifest.exists() and not self._looks_like_a_store():
-                raise DataError(f"{self.path}: is not empty and no data set of ours; give a new folder")
+                raise DataError(f"{self.path}: is not empty and not a data set of this package; give a new folder")
             if not resume:
                 raise DataError(f"{self.path}: holds a data set already; go on with --resume or give another folder")
             if self._is_begun():
@@ -109,7 +108,7 @@ class StoreWriter:
         write_json(manifest, {**self._head, "complete": False, "making": self._making})
 
     def _only_left_over(self) -> bool:
-        """Whether the folder is new, or of a collection that died before its manifest was there."""
+        """Whether the folder is new, or of a collection that died before it wrote its manifest."""
         return not self.path.exists() or all(
             entry.name.startswith(f".{MANIFEST}.") or (entry.name == SHARDS and not any(entry.iterdir()))
             for entry in self.path.iterdir()
@@ -120,7 +119,7 @@ class StoreWriter:
         return SHARDS in names and names <= _NAMES
 
     def _is_begun(self) -> bool:
-        """Whether a sound manifest of this making is there; raises `DataError` where it is of another."""
+        """Whether an intact manifest with this head exists; raises `DataError` if it has another head."""
         if not (self.path / MANIFEST).exists():
             return False
         try:
@@ -129,7 +128,7 @@ class StoreWriter:
             found = None
         if is_sound(self.path, found):
             check_format(self.path, found)
-            if self._makings_said() != {self._making}:  # else it is the manifest that does not belong here
+            if self._makings_said() != {self._making}:  # otherwise the manifest itself is foreign
                 check_same_making(self.path, found, self._head)
             return making_of(head_of(found)) == self._making
         if not self._looks_like_a_store():
@@ -137,7 +136,7 @@ class StoreWriter:
         return False
 
     def _check_shards_are_ours(self) -> None:
-        """Raise `DataError` where there is no manifest to trust, and the receipts are those of another set."""
+        """Raise `DataError` if there is no valid manifest, and the receipts are those of another set."""
         makings = self._makings_said()
         if makings and self._making not in makings:
             raise DataError(
@@ -146,19 +145,19 @@ class StoreWriter:
             )
 
     def _makings_said(self) -> set[str]:
-        """Whose shards the receipts say they are of, "" where they do not say it."""
+        """Hashes of the manifest heads in the receipts; "" for receipts without one."""
         said = (_making_said(path) for path in (self.path / SHARDS).glob("shard-*.json"))
         return {making for making in said if making is not None}
 
     def _clear_up(self) -> None:
-        """Remove what a killed process has left."""
+        """Remove leftovers of a killed process."""
         for folder in (self.path, self.path / SHARDS, self.path / PARTIAL):
             remove_left_over(folder)
 
     def missing_shards(self, total: int) -> list[int]:
-        """Of the shards 0 to total - 1, those that are not on disk as they were written: what is left to fly.
+        """Of the shards 0 to total - 1, those that are not intact on disk: the ones that remain to be flown.
 
-        Reads every byte of those that this writer has not seen yet.
+        Reads every byte of shards that this writer has not checked yet.
         """
         return [number for number in range(total) if not self._is_there(number)]
 
@@ -171,7 +170,7 @@ class StoreWriter:
         return True
 
     def _sound_receipt(self, shard: str) -> dict[str, Any] | None:
-        """The receipt of a shard that is there to the last bit, and so is its receipt; none otherwise."""
+        """The receipt of a shard if both are intact; None otherwise."""
         path = self.path / receipt_name(shard)
         try:
             said = path.read_bytes()
@@ -182,16 +181,16 @@ class StoreWriter:
         except (DataError, OSError):
             return None
         text = receipt_text(receipt, self._making)
-        if said == json_text(receipt).encode():  # of a release that did not say whose it is
+        if said == json_text(receipt).encode():  # of a release whose receipts lack the hash of the manifest head
             write_text(path, text)
         elif said != text.encode():
             return None
         return receipt
 
     def write_shard(self, number: int, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> None:
-        """Store the episodes of shard `number`; `dropped` counts flights that were not kept, by outcome.
+        """Store the episodes of shard `number`; `dropped` counts dropped flights by outcome.
 
-        The same episodes give the same bytes, in whatever order they come. Raises `DataError`; then there is no shard.
+        The same episodes give the same bytes, in any order. Raises `DataError`; then no shard is stored.
         """
         self._receipts.pop(number, None)
         self._receipts[number] = self._write(shard_name(number), episodes, dropped)
@@ -201,7 +200,7 @@ class StoreWriter:
         ordered = sorted(episodes, key=lambda episode: episode.index)
         indices = Counter(episode.index for episode in ordered)
         if len(indices) < len(ordered):
-            raise DataError(f"{shard}: episode {indices.most_common(1)[0][0]} comes twice; give every index once")
+            raise DataError(f"{shard}: episode {indices.most_common(1)[0][0]} is repeated; give every index once")
         path, receipt = self.path / shard, self.path / receipt_name(shard)
         with clear_errors(path, "written"):
             path.parent.mkdir(exist_ok=True)
@@ -216,11 +215,11 @@ class StoreWriter:
             (self.path / name).unlink(missing_ok=True)
 
     def keep(self, number: int, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> None:
-        """Put some episodes of shard `number` aside, for whoever resumes. Raises `DataError`."""
+        """Save some episodes of shard `number` for a later `resume`. Raises `DataError`."""
         self._write(shard_name(number, PARTIAL), episodes, dropped)
 
     def kept(self, number: int) -> tuple[list[Episode], dict[str, int]]:
-        """What was put aside of shard `number`; what is damaged is not given back."""
+        """The saved episodes of shard `number`; damaged ones are skipped."""
         shard = shard_name(number, PARTIAL)
         if self._sound_receipt(shard) is None:
             return [], {}
@@ -230,8 +229,8 @@ class StoreWriter:
     def finish(self, total: int | None = None) -> None:
         """Write statistics, task list, the manifest that makes the store readable, and the checksums of all files.
 
-        `total` is the number of shards; those beyond it are removed. Without it, the shards up to the last are all.
-        Raises `DataError` where a shard is missing, or an episode is in two of them.
+        `total` is the number of shards; extra ones are removed. Without it, all shards up to the last count.
+        Raises `DataError` if a shard is missing, or an episode is in two of them.
         """
         if total is None:
             total = max(self._numbers_there(), default=-1) + 1
@@ -272,7 +271,7 @@ class StoreWriter:
         return [int(stem) for stem in stems if stem.isdecimal()]
 
     def _remove_strays(self, total: int) -> None:
-        """Remove shards that are not of this set, and what was put aside of those that are whole now."""
+        """Remove foreign shards, and saved episodes of shards that are complete now."""
         for number in self._numbers_there():
             if number >= total:
                 self._remove(shard_name(number))
@@ -285,7 +284,7 @@ class StoreWriter:
 
 
 def _is_of(receipt: bytes, digest: str) -> bool:
-    """Whether a receipt tells of a file of this hash: no other file needs to be opened."""
+    """Whether a receipt belongs to a file of this hash, without opening any other file."""
     try:
         content = json.loads(receipt)
     except ValueError:
@@ -294,7 +293,7 @@ def _is_of(receipt: bytes, digest: str) -> bool:
 
 
 def _making_said(receipt: Path) -> str | None:
-    """Whose shard a receipt says it is of: "" for one that does not say it, none for one that cannot be read."""
+    """The hash of the manifest head in a receipt: "" if it has none, None if it is unreadable."""
     try:
         content = read_json(receipt)
     except DataError:

@@ -1,4 +1,4 @@
-"""A store at a glance, in the terminal."""
+"""Overview of a store in the terminal."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _add_histogram(table: Table, shape: Histogram, mean: str, std: str) -> None:
 
 
 def bars(shape: Histogram) -> str:
-    """A histogram as one line of block characters; a bin that is not empty always shows."""
+    """A histogram as one line of block characters; a non-empty bin is always visible."""
     top = max(shape.counts, default=0) or 1
     full = len(LEVELS) - 1
     return "".join(LEVELS[0 if count == 0 else max(1, round(full * count / top))] for count in shape.counts)

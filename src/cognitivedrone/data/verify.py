@@ -1,4 +1,4 @@
-"""Checks that a store is what its manifest says: finds what is missing, cut off, altered or does not follow."""
+"""Verification of a store: finds files that are missing, truncated or altered, and inconsistent content."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ from cognitivedrone.errors import CognitiveDroneError, DataError
 from cognitivedrone.tasks.format import read_tasks
 
 TOLERANCE = 1e-9
-"""Relative; other releases of NumPy may add up in another order."""
+"""Relative tolerance; other NumPy releases may sum in another order."""
 
 _Hashes = Callable[[str], str | None]
-"""The hash of a file by its name in the store; none where it is missing."""
+"""The hash of a file by its name in the store; None if it is missing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One thing that is wrong with a store."""
+    """One fault of a store."""
 
     file: str
-    """Relative to the store."""
+    """Path relative to the store."""
     message: str
 
     def __str__(self) -> str:
@@ -50,11 +50,11 @@ class Problem:
 
 
 def verify(path: Path | str) -> list[Problem]:
-    """Everything that is wrong with the store at `path`; an empty list where it is sound.
+    """All faults of the store at `path`; an empty list if it is intact.
 
-    Every byte is read, and belongs to a file that a checksum covers. What is computed from the shards (statistics,
-    splits, tasks) is compared only where the files themselves are sound. Raises `DataError` where there is no finished
-    store of this version to speak of.
+    Reads every byte, and requires a checksum for every file. Content computed from the shards (statistics, splits,
+    tasks) is compared only if the files themselves are intact. Raises `DataError` if there is no finished store of this
+    version.
     """
     root = Path(path)
 
@@ -76,7 +76,7 @@ def verify(path: Path | str) -> list[Problem]:
 
 
 def _checksums(root: Path) -> tuple[dict[str, str] | None, list[Problem]]:
-    """Hashes by file, none for a store of old; and what is wrong with them."""
+    """Hashes by file, None for an old store; and their faults."""
     if not (root / SUMS).exists():
         return None, []
     try:
@@ -86,7 +86,7 @@ def _checksums(root: Path) -> tuple[dict[str, str] | None, list[Problem]]:
 
 
 def _manifest(root: Path, sums: Mapping[str, str] | None, hash_of: _Hashes) -> dict[str, Any] | Problem:
-    """The manifest, or what is wrong with it. Raises `DataError` where the folder is no finished store."""
+    """The manifest, or its faults. Raises `DataError` if the folder is not a finished store."""
     if sums is None and not (root / SHARDS).is_dir():
         return read_manifest(root)
     if hash_of(MANIFEST) is None:
@@ -96,7 +96,7 @@ def _manifest(root: Path, sums: Mapping[str, str] | None, hash_of: _Hashes) -> d
     except DataError:
         return Problem(MANIFEST, "is damaged: it is not JSON")
     if isinstance(manifest, dict) and manifest.get("complete") is False:
-        return read_manifest(root)  # which says that it is not finished
+        return read_manifest(root)  # raises the error that it is not finished
     if sums and sums.get(MANIFEST) != hash_of(MANIFEST):
         return Problem(MANIFEST, f"is altered: its content does not match the hash in {SUMS}")
     check_format(root, manifest)
@@ -119,7 +119,7 @@ def _shard_problems(root: Path, manifest: dict[str, Any], hash_of: _Hashes) -> I
 
 
 def _content_problems(file: Path, receipt: dict[str, Any]) -> Iterator[Problem]:
-    """Of a shard whose hash is right: where the manifest does not tell the truth about what is in it."""
+    """Faults of a shard whose hash is right: differences between manifest and content."""
     try:
         facts = ShardFile(file).facts
     except DataError as error:
@@ -173,7 +173,7 @@ def _episode_problems(manifest: dict[str, Any]) -> Iterator[Problem]:
 def _sum_problems(
     manifest: dict[str, Any], sums: Mapping[str, str], hash_of: _Hashes, found: list[Problem]
 ) -> Iterator[Problem]:
-    """Of files with which nothing else is wrong: where their checksums are not theirs."""
+    """Faults of checksums, for files without other faults."""
     if not sums:
         return
     shards = {receipt["file"] for receipt in manifest["shards"]}
@@ -181,12 +181,12 @@ def _sum_problems(
     if sums.keys() != {MANIFEST, STATISTICS, TASKS, *shards}:
         yield Problem(SUMS, "lists other files than the data set has")
     for problem in _altered(sums, hash_of, {problem.file for problem in found}):
-        wrong = problem.file in shards  # which the manifest says is right
+        wrong = problem.file in shards  # the manifest confirms it
         yield Problem(SUMS, f"has another hash of {problem.file} than the manifest") if wrong else problem
 
 
 def _altered(sums: Mapping[str, str], hash_of: _Hashes, known: set[str]) -> Iterator[Problem]:
-    """Files other than the `known` that are not what their checksums say."""
+    """Files other than the `known` ones that do not match their checksums."""
     for name, digest in sums.items():
         if name not in known and hash_of(name) is None:
             yield Problem(name, "is missing")
@@ -216,7 +216,7 @@ def _derived_problems(root: Path, manifest: dict[str, Any]) -> Iterator[Problem]
 
 
 def _alike(a: Any, b: Any) -> bool:
-    """Equal JSON, numbers up to rounding."""
+    """Equal JSON, up to rounding of numbers."""
     if isinstance(a, dict) and isinstance(b, dict):
         return a.keys() == b.keys() and all(_alike(a[key], b[key]) for key in a)
     if isinstance(a, list) and isinstance(b, list):

@@ -1,6 +1,6 @@
-"""Gymnasium environments over the simulator, and the simulator as a `Drone`.
+"""Gymnasium environments of the simulator, and the simulator as a `Drone`.
 
-Importing this room adds `CognitiveDrone-v1` to Gymnasium's registry, for `gymnasium.make` and `gymnasium.make_vec`;
+Importing this package registers `CognitiveDrone-v1` with Gymnasium, for `gymnasium.make` and `gymnasium.make_vec`;
 `gymnasium.make("cognitivedrone.envs:CognitiveDrone-v1")` does both in one line.
 """
 

@@ -1,4 +1,4 @@
-"""Text on pictures for people: a font at any size, lines that fit into a width, options as one reads them."""
+"""Text on pictures: a font at any size, line wrapping, readable options."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from PIL import ImageFont
 Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 ELLIPSIS = "..."
 LONGEST = 200
-"""Letters of a word that may fit into a line."""
+"""Maximum letters of a word on one line."""
 
 
 @lru_cache(maxsize=16)
 def font(size: int) -> Font:
-    """The font that comes with Pillow, `size` pixels high. It has Latin letters; others become boxes."""
+    """Pillow's built-in font, `size` pixels high. It has Latin letters; others become boxes."""
     return ImageFont.load_default(size)
 
 
 def wrap(text: str, width: float, face: Font, lines: int) -> list[str]:
-    """`text` as at most `lines` lines of at most `width` pixels. Words that are too long are broken, and what does not
-    fit ends in an ellipsis.
+    """`text` as at most `lines` lines of at most `width` pixels. Long words are broken; excess text is replaced by
+    an ellipsis.
     """
     return _wrap(text, width, face.getlength, lines)
 
@@ -57,9 +57,9 @@ def _wrap(text: str, width: float, length: Callable[[str], float], lines: int) -
 
 
 def readable(option: str, length: int = 70) -> str:
-    """An option as one reads it, cut after `length` characters.
+    """An option in readable form, cut after `length` characters.
 
-    "polar_bear" as "polar bear", "animal/cat=3+food/apple=1" as "cat 3, apple 1", "hair=bun,beard=none" as "hair bun,
+    "polar_bear" becomes "polar bear", "animal/cat=3+food/apple=1" "cat 3, apple 1", "hair=bun,beard=none" "hair bun,
     beard none".
     """
     read = re.sub(r"\w+/(?=\w)", "", option).replace("_", " ").replace("+", ", ").replace("=", " ")

@@ -1,4 +1,4 @@
-"""The simulator as a `Drone` with its own `Clock`: the flight loop flies it as it flies a real one."""
+"""The simulator as a `Drone` with its own `Clock`, for the same control loop as a real drone."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from cognitivedrone.types import ACTION_LIMITS, Action, Commands, Observation, V
 
 
 class SimulatedDrone:
-    """One world of a simulator. Time stands still between calls of `sleep_until`: it is drone and clock in one."""
+    """One world of a simulator, drone and clock in one. Time advances only in `sleep_until`."""
 
     def __init__(self, simulator: Simulator, track_runner: TrackRunner) -> None:
         self.simulator = simulator
         self.track_runner = track_runner
 
     def observe(self) -> Observation:
-        """Frame and state of this moment."""
+        """The current frame and state."""
         world = self.track_runner.world
         velocity, height, yaw_rate = proprioception(self.simulator, world)
         return Observation(
@@ -40,23 +40,23 @@ class SimulatedDrone:
         return sent
 
     def close(self) -> None:
-        """Nothing to land."""
+        """Do nothing: there is nothing to land."""
 
     def now(self) -> float:
         """Simulated seconds since the flight began."""
         return self.simulator.time(self.track_runner.world)
 
     def sleep_until(self, time_s: float) -> None:
-        """Let the world go on, the last command standing, until `time_s` or the end of the flight."""
+        """Advance the world, holding the last command, until `time_s` or the end of the flight."""
         ticks = round((time_s - self.now()) / Flight.TICK_S)
         if ticks > 0 and not self.track_runner.finished:
             self.track_runner.update(self.simulator.advance(ticks)[self.track_runner.world])
 
 
 class PacedDrone:
-    """A simulated drone on the wall clock: while anybody thinks, it flies on. Drone and clock in one.
+    """A simulated drone on the wall clock, drone and clock in one: it flies on during inference.
 
-    The simulation catches up with the wall whenever somebody looks or sends, as if it had never stood still.
+    The simulation catches up with the wall clock at every observation and command.
     """
 
     def __init__(self, drone: SimulatedDrone) -> None:
@@ -64,20 +64,20 @@ class PacedDrone:
         self._start = time.perf_counter()
 
     def observe(self) -> Observation:
-        """Frame and state of this moment."""
+        """The current frame and state."""
         self.drone.sleep_until(self.now())
         return self.drone.observe()
 
     def send(self, action: Action) -> Action:
-        """Set the velocity setpoint from this moment on, clipped to `ACTION_LIMITS`."""
+        """Set the velocity setpoint from now on, clipped to `ACTION_LIMITS`."""
         self.drone.sleep_until(self.now())
         return self.drone.send(action)
 
     def close(self) -> None:
-        """Nothing to land."""
+        """Do nothing: there is nothing to land."""
 
     def now(self) -> float:
-        """Seconds on the wall since this was made."""
+        """Wall-clock seconds since creation."""
         return time.perf_counter() - self._start
 
     def sleep_until(self, time_s: float) -> None:

@@ -25,9 +25,9 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
     `suite` is a name or a `Suite`; every episode of "open-v1:train" is a new task, without end.
 
     Reward: 1 for every stage flown through the right gate. `terminated` when the track is done or the flight ended by
-    contact, miss or leaving the stage; `truncated` when the stage's time ran out. `info` holds `task`, and the
-    `StageResult`s so far as `results`. `reset(options={"episode": i})` flies one chosen episode of the suite.
-    Raises `TaskError`, `LabelError` or `SimulationError` for a suite, labels or conditions that cannot be.
+    contact, miss or leaving the stage; `truncated` at a stage's time limit. `info` holds `task`, and the
+    `StageResult`s so far as `results`. `reset(options={"episode": i})` flies a given episode of the suite.
+    Raises `TaskError`, `LabelError` or `SimulationError` for an invalid suite, labels or conditions.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
@@ -72,7 +72,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         return self._observe(), reward, terminated, truncated, self._info()
 
     def render(self) -> Any:
-        """The first-person view, (256, 256, 3) uint8; none without a `render_mode`."""
+        """The first-person view, (256, 256, 3) uint8; None without a `render_mode`."""
         return None if self.render_mode is None else self.simulator.frames()[0]
 
     def close(self) -> None:
@@ -80,7 +80,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         self.simulator.close()
 
     def truth(self) -> Truth:
-        """What privileged pilots are told: for experts that make training data."""
+        """Ground truth, for experts that make training data."""
         return self.track_runner.truth()
 
     def _observe(self) -> dict[str, Any]:
@@ -98,7 +98,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
 
 
 def pick_episode(suite: Suite, rng: np.random.Generator, options: dict[str, Any] | None) -> int:
-    """An episode of the suite: the one that the options name, or a random one."""
+    """An episode of the suite: the one in the options, or a random one."""
     count = len(suite.tracks)
     if not options or "episode" not in options:
         return int(rng.integers(count))

@@ -1,4 +1,4 @@
-"""A picture of one task for people: what is asked, what the drone sees at the start, a top and a chase view."""
+"""Picture of one task: its instruction, the drone's view at the start, a top view and a chase view."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cognitivedrone.types import IMAGE_SIZE, FloatArray, Gate, Image, Task
 from cognitivedrone.world import geometry
 
 SIDE: Final = 2 * IMAGE_SIZE
-"""Of the two square views, pixels."""
+"""Side of the two square views, pixels."""
 _GAP: Final = 24
 _WIDTH: Final = 2 * SIDE + 3 * _GAP
 _CHASE_SIZE: Final = (2 * SIDE + _GAP, 480)
@@ -33,7 +33,7 @@ _BADGE: Final = 20
 
 
 def snapshot(suite: Suite, episode: int, out: Path, *, look: LookName, labels: str, seed: int) -> Task:
-    """Write the picture to `out` and return the task that it shows."""
+    """Write the picture to `out` and return its task."""
     track = track_at(suite, episode)
     if look not in LOOKS:
         raise RunError(f"unknown look {look!r}; {did_you_mean(look, LOOKS)}")
@@ -41,7 +41,7 @@ def snapshot(suite: Suite, episode: int, out: Path, *, look: LookName, labels: s
         raise RunError(f"cannot write {out}: there is no folder {out.parent}")
     form = PillowImage.registered_extensions().get(out.suffix.lower())
     if form not in PillowImage.SAVE:
-        raise RunError(f"cannot write {out}: {out.suffix or 'no suffix'} is no kind of picture; end its name in .png")
+        raise RunError(f"cannot write {out}: {out.suffix or 'no suffix'} is not an image format; end the name in .png")
     simulator = Simulator(1)
     try:
         track_runner = TrackRunner(simulator, 0, load_pack(labels), TrackConfig(look=look))
@@ -60,7 +60,7 @@ def snapshot(suite: Suite, episode: int, out: Path, *, look: LookName, labels: s
 
 
 def draw(simulator: Simulator, track_runner: TrackRunner, where: str) -> Image:
-    """The task at hand in three views with gates named: (h, 1096, 3). `where` says which task it is."""
+    """The current task in three views with labelled gates: (h, 1096, 3). `where` identifies the task."""
     if simulator.cameras is None:
         raise ValueError("this simulator was made without cameras")
     state, stage = simulator.state(track_runner.world), track_runner.stage
@@ -88,7 +88,7 @@ def draw(simulator: Simulator, track_runner: TrackRunner, where: str) -> Image:
 
 
 def _heading(task: Task, where: str) -> PillowImage.Image:
-    """The instruction, which task this is, and a line for each gate."""
+    """The instruction, the task's identification, and a line for each gate."""
     page = PillowImage.new("RGB", (_WIDTH, 1200), _PAPER)
     pen = ImageDraw.Draw(page)
     top = _GAP
@@ -122,7 +122,7 @@ def _look(gate: Gate) -> str:
 
 
 def _mark_gates(picture: PillowImage.Image, view: View, track_runner: TrackRunner) -> None:
-    """The gates' numbers under them, as far as the gates are in the picture."""
+    """Draw the gates' numbers under them, for gates within the picture."""
     pen = ImageDraw.Draw(picture)
     for index in geometry.standing(track_runner.stage):
         x, y = view.project(_under(track_runner, index), picture.size)[0]

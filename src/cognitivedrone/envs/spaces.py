@@ -1,4 +1,4 @@
-"""The observation and action spaces that both environments share, and what they check of actions."""
+"""Observation and action spaces of both environments, and validation of actions."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ Info = dict[str, Any]
 
 
 class InstructionSpace(spaces.Text):
-    """Sentences of 1 to 1000 characters, in any language; samples are of printable ASCII.
+    """Sentences of 1 to 1000 characters, in any language; samples are printable ASCII.
 
-    Under `AsyncVectorEnv` with shared memory the instructions arrive as one array (num_envs,) of `str`. Gymnasium's own
-    `Text` decodes that memory once, before anything is written there, and every observation then holds "aaaa...".
+    Under `AsyncVectorEnv` with shared memory, the instructions arrive as one array (num_envs,) of `str`. Gymnasium's
+    own `Text` decodes that memory once, before anything is written to it, so every observation then holds "aaaa...".
     """
 
     def __init__(self, seed: int | np.random.Generator | None = None) -> None:
@@ -31,13 +31,13 @@ class InstructionSpace(spaces.Text):
         super().__init__(max_length=MAX_TEXT, charset=charset, seed=seed)
 
     def contains(self, x: Any) -> bool:
-        """Whether this is a sentence of a possible length."""
+        """Whether this is a sentence of valid length."""
         return isinstance(x, str) and self.min_length <= len(x) <= self.max_length
 
 
 @read_from_shared_memory.register(InstructionSpace)
 def _read_instructions(space: InstructionSpace, shared_memory: Any, n: int = 1) -> NDArray[np.str_]:
-    """The instructions (n,), as an array that shows what is in the memory now, as those of `Box` do."""
+    """The instructions (n,), as an array that shows the current content of the memory, as for `Box`."""
     return _strings(space, shared_memory)[:n]
 
 
@@ -47,12 +47,12 @@ def _write_instruction(space: InstructionSpace, index: int, value: str, shared_m
 
 
 def _strings(space: InstructionSpace, shared_memory: Any) -> NDArray[np.str_]:
-    """A view of the memory that Gymnasium makes for `Text`: 4 bytes a character, as NumPy has them."""
+    """A view of the memory that Gymnasium allocates for `Text`: 4 bytes per character, as in NumPy."""
     view: NDArray[np.str_] = np.frombuffer(shared_memory.get_obj(), dtype=f"U{space.max_length}")
     return view
 
 
-# The one function of Gymnasium's that looks a space's class up by itself and so misses its base class.
+# The only function of Gymnasium that looks up a space's class directly and so misses its base class.
 batch_differing_spaces.register(InstructionSpace, batch_differing_spaces.dispatch(spaces.Text))
 
 
@@ -63,8 +63,8 @@ def action_space() -> spaces.Box:
 
 
 def observation_space() -> spaces.Dict:
-    """What a policy may see, as in `Observation`, for one world. The bounds are where a flight counts as diverged."""
-    # The heading frame turns the world's x and y, so a component can be as large as both together.
+    """The space of `Observation`, for one world. Beyond the bounds, a flight counts as diverged."""
+    # The heading frame mixes the world's x and y, so one component can be as large as both together.
     fastest = math.sqrt(2) * MAX_VELOCITY_M_S
     return spaces.Dict(
         {

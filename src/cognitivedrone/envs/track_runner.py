@@ -1,7 +1,7 @@
-"""One drone's way through the tasks of a track: which stage is on, where it stands, how each ended.
+"""Runs one drone through the tasks of a track: the current stage, its place in the world, and the results.
 
-The bridge between tasks and the simulator: here an event at a gate ("through gate 2") meets the question ("which was
-right?").
+The bridge between tasks and the simulator: it combines an event at a gate ("through gate 2") with the task ("which
+gate is right?").
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from cognitivedrone.world.appearance import PLAIN, Look, varied_look
 
 LOOKS = ("plain", "varied")
 FLOOR_ROOM_M = 0.05
-"""Between hull and floor at the lowest start."""
+"""Distance between hull and floor at the lowest start."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrackConfig:
-    """The conditions of a flight. Raises `SimulationError` where they cannot be simulated."""
+    """The conditions of a flight. Raises `SimulationError` if they cannot be simulated."""
 
     look: LookName = "plain"
     """`plain` as published, or `varied`: floor, walls, light, colours and camera noise drawn from the seed."""
     time_limit_s: float = 30.0
-    """For each stage."""
+    """Time limit for each stage."""
     wind_m_s: float = 0.0
-    """Speed of a steady wind; its direction is drawn from the seed."""
+    """Speed of a steady wind; the seed draws its direction."""
 
     def __post_init__(self) -> None:
         if self.look not in LOOKS:
@@ -47,7 +47,7 @@ class TrackConfig:
 
 
 def episode_rng(suite_digest: str, episode: int, seed: int) -> np.random.Generator:
-    """The one source of randomness of an episode: the same three numbers give the same flight conditions anywhere."""
+    """The only source of randomness of an episode: the same three numbers give the same flight conditions anywhere."""
     digest = hashlib.sha256(suite_digest.encode()).digest()
     return np.random.default_rng([int.from_bytes(digest[:8], "big"), episode, seed])
 
@@ -64,9 +64,9 @@ def scenery_of(stage: Stage, labels: LabelPack, look: Look) -> Scenery:
 
 
 def draw_start(rng: np.random.Generator, hull_radius: float, wind_m_s: float = 0.0) -> Start:
-    """The published start: (-1, 0, 0.75) m plus up to 1 m on each axis, looking along x.
+    """The published start: (-1, 0, 0.75) m plus up to 1 m on each axis, facing along x.
 
-    Never below 0.2 m, nor closer to the floor than a large hull allows.
+    Never below 0.2 m, and never closer to the floor than a large hull allows.
     """
     x, y, z = geometry.START + rng.uniform(-geometry.START_HALF_EXTENT, geometry.START_HALF_EXTENT, 3)
     direction = rng.uniform(-np.pi, np.pi)
@@ -78,8 +78,8 @@ def draw_start(rng: np.random.Generator, hull_radius: float, wind_m_s: float = 0
 class TrackRunner:
     """Flies one world of a simulator through a track.
 
-    A stage that is passed, or left through a wrong gate, leads to the next one behind that gate; anything else ends
-    the flight, and the stages that were not reached count as such.
+    Flying through any gate, right or wrong, leads to the next stage behind that gate. Anything else ends
+    the flight, and the remaining stages count as not reached.
     """
 
     def __init__(self, simulator: Simulator, world: int, labels: LabelPack, config: TrackConfig) -> None:
@@ -94,9 +94,9 @@ class TrackRunner:
         self.start = Start((0.0, 0.0, 0.0))
 
     def begin(self, track: Track, rng: np.random.Generator, start: Start | None = None) -> None:
-        """Start a new flight at the first stage; every random thing about it is drawn from `rng`.
+        """Start a new flight at the first stage; `rng` draws all its randomness.
 
-        It begins at `start` where that is given, and is drawn as published where not.
+        It begins at `start` if given, otherwise at a random published start.
         """
         self.track = track
         self.results = []
@@ -114,25 +114,25 @@ class TrackRunner:
 
     @property
     def index(self) -> int:
-        """Which stage is on, from 0."""
+        """Index of the current stage, from 0."""
         return len(self.results)
 
     @property
     def task(self) -> Task:
-        """The task at hand; after the end, the last one."""
+        """The current task; after the end, the last one."""
         return self.track[min(self.index, len(self.track) - 1)]
 
     @property
     def stage(self) -> Stage:
-        """The stage at hand; after the end, the last one."""
+        """The current stage; after the end, the last one."""
         return self.stages[-1]
 
     def truth(self) -> Truth:
-        """What a privileged pilot is told."""
+        """Ground truth of the current stage."""
         return Truth(self.task, self.stage, lambda: self.simulator.state(self.world))
 
     def update(self, gate_event: GateEvent | None) -> StageResult | None:
-        """Take in what happened in the last stretch of flight; the result, where it ended the stage."""
+        """Process the event of the last control period; returns the result if it ended the stage."""
         if self.simulator.flight.diverged[self.world]:
             return self.end("invalid")
         if gate_event is not None:
@@ -142,7 +142,7 @@ class TrackRunner:
         return None
 
     def end(self, outcome: Outcome, *, chosen: int | None = None, clearance_m: float | None = None) -> StageResult:
-        """End the flight here; what was not reached is recorded as such."""
+        """End the flight here; remaining stages are recorded as not reached."""
         if chosen is None and outcome not in ("invalid", "policy_error"):
             chosen = self.simulator.gate_monitor(self.world).favoured()
         result = self._result(outcome, chosen, clearance_m)
@@ -188,7 +188,7 @@ class TrackRunner:
 
 
 def unflown(task: Task, outcome: Outcome) -> StageResult:
-    """The result of a stage in which nothing was flown."""
+    """The result of a stage without any flight."""
     return StageResult(
         task_id=task.id,
         category=task.category,

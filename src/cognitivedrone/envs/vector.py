@@ -1,4 +1,4 @@
-"""Many worlds stepped and rendered together: the fast way to make data and to train."""
+"""Vector environment: many worlds stepped and rendered together, for fast data generation and training."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, FloatArray, StageResult
 class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray]):
     """`num_envs` worlds of `CognitiveDroneEnv`, with the same spaces, rewards and endings.
 
-    Takes what `CognitiveDroneEnv` takes, and `threads`: as many as there are cores where none are given.
-    A world whose episode ended begins a new one in the next step, whose action it ignores (Gymnasium's next-step mode).
-    Observations are views of buffers that the next step overwrites, unless `copy` is asked for.
+    Takes the arguments of `CognitiveDroneEnv`, and `threads` (default: the number of cores).
+    A world whose episode ended begins a new one in the next step and ignores that step's action (Gymnasium's next-step
+    mode). Observations are views of buffers that the next step overwrites, unless `copy` is set.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
@@ -73,7 +73,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], Info]:
-        """Begin an episode in every world; world i is seeded by `seed + i`, or by the i-th of a list of seeds."""
+        """Begin an episode in every world; world i is seeded by `seed + i`, or by item i of a list of seeds."""
         if seed is not None:
             seeds = [seed + world for world in range(self.num_envs)] if isinstance(seed, int) else seed
             self._rngs = [np.random.default_rng(each) for each in seeds]
@@ -103,17 +103,17 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         return self._observe(), rewards, terminated, truncated, self._info(results)
 
     def render(self) -> Any:
-        """The first-person views, a tuple of (256, 256, 3) uint8; none without a `render_mode`."""
+        """The first-person views, a tuple of (256, 256, 3) uint8; None without a `render_mode`."""
         return None if self.render_mode is None else tuple(self.simulator.frames())
 
     def close_extras(self, **_: Any) -> None:
         """Free the renderers."""
-        # Gymnasium closes what is deleted, also one whose making was refused.
+        # Gymnasium calls this on deletion, also after a failed constructor.
         if hasattr(self, "simulator"):
             self.simulator.close()
 
     def truths(self) -> list[Truth]:
-        """What privileged pilots are told in each world: for experts that make training data."""
+        """Ground truth of each world, for experts that make training data."""
         return [track_runner.truth() for track_runner in self.track_runners]
 
     def _begin(self, world: int, options: dict[str, Any] | None) -> None:

@@ -1,4 +1,4 @@
-"""Wrappers for learners with networks: instructions as vectors, where a library knows no `Text`, and smaller images."""
+"""Observation wrappers for learners: instructions as vectors, for libraries without `Text`, and smaller images."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cognitivedrone.models.text import words_of
 from cognitivedrone.types import IMAGE_SIZE, Action, FloatArray
 
 SIZE = 256
-"""Numbers of an instruction's vector where no other size is asked for."""
+"""Default length of an instruction's vector."""
 
 
 Seen = dict[str, Any]
@@ -25,7 +25,7 @@ Seen = dict[str, Any]
 
 
 class HashInstruction(gymnasium.ObservationWrapper[Seen, Action, Seen], RecordConstructorArgs):
-    """Turns the instruction of the observation into a vector: a `Box` (size,) float32 in the place of the `Text`.
+    """Replaces the instruction of the observation by a vector: a `Box` (size,) float32 instead of the `Text`.
 
     See `hash_instruction`. Raises `SimulationError` for a size below 1.
     """
@@ -44,9 +44,9 @@ class HashInstruction(gymnasium.ObservationWrapper[Seen, Action, Seen], RecordCo
 
 
 class ShrinkImage(gymnasium.ObservationWrapper[Seen, Action, Seen], RecordConstructorArgs):
-    """Makes the image `factor` times smaller on each side, by the mean over squares: 128 x 128 for 2.
+    """Shrinks the image by `factor` on each side, averaging over squares: 128 x 128 for 2.
 
-    Raises `SimulationError` for a factor that 256 is not a multiple of.
+    Raises `SimulationError` unless 256 is a multiple of the factor.
     """
 
     def __init__(self, env: gymnasium.Env[Seen, Action], factor: int = 2) -> None:
@@ -65,11 +65,11 @@ class ShrinkImage(gymnasium.ObservationWrapper[Seen, Action, Seen], RecordConstr
 
 
 def hash_instruction(text: str, size: int = SIZE) -> FloatArray:
-    """A sentence as (size,) float32 of length 1: its words and pairs of neighbouring words, hashed with a sign.
+    """A sentence as (size,) float32 of length 1: signed feature hashing of its words and pairs of neighbouring words.
 
-    The hashing trick of Weinberger et al. (arXiv 0902.2206): every word and pair adds 1 or -1 at a place, and place and
-    sign come from its CRC-32. It needs no vocabulary, and is the same on every machine. Words are those of
-    `models.text.words_of`, with marks for the beginning and the end of the sentence.
+    The hashing trick of Weinberger et al. (arXiv 0902.2206): every word and pair adds 1 or -1 at one position; its
+    CRC-32 determines position and sign. No vocabulary is needed, and the result is the same on every machine. Words are
+    those of `models.text.words_of`, with markers for the beginning and the end of the sentence.
     """
     words = ["<", *words_of(text), ">"]
     vector = np.zeros(size, dtype=np.float32)

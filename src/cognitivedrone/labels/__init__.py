@@ -1,10 +1,10 @@
-"""What panels show: a label reference to an RGB image. The shipped pack, and folders of users' own images.
+"""Label packs: a label reference to an RGB image. The shipped pack, and folders of users' own images.
 
     pack = load_pack()                      # the shipped pack, "open-v1"
     pack.image("animal/zebra@noto")         # (256, 256, 3) uint8
     load_pack("my/labels").image("Animals/cat")
 
-References are `kind/concept@style`; `docs/labels.md` lists what there is.
+References are `kind/concept@style`; `docs/labels.md` lists them.
 """
 
 from cognitivedrone.labels.folder import FolderPack

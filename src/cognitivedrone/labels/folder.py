@@ -1,7 +1,7 @@
-"""A folder of images as a label pack: `<kind>/<concept>.png` or `<concept>@<style>.png`.
+"""Label pack of a folder of images: `<kind>/<concept>.png` or `<concept>@<style>.png`.
 
 This is also the layout of published label folders (`Animals/cat.jpg`, `Food/Healthy/healthy_13.jpg`). Their names
-vary in case, and some files carry the `dae` of the panel's model in their name (`cheetahdae.jpg`); both are overlooked.
+vary in case, and some files carry the `dae` of the panel's model (`cheetahdae.jpg`); both are ignored.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _CACHED_IMAGES = 128
 
 
 class FolderPack:
-    """Panels from the images of a folder; kinds that it lacks (sums, numbers, ...) come from the shipped pack."""
+    """Label pack of a folder of images; kinds that it lacks (sums, numbers, ...) come from the shipped pack."""
 
     def __init__(self, folder: Path, fallback: ShippedPack) -> None:
         self.name = str(folder)
@@ -40,25 +40,25 @@ class FolderPack:
         return FolderPack, (self._folder, self._fallback)
 
     def image(self, reference: str) -> types.Image:
-        """(H, W, 3) uint8 RGB, read-only, the image's own aspect, at most 256 px a side.
+        """(H, W, 3) uint8 RGB, read-only, with the image's own aspect ratio, at most 256 px a side.
 
-        An image without a style stands for every style. Raises `LabelError` naming the file that was looked for.
+        An image without a style serves every style. Raises `LabelError` with the name of the missing file.
         """
         return self._cached(reference)
 
     def kinds(self) -> tuple[str, ...]:
-        """Own kinds as the folder spells them, then those of the shipped pack."""
+        """The folder's kinds as spelled there, then those of the shipped pack."""
         own = tuple(self._files)
         return own + tuple(kind for kind in self._fallback.kinds() if kind not in self._kinds)
 
     def concepts(self, kind: str) -> tuple[str, ...]:
-        """Concepts of a kind, casefolded; empty where the kind is open, such as sums."""
+        """Concepts of a kind, casefolded; empty if the kind is open, such as sums."""
         if kind.casefold() in self._kinds:
             return tuple(self._files[self._kinds[kind.casefold()]])
         return self._fallback.concepts(kind)
 
     def styles(self, kind: str) -> tuple[str, ...]:
-        """Styles of a kind; empty where its images have none."""
+        """Styles of a kind; empty if its images have none."""
         if kind.casefold() in self._kinds:
             concepts = self._files[self._kinds[kind.casefold()]].values()
             return tuple(sorted({style for files in concepts for style in files if style}))
@@ -66,7 +66,7 @@ class FolderPack:
 
     @cached_property
     def digest(self) -> str:
-        """Hash of the names and contents of all images, and of the shipped pack behind them."""
+        """Hash of the names and contents of all images, and of the shipped pack."""
         digest = hashlib.sha256(self._fallback.digest.encode())
         paths = (path for concepts in self._files.values() for files in concepts.values() for path in files.values())
         for path in sorted(paths):
@@ -105,18 +105,18 @@ class FolderPack:
 
 
 def _check_image_file(path: Path) -> None:
-    """Raise `LabelError` for what is named like an image and is none: nothing of it is opened."""
+    """Raise `LabelError` for a file with an image's name that is not a regular image file; it is not opened."""
     try:
         check_regular(path)
     except OSError as error:
         link = "it is a link to nothing" if path.is_symlink() and not path.exists() else reason_of(error)
-        raise LabelError(f"label image {path} cannot be read: {link}; take it out of the folder") from None
+        raise LabelError(f"label image {path} cannot be read: {link}; remove it from the folder") from None
 
 
 def _scan(folder: Path) -> dict[str, dict[str, dict[str, Path]]]:
-    """Kind to concept (casefolded) to style ("" for none) to file. Links that lead out of the folder are left out.
+    """Kind to concept (casefolded) to style ("" for none) to file. Links that lead out of the folder are ignored.
 
-    Raises `LabelError` for a pipe, device, socket, folder or dangling link that is named like an image.
+    Raises `LabelError` for a pipe, device, socket, folder or dangling link with an image's name.
     """
     root = folder.resolve()
     found: dict[str, dict[str, dict[str, Path]]] = {}

@@ -1,4 +1,4 @@
-"""Pixels from files and on panels: reading images that somebody else made, and several pictures on one panel."""
+"""Panel images: reading untrusted image files, and drawing several pictures on one panel."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from cognitivedrone.errors import LabelError
 from cognitivedrone.files import read_regular, reason_of
 
 SIDE = 256
-"""The longer side of what packs return is at most this, px."""
+"""Maximum length of the longer side of returned images, px."""
 MAX_FILE_BYTES = 20_000_000
 MAX_PIXELS = 40_000_000
 MAX_THINGS = 16
-"""On a panel that shows several."""
+"""Maximum number of things on one panel."""
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 
 _ITEM = re.compile(r"(?P<kind>[^/=+]+)/(?P<concept>[^=+]+)=(?P<count>[1-9][0-9]?)")
 
 
 def frozen_array(image: Image.Image) -> types.Image:
-    """(H, W, 3) uint8 of an image, read-only: it is handed to many."""
+    """Read-only (H, W, 3) uint8 array of an image, because it is shared."""
     array = np.array(image.convert("RGB"), dtype=np.uint8)
     array.setflags(write=False)
     return array
@@ -38,7 +38,7 @@ def frozen_array(image: Image.Image) -> types.Image:
 def read_image(path: Path) -> Image.Image:
     """RGB image of a PNG, JPEG or WebP file, transparency on white, scaled down to at most SIDE px a side.
 
-    Raises `LabelError` naming the file where it is too large or no such image.
+    Raises `LabelError` with the file's name if it is too large or not such an image.
     """
     try:
         content = read_regular(path, MAX_FILE_BYTES)
@@ -65,9 +65,9 @@ def read_image(path: Path) -> Image.Image:
 
 
 def parse_several(concept: str) -> list[tuple[str, int]]:
-    """`kind/concept=count` joined by `+`, as (kind/concept, count) pairs.
+    """Parse `kind/concept=count` items joined by `+` into (kind/concept, count) pairs.
 
-    Raises `LabelError` where it is malformed or shows more than MAX_THINGS things.
+    Raises `LabelError` if it is malformed or has more than MAX_THINGS things.
     """
     pairs = []
     for item in concept.split("+"):
@@ -82,7 +82,7 @@ def parse_several(concept: str) -> list[tuple[str, int]]:
 
 
 def draw_several(concept: str, style: str | None, image_of: Callable[[str], types.Image]) -> Image.Image:
-    """(SIDE, SIDE) RGB: the pictures in a grid, in an order that depends on the reference alone."""
+    """(SIDE, SIDE) RGB: the pictures in a grid, in an order that depends only on the reference."""
     suffix = f"@{style}" if style else ""
     pairs = parse_several(concept)
     things = [(name, copy) for name, count in pairs for copy in range(count)]

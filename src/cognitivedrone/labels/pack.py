@@ -1,4 +1,4 @@
-"""The shipped label packs, and how a pack is found by name or path."""
+"""The shipped label packs, and loading a pack by name or path."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _CACHED_LAYERS = 64
 
 
 def load_pack(name_or_path: str = "open-v1") -> ShippedPack | FolderPack:
-    """The label pack of that name, or a folder of images `<kind>/<concept>.png`.
+    """The label pack of that name, or of a folder of images `<kind>/<concept>.png`.
 
-    Raises `LabelError` where there is neither.
+    Raises `LabelError` if there is neither.
     """
     if name_or_path in PACKS:
         return _shipped(name_or_path)
@@ -68,15 +68,15 @@ class ShippedPack:
         return _shipped, (self.name,)
 
     def image(self, reference: str) -> types.Image:
-        """(256, 256, 3) uint8 RGB, read-only. Raises `LabelError` with near names for what the pack lacks."""
+        """(256, 256, 3) uint8 RGB, read-only. Raises `LabelError` with similar names if the pack lacks the image."""
         return self._cached(reference)
 
     def kinds(self) -> tuple[str, ...]:
-        """What references may start with."""
+        """The kinds that references may start with."""
         return tuple(self._styles)
 
     def concepts(self, kind: str) -> tuple[str, ...]:
-        """Concepts of a kind; empty where it is open: numbers, sums, people and several things."""
+        """Concepts of a kind; empty if it is open: numbers, sums, people and several things."""
         self._check_kind(kind, kind)
         return self._concepts.get(kind, ())
 
@@ -109,8 +109,8 @@ class ShippedPack:
         if reference.kind == "sum":
             if not is_sum(concept):
                 raise LabelError(
-                    f"label '{reference}' is no sum; expected numbers, + - * / and brackets in at most {LONGEST_SUM} "
-                    "characters, as in 7*(9-2)"
+                    f"label '{reference}' is not a sum; expected numbers, + - * / and brackets in at most "
+                    f"{LONGEST_SUM} characters, as in 7*(9-2)"
                 )
             return sum_panel(concept, font)
         if reference.kind == "letter" and concept not in _LETTERS:

@@ -1,4 +1,4 @@
-"""Drawn people: attributes in a reference to layers, painted one over the other."""
+"""Drawn people: image layers for the attributes of a reference, painted from back to front."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from PIL import Image, ImageChops, ImageDraw
 from cognitivedrone.errors import LabelError, did_you_mean
 
 SIDE = 256
-"""Of a panel, px."""
+"""Side of a panel, px."""
 
 ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     "skin": ("light", "tan", "brown", "dark"),
@@ -24,7 +24,7 @@ ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     "clothes_color": ("blue", "red", "green", "yellow", "black", "white", "gray", "pink"),
     "expression": ("smile", "serious", "sad", "surprised", "laughing", "wink"),
 }
-"""Attribute to its values; the first is what a reference that leaves it out means. Beards are of the hair's colour."""
+"""Values of each attribute; the first is the default. Beards have the hair's colour."""
 
 BACKGROUNDS: Mapping[str, tuple[int, int, int]] = {
     "white": (255, 255, 255),
@@ -36,23 +36,23 @@ BACKGROUNDS: Mapping[str, tuple[int, int, int]] = {
     "slate": (142, 155, 174),
     "cream": (255, 243, 196),
 }
-"""The style of a person is the colour behind; the first is the default."""
+"""Background colours, which are the styles of a person; the first is the default."""
 
 _HAT_BRIM = {"hat": 88, "beanie": 66, "turban": 80, "hijab": SIDE}
 """Row of the panel above which a hat hides the hair, px."""
 _DOME = (30, 60, 228, 258)
-"""Left, top, right, bottom of the circle into which a hat presses the hair above its middle, px."""
+"""Left, top, right, bottom of the circle that limits the hair under a hat above its middle, px."""
 _SHOULDERS = 185
-"""Row of the panel below which hair falls as it likes, px."""
+"""Row of the panel below which hair is not limited, px."""
 
 LayerSource = Callable[[str], tuple[Image.Image, tuple[int, int]]]
-"""Name of a layer to its RGBA image and where its upper left corner belongs, px."""
+"""From the name of a layer to its RGBA image and the position of its upper left corner, px."""
 
 
 def parse_person(concept: str) -> dict[str, str]:
-    """All attributes of a person given as `attribute=value,attribute=value`; left-out ones at their first value.
+    """All attributes of a person given as `attribute=value,attribute=value`; omitted ones have their first value.
 
-    Raises `LabelError` with near names for an attribute or a value that is not in `ATTRIBUTES`.
+    Raises `LabelError` with similar names for an attribute or a value that is not in `ATTRIBUTES`.
     """
     chosen: dict[str, str] = {}
     for item in filter(None, concept.split(",")):
@@ -86,7 +86,7 @@ def layer_names(person: Mapping[str, str]) -> list[str]:
 
 
 def draw_person(concept: str, background: str, layer: LayerSource) -> Image.Image:
-    """(SIDE, SIDE) RGB portrait. Raises `LabelError` as `parse_person` does; `background` is one of BACKGROUNDS."""
+    """(SIDE, SIDE) RGB portrait. Raises `LabelError` like `parse_person`; `background` is one of BACKGROUNDS."""
     person = parse_person(concept)
     image = Image.new("RGBA", (SIDE, SIDE), (*BACKGROUNDS[background], 255))
     for name in layer_names(person):
@@ -101,7 +101,7 @@ def draw_person(concept: str, background: str, layer: LayerSource) -> Image.Imag
 
 @cache
 def _room_for_hair(hat: str) -> Image.Image:
-    """(SIDE, SIDE) mask of where hair can be under a hat: below the brim, pressed down to a dome at the sides."""
+    """(SIDE, SIDE) mask of the area for hair under a hat: below the brim, limited to a dome at the sides."""
     scale = 4
     mask = Image.new("L", (SIDE * scale, SIDE * scale))
     draw = ImageDraw.Draw(mask)

@@ -1,4 +1,4 @@
-"""Label references: `kind/concept@style`, the one string by which tasks name what label packs draw."""
+"""Label references: `kind/concept@style`, the strings that connect tasks and label packs."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from cognitivedrone.errors import LabelError
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """A label reference, taken apart."""
+    """A parsed label reference."""
 
     kind: str
     concept: str
     style: str | None
-    """None stands for the kind's first style."""
+    """None means the kind's first style."""
 
     def __str__(self) -> str:
         return f"{self.kind}/{self.concept}" + (f"@{self.style}" if self.style else "")
 
 
 def parse_reference(text: str) -> Reference:
-    """Take `kind/concept@style` apart; the concept may hold further slashes, the style may be left out.
+    """Parse `kind/concept@style`; the concept may contain further slashes, the style is optional.
 
-    Raises `LabelError` where there is no kind, or an `@` with no style behind it.
+    Raises `LabelError` if there is no kind, or an `@` without a style.
     """
     body, at, style = text.rpartition("@") if "@" in text else (text, "", "")
     kind, slash, concept = body.partition("/")

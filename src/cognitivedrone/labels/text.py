@@ -1,4 +1,4 @@
-"""Text panels: letters, numbers and sums in black on white, as large as fits."""
+"""Text panels: letters, numbers and sums in black on white, as large as possible."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from PIL import Image, ImageDraw, ImageFont
 
 SIDE = 256
-"""Of a panel, px."""
+"""Side of a panel, px."""
 ROOM = 216
 """Side of the square that the text may fill, px."""
 INK = (22, 22, 22)
@@ -18,15 +18,15 @@ PAPER = (255, 255, 255)
 _SIGNS = {"*": "×", "/": "÷", "-": "−"}
 _SUM = re.compile(r"\(*[0-9]+\)*([+\-*/]\(*[0-9]+\)*)*")
 LONGEST_SUM = 24
-"""Characters; more would be too small to read."""
+"""Maximum length in characters; longer sums would be too small to read."""
 _WORTH_A_BREAK = 1.25
-"""A sum goes on two lines where that makes its type larger by this factor."""
+"""A sum is split over two lines if that enlarges its type by this factor."""
 _LINE_DISTANCE = 1.15
-"""Between baselines, in heights of a bracket."""
+"""Distance between baselines, in heights of a bracket."""
 
 
 def is_sum(expression: str) -> bool:
-    """Whether it is an expression of whole numbers, + - * / and matched brackets, and not too long to show."""
+    """Whether it is an expression of integers, + - * / and matched brackets, and short enough to show."""
     depth = 0
     for character in expression:
         depth += (character == "(") - (character == ")")
@@ -36,12 +36,12 @@ def is_sum(expression: str) -> bool:
 
 
 def typeset_sum(expression: str) -> str:
-    """The sum as people write it: 7*9-2 is 7×9−2."""
+    """The sum with typographic operators: 7*9-2 becomes 7×9−2."""
     return "".join(_SIGNS.get(character, character) for character in expression)
 
 
 def sum_panel(expression: str, font: Path) -> Image.Image:
-    """(SIDE, SIDE) RGB panel of a sum, on one line, or on two where that is much easier to read from afar."""
+    """(SIDE, SIDE) RGB panel of a sum, on one line, or on two if that makes it much more readable from afar."""
     text = typeset_sum(expression)
     best, best_size = text, _fitting_size(text, font)
     threshold = best_size * _WORTH_A_BREAK
@@ -53,7 +53,7 @@ def sum_panel(expression: str, font: Path) -> Image.Image:
 
 
 def _breaks(text: str) -> list[str]:
-    """The text on two lines, broken before each operator outside brackets."""
+    """The text on two lines, for each possible break before an operator outside brackets."""
     depth, found = 0, []
     for index, character in enumerate(text):
         depth += (character == "(") - (character == ")")
@@ -63,7 +63,7 @@ def _breaks(text: str) -> list[str]:
 
 
 def text_panel(text: str, font: Path) -> Image.Image:
-    """(SIDE, SIDE) RGB: the text centred by its ink, as large as ROOM allows."""
+    """(SIDE, SIDE) RGB: the text, centred by its ink, as large as ROOM allows."""
     image = Image.new("RGB", (SIDE, SIDE), PAPER)
     draw = ImageDraw.Draw(image)
     face = _face(font, _fitting_size(text, font))
@@ -82,7 +82,7 @@ def _fitting_size(text: str, font: Path) -> int:
 
 
 def _lines(text: str, face: ImageFont.FreeTypeFont) -> list[tuple[str, float]]:
-    """Lines and their baselines. The distance comes from the ink: what fonts say of their line height varies wildly."""
+    """Lines and their baselines. The distance comes from the ink, because the line heights of fonts vary widely."""
     _, top, _, bottom = face.getbbox("(0)", anchor="ms")
     return [(line, index * _LINE_DISTANCE * (bottom - top)) for index, line in enumerate(text.split("\n"))]
 
@@ -100,5 +100,5 @@ def _ink_box(text: str, face: ImageFont.FreeTypeFont) -> tuple[float, float, flo
 
 @lru_cache(maxsize=64)
 def _face(font: Path, size: int) -> ImageFont.FreeTypeFont:
-    # The basic layout engine is in every build of Pillow, so the same bits come out everywhere.
+    # Every build of Pillow has the basic layout engine, so the bits are the same everywhere.
     return ImageFont.truetype(str(font), size, layout_engine=ImageFont.Layout.BASIC)

@@ -1,1 +1,1 @@
-"""Networks and their self-describing files. They know nothing of tasks, environments or episodes."""
+"""Networks and their self-describing files. Independent of tasks, environments and episodes."""

@@ -1,8 +1,8 @@
-"""Checksums of model files: damage is found before a file is run.
+"""Checksums of model files, which detect damage before a file is run.
 
-A file holds the SHA-256 of its own content, taken with zeros in the checksum's place: `sha256-of-this-file:` and 64
-digits somewhere in its bytes. `seal` fills it in, `check` compares. The shipped files are older than that: their
-checksums stand in `weights/checksums.json`, with one for every block, by which a damaged copy is known wherever it is.
+A file holds the SHA-256 of its own content, computed with zeros in the checksum's place: `sha256-of-this-file:` and 64
+digits somewhere in its bytes. `seal` fills it in, `check` compares. The shipped files predate this: their
+checksums are in `weights/checksums.json`, with one for every block, which identify a damaged copy anywhere.
 `python -m cognitivedrone.models.checksum` writes that list.
 """
 
@@ -23,12 +23,12 @@ from cognitivedrone.files import read_regular
 
 MARK: Final = "sha256-of-this-file:"
 BLANK: Final = MARK + "0" * 64
-"""What a file that is to be sealed must hold, once."""
+"""Placeholder that a file to be sealed must contain exactly once."""
 BLOCK: Final = 16 * 2**10
-"""Bytes of a block of the shipped files."""
+"""Block size of the shipped files, bytes."""
 ALIKE: Final = 1 / 8
-"""A file that has this share of its blocks from a shipped one is a copy of it. Two trainings of one network share less:
-their files begin with the same graph, of two blocks, and all weights differ."""
+"""Minimum share of equal blocks for a file to count as a copy of a shipped one. Two trainings of one network share
+less: their files begin with the same graph, of two blocks, and all weights differ."""
 _WEIGHTS: Final = Path(str(resources.files("cognitivedrone.models") / "weights"))
 _LIST: Final = "checksums.json"
 
@@ -37,7 +37,7 @@ Finding = Literal["sound", "damaged", "unknown"]
 
 
 def seal(path: Path) -> None:
-    """Write the checksum of a file into it, in the place of the one `BLANK` that it must hold."""
+    """Write the checksum of a file into it, replacing its only `BLANK`."""
     with path.open("r+b") as file, mmap.mmap(file.fileno(), 0) as content:
         at = content.find(BLANK.encode())
         if at < 0 or content.find(MARK.encode(), at + 1) >= 0:
@@ -47,7 +47,7 @@ def seal(path: Path) -> None:
 
 
 def check_own(content: bytes | mmap.mmap) -> Finding:
-    """Whether the content of a file matches the checksum that it holds."""
+    """Whether the content of a file matches its own checksum."""
     at = content.find(MARK.encode())
     if at < 0:
         return "unknown"
@@ -60,7 +60,7 @@ def check_own(content: bytes | mmap.mmap) -> Finding:
 
 
 def check(content: bytes) -> Finding:
-    """Whether the content of a model file is what was written: by its own checksum, or as one of the shipped files."""
+    """Whether the content of a model file is intact: by its own checksum, or as one of the shipped files."""
     if (finding := check_own(content)) != "unknown":
         return finding
     shipped = _shipped()
@@ -81,13 +81,13 @@ def _blocks(content: bytes) -> list[str]:
 
 @functools.cache
 def _shipped() -> tuple[tuple[str, list[str]], ...]:
-    """SHA-256 and blocks of the files that come with the package."""
+    """SHA-256 and blocks of the files in the package."""
     listed = json.loads((_WEIGHTS / _LIST).read_text(encoding="utf-8"))
     return tuple((facts["sha256"], re.findall("[0-9a-f]{8}", facts["blocks"])) for facts in listed.values())
 
 
 def main(folder: Path = _WEIGHTS) -> None:
-    """Write the list of the files in a folder that hold no checksum of their own."""
+    """Write the list of the files in a folder that have no checksum of their own."""
     listed = {}
     for file in sorted(folder.rglob("*.onnx")):
         content = read_regular(file, 2**30)

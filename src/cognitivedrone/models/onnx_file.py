@@ -1,4 +1,4 @@
-"""ONNX files that describe themselves: a JSON table in the file's metadata, checked before anything is believed."""
+"""Self-describing ONNX files: a JSON table in the file's metadata, validated before use."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from cognitivedrone.models.checksum import BLANK, check, seal
 from cognitivedrone.models.text import Vocabulary
 
 KEY = "cognitivedrone"
-"""Of the metadata."""
+"""Key of the metadata."""
 FORMAT = 2
-"""Of the description. Format 1 is the same without a checksum, and is read as well."""
+"""Version of the description. Format 1, the same without a checksum, is also accepted."""
 LARGEST_BYTES = 256 * 2**20
-"""A file that is larger is refused before it is read."""
+"""Maximum file size; larger files are refused before they are read."""
 
 T = TypeVar("T")
 Tensors = Mapping[str, tuple[str, tuple[int, ...]]]
@@ -30,24 +30,24 @@ Tensors = Mapping[str, tuple[str, tuple[int, ...]]]
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Where a model comes from."""
+    """Provenance of a model."""
 
     recipe: str
     data: str
-    """Hash of the data, or what streamed it."""
+    """Hash of the data, or the name of the rollout stream."""
     commit: str
-    """Of the code that trained it."""
+    """Commit of the training code."""
     trained: str
-    """ISO 8601, UTC."""
+    """Time of training, ISO 8601, UTC."""
     steps: int
     scores: Mapping[str, Any]
-    """What it reached, by name."""
+    """Scores of the model, by name."""
 
 
 def write_table(path: str | Path, kind: str, table: Mapping[str, Any]) -> None:
-    """Write a description and a checksum into an ONNX file, in place of any it has.
+    """Write a description and a checksum into an ONNX file, replacing existing ones.
 
-    Raises `MissingExtra` where the `onnx` package is not installed.
+    Raises `MissingExtra` if the `onnx` package is not installed.
     """
     try:
         onnx: Any = importlib.import_module("onnx")
@@ -80,12 +80,12 @@ def open_model(path: Path, kind: str, *, threads: int, optimise: bool) -> tuple[
     except OSError as error:
         raise ModelError(f"{path} cannot be read: {reason_of(error)}") from None
     if (finding := check(content)) == "damaged":
-        raise ModelError(f"{path} does not match its checksum, so it is damaged; fetch or train it anew")
-    # The bytes that were checked, not what the file holds by now.
+        raise ModelError(f"{path} does not match its checksum, so it is damaged; download or train it again")
+    # Use the bytes that were checked, not the file's current content.
     session = _open_session(content, path, threads=threads, optimise=optimise)
     table = _read_table(session, kind, str(path))
     if finding == "unknown" and table["format"] == FORMAT:
-        raise ModelError(f"{path} has lost its checksum, so it is damaged; fetch or train it anew")
+        raise ModelError(f"{path} has lost its checksum, so it is damaged; download or train it again")
     if finding == "unknown" and multiprocessing.parent_process() is None:  # once, not in every worker
         warnings.warn(
             f"{path} was written before model files had checksums: damage to it would not be noticed", stacklevel=4
@@ -99,12 +99,12 @@ def _open_session(content: bytes, path: Path, *, threads: int, optimise: bool) -
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
-    # Waiting threads sleep: the cores belong to the simulator, or to the rest of the drone.
+    # Waiting threads sleep, because the cores are needed by the simulator, or by the rest of the drone.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.log_severity_level = 4  # what matters is raised
+    options.log_severity_level = 4  # errors are raised anyway
     if not optimise:
         options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
-    # The arena grows by what is asked for instead of doubling.
+    # The arena grows by the requested size instead of doubling.
     provider = ("CPUExecutionProvider", {"arena_extend_strategy": "kSameAsRequested"})
     try:
         return ort.InferenceSession(content, options, providers=[provider])
@@ -112,7 +112,7 @@ def _open_session(content: bytes, path: Path, *, threads: int, optimise: bool) -
         reason = next(iter(str(error).splitlines()), type(error).__name__)
         no_graph = "No graph was found" in reason or "does not have a graph" in reason  # the latter until 1.23
         if type(error).__name__ == "InvalidProtobuf" or no_graph or not content:
-            raise ModelError(f"{path} is not an ONNX file, or it was cut short; fetch or train it anew") from None
+            raise ModelError(f"{path} is not an ONNX file, or it was cut short; download or train it again") from None
         raise ModelError(f"ONNX Runtime {ort.__version__} cannot load {path}: {reason}") from None
 
 
@@ -131,7 +131,7 @@ def _read_table(session: Any, kind: str, where: str) -> dict[str, Any]:
     if version not in (1, FORMAT):
         raise ModelError(
             f"{where} is a model file of format {version!r} and this version reads formats 1 and {FORMAT};"
-            " take a file and a release of cognitivedrone that belong together"
+            " use a file and a release of cognitivedrone that match"
         )
     found = cast(dict[str, Any], table)
     if found.get("kind") != kind:
@@ -154,7 +154,7 @@ def check_graph(session: Any, inputs: Tensors, outputs: Tensors, where: str) -> 
 
 
 def _fits(found: Sequence[Any], wanted: tuple[int, ...]) -> bool:
-    """Whether a graph's shape can be (batch, *wanted) for any batch: a dimension without a number may be any."""
+    """Whether a graph's shape can be (batch, *wanted) for any batch: a dimension without a number matches any."""
     batch, rest = found[:1], found[1:]
     return (
         len(rest) == len(wanted)
@@ -164,12 +164,12 @@ def _fits(found: Sequence[Any], wanted: tuple[int, ...]) -> bool:
 
 
 def field_of(table: Mapping[str, Any], name: str, kind: type[T], where: str) -> T:
-    """A field of the description, of the type it must have."""
+    """A field of the description, checked to be of this type."""
     if name not in table:
         raise ModelError(f"the description in {where} lacks {name!r}")
     value = table[name]
     if not isinstance(value, kind) or isinstance(value, bool):
-        raise ModelError(f"{name!r} of the description in {where} is {value!r:.60}, which is no {kind.__name__}")
+        raise ModelError(f"{name!r} of the description in {where} is {value!r:.60}, which is not a {kind.__name__}")
     return value
 
 
@@ -184,7 +184,7 @@ def count_of(table: Mapping[str, Any], name: str, where: str) -> int:
 def vocabulary_of(words: list[Any], where: str) -> Vocabulary:
     """A vocabulary of words; raises `ModelError`."""
     if not all(isinstance(word, str) for word in words):
-        raise ModelError(f"the vocabulary in {where} holds something that is no word")
+        raise ModelError(f"the vocabulary in {where} contains an entry that is not a word")
     try:
         return Vocabulary(tuple(words))
     except ModelError as error:

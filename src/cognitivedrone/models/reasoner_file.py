@@ -1,12 +1,13 @@
-"""The small reasoner's two files: ONNX graphs of its eyes and its mind, each with a description of itself.
+"""The small reasoner's two files: ONNX graphs of panel reader and gate selector, each with a description.
 
-Contracts; the batch is a dynamic axis, F the number of facets, L the mind's `text_length`:
+Contracts; the batch is a dynamic axis, F the number of attribute values, L the gate selector's `text_length`:
 
-- eyes: input `image` uint8 (batch, 256, 256, 3); outputs `facets` float32 (batch, 4, F), logits of what the three
-  panels and the board show; `looks` float32 (batch, 3, 8), probabilities of a gate's colours, shapes and sizes; `boxes`
-  float32 (batch, 4, 4) of panels and board: centre u, v and height in pixels, and the score, 0 to 1, that it is there;
-- mind: inputs as `small_reasoner.GateSelector.forward` tells them, `tokens` int64 (batch, L), with any number of
-  remembered panels up to `REMEMBERED`; output `logits` float32 (batch, 3) of the gates.
+- panel reader: input `image` uint8 (batch, 256, 256, 3); outputs `facets` float32 (batch, 4, F), logits of the
+  attribute values of three panels and the board; `looks` float32 (batch, 3, 8), probabilities of a gate's colours,
+  shapes and sizes; `boxes` float32 (batch, 4, 4) of panels and board: centre u, v and height in pixels, and the
+  detection score, 0 to 1;
+- gate selector: inputs as documented in `small_reasoner.GateSelector.forward`, `tokens` int64 (batch, L), with any
+  number of remembered panels up to `REMEMBERED`; output `logits` float32 (batch, 3) of the gates.
 """
 
 from __future__ import annotations
@@ -37,16 +38,16 @@ EYES_FILE, MIND_FILE = "eyes.onnx", "mind.onnx"
 LOOKS = 8
 """Colours, shapes and sizes of gates, in the order of `types`."""
 REMEMBERED = 15
-"""Panels of earlier stages, at most."""
+"""Maximum number of remembered panels of earlier stages."""
 
 Floats = NDArray[np.float32]
 
 
 class Sight(NamedTuple):
-    """What the eyes see in one frame."""
+    """The panel reader's output for one frame."""
 
     facets: Floats
-    """(4, F) logits of three panels, in no order, and the board."""
+    """(4, F) logits of three panels, unordered, and the board."""
     looks: Floats
     """(3, 8)."""
     boxes: Floats
@@ -55,14 +56,14 @@ class Sight(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class AttributeSchema:
-    """Names of all that can be read."""
+    """Names of all attribute values that can be read."""
 
     names: tuple[str, ...]
     """As "group/value"."""
 
     @property
     def groups(self) -> dict[str, slice]:
-        """Where the facets of each group stand; the groups follow each other without gaps."""
+        """Slices of the attribute values of each group; the groups follow each other without gaps."""
         found: dict[str, slice] = {}
         for index, name in enumerate(self.names):
             group = name.partition("/")[0]
@@ -72,7 +73,7 @@ class AttributeSchema:
 
 
 class PanelReaderModel:
-    """Reads frames, by ONNX Runtime on the CPU."""
+    """Panel reader, run by ONNX Runtime on the CPU."""
 
     def __init__(self, session: Any, facets: AttributeSchema, provenance: Provenance) -> None:
         self._session = session
@@ -93,17 +94,17 @@ class PanelReaderModel:
         return cls(session, facets, provenance_of(table, str(path)))
 
     def see(self, image: Image) -> Sight:
-        """What a frame (256, 256, 3) shows; raises `PolicyError` for one of another shape or type."""
+        """The attributes in a frame (256, 256, 3); raises `PolicyError` for one of another shape or type."""
         if image.dtype != np.uint8 or image.shape != (IMAGE_SIZE, IMAGE_SIZE, 3):
             raise PolicyError(
-                f"the eyes need an image of uint8 (256, 256, 3); what came is {image.dtype} {image.shape}"
+                f"the panel reader needs an image of uint8 (256, 256, 3), not {image.dtype} {image.shape}"
             )
         facets, looks, boxes = self._session.run(("facets", "looks", "boxes"), {"image": image[None]})
         return Sight(facets[0], looks[0], boxes[0])
 
 
 class GateSelectorModel:
-    """Answers from what was read, by ONNX Runtime on the CPU."""
+    """Gate selector, run by ONNX Runtime on the CPU."""
 
     def __init__(self, session: Any, facets: AttributeSchema, vocabulary: Vocabulary, text_length: int) -> None:
         self._session = session

@@ -1,12 +1,12 @@
-"""The small model's file: one ONNX graph that carries its vocabulary, its action statistics and where it comes from.
+"""The small VLA's file: one ONNX graph with its vocabulary, action statistics and provenance.
 
 Contract of the graph; the batch is a dynamic axis, L the description's `text_length`, k its `chunk`:
 
 - inputs `image` uint8 (batch, 256, 256, 3); `state` float32 (batch, 5): velocity x, y, z in the heading frame, m/s,
-  height above ground, m, and yaw rate, rad/s; `tokens` int64 (batch, L), as `Vocabulary.encode` gives them;
+  height above ground, m, and yaw rate, rad/s; `tokens` int64 (batch, L), as `Vocabulary.encode` returns them;
 - outputs `action` float32 (batch, k, 4): velocity x, y, z in the heading frame, m/s, and yaw rate, rad/s; `choice`
-  float32 (batch, 4): probability of each seen gate, and last of none of those in view; `gates` float32 (batch, 3, 4):
-  each one's centre u, v in pixels, detection score 0 to 1, and distance in m.
+  float32 (batch, 4): probability of each detected gate, and last of none of those in view; `gates` float32
+  (batch, 3, 4): each one's centre u, v in pixels, detection score 0 to 1, and distance in m.
 
 The description is JSON, see `onnx_file`.
 """
@@ -45,12 +45,12 @@ Four = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class ActionStatistics:
-    """What actions the model was trained on."""
+    """Statistics of the actions in the training data."""
 
     low: Four
-    """Lowest that it can ask for."""
+    """Lowest possible action."""
     high: Four
-    """Highest that it can ask for."""
+    """Highest possible action."""
     mean: Four
     std: Four
     q01: Four
@@ -61,23 +61,23 @@ class ActionStatistics:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """All that a model file says of itself."""
+    """The description stored in a model file."""
 
     name: str
     vocabulary: Vocabulary
     text_length: int
-    """Words of a sentence that are read."""
+    """Number of words of a sentence that are read."""
     chunk: int
-    """Control steps that one look decides."""
+    """Control steps per inference."""
     action: ActionStatistics
     config: Mapping[str, Any]
-    """Of the network."""
+    """Configuration of the network."""
     provenance: Provenance
     image_size: int = IMAGE_SIZE
-    """Height and width of the image it is given, pixels."""
+    """Height and width of the input image, pixels."""
 
     def table(self) -> dict[str, Any]:
-        """As it is written into the file."""
+        """The JSON table that is written into the file."""
         return {
             **_table(self),
             "vocabulary": self.vocabulary.words,
@@ -106,20 +106,20 @@ class Description:
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """What the network says of n frames."""
+    """The network's output for n frames."""
 
     action: Float32[Float32Array, "images steps 4"]
     """(n, k, 4), heading frame, m/s and rad/s: for the next k control steps."""
     choice: Float32[Float32Array, "images 4"]
-    """(n, 4) probability that each of the seen gates is meant; last, that none of them is."""
+    """(n, 4) probability that each detected gate is the right one; last, that none of them is."""
     gates: Float32[Float32Array, "images 3 4"]
-    """(n, 3, 4) of each seen gate: centre u, v in pixels, detection score 0 to 1, distance in m."""
+    """(n, 3, 4) for each detected gate: centre u, v in pixels, detection score 0 to 1, distance in m."""
 
 
 def describe(path: str | Path, description: Description) -> None:
-    """Write the description and a checksum into an ONNX file, in place of any it has.
+    """Write the description and a checksum into an ONNX file, replacing existing ones.
 
-    Raises `MissingExtra` where the `onnx` package is not installed.
+    Raises `MissingExtra` if the `onnx` package is not installed.
     """
     write_table(path, KIND, description.table())
 
@@ -134,7 +134,7 @@ class SmallModel:
     """The network, run by ONNX Runtime on the CPU."""
 
     def __init__(self, session: Any, description: Description) -> None:
-        """Of an `onnxruntime.InferenceSession`; `load` makes one from a file."""
+        """Wrap an `onnxruntime.InferenceSession`; `load` creates one from a file."""
         self._session = session
         self.description = description
 
@@ -150,9 +150,9 @@ class SmallModel:
         return cls(session, description)
 
     def run(self, images: NDArray[np.uint8], states: NDArray[np.float32], texts: Sequence[str]) -> Output:
-        """Look at n frames (n, 256, 256, 3) with states (n, 5), each with its own sentence.
+        """Run the network on n frames (n, 256, 256, 3) with states (n, 5), each with its own sentence.
 
-        Raises `PolicyError` where these have other shapes or types.
+        Raises `PolicyError` for other shapes or types.
         """
         size = IMAGE_SIZE
         _check_input("images", images, np.uint8, (len(texts), size, size, 3))
@@ -189,7 +189,7 @@ def _table(value: Any) -> dict[str, Any]:
 
 
 def _statistics(table: Mapping[str, Any], where: str) -> ActionStatistics:
-    """Action statistics, checked: a model without them would fly at the wrong speed."""
+    """Validated action statistics: a model without them would fly at the wrong speed."""
     columns: dict[str, Four] = {}
     for field in fields(ActionStatistics):
         values = field_of(table, field.name, list, f"{where} (action)")

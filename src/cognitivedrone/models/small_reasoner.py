@@ -1,10 +1,10 @@
-"""The small reasoner's networks: eyes that read a scene into facets, and a mind that answers by what was read.
+"""Networks of the small reasoner: a panel reader, which turns a frame into attributes, and a gate selector.
 
-Between the two lies plain text, or nearly: for every gate what it looks like and what its panel shows, for the board
-the sum on it, each as probabilities of named facets ("concept/thing:cat", "hat/beanie", "count_a/3"). There a
-reasoner can average what it saw in several frames, remember earlier stages, and calculate.
+The interface between them is nearly plain text: the appearance of every gate, the content of its panel, and the sum on
+the board, each as probabilities of named attribute values ("concept/thing:cat", "hat/beanie", "count_a/3"). On this
+interface a reasoner can average several frames, remember earlier stages, and calculate.
 
-Shapes: B scenes, G = 3 gates from left to right, F facets, M remembered panels, L words.
+Shapes: B scenes, G = 3 gates from left to right, F attribute values, M remembered panels, L words.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from cognitivedrone.models.reasoner_file import REMEMBERED
 from cognitivedrone.models.small_vla import SLOTS, SmallVLA, TextLayer, sight
 
 VALUES = 24
-"""Values of sums, as `reasoners.small.value_index` tells them."""
+"""Number of values of sums, as indexed by `reasoners.small.value_index`."""
 STAGES = REMEMBERED // 3
-"""Earlier stages that are remembered, at most."""
+"""Maximum number of remembered earlier stages."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReaderConfig:
-    """Sizes of the reader; those of the policy's sight, from which its training starts."""
+    """Sizes of the reader; those of the policy's panel encoder, from which its training starts."""
 
     facets: int = 1
-    """Things that can be seen: as many as the training has."""
+    """Number of attribute values in the training."""
     glimpse: int = 48
-    """Height and width of a glimpse, pixels."""
+    """Height and width of a panel crop, pixels."""
     sight: tuple[int, int, int, int] = (32, 64, 128, 256)
     embedding: int = 192
 
@@ -42,7 +42,7 @@ class ReaderConfig:
 
 
 class Reader(nn.Module):
-    """Glimpses of panels and boards to logits of facets."""
+    """Network from crops of panels and boards to logits of attribute values."""
 
     def __init__(self, config: ReaderConfig) -> None:
         super().__init__()
@@ -51,26 +51,26 @@ class Reader(nn.Module):
         self.facets = nn.Linear(config.embedding, config.facets)
 
     def forward(self, glimpses: Tensor) -> Tensor:
-        """Of glimpses (n, 3, g, g), 0 to 1, channels last in memory for speed: logits (n, F)."""
+        """From panel crops (n, 3, g, g), 0 to 1, channels last in memory for speed, to logits (n, F)."""
         logits: Tensor = self.facets(self.sight((glimpses - 0.5) * 4))
         return logits
 
 
 class PanelReader(nn.Module):
-    """A small VLA's own search for gates, panels and board, and a reader that looks at each panel."""
+    """Panel reader: a small VLA's detector of gates, panels and board, and a network that reads each panel."""
 
     def __init__(self, finder: SmallVLA, reader: Reader, gate_facets: Mapping[str, slice]) -> None:
-        """`gate_facets` says where a gate's colour, shape and size stand among the finder's facets."""
+        """`gate_facets`: indices of a gate's colour, shape and size among the detector's attribute values."""
         super().__init__()
         self.finder, self.reader = finder, reader
         self.gate_facets = dict(gate_facets)
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Of images uint8 (B, 256, 256, 3).
+        """From images uint8 (B, 256, 256, 3) to attributes.
 
-        Returns logits of facets (B, 4, F) of three panels and the board; probabilities (B, 3, 8) of the gates' three
-        colours, three shapes and two sizes; and (B, 4, 4) of gates and board: centre u, v and height of the panel in
-        pixels, and the score, 0 to 1, that there is such a gate or board. Gates in no order.
+        Returns logits of attribute values (B, 4, F) of three panels and the board; probabilities (B, 3, 8) of the
+        gates' three colours, three shapes and two sizes; and (B, 4, 4) of gates and board: centre u, v and height of
+        the panel in pixels, and the detection score, 0 to 1, of the gate or board. Gates are unordered.
         """
         pixels = image.permute(0, 3, 1, 2).float() / 255
         scene = self.finder.look(pixels)
@@ -87,10 +87,10 @@ class PanelReader(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class SelectorConfig:
-    """Sizes of the mind."""
+    """Sizes of the gate selector."""
 
     vocabulary: int = 2
-    """Words, the padding and the unknown one included: as many as the training has."""
+    """Number of words in the training, including padding and the unknown word."""
     facets: int = 1
     text_length: int = 48
     width: int = 128
@@ -103,7 +103,7 @@ class SelectorConfig:
 
 
 class GateSelector(nn.Module):
-    """A sentence and a scene that was read to the gate that is meant."""
+    """Gate selector: from a sentence and a read scene to the right gate."""
 
     def __init__(self, config: SelectorConfig) -> None:
         super().__init__()
@@ -136,10 +136,10 @@ class GateSelector(nn.Module):
     ) -> Tensor:
         """Logits (B, 3) of the gates.
 
-        Of tokens (B, L); panels (B, 3, F) and board (B, F), probabilities of facets, zero where there is none; looks
-        (B, 3, 8) of the gates; values (B, 5) of the sums on the three panels, of that on the board and of what the
-        sentence asks to calculate; remembered panels (B, M, F); stages (B, M, 3) of those: index of the stage, how many
-        stages ago, and 1 where that gate was flown through. A stage of -1 is none.
+        Inputs: tokens (B, L); panels (B, 3, F) and board (B, F), probabilities of attribute values, zero if absent;
+        looks (B, 3, 8) of the gates; values (B, 5) of the sums on the three panels, of that on the board and of the one
+        in the sentence; remembered panels (B, M, F); stages (B, M, 3) of those: index of the stage, how many stages
+        ago, and 1 if that gate was flown through. A stage of -1 means none.
         """
         n = tokens.shape[0]
         gates = self.facets(panels) + self.looks(looks) + self.values(values[:, :3]) + self.kinds[3:]

@@ -1,16 +1,16 @@
 """The small VLA: an image, the drone's own motion and a sentence in, discretised 4-D actions out.
 
-Vision and language meet late. A convolutional backbone finds the gates and describes each by the features at its cell;
-a second, sharper look (a glimpse of 48 x 48 pixels, whatever the distance) reads the panel above it, and one reads the
-board. A text encoder turns the sentence, and what the board says, into a query. The gate whose embedding answers the
-query best is the one that is flown, by an action head that reads that gate's features. So each rendered image trains
+Late fusion of vision and language. A convolutional backbone finds the gates and describes each by the features at its
+cell. A panel encoder reads a crop of 48 x 48 pixels of the panel above each gate, at any distance, and of the
+board. A text encoder turns the sentence, and the board's content, into a query. The drone flies through the gate whose
+embedding matches the query best, by an action head that reads that gate's features. So each rendered image trains
 any number of sentences and the actions toward all gates in view.
 
-What is seen and what is said share one space: every facet ("concept/thing:cat", "color/red") has a prototype vector,
-glimpses are classified against the prototypes, and sentences can be trained against sums of prototypes without an
-image.
+Images and sentences share one embedding space: every attribute value ("concept/thing:cat", "color/red") has a
+prototype vector, panel crops are classified against the prototypes, and sentences can be trained against sums of
+prototypes without an image.
 
-Shapes: B images, K sentences an image, S = 3 gate slots, E the embedding, F the features at a cell.
+Shapes: B images, K sentences per image, S = 3 gate slots, E the embedding, F the features at a cell.
 """
 
 from __future__ import annotations
@@ -26,51 +26,51 @@ from torch.nn import functional as F  # noqa: N812
 Head = Literal["tokens", "regression"]
 
 SLOTS = 3
-"""Gates that are looked at, at most."""
+"""Maximum number of gates considered."""
 STATE = 5
 """Velocity x, y, z (heading frame, m/s), height (m), yaw rate (rad/s)."""
 STRIDE = 16
 """Pixels between neighbouring cells of the backbone's map."""
 GEOMETRY = 8
-"""What a gate's cell tells of its place: offset u, v (cells), log distance (m), sine and cosine of the gate's heading
-seen from the drone's, its panel's offset u, v (cells) and log height (cells)."""
+"""Outputs of a gate's cell about its position: offset u, v (cells), log distance (m), sine and cosine of the gate's
+heading relative to the drone's, its panel's offset u, v (cells) and log height (cells)."""
 BOARD = 3
-"""What the board's cell tells: offset u, v (cells) and log height (cells)."""
+"""Outputs of the board's cell: offset u, v (cells) and log height (cells)."""
 
 REACH = 1.15
-"""Height of a glimpse over that of the panel: a little more, for boxes that are not quite right."""
+"""Height of a panel crop over that of the panel, with some margin for inexact boxes."""
 
 _STATE_SCALE = (1.5, 1.5, 1.0, 1.5, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class SmallVLAConfig:
-    """Sizes and choices of the network. What it was trained on is told by its file."""
+    """Sizes and choices of the network. The model file describes its training data."""
 
     vocabulary: int = 2
-    """Words, the padding and the unknown one included: as many as the training has."""
+    """Number of words in the training, including padding and the unknown word."""
     facets: int = 1
-    """Things that can be seen: as many as the training has."""
+    """Number of attribute values in the training."""
     board_bounds: tuple[int, ...] = (0, 1)
-    """Where, among the facets, each group of those that boards show begins, and where the last one ends."""
+    """Start indices, among the attribute values, of the groups that boards show, and the end index of the last one."""
     text_length: int = 32
     image_size: int = 256
-    """Height and width of the image it works on, pixels: 256, or 128 (reduced inside the network)."""
+    """Height and width of the processed image, pixels: 256, or 128 (reduced inside the network)."""
     glimpse: int = 48
-    """Height and width of a glimpse, pixels."""
+    """Height and width of a panel crop, pixels."""
     backbone: tuple[int, int, int] = (32, 64, 128)
     """Channels at strides 4, 8 and 16."""
     blocks: int = 3
     """Residual blocks at stride 16."""
     sight: tuple[int, int, int, int] = (32, 64, 128, 256)
-    """Channels of the glimpse network at strides 2, 4, 8 and 16."""
+    """Channels of the panel encoder at strides 2, 4, 8 and 16."""
     embedding: int = 192
     text_width: int = 128
     text_layers: int = 3
     head: Head = "tokens"
     bins: int = 256
     chunk: int = 1
-    """Control steps that one look decides."""
+    """Control steps per inference."""
     action_low: tuple[float, ...] = (-2.0, -2.0, -1.5, -1.0)
     """Centre of the lowest bin, m/s and rad/s."""
     action_high: tuple[float, ...] = (2.0, 2.0, 1.5, 1.0)
@@ -100,7 +100,7 @@ class Block(nn.Module):
 
 
 def sight(channels: tuple[int, int, int, int], glimpse: int, embedding: int) -> nn.Sequential:
-    """What reads glimpses: from (n, 3, glimpse, glimpse), about -2 to 2, to (n, embedding)."""
+    """The panel encoder: from (n, 3, glimpse, glimpse), about -2 to 2, to (n, embedding)."""
     c1, c2, c3, c4 = channels
     return nn.Sequential(
         nn.Conv2d(3, c1, 4, 2, 1, bias=False),
@@ -116,7 +116,7 @@ def sight(channels: tuple[int, int, int, int], glimpse: int, embedding: int) -> 
 
 
 class TextLayer(nn.Module):
-    """A pre-norm transformer layer. Attention is written out: on sequences this short it is faster than fused ones."""
+    """A pre-norm transformer layer. Attention is written out: on short sequences this is faster than fused kernels."""
 
     def __init__(self, width: int, heads: int = 4) -> None:
         super().__init__()
@@ -136,7 +136,7 @@ class TextLayer(nn.Module):
 
 
 class TextEncoder(nn.Module):
-    """Tokens and a vector for the board in, a query in the embedding space out."""
+    """Text encoder: from tokens and a vector for the board to a query in the embedding space."""
 
     def __init__(self, config: SmallVLAConfig) -> None:
         super().__init__()
@@ -150,7 +150,7 @@ class TextEncoder(nn.Module):
         nn.init.normal_(self.words.weight, std=0.05)
 
     def forward(self, tokens: Tensor, board: Tensor, seen: Tensor) -> Tensor:
-        """Of tokens (n, length), board (n, E), seen (n,) 1 where a board is in view: the queries (n, E)."""
+        """From tokens (n, length), board (n, E), seen (n,), 1 if a board is in view, to the queries (n, E)."""
         n = tokens.shape[0]
         words = self.words(tokens) + self.places[: tokens.shape[1]]
         extra = torch.stack([self.start.expand(n, -1), self.board(board)], dim=1)
@@ -164,18 +164,18 @@ class TextEncoder(nn.Module):
 
 
 class Scene(NamedTuple):
-    """What the backbone tells of images."""
+    """The backbone's output for images."""
 
     features: Tensor
     """(B, C, n, n) map at stride 16."""
     gate_heat: Tensor
-    """(B, n * n) logits: a gate's centre lies in this cell."""
+    """(B, n * n) logits that a gate's centre lies in this cell."""
     board_heat: Tensor
     """(B, n * n)."""
 
 
 class Slots(NamedTuple):
-    """Gates found in images, and the board."""
+    """Detected gates, and the board."""
 
     cells: Tensor
     """(B, S) indices of the gates' cells."""
@@ -184,7 +184,7 @@ class Slots(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What is known of the gates at the cells of `Slots`."""
+    """The features and geometry at the cells of `Slots`."""
 
     cell: Tensor
     """(B, S, C) features at the gates' cells."""
@@ -201,7 +201,7 @@ Boxes: TypeAlias = Tensor
 
 
 class SmallVLA(nn.Module):
-    """The network. `forward` is what flies; the parts are called one by one in training."""
+    """The network. `forward` is used in flight; training calls the parts individually."""
 
     def __init__(self, config: SmallVLAConfig) -> None:
         super().__init__()
@@ -246,11 +246,11 @@ class SmallVLA(nn.Module):
 
     @property
     def cells(self) -> int:
-        """Cells along a side of the map."""
+        """Number of cells along a side of the map."""
         return 256 // STRIDE
 
     def look(self, image: Tensor) -> Scene:
-        """Of images (B, 3, 256, 256), 0 to 1, channels last in memory for speed."""
+        """The backbone's output for images (B, 3, 256, 256), 0 to 1, channels last in memory for speed."""
         if self.config.image_size != 256:
             image = F.interpolate(image, size=self.config.image_size, mode="area")
         features = self.backbone(self.stem((image - 0.5) * 4))
@@ -258,7 +258,7 @@ class SmallVLA(nn.Module):
         return Scene(features, heat[:, 0], heat[:, 1])
 
     def find(self, scene: Scene) -> tuple[Slots, Tensor, Tensor]:
-        """The three likeliest gates and the likeliest board, with scores (B, S) and (B,) from 0 to 1."""
+        """The three most likely gates and the most likely board, with scores (B, S) and (B,) from 0 to 1."""
         n = self.cells
         heat = scene.gate_heat.float().sigmoid().view(-1, 1, n, n)
         peaks = heat * (heat >= F.max_pool2d(heat, 3, 1, 1)).to(heat.dtype)
@@ -267,20 +267,20 @@ class SmallVLA(nn.Module):
         return Slots(cells, board_cell), scores, board
 
     def attend(self, scene: Scene, slots: Slots) -> Seen:
-        """The features and places at the cells of gates and board."""
+        """The features and geometry at the cells of gates and board."""
         flat = scene.features.flatten(2).transpose(1, 2)
         cell = flat.gather(1, slots.cells[:, :, None].expand(-1, -1, flat.shape[2]))
         board = flat.gather(1, slots.board_cell[:, None, None].expand(-1, 1, flat.shape[2]))[:, 0]
         return Seen(cell, flat.mean(dim=1), self.place(cell), self.board_place(board))
 
     def boxes(self, slots: Slots, seen: Seen) -> Boxes:
-        """(B, S + 1, 3) of the panels and, last, of the board."""
+        """(B, S + 1, 3) boxes of the panels and, last, of the board."""
         gates = _box(slots.cells, seen.geometry[..., 5:].float(), self.cells)
         board = _box(slots.board_cell, seen.board_geometry.float(), self.cells)
         return torch.cat([gates, board[:, None]], dim=1)
 
     def crops(self, image: Tensor, boxes: Boxes, size: int) -> Tensor:
-        """Glimpses (B * m, 3, size, size) of `boxes` (B, m, 3) of the image (B, 3, 256, 256), a little around them."""
+        """Crops (B * m, 3, size, size) of `boxes` (B, m, 3) of the image (B, 3, 256, 256), with a small margin."""
         count = boxes.shape[1]
         steps = (torch.arange(size, device=image.device, dtype=torch.float32) + 0.5) / size - 0.5
         reach = boxes[..., 2:] * REACH
@@ -294,14 +294,14 @@ class SmallVLA(nn.Module):
         return crops.contiguous(memory_format=torch.channels_last)
 
     def read(self, image: Tensor, boxes: Boxes) -> Tensor:
-        """Embeddings (B, m, E) of what `boxes` (B, m, 3) of the image (B, 3, 256, 256) show."""
+        """Embeddings (B, m, E) of the content of `boxes` (B, m, 3) of the image (B, 3, 256, 256)."""
         embedded: Tensor = self.sight((self.crops(image, boxes, self.config.glimpse) - 0.5) * 4)
         return embedded.view(-1, boxes.shape[1], self.config.embedding)
 
     def spell(self, read: Tensor) -> Tensor:
-        """What was read (n, E) from boards, as sentences are told of it without a frame: prototypes of its facets
-        (n, E), weighted by their probabilities. So what the text encoder learns of boards it is told of holds for
-        those that are seen.
+        """Board embeddings (n, E) in the form that sentences without a frame get: the prototypes of their attribute
+        values (n, E), weighted by probability. So what the text encoder learns from ground-truth boards also applies to
+        boards seen in flight.
         """
         bounds = self.config.board_bounds
         spelled = []
@@ -311,7 +311,7 @@ class SmallVLA(nn.Module):
         return torch.stack(spelled).sum(0)
 
     def describe(self, seen: Seen, glimpses: Tensor) -> Tensor:
-        """Embeddings (B, S, E) of gates: what they look like and what `glimpses` (B, S, E) of their panels show."""
+        """Embeddings (B, S, E) of gates: their appearance and the `glimpses` (B, S, E) of their panels."""
         looks: Tensor = self.gate_embedding(seen.cell)
         return glimpses + looks
 
@@ -368,7 +368,7 @@ class SmallVLA(nn.Module):
 
 
 def _box(cells: Tensor, place: Tensor, n: int) -> Boxes:
-    """Boxes (..., 3) in pixels from cells (...) and offset u, v and log height (..., 3) in cells."""
+    """Boxes (..., 3) in pixels from cells (...) and offsets u, v and log heights (..., 3) in cells."""
     u = (cells % n).float() + 0.5 + place[..., 0]
     v = torch.div(cells, n, rounding_mode="floor").float() + 0.5 + place[..., 1]
     height = place[..., 2].clamp(-3.0, 3.5).exp()

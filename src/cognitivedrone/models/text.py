@@ -1,4 +1,4 @@
-"""Sentences to numbers: a small closed vocabulary, with a fall-back for words it does not hold."""
+"""Tokenisation of sentences: a small closed vocabulary, with a fall-back for unknown words."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cognitivedrone.errors import ModelError
 
 PAD, UNKNOWN = "<pad>", "<unknown>"
-"""The first two words of every vocabulary: what fills a sentence up, and what stands for a word it does not hold."""
+"""The first two words of every vocabulary: padding, and the replacement for unknown words."""
 
 _POSSESSIVE = re.compile(r"(?<=[a-z])'s\b")
 _TOKEN = re.compile(r"[0-9]+|[a-z]+|[^\sa-z0-9]")
@@ -27,13 +27,13 @@ NUMBER_WORDS: dict[str, str] = {
     **{word: str(10 * ten) for ten, word in enumerate(_TENS.split(), start=3)},
 }
 _PLURALS = (("ies", "y"), ("es", ""), ("s", ""))
-"""Endings of plurals, and what the singular has in their place."""
+"""Plural endings, and their singular replacements."""
 
 
 def words_of(text: str) -> list[str]:
     """The words of a sentence: runs of letters in lower case without accents, runs of digits, every other sign alone.
 
-    The possessive 's is left out: "McDonald's" is read as "mcdonald".
+    The possessive 's is dropped: "McDonald's" is read as "mcdonald".
     """
     text = text.lower()
     if not text.isascii():
@@ -44,12 +44,12 @@ def words_of(text: str) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Vocabulary:
-    """The words a model knows; a word's number is its place."""
+    """The words that a model knows; a word's number is its position."""
 
     words: tuple[str, ...]
     """`PAD`, `UNKNOWN`, then the words."""
     _numbers: dict[str, tuple[int, ...]] = field(init=False, repr=False, compare=False)
-    """Of every known word."""
+    """Numbers of every known word."""
 
     def __post_init__(self) -> None:
         """Raises `ModelError` where the first two words are not `PAD` and `UNKNOWN`, or a word comes twice."""
@@ -58,18 +58,18 @@ class Vocabulary:
         numbers = {word: (number,) for number, word in enumerate(self.words)}
         if len(numbers) != len(self.words):
             twice = next(word for number, word in enumerate(self.words) if numbers[word] != (number,))
-            raise ModelError(f"a vocabulary holds every word once; {twice!r} comes twice")
+            raise ModelError(f"a vocabulary holds every word once; {twice!r} is repeated")
         object.__setattr__(self, "_numbers", numbers)
 
     @classmethod
     def of(cls, sentences: Iterable[str]) -> Vocabulary:
-        """All words of the sentences, sorted: the same for the same sentences in any order."""
+        """All words of the sentences, sorted: independent of the sentences' order."""
         return cls((PAD, UNKNOWN, *sorted({word for sentence in sentences for word in words_of(sentence)})))
 
     def encode(self, text: str, length: int) -> NDArray[np.int64]:
-        """The sentence as (length,) numbers of words, filled up with `PAD`, cut where it is longer.
+        """The sentence as (length,) word numbers, padded with `PAD` or truncated.
 
-        A word that is not known is read as its singular, as the number that it names, or digit by digit, whichever of
+        An unknown word is read as its singular, as the number that it names, or digit by digit, whichever of
         these is known first; otherwise it is `UNKNOWN`.
         """
         known = self._numbers
@@ -81,11 +81,11 @@ class Vocabulary:
         return padded
 
     def unknown(self, text: str) -> list[str]:
-        """The words of the sentence that stay unknown, each once, in their order."""
+        """The words of the sentence that stay unknown, each once, in order."""
         return [word for word in dict.fromkeys(words_of(text)) if not (word in self._numbers or self._guess(word))]
 
     def _guess(self, word: str) -> tuple[int, ...]:
-        """The numbers of what an unknown word can be read as; none where there is nothing."""
+        """The numbers that an unknown word can be read as; empty if there are none."""
         for ending, singular in _PLURALS:
             if word.endswith(ending):
                 found = self._numbers.get(word[: -len(ending)] + singular)

@@ -14,7 +14,7 @@ from cognitivedrone.models.small_file import Output, SmallModel
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, FloatArray, Image, Observation
 
 LONGEST_INSTRUCTION = 1000
-"""Characters."""
+"""Maximum length in characters."""
 TOLD = 5
 """Sentences with unknown words that are warned of; whole suites are full of them."""
 _SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)

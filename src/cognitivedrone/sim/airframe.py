@@ -1,4 +1,4 @@
-"""Airframes, and the MuJoCo model that flies them: a rigid body, four lagging rotors and a floor."""
+"""Airframes and their MuJoCo model: a rigid body, four rotors with lag, and a floor."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ front left, rear right."""
 
 @dataclass(frozen=True, slots=True)
 class Airframe:
-    """A quad-X airframe. Rotor thrust answers its command, in newtons, with a first-order lag.
+    """A quad-X airframe. Rotor thrust follows its command, in newtons, with a first-order lag.
 
-    A real rotor's thrust is a curve of the motor command; autopilots undo that curve, so here a rotor is commanded by
-    the thrust that is wanted of it.
+    A real rotor's thrust is a curve of the motor command, which autopilots compensate. So here the command is the
+    desired thrust itself.
     """
 
     mass: float
@@ -32,7 +32,7 @@ class Airframe:
     arm: float
     """Centre to rotor axis, m."""
     max_thrust: float
-    """Of one rotor, N."""
+    """Maximum thrust of one rotor, N."""
     torque_ratio: float
     """Reaction torque over thrust of a rotor, m."""
     motor_lag: float
@@ -69,8 +69,8 @@ RACER = Airframe(
     angular_damping=0.0004,
     hull_radius=0.13,
 )
-"""A 5-inch racing quadrotor (thrust to weight 5); inertia and torque ratio as of the Agilicious airframe
-(Foehn et al., Science Robotics 2022), drag per mass about the Iris's."""
+"""A 5-inch racing quadrotor (thrust to weight 5). Inertia and torque ratio follow the Agilicious airframe
+(Foehn et al., Science Robotics 2022); drag per mass is close to the Iris's."""
 
 IRIS = Airframe(
     mass=1.5,
@@ -99,13 +99,13 @@ def find_airframe(name: str) -> Airframe:
 def build_model(airframe: Airframe, timestep: float) -> Any:
     """`mujoco.MjModel` of one airframe over a floor at z = 0.
 
-    State: a free joint (qpos: position, quaternion; qvel: world velocity, body rates) and one activation a rotor, its
-    thrust in N. ctrl: thrust commands in N, in the order of `ROTORS`. Nothing but the floor collides.
+    State: a free joint (qpos: position, quaternion; qvel: world velocity, body rates) and one activation per rotor, its
+    thrust in N. ctrl: thrust commands in N, in the order of `ROTORS`. Only the floor has collisions.
     """
     spec = mujoco.MjSpec()
     spec.option.timestep = timestep
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a broken world is reported, not restarted
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # report a diverged world instead of resetting it
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
     body = spec.worldbody.add_body(name="drone", pos=[0, 0, 1])
     body.explicitinertial = True

@@ -1,15 +1,15 @@
-"""A cascaded velocity autopilot in the manner of ArduCopter's GUIDED mode, for many drones at once.
+"""A cascaded velocity autopilot modelled on ArduCopter's GUIDED mode, vectorised over many drones.
 
     velocity setpoint -> shaped velocity and position targets -> velocity PID -> thrust vector      100 Hz, `guide`
     thrust vector -> shaped attitude target -> attitude error and rate feed-forward                  100 Hz, `guide`
-    attitude error, carried on by the gyro -> rate target -> rate PID -> rotor thrusts            each tick, `stabilise`
+    attitude error, propagated with the gyro -> rate target -> rate PID -> rotor thrusts      each tick, `stabilise`
 
-The mechanism is documented by ArduPilot; this is an implementation of our own:
+ArduPilot documents the mechanism; this is an independent implementation:
 https://ardupilot.org/dev/docs/code-overview-copter-poscontrol-and-navigation.html
 https://ardupilot.org/dev/docs/apmcopter-programming-attitude-control-2.html
 
-Arrays are component first, (components, drones). Only additions, products, quotients, square roots and comparisons
-are used, which IEEE 754 defines to the last bit: a drone's flight never depends on how many others fly beside it.
+Arrays are component first, (components, drones). The code uses only additions, products, quotients, square roots and
+comparisons, which IEEE 754 defines to the last bit, so a drone's flight never depends on the number of other drones.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from cognitivedrone.types import FloatArray
 GUIDE_S = 0.01
 """Period of `Autopilot.guide`, s."""
 _REMEMBERED = 52
-"""Numbers the autopilot remembers of a drone."""
+"""Number of state variables per drone."""
 _TINY = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
 class AutopilotGains:
-    """Limits and gains; the defaults are ArduCopter 4.6's, with its parameter names where they are the same number.
+    """Limits and gains; the defaults are ArduCopter 4.6's, with the parameter name where the number is the same.
 
-    Rate and climb gains are in units of acceleration, so that airframes of any mass, inertia and thrust answer alike:
-    they are ArduCopter's parameters times what a unit of its output does to the 1.5 kg Iris at hover (116 rad/s2 about
-    roll and pitch, 6.9 rad/s2 about yaw, 25 m/s2 vertically).
+    Rate and climb gains are in units of acceleration, so that airframes of any mass, inertia and thrust respond alike:
+    they are ArduCopter's parameters times the effect of one unit of its output on the 1.5 kg Iris at hover (116 rad/s2
+    about roll and pitch, 6.9 rad/s2 about yaw, 25 m/s2 vertically).
     """
 
     max_speed: float = 10.0
@@ -59,7 +59,7 @@ class AutopilotGains:
     position_p: float = 1.0
     """1/s: PSC_POSXY_P, PSC_POSZ_P."""
     leash: float = 2.0
-    """How far the position target may run ahead of the drone, m along each axis."""
+    """Maximum distance of the position target from the drone, m along each axis."""
     velocity_p: tuple[float, float, float] = (2.0, 2.0, 5.0)
     """1/s along world x, y, z: PSC_VELXY_P, PSC_VELZ_P."""
     velocity_i: tuple[float, float, float] = (1.0, 1.0, 0.0)
@@ -97,11 +97,11 @@ class AutopilotGains:
 
 @dataclass(frozen=True, slots=True)
 class Trim:
-    """The steady state of a drone that flies at a constant velocity through steady wind."""
+    """The steady state of a drone at constant velocity in steady wind."""
 
     quaternion: tuple[float, float, float, float]
     acceleration: tuple[float, float, float]
-    """World, m/s2, that thrust must give beyond weight to balance drag."""
+    """World, m/s2: the acceleration that thrust must add to the weight's compensation to balance drag."""
     rotor_thrust: float
     """N, each of the four."""
 
@@ -129,7 +129,7 @@ def _length(vector: FloatArray) -> FloatArray:
 
 
 def _within(vector: FloatArray, limit: float) -> FloatArray:
-    """Vectors (k, n), shortened to `limit`."""
+    """Vectors (k, n), limited to the length `limit`."""
     shortened: FloatArray = vector * np.minimum(1.0, limit / np.maximum(_length(vector), _TINY))
     return shortened
 
@@ -137,8 +137,8 @@ def _within(vector: FloatArray, limit: float) -> FloatArray:
 def _shape(wanted: FloatArray, velocity: FloatArray, acceleration: FloatArray, limit: float, jerk: float) -> None:
     """Advance (k, n) velocity targets in place by one period, towards `wanted`, within acceleration and jerk.
 
-    The acceleration is proportional to what is missing, and to its root where that is far: the profile from which
-    the jerk limit can still bring the acceleration to zero in time.
+    The acceleration is proportional to the remaining velocity error, and to its root if the error is large: the profile
+    from which the jerk limit can still bring the acceleration to zero in time.
     """
     velocity += acceleration * GUIDE_S
     missing = wanted - velocity
@@ -152,12 +152,12 @@ def _shape(wanted: FloatArray, velocity: FloatArray, acceleration: FloatArray, l
 
 
 def _filter(hz: float, period: float) -> float:
-    """Share of a new sample in a first-order low-pass filter."""
+    """Weight of a new sample in a first-order low-pass filter."""
     return period / (period + 1 / (2 * math.pi * hz))
 
 
 class Autopilot:
-    """Flies n drones; every number it remembers of a drone stands in one column of one table."""
+    """Flies n drones; the state of each is one column of a table."""
 
     def __init__(self, airframe: Airframe, drones: int, tick_s: float, gains: AutopilotGains | None = None) -> None:
         self.gains = g = gains or AutopilotGains()
@@ -195,7 +195,7 @@ class Autopilot:
         self._target_share = self._derivative_share = constant((share,) * 3)
         self._error_share = constant((1.0, 1.0, _filter(g.yaw_error_filter_hz, tick_s)))
         self._attitude_p = constant((g.attitude_p,) * 3)
-        # Beyond the error at which half the angular acceleration could still stop the turn, it turns no faster.
+        # Beyond the error at which half the angular acceleration could still stop the turn, the rate is constant.
         self._attitude_limit = constant(tuple(a / 2 / g.attitude_p**2 for a in g.angular_acceleration))
         self._rate_p = constant(g.rate_p)
         self._rate_i = constant(tuple(i * tick_s for i in g.rate_i))
@@ -214,7 +214,7 @@ class Autopilot:
         return rows
 
     def reset(self, drone: int, trimmed: Trim, position: FloatArray, velocity: FloatArray) -> None:
-        """Start over in steady flight at `position` and `velocity`, (3,), world."""
+        """Reset to steady flight at `position` and `velocity`, (3,), world."""
         self._table[:, drone] = 0.0
         self._setpoint[:3, drone] = velocity
         self._position_target[:, drone] = position
@@ -246,7 +246,7 @@ class Autopilot:
         self._measure_attitude(quaternion)
 
     def _velocity_loop(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
-        """The acceleration to fly, (3, n), horizontally within the tilt limit."""
+        """The desired acceleration, (3, n), horizontally within the tilt limit."""
         g = self.gains
         v, a = self._velocity_target, self._acceleration_target
         self._position_target += v * GUIDE_S
@@ -262,7 +262,7 @@ class Autopilot:
         p, i, d = self._velocity_gains
         wanted = p * self._velocity_error + self._velocity_integral + d * self._velocity_derivative + a
         limit = GRAVITY * math.tan(g.max_tilt)
-        free = _length(wanted[:2]) < limit  # no winding up against the tilt limit
+        free = _length(wanted[:2]) < limit  # no wind-up against the tilt limit
         self._velocity_integral += (i * GUIDE_S) * self._velocity_error * free
         wanted[:2] = _within(wanted[:2], limit)
         return wanted
@@ -270,7 +270,7 @@ class Autopilot:
     def _climb_loop(self, wanted: FloatArray, climb: FloatArray, up: FloatArray) -> NDArray[np.bool_]:
         """Vertical acceleration PI around hover thrust, which grows with tilt; `up` is the cosine of the tilt.
 
-        Tells which drones ask for less than the least thrust, which only those do that stand on the floor.
+        Returns which drones ask for less than the minimum thrust; in practice only drones on the floor do.
         """
         g = self.gains
         error = wanted - (climb - self._last_climb) / GUIDE_S
@@ -278,7 +278,7 @@ class Autopilot:
         self._climb_error += (error - self._climb_error) * _filter(g.climb_filter_hz, GUIDE_S)
         thrust = GRAVITY + g.climb_p * self._climb_error + self._climb_integral
         most = 4 * self._airframe.max_thrust / self._airframe.mass
-        least = 0.1 * GRAVITY  # rotors keep turning, so that attitude stays controllable
+        least = 0.1 * GRAVITY  # rotors keep spinning, so that attitude stays controllable
         free = (thrust > least) & (thrust < most)
         self._climb_integral += (g.climb_i * GUIDE_S) * self._climb_error * free
         lift = np.minimum(np.maximum(thrust, least), most)
@@ -287,7 +287,7 @@ class Autopilot:
         return standing
 
     def _rest(self, standing: NDArray[np.bool_], position: FloatArray) -> None:
-        """Neither slide nor turn on the floor, and wind up nothing against it that would break out at take-off."""
+        """Hold position and heading on the floor, and empty the integrators so that nothing is released at take-off."""
         self._setpoint[:2, standing] = 0.0
         self._setpoint[3, standing] = 0.0
         self._position_target[:, standing] = position[:, standing]
@@ -312,7 +312,7 @@ class Autopilot:
 
         ax, ay, az = acceleration[0], acceleration[1], GRAVITY
         size = np.sqrt(ax * ax + ay * ay + az * az)
-        # The thrust vector in the target's axes; for small angles its x and y are the pitch and minus the roll to go.
+        # The thrust vector in the target's axes; for small angles, its x and y are the remaining pitch and minus roll.
         forward = (1 - 2 * (y * y + z * z)) * ax + 2 * (x * y + w * z) * ay + 2 * (x * z - w * y) * az
         left = 2 * (x * y - w * z) * ax + (1 - 2 * (x * x + z * z)) * ay + 2 * (y * z + w * x) * az
         gain = 1 / (g.attitude_tc * size)
@@ -347,10 +347,10 @@ class Autopilot:
         return self._mix(wanted * self._newtons)
 
     def _mix(self, moments: FloatArray) -> FloatArray:
-        """Rotor thrusts (4, n), N, for moments (3, n) in newtons a rotor."""
+        """Rotor thrusts (4, n), N, for moments (3, n) in newtons per rotor."""
         roll, pitch, yaw = moments
         thrust = self._thrust
-        # Yaw is weak and least urgent: it may take no more than three quarters of the lift.
+        # Yaw has little authority and the lowest priority: it may use at most three quarters of the lift.
         room = 0.75 * thrust
         yaw = np.minimum(np.maximum(yaw, -room), room)
         low, high = thrust - yaw, thrust + yaw

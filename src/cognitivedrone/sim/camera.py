@@ -1,8 +1,8 @@
-"""What the drone sees, and views for people: stages rendered by MuJoCo, without a screen.
+"""Off-screen rendering with MuJoCo: the drone's first-person camera and third-person views.
 
-One `Cameras` serves many worlds. A world is a slot: `set_stage` fills it once, in place, and a frame then costs setting
-a camera and drawing. The picture of a slot depends on its stage, its look and the pose alone: not on what was rendered
-before, on the other slots, nor on the number of threads.
+One `Cameras` serves many worlds. A world is a slot: `set_stage` fills it once, in place; after that, a frame only sets
+a camera and draws. The picture of a slot depends only on its stage, its look and the pose: not on earlier frames,
+on the other slots, or on the number of threads.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from cognitivedrone.world.scene import add_drone, fill_scene, new_scene
 
 _NEAR, _FAR = 0.03, 200.0
 _TOP_DRONE_SCALE = 3.0
-_SUPERSAMPLE = 2  # views for people are drawn this many times larger and reduced, for smooth edges
+_SUPERSAMPLE = 2  # third-person views are drawn this many times larger and downsampled, for smooth edges
 
 
 class Cameras:
     """The cameras of `slots` worlds. Use it as a context manager, or call `close`.
 
-    `threads` renderers share the slots, each with an OpenGL context and a thread of its own. Raises `RenderError` where
-    there is no OpenGL.
+    `threads` renderers share the slots, each with its own OpenGL context and thread. Raises `RenderError` without
+    OpenGL.
     """
 
     def __init__(self, slots: int = 1, size: int = IMAGE_SIZE, *, threads: int = 1) -> None:
@@ -50,7 +50,7 @@ class Cameras:
         self._threads: list[GLThread] = []
         self._renderers: list[_Renderer] = []
         self._finalizer = weakref.finalize(self, _close, self._threads, self._renderers)
-        self._finalizer.atexit = False  # GLThread sees to that, in the right order
+        self._finalizer.atexit = False  # GLThread handles it, in the right order
         for index in range(threads):
             thread = GLThread(size, size, display=index % 2)
             self._threads.append(thread)
@@ -64,7 +64,7 @@ class Cameras:
         self.close()
 
     def close(self) -> None:
-        """Free the OpenGL contexts; may be called twice."""
+        """Free the OpenGL contexts; may be called repeatedly."""
         self._finalizer()
 
     def set_stage(
@@ -90,8 +90,8 @@ class Cameras:
     ) -> Images:
         """First-person images (n, size, size, 3) uint8 of drones at `positions` (n, 3) world m, attitudes (n, 4) wxyz.
 
-        Image i shows the world of `slots[i]`; of slot i where `slots` is left out. A slot may occur several times.
-        Written into `out` where given.
+        Image i shows the world of `slots[i]`, or of slot i without `slots`. A slot may occur several times.
+        The result is written into `out` if given.
         """
         position = np.asarray(positions, dtype=np.float64)
         axes = rotation_matrix(np.asarray(quaternions, dtype=np.float64))
@@ -118,18 +118,18 @@ class Cameras:
             for thread, renderer, job in zip(self._threads, self._renderers, jobs, strict=True)
             if job
         ]
-        wait(pending)  # all of them, so that nothing writes into `out` once an error is out
+        wait(pending)  # all of them, so that nothing writes into `out` after an error
         for future in pending:
             future.result()
         return out
 
     def chase(self, slot: int, state: DroneState, size: tuple[int, int] = (640, 480)) -> Image:
-        """The drone and what lies before it, from behind and above: (h, w, 3) for `size` (w, h) in pixels."""
+        """The drone and the scene ahead, from behind and above: (h, w, 3) for `size` (w, h) in pixels."""
         thread, renderer, own = self._owner(slot)
         return thread.call(partial(renderer.overlook, own, state, 1.0, size, chase_view(state))).result()
 
     def top(self, slot: int, state: DroneState, size: tuple[int, int] = (640, 480)) -> Image:
-        """The whole stage from high above its start, the drone drawn three times its size: (h, w, 3)."""
+        """The whole stage from high above its start, with the drone at three times its size: (h, w, 3)."""
         thread, renderer, own = self._owner(slot)
 
         def draw() -> Image:
@@ -144,14 +144,14 @@ class Cameras:
             raise ValueError(f"slot must be 0 to {self.slots - 1}, not {slot}")
 
     def _owner(self, slot: int) -> tuple[GLThread, _Renderer, int]:
-        """The thread and renderer of a slot, and its number there."""
+        """The thread and renderer of a slot, and its number within the renderer."""
         self._check(slot)
         index = slot % len(self._threads)
         return self._threads[index], self._renderers[index], slot // len(self._threads)
 
 
 class _Renderer:
-    """The slots of one OpenGL context. Made and used in that context's thread alone."""
+    """The slots of one OpenGL context. Created and used only in that context's thread."""
 
     def __init__(self, slots: int, size: int) -> None:
         self._size = size
@@ -198,7 +198,7 @@ class _Renderer:
             expose(out[index], look, zlib.crc32(pose.tobytes()))
 
     def overlook(self, slot: int, state: DroneState, scale: float, size: tuple[int, int], view: View) -> Image:
-        """A view for people, with the drone in it: (h, w, 3)."""
+        """A third-person view, including the drone: (h, w, 3)."""
         self.stage(slot)
         scene = self._scenes[slot]
         width, height = (_SUPERSAMPLE * side for side in size)
@@ -226,7 +226,7 @@ class _Renderer:
 
 
 def _set_lens(scene: Any, field_of_view: float) -> None:
-    """Vertical field of view, rad; MuJoCo takes the horizontal one from the viewport's aspect."""
+    """Set the vertical field of view, rad; MuJoCo derives the horizontal one from the viewport's aspect ratio."""
     half = _NEAR * float(np.tan(field_of_view / 2))
     for camera in scene.camera:
         camera.orthographic = 0

@@ -1,4 +1,4 @@
-"""Drones in flight: MuJoCo's physics and our autopilot in lock-step, batched over worlds."""
+"""Batched flight dynamics: MuJoCo's physics and our autopilot in lock-step."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from cognitivedrone.world.engine import Batch, mujoco
 MAX_POSITION_M = 1e4
 MAX_VELOCITY_M_S = 100.0
 MAX_BODY_RATE_RAD_S = 300.0
-"""Largest magnitudes, on each axis, of a flight that has not diverged."""
+"""Limits per axis; beyond them a flight counts as diverged."""
 _LIMITS = np.array([MAX_POSITION_M] * 3 + [2.0] * 4 + [MAX_VELOCITY_M_S] * 3 + [MAX_BODY_RATE_RAD_S] * 3)[:, None]
-"""What no sane flight exceeds: m, quaternion, m/s, rad/s."""
+"""Limits of the state: m, quaternion, m/s, rad/s."""
 
 _WORLDS_PER_THREAD = 32
-"""Fewer are stepped sooner than a sleeping thread is woken; on a busy machine much sooner."""
+"""Stepping fewer worlds takes less time than waking a sleeping thread, much less on a busy machine."""
 
 
 class Flight:
-    """n drones, each in a world of its own, flown by velocity setpoints, on up to `threads` threads.
+    """n drones, each in its own world, flown by velocity setpoints, on up to `threads` threads.
 
-    What happens in a world depends on its `reset` and its commands alone, to the last bit: not on the other worlds,
-    not on threads, not on earlier flights.
+    A world's flight depends only on its `reset` and its commands, to the last bit: not on the other worlds,
+    on threads, or on earlier flights.
     """
 
     TICK_S = 0.0025
@@ -67,10 +67,10 @@ class Flight:
         *,
         wind: Vector | None = None,
     ) -> None:
-        """Start over in steady flight, trimmed, rotors at speed.
+        """Reset to steady, trimmed flight with spinning rotors.
 
         position, velocity and wind are (3,), world axes, m and m/s; yaw in rad. Until the first command the drone
-        keeps `velocity`, and like after any command, it stops when none follows for three seconds. The wind is steady.
+        keeps `velocity`; as after any command, it stops if no other follows within three seconds. The wind is steady.
         """
         position = np.asarray(position, dtype=np.float64)
         velocity = np.zeros(3) if velocity is None else np.asarray(velocity, dtype=np.float64)
@@ -98,7 +98,7 @@ class Flight:
         self._latch(slice(None), np.asarray(actions, dtype=np.float64), (self.worlds, 4))
 
     def command_one(self, world: int, action: ArrayLike) -> None:
-        """As `command`, (4,) for one world."""
+        """Like `command`, (4,) for one world."""
         self._latch(slice(world, world + 1), np.asarray(action, dtype=np.float64)[None], (1, 4))
 
     def _latch(self, worlds: slice, actions: FloatArray, shape: tuple[int, int]) -> None:
@@ -110,7 +110,7 @@ class Flight:
                 f"the action {actions[bad].tolist()} of drone {bad} is not finite; send four real numbers"
             )
         w, x, y, z = self._state[3:7, worlds]
-        # The heading's cosine and sine without angles, which keeps this exact.
+        # The heading's cosine and sine without computing angles, which keeps them exact.
         c, s = 1 - 2 * (y * y + z * z), 2 * (w * z + x * y)
         scale = 1 / np.maximum(np.sqrt(c * c + s * s), 1e-9)
         c, s = c * scale, s * scale
@@ -118,15 +118,15 @@ class Flight:
         self._autopilot.command(worlds, np.stack((c * vx - s * vy, s * vx + c * vy, vz, yaw_rate)))
 
     def advance(self, ticks: int) -> Vectors:
-        """Fly on; returns positions (worlds, samples, 3), world, m, after each fourth tick and after the last.
+        """Advance the simulation; returns positions (worlds, samples, 3), world, m, every fourth tick and at the end.
 
-        Several worlds share one guidance clock, so they go by multiples of four ticks; a single world by any number.
-        Raises `ValueError` otherwise.
+        Several worlds share one guidance clock, so they advance by multiples of four ticks; a single world by any
+        number. Raises `ValueError` otherwise.
         """
         if ticks < 0 or (self.worlds > 1 and ticks % self.SAMPLE_TICKS):
             raise ValueError(f"cannot advance {self.worlds} worlds by {ticks} ticks; give a multiple of four")
         path = []
-        with np.errstate(over="ignore", invalid="ignore"):  # in a world that diverges, until it is frozen
+        with np.errstate(over="ignore", invalid="ignore"):  # for a diverging world, until it is frozen
             while ticks > 0:
                 if self._phase == 0:
                     self._guide()
@@ -138,7 +138,7 @@ class Flight:
         return np.stack(path, axis=1) if path else np.empty((self.worlds, 0, 3))
 
     def _guide(self) -> None:
-        """The outer loops and, as slow, the drag."""
+        """The outer loops and, at the same rate, the drag."""
         state = self._state
         self._autopilot.guide(state[:3], state[7:10], state[3:7])
         self._force[:, :3] = self._drag().T
@@ -157,14 +157,14 @@ class Flight:
             self._freeze(fresh)
 
     def _drag(self) -> FloatArray:
-        """Force of the air on the body, (3, worlds), N."""
+        """Drag force on the body, (3, worlds), N."""
         air = self._wind - self._state[7:10]
         speed = np.sqrt(air[0] * air[0] + air[1] * air[1] + air[2] * air[2])
         force: FloatArray = air * (self.airframe.linear_drag + self.airframe.quadratic_drag * speed)
         return force
 
     def _freeze(self, fresh: FloatArray) -> None:
-        """Stop the worlds that left the realm of the sane, at their last good state; the others go on."""
+        """Freeze diverged worlds at their last valid state; the others continue."""
         sane = (np.abs(fresh) < _LIMITS).all(axis=0)
         self._state[:, sane] = fresh[:, sane]
         self._diverged |= ~sane
@@ -203,7 +203,7 @@ class Flight:
 
     @property
     def diverged(self) -> NDArray[np.bool_]:
-        """(worlds,): where the state became absurd; such a world stands still until it is reset."""
+        """(worlds,): whether the state diverged; such a world is frozen until its next reset."""
         return self._diverged.copy()
 
     def state(self, world: int) -> DroneState:

@@ -1,4 +1,4 @@
-"""What a simulator asks of whatever moves its drones and shows what they see: our own, or another program's."""
+"""Protocols of what a simulator needs: flight dynamics and cameras, our own or another program's."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from cognitivedrone.world.appearance import Look
 
 
 class Flying(Protocol):
-    """Drones in motion, one a world; `sim.dynamics.Flight` is ours, and tells more of each member."""
+    """Batched flight dynamics, one drone per world. `sim.dynamics.Flight` is ours and documents the members."""
 
     @property
     def worlds(self) -> int:
-        """How many."""
+        """Number of worlds."""
         ...
 
     def reset(
@@ -29,19 +29,19 @@ class Flying(Protocol):
         *,
         wind: FloatArray | None = None,
     ) -> None:
-        """Start over in steady flight; (3,) world, m and m/s, yaw in rad."""
+        """Reset to steady flight; (3,) world, m and m/s, yaw in rad."""
         ...
 
     def command(self, actions: FloatArray) -> None:
-        """Fly by (worlds, 4) heading-frame velocities in m/s and yaw rates in rad/s."""
+        """Set (worlds, 4) heading-frame velocities in m/s and yaw rates in rad/s."""
         ...
 
     def command_one(self, world: int, action: FloatArray) -> None:
-        """As `command`, (4,) for one world."""
+        """Like `command`, (4,) for one world."""
         ...
 
     def advance(self, ticks: int) -> FloatArray:
-        """Fly on by ticks of `Flight.TICK_S`; the way there, (worlds, samples, 3), world, m."""
+        """Advance by ticks of `Flight.TICK_S`; returns the path, (worlds, samples, 3), world, m."""
         ...
 
     def state(self, world: int) -> DroneState:
@@ -75,12 +75,12 @@ class Flying(Protocol):
 
     @property
     def diverged(self) -> NDArray[np.bool_]:
-        """(worlds,): where the flight can no longer be judged; such a world stands still until it is reset."""
+        """(worlds,): whether the flight can no longer be judged; such a world is frozen until its next reset."""
         ...
 
 
 class CameraSource(Protocol):
-    """What drones see, one a world; `sim.camera.Cameras` is ours, and tells more of each member."""
+    """First-person cameras, one per world; `sim.camera.Cameras` is our implementation and documents the members."""
 
     def set_stage(self, slot: int, stage: Stage, images: Sequence[Image], board: Image | None, look: Look) -> None:
         """Show a stage in a world, with the pictures on its panels."""
@@ -89,5 +89,5 @@ class CameraSource(Protocol):
     def first_person(
         self, positions: Vectors, quaternions: Quaternions, out: Images | None, slots: Sequence[int] | None
     ) -> Images:
-        """(n, size, size, 3) views from (n, 3) world, m, and (n, 4) w, x, y, z; into `out` where given."""
+        """(n, size, size, 3) views from (n, 3) world, m, and (n, 4) w, x, y, z; written into `out` if given."""
         ...

@@ -1,8 +1,8 @@
-"""Sees what the drone does at the gates: flown through, missed, hit, or gone astray. Knows no right or wrong.
+"""Gate monitor: detects gates flown through, missed or hit, and leaving the stage. Does not know the right gate.
 
-A gate is flown through when the drone's centre crosses its plane, outward, inside the opening. Contact is a hull sphere
-touching a frame, a panel or the floor. A crossing of the nearest gate's plane outside its opening is a miss. Where one
-gate stands alone, without a panel, it is always the nearest: to fly past it, however far beside, is a miss.
+A gate is flown through if the drone's centre crosses its plane, outward, inside the opening. Contact means that the
+hull sphere touches a frame, a panel or the floor. Crossing the nearest gate's plane outside its opening is a miss. A
+gate that stands alone, without a panel, is always the nearest: flying past it at any distance is a miss.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ BOUNDS_LOW = np.array([-5.0, -8.0, -1.0])
 """Corner of the box a flight must stay in, m, in the stage frame."""
 BOUNDS_HIGH = np.array([9.0, 8.0, 5.0])
 NEAR_M = 1.5
-"""Only closer to a gate's plane than this can anything happen at it."""
+"""Events happen only within this distance of a gate's plane."""
 REACH_M = 2.0
-"""A plane counts up to this far beside its gate's centre: about half way to the next gate, where there is one."""
+"""A plane extends this far from its gate's centre: about half way to the next gate, if there is one."""
 NEAR_GATE_M = 3.5
-"""Nothing can be touched further from every gate's centre than this, by a path of one control period."""
+"""Beyond this distance from every gate's centre, a path of one control period cannot touch anything."""
 ASTRAY_M = 4.0
-"""Nobody is out of bounds closer to the stage's origin than this, by a path of one control period."""
+"""Within this distance of the stage's origin, a path of one control period cannot leave the bounds."""
 FAVOUR_M = 2.5
-"""A flight that ends within this distance of a gate is said to have chosen it."""
+"""A flight that ends within this distance of a gate counts as having chosen it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,15 +38,15 @@ class GateEvent:
 
     kind: VerdictKind
     gate: int | None
-    """The gate it happened at, 0 to 2."""
+    """The gate where it happened, 0 to 2."""
     sample: int
-    """Index into the path that was judged."""
+    """Index into the judged path."""
     clearance_m: float | None = None
-    """Room between hull and frame at the plane; only for a gate flown through."""
+    """Clearance between hull and frame at the plane; only for a gate flown through."""
 
 
 def judge(stage: Stage, path: Vectors, hull_radius: float, aspects: tuple[float, float, float]) -> GateEvent | None:
-    """The first event along `path` ((k, 3) world, m; its first sample was judged before), or none.
+    """The first event along `path` ((k, 3) world, m; its first sample was judged before), or None.
 
     `aspects` are width over height of the three panels.
     """
@@ -100,7 +100,7 @@ def to_stage_frame(stage: Stage, points: Vectors) -> Vectors:
 
 
 class GateMonitor:
-    """Follows one drone through one stage: judges its path and measures it."""
+    """Monitors one drone in one stage: judges its path and measures it."""
 
     def __init__(self, stage: Stage, start: Vector, hull_radius: float, aspects: tuple[float, float, float]) -> None:
         self.stage = stage
@@ -114,7 +114,7 @@ class GateMonitor:
         self._last = self.start
 
     def follow(self, path: Vectors) -> GateEvent | None:
-        """Judge the next stretch, (k, 3) world, m."""
+        """Judge the next part of the path, (k, 3) world, m."""
         whole = np.concatenate([self._last[None], path])
         gate_event = judge(self.stage, whole, self.hull_radius, self.aspects) if self._near(whole) else None
         if gate_event is not None:
@@ -127,13 +127,13 @@ class GateMonitor:
         return gate_event
 
     def favoured(self) -> int | None:
-        """The gate nearest to where the drone is now, if one is near enough to call it a choice."""
+        """The gate nearest to the drone now, if it is near enough to count as a choice."""
         distances = np.linalg.norm(self.centers - self._last, axis=1)
         nearest = min(geometry.standing(self.stage), key=lambda index: float(distances[index]))
         return nearest if distances[nearest] < FAVOUR_M else None
 
     def _near(self, path: Vectors) -> bool:
-        """Whether anything could have happened: a quick look, so that free flight costs nothing."""
+        """Whether an event is possible: a cheap check that skips the full judgement in free flight."""
         last = path[-1]
         astray = max(abs(last[0] - self.stage.origin[0]), abs(last[1] - self.stage.origin[1]), last[2])
         if astray > ASTRAY_M or path[:, 2].min() < self.hull_radius:

@@ -1,8 +1,8 @@
-"""OpenGL without a screen: which library to render with, and threads that own a context.
+"""Off-screen OpenGL: choice of the rendering library, and threads that own a context.
 
-MuJoCo decides on a backend when it is imported and fails late and unreadably where that does not work. Here a child
-process tries EGL and then OSMesa, once; the answer is remembered in this process and, in an environment variable, for
-its children. A user's own `MUJOCO_GL` is honoured.
+MuJoCo picks a backend on import and fails late, with an unclear error, if that does not work. Here a child
+process tries EGL and then OSMesa, once; the result is stored in this process and, in an environment variable, for
+its children. A user's own `MUJOCO_GL` takes precedence.
 """
 
 from __future__ import annotations
@@ -42,25 +42,25 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Backend:
-    """A way to render that was seen to work."""
+    """A rendering backend that was tested to work."""
 
     name: str
     """egl or osmesa."""
     renderer: str
-    """What OpenGL calls itself, for reports: "llvmpipe (LLVM 19.1.7, 256 bits)"."""
+    """OpenGL's renderer name, for reports: "llvmpipe (LLVM 19.1.7, 256 bits)"."""
 
 
 _chosen: Backend | None = None
 
 
 def backend() -> Backend:
-    """The backend to render with: `MUJOCO_GL` where the user set it, else the first of EGL and OSMesa that works.
+    """The rendering backend: `MUJOCO_GL` if the user set it, else the first of EGL and OSMesa that works.
 
-    llvmpipe is told to render in the calling thread, which is faster for small images, unless the user's
-    `LP_NUM_THREADS` says otherwise. Raises `RenderError` with the line to type where nothing works.
+    llvmpipe is set to render in the calling thread, which is faster for small images, unless the user's
+    `LP_NUM_THREADS` says otherwise. Raises `RenderError` with the command to install it if nothing works.
     """
     global _chosen
-    os.environ.setdefault("LP_NUM_THREADS", "0")  # read by the library as it loads
+    os.environ.setdefault("LP_NUM_THREADS", "0")  # the library reads it on loading
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted and wanted not in BACKENDS:
         raise RenderError(f"MUJOCO_GL={wanted} cannot render without a screen; unset it, or set it to egl or osmesa.")
@@ -71,7 +71,7 @@ def backend() -> Backend:
 
 
 def renderer_name() -> str:
-    """What OpenGL calls itself on this machine, for reports."""
+    """OpenGL's renderer name on this machine, for reports."""
     return backend().renderer
 
 
@@ -88,8 +88,8 @@ def create_context(name: str, width: int, height: int) -> Any:
 class SecondDisplay:
     """An EGL context of the calling thread on a display other than MuJoCo's.
 
-    llvmpipe draws for one context of a display at a time, so two threads are twice as fast on two displays
-    (`benchmarks/rendering.py`). Raises where there is no such display or it is drawn by something else.
+    llvmpipe draws for one context per display at a time, so two threads are twice as fast on two displays
+    (`benchmarks/rendering.py`). Raises if there is no such display or another renderer draws it.
     """
 
     def __init__(self, renderer: str) -> None:
@@ -117,7 +117,7 @@ class SecondDisplay:
         self._egl.eglMakeCurrent(self._display, surface, surface, self._context)
 
     def free(self) -> None:
-        """Unbind and destroy the context; the display stays for the next one."""
+        """Unbind and destroy the context; the display is kept for the next one."""
         if self._context is not None:
             surface = self._egl.EGL_NO_SURFACE
             self._egl.eglMakeCurrent(self._display, surface, surface, self._egl.EGL_NO_CONTEXT)
@@ -128,8 +128,8 @@ class SecondDisplay:
 class GLThread:
     """A thread with an OpenGL context that no other thread ever touches.
 
-    Rendering from one thread may go on while another computes or renders: MuJoCo lets go of the interpreter meanwhile.
-    Threads that are to render at the same time ask for different displays (0 or 1).
+    One thread can render while another computes or renders, because MuJoCo releases the interpreter lock meanwhile.
+    Threads that render at the same time use different displays (0 or 1).
     """
 
     def __init__(self, width: int, height: int, display: int = 0) -> None:
@@ -140,11 +140,11 @@ class GLThread:
         self._thread = threading.Thread(target=_serve, args=(self._jobs,), name="cognitivedrone-gl", daemon=True)
         self._thread.start()
         self._context = self.call(partial(_thread_context, chosen, width, height, display)).result()
-        # Registered after MuJoCo's own handler, so run before it: contexts go first, then the display.
+        # Registered after MuJoCo's own handler, so it runs first: contexts are freed before the display.
         atexit.register(self.stop)
 
     def call(self, job: Callable[[], T]) -> Future[T]:
-        """Have the thread run `job`, after those it was given before."""
+        """Run `job` in the thread, after earlier jobs."""
         if self._stopped:
             raise RenderError("this OpenGL thread is closed; make a new one.")
         if os.getpid() != self._process:
@@ -166,7 +166,7 @@ class GLThread:
 
 
 def _thread_context(chosen: Backend, width: int, height: int, display: int) -> Any:
-    """A context on the display asked for or, with an older Mesa, on the one display there is."""
+    """A context on the requested display or, with an older Mesa, on the only display."""
     if display > 0 and chosen.name == "egl" and "llvmpipe" in chosen.renderer:
         with suppress(Exception):
             return SecondDisplay(chosen.renderer)
@@ -178,19 +178,19 @@ def _serve(jobs: SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None]) -> N
         job, future = item
         try:
             future.set_result(job())
-        except BaseException as error:  # handed on to whoever waits
+        except BaseException as error:  # passed on to the waiting caller
             future.set_exception(error)
         del item, job, future
 
 
 def _remembered(wanted: str) -> Backend | None:
-    """What a parent process found, where it is what is wanted."""
+    """The backend that a parent process found, if it is the wanted one."""
     name, _, renderer = os.environ.get(_REMEMBERED, "").partition(":")
     return Backend(name, renderer) if name in BACKENDS and wanted in ("", name) else None
 
 
 def _find(wanted: str) -> Backend:
-    """The first backend that works in a child process; only the wanted one, where one is."""
+    """The first backend that works in a child process; if one is wanted, only that one."""
     names = (wanted,) if wanted else BACKENDS
     for name in names:
         renderer = _probe(name)
@@ -204,7 +204,7 @@ def _find(wanted: str) -> Backend:
 
 
 def _probe(name: str) -> str | None:
-    """The renderer's name, or none where the backend does not work. Whatever breaks, breaks in a child process."""
+    """The renderer's name, or None if the backend does not work. A crash only affects a child process."""
     command = [sys.executable, "-c", _PROBE, name]
     try:
         child = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)  # noqa: S603

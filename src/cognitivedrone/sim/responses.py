@@ -1,7 +1,7 @@
-"""Step responses: how a drone answers a velocity setpoint, in the figures pilots compare.
+"""Step responses to velocity setpoints, and their standard metrics.
 
 `ARDUCOPTER` holds the figures of a real ArduCopter 4.6.3 (stock code in SITL, Iris-like plant, GUIDED by body-frame
-velocity setpoints at 10 Hz): what this project's autopilot has to answer like.
+velocity setpoints at 10 Hz): the reference for this project's autopilot.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from cognitivedrone.sim.flying import Flying
 from cognitivedrone.types import FloatArray
 
 SETTLE_S = 3.0
-"""How long a response is watched after its command went back to zero, s."""
+"""Recording time after the command went back to zero, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,28 +30,28 @@ class Step:
     duration: float
     """s."""
     axis: int
-    """Component of the action that is measured."""
+    """The measured component of the action."""
 
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """The measures of a step response."""
+    """The metrics of a step response."""
 
     t10: float
-    """Time until a tenth of the command is reached, s; likewise the next two."""
+    """Time to 10 % of the command, s; likewise 50 % and 90 % for the next two."""
     t50: float
     t90: float
     overshoot: float
-    """Peak beyond the command, over the command; negative where the command is not reached."""
+    """Peak beyond the command, relative to the command; negative if the command is not reached."""
     stop: float
-    """Distance from where the command went to zero to where the drone is `SETTLE_S` later, m (for yaw: rad)."""
+    """Distance from the end of the command to the position `SETTLE_S` later, m (for yaw: rad)."""
     max_tilt: float
     """rad."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """A response, sampled at 100 Hz; the first sample is the state when the command arrives."""
+    """A response, sampled at 100 Hz; the first sample is the state on arrival of the command."""
 
     time: FloatArray
     """(k,) s."""
@@ -85,7 +85,7 @@ ARDUCOPTER: dict[str, Figures] = {
 
 
 def fly(step: Step, airframe: Airframe, flight: Flying | None = None) -> Trace:
-    """Fly a step from hover, with setpoints at 10 Hz; on our own autopilot where no other `flight` is given."""
+    """Fly a step from hover, with setpoints at 10 Hz; on our own autopilot unless another `flight` is given."""
     flight = flight or Flight(1, airframe)
     flight.reset(0, np.array([0.0, 0.0, 1.5]))
     count = round((step.duration + SETTLE_S) * 100)

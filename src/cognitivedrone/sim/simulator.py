@@ -1,4 +1,4 @@
-"""Worlds with a drone, three gates and a camera: flight, camera and gate monitor as one. Knows stages, never tasks."""
+"""Batched simulator of drone, gates and camera: flight, cameras and gate monitors. Knows stages, never tasks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if abs(TICKS_PER_CONTROL * CONTROL_HZ * Flight.TICK_S - 1) > 1e-9:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where and how a flight begins, in the world."""
+    """Initial conditions of a flight, in the world."""
 
     position: tuple[float, float, float]
     """m."""
@@ -34,7 +34,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Scenery:
-    """The pictures and the look of a stage."""
+    """The pictures and the appearance of a stage."""
 
     panels: tuple[Image, Image, Image]
     board: Image | None = None
@@ -44,8 +44,8 @@ class Scenery:
 class Simulator:
     """n independent worlds, stepped together.
 
-    `threads` are used for physics and rendering; results are the same bits whatever their number. `flight` is what
-    moves the drones and `eyes` what shows what they see, where they are not our own; they stay the caller's to close.
+    `threads` are used for physics and rendering; results are bit-identical for any number. `flight` and `eyes` replace
+    our own dynamics and cameras; the caller closes them.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class Simulator:
         self.airframe = airframe
         self.flight: Flying = flight or Flight(worlds, airframe, threads=threads)
         self.cameras = Cameras(worlds, size, threads=threads) if render and eyes is None else None
-        """Our own renderer, where it draws."""
+        """Our own renderer, if it is used."""
         self._eyes: CameraSource | None = eyes or self.cameras
         self.ticks = np.zeros(worlds, dtype=np.int64)
         """(worlds,) physics ticks since each world's flight began."""
@@ -76,7 +76,7 @@ class Simulator:
         self.place(world, stage, scenery)
 
     def place(self, world: int, stage: Stage, scenery: Scenery) -> None:
-        """Set the stage of one world; the drone flies on."""
+        """Replace the stage of one world; the drone flies on."""
         if self._eyes is not None:
             self._eyes.set_stage(world, stage, scenery.panels, scenery.board, scenery.look)
         left, middle, right = (image.shape[1] / image.shape[0] for image in scenery.panels)
@@ -88,7 +88,7 @@ class Simulator:
         self.flight.command_one(world, action)
 
     def advance(self, ticks: int = TICKS_PER_CONTROL) -> list[GateEvent | None]:
-        """Let all worlds go on by physics ticks; what happened in each."""
+        """Advance all worlds by physics ticks; returns each world's event."""
         path = self.flight.advance(ticks)
         self.ticks += ticks
         return [
@@ -106,7 +106,7 @@ class Simulator:
         return self._eyes.first_person(self.flight.position[chosen], self.flight.quaternion[chosen], out, chosen)
 
     def gate_monitor(self, world: int) -> GateMonitor:
-        """The gate monitor of the stage at hand."""
+        """The gate monitor of the current stage."""
         gate_monitor = self._gate_monitors[world]
         if gate_monitor is None:
             raise ValueError(f"world {world} has no stage yet; call begin() first")

@@ -1,4 +1,4 @@
-"""Where a picture is taken from, and where in it a point of the world is. Pure numpy."""
+"""Camera positions, and the projection of world points into pictures. Pure numpy."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from cognitivedrone.frames import rotate_yaw, rotation_matrix, yaw_of
 from cognitivedrone.types import DroneState, FloatArray, Stage, Vector
 
 FIELD_OF_VIEW: Final = 1.85
-"""Of the first-person camera, horizontal and, as images are square, vertical, rad."""
+"""Field of view of the first-person camera, horizontal and, because images are square, vertical, rad."""
 MOUNT: Final = (0.1, 0.0, 0.3)
-"""The camera's place on the vehicle, body FLU, m. It looks along the body's x axis and tilts with the body."""
+"""Camera position on the vehicle, body FLU, m. It looks along the body's x axis and tilts with the body."""
 
-_OVERLOOK_FIELD_OF_VIEW: Final = 1.1  # of the views for people, vertical, rad
+_OVERLOOK_FIELD_OF_VIEW: Final = 1.1  # of the third-person views, vertical, rad
 _CHASE_EYE, _CHASE_TARGET = (-2.0, 0.0, 0.8), (2.0, 0.0, 0.5)  # from the drone, heading frame, m
 _TOP_EYE, _TOP_TARGET = (-6.0, 0.0, 9.0), (2.2, 0.0, 1.0)  # stage frame, m
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """A pinhole camera in the world. `forward` and `up` are unit vectors at a right angle."""
+    """A pinhole camera in the world. `forward` and `up` are orthogonal unit vectors."""
 
     eye: Vector
     """(3,) m"""
@@ -36,7 +36,7 @@ class View:
     def project(self, points: FloatArray, size: tuple[int, int]) -> FloatArray:
         """World points (n, 3) as pixels (n, 2), x to the right and y down, of a picture of `size` (w, h).
 
-        What is outside the picture gets pixels outside of it; what is behind the camera NaN.
+        Points outside the picture get pixels outside it; points behind the camera get NaN.
         """
         width, height = size
         offset = np.asarray(points, dtype=np.float64) - self.eye
@@ -48,13 +48,13 @@ class View:
 
 
 def first_person_view(state: DroneState) -> View:
-    """What the drone's own camera sees."""
+    """The view of the drone's own camera."""
     axes = rotation_matrix(np.asarray(state.quaternion, dtype=np.float64))
     return View(state.position + axes @ np.array(MOUNT), axes[:, 0], axes[:, 2], FIELD_OF_VIEW)
 
 
 def chase_view(state: DroneState) -> View:
-    """The drone and what lies before it, from behind and above."""
+    """The drone and the scene ahead, from behind and above."""
     heading = yaw_of(np.asarray(state.quaternion, dtype=np.float64))
     eye, target = (state.position + rotate_yaw(np.array(point), heading) for point in (_CHASE_EYE, _CHASE_TARGET))
     eye[2] = max(eye[2], 0.1)

@@ -1,4 +1,4 @@
-"""What is asked: families, vocabulary, facts, suites and task files. Pure data, no pixels."""
+"""Tasks: families, vocabulary, facts, suites and task files. Pure data, no pixels."""
 
 from cognitivedrone.tasks.directives import parse_directive, write_directive
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, TASKS

@@ -1,7 +1,7 @@
-"""Builds the fixed suites: `python -m cognitivedrone.tasks.build [FOLDER]` writes the same files every time.
+"""Generates the fixed suites: `python -m cognitivedrone.tasks.build [FOLDER]` writes the same files every time.
 
-Where the right answer stands and what the gates look like is dealt out, not drawn: over a suite, and over every family
-in it, positions, colours, shapes and sizes are as equally frequent as their number allows.
+Positions of the right answer and looks of the gates are dealt from shuffled cycles, not drawn independently: over a
+suite, and over every family in it, positions, colours, shapes and sizes are as equally frequent as possible.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ HARD_SHARES: dict[str, int] = {
     "two_step": 15,
     "memory": 20,
 }
-"""Tasks of each family in `hard`, 50 a category."""
+"""Tasks of each family in `hard`, 50 per category."""
 MEMORY_TRACKS: tuple[int, ...] = (3, 4, 4, 4, 5)
-"""Stages of the memory tracks."""
+"""Numbers of stages of the memory tracks."""
 STAGES_A_TRACK = 5
 RACES = 20
 """Tracks of `race`, each of `STAGES_A_TRACK` stages."""
 
 
 def equal_shares(total: int) -> dict[str, int]:
-    """Tasks for each base family: equal shares for the categories, and within each for its families, to within one."""
+    """Tasks for each base family: equal shares per category, and within it per family, to within one."""
     shares: dict[str, int] = {}
     for category, of_category in zip(CATEGORIES, _split(total, len(CATEGORIES)), strict=True):
         families = [family for family in BASE_FAMILIES if FAMILIES[family] == category]
@@ -59,14 +59,14 @@ def _split(total: int, parts: int) -> list[int]:
 
 
 class Dealer:
-    """Hands out targets and gates so that everything comes equally often: cycles, cut into shuffled hands."""
+    """Deals targets and gates so that all values occur equally often: repeated cycles, cut into shuffled hands."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
         self._dealt: dict[str, int] = {}
 
     def hand(self, name: str, values: Sequence[T], count: int) -> list[T]:
-        """The next `count` of an endless cycle through the values, shuffled."""
+        """The next `count` values of an endless, shuffled cycle."""
         start = self._dealt.get(name, 0)
         self._dealt[name] = start + count
         cards = [values[i % len(values)] for i in range(start, start + count)]
@@ -78,7 +78,7 @@ class Dealer:
         colors = self.hand("color", COLORS, count)
         right = list(zip(self.hand("size", SIZES, count), self.hand("shape", SHAPES, count), strict=True))
         sizes = self.hand("other size", SIZES, 2 * count)
-        # The other gates go through the shapes backwards, so that a remainder of the one fills up that of the other.
+        # The other gates use the shapes in reverse order, so that the remainders of both cycles complement each other.
         shapes = self.hand("other shape", SHAPES[::-1], 2 * count)
         dealt = []
         for i, (target, color) in enumerate(zip(targets, colors, strict=True)):
@@ -99,7 +99,7 @@ def build_suite(name: str) -> list[Track]:
 
 
 def _choices(name: str, rng: np.random.Generator, dealer: Dealer) -> list[list[Task]]:
-    """The tracks of a suite whose tasks ask for one of three gates."""
+    """The tracks of a suite whose tasks have three gates."""
     pools = HELD_OUT if name == "unseen" else TRAIN
     if name == "hard":
         shares = {family: count for family, count in HARD_SHARES.items() if family != "memory"}
@@ -117,7 +117,7 @@ def _choices(name: str, rng: np.random.Generator, dealer: Dealer) -> list[list[T
 
 
 def _races(dealer: Dealer) -> list[list[Task]]:
-    """Tracks of single gates. One instruction holds for a whole track."""
+    """Tracks of single gates, with one instruction per track."""
     dealt = iter(dealer.stages(RACES * STAGES_A_TRACK))
     return [
         [
@@ -168,14 +168,14 @@ def _shuffled(rng: np.random.Generator, items: list[T]) -> list[T]:
 
 
 def suite_text(name: str) -> str:
-    """The file of a fixed suite: its digest, and one task a line."""
+    """The file of a fixed suite: its digest, and one task per line."""
     tracks = [[task_to_json(task) for task in track] for track in build_suite(name)]
     lines = ",\n".join("[" + ",\n".join(json.dumps(task, separators=(",", ":")) for task in t) + "]" for t in tracks)
     return f'{{"name":"{VERSION}:{name}","digest":"{digest_of(tracks)}","tracks":[\n{lines}\n]}}\n'
 
 
 def main(folder: Path) -> None:
-    """Writes every fixed suite into a folder."""
+    """Write every fixed suite into a folder."""
     for name in FIXED:
         path = folder / f"{name}.json"
         path.write_text(suite_text(name), encoding="utf-8")

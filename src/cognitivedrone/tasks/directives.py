@@ -25,11 +25,11 @@ def write_directive(gate: Gate) -> str:
 
 
 def parse_directive(text: str) -> tuple[Size | None, Color | None, Shape | None]:
-    """Size, colour and shape of the gate that a sentence names, in whatever order; none where it does not say.
+    """Size, colour and shape of the gate that a sentence names, in any order; None for what it does not say.
 
-    Only words before the first "gate" or "with" count, so that what a panel shows ("... gate with a red hat") does
-    not matter; among them the last word of a sort wins. Published directives, such as "Fly through the big triangle
-    red gate with 9", are read as well.
+    Only words before the first "gate" or "with" count, because later words describe the panel ("... gate with a red
+    hat"). Among several words of one kind the last wins. Published directives, such as "Fly through the big triangle
+    red gate with 9", are parsed as well.
     """
     words = re.findall(r"[a-z]+", text.lower())
     stop = next((i for i, word in enumerate(words) if word in ("gate", "gates", "with")), len(words))
@@ -44,7 +44,7 @@ def parse_directive(text: str) -> tuple[Size | None, Color | None, Shape | None]
 
 
 def fitting_gate(text: str, gates: Sequence[Gate]) -> int | None:
-    """Index of the one gate that a directive fits; none where it fits none or several, or says nothing of gates."""
+    """Index of the only gate that a directive fits; None if it fits none or several, or does not describe a gate."""
     said = parse_directive(text)
     looks = [(gate.size, gate.color, gate.shape) for gate in gates]
     fits = [all(mine in (None, its) for mine, its in zip(said, look, strict=True)) for look in looks]

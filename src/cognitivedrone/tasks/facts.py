@@ -1,8 +1,8 @@
-"""What is true of the drawn things: the table behind the `association` and `food` families.
+"""Facts about the drawn things: the table behind the `association` and `food` families.
 
-A fact is a phrase, the concepts for which it clearly holds and those for which it clearly does not. Whatever a careful
-person could argue about stands in neither set, so a task built from a fact never admits two right answers. Animals,
-foods and objects share one space of names. The last phrase of every fact is held out for `unseen`.
+A fact is a phrase, the concepts for which it clearly holds and those for which it clearly does not. Debatable
+concepts are in neither set, so a task built from a fact never has two right answers. Animals, foods and objects
+share one namespace. The last phrase of every fact is held out for `unseen`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ KIND_OF: dict[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """Phrases that say the same, and for which concepts they are true and false."""
+    """Synonymous phrases, and the concepts for which they are true and false."""
 
     phrases: tuple[str, ...]
     """Noun phrases that follow "the gate with"; the last one is held out."""
@@ -38,7 +38,7 @@ def _fact(true: str | frozenset[str], false: frozenset[str], *phrases: str) -> F
     return Fact(phrases, tuple(sorted(holds)), tuple(sorted(false - holds)))
 
 
-# Groups to build the sets from. None claims to be complete.
+# Building blocks for the sets below. None claims to be complete.
 _MAMMALS = _names(
     "gorilla dog wolf fox raccoon cat lion tiger leopard horse zebra deer bison cow pig boar sheep goat camel llama giraffe "
     "elephant rhinoceros hippopotamus mouse rat hamster rabbit chipmunk hedgehog bear polar_bear koala panda sloth skunk "
@@ -96,21 +96,21 @@ GROUPS: dict[str, frozenset[str]] = {
     "ball": _BALLS,
     "flower": _names("sunflower rose tulip"),
 }
-"""Concepts by what one would call them together. No group claims to be complete."""
+"""Concepts by common group name. No group claims to be complete."""
 
 HEALTHY: tuple[str, ...] = (
     "apple", "green_apple", "pear", "orange", "banana", "watermelon", "grapes", "strawberry", "blueberries",
     "melon", "cherries", "peach", "mango", "pineapple", "kiwi", "tomato", "avocado", "broccoli", "lettuce",
     "cucumber", "carrot", "bell_pepper", "salad",
 )  # fmt: skip
-"""Plain fruit and vegetables; nothing that is sweetened, salted, fried or starchy."""
+"""Plain fruit and vegetables; nothing sweetened, salted, fried or starchy."""
 UNHEALTHY: tuple[str, ...] = (
     "burger", "fries", "pizza", "hot_dog", "bacon", "donut", "cookie", "birthday_cake", "cupcake", "chocolate",
     "candy", "lollipop", "ice_cream", "soda", "beer", "whiskey", "champagne", "wine",
 )  # fmt: skip
 """Fast food, sweets and alcohol."""
 
-# ruff: noqa: E501  (one fact a line reads as the table it is)
+# ruff: noqa: E501  (one fact per line keeps the table readable)
 FACTS: tuple[Fact, ...] = (
     # Animals.
     _fact(_BIRDS | _names("crocodile turtle frog"), _MAMMALS, "the animal that lays eggs", "an animal that lays eggs", "an animal that hatches from an egg"),
@@ -214,4 +214,4 @@ FACTS: tuple[Fact, ...] = (
     _fact("anchor", _THINGS, "what holds a ship in place", "something that is dropped from a ship"),
     _fact("bandage", _THINGS - {"soap", "scarf"}, "something to put on a cut", "what covers a small wound"),
 )  # fmt: skip
-"""Facts about animals, foods and objects; numbers and letters have theirs in `reasoning.association`."""
+"""Facts about animals, foods and objects; `reasoning.association` has those about numbers and letters."""

@@ -1,4 +1,4 @@
-"""The families of tasks: one literal table from a name to its generator."""
+"""The families of tasks: one literal table from name to generator."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TASKS: dict[str, str] = {
     "two_step": "cognitivedrone.tasks.hard:two_step",
     "race": "cognitivedrone.tasks.racing:race",
 }
-"""Generators by family, `Draw -> Puzzle`. Tasks of `memory` only make sense on a track: `tasks.memory` makes those."""
+"""Generators by family, `Draw -> Puzzle`. Tasks of `memory` need a track; `tasks.memory` generates them."""
 
 FAMILIES: dict[str, Category] = {
     "attributes": "human_recognition",
@@ -59,7 +59,7 @@ FAMILIES: dict[str, Category] = {
 BASE_FAMILIES: tuple[str, ...] = tuple(FAMILIES)[:10]
 """The families of `train`, `test`, `unseen`, `smoke` and `track`."""
 HARD_FAMILIES: tuple[str, ...] = tuple(FAMILIES)[10:-1]
-"""The families of `hard`. `race` alone makes up the suite of that name."""
+"""The families of `hard`. `race` alone makes up the suite of the same name."""
 
 
 @functools.cache

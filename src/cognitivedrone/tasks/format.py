@@ -1,8 +1,8 @@
-"""Task files: the published JSON layout, read and written exactly, with keys of our own beside it.
+"""Task files: the published JSON layout, read and written exactly, with additional keys of our own.
 
 Published keys are `prompt`, `prompt_simpler`, `options`, `correct` (1 to 3), `gates` (a dict keyed "1" to "3", or a
-list of `{"gate": "1", ...}`), `background`, and for sums on the board `task: {d1, operator, d2}`. Ours, optional when
-read, are `id`, `category`, `family`, `labels`, `board` and, where one gate stands alone, its number `only`.
+list of `{"gate": "1", ...}`), `background`, and for sums on the board `task: {d1, operator, d2}`. Our optional keys
+are `id`, `category`, `family`, `labels`, `board` and, for a gate that stands alone, its number `only`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PUBLISHED_TYPES: dict[str, tuple[Category, str]] = {
     "Food": ("reasoning", "food"),
     "Math_desk": ("reasoning", "math_board"),
 }
-"""Category and family of published files, by the file's stem."""
+"""Category and family of published files, by file stem."""
 
 _SUM = re.compile(r"([0-9]+)([-+*])([0-9]+)")
 _BOARD = re.compile(rf"sum/{_SUM.pattern}@")
@@ -44,7 +44,7 @@ _PLAIN = {re.sub("[^a-z]", "", key): key for key in (*_KEYS, *_OPTIONAL)}
 
 
 def task_to_json(task: Task) -> dict[str, Any]:
-    """The published layout of a task, and our keys beside it; `task_from_json` gives the same task back."""
+    """A task in the published layout with our keys; `task_from_json` is the inverse."""
     obj: dict[str, Any] = {
         "prompt": task.instruction,
         "prompt_simpler": task.directive,
@@ -70,8 +70,8 @@ def task_to_json(task: Task) -> dict[str, Any]:
 def task_from_json(obj: object, *, where: str, kind: str | None = None, default_id: str | None = None) -> Task:
     """The task that a JSON object describes, validated.
 
-    `where` names the place in error messages. `kind` is the published type, the file's stem: it names the folder of the
-    labels and tells category and family where the object does not. Raises `TaskError` for anything malformed.
+    `where` names the place in error messages. `kind` is the published type, the file's stem: it names the label folder
+    and supplies category and family if the object does not. Raises `TaskError` for anything malformed.
     """
     if not isinstance(obj, dict):
         raise TaskError(f"{where}: a task must be a JSON object, not {type(obj).__name__}")
@@ -108,13 +108,13 @@ def task_from_json(obj: object, *, where: str, kind: str | None = None, default_
 
 
 def _check_keys(obj: Mapping[str, Any], where: str) -> None:
-    """Raise `TaskError` for a key that is meant to be one of ours and is not; other keys are left alone."""
+    """Raise `TaskError` for a key that looks like a misspelling of a known one; other unknown keys are ignored."""
     for key in obj:
         known = _PLAIN.get(re.sub("[^a-z]", "", key.casefold()))
         if known is not None and key != known:
             raise TaskError(f"{where}: unknown key {key[:40]!r}; did you mean {known!r}?")
         if problem := unprintable(key):
-            raise TaskError(f"{where}: the key {key[:40]!r} holds {problem}; take it out")
+            raise TaskError(f"{where}: the key {key[:40]!r} contains {problem}; remove it")
 
 
 def _three(value: object, what: str, where: str) -> tuple[str, str, str]:
@@ -127,7 +127,7 @@ def _three(value: object, what: str, where: str) -> tuple[str, str, str]:
 
 
 def _gates(value: object, where: str) -> tuple[Gate, Gate, Gate]:
-    """Both published shapes: a dict by gate number, or a list whose entries carry theirs."""
+    """Gates in either published form: a dict by gate number, or a list whose entries carry the number."""
     if isinstance(value, list):
         entries = {str(entry.get("gate")): entry for entry in value if isinstance(entry, dict)}
         complete = len(value) == 3
@@ -188,9 +188,9 @@ def _category_and_family(obj: Mapping[str, Any], kind: str | None, where: str) -
 
 
 def read_json(path: Path, max_bytes: int = MAX_FILE_BYTES) -> object:
-    """What a JSON file holds.
+    """The content of a JSON file.
 
-    Raises `TaskError` where it cannot be read, is no ordinary file, is too large, is not JSON, or gives a key twice.
+    Raises `TaskError` if it is unreadable, not a regular file, too large, not JSON, or repeats a key.
     """
     try:
         content = read_regular(path, max_bytes)
@@ -202,17 +202,17 @@ def read_json(path: Path, max_bytes: int = MAX_FILE_BYTES) -> object:
 
 
 def _each_key_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """The object of these keys and values: of two values for one key, nobody knows which is meant."""
+    """The object of these keys and values. Duplicate keys are an error, because either value could be meant."""
     found = dict(pairs)
     if len(found) < len(pairs):
         seen: set[str] = set()
         twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
-        raise ValueError(f"the key {twice[:40]!r} stands twice in one object")
+        raise ValueError(f"the key {twice[:40]!r} appears twice in one object")
     return found
 
 
 def read_tasks(path: Path) -> list[Task]:
-    """The tasks of a file, in order; its stem is the published type. Raises `TaskError` naming file and index."""
+    """The tasks of a file, in order; its stem is the published type. Raises `TaskError` with file and index."""
     content = read_json(path)
     if not isinstance(content, list):
         raise TaskError(f"{path}: a task file is a JSON list of tasks, not {type(content).__name__}")
@@ -230,6 +230,6 @@ def read_tasks(path: Path) -> list[Task]:
 
 
 def write_tasks(path: Path, tasks: Iterable[Task]) -> None:
-    """A task file in the published layout, one task a line."""
+    """Write a task file in the published layout, one task per line."""
     lines = ",\n".join(json.dumps(task_to_json(task), ensure_ascii=False) for task in tasks)
     path.write_text(f"[\n{lines}\n]\n", encoding="utf-8")

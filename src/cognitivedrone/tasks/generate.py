@@ -1,7 +1,7 @@
-"""What every family's generator works with: a random draw, the ingredients it may use, and the puzzle it makes.
+"""Shared tools of the family generators: a random draw, the allowed ingredients, and the resulting puzzle.
 
-A family is a function from a `Draw` to a `Puzzle`. It never chooses where the right answer stands nor what the gates
-look like: both come from outside, balanced, so nothing about them can give the answer away.
+A family is a function from a `Draw` to a `Puzzle`. It never chooses the position of the right answer or the looks of
+the gates: both come from outside, balanced, so they cannot give the answer away.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 def held_out_pair(a: int, b: int) -> bool:
-    """Whether two operands are kept for `unseen`: about one pair in seven, in either order."""
+    """Whether two operands are held out for `unseen`: about one pair in seven, in either order."""
     return (3 * min(a, b) + 5 * max(a, b)) % 7 == 2
 
 
@@ -27,16 +27,16 @@ class Pools:
     """The ingredients that a suite may use."""
 
     held_out: bool
-    """Whether these are the ingredients that `train` never shows."""
+    """Whether these are the held-out ingredients, which never appear in `train`."""
     fonts: tuple[str, ...]
     styles: tuple[str, ...]
     backgrounds: tuple[str, ...]
     frames: tuple[str, ...]
     cast: tuple[str, ...]
-    """Whom the instruction may ask for."""
+    """Names that the instruction may ask for."""
 
     def wordings(self, phrases: Sequence[str]) -> Sequence[str]:
-        """Of phrases that mean the same, those allowed here: the last one is held out."""
+        """The allowed ones of synonymous phrases: the last one is held out."""
         return phrases[-1:] if self.held_out else phrases[:-1]
 
     def pair_allowed(self, a: int, b: int) -> bool:
@@ -63,17 +63,17 @@ HELD_OUT = Pools(
 
 
 class Panel(NamedTuple):
-    """What stands above one gate."""
+    """The content of one panel."""
 
     option: str
-    """As task files name it."""
+    """Name of the option in task files."""
     label: str
     """Label reference."""
 
 
 @dataclass(frozen=True, slots=True)
 class Puzzle:
-    """An instruction and three panels, of which the one at the draw's target is right."""
+    """An instruction and three panels; the panel at the draw's target is right."""
 
     instruction: str
     panels: tuple[Panel, Panel, Panel]
@@ -89,14 +89,14 @@ class Draw:
     rng: np.random.Generator
     pools: Pools
     target: int
-    """Where the right answer must stand, 0 to 2 from left to right."""
+    """Position of the right answer, 0 to 2 from left to right."""
 
     def below(self, n: int) -> int:
-        """A whole number from 0 to n - 1."""
+        """A random integer from 0 to n - 1."""
         return int(self.rng.integers(n))
 
     def between(self, low: int, high: int) -> int:
-        """A whole number from low to high, both included."""
+        """A random integer from low to high, both included."""
         return low + self.below(high - low + 1)
 
     def chance(self, probability: float) -> bool:
@@ -122,28 +122,28 @@ class Draw:
         return next(reversed(weights))
 
     def frame(self, noun: str) -> str:
-        """A whole sentence around a noun phrase."""
+        """A complete sentence around a noun phrase."""
         return self.pick(self.pools.frames).format(x=noun)
 
     def noun(self, phrases: Sequence[str], **words: str) -> str:
-        """One of several noun phrases of the same meaning, filled in."""
+        """One of several synonymous noun phrases, filled in."""
         return self.pick(self.pools.wordings(phrases)).format(**words)
 
     def glyph(self, kind: str, concept: str | int) -> Panel:
-        """A letter, a number or a sum in some font."""
+        """A letter, a number or a sum in a random allowed font."""
         return Panel(str(concept), f"{kind}/{concept}@{self.pick(self.pools.fonts)}")
 
     def drawing(self, kind: str, concept: str) -> Panel:
-        """An animal, a food, an object or several things in some drawing style."""
+        """An animal, a food, an object or several things in a random allowed drawing style."""
         return Panel(concept, f"{kind}/{concept}@{self.pick(self.pools.styles)}")
 
     def portrait(self, person: Mapping[str, str], name: str | None = None) -> Panel:
-        """A person before some background, named by what is drawn or by `name`."""
+        """A person on a random allowed background; the option is `name`, or the drawn attributes."""
         label = people.person_label(person, self.pick(self.pools.backgrounds))
         return Panel(name or label[len("person/") : label.rindex("@")], label)
 
     def puzzle(self, instruction: str, right: Panel, wrong: Sequence[Panel], board: str | None = None) -> Puzzle:
-        """The right panel at the target, the wrong ones around it in random order."""
+        """The puzzle with the right panel at the target and the wrong ones around it in random order."""
         first, second = self.sample(wrong, 2)
         panels = [first, second]
         panels.insert(self.target, right)
@@ -159,12 +159,12 @@ def article(noun: str) -> str:
 
 
 def words(concept: str) -> str:
-    """A concept as one says it."""
+    """A concept in words."""
     return concept.replace("_", " ")
 
 
 def plural(concept: str) -> str:
-    """The plural of a concept whose plural is regular."""
+    """The regular plural of a concept."""
     noun = words(concept)
     if noun.endswith(("s", "x", "ch", "sh", "tomato", "potato")):
         return noun + "es"

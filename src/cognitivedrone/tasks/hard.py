@@ -1,4 +1,4 @@
-"""The families of the `hard` suite that a single stage can hold: ingredients of `train`, but more to think about."""
+"""Single-stage families of the `hard` suite: training ingredients, but harder reasoning."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ PLAIN_THINGS: tuple[str, ...] = (
     "butterfly", "snail", "apple", "banana", "carrot", "pizza", "cookie", "strawberry", "pineapple", "croissant",
     "hammer", "key", "umbrella", "chair", "guitar", "bicycle", "airplane", "book", "camera", "car", "balloon",
 )  # fmt: skip
-"""Animals, foods and objects that nobody takes for one another, for families that are hard for another reason."""
+"""Easily distinguished animals, foods and objects, for families whose difficulty lies elsewhere."""
 COUNTABLE: tuple[str, ...] = (
     "cat", "dog", "frog", "turtle", "bee", "butterfly", "apple", "banana", "lemon", "carrot", "cookie", "donut",
     "star", "key", "car", "balloon", "bell", "cactus",
 )  # fmt: skip
-"""Things that are told apart, and counted, when six of them are on a panel."""
+"""Things that remain distinguishable and countable with six of them on a panel."""
 _PURE_ANIMALS: tuple[str, ...] = (
     "dog", "cat", "lion", "horse", "zebra", "elephant", "giraffe", "penguin", "owl", "frog", "snake", "butterfly",
     "koala", "monkey", "bear", "bat", "parrot",
 )  # fmt: skip
-"""Animals that nobody would also call food."""
+"""Animals that are not also food."""
 
 
 def conjunction(draw: Draw) -> Puzzle:
-    """Three or four things about a person at once."""
+    """Three or four attributes of one person."""
     described, right, wrong = by_features(draw, 3 + draw.below(2))
     return draw.puzzle(f"Fly through the gate with the person with {described}", right, wrong)
 
 
 def exclusion(draw: Draw) -> Puzzle:
-    """Somebody with one thing and without another."""
+    """A person with one attribute and without another."""
     absent, present = random_features(draw, 2)
     while True:
         right = person_with(draw, [present])
@@ -70,11 +70,11 @@ _RELATIONS: dict[int, tuple[tuple[int, str], ...]] = {
         (0, "Fly through the gate two places to the right of the {x}"),
     ),
 }
-"""By target, where the thing stands that the sentence names, and the sentence; `y` is the third thing."""
+"""By target: the position of the named thing, and the sentence; `y` is the third thing."""
 
 
 def relations(draw: Draw) -> Puzzle:
-    """A gate by its place beside something else."""
+    """A gate by its position relative to another thing."""
     names = draw.sample(PLAIN_THINGS, 3)
     anchor, sentence = draw.pick(_RELATIONS[draw.target])
     (rest,) = {0, 1, 2} - {draw.target, anchor}
@@ -86,7 +86,7 @@ _KINDS = ("an animal", "a letter", "a number", "something to eat", "a musical in
 
 
 def _member(draw: Draw, kind: str) -> Panel:
-    """Something that is of one of the kinds and of no other."""
+    """A thing that belongs to one of the kinds and to no other."""
     if kind == "a letter":
         return draw.glyph("letter", draw.pick([letter for letter in LETTERS if letter not in "IO"]))
     if kind == "a number":
@@ -99,7 +99,7 @@ def _member(draw: Draw, kind: str) -> Panel:
 
 
 def negation(draw: Draw) -> Puzzle:
-    """What something is not: neither of two kinds, or not of the kind of both others."""
+    """Negation: neither of two kinds, or not of the kind of both others."""
     right, first, second = draw.sample(_KINDS, 3)
     if draw.chance(0.5):
         sentence = draw.pick(
@@ -127,7 +127,7 @@ def negation(draw: Draw) -> Puzzle:
 
 
 def counting(draw: Draw) -> Puzzle:
-    """Panels with several things: how many, the most, the fewest, or more of one than of another."""
+    """Panels with several things: a given number, the most, the fewest, or more of one than of another."""
     name, other = draw.sample(COUNTABLE, 2)
     if draw.chance(1 / 3):
         more, fewer = sorted(draw.sample(range(1, 5), 2), reverse=True)
@@ -153,7 +153,7 @@ def _several(draw: Draw, counts: dict[str, int]) -> Panel:
 
 
 def distraction(draw: Draw) -> Puzzle:
-    """A clear request among words that are about the wrong gates."""
+    """A clear request among words about the wrong gates."""
     right, other, third = draw.sample(PLAIN_THINGS, 3)
     sentence = draw.pick(
         (
@@ -179,7 +179,7 @@ _BY_WEIGHT = (
     ("elephant", "rhinoceros", "hippopotamus"),
     ("whale",),
 )
-"""Animals in classes of weight; every adult of one class is heavier than any of the class before."""
+"""Animals in weight classes; every adult of one class is heavier than any of the previous class."""
 _BY_LEGS = (
     ("snake", "dolphin", "worm"),
     ("dove", "owl", "penguin", "duck", "flamingo"),
@@ -191,12 +191,12 @@ _BY_LEGS = (
 
 
 def comparison(draw: Draw) -> Puzzle:
-    """Three things in order, of which the first, the last or the middle one is meant."""
+    """Three things in an order; the first, the last or the middle one is right."""
     return draw.pick((_middle_number, _largest_sum, _alphabet, _by_class))(draw)
 
 
 def _ordered(draw: Draw, panels: list[Panel], sentences: tuple[str, str, str]) -> Puzzle:
-    """Panels from low to high, and what to say for each."""
+    """Panels in ascending order, and the sentence for each."""
     rank = draw.below(3)
     return draw.puzzle(sentences[rank], panels[rank], [p for i, p in enumerate(panels) if i != rank])
 
@@ -260,7 +260,7 @@ def _by_class(draw: Draw) -> Puzzle:
 
 
 def two_step(draw: Draw) -> Puzzle:
-    """Two calculations one after the other: in words, in brackets, or on the board and then in the head."""
+    """Two calculations in sequence: in words, in brackets, or one on the board and one in the sentence."""
     return draw.pick((_in_words, _in_brackets, _from_board))(draw)
 
 

@@ -1,4 +1,4 @@
-"""Human recognition: people by what one sees of them, and a named cast."""
+"""Human recognition: people by visible attributes, and a named cast."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _BEARDS = {"none": 0.55, "full": 0.2, "stubble": 0.1, "moustache": 0.15}
 
 _BY_PHRASE = {feature.phrase: feature for feature in FEATURES}
 
-# Colours of one thing must not crowd out the rest: first a thing, then one way of saying it.
+# Colours of one thing must not dominate: draw the thing first, then one phrase for it.
 _THINGS: tuple[tuple[str, ...], ...] = tuple(
     tuple(f.phrase for f in FEATURES if f" {f.phrase}".endswith(f" {ending}"))
     for ending in (
@@ -23,11 +23,11 @@ _THINGS: tuple[tuple[str, ...], ...] = tuple(
         *("surprised look", "laughing face"),
     )
 )
-"""Groups of phrases, drawn with equal shares."""
+"""Groups of phrases, drawn with equal probability."""
 
 
 def random_person(draw: Draw) -> Person:
-    """Anybody."""
+    """A random person."""
     person = {name: draw.pick(values) for name, values in SCHEMA.items()}
     person["hat"] = draw.weighted(_HATS)
     person["glasses"] = draw.weighted(_GLASSES)
@@ -36,13 +36,13 @@ def random_person(draw: Draw) -> Person:
 
 
 def tidy(person: Person) -> Person:
-    """The same picture, without what nobody can see: hair under a hat, the colour of no hat."""
+    """The same picture without invisible attributes: hair under a hat, the colour of a missing hat."""
     hidden = ("hat_color",) if person.get("hat", "none") == "none" else ("hair",)
     return {name: value for name, value in person.items() if name not in hidden}
 
 
 def impose(draw: Draw, person: Person, feature: Feature) -> Person:
-    """The person, changed so that the feature can be seen."""
+    """The person, changed so that the feature is visible."""
     changed = person | {name: draw.pick(values) for name, values in feature.wanted.items()}
     if "hair" in feature.wanted or "hair_color" in feature.wanted:
         changed["hat"] = "none"
@@ -55,7 +55,7 @@ def impose(draw: Draw, person: Person, feature: Feature) -> Person:
 
 
 def random_features(draw: Draw, count: int) -> list[Feature]:
-    """Features that one person can show together: never a hat and hair, or two things about the same attribute."""
+    """Features that one person can show together: never a hat and hair, or two features of the same attribute."""
     while True:
         features = [_BY_PHRASE[draw.pick(thing)] for thing in draw.sample(_THINGS, count)]
         touched = [name for feature in features for name in touched_parts(feature)]
@@ -64,7 +64,7 @@ def random_features(draw: Draw, count: int) -> list[Feature]:
 
 
 def touched_parts(feature: Feature) -> set[str]:
-    """Parts of a person that a feature speaks of; features of disjoint parts can be named together."""
+    """Body parts that a feature involves; features with disjoint parts can be combined."""
     parts = {"top" if name in ("hat", "hat_color", "hair", "hair_color") else name for name in feature.wanted}
     parts = {"clothes" if name == "clothes_color" else name for name in parts}
     if feature.wanted.get("hat") == ("hijab",):
@@ -73,7 +73,7 @@ def touched_parts(feature: Feature) -> set[str]:
 
 
 def person_with(draw: Draw, features: list[Feature]) -> Person:
-    """Somebody of whom all the features are clearly true."""
+    """A person for whom all the features are clearly true."""
     while True:
         person = random_person(draw)
         for feature in features:
@@ -83,7 +83,7 @@ def person_with(draw: Draw, features: list[Feature]) -> Person:
 
 
 def person_lacking(draw: Draw, features: list[Feature], missing: Feature) -> Person:
-    """Somebody of whom `missing` is clearly false, while the other features may well be true."""
+    """A person for whom `missing` is clearly false; the other features may be true."""
     while True:
         person = random_person(draw)
         for feature in features:
@@ -94,12 +94,12 @@ def person_lacking(draw: Draw, features: list[Feature], missing: Feature) -> Per
 
 
 def joined(phrases: list[str]) -> str:
-    """Phrases as one says them: "a, b and c"."""
+    """Phrases joined in a sentence: "a, b and c"."""
     return " and ".join(part for part in (", ".join(phrases[:-1]), phrases[-1]) if part)
 
 
 def by_features(draw: Draw, count: int) -> tuple[str, Panel, list[Panel]]:
-    """A description of `count` features, who fits it, and two who do not."""
+    """A description of `count` features, a panel that fits it, and two that do not."""
     features = random_features(draw, count)
     right = draw.portrait(person_with(draw, features))
     wrong: list[Panel] = []
@@ -111,13 +111,13 @@ def by_features(draw: Draw, count: int) -> tuple[str, Panel, list[Panel]]:
 
 
 def attributes(draw: Draw) -> Puzzle:
-    """One or two things about a person: "the person with a red hat and glasses"."""
+    """One or two attributes of a person: "the person with a red hat and glasses"."""
     described, right, wrong = by_features(draw, 1 + draw.below(2))
     return draw.puzzle(draw.frame(draw.noun(wording.ATTRIBUTES, x=described)), right, wrong)
 
 
 def people(draw: Draw) -> Puzzle:
-    """A member of the cast. Whoever is asked for in `unseen` is the only stranger among the three."""
+    """A member of the cast. In `unseen`, the person asked for is the only unknown identity of the three."""
     name = draw.pick(draw.pools.cast)
     others = draw.sample([known for known in TRAIN_CAST if known != name], 2)
     wrong = [_picture(draw, other) for other in others]
@@ -125,6 +125,6 @@ def people(draw: Draw) -> Puzzle:
 
 
 def _picture(draw: Draw, name: str) -> Panel:
-    """One of many pictures of a member of the cast: the face stays, mood and clothes change."""
+    """One of many pictures of a member of the cast: the face stays, expression and clothes change."""
     mood = {key: draw.pick(SCHEMA[key]) for key in ("clothes", "clothes_color", "expression")}
     return draw.portrait(CAST[name] | mood, name)

@@ -1,7 +1,7 @@
-"""What a sentence of the user's asks for, and which scene shows it: by words, from the vocabulary and the facts.
+"""Matching of user sentences to scenes: by words, from the vocabulary and the facts.
 
-No understanding is claimed. The words of a sentence are compared with those that are true of a panel: its name ("polar
-bear"), what one calls such things ("bird", "fruit"), and the words of the facts that hold ("lays eggs").
+This is not language understanding. It compares the words of a sentence with those that are true of a panel: its name
+("polar bear"), its groups ("bird", "fruit"), and the words of the facts that hold ("lays eggs").
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from cognitivedrone.tasks.wording import NUMBER_WORDS
 from cognitivedrone.types import Task
 
 NAME, GROUP, FACT = 4, 3, 1
-"""How much a shared word counts: a thing's name, a word of a longer name or of what one calls such things, a word of a
-fact about it."""
+"""Weights of a shared word: the full name of a thing; a part of a longer name, or a group; a word of a fact about the
+thing."""
 _ORDERS = re.compile(
     r"^\W*(?:(?:please|now|could you|can you|would you|i want you to|you should)\W+)*"
     r"(?:fly|go|head|move|race|find|look|take|aim|pass|cross|steer|navigate|search)\b|"
@@ -48,7 +48,7 @@ _MODIFIERS = _names(
     "red green blue yellow black white gray grey pink brown blond big large small little tiny round square triangular "
     "triangle long short left right middle first second third"
 )
-"""Words that alone say nothing of what a panel shows."""
+"""Words that alone do not identify what a panel shows."""
 _DENIALS = frozenset({"not", "no", "without", "but", "except", "neither", "nor", "never", "none", "cannot", "unable"})
 _KINDS = {"animal": "animal", "food": "food", "object": "object", "letter": "letter", "number": "number",
           "numeral": "number", "digit": "number", "logo": "logo", "brand": "logo", "person": "person",
@@ -71,34 +71,34 @@ _FAMILY_OF = {
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """How a scene fits a sentence."""
+    """How well a scene fits a sentence."""
 
     gate: int
     """Index of the gate that fits best, 0 to 2."""
     words: tuple[str, ...]
-    """Of the sentence, that are true of that gate's panel."""
+    """Words of the sentence that are true of that gate's panel."""
     missing: tuple[str, ...]
-    """The other words that say something."""
+    """The other informative words."""
     weight: int
     margin: int
-    """How much more than for the next gate."""
+    """Lead over the next best gate."""
     target: bool
-    """Whether the scene's own instruction means that gate."""
+    """Whether that gate is the right one for the scene's own instruction."""
     shown: bool = True
-    """Whether the words are of the gate's panel, not of the gate itself."""
+    """Whether the words describe the gate's panel, not the gate itself."""
 
     @property
     def complete(self) -> bool:
-        """Whether every word fits, and one gate alone fits best."""
+        """Whether every word fits, and one gate fits best."""
         return not self.missing and self.margin > 0
 
     def better_than(self, other: Match) -> bool:
-        """Whether a sentence fits here better than there."""
+        """Whether the sentence fits this scene better than the other."""
         return _rank(self) > _rank(other)
 
 
 def asked_words(sentence: str) -> tuple[str, ...]:
-    """The words of a sentence that may say what is asked for, in order; single letters are upper-case."""
+    """The informative words of a sentence, in order; single letters are upper-case."""
     text = _ORDERS.sub(" ", sentence.strip())
     parts = re.findall(r"[A-Za-z][A-Za-z'-]*|\d+", text)
     words: list[str] = []
@@ -114,9 +114,9 @@ def asked_words(sentence: str) -> tuple[str, ...]:
 
 
 def best_scene(sentence: str, tasks: Iterable[Task], seed: int) -> tuple[int, Match] | None:
-    """Index and match of a task that shows what a sentence asks for; none where no task does.
+    """Index and match of a task that shows what a sentence asks for; None if no task does.
 
-    Of equally good ones `seed` draws. A gate that is named by its look alone ("the red gate") is in every scene.
+    `seed` draws among equally good ones. A gate named only by its appearance ("the red gate") is in every scene.
     """
     asked = asked_words(sentence)
     looks = not asked and any(parse_directive(sentence))
@@ -133,7 +133,7 @@ def best_scene(sentence: str, tasks: Iterable[Task], seed: int) -> tuple[int, Ma
 
 
 def match_task(asked: Sequence[str], task: Task) -> Match | None:
-    """How the panels of a task fit the words that are asked for; none where they do not."""
+    """The match of a task with the requested words; None if no panel fits."""
     if task.only is not None:
         return None
     weights = [_weights(asked, panel_words(task, gate)) for gate in range(3)]
@@ -149,7 +149,7 @@ def match_task(asked: Sequence[str], task: Task) -> Match | None:
 
 
 def panel_words(task: Task, gate: int) -> Mapping[str, int]:
-    """The words that are true of a gate's panel, with what they count."""
+    """The words that are true of a gate's panel, with their weights."""
     words = dict(label_words(task.labels[gate]))
     if task.family == "people":
         words |= dict.fromkeys(_stems(task.options[gate]), NAME)
@@ -160,7 +160,7 @@ def panel_words(task: Task, gate: int) -> Mapping[str, int]:
 
 @functools.cache
 def label_words(label: str) -> Mapping[str, int]:
-    """The words that are true of what a label reference shows, with what they count."""
+    """The words that are true of a label reference, with their weights."""
     kind, _, rest = label.partition("/")
     concept = rest.rpartition("@")[0] or rest
     words: dict[str, int] = {}
@@ -172,9 +172,9 @@ def label_words(label: str) -> Mapping[str, int]:
 
 
 def asked_kinds(sentence: str) -> frozenset[str] | None:
-    """Kinds of label of which one must be shown for a sentence to make sense; none where no word tells.
+    """Kinds of label, one of which must be shown for a sentence to make sense; None if no word tells.
 
-    Nothing is said of sentences with a denial, which ask for what is not something.
+    None for sentences with a negation, because they ask for what a thing is not.
     """
     asked = asked_words(sentence)
     if set(re.findall(r"[a-z]+", sentence.lower())) & _DENIALS:
@@ -186,9 +186,9 @@ def asked_kinds(sentence: str) -> frozenset[str] | None:
 
 
 def asked_concepts(sentence: str) -> frozenset[str] | None:
-    """The labels `kind/concept` of which one must be shown, where a sentence only names them ("the bird", "letter Q").
+    """The labels `kind/concept`, one of which must be shown, if a sentence only names them ("the bird", "letter Q").
 
-    Animals that could be taken for one another count as one. None where it says anything else, or speaks of people.
+    Easily confused animals count as one. None if the sentence says anything else, or is about people.
     """
     words = asked_words(sentence)
     asked = [word for word in words if word not in _KINDS]
@@ -206,7 +206,7 @@ def asked_concepts(sentence: str) -> frozenset[str] | None:
 
 
 def made_scene(sentence: str, seed: int) -> Task | None:
-    """A task drawn for a sentence that only names a thing, between two others of its kind; none for other sentences."""
+    """A new task for a sentence that only names a thing, between two others of its kind; None for other sentences."""
     named = asked_concepts(sentence)
     if named is None:
         return None
@@ -231,7 +231,7 @@ def _panel(draw: Draw, kind: str, name: str) -> Panel:
 
 
 def asks_the_same(sentence: str, task: Task) -> bool:
-    """Whether a sentence asks what a task asks: its own words, its directive, or the look of its right gate alone."""
+    """Whether a sentence matches a task: its instruction, its directive, or its right gate's appearance alone."""
     said = _plain(sentence)
     if said in (_plain(task.instruction), _plain(task.directive), _plain(write_directive(task.gates[task.target]))):
         return True
@@ -243,7 +243,7 @@ def _rank(match: Match) -> tuple[int, bool, int, bool]:
 
 
 def _look_match(sentence: str, task: Task) -> Match | None:
-    """The gate that a sentence names by its look."""
+    """The gate that a sentence names by its appearance."""
     gate = fitting_gate(sentence, task.gates)
     words = tuple(str(word) for word in parse_directive(sentence) if word)
     if gate is None or task.only is not None:
@@ -266,7 +266,7 @@ def _of_gate(parts: Sequence[str], position: int) -> bool:
 
 
 def _said_of(kind: str, concept: str) -> Iterator[tuple[int, Iterable[str]]]:
-    """Texts that are true of a label, with what their words count."""
+    """Texts that are true of a label, with the weights of their words."""
     if kind == "person" and "=" in concept:
         look = seen(parse_person(concept))
         yield FACT, (word for word, of in _KINDS.items() if of == kind)
@@ -295,7 +295,7 @@ def _number(concept: str) -> int:
 
 @functools.cache
 def _kinds_by_word() -> Mapping[str, frozenset[str]]:
-    """Of every word that names something, the kinds of label that may be meant."""
+    """For every word that names something, the kinds of label that it may mean."""
     found: dict[str, set[str]] = {word: {kind} for word, kind in _KINDS.items()}
     for kind, concepts in _CONCEPTS.items():
         for concept in concepts:
@@ -313,7 +313,7 @@ def _stems(text: str) -> list[str]:
 
 
 def _stem(word: str) -> str:
-    """A word without the plural's ending, roughly."""
+    """A word without its plural ending, approximately."""
     word = word.removesuffix("'s")
     if word.endswith("ies") and len(word) > 4:
         return word[:-3] + "y"

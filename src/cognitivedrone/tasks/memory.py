@@ -1,4 +1,4 @@
-"""Tracks on which a later instruction speaks of an earlier gate: no single frame can answer it."""
+"""Memory tracks: later instructions refer to earlier gates, so no single frame can answer them."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from cognitivedrone.tasks.generate import Draw, Puzzle, words
 from cognitivedrone.tasks.hard import PLAIN_THINGS
 
 _NAMED = 2
-"""Stages at the beginning of a track that name their thing."""
+"""Number of stages at the beginning of a track that name their thing."""
 _ORDINALS = ("first", "second", "third", "fourth", "fifth")
 
 
 def memory_track(draw: Draw, targets: Sequence[int]) -> list[Puzzle]:
-    """Puzzles of one track, a target each: the first two name a thing, the others refer to gates already flown through.
+    """Puzzles of one track, one per target: the first two name a thing, the others refer to gates flown through before.
 
-    Wrong panels of the latter come from what earlier stages have shown wherever possible, so to recognise is not
-    enough: one must know which gate was flown through, and when.
+    For the latter, wrong panels repeat panels of earlier stages wherever possible, so recognition is not enough: the
+    policy must remember which gate it flew through, and when.
     """
     fresh = draw.sample(PLAIN_THINGS, len(PLAIN_THINGS))
     right: list[str] = []
@@ -45,7 +45,7 @@ def memory_track(draw: Draw, targets: Sequence[int]) -> list[Puzzle]:
 
 
 def _recall(draw: Draw, back: int, stage: int) -> str:
-    """Names the thing of stage `back` without saying what it is."""
+    """Refers to the thing of stage `back` without naming it."""
     sentences = [
         f"Fly through the gate with the same thing as the {_ORDINALS[back]} gate you flew through",
         f"Fly to what you flew to at stage {back + 1} of this track",

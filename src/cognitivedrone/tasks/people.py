@@ -1,7 +1,7 @@
-"""Drawn people: the attribute schema, what can be said of somebody, and a cast of invented names.
+"""Drawn people: the attribute schema, phrases about attributes, and a cast of invented names.
 
-A person is a mapping from attribute to value; what is left out has the first value of its row. Nothing is ever asked
-about skin.
+A person is a mapping from attribute to value; omitted attributes have the first value of their row. No question is
+ever about skin.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ SCHEMA: dict[str, tuple[str, ...]] = {
 """Attributes of a person in canonical order, the default first."""
 
 IDENTITY: tuple[str, ...] = ("skin", "hair", "hair_color", "hat", "hat_color", "glasses", "beard")
-"""What stays the same in every picture of a member of the cast; the rest varies."""
+"""The attributes that stay the same in every picture of a member of the cast; the rest varies."""
 
 
 def person_label(person: Mapping[str, str], background: str) -> str:
-    """The label reference of a person, canonical: schema order, defaults left out, skin always written."""
+    """The canonical label reference of a person: schema order, defaults omitted, skin always written."""
     words = [
         f"{name}={person[name]}"
         for name, values in SCHEMA.items()
@@ -42,7 +42,7 @@ def person_label(person: Mapping[str, str], background: str) -> str:
 
 
 def parse_person(concept: str) -> Person:
-    """The attributes that the concept of a person label writes, defaults not filled in."""
+    """The attributes written in the concept of a person label, without defaults."""
     return dict(word.split("=", 1) for word in concept.split(","))
 
 
@@ -62,20 +62,20 @@ def seen(person: Mapping[str, str]) -> Person:
 
 @dataclass(frozen=True, slots=True)
 class Feature:
-    """Something that can be said of a person, after "with"."""
+    """A visible property of a person, phrased to follow "with"."""
 
     phrase: str
     wanted: Mapping[str, tuple[str, ...]]
     """Values that make it true, by attribute; all attributes must agree."""
     doubtful: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Further values for which one could argue; whoever has them is never an option."""
+    """Further, debatable values; a person with one of them is never an option."""
 
     def holds(self, person: Mapping[str, str]) -> bool | None:
-        """Whether it is true of a person; none where one could argue."""
+        """Whether it is true of a person; None if debatable."""
         return self.shows(seen(person))
 
     def shows(self, look: Mapping[str, str]) -> bool | None:
-        """The same of a person as a viewer sees it, as `seen` tells."""
+        """The same for a person as a viewer sees it (see `seen`)."""
         doubt = False
         for name, values in self.wanted.items():
             if look[name] in values:
@@ -106,7 +106,7 @@ def _clothes(phrase: str, kind: str, doubtful: tuple[str, ...]) -> list[Feature]
     ]
 
 
-# Nothing is asked that a panel seen from the start, some forty pixels high, does not show: no stubble, no wink.
+# Only attributes that are visible from the start are used, on a panel some forty pixels high: no stubble, no wink.
 FEATURES: tuple[Feature, ...] = (
     *_hat("hat", "hat", doubtful=("beanie", "turban", "hijab")),
     *_hat("beanie", "beanie"),
@@ -118,7 +118,7 @@ FEATURES: tuple[Feature, ...] = (
     _hair("an afro", "afro", "curly"),
     _hair("dreadlocks", "dreadlocks"),
     _hair("shaved sides", "shaved_sides", "bald", "long"),
-    # A hat may hide a bald head, but only a head without a hat shows it: hats are doubtful through `hidden`.
+    # A hat may hide a bald head, and only a bare head shows baldness: hats are debatable through `hidden`.
     _hair("a bald head", "bald", "shaved_sides"),
     *(
         Feature(f"{word} hair", {"hair_color": (color,)}, {"hair_color": doubtful})
@@ -197,8 +197,8 @@ _CAST = {
 }
 
 CAST: dict[str, Person] = {name: parse_person(identity) for name, identity in _CAST.items()}
-"""The identity of every named person: invented, and unlike any other in at least two things one can see."""
+"""The identity of every named person: invented, and different from any other in at least two visible attributes."""
 
 HELD_OUT_CAST: tuple[str, ...] = ("Uma", "Ugo", "Wanda", "Viktor", "Yuki", "Wei", "Zara", "Yusuf")
-"""Strangers: only `unseen` asks for them, beside two people whom `train` introduces."""
+"""Unknown identities: only `unseen` asks for them, beside two people known from `train`."""
 TRAIN_CAST: tuple[str, ...] = tuple(name for name in CAST if name not in HELD_OUT_CAST)

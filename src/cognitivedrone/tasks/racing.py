@@ -1,6 +1,6 @@
-"""Racing: gates that stand alone, one a stage, with nothing to choose. The task of the RaceVLA baseline.
+"""Racing: single gates, one per stage, without a choice. The task of the RaceVLA baseline.
 
-Source: RaceVLA (arXiv 2503.02572), a drone that flies through one gate after the other as it is told in a sentence.
+Source: RaceVLA (arXiv 2503.02572), a drone that flies through one gate after another as a sentence instructs.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from cognitivedrone.tasks.suites import VERSION, drawn_task, train_task
 from cognitivedrone.types import Task
 
 STREAM_NAME = f"{VERSION}:race-train"
-"""In the ids of `race_task`; not a suite that can be loaded."""
+"""Used in the ids of `race_task`; not a suite that can be loaded."""
 INSTRUCTIONS: tuple[str, ...] = (
     "Fly through the gates",
     "Fly through the gate",
@@ -24,7 +24,7 @@ INSTRUCTIONS: tuple[str, ...] = (
     "Go through all the gates",
 )
 _NUMBERS = (Panel("1", "number/1@inter"), Panel("2", "number/2@inter"), Panel("3", "number/3@inter"))
-"""Every task has options, even where no panel hangs: here the numbers of the gates."""
+"""Every task needs options, even without panels: here, the numbers of the gates."""
 
 
 def race(draw: Draw) -> Puzzle:
@@ -33,12 +33,12 @@ def race(draw: Draw) -> Puzzle:
 
 
 def single_gate(instruction: str) -> Puzzle:
-    """A gate that stands alone."""
+    """A single gate without a choice."""
     return Puzzle(instruction, _NUMBERS, alone=True)
 
 
 def race_task(index: int, seed: int = 0) -> Task:
-    """Stage `index` of an endless stream for training, a track of one: everything about it is drawn from (seed, index).
+    """Stage `index` of an endless stream for training, a track of one stage; all randomness comes from (seed, index).
 
     Raises `TaskError` for a negative index or seed.
     """
@@ -48,7 +48,7 @@ def race_task(index: int, seed: int = 0) -> Task:
 
 
 def crowded_task(index: int, seed: int = 0) -> Task:
-    """A room of `train_task` in which a racer is told to race: three gates, and nothing that says through which.
+    """A room of `train_task` with a racing instruction: three gates, and no indication which one is right.
 
     Raises `TaskError` for a negative index or seed.
     """

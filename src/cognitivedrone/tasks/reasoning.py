@@ -1,4 +1,4 @@
-"""Reasoning: sums in the instruction or on the board, healthy food, and what is true of the things shown."""
+"""Reasoning: sums in the instruction or on the board, healthy food, and facts about the things shown."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from cognitivedrone.tasks.generate import Draw, Panel, Pools, Puzzle
 LARGEST_ANSWER = 20
 VOWELS = "AEIOU"
 CONSONANTS = "BCDFGHJKLMNPQRSTVXZ"
-"""Y and W are neither: one could argue."""
+"""Y and W are neither vowels nor consonants here: both are debatable."""
 ODD = range(1, LARGEST_ANSWER + 1, 2)
 EVEN = range(2, LARGEST_ANSWER + 1, 2)
-"""Zero is even, but not everybody would bet on it."""
+"""Zero is even, but not everybody would agree."""
 OPERATORS: dict[str, Callable[[int, int], int]] = {"+": operator.add, "-": operator.sub, "*": operator.mul}
 
 
 @functools.cache
 def binary_expressions(pools: Pools) -> dict[int, dict[str, tuple[tuple[int, int], ...]]]:
-    """Operand pairs by answer and operator, answers and operands from 0 to 20, as far as the pools allow them."""
+    """Operand pairs by answer and operator, answers and operands from 0 to 20, as far as the pools allow."""
     table: dict[int, dict[str, tuple[tuple[int, int], ...]]] = {}
     for answer in range(LARGEST_ANSWER + 1):
         by_operator = {
@@ -39,7 +39,7 @@ def binary_expressions(pools: Pools) -> dict[int, dict[str, tuple[tuple[int, int
 
 
 def binary(draw: Draw) -> tuple[str, int]:
-    """An expression of two operands such as "7*2", and its value, every answer equally often."""
+    """An expression of two operands such as "7*2", and its value; all answers are equally likely."""
     answer = draw.below(LARGEST_ANSWER + 1)
     return binary_equal_to(draw, answer), answer
 
@@ -65,7 +65,7 @@ def nested(draw: Draw) -> tuple[str, int]:
 
 
 def nested_equal_to(draw: Draw, answer: int) -> str:
-    """An expression of three operands whose value is `answer`, 0 to 20, of the operands that `nested` may take."""
+    """An expression of three operands, allowed by the pools, whose value is `answer`, 0 to 20."""
     while True:
         if ways := _nested_around(draw.pools, *binary(draw), answer):
             return draw.pick(ways)
@@ -73,7 +73,7 @@ def nested_equal_to(draw: Draw, answer: int) -> str:
 
 @functools.cache
 def _nested_around(pools: Pools, inner_text: str, inner: int, answer: int) -> tuple[str, ...]:
-    """Expressions equal to `answer` that put an expression of value `inner` in brackets and add a third operand."""
+    """Expressions equal to `answer`: an expression of value `inner` in brackets and a third operand."""
     sign = inner_text.lstrip("0123456789")[0]
     a, b = (int(part) for part in inner_text.split(sign))
     ways = [
@@ -95,12 +95,12 @@ def _all_allowed(pools: Pools, *operands: int) -> bool:
 
 
 def other_numbers(draw: Draw, answer: int, highest: int = LARGEST_ANSWER) -> list[Panel]:
-    """Two panels with other numbers, anywhere in the range: how near they are says nothing."""
+    """Two panels with other numbers, drawn from the whole range: their distance to the answer is uninformative."""
     return [draw.glyph("number", n) for n in draw.sample([n for n in range(highest + 1) if n != answer], 2)]
 
 
 def math(draw: Draw) -> Puzzle:
-    """A sum in the instruction, every third of three operands."""
+    """A sum in the instruction; every third has three operands."""
     text, answer = nested(draw) if draw.chance(1 / 3) else binary(draw)
     instruction = draw.frame(draw.noun(wording.MATH, x=text))
     return draw.puzzle(instruction, draw.glyph("number", answer), other_numbers(draw, answer))
@@ -115,7 +115,7 @@ def math_board(draw: Draw) -> Puzzle:
 
 
 def food(draw: Draw) -> Puzzle:
-    """Healthy food among unhealthy, or the other way round."""
+    """Healthy food among unhealthy food, or the reverse."""
     if draw.chance(0.5):
         right, wrong, nouns = HEALTHY, UNHEALTHY, wording.HEALTHY
     else:
@@ -125,7 +125,7 @@ def food(draw: Draw) -> Puzzle:
 
 
 def association(draw: Draw) -> Puzzle:
-    """A fact about things, or in one task of eight about numbers or letters."""
+    """A fact about things; one task in eight is about numbers or letters."""
     if draw.chance(1 / 8):
         return draw.pick((_extreme, _parity, _vowel))(draw)
     fact = draw.pick(FACTS)

@@ -1,4 +1,4 @@
-"""Suites: named, hashed lists of tracks. `train` is made on demand, the others are committed files."""
+"""Suites: named, hashed lists of tracks. `train` is generated on demand, the others are committed files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FIXED: tuple[str, ...] = ("test", "unseen", "smoke", "track", "hard", "race")
 SUITES: tuple[str, ...] = tuple(f"{VERSION}:{name}" for name in ("train", *FIXED))
 DEFAULT_TRAIN_SIZE = 300
 UNLIMITED = 10**9
-"""A size that no suite of files has, and more training tasks than anybody flies: asks for all there is."""
+"""A size beyond any suite file or training run: requests all available tasks."""
 
 _GATE_LOOKS = tuple((size, shape) for size in SIZES for shape in SHAPES)
 _COLOR_ORDERS = tuple((a, b, c) for a in COLORS for b in COLORS for c in COLORS if len({a, b, c}) == 3)
@@ -36,7 +36,7 @@ _COLOR_ORDERS = tuple((a, b, c) for a in COLORS for b in COLORS for c in COLORS 
 
 @dataclass(frozen=True, slots=True)
 class Suite:
-    """Tracks to fly, in order."""
+    """Tracks in flight order."""
 
     name: str
     digest: str
@@ -45,7 +45,7 @@ class Suite:
 
     @property
     def n_tasks(self) -> int:
-        """Tasks in all tracks together."""
+        """Number of tasks in all tracks."""
         if isinstance(self.tracks, TrainTracks):
             return len(self.tracks)
         return sum(len(track) for track in self.tracks)
@@ -59,7 +59,7 @@ def digest_of(tracks: Iterable[Iterable[dict[str, Any]]]) -> str:
 
 
 def finish(puzzle: Puzzle, *, task_id: str, family: str, target: int, gates: tuple[Gate, Gate, Gate]) -> Task:
-    """A puzzle before its gates, with its directive."""
+    """The complete task of a puzzle and its gates, with its directive."""
     a, b, c = puzzle.panels
     return Task(
         id=task_id,
@@ -77,7 +77,7 @@ def finish(puzzle: Puzzle, *, task_id: str, family: str, target: int, gates: tup
 
 
 def train_task(index: int, seed: int = 0) -> Task:
-    """Task `index` of the training suite of a seed: families in rotation, everything else drawn from (seed, index)."""
+    """Task `index` of the training suite of a seed: families in rotation, all randomness from (seed, index)."""
     if index < 0 or seed < 0:
         raise TaskError(f"{TRAIN_NAME}: index {index} and seed {seed} must not be negative")
     family = BASE_FAMILIES[index % len(BASE_FAMILIES)]
@@ -87,9 +87,9 @@ def train_task(index: int, seed: int = 0) -> Task:
 def drawn_task(
     family: str, rng: np.random.Generator, task_id: str, pools: Pools = TRAIN, make: Generator | None = None
 ) -> Task:
-    """A task of a family with everything about it drawn, from the ingredients of training or others.
+    """A random task of a family, from training or other ingredients.
 
-    `make` makes its puzzle in place of the family's own generator.
+    `make` replaces the family's own generator.
     """
     draw = Draw(rng, pools, target=int(rng.integers(3)))
     colors = draw.pick(_COLOR_ORDERS)
@@ -101,7 +101,7 @@ def drawn_task(
 
 
 class TrainTracks(Sequence[Track]):
-    """The first `size` training tasks of a seed as tracks of one, each made when it is asked for."""
+    """The first `size` training tasks of a seed as tracks of one stage, generated on access."""
 
     def __init__(self, size: int, seed: int) -> None:
         self._indices = range(size)
@@ -121,17 +121,17 @@ class TrainTracks(Sequence[Track]):
 
 
 def suite_of_tasks(name: str, tasks: Iterable[Task]) -> Suite:
-    """A suite of single tasks, each a track of one."""
+    """A suite of single tasks, each a track of one stage."""
     tracks = tuple((task,) for task in tasks)
     return Suite(name, digest_of([task_to_json(task)] for (task,) in tracks), tracks)
 
 
 def load_suite(name: str, *, size: int | None = None, seed: int = 0) -> Suite:
-    """A suite by its name, such as "open-v1:test".
+    """A suite by name, such as "open-v1:test".
 
-    `open-v1:train` has `size` tasks (300 by default), of which task i depends on (seed, i) alone; its digest covers
-    name, seed, size and the first tasks. Of a fixed suite, `size` keeps the first tracks and `seed` says nothing.
-    A size of `UNLIMITED` asks for all there is.
+    `open-v1:train` has `size` tasks (default 300), of which task i depends only on (seed, i); its digest covers
+    name, seed, size and the first tasks. For a fixed suite, `size` keeps the first tracks and `seed` has no effect.
+    A size of `UNLIMITED` requests all available tasks.
     Raises `TaskError` for an unknown name, a bad size, or a suite file whose content does not match its hash.
     """
     if name not in SUITES:
@@ -150,10 +150,10 @@ def load_suite(name: str, *, size: int | None = None, seed: int = 0) -> Suite:
 
 
 def open_suite(name: str, tasks: Path | None = None, *, size: int | None = None, seed: int = 0) -> Suite:
-    """What the options --suite and --tasks name: the tasks of a file or folder, or a suite by its name.
+    """The suite of the options --suite and --tasks: the tasks of a file or folder, or a suite by name.
 
-    `tasks` comes before `name`, which may be a file or folder as well; `size` and `seed` are those of `load_suite`.
-    Raises `TaskError` for unknown names and malformed files.
+    `tasks` takes precedence over `name`, which may also be a file or folder; `size` and `seed` are those of
+    `load_suite`. Raises `TaskError` for unknown names and malformed files.
     """
     path = Path(name) if tasks is None else tasks
     if tasks is not None or (name not in SUITES and path.exists()):
@@ -162,14 +162,14 @@ def open_suite(name: str, tasks: Path | None = None, *, size: int | None = None,
 
 
 def track_at(suite: Suite, episode: int) -> Track:
-    """The tasks of an episode, from 0; raises `TaskError` for one that there is not."""
+    """The tasks of an episode, counted from 0; raises `TaskError` if there is no such episode."""
     if not 0 <= episode < len(suite.tracks):
         raise TaskError(f"suite {suite.name!r} has episodes 0 to {len(suite.tracks) - 1}, not {episode}")
     return suite.tracks[episode]
 
 
 def _unknown(name: str) -> TaskError:
-    """What to say of a name that no suite has."""
+    """The error for an unknown suite name."""
     bare = {suite.partition(":")[2]: suite for suite in SUITES}
     near = difflib.get_close_matches(name.rpartition(":")[2].lower(), bare, n=1, cutoff=0.6)
     if name in FAMILIES:
@@ -198,10 +198,10 @@ def _fixed_suite(name: str) -> Suite:
 
 
 def suite_from_files(path: Path) -> Suite:
-    """A suite of the user's own: a task file, or a folder of them, in the published layout.
+    """A user's own suite: a task file, or a folder of them, in the published layout.
 
-    Of a folder its `*.json` are taken, or where it has none the `<Type>/<Type>.json` of published folders below it.
-    Every task is a track of one. Raises `TaskError` naming file, index and fix.
+    A folder contributes its `*.json`, or, if it has none, the `<Type>/<Type>.json` of published folders below it.
+    Every task is a track of one stage. Raises `TaskError` with file, index and fix.
     """
     path = Path(path)
     if problem := unprintable(path.name):

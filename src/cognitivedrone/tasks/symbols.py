@@ -1,4 +1,4 @@
-"""Symbol understanding: letters, numbers, logos and animals by their names."""
+"""Symbol understanding: letters, numbers, logos and animals by name."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ _LOGO_NAMES = {
     "ros": "ROS",
     "arch_linux": "Arch Linux",
 }
-"""Logos whose name is not just capitalised."""
+"""Logos whose name is not simply capitalised."""
 
 RIVALS: dict[str, frozenset[str]] = {
     name: frozenset().union(*(g for g in vocabulary.LOOKALIKES if name in g)) for name in vocabulary.ANIMALS
 }
-"""Animals that are easily taken for an animal, itself among them where there are any."""
+"""Animals that are easily confused with an animal, including itself if there are any."""
 
 
 def logo_name(logo: str) -> str:
-    """A logo's name as one writes it."""
+    """A logo's name in its usual spelling."""
     return _LOGO_NAMES.get(logo, logo.capitalize())
 
 
 def distinct_animals(draw: Draw, count: int, among: tuple[str, ...] = vocabulary.ANIMALS) -> list[str]:
-    """Animals of which none is easily taken for another."""
+    """Animals that are not easily confused with each other."""
     chosen: list[str] = []
     while len(chosen) < count:
         name = draw.pick(among)
@@ -85,5 +85,5 @@ def animals(draw: Draw) -> Puzzle:
 
 
 def _named(draw: Draw, panels: list[Panel], nouns: tuple[str, ...], **fields: str) -> Puzzle:
-    """Asks for the first of the panels."""
+    """A puzzle that asks for the first of the panels."""
     return draw.puzzle(draw.frame(draw.noun(nouns, **fields)), panels[0], panels[1:])

@@ -1,4 +1,4 @@
-"""What makes a task well formed. Every fault is one sentence that names the place and the fix."""
+"""Validation of tasks. Every error is one sentence that names the place and the fix."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ MAX_TEXT = 1000
 
 
 def check_word(value: object, known: tuple[str, ...], what: str, where: str) -> None:
-    """Raises `TaskError` unless `value` is one of `known`."""
+    """Raise `TaskError` unless `value` is one of `known`."""
     if not isinstance(value, str) or value not in known:
         raise TaskError(f"{where}: unknown {what} {str(value)[:40]!r}; {did_you_mean(str(value)[:40], known)}")
 
 
 def check_text(value: object, what: str, where: str) -> None:
-    """Raises `TaskError` unless `value` is a sentence or name of reasonable length that can be shown and written."""
+    """Raise `TaskError` unless `value` is a printable sentence or name of reasonable length."""
     if not isinstance(value, str):
         raise TaskError(f"{where}: {what} must be a string, not {type(value).__name__}")
     if not value.strip():
@@ -26,11 +26,11 @@ def check_text(value: object, what: str, where: str) -> None:
     if len(value) > MAX_TEXT:
         raise TaskError(f"{where}: {what} has {len(value)} characters; shorten it to {MAX_TEXT} at most")
     if problem := unprintable(value):
-        raise TaskError(f"{where}: {what} holds {problem}; take it out")
+        raise TaskError(f"{where}: {what} contains {problem}; remove it")
 
 
 def check_gates(gates: tuple[Gate, Gate, Gate], where: str) -> None:
-    """Raises `TaskError` unless the gates are of known looks and three different colours."""
+    """Raise `TaskError` unless the gates have known attributes and three different colours."""
     for number, gate in enumerate(gates, 1):
         check_word(gate.size, SIZES, f"size of gate {number}", where)
         check_word(gate.shape, SHAPES, f"shape of gate {number}", where)
@@ -44,7 +44,7 @@ def check_gates(gates: tuple[Gate, Gate, Gate], where: str) -> None:
 
 
 def validate_task(task: Task, where: str) -> None:
-    """Raises `TaskError` at the first fault of a task; `where` names it, for example "Animals.json[12]"."""
+    """Raise `TaskError` at the first fault of a task; `where` names it, for example "Animals.json[12]"."""
     for what, text in (("id", task.id), ("prompt", task.instruction), ("prompt_simpler", task.directive)):
         check_text(text, what, where)
     for what, text in (("family", task.family), ("background", task.background)):

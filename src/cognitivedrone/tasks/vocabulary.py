@@ -1,8 +1,8 @@
-"""What panels can show: names only, no pixels and no logic.
+"""Everything that panels can show: names only, no pixels and no logic.
 
-The names of animals, foods and objects are those of drawings that every style has; a label pack draws them in the
-styles listed here. A name is lower-case and singular, words joined by `_`; a few are plural as the drawing is.
-Whatever is held out never occurs in `open-v1:train` and appears in `open-v1:unseen` alone.
+Animals, foods and objects are limited to drawings that exist in every style; a label pack draws them in the styles
+listed here. A name is lower-case and singular, with words joined by `_`; a few are plural like their drawing.
+Held-out items never occur in `open-v1:train` and appear only in `open-v1:unseen`.
 """
 
 from __future__ import annotations
@@ -107,5 +107,5 @@ LOOKALIKES: tuple[frozenset[str], ...] = (
     frozenset({"ant", "bee", "beetle", "ladybug", "cricket", "mosquito", "spider"}),
     frozenset({"snake", "worm", "lizard", "crocodile"}),
 )
-"""Animals that one name could stand for, or that are easily taken for each other: never options of one task."""
+"""Animals that share a name or are easily confused: never options of one task."""
 # fmt: on

@@ -1,4 +1,4 @@
-"""How a task is said. The last wording of every list here is held out: `train` never shows it, `unseen` always does."""
+"""Wordings of tasks. The last wording of every list is held out: `train` never uses it, `unseen` always does."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FRAMES: tuple[str, ...] = (
     "I want you to fly through the gate with {x}",
     "Look for {x} and go through the gate below",
 )
-"""Whole sentences around a noun phrase."""
+"""Complete sentences around a noun phrase."""
 HELD_OUT_FRAMES: tuple[str, ...] = (
     "Head for the gate marked by {x}",
     "The gate you need is the one showing {x}",

@@ -1,1 +1,1 @@
-"""Trains policies and reasoners: recipes, the stream of examples, the trainer."""
+"""Training of policies and reasoners: recipes, rollout streams, the trainer."""

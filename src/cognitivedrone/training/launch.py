@@ -1,6 +1,6 @@
-"""One training on several processes of this machine: `python -m torch.distributed.run ... -m` this module.
+"""Training on several processes of this machine: `python -m torch.distributed.run ... -m` this module.
 
-The same module is what runs on several machines or GPUs; the launcher tells each process its rank.
+The same module runs on several machines or GPUs; the launcher gives each process its rank.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ from cognitivedrone.training.recipes import LanguageRecipe, TrainRecipe, find_re
 
 @dataclass(frozen=True, slots=True)
 class TrainOptions:
-    """What to train, and where."""
+    """Options of a training."""
 
     out: Path
     """Folder of the run: checkpoint, curves, TensorBoard logs and, at the end, model.onnx."""
     recipe: str = "small"
-    """small, race, base or debug; language; reader or mind of the reasoner; or one of the ablation."""
+    """Recipe: small, race, base or debug; language; reader or mind (the reasoner's networks); or an ablation."""
     data: Path | None = None
-    """A data set made by `collect`, instead of flights made while training (which train better: the network flies
-    some of them, and no two frames are alike)."""
+    """A data set made by `collect`, instead of flights made during training (which train better, because the network
+    flies some of them and no two frames are alike)."""
     start: Path | None = None
-    """Checkpoint of a policy: the one that is taught language, or whose sight a reader starts from and whose search
-    for gates is part of its eyes."""
+    """Checkpoint of a policy: the start of a language training, or of a reader, which takes over its panel encoder and
+    its gate detector."""
     seed: int = 0
     resume: bool = False
-    """Go on from the checkpoint in the folder."""
+    """Continue from the checkpoint in the folder."""
     processes: int = 1
-    """Processes on this machine, which share each batch: the number of CPU cores, or of GPUs."""
+    """Number of processes on this machine, which share each batch: the number of CPU cores, or of GPUs."""
     threads: int = 1
-    """CPU threads of each process's network."""
+    """CPU threads per process."""
 
 
 def run(options: TrainOptions) -> Path:
-    """Train, on as many processes as asked for, and export; returns the model file."""
+    """Train on the requested number of processes, and export; returns the model file."""
     _check(options)
     if options.processes == 1:
         return _work(options)
@@ -71,7 +71,7 @@ def command_of(options: TrainOptions) -> list[str]:
         if getattr(options, name) is not None:
             flags += [f"--{name}", getattr(options, name)]
     resume = "--resume" if options.resume else "--no-resume"
-    # Without the dashes alone the launcher would take --start for a flag of its own, cut short.
+    # Without the separating dashes, the launcher would read --start as an abbreviation of its own flag.
     return [sys.executable, "-m", *launcher, "-m", "--", __name__, *map(str, flags), resume]
 
 
@@ -80,10 +80,10 @@ def _check(options: TrainOptions) -> None:
     if isinstance(recipe, LanguageRecipe | ReaderRecipe) != (options.start is not None):
         raise TrainingError(
             "the recipes language and reader need --start with the checkpoint of a policy, such as"
-            " runs/small/checkpoint.safetensors; other recipes start from nothing"
+            " runs/small/checkpoint.safetensors; other recipes start from scratch"
         )
     if options.data is not None and not isinstance(recipe, TrainRecipe):
-        raise TrainingError(f"the recipe {options.recipe} learns from no flights; leave out --data")
+        raise TrainingError(f"the recipe {options.recipe} does not use flights; leave out --data")
 
 
 def _model_of(options: TrainOptions) -> Path:
@@ -93,7 +93,7 @@ def _model_of(options: TrainOptions) -> Path:
 
 
 def _work(options: TrainOptions) -> Path:
-    """This process's part."""
+    """The training in this process."""
     from cognitivedrone.training.common.trainer import TrainConfig, train
 
     _check(options)
@@ -106,7 +106,7 @@ def _work(options: TrainOptions) -> Path:
         return _export(options, checkpoint, model)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
-            f"stopped while {model} was written; the training is whole, the same command with --resume writes it"
+            f"stopped while {model} was written; the training is complete, the same command with --resume writes it"
         ) from None
 
 
@@ -138,14 +138,14 @@ def _subject(options: TrainOptions) -> TrainingTask:
 
 
 def main() -> None:
-    """A process of a distributed training."""
+    """Entry point of a process of a distributed training."""
     try:
         _work(tyro.cli(TrainOptions))
     except CognitiveDroneError as error:
         print(visible(f"cognitivedrone: {error}"), file=sys.stderr)  # noqa: T201
         sys.exit(2)
     except KeyboardInterrupt:
-        sys.exit(130)  # the process that launched this one says what is left
+        sys.exit(130)  # the launching process reports the state of the training
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How the small models are trained, as named frozen recipes."""
+"""Training recipes of the small models, as named frozen dataclasses."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ from cognitivedrone.training.small_vla.losses import LossWeights
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainRecipe(Schedule):
-    """Everything that decides what comes out of a training of the small VLA, but processes and seed."""
+    """Everything that determines a training of the small VLA, except processes and seed."""
 
     network: SmallVLAConfig = field(default_factory=SmallVLAConfig)
     stream: StreamRecipe = field(default_factory=StreamRecipe)
-    """Its batch is that of the whole training: processes share it."""
+    """Its batch is that of the whole training; processes share it."""
     losses: LossWeights = field(default_factory=LossWeights)
     validation_frames: int = 512
     fly_tasks: int = 60
-    """Tasks of a trial."""
+    """Number of tasks in a trial."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LanguageRecipe(Schedule):
-    """Everything that decides what comes out of teaching a policy language alone, but its start, processes and seed."""
+    """Everything that determines a training on language alone, except its start, processes and seed."""
 
     batch: int = 256
-    """Sentences; processes share them."""
+    """Number of sentences; processes share them."""
     spoken: float = 0.6
-    """Share of sentences that are said in more ways than the training tasks."""
+    """Share of sentences with more wordings than the training tasks."""
     muddled: float = 0.1
-    """Share of sentences that are put otherwise: words lost, left out and added, so that the rest must do."""
+    """Share of sentences with token noise: words lost, left out and added."""
     directives: float = 0.08
     """Share of sentences that are directives."""
     strangers: float = 0.4
-    """Share of sentences about people that ask for somebody unknown among known ones."""
+    """Share of sentences about people that ask for an unknown identity among known ones."""
     hidden: float = 0.3
-    """Share of sentences about a board where there is none in view, so that nobody can know which gate is meant."""
+    """Share of sentences about a board while no board is in view, so that the right gate is unknowable."""
     doubted: float = 0.4
-    """Share of boards that are in doubt: they get a second reading, that of another sentence."""
+    """Share of boards with uncertain readings: they get a second reading, that of another sentence."""
     kept: float = 1.0
-    """How much it counts to say, of the families that the policy knows, what it said before."""
+    """Distillation weight: for families that the policy already knew, how much its old answers count."""
     validation_sentences: int = 3000
     fly_tasks: int = 60
-    """Tasks of a trial."""
+    """Number of tasks in a trial."""
 
 
 SMALL = TrainRecipe(name="small", steps=9_000, decay_share=1 / 3, stream=StreamRecipe(spoken=0.5, muddled=0.1))
@@ -97,7 +97,7 @@ RECIPES: dict[str, TrainRecipe] = {
     ),
 } | {recipe.name: recipe for recipe in _ABLATION}
 """`small`: the shipped policy. `race`: the baseline without language. `base`: larger, for a GPU. `debug`: the whole
-path in seconds, of no use otherwise. `ablation-*`: a ninth of `small`, each but the first with one thing changed."""
+training path in seconds, for tests. `ablation-*`: a ninth of `small`, all but the first with one change."""
 
 
 LANGUAGE = LanguageRecipe(name="language", steps=3_000, learning_rate=1e-3, decay_share=0.5)
@@ -105,12 +105,12 @@ LANGUAGE = LanguageRecipe(name="language", steps=3_000, learning_rate=1e-3, deca
 Recipe: TypeAlias = TrainRecipe | LanguageRecipe | SelectorRecipe | ReaderRecipe
 
 ALL_RECIPES: dict[str, Recipe] = {**RECIPES, "language": LANGUAGE, "mind": MIND, "reader": READER}
-"""`language`: what a policy that flies is taught to understand beyond its own training. `mind`: what the small reasoner
-answers by. `reader`: what it reads panels with, from a policy's sight."""
+"""`language`: teaches a trained policy more language. `mind`: the small reasoner's gate selector. `reader`: its network
+for reading panels, which starts from a policy's panel encoder."""
 
 
 def find_recipe(name: str) -> Recipe:
-    """The recipe of that name; raises `TrainingError` with near names."""
+    """The recipe of that name; raises `TrainingError` with similar names."""
     if name not in ALL_RECIPES:
         raise TrainingError(f"unknown recipe {name!r}; {did_you_mean(name, ALL_RECIPES)}")
     return ALL_RECIPES[name]

@@ -1,1 +1,1 @@
-"""A stage in space: where its gates and panels stand, and the MuJoCo scene that shows them."""
+"""Stage geometry: the positions of gates and panels, and the MuJoCo scene that shows them."""

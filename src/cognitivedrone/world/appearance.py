@@ -1,4 +1,4 @@
-"""How a stage looks: the published plain look, and looks drawn at random. Pure numpy, no OpenGL."""
+"""Appearance of a stage: the published plain look, and randomised looks. Pure numpy, no OpenGL."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ class Look:
     surroundings: RGB
     surroundings_pattern: Pattern
     surroundings_glow: float
-    """0 to 1: the share of the surroundings' colour that shows whatever the light; at 1 the room has no edges."""
+    """0 to 1: the emissive share of the surroundings' colour; at 1 the room has no visible edges."""
     gate_colors: tuple[RGB, RGB, RGB]
-    """What red, green and blue gates are painted."""
+    """The colours of red, green and blue gates."""
     ambient: float
-    """Light from everywhere, 0 to 1."""
+    """Ambient light, 0 to 1."""
     diffuse: float
     """Directional light, 0 to 1."""
     light_direction: tuple[float, float, float]
-    """Where the light travels to, in the stage frame; the last number is negative (downwards)."""
+    """Direction of the light in the stage frame; the last component is negative (downwards)."""
     panel_brightness: float = 1.0
-    """What the labels' pixels are multiplied with, 0 to 1."""
+    """Factor on the labels' pixels, 0 to 1."""
     gain: float = 1.0
-    """The camera's exposure: multiplies pixels."""
+    """The camera's exposure: a factor on pixels."""
     gamma: float = 1.0
     """The camera's response curve: pixels (0 to 1) are raised to this power, before the gain."""
     noise: float = 0.0
@@ -66,7 +66,7 @@ PLAIN = Look(
 
 
 def varied_look(rng: np.random.Generator) -> Look:
-    """A look drawn from `rng`: another room, another light, another camera. Gate colours keep their names."""
+    """An appearance drawn from `rng`: random room, light and camera. Gate colours remain recognisable by name."""
 
     def hsv(hue: float, saturation: tuple[float, float], value: tuple[float, float]) -> RGB:
         return colorsys.hsv_to_rgb(hue % 1.0, rng.uniform(*saturation), rng.uniform(*value))
@@ -99,9 +99,9 @@ def varied_look(rng: np.random.Generator) -> Look:
 
 
 def expose(image: Image, look: Look, key: int) -> None:
-    """What the look's camera makes of a perfect `image` (h, w, 3), in place: response curve, gain, pixel noise.
+    """Apply the camera of an appearance to a perfect `image` (h, w, 3), in place: response curve, gain, pixel noise.
 
-    The noise depends on the look's seed and `key` alone, so equal keys give equal bits; h and w are at most 512.
+    The noise depends only on its seed and `key`, so equal keys give equal bits; h and w are at most 512.
     """
     if look.gain != 1.0 or look.gamma != 1.0:
         # bytes.translate is several times faster than indexing a table with an array.
@@ -117,7 +117,7 @@ def expose(image: Image, look: Look, key: int) -> None:
 
 
 def pattern_texture(pattern: Pattern) -> NDArray[np.uint8]:
-    """(128, 128, 3) grey texture that repeats without a seam; it is multiplied with a look's colour."""
+    """(128, 128, 3) seamless grey texture; it is multiplied with an appearance's colour."""
     y, x = np.mgrid[0:_PATTERN_SIZE, 0:_PATTERN_SIZE]
     rng = np.random.default_rng(PATTERNS.index(pattern))
     grey = np.ones((_PATTERN_SIZE, _PATTERN_SIZE))
@@ -166,7 +166,7 @@ def _response(gain: float, gamma: float) -> bytes:
 
 @lru_cache(maxsize=16)
 def _noise_table(noise: float) -> NDArray[np.int8]:
-    """(512, 512, 3) normal noise with a standard deviation of `noise` steps; offsets into it stand for draws."""
+    """(512, 512, 3) normal noise with a standard deviation of `noise` steps; random offsets into it replace draws."""
     return np.clip(np.round(_unit_noise() * noise), -128, 127).astype(np.int8)
 
 

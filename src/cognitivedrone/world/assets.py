@@ -1,7 +1,7 @@
-"""The MuJoCo model behind every stage: meshes and textures, compiled once.
+"""The MuJoCo model of all stages: meshes and textures, compiled once.
 
-Nothing in it moves and nothing stands anywhere: `scene.py` places its meshes. A stage brings only pictures, which are
-written into textures that are there already, so no stage needs a compilation.
+Nothing in it moves or has a position: `scene.py` places its meshes. A stage only adds pictures, which are
+written into existing textures, so no stage needs a compilation.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ TEXTURE_SIZE: Final = 256
 BOARD: Final = 3
 """Picture index of the board; 0 to 2 are the labels of gates 1 to 3."""
 PICTURES: Final = 4
-"""Pictures a slot: three labels and a board."""
+"""Pictures per slot: three labels and a board."""
 MAX_SLOTS: Final = 200
-"""MuJoCo's renderer holds at most 1000 textures."""
+"""Limited because MuJoCo's renderer holds at most 1000 textures."""
 
 ROOM_HALF_SIZE: Final = 40.0
 """Half the side of the room around a stage, m."""
 ROOM_HEIGHT: Final = 25.0
 """Height of the room, m."""
-_TILE = 3.0  # metres that one repetition of a pattern covers
+_TILE = 3.0  # metres covered by one repetition of a pattern
 
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A mesh of the model, and the pose of MuJoCo's copy of it in the frame it was written in.
+    """A mesh of the model, and the pose of MuJoCo's copy in the mesh's original frame.
 
-    MuJoCo turns and shifts the vertices of a mesh into the frame of its inertia; this undoes it.
+    MuJoCo rotates and shifts the vertices of a mesh into the frame of its inertia; this reverses it.
     """
 
     mesh: int
@@ -51,7 +51,7 @@ class Placed:
 
 @dataclass(frozen=True, slots=True)
 class Assets:
-    """The compiled model and where in it things are."""
+    """The compiled model and the indices of its parts."""
 
     model: Any
     """mujoco.MjModel."""
@@ -64,7 +64,7 @@ class Assets:
     patterns: dict[Pattern, int]
     """Material of each pattern."""
     pictures: NDArray[np.int32]
-    """(slots, 4) textures of each slot; the material has the number of its texture."""
+    """(slots, 4) texture numbers of each slot; each texture's material has the same number."""
 
 
 def build_assets(slots: int, image_size: int) -> Assets:
@@ -99,7 +99,7 @@ def build_assets(slots: int, image_size: int) -> Assets:
 
 
 def write_picture(assets: Assets, slot: int, picture: int, image: Image) -> int:
-    """Write an RGB image (h, w, 3) of any size into a slot's texture in memory; the texture's number, for uploading."""
+    """Write an RGB image (h, w, 3) of any size into a slot's texture; returns the texture's number, for upload."""
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
         raise ValueError(f"a picture is uint8 (h, w, 3), not {image.dtype} {image.shape}")
     size = (TEXTURE_SIZE, TEXTURE_SIZE)
@@ -143,7 +143,7 @@ def _placed(model: Any, name: str) -> Placed:
 
 
 def _quads(corners: FloatArray) -> NDArray[np.int64]:
-    """Two triangles for each of the (k, 4, 3) quads whose corners are listed counter-clockwise from outside."""
+    """Two triangles for each of the (k, 4, 3) quads with corners counter-clockwise from outside."""
     first = 4 * np.arange(len(corners))[:, None]
     return np.concatenate([first + np.array(half) for half in ([0, 1, 2], [0, 2, 3])])
 
@@ -158,7 +158,7 @@ def _frame_mesh(gate: Gate) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
     )
 
     def side(a: FloatArray, b: FloatArray) -> FloatArray:
-        """Quads between two rings, facing outwards where b lies counter-clockwise to the right of a."""
+        """Quads between two rings, facing outwards if b is counter-clockwise to the right of a."""
         return np.stack([a, b, np.roll(b, -1, axis=0), np.roll(a, -1, axis=0)], axis=1)
 
     quads = np.concatenate(
@@ -168,7 +168,7 @@ def _frame_mesh(gate: Gate) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
 
 
 def _panel_mesh() -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
-    """A thin box whose front (-x) and back (+x) both show the picture the right way round to who looks at them."""
+    """A thin box whose front (-x) and back (+x) both show the picture unmirrored to the viewer."""
     half = geometry.PANEL_DEPTH / 2
     y, z = np.array([0.5, -0.5, -0.5, 0.5]), np.array([-0.5, -0.5, 0.5, 0.5])
     front = np.column_stack([np.full(4, -half), y, z])
@@ -183,7 +183,7 @@ def _panel_mesh() -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
 
 
 def _floor_mesh() -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
-    """A square of the room's size at z = 0. It gets a hair's thickness because MuJoCo wants meshes to be solid."""
+    """A square of the room's size at z = 0, minimally thick because MuJoCo requires solid meshes."""
     half = ROOM_HALF_SIZE
     corners = np.array([[-half, -half, 0.0], [half, -half, 0.0], [half, half, 0.0], [-half, half, 0.0]])
     quads = np.stack([corners, (corners - [0.0, 0.0, 0.01])[::-1]])

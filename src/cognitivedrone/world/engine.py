@@ -1,8 +1,8 @@
-"""MuJoCo, imported whatever `MUJOCO_GL` says: `from cognitivedrone.world.engine import mujoco`.
+"""MuJoCo, imported regardless of `MUJOCO_GL`: `from cognitivedrone.world.engine import mujoco`.
 
-MuJoCo loads the library that `MUJOCO_GL` names as it is imported; where that is missing, PyOpenGL fails with errors of
-its own that name neither the cause nor a way out. Nothing but rendering needs it: here MuJoCo is then imported without,
-and `sim.gl` says in one sentence what is wrong, to whom renders.
+On import, MuJoCo loads the library that `MUJOCO_GL` names. If that is missing, PyOpenGL fails with errors
+that name neither the cause nor a solution. Only rendering needs the library, so this module then imports MuJoCo without
+it, and `sim.gl` explains the problem in one sentence when something renders.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import sys
 
 
 def _load() -> None:
-    """Import MuJoCo, without OpenGL where that does not start."""
+    """Import MuJoCo, without OpenGL if that does not start."""
     try:
         importlib.import_module("mujoco")
     except ImportError:
-        raise  # not installed, or built for another machine: the message says so
+        raise  # not installed, or built for another machine: the message explains it
     except Exception:  # ctypes, PyOpenGL and MuJoCo each fail in their own way
         wanted = os.environ.get("MUJOCO_GL")
         for name in [name for name in sys.modules if name.partition(".")[0] == "OpenGL"]:

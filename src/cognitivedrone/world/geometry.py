@@ -1,7 +1,7 @@
-"""Where a stage's gates, panels and start are, and how far a point is from them. Pure numpy.
+"""Stage geometry: positions of gates, panels and start, and distances of points from them. Pure numpy.
 
-World ENU in metres. The gate frame of a gate has its origin in the gate's centre and the axes (along, lateral,
-vertical): along is the outward normal, from the stage's origin through the gate, lateral points left of it, vertical
+World ENU in metres. A gate's frame has its origin in the gate's centre and the axes (along, lateral, vertical): along
+is the outward normal, from the stage's origin through the gate, lateral points to its left, vertical
 up. Functions accept any leading batch dimensions.
 
 Source of all sizes: the stage of the published CognitiveDroneBench (arXiv 2503.01378).
@@ -31,27 +31,27 @@ BAR_DEPTH: Final = 0.025
 PANEL_CENTER_HEIGHT: Final = 2.75
 """Height of a label panel's centre above ground, m."""
 PANEL_HEIGHT: Final = 2.0
-"""Height of a label panel itself, m; its width follows the image's aspect."""
+"""Height of a label panel itself, m; its width follows the image's aspect ratio."""
 PANEL_DEPTH: Final = 0.02
 """Thickness of a panel, m."""
 
 BOARD_CENTER: Final = np.array([5.2, 0.0, 5.05])
-"""Centre of the board that shows a sum, in the stage frame, m: above gate 2's panel, in view from every start."""
+"""Centre of the board that shows a sum, in the stage frame, m: above gate 2's panel, visible from every start."""
 BOARD_HEIGHT: Final = 2.2
-"""Height of the board itself, m; its width follows the image's aspect."""
+"""Height of the board itself, m; its width follows the image's aspect ratio."""
 
 START: Final = np.array([-1.0, 0.0, 0.75])
-"""Middle of the start box, in the stage frame, m. The drone starts looking along the stage's x axis."""
+"""Middle of the start box, in the stage frame, m. The drone starts facing the stage's x axis."""
 START_HALF_EXTENT: Final = 1.0
 """Half the side of the start box on every axis, m."""
 START_MIN_HEIGHT: Final = 0.2
-"""No start is lower than this, m."""
+"""Minimum height of a start, m."""
 
 NEXT_STAGE_DISTANCE: Final = 2.0
-"""On a track the next stage's origin lies this far behind the gate flown through, m.
+"""On a track, distance of the next stage's origin behind the gate flown through, m.
 
-The gate is then at x = -2 of the next stage, the rear face of its start box: a drone that leaves the gate forwards is
-inside the box from the first metre, and half a second after the crossing about at its middle.
+The gate is then at x = -2 of the next stage, the rear face of its start box. A drone that leaves the gate forwards is
+inside the box from the first metre, and near its middle half a second after the crossing.
 """
 
 _ROUND_RADIUS: Final[dict[Size, float]] = {"big": 0.75, "small": 0.375}
@@ -75,17 +75,17 @@ def gate_yaws(stage: Stage) -> FloatArray:
 
 
 def standing(stage: Stage) -> tuple[int, ...]:
-    """Indices of the gates that stand: all three, or the only one."""
+    """Indices of the gates in the stage: all three, or the only one."""
     return (0, 1, 2) if stage.only is None else (stage.only,)
 
 
 def panelled(stage: Stage) -> tuple[int, ...]:
-    """Indices of the gates that have a panel: all three, or none where one stands alone."""
+    """Indices of the gates with a panel: all three, or none if one gate stands alone."""
     return (0, 1, 2) if stage.only is None else ()
 
 
 def next_stage_origin(stage: Stage, gate_index: int) -> tuple[tuple[float, float], float]:
-    """Origin (x, y) in m and yaw in rad of the stage that follows once gate `gate_index` (0 to 2) is flown through.
+    """Origin (x, y) in m and yaw in rad of the next stage after flying through gate `gate_index` (0 to 2).
 
     Its x axis runs along the gate's outward normal, from `NEXT_STAGE_DISTANCE` behind the gate.
     """
@@ -126,7 +126,7 @@ def panel_distance(aspect: float, along: ArrayLike, lateral: ArrayLike, vertical
 
 
 def opening_outline(gate: Gate, grow: float = 0.0) -> FloatArray:
-    """(k, 2) corners (lateral, vertical) of the opening around the gate's centre, m, for drawing.
+    """(k, 2) corners (lateral, vertical) of the opening relative to the gate's centre, m, for drawing.
 
     Counter-clockwise in the (lateral, vertical) plane, the first corner not repeated. `grow` moves every edge
     outwards, m: `grow=BAR_WIDTH` outlines the frame. A circle becomes a 64-gon with its corners on the circle.
@@ -140,7 +140,7 @@ def opening_outline(gate: Gate, grow: float = 0.0) -> FloatArray:
 
 
 def _polygon(gate: Gate) -> tuple[FloatArray, float]:
-    """Corners at inradius one and the opening's true inradius. Both polygons are centred, so growing is scaling."""
+    """Corners at inradius one, and the opening's true inradius. Both polygons are centred, so growing is scaling."""
     if gate.shape == "square":
         return _SQUARE, _SIDE[gate.size] / 2
     return _TRIANGLE, _SIDE[gate.size] / (2 * np.sqrt(3.0))
@@ -171,5 +171,5 @@ def _polygon_distance(corners: FloatArray, x: FloatArray, y: FloatArray) -> Floa
 
 
 def _beyond(value: ArrayLike, half: float) -> FloatArray:
-    """How far |value| exceeds `half`; 0 where it does not."""
+    """How far |value| exceeds `half`; 0 if it does not."""
     return np.maximum(np.abs(np.asarray(value, dtype=np.float64)) - half, 0.0)

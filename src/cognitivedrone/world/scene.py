@@ -1,6 +1,6 @@
-"""A stage as MuJoCo draws it: a list of placed meshes and a light, written straight into an `mjvScene`.
+"""MuJoCo scene of a stage: placed meshes and a light, written straight into an `mjvScene`.
 
-Each slot keeps a scene of its own, filled once a stage; drawing a frame then only sets the camera. That is what makes
+Each slot keeps its own scene, filled once per stage; drawing a frame then only sets the camera. This makes
 rendering fast, and pictures independent of what was drawn before.
 """
 
@@ -19,7 +19,7 @@ from cognitivedrone.world.assets import BOARD, Assets, Placed
 from cognitivedrone.world.engine import mujoco
 
 _MAX_GEOMS = 32
-_GATE_GLOW = 0.4  # keeps the faces that light misses nameable
+_GATE_GLOW = 0.4  # keeps faces in shadow recognisable by colour
 _ARM = 0.11  # m, hub to rotor along x and along y: a 5-inch racing quadrotor
 _ROTOR_RADIUS = 0.065
 _BODY_COLOR: RGB = (0.15, 0.15, 0.17)
@@ -44,10 +44,10 @@ def fill_scene(
     board_aspect: float | None,
     look: Look,
 ) -> None:
-    """Replace what is in `scene` by a stage whose pictures are in the textures of `slot`.
+    """Replace the content of `scene` by a stage whose pictures are in the textures of `slot`.
 
-    `aspects` are the labels' widths over heights; `board_aspect` is the board's, or none where no board hangs. A gate
-    that stands alone has no panel. Room and light belong to the stage: they move and turn with it.
+    `aspects` are the labels' widths over heights; `board_aspect` is the board's, or None without a board. A gate
+    that stands alone has no panel. Room and light belong to the stage: they move and rotate with it.
     """
     scene.ngeom = 0
     home = np.array([*stage.origin, 0.0])
@@ -84,7 +84,7 @@ def fill_scene(
 
 
 def add_drone(scene: Any, state: DroneState, scale: float = 1.0) -> None:
-    """Put a quadrotor into the scene, for views that show it; taken out again by resetting `scene.ngeom`.
+    """Put a quadrotor into the scene, for third-person views; resetting `scene.ngeom` removes it.
 
     The front rotors are orange. `scale` enlarges it for views from afar.
     """
@@ -103,7 +103,7 @@ def add_drone(scene: Any, state: DroneState, scale: float = 1.0) -> None:
 
 
 def _pattern(assets: Assets, pattern: Any) -> int:
-    """Material of a pattern; -1, which is none and draws faster, where the pattern is plain."""
+    """Material of a pattern; -1, which is no material and draws faster, for the plain pattern."""
     return -1 if pattern == "plain" else assets.patterns[pattern]
 
 
@@ -133,9 +133,9 @@ def _add_shape(scene: Any, kind: Any, position: FloatArray, axes: FloatArray, si
 def _next_geom(
     scene: Any, kind: Any, position: FloatArray, axes: FloatArray, size: FloatArray, color: RGB, glow: float
 ) -> Any:
-    """A geom that shows `glow` (0 to 1) of its colour whatever the light, and the rest of it as lit."""
+    """A geom that shows the share `glow` (0 to 1) of its colour as emission, and the rest as lit."""
     geom = scene.geoms[scene.ngeom]
-    # OpenGL adds emission * colour to the lit colour, so the colour is dimmed by what the glow already shows.
+    # OpenGL adds emission * colour to the lit colour, so the colour is dimmed by the emitted share.
     lit = max(1.0 - glow, 1e-3)
     rgba = np.array([*(lit * part for part in color), 1.0], dtype=np.float32)
     mujoco.mjv_initGeom(geom, kind, size, position, axes.reshape(-1), rgba)
@@ -147,7 +147,7 @@ def _next_geom(
 
 
 def _set_light(scene: Any, level: FloatArray, look: Look) -> None:
-    """One directional light without a shadow."""
+    """One directional light without shadows."""
     direction = level @ np.array(look.light_direction)
     scene.nlight = 1
     light = scene.lights[0]

@@ -210,7 +210,7 @@ class TestFaults:
     def test_a_file_that_is_cut_off(self, folder):
         path = folder / "model.safetensors"
         path.write_bytes(path.read_bytes()[:-1000])
-        with pytest.raises(PolicyError, match=r"is cut off.*copy it again"):
+        with pytest.raises(PolicyError, match=r"is truncated.*copy it again"):
             inspect(folder)
 
     @pytest.mark.parametrize("content", [b"", b"abc", struct.pack("<Q", 10**12), struct.pack("<Q", 4) + b"[12]"])

@@ -1,4 +1,4 @@
-"""The exchange formats by name: what can be exported, and read back."""
+"""The exchange formats by name, for export and import."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ IMPORTS: dict[str, str] = {
 
 
 def export(episodes: Iterable[tuple[Split, Episode]], to: str, out: Path) -> int:
-    """Write the episodes in the format `to`, a key of `EXPORTS` or the user's "module:attribute"; returns how many.
+    """Write the episodes in the format `to`, a key of `EXPORTS` or the user's "module:attribute"; returns their number.
 
-    `out` becomes a whole data set or is left as it was. Raises `DataError` for an unknown format, a folder that is not
-    empty, and whatever cannot be written.
+    `out` becomes a complete data set or stays unchanged. Raises `DataError` for an unknown format, a folder that is not
+    empty, and anything that cannot be written.
     """
     try:
         writer = load("export format", to, EXPORTS)
@@ -44,7 +44,7 @@ def export(episodes: Iterable[tuple[Split, Episode]], to: str, out: Path) -> int
 def import_(path: Path, source: str) -> Iterator[tuple[Split, Episode]]:
     """The episodes of a data set in the format `source`, a key of `IMPORTS` or the user's "module:attribute".
 
-    Raises `DataError` for an unknown format, and while reading for whatever is missing or broken, naming the file.
+    Raises `DataError` for an unknown format, and while reading for anything missing or broken, with the file's name.
     """
     try:
         reader = load("import format", source, IMPORTS)

@@ -1,4 +1,4 @@
-"""ROS 2 bags in MCAP files, and the messages that a flight is told in; by the rosbags library, without ROS.
+"""ROS 2 bags in MCAP files, and the messages of a flight; by the rosbags library, without ROS.
 
     ros = Ros()
     with ros.create(folder, {POSE: POSE_TYPE, ...}) as bag:
@@ -43,12 +43,12 @@ FLIGHT_TOPICS: Final[Mapping[str, str]] = {
     INSTRUCTION: TEXT_TYPE,
     DIRECTIVE: TEXT_TYPE,
 }
-"""What every bag of a flight has, and of which type."""
+"""The topics of every flight bag, with their types."""
 _VERSION = 9  # of rosbag2's metadata
 
 
 class Bag:
-    """A bag that is being written."""
+    """A bag open for writing."""
 
     def __init__(self, writer: Any, store: Any, topics: Mapping[str, str]) -> None:
         self._writer = writer
@@ -59,12 +59,12 @@ class Bag:
         }
 
     def write(self, topic: str, stamp_ns: int, message: Any) -> None:
-        """Add a message of the topic's type; raises `OSError` where the disk does not take it."""
+        """Add a message of the topic's type; raises `OSError` if the disk refuses it."""
         self._writer.write(self._connections[topic], stamp_ns, self._store.serialize_cdr(message, self._topics[topic]))
 
 
 class Ros:
-    """Makes, writes and reads ROS 2 messages; raises `MissingExtra` without rosbags."""
+    """Creates, writes and reads ROS 2 messages; raises `MissingExtra` without rosbags."""
 
     def __init__(self) -> None:
         try:
@@ -77,13 +77,13 @@ class Ros:
 
     @contextmanager
     def create(self, folder: Path, topics: Mapping[str, str]) -> Iterator[Bag]:
-        """A new bag in a folder that does not exist yet; whole once it is left."""
+        """A new bag in a folder that does not exist yet; complete on leaving the context."""
         writer = self._bags.Writer(folder, version=_VERSION, storage_plugin=self._bags.StoragePlugin.MCAP)
         with writer:
             yield Bag(writer, self._store, topics)
 
     def read(self, folder: Path) -> dict[str, list[tuple[int, Any]]]:
-        """Stamp in ns and message of everything in a bag, by topic; raises whatever rosbags does for a broken one."""
+        """Stamp in ns and message of everything in a bag, by topic; raises rosbags' errors for a broken one."""
         found: dict[str, list[tuple[int, Any]]] = {}
         with self._bags.Reader(folder) as reader:
             for connection, stamp, data in reader.messages():
@@ -100,7 +100,7 @@ class Ros:
         return self._make[NUMBER_TYPE](data=float(number))
 
     def frame(self, stamp_ns: int, coded: bytes, encoding: Encoding) -> Any:
-        """A CompressedImage of an encoded frame; WebP, which ROS has no name for, becomes PNG."""
+        """A CompressedImage of an encoded frame; WebP, for which ROS has no name, becomes PNG."""
         if encoding == "webp":
             coded, encoding = encode_image(decode_image(coded), "png"), "png"
         header = self._header(stamp_ns, "camera")

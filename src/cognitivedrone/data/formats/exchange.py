@@ -1,4 +1,4 @@
-"""What all exchange formats share: the facts that travel beside the steps, and folders that are whole or absent."""
+"""Shared parts of all exchange formats: the facts beside the steps, and folders that are complete or absent."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cognitivedrone.files import check_regular, read_regular, reason_of
 from cognitivedrone.tasks import task_from_json, task_to_json
 
 MAX_SIDE = 2048
-"""Pixels a side of a frame that is imported; ours have 256."""
+"""Maximum side of an imported frame, pixels; ours have 256."""
 MAX_FRAME_BYTES = 32 * 2**20
 MAX_JSON_BYTES = 256 * 2**20
 
@@ -36,14 +36,14 @@ STEP_ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "position": (np.float64, (3,)),
     "quaternion": (np.float64, (4,)),
 }
-"""The numbers of a step: name in `Episode`, dtype, shape without the step axis."""
+"""Numeric arrays of a step: name in `Episode`, dtype, shape without the step axis."""
 
 
 @contextmanager
 def new_folder(out: Path) -> Iterator[Path]:
-    """A folder to write into that becomes `out` when all went well, and vanishes when not.
+    """A folder to write into that becomes `out` on success, and is removed on failure.
 
-    Raises `DataError` where `out` holds something already or cannot be written.
+    Raises `DataError` if `out` is not empty or cannot be written.
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise DataError(f"{out}: exists already; give a new or an empty folder, nothing is overwritten")
@@ -62,7 +62,7 @@ def new_folder(out: Path) -> Iterator[Path]:
 
 
 def record_of(split: Split, episode: Episode) -> dict[str, Any]:
-    """Plain JSON facts of an episode that no step carries; `episode_from` reads them back exactly."""
+    """Plain JSON facts of an episode beyond its steps; `episode_from` reads them back exactly."""
     return {
         "split": split,
         "suite": episode.suite,
@@ -74,7 +74,7 @@ def record_of(split: Split, episode: Episode) -> dict[str, Any]:
 
 
 def plain_facts(episode: Episode) -> dict[str, str | int]:
-    """The facts people filter by, flat: `correct_gate` counts from 1 as published task files do."""
+    """Flat facts for filtering: `correct_gate` counts from 1 like published task files."""
     task = episode.task
     return {
         "directive": task.directive,
@@ -90,7 +90,7 @@ def plain_facts(episode: Episode) -> dict[str, str | int]:
 def episode_from(
     record: object, images: tuple[bytes, ...], arrays: Mapping[str, NDArray[Any]], where: str
 ) -> tuple[Split, Episode]:
-    """The episode of facts, frames and step arrays (T, ...); `DataError` names the place where they do not fit."""
+    """The episode of facts, frames and step arrays (T, ...); `DataError` names the place of a mismatch."""
     try:
         facts = cast(dict[str, Any], record)
         conditions = dict(facts["conditions"])
@@ -120,7 +120,7 @@ def episode_from(
 
 
 def encoding_of(images: tuple[bytes, ...], where: str) -> Encoding:
-    """How the frames are encoded, by their first bytes; all alike."""
+    """The common encoding of the frames, by their first bytes."""
     if not images:
         raise DataError(f"{where}: holds no frame")
     found = {_magic(image) for image in images}
@@ -134,7 +134,7 @@ def encoding_of(images: tuple[bytes, ...], where: str) -> Encoding:
 
 
 def check_image(data: bytes, where: str) -> None:
-    """Raises `DataError` where a frame is larger than any drone's, by its header, or cannot be decoded in full."""
+    """Raise `DataError` if a frame is too large, by its header, or cannot be fully decoded."""
     try:
         with _opened(data, where) as picture:
             picture.load()
@@ -143,7 +143,7 @@ def check_image(data: bytes, where: str) -> None:
 
 
 def check_size(data: bytes, where: str) -> None:
-    """Raises `DataError` where a frame is no image, or a larger one than any drone's; only its header is read."""
+    """Raise `DataError` if a frame is not an image, or too large; reads only its header."""
     try:
         _opened(data, where).close()
     except (OSError, SyntaxError, ValueError) as error:
@@ -165,7 +165,7 @@ def _opened(data: bytes, where: str) -> PillowImage.Image:
 
 
 def read_json(path: Path) -> Any:
-    """The content of a JSON file; `DataError` where it is missing, no ordinary file, too large or malformed."""
+    """The content of a JSON file; `DataError` if it is missing, not a regular file, too large or malformed."""
     try:
         return json.loads(read_regular(path, MAX_JSON_BYTES).decode("utf-8"))
     except OSError as error:
@@ -177,7 +177,7 @@ def read_json(path: Path) -> Any:
 
 
 def check_file(path: Path) -> None:
-    """Raises `DataError` unless `path` is an ordinary file: what is handed to a library must not be waited for."""
+    """Raise `DataError` unless `path` is a regular file, because libraries might block on anything else."""
     try:
         check_regular(path)
     except OSError as error:

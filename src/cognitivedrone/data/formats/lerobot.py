@@ -1,12 +1,12 @@
-"""LeRobot v3: the data set layout that `LeRobotDataset` opens.
+"""LeRobot v3: the data set layout of `LeRobotDataset`.
 
     meta/{info.json, stats.json, tasks.parquet}, meta/episodes/chunk-000/file-000.parquet,
     data/chunk-000/file-000.parquet, and with video videos/observation.images.front/chunk-000/file-000.mp4
 
-(https://huggingface.co/docs/lerobot/lerobot-dataset-v3). Frames lie in the parquet files as they were encoded, or by
-choice in H.264 videos. Directive, category, family, right gate and seed are columns; `sent`, `position` and
-`quaternion` are too, and each episode's row in `meta/episodes` has a `record` with the rest, so that the import is
-exact (with video, exact but for the pictures). Split `val` comes after `train`, so that info.json can name both as
+(https://huggingface.co/docs/lerobot/lerobot-dataset-v3). Frames are stored in the parquet files as encoded, or
+optionally in H.264 videos. Directive, category, family, right gate and seed are columns; `sent`, `position` and
+`quaternion` are too, and each episode's row in `meta/episodes` has a `record` with the rest, so the import is
+exact (with video, exact except for the pictures). Split `val` comes after `train`, so that info.json can name both as
 ranges.
 """
 
@@ -43,9 +43,9 @@ from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE
 VERSION = "v3.0"
 IMAGE_KEY = "observation.images.front"
 CHUNK_SIZE = 1000
-"""Files a folder."""
+"""Files per folder."""
 FILE_MB = 100
-"""A data file is closed when its frames have grown beyond this."""
+"""A data file is closed once its frames exceed this size."""
 
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 DATA_PATH = f"data/{_FILE}.parquet"
@@ -65,16 +65,16 @@ _TEXTS = ("directive", "category", "family")
 
 
 def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
-    """Write the episodes with their frames in the parquet files, losslessly; returns how many.
+    """Write the episodes with their frames in the parquet files, losslessly; returns their number.
 
-    One episode is in memory at a time, and the numbers of all for the statistics. Raises `DataError` where `out` is not
+    One episode is in memory at a time, and the numbers of all for the statistics. Raises `DataError` if `out` is not
     empty or cannot be written.
     """
     return _export(episodes, out, video=False)
 
 
 def export_video(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
-    """As `export`, with the frames in H.264 videos."""
+    """Like `export`, with the frames in H.264 videos."""
     return _export(episodes, out, video=True)
 
 
@@ -93,7 +93,7 @@ def _export(episodes: Iterable[tuple[Split, Episode]], out: Path, *, video: bool
 
 
 def _val_last(episodes: Iterable[tuple[Split, Episode]], spool: Path) -> Iterator[tuple[Split, Episode]]:
-    """The same episodes, those of `val` kept on disk until the others are through."""
+    """The same episodes; those of `val` are buffered on disk until the others are written."""
     spool.mkdir()
     waiting: list[tuple[Path, int]] = []
     for split, episode in episodes:
@@ -110,7 +110,7 @@ def _val_last(episodes: Iterable[tuple[Split, Episode]], spool: Path) -> Iterato
 
 
 class _Writer:
-    """Files of one data set, written in order; the row group of an episode is written at once."""
+    """Files of one data set, written in order; each episode's row group is written at once."""
 
     def __init__(self, folder: Path, *, video: bool) -> None:
         self._folder = folder
@@ -164,7 +164,7 @@ class _Writer:
             self._video = None
 
     def write_meta(self) -> None:
-        """The folder `meta`, once all episodes are written."""
+        """Write the folder `meta`, after all episodes."""
         (self._folder / EPISODES_PATH).parent.mkdir(parents=True)
         pq.write_table(pa.Table.from_pylist(self.rows), self._folder / EPISODES_PATH)
         pq.write_table(_task_table(list(self._tasks)), self._folder / "meta/tasks.parquet")
@@ -172,7 +172,7 @@ class _Writer:
         write_json(self._folder / "meta/info.json", self._info())
 
     def _file(self) -> pq.ParquetWriter:
-        """The data file to write into: the open one, or the next where that has grown enough."""
+        """The current data file: the open one, or a new one if that is large enough."""
         if self._parquet is not None and self._file_bytes <= FILE_MB * 2**20:
             return self._parquet
         self.close()
@@ -232,7 +232,7 @@ def feature_spec(*, video: bool) -> dict[str, Any]:
 
 
 def _schema(*, video: bool) -> pa.Schema:
-    """Of the data files: columns in the order of `feature_spec`, none for the frames of a video."""
+    """Schema of the data files: columns in the order of `feature_spec`, none for the frames of a video."""
     fields = [] if video else [pa.field(IMAGE_KEY, pa.struct({"bytes": pa.binary(), "path": pa.string()}))]
     for name, (dtype, names) in _FLOATS.items():
         fields.append(pa.field(name, pa.list_(pa.type_for_alias(dtype), len(names))))
@@ -270,7 +270,7 @@ def _table(columns: dict[str, NDArray[Any]], episode: Episode, schema: pa.Schema
 
 
 def _task_table(tasks: list[str]) -> pa.Table:
-    """tasks.parquet: the sentence is the index of a pandas table, which only the schema's metadata can say."""
+    """tasks.parquet: the sentence is the index of a pandas table, which only the schema's metadata can express."""
     index = "__index_level_0__"
     table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), index: pa.array(tasks, pa.string())})
 
@@ -297,10 +297,10 @@ def _task_table(tasks: list[str]) -> pa.Table:
 
 
 def read(path: Path) -> Iterator[tuple[Split, Episode]]:
-    """The episodes of an export, in order; a data file at a time is in memory. Frames of videos become JPEG.
+    """The episodes of an export, in order; one data file is in memory at a time. Frames of videos become JPEG.
 
-    Raises `DataError` naming the file for whatever is missing or broken, for another version of the layout, and for a
-    data set made by others: it lacks the tasks and conditions.
+    Raises `DataError` with the file's name for anything missing or broken, for another version of the layout, and for
+    third-party data sets, which lack the tasks and conditions.
     """
     info_path = path / "meta/info.json"
     info = read_json(info_path)
@@ -314,7 +314,7 @@ def read(path: Path) -> Iterator[tuple[Split, Episode]]:
     is_video = isinstance(image, dict) and image.get("dtype") == "video"
     rows = _read_table(path / EPISODES_PATH).to_pylist()
     if rows and "record" not in rows[0]:
-        raise DataError(f"{path / EPISODES_PATH}: has no column 'record'; only own exports can be imported")
+        raise DataError(f"{path / EPISODES_PATH}: has no column 'record'; only exports of this package can be imported")
     opened: Path | None = None
     for row in rows:
         place = _place_of(row, path / EPISODES_PATH)
@@ -344,7 +344,7 @@ def read(path: Path) -> Iterator[tuple[Split, Episode]]:
 
 
 def _images(steps: pa.Table, where: str) -> tuple[bytes, ...]:
-    """The encoded frames of an episode; raises `DataError` where they do not lie in the file."""
+    """The encoded frames of an episode; raises `DataError` if they are not in the file."""
     column = steps[IMAGE_KEY].to_pylist() if IMAGE_KEY in steps.column_names else [None] * len(steps)
     images = [entry.get("bytes") if isinstance(entry, dict) else None for entry in column]
     if not all(isinstance(image, bytes) for image in images):
@@ -353,7 +353,7 @@ def _images(steps: pa.Table, where: str) -> tuple[bytes, ...]:
 
 
 def _place_of(row: dict[str, Any], where: Path) -> dict[str, int]:
-    """In which file an episode lies; raises `DataError`. The numbers become parts of paths."""
+    """The file of an episode; raises `DataError`. The numbers become parts of paths."""
     place = {name: row.get(f"data/{name}") for name in ("chunk_index", "file_index")}
     for name, number in place.items():
         if not isinstance(number, int) or number < 0:

@@ -1,7 +1,7 @@
-"""Statistics of a LeRobot data set: min, max, mean, std, count and quantiles a feature, for an episode and overall.
+"""Statistics of a LeRobot data set: min, max, mean, std, count and quantiles per feature, per episode and overall.
 
-Numbers are exact. Pictures are sampled, as LeRobot does: a few frames an episode, every fourth pixel each way, kept as
-one histogram a channel, which gives exact quantiles of the sample in a fixed amount of memory.
+Numbers are exact. Pictures are sampled, as in LeRobot: a few frames per episode, every fourth pixel in each direction,
+accumulated in one histogram per channel, which gives exact quantiles of the sample in constant memory.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PIXEL_STRIDE = 4
 
 
 class Statistics:
-    """Gathers episodes; `total` tells of all that were added."""
+    """Accumulates episodes; `total` covers all of them."""
 
     def __init__(self, image_key: str) -> None:
         self._image_key = image_key
@@ -31,7 +31,7 @@ class Statistics:
         self._frames = 0
 
     def add(self, numbers: Mapping[str, NDArray[Any]], images: tuple[bytes, ...]) -> dict[str, Stats]:
-        """Take in the step arrays (T, ...) and frames of an episode; returns the statistics of this one alone."""
+        """Add the step arrays (T, ...) and frames of an episode; returns the statistics of this one alone."""
         for name, values in numbers.items():
             self._columns.setdefault(name, []).append(values)
         sampled = [images[i] for i in np.unique(np.linspace(0, len(images) - 1, FRAMES_AN_EPISODE).astype(int))]
@@ -42,13 +42,13 @@ class Statistics:
         return stats | {self._image_key: image_stats(histogram, len(sampled))}
 
     def total(self) -> dict[str, Stats]:
-        """Statistics of everything that was added."""
+        """Statistics of all added episodes."""
         stats = {name: number_stats(np.concatenate(parts)) for name, parts in self._columns.items()}
         return stats | {self._image_key: image_stats(self._histogram, self._frames)}
 
 
 def number_stats(values: NDArray[Any]) -> Stats:
-    """Of (T,) or (T, n) numbers, each statistic a list of n (of one for scalars)."""
+    """Statistics of (T,) or (T, n) numbers, each a list of n (of one for scalars)."""
     table = values.reshape(len(values), -1).astype(np.float64)
     stats: Stats = {
         "min": table.min(0).tolist(),
@@ -62,7 +62,7 @@ def number_stats(values: NDArray[Any]) -> Stats:
 
 
 def image_stats(histogram: NDArray[np.int64], frames: int) -> Stats:
-    """Of a (3, 256) histogram of pixel values, scaled to 0..1; each statistic has shape (3, 1, 1)."""
+    """Statistics of a (3, 256) histogram of pixel values, scaled to 0..1; each has shape (3, 1, 1)."""
     level = np.arange(256) / 255
     share = histogram / histogram.sum(1, keepdims=True)
     mean = share @ level

@@ -1,4 +1,4 @@
-"""Frames of many episodes one after the other in an H.264 file, as LeRobot v3 keeps them."""
+"""H.264 videos with the frames of many episodes in sequence, as in LeRobot v3."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Image
 
 CODEC, PIXELS = "libx264", "yuv420p"
 CRF = 18
-"""Constant quality; 18 is hard to tell from the original."""
+"""Constant quality factor; 18 is hard to tell from the original."""
 KEYFRAME_EVERY = 2
-"""Frames; training reads at random, so a reader must never decode much to reach one frame."""
+"""Distance in frames; training reads at random, so a reader must decode little to reach one frame."""
 
 
 class VideoWriter:
@@ -44,13 +44,13 @@ class VideoWriter:
             self.frames += 1
 
     def close(self) -> None:
-        """Write what is still in the encoder, and the index."""
+        """Write the encoder's remaining frames, and the index."""
         self._container.mux(self._stream.encode(None))
         self._container.close()
 
 
 def read_frames(path: Path) -> Iterator[Image]:
-    """The frames of a file in order, (256, 256, 3) RGB; `DataError` where it cannot be decoded."""
+    """The frames of a file in order, (256, 256, 3) RGB; `DataError` if it cannot be decoded."""
     check_file(path)
     try:
         with av.open(str(path)) as container:

@@ -1,17 +1,17 @@
-"""Flights as ROS 2 bags in MCAP files: what Foxglove and `ros2 bag` open, written without ROS.
+"""Flights as ROS 2 bags in MCAP files, for Foxglove and `ros2 bag`, written without ROS.
 
-    set/episode_000012/episode_000012.mcap   one bag an episode, ten samples a second, the first one at 1 s
+    set/episode_000012/episode_000012.mcap   one bag per episode, ten samples a second, the first at 1 s
     set/episode_000012/metadata.yaml
 
 | topic | type | |
 |---|---|---|
 | /camera/image/compressed | sensor_msgs/CompressedImage | first-person frame, PNG or JPEG |
 | /camera/camera_info | sensor_msgs/CameraInfo | pinhole |
-| /pose | geometry_msgs/PoseStamped | true pose in `world` (ENU, body FLU) |
+| /pose | geometry_msgs/PoseStamped | ground-truth pose in `world` (ENU, body FLU) |
 | /velocity | geometry_msgs/TwistStamped | measured, heading frame, m/s; yaw rate, rad/s |
 | /height | std_msgs/Float32 | above ground, m |
-| /action | geometry_msgs/TwistStamped | the label: what the expert wants, heading frame |
-| /command | geometry_msgs/TwistStamped | what was sent |
+| /action | geometry_msgs/TwistStamped | the label: the expert's command, heading frame |
+| /command | geometry_msgs/TwistStamped | the command sent |
 | /instruction, /directive | std_msgs/String | at the start |
 | /episode | std_msgs/String | all other facts as JSON, at the start |
 """
@@ -51,9 +51,9 @@ _START_NS, _STEP_NS = 10**9, 10**9 // CONTROL_HZ  # a stamp of 0 means "unknown"
 
 
 def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
-    """Write one bag an episode; returns how many.
+    """Write one bag per episode; returns their number.
 
-    Raises `DataError` where `out` is not empty or cannot be written, `MissingExtra` without rosbags.
+    Raises `DataError` if `out` is not empty or cannot be written, `MissingExtra` without rosbags.
     """
     ros = Ros()
     count = 0
@@ -86,7 +86,7 @@ def _read_one(ros: Ros, folder: Path) -> tuple[Split, Episode]:
         found = {topic: [message for _, message in messages] for topic, messages in ros.read(folder).items()}
         record = json.loads(found[EPISODE][0].data)
         steps = [found[topic] for topic in _STEPS]
-    except Exception as error:  # of many kinds, by what is broken
+    except Exception as error:  # of many types, depending on the fault
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DataError(f"{folder}: not a whole bag of one episode ({reason}); export it again") from None
     if len(set(map(len, steps))) != 1:

@@ -1,17 +1,17 @@
-"""The published layout: a folder a flight, read and written, with its action convention converted both ways.
+"""The published layout: one folder per flight, read and written, with its action convention converted both ways.
 
     OUT/<Type>/<episode>/{setup.json, data.csv, images/image_<frame_id>.jpg}
 
 `data.csv` has the columns `frame_id,dx,dy,dz,angle,x,y,z,qx,qy,qz,qw`: frames count from 1, positions in metres in the
-world, quaternions scalar last. `dx..angle` are no velocities: they are the displacement over the next three samples,
-turned round in sign, in a frame that looks along the movement, and the yaw error towards it. We write, with p the
+world, quaternions scalar last. `dx..angle` are not velocities: they are the displacement over the next three samples,
+with reversed sign, in a frame along the direction of movement, and the yaw error towards it. We write, with p the
 position, yaw the heading and s = min(t + 3, last):
 
     d = p[s] - p[t]        dx = -hypot(d.x, d.y)        dy = 0        dz = -d.z
     angle = wrap(atan2(d.y, d.x) - yaw[t]), or 0 where the drone moves less than a millimetre sideways
 
 `setup.json` is the task in the published layout. Our own exports add the key `flight` with everything else, so that
-they come back exactly (pictures too, where they were JPEG). From flights of others, velocities are rebuilt by
+they are read back exactly (including pictures, if they were JPEG). For third-party flights, velocities are rebuilt by
 differences.
 """
 
@@ -58,10 +58,10 @@ _IN_CSV = ("position", "quaternion")
 
 
 def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
-    """Write the episodes in the published layout; returns how many.
+    """Write the episodes in the published layout; returns their number.
 
     The folder of a flight is named by its index, so that names sort like timestamps. Frames that are not JPEG become
-    JPEG of quality 95. Raises `DataError` where `out` is not empty or cannot be written.
+    JPEG of quality 95. Raises `DataError` if `out` is not empty or cannot be written.
     """
     count = 0
     with new_folder(out) as partial:
@@ -77,7 +77,7 @@ def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
 
 
 def published_actions(position: NDArray[np.float64], quaternion: Quaternions) -> NDArray[np.float64]:
-    """(T, 4) dx, dy, dz in m and angle in rad as published, of positions (T or T + 1, 3) and quaternions (T, 4)."""
+    """(T, 4) published dx, dy, dz in m and angle in rad for positions (T or T + 1, 3) and quaternions (T, 4)."""
     steps = np.arange(len(quaternion))
     ahead = np.minimum(steps + LOOKAHEAD, len(position) - 1)
     displacement = position[ahead] - position[steps]
@@ -88,7 +88,7 @@ def published_actions(position: NDArray[np.float64], quaternion: Quaternions) ->
 
 
 def velocities(position: FloatArray, yaw: FloatArray, period: float) -> NDArray[np.float32]:
-    """(T - 1, 4) the mean heading-frame velocity and yaw rate from each of T samples to the next, m/s and rad/s."""
+    """(T - 1, 4) mean heading-frame velocity and yaw rate between consecutive samples (T), m/s and rad/s."""
     linear = world_to_heading(np.diff(position, axis=0) / period, yaw[:-1])
     return np.column_stack([linear, wrap_angle(np.diff(yaw)) / period]).astype(np.float32)
 
@@ -96,12 +96,12 @@ def velocities(position: FloatArray, yaw: FloatArray, period: float) -> NDArray[
 def read(path: Path, *, frame_lag: int = FRAME_LAG) -> Iterator[tuple[Split, Episode]]:
     """The flights below a folder, in the order of their paths.
 
-    Own exports come back as they were. Flights of others are taken to be sampled at 10 Hz, with pictures `frame_lag`
-    samples behind their pose; a flight of n rows gives n - max(1, frame_lag) steps: what was commanded is unknown, so
-    the label of a step is the velocity flown from it to the next, and the state is the velocity that led to it. They
-    all are in the split `train`, of suite "published", numbered as found.
+    Our own exports are read back exactly. Third-party flights are assumed to be sampled at 10 Hz, with pictures
+    `frame_lag` samples behind their pose. A flight of n rows gives n - max(1, frame_lag) steps. The commands are
+    unknown, so the label of a step is the velocity flown from it to the next, and the state is the velocity that led to
+    it. All of them are in the split `train`, of suite "published", numbered as found.
 
-    Raises `DataError` naming the file and the row or frame that is missing or broken.
+    Raises `DataError` with the file and the row or frame that is missing or broken.
     """
     setups = sorted(path.glob("*/*/setup.json")) or sorted(path.glob("*/setup.json"))
     if not setups:
@@ -208,7 +208,7 @@ def _foreign_flight(
     position, quaternion = _pose(rows)
     yaw = yaw_of(quaternion)
     flown = velocities(position, yaw, 1 / CONTROL_HZ)[:length]
-    # What led to a step is what was flown from the one before; before the first, the drone stood at its start.
+    # The velocity before a step is that flown from the previous step; before the first, the drone was at rest.
     before = np.vstack([np.zeros((1, 3)), np.diff(position, axis=0) * CONTROL_HZ])[:length]
     frames = images[frame_lag : frame_lag + length]
     x, y, z = position[0].tolist()

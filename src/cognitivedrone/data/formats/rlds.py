@@ -1,11 +1,11 @@
-"""RLDS: episodes as TensorFlow Datasets reads them, written without TensorFlow.
+"""RLDS: episodes in the form that TensorFlow Datasets reads, written without TensorFlow.
 
 The folder is `OUT/cognitivedrone/1.0.0/{dataset_info.json, features.json, cognitivedrone-SPLIT.tfrecord-I-of-N}`, so
-that `tfds.builder("cognitivedrone", data_dir=OUT)` opens it, and `tfds.builder_from_directory` with the inner folder.
-One `tf.train.Example` an episode holds the steps flattened, as TFDS stores a `Dataset` feature:
-https://www.tensorflow.org/datasets/external_tfrecord. Beside the usual fields every step has
-`recorded/{sent, position, quaternion}`, which trainers ignore and which make the import exact; only WebP frames become
-PNG, because TensorFlow decodes no WebP.
+that `tfds.builder("cognitivedrone", data_dir=OUT)` opens it, and `tfds.builder_from_directory` the inner folder.
+One `tf.train.Example` per episode holds the flattened steps, as TFDS stores a `Dataset` feature:
+https://www.tensorflow.org/datasets/external_tfrecord. Beside the usual fields, every step has
+`recorded/{sent, position, quaternion}`, which trainers ignore and which make the import exact. Only WebP frames become
+PNG, because TensorFlow does not decode WebP.
 """
 
 from __future__ import annotations
@@ -45,16 +45,16 @@ NAME = "cognitivedrone"
 VERSION = "1.0.0"
 INFO = "dataset_info.json"
 SHARD_BYTES = 256 * 2**20
-"""A shard is closed when it has grown beyond this."""
+"""A shard is closed once it exceeds this size."""
 
 _PREFIX = "tensorflow_datasets.core.features."
 _TEMPLATE = "{DATASET}-{SPLIT}.{FILEFORMAT}-{SHARD_X_OF_Y}"
 
 
 def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
-    """Write the episodes as an RLDS data set; returns how many.
+    """Write the episodes as an RLDS data set; returns their number.
 
-    One episode is in memory at a time. Raises `DataError` where `out` is not empty or cannot be written.
+    One episode is in memory at a time. Raises `DataError` if `out` is not empty or cannot be written.
     """
     with new_folder(out) as partial:
         folder = partial / NAME / VERSION
@@ -62,7 +62,7 @@ def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
         splits: tuple[Split, ...] = ("train", "val")
         writers = {split: _SplitWriter(folder, split) for split in splits}
         only_jpeg = True
-        with ExitStack() as closing:  # all of them, even where the disk is full and closing one fails
+        with ExitStack() as closing:  # all of them, even if the disk is full and closing one fails
             for writer in writers.values():
                 closing.callback(writer.close)
             for split, episode in episodes:
@@ -79,11 +79,11 @@ def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One episode of an export, and where it lies."""
+    """One episode of an export, and its location."""
 
     shard: Path
     first_byte: int
-    """Of `payload` in the shard."""
+    """Offset of `payload` in the shard."""
     payload: bytes
     """A serialised `tf.train.Example`."""
     split: Split
@@ -96,21 +96,21 @@ def read(path: Path) -> Iterator[tuple[Split, Episode]]:
 
 
 def is_rlds(path: Path) -> bool:
-    """Whether a folder is that of an RLDS data set, or has ours in it; whether it can be read is another question."""
+    """Whether a folder is an RLDS data set, or contains one of ours; it may still be unreadable."""
     return (_inner(path) / INFO).is_file()
 
 
 def records(path: Path) -> Iterator[Record]:
     """The records of an export, train first; `path` is the folder given to `export` or the inner one.
 
-    Raises `DataError` naming the file for a missing or truncated shard, and for a data set made by others: it lacks the
-    tasks and conditions.
+    Raises `DataError` with the file's name for a missing or truncated shard, and for third-party data sets, which lack
+    the tasks and conditions.
     """
     folder = _inner(path)
     info = read_json(folder / INFO)
     if not isinstance(info, dict) or info.get("name") != NAME:
         name = info.get("name") if isinstance(info, dict) else None
-        raise DataError(f"{folder}: is data set {name!r}; only own exports, named {NAME!r}, can be read")
+        raise DataError(f"{folder}: is data set {name!r}; only exports of this package, named {NAME!r}, can be read")
     for name, lengths in _splits(info, folder / INFO):
         for number, length in enumerate(lengths):
             shard = folder / _shard_name(name, number, len(lengths))
@@ -140,7 +140,7 @@ def _inner(path: Path) -> Path:
 
 
 class _SplitWriter:
-    """The shards of one split; their names say how many there are, so they get them last."""
+    """The shards of one split; their names contain their number, so they are named last."""
 
     def __init__(self, folder: Path, split: Split) -> None:
         self._folder = folder
@@ -161,7 +161,7 @@ class _SplitWriter:
         self.lengths[-1] += 1
 
     def close(self) -> None:
-        """Close the last shard and give all of them their names."""
+        """Close the last shard and name all shards."""
         self._close_shard()
         for number in range(len(self.lengths)):
             part = self._folder / f"{self._split}-{number}.part"
@@ -187,7 +187,7 @@ def _shard_name(split: str, number: int, total: int) -> str:
 
 
 def _features_of(split: Split, episode: Episode) -> dict[str, Feature]:
-    """The flat features of an episode of T steps: arrays run over steps first, as TFDS expects."""
+    """The flat features of an episode of T steps: steps are the first axis, as in TFDS."""
     length = len(episode)
     last = np.zeros(length, np.int64)
     last[-1] = 1
@@ -236,7 +236,7 @@ def _episode_of(payload: bytes, where: str) -> tuple[Split, Episode]:
 
 
 def feature_spec(image_format: str) -> dict[str, Any]:
-    """features.json: what TFDS writes for the same features."""
+    """features.json, as TFDS writes it for the same features."""
     steps = {
         "observation": _dict(
             {

@@ -1,7 +1,6 @@
-"""The steps of an RLDS export, drawn at random as from a store: training reads either.
+"""Random access to the steps of an RLDS export, with the same interface as a store, for training.
 
-One pass over the shards checks every record and notes where each frame lies; frames themselves are read when they are
-asked for.
+One pass over the shards checks every record and locates each frame; frames themselves are read on access.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from cognitivedrone.types import IMAGE_SIZE, Task
 
 @dataclass(frozen=True, slots=True)
 class _Flight:
-    """What is kept of a record."""
+    """The part of a record that stays in memory."""
 
     index: int
     split: Split
@@ -35,20 +34,19 @@ class _Flight:
     """(T, 5)."""
     shard: Path
     frames: NDArray[np.int64]
-    """(T, 2) first byte of each frame in the shard, and its bytes."""
+    """(T, 2) offset of each frame in the shard, and its size in bytes."""
 
 
 class RldsSteps:
-    """The steps of an export, numbered as in the store that it was made of: episode after episode, by their indices.
+    """The steps of an export, numbered as in its original store: episode after episode, by index.
 
-    May be shared between threads. Actions, states and tasks are kept in memory, some hundred bytes a step.
+    Can be shared between threads. Actions, states and tasks are kept in memory, some hundred bytes per step.
     """
 
     def __init__(self, path: Path | str) -> None:
         """Open `path`, the folder given to the export or the inner one.
 
-        Raises `DataError` for a missing, altered or truncated shard, data made by others, and an index that is there
-        twice.
+        Raises `DataError` for a missing, altered or truncated shard, third-party data, and a repeated index.
         """
         self.path = Path(path)
         digest, flights = hashlib.sha256(), dict[int, _Flight]()
@@ -56,7 +54,7 @@ class RldsSteps:
             digest.update(record.payload)
             flight = _flight_of(record)
             if flight.index in flights:
-                raise DataError(f"{record.shard}: episode {flight.index} is there twice; export it again")
+                raise DataError(f"{record.shard}: episode {flight.index} appears twice; export it again")
             flights[flight.index] = flight
         self._flights = [flights[index] for index in sorted(flights)]
         self._digest = digest.hexdigest()
@@ -67,7 +65,7 @@ class RldsSteps:
         self._state = np.concatenate([np.empty((0, 5), np.float32), *(flight.state for flight in self._flights)])
 
     def content_hash(self) -> str:
-        """Of all records: the same for the same export."""
+        """Hash of all records: the same for the same export."""
         return self._digest
 
     def tasks(self) -> list[Task]:
@@ -75,11 +73,11 @@ class RldsSteps:
         return [flight.task for flight in self._flights]
 
     def episode_rows(self) -> NDArray[np.int64]:
-        """(n_steps,) the place in `tasks` of the episode that each step belongs to."""
+        """(n_steps,) the index in `tasks` of each step's episode."""
         return self._rows
 
     def step_numbers(self, split: Split | None = None) -> NDArray[np.int64]:
-        """The numbers of the steps of a split, or of all: what `steps` takes."""
+        """The step numbers of a split, or of all: the input of `steps`."""
         wanted = np.array([split in (None, flight.split) for flight in self._flights], np.bool_)
         return np.flatnonzero(wanted[self._rows]).astype(np.int64)
 
@@ -88,9 +86,9 @@ class RldsSteps:
         return self._action[self.step_numbers(split)]
 
     def steps(self, numbers: Sequence[int] | NDArray[np.integer[Any]]) -> Batch:
-        """The steps of these numbers in any order, as `Store.steps` gives them.
+        """The steps with these numbers in any order, like `Store.steps`.
 
-        Raises `DataError` for a number out of range, and for a broken frame naming file, episode and step.
+        Raises `DataError` for a number out of range, and for a broken frame with file, episode and step.
         """
         wanted = np.asarray(numbers, np.int64)
         if wanted.size and not 0 <= wanted.min() <= wanted.max() < len(self._rows):
@@ -110,11 +108,11 @@ class RldsSteps:
 
 
 def _flight_of(record: Record) -> _Flight:
-    """The record without its frames, but where they lie."""
+    """The record without its frames, but with their locations."""
     episode, at = record.episode, 0
     frames: list[tuple[int, int]] = []
     for image in episode.images:
-        # They follow each other; and wherever these very bytes stand, the frame can be read from there.
+        # They follow each other; and wherever these exact bytes occur, the frame can be read from there.
         at = record.payload.index(image, at)
         frames.append((record.first_byte + at, len(image)))
         at += len(image)
@@ -138,7 +136,7 @@ def _frame(flight: _Flight, step: int) -> NDArray[np.uint8]:
             decoded = decode_image(file.read(size))
         if decoded.shape != (IMAGE_SIZE, IMAGE_SIZE, 3):
             raise ValueError(f"it is {decoded.shape[1]}x{decoded.shape[0]}, not {IMAGE_SIZE}x{IMAGE_SIZE}")
-    except (OSError, ValueError, SyntaxError) as error:  # Pillow tells of broken PNG chunks by SyntaxError
+    except (OSError, ValueError, SyntaxError) as error:  # Pillow reports broken PNG chunks as SyntaxError
         raise DataError(
             f"{flight.shard}: the frame of episode {flight.index}, step {step}, is broken ({error}); export it again"
         ) from None

@@ -23,9 +23,9 @@ Feature: TypeAlias = Sequence[bytes] | NDArray[np.float32] | NDArray[np.int64]
 """A list of byte strings, or a flat array of float32 or int64."""
 
 HEAD_BYTES = 12
-"""Of framing, before a payload."""
+"""Size of the framing before a payload."""
 FRAME_BYTES = 16
-"""What framing adds to a payload."""
+"""Total size of the framing of a payload."""
 
 _DELIMITED = 2
 _BYTES_LIST, _FLOAT_LIST, _INT64_LIST = 1, 2, 3
@@ -41,7 +41,7 @@ def write_record(file: BinaryIO, payload: bytes) -> int:
 
 
 def read_records(path: Path) -> Iterator[bytes]:
-    """The payloads of a file in order; `DataError` names the file and the record that is cut off or altered."""
+    """The payloads of a file in order; `DataError` names the file and the truncated or altered record."""
     try:
         with path.open("rb") as file:
             size, number = path.stat().st_size, 0
@@ -61,7 +61,7 @@ def read_records(path: Path) -> Iterator[bytes]:
 
 
 def encode_example(features: Mapping[str, Feature]) -> bytes:
-    """A serialized `tf.train.Example`; names in order, so that equal content gives equal bytes."""
+    """A serialised `tf.train.Example`; names in order, so that equal content gives equal bytes."""
     entries = []
     for name in sorted(features):
         entry = _field(1, name.encode()) + _field(2, _encode_feature(features[name]))
@@ -70,7 +70,7 @@ def encode_example(features: Mapping[str, Feature]) -> bytes:
 
 
 def decode_example(payload: bytes) -> dict[str, Feature]:
-    """What `encode_example` was given; raises `ValueError` where the bytes are no `Example`."""
+    """The inverse of `encode_example`; raises `ValueError` if the bytes are not an `Example`."""
     features: dict[str, Feature] = {}
     for _, feature_map in _fields(payload):
         for _, entry in _fields(feature_map):
@@ -96,7 +96,7 @@ def _encode_feature(values: Feature) -> bytes:
 
 
 def _decode_feature(data: bytes) -> Feature:
-    """Reads lists packed, as all writers of today have them."""
+    """Reads packed lists, the form that all current writers use."""
     for kind, content in _fields(data):
         values = [value for _, value in _fields(content)]
         if kind == _BYTES_LIST:

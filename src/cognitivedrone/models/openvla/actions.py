@@ -1,4 +1,4 @@
-"""Velocities to the 256 bins on the last words of the vocabulary, and back; the statistics that scale them."""
+"""Action tokens: velocities to the 256 bins on the last tokens of the vocabulary, and back; scaling statistics."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from cognitivedrone.types import Commands, FloatArray
 
 BINS = 256
 EDGES: FloatArray = np.linspace(-1.0, 1.0, BINS)
-"""Between the bins; what lies below the first one is in the first bin."""
+"""Edges between the bins; values below the first edge are in the first bin."""
 CENTRES: FloatArray = (EDGES[:-1] + EDGES[1:]) / 2
-"""(255,): the last edge closes the last bin, so that ids `WORDS - 256` and `WORDS - 255` mean the same."""
+"""(255,): the last edge closes the last bin, so that ids `WORDS - 256` and `WORDS - 255` have the same centre."""
 STILL = 1e-6
-"""A dimension whose quantiles are no further apart than this, m/s or rad/s, never moved."""
+"""A dimension whose quantiles differ by no more than this, m/s or rad/s, counts as never moving."""
 
 Tokens: TypeAlias = NDArray[np.int64]
 
@@ -35,7 +35,7 @@ class ActionStatistics:
     """vx, vy, vz in m/s, yaw rate in rad/s."""
     q99: tuple[float, ...]
     mask: tuple[bool, ...] = (True,) * ACTION_SIZE
-    """Whether the network's answer in a dimension is scaled at all."""
+    """Whether the network's output in a dimension is scaled."""
 
     def __post_init__(self) -> None:
         for name, values in (("q01", self.q01), ("q99", self.q99), ("mask", self.mask)):
@@ -49,11 +49,11 @@ class ActionStatistics:
             raise ModelError(f"q01 is {list(self.q01)} and q99 {list(self.q99)}; they must be finite, q01 <= q99")
 
     def to_json(self) -> dict[str, Any]:
-        """As under `norm_stats.KEY.action` of a published `config.json`."""
+        """The form under `norm_stats.KEY.action` of a published `config.json`."""
         return {"q01": list(self.q01), "q99": list(self.q99), "mask": list(self.mask)}
 
     def normalise(self, actions: Commands) -> Commands:
-        """Actions (..., 4) as the network is trained on them, in [-1, 1]; 0 in a dimension that never moves."""
+        """Actions (..., 4) normalised for training, in [-1, 1]; 0 in a dimension that never moves."""
         low, high, mask = self._arrays()
         width = high - low
         moving = width > STILL
@@ -62,7 +62,7 @@ class ActionStatistics:
         return np.asarray(np.where(mask, scaled, actions))
 
     def flown(self, normalised: Commands) -> Commands:
-        """The network's answers (..., 4) in [-1, 1] as velocities; a dimension that never moves stays where it was."""
+        """The network's outputs (..., 4) in [-1, 1] as velocities; a dimension that never moves keeps its value."""
         low, high, mask = self._arrays()
         return np.asarray(np.where(mask, 0.5 * (normalised + 1.0) * (high - low) + low, normalised))
 
@@ -115,7 +115,7 @@ def _only_drone(norm_stats: Mapping[str, Any]) -> str:
 
 
 def _numbers(told: Any) -> int | None:
-    """How many numbers an action has, where the statistics say so."""
+    """The number of action components, if the statistics give it."""
     try:
         return len(told["action"]["q01"])
     except (KeyError, TypeError):
@@ -123,10 +123,10 @@ def _numbers(told: Any) -> int | None:
 
 
 def to_tokens(normalised: FloatArray) -> Tokens:
-    """Ids of the words that stand for actions (..., 4) in [-1, 1]: `WORDS` - 1 for -1, `WORDS` - 256 for 1."""
+    """Token ids of actions (..., 4) in [-1, 1]: `WORDS` - 1 for -1, `WORDS` - 256 for 1."""
     return np.asarray(WORDS - np.digitize(np.clip(normalised, -1.0, 1.0), EDGES), dtype=np.int64)
 
 
 def from_tokens(tokens: Tokens) -> FloatArray:
-    """Bin centres of the ids (..., 4); a word that stands for no action counts as the nearest that does."""
+    """Bin centres of the ids (..., 4); a token that is not an action counts as the nearest one that is."""
     return np.asarray(CENTRES[np.clip(WORDS - tokens - 1, 0, len(CENTRES) - 1)])

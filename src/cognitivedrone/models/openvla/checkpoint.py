@@ -1,11 +1,11 @@
-"""A checkpoint's folder: everything that can be wrong with it is said here, before anything heavy is loaded.
+"""A checkpoint's folder, fully checked before anything heavy is loaded.
 
 config.json                    published, or written by `weights.save`
 model.safetensors              or several with model.safetensors.index.json
 tokenizer.json                 Llama's
-preprocessor_config.json       may be missing: then the images are prepared as published
-dataset_statistics.json        may be missing: statistics of fine-tuning, beside those in config.json
-action_head.safetensors        of the parallel decoder, where config.json tells of a chunk
+preprocessor_config.json       optional: without it, images are prepared as published
+dataset_statistics.json        optional: statistics of fine-tuning, beside those in config.json
+action_head.safetensors        of the parallel decoder, if config.json has a chunk
 """
 
 from __future__ import annotations
@@ -35,27 +35,27 @@ PREPARATION = "preprocessor_config.json"
 STATISTICS = "dataset_statistics.json"
 HEAD = "action_head.safetensors"
 LARGEST_HEADER = 100_000_000
-"""Bytes that the format allows for the description of a file's tensors."""
+"""Maximum header size that the format allows for the description of a file's tensors, bytes."""
 GROUP = 128
-"""Weights of 4 bits that share a scale and a zero."""
+"""Number of 4-bit weights that share a scale and a zero."""
 BYTES_PER_WEIGHT: dict[Quantisation, float] = {"none": 2.0, "int8": 1.0, "int4": 0.5 + 4 / GROUP}
-"""Of a matrix in Llama's layers; scale and zero have 2 bytes each."""
+"""Bytes per weight of a matrix in Llama's layers; scale and zero have 2 bytes each."""
 _WORK = 0.04
-"""Room for activations, keys, values and workspaces, as a fraction of the weights."""
+"""Memory for activations, keys, values and workspaces, as a fraction of the weights."""
 
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """A folder that has been looked at."""
+    """A checked checkpoint folder."""
 
     folder: Path
     config: Config
     files: Mapping[str, Path]
-    """Where each tensor of the network lies, by its published name."""
+    """The file of each tensor of the network, by its published name."""
     head: Path | None
     """The file of the parallel decoder's head."""
     stored_bytes: int
-    """Of each number in the files: 2 or 4."""
+    """Bytes of each number in the files: 2 or 4."""
     statistics_key: str
     statistics: ActionStatistics
     preparation: ImagePreparation
@@ -90,7 +90,7 @@ def inspect(
 
 
 def needed_bytes(config: Config, quantisation: Quantisation, stored: int = 2) -> int:
-    """Memory that flying a network takes; `stored` are the bytes of each weight that is not quantised."""
+    """Memory for inference; `stored` is the number of bytes of each weight that is not quantised."""
     total = 0.0
     for name, shape in (used_tensors(config) | head_tensors(config)).items():
         matrix = len(shape) == 2 and "embed" not in name and name.startswith("language_model.model")
@@ -116,19 +116,19 @@ def check_reading(whole: int, free: int, quantisation: Quantisation) -> None:
     """Raises `ModelError` where the host cannot hold a network that is read whole, to be quantised."""
     if whole > free:
         raise ModelError(
-            f"quant={quantisation}: the network is read whole before it becomes small, and that needs"
+            f"quant={quantisation}: the whole network is read before it is quantised, and that needs"
             f" {whole / 1e9:.1f} GB of the host's memory, has {free / 1e9:.1f} GB free; close what else runs, or take a"
             " machine with more"
         )
 
 
 def free_memory() -> int:
-    """Bytes of the host's memory that a new process may take."""
+    """Bytes of the host's memory available to a new process."""
     try:
         for line in Path("/proc/meminfo").read_text().splitlines():
             if line.startswith("MemAvailable:"):
                 return int(line.split()[1]) * 1024
-    except OSError:  # not a Linux
+    except OSError:  # not Linux
         pass
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
@@ -151,12 +151,12 @@ def read_header(path: Path) -> dict[str, Any]:
     except (ValueError, KeyError, TypeError, IndexError, AttributeError):
         raise ModelError(f"{path} is not a safetensors file; if it is a pointer of Git LFS, fetch the file") from None
     if held != end:
-        raise ModelError(f"{path} is cut off: it holds {held} bytes of tensors, not {end}; copy it again")
+        raise ModelError(f"{path} is truncated: it holds {held} bytes of tensors, not {end}; copy it again")
     return header
 
 
 def _own_statistics(folder: Path, told: Mapping[str, Any]) -> dict[str, Any]:
-    """Of the configuration `told`, and of fine-tuning."""
+    """Statistics of the configuration `told`, and of fine-tuning."""
     fine_tuned = _read_json(folder / STATISTICS) if (folder / STATISTICS).is_file() else {}
     return {**told.get("norm_stats", {}), **fine_tuned}
 
@@ -197,12 +197,12 @@ def _tensors(folder: Path) -> tuple[Shapes, dict[str, Path], int]:
 
 
 def _head(folder: Path, config: Config) -> Path | None:
-    """The checked file of the parallel decoder's head, where there is to be one."""
+    """The checked file of the parallel decoder's head, if there should be one."""
     if config.chunk is None:
         return None
     path = folder / HEAD
     if not path.is_file():
-        raise ModelError(f"{folder} lacks {HEAD}, and its {CONFIG} tells of chunks of {config.chunk} actions")
+        raise ModelError(f"{folder} lacks {HEAD}, and its {CONFIG} has chunks of {config.chunk} actions")
     shapes = {name: tuple(entry["shape"]) for name, entry in read_header(path).items()}
     check_tensors(shapes, head_tensors(config), {}, str(path))
     return path

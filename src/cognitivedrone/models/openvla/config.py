@@ -1,4 +1,4 @@
-"""The sizes of an OpenVLA, and the published `config.json` that tells them."""
+"""Sizes of an OpenVLA, and the published `config.json` that contains them."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from typing import Any
 from cognitivedrone.errors import ModelError
 
 IMAGE = 224
-"""Height and width of what the towers see, pixels."""
+"""Height and width of the towers' input, pixels."""
 PATCH = 14
 """Height and width of a patch, pixels."""
 PATCHES = (IMAGE // PATCH) ** 2
 ACTION_SIZE = 4
 """vx, vy, vz, yaw rate."""
 WORDS = 32_000
-"""Pieces of Llama's tokenizer; the embedding has 64 rows more, for padding."""
+"""Vocabulary size of Llama's tokenizer; the embedding has 64 more rows, for padding."""
 PADDING = 32_000
 """Id of the padding token."""
 KEY = "cognitivedrone"
-"""Of what our own checkpoints say in `config.json` beside the published keys."""
+"""Key of our own entries in `config.json`, beside the published ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class TowerSize:
-    """One vision transformer. The last of its `depth` blocks exists in checkpoints and is never run."""
+    """Size of one vision transformer. The last of its `depth` blocks exists in checkpoints and is never run."""
 
     width: int
     depth: int
@@ -34,13 +34,13 @@ class TowerSize:
     hidden: int
     """Width inside the two-layer perceptron of a block."""
     registers: int | None = None
-    """Register tokens, which stand beside a class token; none for a tower without either."""
+    """Number of register tokens, beside a class token; None for a tower without either."""
     layer_scale: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class LanguageSize:
-    """The Llama. The defaults are those of Llama-2-7B as published OpenVLA configurations imply them."""
+    """Size of the Llama. The defaults are those of Llama-2-7B that published OpenVLA configurations imply."""
 
     hidden_size: int = 4096
     intermediate_size: int = 11008
@@ -65,17 +65,17 @@ PUBLISHED_TOWERS = {
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """Both towers, the Llama, and what our own checkpoints add."""
+    """Sizes of both towers and the Llama, and our own additions."""
 
     dino: TowerSize = DINO
     siglip: TowerSize = SIGLIP
     language: LanguageSize = LanguageSize()
     chunk: int | None = None
-    """Actions that the parallel decoder's head gives at once; none for a checkpoint without that head."""
+    """Number of actions that the parallel decoder's head outputs; None for a checkpoint without that head."""
 
     @property
     def vision_width(self) -> int:
-        """Of a patch's features, from both towers."""
+        """Width of a patch's features, from both towers."""
         return self.dino.width + self.siglip.width
 
 
@@ -113,7 +113,7 @@ def read_config(told: Mapping[str, Any]) -> Config:
 
 
 def write_config(config: Config, norm_stats: Mapping[str, Any]) -> dict[str, Any]:
-    """What `read_config` reads, with the published keys where there are such, and the statistics of actions."""
+    """The inverse of `read_config`, with the published keys and the action statistics."""
     language = asdict(config.language)
     return {
         "model_type": "openvla",

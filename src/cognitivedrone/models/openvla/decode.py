@@ -1,10 +1,10 @@
-"""One control step of the network: image and prompt to normalised actions.
+"""Decoders: one control step of the network, from image and prompt to normalised actions.
 
-Two ways: word by word with a static cache of keys and values, as the published model was trained; or all numbers of a
-chunk at once. Either is one function of tensors with fixed shapes, without a look at a value on the way, so that a GPU
-can record it once as a CUDA graph and replay it without the host. To keep the shapes fixed, prompts are padded at
-the right to a few lengths; neither the padding nor the place of the patches changes an answer. On a GPU, steps have a
-stream of their own with priority: a reasoner that thinks on the same card in another thread is overtaken.
+There are two: autoregressive, with a static cache of keys and values, as the published model was trained; or all
+numbers of a chunk in parallel. Each is one function of tensors with fixed shapes and without host synchronisation, so
+a GPU can capture it once as a CUDA graph and replay it. To keep the shapes fixed, prompts are padded on the right to
+a few lengths; neither the padding nor the position of the patches changes an answer. On a GPU, steps run in their
+own high-priority stream, ahead of a reasoner that runs on the same GPU in another thread.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from cognitivedrone.models.openvla.network import OpenVlaNetwork
 from cognitivedrone.types import FloatArray
 
 LENGTHS = (32, 64, 128, 256, 512, 1024)
-"""That prompts are padded to, in tokens."""
+"""Lengths to which prompts are padded, in tokens."""
 FIRST = -1
-"""Priority of the steps' stream; that of others is 0."""
+"""Priority of the steps' stream; other streams have 0."""
 
 Step: TypeAlias = Callable[[Tensor, Tensor, Tensor], Tensor]
 """`pixel_values` (1, 6, 224, 224), padded `input_ids` (1, T), their true number (1,) to the step's answer."""
 
 
 class Decoder(Protocol):
-    """A way to get actions out of the network."""
+    """Interface of the decoders."""
 
     def __call__(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> FloatArray:
-        """An image (6, 224, 224) and a prompt's ids to actions (k, 4), k >= 1, normalised to [-1, 1]."""
+        """From an image (6, 224, 224) and a prompt's ids to actions (k, 4), k >= 1, normalised to [-1, 1]."""
         ...
 
 
 class Autoregressive:
-    """One action, word by word: the most probable of all words each time."""
+    """One action, token by token, by greedy decoding."""
 
     def __init__(self, network: OpenVlaNetwork, *, compiled: bool = False) -> None:
         self._runner = Runner(lambda *inputs: greedy_tokens(network, *inputs), network, compiled=compiled)
@@ -49,13 +49,13 @@ class Autoregressive:
         return from_tokens(self.tokens(pixel_values, input_ids))[None]
 
     def tokens(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-        """Ids (4,) of the words that the network answers."""
+        """Ids (4,) of the generated tokens."""
         answer: np.ndarray[tuple[int], np.dtype[np.int64]] = self._runner(pixel_values, input_ids).numpy()
         return answer
 
 
 class Parallel:
-    """A chunk of actions in one pass, by the network's action head; raises `ValueError` for one without."""
+    """A chunk of actions in one pass, by the network's action head; raises `ValueError` for a network without one."""
 
     def __init__(self, network: OpenVlaNetwork, *, compiled: bool = False) -> None:
         if network.action_head is None:
@@ -69,13 +69,13 @@ class Parallel:
 
 
 def greedy_tokens(network: OpenVlaNetwork, pixel_values: Tensor, input_ids: Tensor, count: Tensor) -> Tensor:
-    """A `Step`: the ids (4,) of the most probable words, one after the other."""
+    """A `Step`: the ids (4,) of the most probable tokens, one after the other."""
     embedded = network.embed(input_ids, pixel_values)
     length = embedded.shape[1]
     memory = KeyValues(network.config.language, embedded, length + ACTION_SIZE - 1)
     places = torch.arange(length + ACTION_SIZE - 1, device=embedded.device)
     states = network.states(embedded, None, memory=memory)
-    following = count + PATCHES  # the place of the next word; in the cache it overwrites padding
+    following = count + PATCHES  # position of the next token; in the cache it overwrites padding
     token = network.language_model.lm_head(states.index_select(1, following - 1)).argmax(-1)
     tokens = [token]
     for _ in range(ACTION_SIZE - 1):
@@ -95,7 +95,7 @@ def chunk_actions(network: OpenVlaNetwork, pixel_values: Tensor, input_ids: Tens
 
 
 class KeyValues:
-    """Keys and values of every layer of one text, at places that never move; of the type and device of `like`."""
+    """Keys and values of every layer of one text, at fixed addresses; of the type and device of `like`."""
 
     def __init__(self, size: LanguageSize, like: Tensor, places: int) -> None:
         shape = (
@@ -105,13 +105,13 @@ class KeyValues:
             places,
             size.hidden_size // size.num_attention_heads,
         )
-        # Zeros, since what is masked is still multiplied by its weight of zero.
+        # Zeros, because masked values are still multiplied by their weight of zero.
         self._keys, self._values = like.new_zeros(shape), like.new_zeros(shape)
         self.place: Tensor | None = None
-        """Where the next token goes, (1,); none for the first many, which go to the beginning."""
+        """Position of the next token, (1,); None for the initial ones, which go to the beginning."""
 
     def update(self, keys: Tensor, values: Tensor, layer: int) -> tuple[Tensor, Tensor]:
-        """Keep a layer's keys and values (1, heads, tokens, width); returns those that are to be attended to."""
+        """Store a layer's keys and values (1, heads, tokens, width); returns those to attend to."""
         if self.place is None:
             count = keys.shape[2]
             self._keys[layer, :, :, :count], self._values[layer, :, :, :count] = keys, values
@@ -122,7 +122,7 @@ class KeyValues:
 
 
 class Runner:
-    """Runs a `Step` where the network is: on a GPU as a CUDA graph, recorded once for each length of prompts."""
+    """Runs a `Step` on the network's device: on a GPU as a CUDA graph, captured once per prompt length."""
 
     def __init__(self, step: Step, network: OpenVlaNetwork, *, compiled: bool = False) -> None:
         self._weight = network.projector.fc1.bias
@@ -136,7 +136,7 @@ class Runner:
             self._stream = torch.cuda.Stream(self._weight.device, priority=FIRST)  # type: ignore[no-untyped-call]
 
     def __call__(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> Tensor:
-        """The step's answer, on the host; raises `ValueError` for a prompt too long.
+        """The step's answer, on the host; raises `ValueError` for a prompt that is too long.
 
         `pixel_values` (6, 224, 224) are an image, `input_ids` a prompt.
         """
@@ -155,7 +155,7 @@ class Runner:
 
     def _replay(self, inputs: tuple[Tensor, Tensor, Tensor], padded: int, stream: torch.cuda.Stream) -> Tensor:
         pixels, ids, count = inputs
-        if padded not in self._graphs:  # the weights may still be on their way, in the stream of whoever loaded them
+        if padded not in self._graphs:  # the weights may still be in transfer, in the loader's stream
             stream.wait_stream(torch.cuda.current_stream(self._weight.device))
         with torch.cuda.stream(stream):
             there = (
@@ -169,15 +169,15 @@ class Runner:
 
 
 class Graph:
-    """A function of tensors, recorded as a CUDA graph: replaying it costs the host one launch for all its kernels.
+    """A function of tensors, captured as a CUDA graph: a replay costs the host one launch for all its kernels.
 
-    It is recorded in the current stream, which must not be the default one, and has its priority. Other threads may use
+    It is captured in the current stream, which must not be the default one, and has its priority. Other threads may use
     the GPU meanwhile.
     """
 
     def __init__(self, step: Callable[..., Tensor], inputs: Sequence[Tensor]) -> None:
         self._inputs = tuple(value.clone() for value in inputs)
-        # Libraries pick their kernels and take their workspaces in the first runs, which must not be recorded.
+        # Libraries pick their kernels and allocate workspaces in the first runs, which must not be captured.
         for _ in range(2):
             step(*self._inputs)
         self._graph = torch.cuda.CUDAGraph()

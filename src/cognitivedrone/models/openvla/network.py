@@ -1,4 +1,4 @@
-"""Towers, projector and Llama in one network. B images, T tokens of text, P = 256 patches, S = T + P, W the words."""
+"""The network: towers, projector and Llama. B images, T text tokens, P = 256 patches, S = T + P, W vocabulary size."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from cognitivedrone.models.openvla.tensors import HEAD_BLOCKS
 from cognitivedrone.models.openvla.vision import Vision
 
 IGNORED = -100
-"""The label of a token that is not to be predicted."""
+"""Label of a token without a target."""
 
 
 class Prediction(NamedTuple):
-    """What the network says of the next words."""
+    """The network's prediction of the next tokens."""
 
     logits: Tensor
-    """(B, S, W) or, where labels were given, (N, W) for the N labelled tokens alone, in order."""
+    """(B, S, W) or, with labels, (N, W) for the N labelled tokens alone, in order."""
     loss: Tensor | None
     """Mean cross-entropy over the labelled tokens, ()."""
     targets: Tensor | None
@@ -32,7 +32,7 @@ class Prediction(NamedTuple):
 
 
 class OpenVlaNetwork(nn.Module):
-    """The network. A freshly made one has random weights."""
+    """The network. A new one has random weights."""
 
     def __init__(self, config: Config) -> None:
         super().__init__()
@@ -41,7 +41,7 @@ class OpenVlaNetwork(nn.Module):
         self.projector = Projector(config.vision_width, config.language.hidden_size)
         self.language_model: Any = LlamaForCausalLM(_llama_config(config))
         self.checkpointing = False
-        """Whether training recomputes each layer instead of keeping what is inside."""
+        """Whether training recomputes each layer's activations instead of keeping them."""
         self.action_head = None if config.chunk is None else ActionHead(config.language.hidden_size)
 
     def forward(
@@ -53,9 +53,9 @@ class OpenVlaNetwork(nn.Module):
     ) -> Prediction:
         """Logits and, with labels, the loss.
 
-        `input_ids` (B, T) int64 with padding at the right, if any; `pixel_values` (B, 6, 224, 224);
-        `attention_mask` (B, T), 0 where there is padding; `labels` (B, T), `IGNORED` where nothing is asked. With
-        labels, only the words that matter are scored: the vocabulary is wide, and an action has few words.
+        `input_ids` (B, T) int64 with padding on the right, if any; `pixel_values` (B, 6, 224, 224);
+        `attention_mask` (B, T), 0 for padding; `labels` (B, T), `IGNORED` for tokens without a target. With
+        labels, only labelled tokens get logits: the vocabulary is large, and an action has few tokens.
         """
         states = self.states(self.embed(input_ids, pixel_values), _causal(attention_mask))
         if labels is None:
@@ -68,8 +68,8 @@ class OpenVlaNetwork(nn.Module):
     def chunk_actions(self, input_ids: Tensor, pixel_values: Tensor, attention_mask: Tensor | None = None) -> Tensor:
         """All actions of a chunk at once, (B, k, 4), normalised; for networks with an `action_head`.
 
-        In the manner of OpenVLA-OFT (Kim et al. 2025, arXiv 2502.19645): empty tokens stand for the numbers that are
-        asked for, every token attends to every other, and the head regresses; trained by the L1 distance.
+        Follows OpenVLA-OFT (Kim et al. 2025, arXiv 2502.19645): placeholder tokens represent the requested numbers,
+        every token attends to every other, and the head regresses; trained with the L1 distance.
         """
         chunk, head = self.config.chunk, self.action_head
         if chunk is None or head is None:
@@ -79,7 +79,7 @@ class OpenVlaNetwork(nn.Module):
         asked = chunk * ACTION_SIZE
         mask = torch.ones_like(input_ids) if attention_mask is None else attention_mask
         seen = F.pad(_with_patches(mask, 1), (0, asked), value=1)
-        # The numbers follow the last word, whatever padding lies between.
+        # The numbers follow the last token, regardless of padding in between.
         last = length - (mask == 0).sum(1, keepdim=True)
         positions = torch.arange(length, device=known.device).expand(batch, -1)
         positions = torch.cat([positions, last + torch.arange(asked, device=known.device)], dim=1)
@@ -100,8 +100,8 @@ class OpenVlaNetwork(nn.Module):
     ) -> Tensor:
         """Llama's layers and its last norm: (B, S, width) to the same.
 
-        `mask` (B, 1, S or 1, keys) bool says what is attended to; without one, attention is causal. `positions`
-        (B, S) int64 are 0 to S - 1 unless told. `memory` keeps keys and values: its `update(keys, values, layer)`
+        `mask` (B, 1, S or 1, keys) bool selects what is attended to; without one, attention is causal. `positions`
+        (B, S) int64 default to 0 to S - 1. `memory` stores keys and values: its `update(keys, values, layer)`
         returns those to attend to.
         """
         llama = self.language_model.model
@@ -118,12 +118,12 @@ class OpenVlaNetwork(nn.Module):
         return result
 
     def enable_checkpointing(self, on: bool = True) -> None:
-        """From now on training recomputes each block and layer on the way back: less memory, a third more time."""
+        """Recompute each block and layer in the backward pass from now on: less memory, a third more time."""
         self.checkpointing = self.vision.dino.checkpointing = self.vision.siglip.checkpointing = on
 
 
 class Projector(nn.Module):
-    """Three layers from the towers' features to words of Llama's."""
+    """Three layers from the towers' features to Llama's embedding space."""
 
     def __init__(self, vision: int, words: int) -> None:
         super().__init__()
@@ -138,7 +138,7 @@ class Projector(nn.Module):
 
 
 class ActionHead(nn.Module):
-    """The states of an action's four tokens to its four numbers: a perceptron with residual blocks."""
+    """From the states of an action's four tokens to its four numbers: a perceptron with residual blocks."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -158,7 +158,7 @@ class ActionHead(nn.Module):
 
 
 class HeadBlock(nn.Module):
-    """One layer beside a residual."""
+    """One layer with a residual connection."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -174,7 +174,7 @@ class HeadBlock(nn.Module):
 def _llama_config(config: Config) -> Any:
     sizes = asdict(config.language)
     theta = sizes.pop("rope_theta")
-    make: Any = LlamaConfig  # its signature lacks what the base class takes
+    make: Any = LlamaConfig  # its signature lacks the base class's arguments
     return make(
         **sizes,
         rope_parameters={"rope_type": "default", "rope_theta": theta},
@@ -192,7 +192,7 @@ def _with_patches(per_token: Tensor, value: int) -> Tensor:
 
 
 def _causal(attention_mask: Tensor | None) -> Tensor | None:
-    """Who attends to whom, (B, 1, S, S), where some rows have padding; none, that is causal, where none has."""
+    """Attention mask, (B, 1, S, S), if some rows have padding; None, which means causal, otherwise."""
     if attention_mask is None:
         return None
     seen = _with_patches(attention_mask, 1).bool()

@@ -1,4 +1,4 @@
-"""Pixels and words to the network's inputs, exactly as the published model was trained on them."""
+"""Input preparation: pixels and text to the network's inputs, exactly as in the published model's training."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from cognitivedrone.types import Image
 Three: TypeAlias = tuple[float, float, float]
 
 BEGIN = 1
-"""Id of the token that every text begins with."""
+"""Id of the token at the beginning of every text."""
 END = 2
-"""Id of the token that closes an action in training."""
+"""Id of the token at the end of an action in training."""
 SPACE = 29_871
-"""Id of the lone space that stands between "Out:" and the action's words."""
+"""Id of the single space between "Out:" and the action tokens."""
 PIECES = {"<unk>": 0, "<s>": BEGIN, "</s>": END, "<0x0A>": 13, "▁In": 512, ":": 29_901, "▁": SPACE}
-"""Pieces of Llama's tokenizer by which it is known."""
+"""Tokens that identify Llama's tokenizer."""
 LONGEST_INSTRUCTION = 1000
-"""Characters."""
+"""Maximum length in characters."""
 
 
 @dataclass(frozen=True, slots=True)
 class ImagePreparation:
-    """What each tower's three channels are shifted and scaled by, of pixels in [0, 1]."""
+    """Shift and scale of each tower's three channels, for pixels in [0, 1]."""
 
     means: tuple[Three, Three] = ((0.485, 0.456, 0.406), (0.5, 0.5, 0.5))
-    """DINOv2's (of ImageNet), SigLIP's."""
+    """DINOv2's (from ImageNet), SigLIP's."""
     deviations: tuple[Three, Three] = ((0.229, 0.224, 0.225), (0.5, 0.5, 0.5))
 
     def pixel_values(self, image: Image) -> NDArray[np.float32]:
-        """An image (H, W, 3) as (6, 224, 224): bicubic to a square whatever its aspect, once for each tower."""
+        """An image (H, W, 3) as (6, 224, 224): bicubic to a square whatever its aspect ratio, once per tower."""
         small = Picture.fromarray(image).resize((IMAGE, IMAGE), Picture.Resampling.BICUBIC)
         pixels = np.asarray(small, dtype=np.float32).transpose(2, 0, 1) / np.float32(255)
         towers = [
@@ -64,7 +64,7 @@ def read_preparation(told: Mapping[str, Any]) -> ImagePreparation:
 
 
 def prompt(instruction: str) -> str:
-    """The question that the network was trained to answer.
+    """The prompt that the network was trained on.
 
     Raises `PolicyError` for an instruction that is empty or longer than `LONGEST_INSTRUCTION`.
     """
@@ -77,7 +77,7 @@ def prompt(instruction: str) -> str:
 
 
 class Encoder(Protocol):
-    """Text to the ids of its pieces, without tokens of begin or end."""
+    """Text to token ids, without begin or end tokens."""
 
     def __call__(self, text: str) -> list[int]:
         """The ids of a text."""
@@ -85,7 +85,7 @@ class Encoder(Protocol):
 
 
 def prompt_ids(encode: Encoder, instruction: str) -> list[int]:
-    """Ids of the whole prompt, from the token of the beginning to the lone space; raises `PolicyError` as `prompt`."""
+    """Ids of the whole prompt, from the begin token to the single space; raises `PolicyError` like `prompt`."""
     return [BEGIN, *encode(prompt(instruction)), SPACE]
 
 
@@ -112,7 +112,7 @@ def read_encoder(path: Path) -> Encoder:
     from tokenizers import Tokenizer
 
     tokenizer = Tokenizer.from_file(str(path))
-    # The user's words are words: a "</s>" among them must not end the text.
+    # The user's text is plain text: a "</s>" in it must not end the text.
     tokenizer.encode_special_tokens = True
     tokenizer.no_padding()
     tokenizer.no_truncation()

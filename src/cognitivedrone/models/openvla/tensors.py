@@ -1,4 +1,4 @@
-"""Names and shapes of the published tensors, which of them are never used, and the name of each one here."""
+"""Names and shapes of the published tensors, which of them are unused, and their names here."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ PREFIXES = {
     "projector.": "projector.",
     "language_model.": "language_model.",
 }
-"""The beginning of a published name, and of the name here; what follows is the same."""
+"""Prefixes of published names and the prefixes here; the rest is the same."""
 HEAD_BLOCKS = 2
 """Residual blocks of the parallel decoder's head."""
 _SHOWN = 4
 
 
 def own_name(published: str) -> str:
-    """The name of a published tensor in the network here; raises `KeyError` for one of no known part."""
+    """The name here of a published tensor; raises `KeyError` for an unknown part."""
     for theirs, ours in PREFIXES.items():
         if published.startswith(theirs):
             return ours + published.removeprefix(theirs)
@@ -39,7 +39,7 @@ def published_name(own: str) -> str:
 
 
 def used_tensors(config: Config) -> Shapes:
-    """Shapes of the tensors that the network computes with, by their published names."""
+    """Shapes of the tensors that the network uses, by their published names."""
     dino, siglip, *_ = PREFIXES
     return {
         **_prefixed(dino, _tower(config.dino, range(config.dino.depth - 1))),
@@ -50,7 +50,7 @@ def used_tensors(config: Config) -> Shapes:
 
 
 def unused_tensors(config: Config) -> Shapes:
-    """Shapes of what a published checkpoint also holds: last blocks, final norms and SigLIP's pooling."""
+    """Shapes of the other tensors of a published checkpoint: last blocks, final norms and SigLIP's pooling."""
     dino, siglip, *_ = PREFIXES
     found: Shapes = {}
     for prefix, size in ((dino, config.dino), (siglip, config.siglip)):
@@ -60,7 +60,7 @@ def unused_tensors(config: Config) -> Shapes:
 
 
 def head_tensors(config: Config) -> Shapes:
-    """Shapes of the parallel decoder's head, which lies in a file of its own; empty where there is none."""
+    """Shapes of the parallel decoder's head, which has its own file; empty if there is none."""
     if config.chunk is None:
         return {}
     width = config.language.hidden_size
@@ -90,7 +90,7 @@ def check_tensors(found: Mapping[str, tuple[int, ...]], needed: Shapes, spare: S
 
 
 def elements(shapes: Iterable[tuple[int, ...]]) -> int:
-    """Numbers in all tensors of these shapes."""
+    """Number of elements in all tensors of these shapes."""
     total = 0
     for shape in shapes:
         product = 1

@@ -1,4 +1,4 @@
-"""Two vision transformers side by side: what each sees of a patch, joined. B images, N tokens, C a tower's width."""
+"""Two vision transformers whose patch features are concatenated. B images, N tokens, C a tower's width."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NORM_EPSILON = 1e-6
 
 
 class Vision(nn.Module):
-    """DINOv2 and SigLIP."""
+    """DINOv2 and SigLIP, concatenated."""
 
     def __init__(self, config: Config) -> None:
         super().__init__()
@@ -21,7 +21,7 @@ class Vision(nn.Module):
         self.siglip = Tower(config.siglip)
 
     def forward(self, pixel_values: Tensor) -> Tensor:
-        """Features (B, 256, both widths) of images (B, 6, 224, 224): three channels for each tower."""
+        """Features (B, 256, both widths) of images (B, 6, 224, 224), with three channels per tower."""
         return torch.cat([self.dino(pixel_values[:, :3]), self.siglip(pixel_values[:, 3:])], dim=2)
 
 
@@ -38,7 +38,7 @@ class Tower(nn.Module):
         self.patch_embed = PatchEmbedding(size.width)
         self.blocks = nn.ModuleList(Block(size) for _ in range(size.depth - 1))
         self.checkpointing = False
-        """Whether training recomputes each block instead of keeping what is inside."""
+        """Whether training recomputes each block's activations instead of keeping them."""
 
     def forward(self, images: Tensor) -> Tensor:
         """Features (B, 256, C) of images (B, 3, 224, 224), row by row from the upper left."""
@@ -55,7 +55,7 @@ class Tower(nn.Module):
 
 
 class PatchEmbedding(nn.Module):
-    """Each patch of 14 x 14 pixels to one token."""
+    """Embedding of each patch of 14 x 14 pixels as one token."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -68,7 +68,7 @@ class PatchEmbedding(nn.Module):
 
 
 class Block(nn.Module):
-    """Attention and a perceptron, each after a norm and beside a residual, scaled in DINOv2."""
+    """Attention and a perceptron, each with a preceding norm and a residual connection, scaled in DINOv2."""
 
     def __init__(self, size: TowerSize) -> None:
         super().__init__()
@@ -87,7 +87,7 @@ class Block(nn.Module):
 
 
 class Attention(nn.Module):
-    """Every token to every other."""
+    """Full self-attention."""
 
     def __init__(self, size: TowerSize) -> None:
         super().__init__()
@@ -120,7 +120,7 @@ class Perceptron(nn.Module):
 
 
 class LayerScale(nn.Module):
-    """One learnt factor a channel (Touvron et al. 2021, arXiv 2103.17239)."""
+    """One learnt factor per channel (Touvron et al. 2021, arXiv 2103.17239)."""
 
     def __init__(self, width: int) -> None:
         super().__init__()

@@ -34,7 +34,7 @@ from cognitivedrone.models.openvla.tensors import head_tensors, own_name, publis
 
 HEAD_PREFIX = "action_head."
 SHARD_BYTES = 5_000_000_000
-"""Largest file that `save` writes."""
+"""Maximum size of a file that `save` writes."""
 
 
 def empty_network(config: Config) -> OpenVlaNetwork:
@@ -46,7 +46,7 @@ def empty_network(config: Config) -> OpenVlaNetwork:
 def random_network(
     config: Config, device: str | torch.device = "cpu", dtype: torch.dtype = torch.float32, seed: int = 0
 ) -> OpenVlaNetwork:
-    """A network with small random weights, made where it is to run: for tests and for measuring."""
+    """A network with small random weights, created on its device, for tests and benchmarks."""
     network = empty_network(config).to(dtype).to_empty(device=device)
     generator = torch.Generator(device).manual_seed(seed)
     with torch.no_grad():
@@ -64,10 +64,10 @@ def random_network(
 def load(
     checkpoint: Checkpoint, device: str | torch.device, dtype: torch.dtype, quantisation: Quantisation = "none"
 ) -> OpenVlaNetwork:
-    """The network of a checkpoint, with one copy of each tensor, straight to where it is to run.
+    """The network of a checkpoint, loaded directly to its device, with one copy of each tensor.
 
     Do not cast it afterwards: the rotary frequencies stay in float32. A network to be quantised is read on the host,
-    and each layer moves when it has become small. Raises `MissingExtra` for quantisation without torchao.
+    and each layer moves once quantised. Raises `MissingExtra` for quantisation without torchao.
     """
     reading = torch.device("cpu") if quantisation != "none" else torch.device(device)
     network = empty_network(checkpoint.config)
@@ -87,9 +87,9 @@ def load(
 
 
 def save(network: OpenVlaNetwork, folder: Path, statistics: Mapping[str, ActionStatistics], base: Path) -> None:
-    """Write a checkpoint that `checkpoint.inspect` takes, in the published names.
+    """Write a checkpoint that `checkpoint.inspect` accepts, with the published names.
 
-    `base` is the folder whose tokenizer and image preparation it shares. Tensors that are never used are left out.
+    `base` is the folder whose tokenizer and image preparation it shares. Unused tensors are omitted.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for name in (TOKENIZER, PREPARATION):
@@ -109,10 +109,10 @@ def save(network: OpenVlaNetwork, folder: Path, statistics: Mapping[str, ActionS
 
 
 def quantise(layers: nn.Module, quantisation: Quantisation, device: str | torch.device) -> None:
-    """Make the matrices of a language model's layers small, on `device`; what is multiplied with them stays as it is.
+    """Quantise the weight matrices of a language model's layers, on `device`; activations stay unquantised.
 
-    OpenVLA's towers, projector and words keep their numbers: they are a seventh of the weights.
-    Raises `MissingExtra` where torchao is not installed (0.14 or newer, for 4 bits).
+    OpenVLA's towers, projector and embeddings keep their precision: they are a seventh of the weights.
+    Raises `MissingExtra` if torchao is not installed (0.14 or newer, for 4 bits).
     """
     if quantisation == "none":
         return
@@ -132,7 +132,7 @@ def _read(path: Path, names: list[str], device: torch.device, dtype: torch.dtype
 
 
 def _save_sharded(tensors: dict[str, Tensor], folder: Path) -> None:
-    """One file, or several of `SHARD_BYTES` at most and their index."""
+    """One file, or several of at most `SHARD_BYTES` and their index."""
     shards: list[dict[str, Tensor]] = [{}]
     held = 0
     for name, value in tensors.items():
@@ -155,7 +155,7 @@ def _save_sharded(tensors: dict[str, Tensor], folder: Path) -> None:
 
 
 def _give_rotation(network: OpenVlaNetwork, device: str | torch.device) -> None:
-    """The rotary embedding's frequencies: no file has them, and on the meta device they were never computed."""
+    """Set the rotary embedding's frequencies: no file has them, and they are not computed on the meta device."""
     llama: Any = network.language_model.model
     rotation: nn.Module = type(llama.rotary_emb)(config=llama.config)
     llama.rotary_emb = rotation.to(device)

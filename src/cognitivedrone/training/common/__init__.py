@@ -1,1 +1,1 @@
-"""What all trainings share: the trainer, checkpoints, curves, samples and their ground truth."""
+"""Shared parts of all trainings: the trainer, checkpoints, curves, samples and their ground truth."""

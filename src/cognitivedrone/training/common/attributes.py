@@ -1,8 +1,8 @@
-"""What can be seen in a scene, as one flat list: everything that a panel, a board or a gate can show.
+"""Attribute values of a scene as one flat list: everything that a panel, a board or a gate can show.
 
-The list falls into groups of which at most one facet is true at a time ("hair/curly" or "hair/long"), so a network that
-holds one prototype vector a facet can name what it sees group by group. A trained network knows facets by their index:
-whatever is added goes to the end of its group only together with new training.
+The list is divided into groups, in which at most one value is true at a time ("hair/curly" or "hair/long"), so a
+network with one prototype vector per value can classify group by group. A trained network knows the values by index:
+additions at the end of a group require new training.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 Indices: TypeAlias = NDArray[np.int64]
 
 ABSENT = -1
-"""Stands in place of a facet where a group does not apply or its value has no facet."""
+"""Index for a group that does not apply, or whose value is not in the list."""
 
 _NUMBERS = tuple(str(number) for number in range(LARGEST_ANSWER + 1))
-# Nothing is ever asked about skin, so nothing has to see it.
+# No question is ever about skin, so no network needs to see it.
 _ATTRIBUTES = tuple(name for name in SCHEMA if name != "skin")
 
 _VALUES: dict[str, tuple[str, ...]] = {
@@ -49,17 +49,17 @@ _VALUES: dict[str, tuple[str, ...]] = {
 }
 
 FACETS: tuple[str, ...] = tuple(f"{group}/{value}" for group, values in _VALUES.items() for value in values)
-"""Names of all facets, "group/value"; animals, foods and objects share one space of names, as in "thing:cat"."""
+"""Names of all attribute values, "group/value"; animals, foods and objects share one namespace, as in "thing:cat"."""
 _ENDS = tuple(accumulate(len(values) for values in _VALUES.values()))
 GROUPS: dict[str, slice] = {
     group: slice(end - len(_VALUES[group]), end) for group, end in zip(_VALUES, _ENDS, strict=True)
 }
-"""Where the facets of each group stand in `FACETS`; the groups follow each other without gaps."""
+"""Slices of the groups in `FACETS`; the groups follow each other without gaps."""
 PANEL_GROUPS: tuple[str, ...] = ("concept", *_ATTRIBUTES)
-"""What a panel shows: its concept and, of a person, every attribute but skin."""
+"""Groups of a panel: its concept and, for a person, every attribute except skin."""
 BOARD_GROUPS: tuple[str, ...] = ("first", "sign", "second")
 BOARD_BOUNDS = (*(GROUPS[group].start for group in BOARD_GROUPS), GROUPS[BOARD_GROUPS[-1]].stop)
-"""Where those begin in `FACETS`, and where the last one ends; they follow each other."""
+"""Start indices of those groups in `FACETS`, and the end index of the last one; they are contiguous."""
 GATE_GROUPS: tuple[str, ...] = ("color", "shape", "size")
 
 _INDEX = {facet: index for index, facet in enumerate(FACETS)}
@@ -67,7 +67,7 @@ _SUM = re.compile(r"(\d+)([-+*])(\d+)")
 
 
 def known_person(concept: str) -> Person | None:
-    """The attributes that the concept of a person label writes; none where it is no description by the schema."""
+    """The attributes in the concept of a person label; None if it does not follow the schema."""
     if not all("=" in word for word in concept.split(",")):
         return None
     person = parse_person(concept)
@@ -75,7 +75,7 @@ def known_person(concept: str) -> Person | None:
 
 
 def parse_sum(label: str) -> tuple[int, str, int] | None:
-    """First operand, sign and second operand of a sum's label, "sum/20-12@inter"; none for anything else."""
+    """First operand, operator and second operand of a sum's label, "sum/20-12@inter"; None for anything else."""
     reference = parse_reference(label)
     match = _SUM.fullmatch(reference.concept) if reference.kind == "sum" else None
     return (int(match[1]), match[2], int(match[3])) if match else None
@@ -83,11 +83,11 @@ def parse_sum(label: str) -> tuple[int, str, int] | None:
 
 @functools.lru_cache(maxsize=8192)
 def panel_facets(label: str) -> Indices:
-    """What a panel shows, by group.
+    """The attribute values of a panel, by group.
 
-    Returns read-only int64 (len(PANEL_GROUPS),): indices into `FACETS`, -1 for what has no facet: concepts that are
-    not in the list, attributes of what is no person, and what a hat or a headscarf covers.
-    Raises `LabelError` where the label is not of the form kind/concept@style.
+    Returns read-only int64 (len(PANEL_GROUPS),): indices into `FACETS`, -1 if there is no value: concepts that are
+    not in the list, attributes of non-persons, and attributes covered by a hat or a headscarf.
+    Raises `LabelError` unless the label has the form kind/concept@style.
     """
     reference = parse_reference(label)
     if reference.kind == "person":
@@ -100,10 +100,10 @@ def panel_facets(label: str) -> Indices:
 
 @functools.lru_cache(maxsize=2048)
 def board_facets(label: str) -> Indices:
-    """What a board shows: read-only int64 (3,), first operand, sign and second operand as indices into `FACETS`.
+    """The attribute values of a board: read-only int64 (3,), operand, operator, operand as indices into `FACETS`.
 
-    -1 for a number that has no facet, and throughout where the label is not a sum of two numbers. Raises `LabelError`
-    where it is not of the form kind/concept@style.
+    -1 for a number that is not in the list, and throughout if the label is not a sum of two numbers. Raises
+    `LabelError` unless it has the form kind/concept@style.
     """
     parsed = parse_sum(label)
     if parsed is None:
@@ -113,12 +113,12 @@ def board_facets(label: str) -> Indices:
 
 @functools.cache
 def gate_facets(gate: Gate) -> Indices:
-    """What a gate looks like: read-only int64 (3,), colour, shape and size as indices into `FACETS`."""
+    """The attribute values of a gate: read-only int64 (3,), colour, shape and size as indices into `FACETS`."""
     return _indices(*(f"{group}/{getattr(gate, group)}" for group in GATE_GROUPS))
 
 
 def _indices(*names: str) -> Indices:
-    """Indices of facets by name, -1 where there is none of that name."""
+    """Indices of attribute values by name, -1 for unknown names."""
     indices = np.array([_INDEX.get(name, ABSENT) for name in names], dtype=np.int64)
     indices.flags.writeable = False
     return indices

@@ -1,4 +1,4 @@
-"""Training state on disk, without pickle: tensors as safetensors, the rest as JSON in the same file's header."""
+"""Checkpoints without pickle: tensors as safetensors, the rest as JSON in the same file's header."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _KEY = "cognitivedrone"
 def save_checkpoint(
     path: Path, network: nn.Module, optimizer: torch.optim.Optimizer | None, facts: dict[str, Any]
 ) -> None:
-    """Write the network, the optimiser's state where given, and `facts` (JSON values): whole, or not at all."""
+    """Write the network, the optimiser's state if given, and `facts` (JSON values), atomically."""
     tensors = {f"network.{name}": tensor for name, tensor in network.state_dict().items()}
     if optimizer is not None:
         for number, state in optimizer.state_dict()["state"].items():
@@ -38,8 +38,8 @@ def save_checkpoint(
 def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """All tensors by name, and the facts.
 
-    Raises `TrainingError` for what is no whole checkpoint of this format, or does not match the checksum that it holds;
-    older ones hold none.
+    Raises `TrainingError` for an incomplete file, one of another format, or one that does not match its checksum; older
+    files have no checksum.
     """
     try:
         check_regular(path)
@@ -68,13 +68,13 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 
 def _finding(path: Path) -> Finding:
     if not path.stat().st_size:
-        return "unknown"  # safetensors says what is wrong with an empty file
+        return "unknown"  # safetensors reports the error of an empty file
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         return check_own(content)
 
 
 def restore(tensors: dict[str, Tensor], network: nn.Module, optimizer: torch.optim.Optimizer | None) -> None:
-    """Put what `read_checkpoint` gave into a network, and an optimiser, of the same shapes."""
+    """Restore a network and an optimiser of the same shapes from the result of `read_checkpoint`."""
     own = {name.removeprefix("network."): value for name, value in tensors.items() if name.startswith("network.")}
     try:
         network.load_state_dict(own)
@@ -88,7 +88,7 @@ def restore(tensors: dict[str, Tensor], network: nn.Module, optimizer: torch.opt
             _, number, key = name.split(".", 2)
             state.setdefault(int(number), {})[key] = value
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
-    # Fused optimisers go through memory, so moments have to lie there as their weights do: channels last, for some.
+    # Fused optimisers iterate over memory, so moments need the same layout as their weights: channels last, for some.
     for parameter, moments in optimizer.state.items():
         for key, value in moments.items():
             if value.shape == parameter.shape:
@@ -96,5 +96,5 @@ def restore(tensors: dict[str, Tensor], network: nn.Module, optimizer: torch.opt
 
 
 def origin_of(facts: dict[str, Any]) -> str:
-    """What a training that starts from a checkpoint of these facts says of where it comes from."""
+    """A description of the origin of a training that starts from a checkpoint with these facts."""
     return f"from {facts['recipe']['name']}, step {facts['step']}, seed {facts['seed']}"

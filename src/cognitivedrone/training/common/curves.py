@@ -1,5 +1,5 @@
 """Learning curves as in the literature on OpenVLA: L1 error, action accuracy and cross-entropy, per dimension and
-overall, on frames that are never trained, beside what guessing the commonest token would give.
+overall, on frames that are never used for training, beside the baseline of the most frequent token.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ DIMENSIONS = ("vx", "vy", "vz", "yaw_rate")
 
 
 def validate(lesson: LossModule, batches: Sequence[Batch], autocast: Any) -> Row:
-    """Losses and measures of a lesson on validation batches; actions toward the gate that is flown at, in its view."""
+    """Losses and metrics of a loss module on validation batches; actions toward the gate flown at, if it is in view."""
     network = lesson.network
     device = next(network.parameters()).device
     lesson.eval()
@@ -44,7 +44,7 @@ def validate(lesson: LossModule, batches: Sequence[Batch], autocast: Any) -> Row
 
 
 def _flown(network: SmallVLA, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-    """Raw actions and targets (n, chunk, 4, ...) toward the gates flown at, where those are in view."""
+    """Raw actions and targets (n, chunk, 4, ...) toward the gates flown at, if they are in view."""
     image = batch["image"].permute(0, 3, 1, 2).float() / 255
     scene = network.look(image)
     slots, _ = true_slots(batch, network.cells, jitter=False)
@@ -56,9 +56,9 @@ def _flown(network: SmallVLA, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]
 
 
 def action_measures(network: SmallVLA, raw: Tensor, target: Tensor) -> Row:
-    """L1 (m/s and rad/s), accuracy of the token and cross-entropy, by dimension and overall, and the baseline's.
+    """L1 (m/s and rad/s), token accuracy and cross-entropy, by dimension and overall, and the baseline's.
 
-    A network that does not say tokens has no cross-entropy.
+    A network without tokens has no cross-entropy.
     """
     config = network.config
     error = (network.decode(raw) - target).abs().mean(dim=(0, 1))
@@ -87,7 +87,7 @@ def action_measures(network: SmallVLA, raw: Tensor, target: Tensor) -> Row:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """The rows of a metrics file, one JSON object a line; a line cut short by a kill is left out."""
+    """The rows of a metrics file, one JSON object per line; a truncated line is skipped."""
     rows = []
     for line in path.read_text().splitlines() if path.exists() else []:
         try:

@@ -1,5 +1,5 @@
-"""What the simulator knows of a frame and a network has to learn to see: where gates, panels and board are in the
-image, and what the expert would do toward each gate. For any number of frames at once.
+"""Ground truth of frames, as training targets: the image positions of gates, panels and board, and the expert's action
+toward each gate. Vectorised over frames.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from cognitivedrone.world import geometry
 FOCAL = IMAGE_SIZE / 2 / np.tan(FIELD_OF_VIEW / 2)
 """Focal length of the first-person camera, pixels."""
 LEGIBLE_HEIGHT = 10.0
-"""A panel lower than this in the image, pixels, cannot be read by anybody."""
+"""Minimum height of a legible panel in the image, pixels."""
 LEGIBLE_SHARE = 0.6
-"""Nor one of which less than this share is in the image."""
+"""Minimum visible share of a legible panel."""
 CLOSEST = 0.15
-"""A gate whose plane is nearer than this, m, is as good as crossed: nothing is taught about it."""
+"""A gate whose plane is nearer than this, m, counts as crossed: it is not a target."""
 COMMITTED = 0.8
-"""Nor is it taught to leave the nearest gate for another once a gate's plane is nearer than this, m."""
-_NEAREST = 0.25  # of what is in view, m before the lens
-_LAG_S = 0.45  # of velocity behind command, for the actions after the first of a chunk
+"""Once a gate's plane is nearer than this, m, other gates are not targets."""
+_NEAREST = 0.25  # minimum distance of visible things before the lens, m
+_LAG_S = 0.45  # lag of velocity behind command, for the actions after the first of a chunk
 
 
 class Poses(NamedTuple):
-    """The true motion of n drones, each at a stage of its own."""
+    """The true motion of n drones, each in its own stage."""
 
     position: FloatArray
     """(n, 3) world, m."""
@@ -42,34 +42,34 @@ class Poses(NamedTuple):
     """(n,) rad/s."""
 
     def state(self) -> NDArray[np.float32]:
-        """(n, 5): what the drone knows of itself: velocity in the heading frame, m/s, height, m, yaw rate, rad/s."""
+        """(n, 5) the drone's own state: velocity in the heading frame, m/s, height, m, yaw rate, rad/s."""
         heading = world_to_heading(self.velocity, yaw_of(self.quaternion))
         return np.column_stack([heading, self.position[:, 2], self.yaw_rate]).astype(np.float32)
 
 
 class Truths(NamedTuple):
-    """What is true of n frames; pixels count from the left and from the top."""
+    """Ground truth of n frames; pixels count from the left and from the top."""
 
     gate: NDArray[np.float32]
-    """(n, 3, 2) centres of the gates u, v, pixels; far outside where behind the camera."""
+    """(n, 3, 2) centres of the gates u, v, pixels; far outside if behind the camera."""
     in_view: NDArray[np.bool_]
-    """(n, 3) whether that centre is in the image and the gate still ahead."""
+    """(n, 3) whether that centre is in the image and the gate is still ahead."""
     place: NDArray[np.float32]
-    """(n, 3, 3) distance, m, and sine and cosine of the gate's heading seen from the drone's."""
+    """(n, 3, 3) distance, m, and sine and cosine of the gate's heading relative to the drone's."""
     panel: NDArray[np.float32]
     """(n, 4, 3) boxes of the three panels and the board: centre u, v and height, pixels."""
     legible: NDArray[np.bool_]
-    """(n, 4) whether panels and board can be read."""
+    """(n, 4) whether panels and board are legible."""
     action: NDArray[np.float32]
-    """(n, 3, chunk, 4) what the expert wants toward each gate, heading frame, m/s and rad/s."""
+    """(n, 3, chunk, 4) the expert's actions toward each gate, heading frame, m/s and rad/s."""
     valid: NDArray[np.bool_]
-    """(n, 3) whether each gate can still be taught."""
+    """(n, 3) whether each gate is a valid target."""
     ahead: NDArray[np.bool_]
     """(n, 3) whether each gate has not been crossed."""
 
 
 def project(points: FloatArray, position: FloatArray, quaternion: FloatArray) -> FloatArray:
-    """World points (n, m, 3) in the first-person images of drones at (n, 3), (n, 4): u, v in pixels and depth in m."""
+    """Project world points (n, m, 3) into the images of drones at (n, 3), (n, 4): u, v in pixels and depth in m."""
     axes = rotation_matrix(quaternion)
     eye = position + np.einsum("nij,j->ni", axes, np.array(MOUNT))
     body = np.einsum("nij,nmi->nmj", axes, points - eye[:, None])
@@ -79,7 +79,7 @@ def project(points: FloatArray, position: FloatArray, quaternion: FloatArray) ->
 
 
 def truths(poses: Poses, stages: list[Stage], chunk: int, expert: ExpertConfig) -> Truths:
-    """What is true of the frames of drones at `poses`, each at its own stage."""
+    """Ground truth of the frames of drones at `poses`, each in its own stage."""
     centers = np.stack([geometry.gate_centers(stage) for stage in stages])
     yaws = np.stack([geometry.gate_yaws(stage) for stage in stages])
     stands = np.array([[index in geometry.standing(stage) for index in range(3)] for stage in stages])
@@ -116,7 +116,7 @@ def _inside(u: FloatArray, v: FloatArray) -> NDArray[np.bool_]:
 
 
 def _panels(poses: Poses, stages: list[Stage], centers: FloatArray) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Boxes (n, 4, 3) of panels and board, and which can be read (n, 4)."""
+    """Boxes (n, 4, 3) of panels and board, and their legibility (n, 4)."""
     board = np.array([[*geometry.BOARD_CENTER]])
     boards = np.stack([rotate_yaw(board, stage.yaw) + np.array([*stage.origin, 0.0]) for stage in stages])
     middles = np.concatenate([centers, boards], axis=1)
@@ -136,7 +136,7 @@ def _panels(poses: Poses, stages: list[Stage], centers: FloatArray) -> tuple[NDA
 
 
 def _overlap(middle: FloatArray, size: FloatArray) -> FloatArray:
-    """Share of the interval around `middle` that lies in the image."""
+    """Share of the interval around `middle` inside the image."""
     low, high = np.maximum(middle - size / 2, 0.0), np.minimum(middle + size / 2, IMAGE_SIZE)
     share: FloatArray = np.maximum(high - low, 0.0) / np.maximum(size, 1e-6)
     return share
@@ -145,8 +145,8 @@ def _overlap(middle: FloatArray, size: FloatArray) -> FloatArray:
 def _chunks(
     poses: Poses, heading: FloatArray, centers: FloatArray, yaws: FloatArray, chunk: int, expert: ExpertConfig
 ) -> NDArray[np.float32]:
-    """The expert's actions (n, 3, chunk, 4) toward each gate; those after the first where a simple model of the drone,
-    whose velocity follows the command with a lag, expects it to be by then.
+    """The expert's actions (n, 3, chunk, 4) toward each gate; those after the first at predicted states, from a simple
+    model of the drone whose velocity follows the command with a lag.
     """
     position = np.repeat(poses.position[:, None], 3, axis=1)
     velocity = np.repeat(poses.velocity[:, None], 3, axis=1)

@@ -1,8 +1,8 @@
-"""Panels to read, without a flight around them: label pictures as small, slanted and shaded as a drone sees them.
+"""Panel crops for training without flights: label pictures as small, slanted and shaded as a drone sees them.
 
-A rendered frame costs ten times what a panel of it costs, and shows three panels that are the same as a moment ago. So
-most of what there is to read is taught by cards: any panel or board of the training tasks, as it would look in a
-glimpse (`SmallVLA.read`) from near or far, beside the frames where everything comes together.
+A rendered frame costs ten times as much as one of its panels, and shows the same three panels as the previous frame. So
+most panel reading is taught with crops: any panel or board of the training tasks, as it would look in a crop of
+`SmallVLA.read` from near or far, beside the frames that train everything together.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ SHARES = {
     "attributes": 0.2, "people": 0.1, "animals": 0.13, "food": 0.12, "association": 0.15, "math_board": 0.12,
     "letters": 0.05, "digits": 0.05, "logos": 0.05, "math": 0.03,
 }  # fmt: skip
-"""How often the panels of each family come up: the more there is to tell apart, the oftener."""
+"""Frequency of the panels of each family: higher if there are more things to tell apart."""
 HEIGHTS = (24.0, 90.0)
-"""Of panels in the image, pixels: from the start they are about 30 pixels high."""
-_KEPT = 512  # pictures that are shown again, each time otherwise
-_FRESH = 0.25  # share of the cards whose picture is a new one
-_RESTYLED = 0.6  # share of pictures that are drawn otherwise
-_SIDE = 64  # pixels of a kept picture: as large as a panel is seen
-_SHIFT, _SCALE = 0.06, 0.09  # spread of where a panel is looked for
+"""Heights of panels in the image, pixels: from the start they are about 30 pixels high."""
+_KEPT = 512  # pictures kept for reuse, each time with other augmentation
+_FRESH = 0.25  # share of crops with a new picture
+_RESTYLED = 0.6  # share of redrawn pictures
+_SIDE = 64  # pixels of a stored picture: as large as a panel appears
+_SHIFT, _SCALE = 0.06, 0.09  # spread of the crop's position and size
 _ROLL, _SHEAR = 0.13, 0.06  # and of its slant
 
 
 DrawLabel = Callable[[np.random.Generator], str]
 """Draws the label reference of a panel or board."""
 FacetsOf = Callable[[str], NDArray[np.int64]]
-"""From a label reference to what it shows."""
+"""From a label reference to its attribute values."""
 
 
 class PanelCrops:
-    """Draws cards: of the panels and boards of the training tasks, where nothing else is said."""
+    """Draws panel crops; by default of the panels and boards of the training tasks."""
 
     def __init__(
         self, labels: LabelPack, glimpse: int, draw_label: DrawLabel | None = None, facets_of: FacetsOf | None = None
@@ -54,11 +54,11 @@ class PanelCrops:
         self._kept: list[tuple[PillowImage.Image, NDArray[np.int64]]] = []
 
     def forget(self) -> None:
-        """Begin anew: what follows depends on nothing before."""
+        """Reset: the following crops do not depend on earlier ones."""
         self._kept.clear()
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Image, NDArray[np.int64]]:
-        """Glimpses (count, g, g, 3), and the facets of what they show (count, columns), as `facets_of` gives them."""
+        """Crops (count, g, g, 3), and the attribute values of their content (count, columns), from `facets_of`."""
         while len(self._kept) < min(_KEPT, 4 * count):
             self._learn(rng)
         for _ in range(round(count * _FRESH)):
@@ -68,7 +68,7 @@ class PanelCrops:
         return cards, np.stack([self._kept[i][1] for i in chosen])
 
     def _learn(self, rng: np.random.Generator) -> None:
-        """Keep one more picture, in the place of another one."""
+        """Store one more picture, replacing another if the store is full."""
         label = self._draw_label(rng)
         pixels = self._labels.image(label)
         if rng.random() < _RESTYLED:
@@ -87,9 +87,9 @@ _NO_BOARD = np.full(len(BOARD_GROUPS), -1)
 
 
 def draw_training_label(rng: np.random.Generator) -> str:
-    """A panel or board of some training task."""
+    """A panel or board of a random training task."""
     family = int(np.searchsorted(_PLACES, rng.random()))
-    # Families take turns in the training suite, so that a task's number says its family.
+    # Families take turns in the training suite, so a task's number determines its family.
     task = train_task(int(rng.integers(2**27)) * len(BASE_FAMILIES) + family, 0)
     if task.board is not None and rng.random() < 0.7:
         return task.board
@@ -97,7 +97,7 @@ def draw_training_label(rng: np.random.Generator) -> str:
 
 
 def panel_and_board_facets(label: str) -> NDArray[np.int64]:
-    """(13,): the facets of a panel, then those of a board."""
+    """(13,): the attribute values of a panel, then those of a board."""
     board = board_facets(label)
     if (board >= 0).any():
         return np.concatenate([_NO_PANEL, board])
@@ -105,7 +105,7 @@ def panel_and_board_facets(label: str) -> NDArray[np.int64]:
 
 
 def glimpse_of(picture: PillowImage.Image, size: int, rng: np.random.Generator) -> Image:
-    """A panel with this picture as a glimpse (size, size, 3): some pixels high, before some wall, in some light."""
+    """A panel with this picture as a crop (size, size, 3): random height, background and light."""
     low, high = np.log(HEIGHTS)
     height = float(np.exp(rng.uniform(low, high)))
     tall = max(4, round(height))
@@ -118,7 +118,7 @@ def glimpse_of(picture: PillowImage.Image, size: int, rng: np.random.Generator) 
     else:
         picture = picture.resize((wide, tall), PillowImage.Resampling.BILINEAR)
     canvas.paste(picture, ((room - wide) // 2, (room - tall) // 2))
-    # From glimpse to canvas, around both middles.
+    # Map from crop to canvas, around both centres.
     reach = REACH * tall * float(np.exp(rng.normal(0, _SCALE))) / size
     shear_x, shear_y = rng.normal(0, _SHEAR, 2) + rng.normal(0, _ROLL) * np.array([1, -1])
     shift_x, shift_y = room / 2 + rng.normal(0, _SHIFT, 2) * tall
@@ -130,10 +130,10 @@ def glimpse_of(picture: PillowImage.Image, size: int, rng: np.random.Generator) 
 
 
 def _exposed(pixels: FloatArray, rng: np.random.Generator) -> Image:
-    """Half of the time in a plain room with a perfect camera, else as in a varied one."""
+    """Half of the time in a plain room with a perfect camera, otherwise in a varied one."""
     if rng.random() < 0.5:
         brightness, gain, gamma, noise = rng.uniform((0.75, 0.85, 0.8, 0.0), (1.0, 1.1, 1.25, 6 / 255))
         pixels = (pixels * brightness) ** gamma * gain
-        # The grain is of the image's pixels, which a glimpse of a small panel blurs.
+        # Noise is added at the image's resolution, which the crop of a small panel blurs.
         pixels = pixels + rng.normal(0, 0.7 * noise, pixels.shape).astype(np.float32)
     return (np.clip(pixels, 0, 1) * 255).round().astype(np.uint8)

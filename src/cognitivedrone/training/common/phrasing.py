@@ -1,7 +1,7 @@
-"""More ways to say the same, for models that are to understand people and not only the suites.
+"""Additional wordings, for models that should understand people and not only the suites.
 
-The suites' training tasks know a dozen sentences. These here are added to them; what is held out for `unseen` is not
-among them, neither as a whole nor as a part.
+The suites' training tasks use a dozen sentences. The wordings here are added to them. Nothing held out for `unseen`
+is among them, neither whole nor in part.
 """
 
 from __future__ import annotations
@@ -238,18 +238,18 @@ MORE: dict[str, tuple[str, ...]] = {
     "what holds a ship in place": ("what keeps ships in place", "what a ship drops into the sea"),
     "something to put on a cut": ("what you put over a wound", "what helps when you cut yourself"),
 }
-"""By the first phrase of a list of phrases that mean the same: more of them."""
+"""Additional phrases, by the first phrase of a list of synonymous phrases."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spoken(Pools):
-    """The ingredients of training, and everything said in more ways."""
+    """The training ingredients with additional wordings."""
 
     def wordings(self, phrases: Sequence[str]) -> Sequence[str]:
-        """Of phrases that mean the same, those of training, and more."""
+        """The training phrases among synonymous ones, and additional ones."""
         return (*TRAIN.wordings(phrases), *MORE.get(phrases[0], ()))
 
 
 _SAME = {each.name: getattr(TRAIN, each.name) for each in fields(Pools)}
 SPOKEN = Spoken(**_SAME | {"frames": (*TRAIN.frames, *MORE_FRAMES)})
-"""What is taught beside the words of the training suite."""
+"""Ingredients taught in addition to those of the training suite."""

@@ -1,4 +1,4 @@
-"""Batches from processes of their own, so that flying and rendering do not hold up the training."""
+"""Prefetching of batches by separate processes, so that flying and rendering do not delay the training."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from cognitivedrone.training.common.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.common.sampling import Batch
 from cognitivedrone.training.common.training_task import TrainingTask, Watched
 
-_AHEAD = 6  # batches made ahead of their use
+_AHEAD = 6  # batches made in advance
 _PATIENCE_S = 600.0
 _TOLD_EVERY_S = 0.5
 
 
 def learner_path(out: Path, round_: int) -> Path:
-    """Where the weights at the end of a round lie. They fly along in the next round but one, so that nobody waits."""
+    """File of the weights at the end of a round. The next round but one flies with them, so that no process waits."""
     return out / "learners" / f"{round_:05d}.safetensors"
 
 
 class PrefetchQueue:
     """The batches of one training process, round by round, made by one generating process beside it.
 
-    What comes is a function of recipe, seed, rank and the weights of earlier rounds, so a training that goes on after
-    a kill sees what it would have seen.
+    They are a function of recipe, seed, rank and the weights of earlier rounds, so a training that continues after
+    a kill sees the same batches.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class PrefetchQueue:
         first_round: int,
         waiting: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """`waiting` is told, now and then while a batch is waited for, what is being done to make it."""
+        """`waiting` is called now and then, while a batch is awaited, with the generating process's activity."""
         context = multiprocessing.get_context("spawn")
         self._queue = context.Queue(_AHEAD)
         self._filled = context.Array("q", 2)
@@ -56,8 +56,8 @@ class PrefetchQueue:
         self._process = context.Process(target=_generate, args=arguments, daemon=True)
 
     def __enter__(self) -> PrefetchQueue:
-        # Ctrl-C reaches the whole process group: only the trainer is to answer it. The process inherits this mask from
-        # its first instant; starting multiprocessing's tracker would lift it, so that goes first.
+        # Ctrl-C reaches the whole process group, but only the trainer may respond. The process inherits this mask from
+        # its start; starting multiprocessing's tracker would undo that, so it starts first.
         resource_tracker.ensure_running()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
@@ -71,7 +71,7 @@ class PrefetchQueue:
         self._process.join(10)
 
     def __iter__(self) -> Iterator[Batch]:
-        """All further batches; raises `TrainingError` where the generating process has died."""
+        """All further batches; raises `TrainingError` if the generating process died."""
         while True:
             try:
                 item = self._queue.get(timeout=_TOLD_EVERY_S)
@@ -83,7 +83,7 @@ class PrefetchQueue:
             yield item
 
     def _doing(self) -> str:
-        """What the generating process does, in words."""
+        """The generating process's current activity, in words."""
         made, wanted = self._filled[:]
         if not wanted:
             return "starting the stream"
@@ -99,7 +99,7 @@ def _generate(
     rank: int,
     first_round: int,
 ) -> None:
-    """Fill the queue, round by round, until there is nothing left to train."""
+    """Fill the queue, round by round, until the training is complete."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     torch.set_num_threads(1)
     schedule, batches_of, network = subject.recipe, subject.batches(), subject.network()
@@ -120,7 +120,7 @@ def _generate(
 
 
 def _end_with_parent() -> None:
-    """A training that is killed cannot end its generating process, which would wait at the full queue for ever."""
+    """End this process with its parent: otherwise it would wait at the full queue forever after a kill."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -128,10 +128,10 @@ def _end_with_parent() -> None:
 
 
 def _load(network: nn.Module, path: Path) -> None:
-    """Wait for the weights, and take them."""
+    """Wait for the weights, and load them."""
     until = time.monotonic() + _PATIENCE_S
     while not path.exists():
         if time.monotonic() > until:
-            raise TrainingError(f"{path}: the weights that should fly along did not come")
+            raise TrainingError(f"{path}: the weights of the policy under training did not arrive")
         time.sleep(0.2)
     restore(read_checkpoint(path)[0], network, None)

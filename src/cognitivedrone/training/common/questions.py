@@ -1,10 +1,9 @@
-"""Asks for any gate of a scene: from one rendered image a model learns several instructions.
+"""Questions about any gate of a scene: from one rendered image a model learns several instructions.
 
-A training task asks for one of its three gates. The same panels answer other questions as well: a picture in which a
-task asked for "the animal that barks" also shows which gate has the zebra. `ask` writes such questions in the words of
-the training suite or of other pools, and only those whose one right answer is the wanted gate: where anyone could
-argue, it asks something else. What may be said is decided by the rules and tables of `tasks`, the same that its
-generators follow.
+A training task asks for one of its three gates. The same panels answer other questions as well: a picture of a
+task that asks for "the animal that barks" also shows which gate has the zebra. `ask` writes such questions in the
+wordings of the training suite or of other pools, and only those with exactly one right answer: debatable ones are
+replaced. The rules and tables of `tasks`, which its generators use as well, decide what is allowed.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ Gates: TypeAlias = tuple[Gate, Gate, Gate]
 DIRECTIVE = "directive"
 """Family of the questions that describe the gate itself."""
 FREE_DIRECTIVES = 0.3
-"""Share of directives in other words than `write_directive`'s."""
+"""Share of directives with other wordings than `write_directive`'s."""
 NESTED_SUMS = 1 / 3
 """Share of sums with three operands, as in `reasoning.math`."""
 
@@ -50,14 +49,14 @@ class Question:
 
     text: str
     target: int
-    """Index of the gate that it asks for, 0 to 2 from left to right."""
+    """Index of the right gate, 0 to 2 from left to right."""
     family: str
     """One of `tasks.BASE_FAMILIES`, or "directive"."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Claim:
-    """Phrases that single out a thing, for which things they clearly hold and for which they clearly do not."""
+    """Phrases that identify a thing, and the things for which they clearly hold and clearly do not."""
 
     family: str
     phrases: tuple[str, ...]
@@ -98,12 +97,12 @@ _NAMES = {_identity(_full(CAST[name])): name for name in TRAIN_CAST}
 
 _PARTS = tuple(human.touched_parts(feature) for feature in FEATURES)
 _TOGETHER = tuple(frozenset(j for j, other in enumerate(_PARTS) if not parts & other) for parts in _PARTS)
-"""For each feature, those that may be named beside it."""
+"""For each feature, those that can be combined with it."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Panel:
-    """What is known of one panel."""
+    """The known facts about one panel."""
 
     kind: str
     concept: str
@@ -116,9 +115,9 @@ class _Panel:
     lacks: frozenset[int] = frozenset()
     """Indices of the features that clearly do not."""
     name: str | None = None
-    """Of a member of the cast whom training introduces."""
+    """Name of a member of the cast that training introduces."""
     identity: tuple[str, ...] = ()
-    """What a viewer sees of the things that stay the same in every picture of somebody."""
+    """The visible attributes that stay the same in every picture of a person."""
 
     @property
     def number(self) -> int | None:
@@ -156,7 +155,7 @@ def _panel(label: str) -> _Panel:
 _Say: TypeAlias = Callable[[Draw], str]
 """Writes a noun phrase for the right panel."""
 _Rule: TypeAlias = Callable[[_Panel, tuple[_Panel, _Panel], str | None], _Say | None]
-"""From the right panel, the other two and the board to how a family says it; none where it cannot."""
+"""From the right panel, the other two and the board to the family's phrase for it; None if it has none."""
 
 
 def _attributes(right: _Panel, wrong: tuple[_Panel, _Panel], _board: str | None) -> _Say | None:
@@ -187,9 +186,10 @@ def _people(right: _Panel, wrong: tuple[_Panel, _Panel], _board: str | None) -> 
 
 
 def _could_be_same(member: _Panel, other: _Panel) -> bool:
-    """Whether a viewer could take another panel for a member of the cast.
+    """Whether a viewer could mistake another panel for a member of the cast.
 
-    The cast differ from each other in at least two visible things beside skin; nobody nearer counts as a stranger.
+    Members of the cast differ from each other in at least two visible attributes beside skin; anybody more similar is
+    not a valid unknown identity.
     """
     if other.kind != "person":
         return False
@@ -198,7 +198,7 @@ def _could_be_same(member: _Panel, other: _Panel) -> bool:
 
 
 def _unlike(right: _Panel, wrong: tuple[_Panel, _Panel], kind: str) -> bool:
-    """Whether all panels are of one kind and the right one is none of the others, so that its name is enough."""
+    """Whether all panels are of one kind and the right one differs from the others, so that its name identifies it."""
     return right.kind == kind and all(other.kind == kind and other.concept != right.concept for other in wrong)
 
 
@@ -293,7 +293,7 @@ _RULES: dict[str, _Rule] = {
 
 @functools.lru_cache(maxsize=4096)
 def _sayings(labels: Labels, board: str | None, target: int) -> dict[str, _Say]:
-    """How each base family that can ask for the target does so. The result is shared: read it only."""
+    """The phrase of each base family that can ask for the target. The result is shared: do not modify it."""
     if len(labels) != 3 or target not in (0, 1, 2):
         raise TaskError(f"{len(labels)} labels and target {target!r}; a scene has 3 panels and the target is 0, 1 or 2")
     first, second = (_panel(label) for index, label in enumerate(labels) if index != target)
@@ -316,9 +316,9 @@ def _descriptions(gates: Gates, target: int) -> tuple[str, ...]:
 
 
 def families(labels: Labels, board: str | None, gates: Gates, target: int) -> tuple[str, ...]:  # noqa: ARG001
-    """The base families that can ask for one of the gates without ambiguity, in the order of `BASE_FAMILIES`.
+    """The base families that can ask for one of the gates unambiguously, in the order of `BASE_FAMILIES`.
 
-    Takes the same scene as `ask`; what the gates look like decides nothing here. Directives are always possible.
+    Takes the same scene as `ask`; the gates' appearance has no effect here. Directives are always possible.
     Raises `TaskError` for a target that is not 0, 1 or 2, `LabelError` for a malformed label.
     """
     return tuple(_sayings(labels, board, target))
@@ -333,11 +333,11 @@ def ask(
     family: str | None = None,
     pools: Pools = TRAIN,
 ) -> Question:
-    """A question whose only right answer is the gate at `target`, in the words of the training suite or of `pools`.
+    """A question whose only right answer is the gate at `target`, in the suite's wordings or those of `pools`.
 
-    Without a family, one of `families(...)` is drawn, all equally likely, and where there are none the question is a
-    directive. Of directives ("directive"), most are `write_directive`'s; the rest (`FREE_DIRECTIVES`) begin otherwise,
-    change the order or leave out what is not needed.
+    Without a family, one of `families(...)` is drawn uniformly; if there are none, the question is a
+    directive. Most directives ("directive") are `write_directive`'s; the rest (`FREE_DIRECTIVES`) begin differently,
+    change the order or omit what is not needed.
     Raises `TaskError` for an unknown family or one that cannot ask for this gate, and for a malformed scene.
     """
     sayings = _sayings(labels, board, target)

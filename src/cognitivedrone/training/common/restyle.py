@@ -1,6 +1,6 @@
-"""Label pictures as others might have drawn them: a network is to learn things, and not the hand of three artists.
+"""Redrawn label pictures, so that a network learns things and not the styles of three artists.
 
-A drawing keeps what it shows: shape and colours stay roughly as they are. A portrait is put before another wall.
+A drawing keeps its content: shape and colours stay approximately the same. A portrait gets another background.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from cognitivedrone.labels.reference import parse_reference
 from cognitivedrone.types import Image
 
 SIDE = 128
-"""Of restyled pictures, pixels."""
+"""Side of restyled pictures, pixels."""
 _DRAWN = frozenset({"animal", "food", "object", "several"})
-_TURN = 10.0  # spread of how a drawing is turned, degrees
+_TURN = 10.0  # standard deviation of a drawing's rotation, degrees
 
 
 def restyled(label: str, picture: Image, rng: np.random.Generator) -> Image:
-    """The picture (H, W, 3) of a label as (SIDE, SIDE, 3), drawn otherwise; a glyph or a logo stays as it is."""
+    """The picture (H, W, 3) of a label, redrawn, as (SIDE, SIDE, 3); glyphs and logos stay unchanged."""
     kind = parse_reference(label).kind
     small = PillowImage.fromarray(picture).resize((SIDE, SIDE), PillowImage.Resampling.BOX)
     if kind == "person":
@@ -28,14 +28,14 @@ def restyled(label: str, picture: Image, rng: np.random.Generator) -> Image:
 
 
 def _before_another_wall(pixels: Image, rng: np.random.Generator) -> Image:
-    """The wall is what has the colour of the upper left corner."""
+    """Replace the background, which has the colour of the upper left corner."""
     wall = (np.abs(pixels.astype(np.int16) - pixels[0, 0]) <= 3).all(axis=-1)
     pixels[wall] = rng.integers(60, 256, 3)
     return pixels
 
 
 def _redrawn(picture: PillowImage.Image, rng: np.random.Generator, *, turn: bool) -> PillowImage.Image:
-    """A drawing on white: in other tones, in fewer colours, with outlines, mirrored, turned, narrower."""
+    """A drawing on white, redrawn: other tones, fewer colours, outlines, mirrored, rotated, narrower."""
     if turn:
         if rng.random() < 0.3:
             picture = ImageOps.mirror(picture)
@@ -67,7 +67,7 @@ def _edges(picture: PillowImage.Image) -> PillowImage.Image:
 
 
 def _toned(picture: PillowImage.Image, rng: np.random.Generator) -> PillowImage.Image:
-    """Paler or greyer, or of a slightly other hue; white stays white."""
+    """Paler, greyer, or with a slightly different hue; white stays white."""
     pixels = np.asarray(picture, dtype=np.float32) / 255
     grey = pixels.mean(axis=-1, keepdims=True)
     pixels = grey + (pixels - grey) * rng.uniform(0.0, 1.4)

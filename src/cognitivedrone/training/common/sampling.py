@@ -1,6 +1,6 @@
-"""Samples from frames whose truth is known: what is in view, what is wanted, and sentences that ask for it.
+"""Training samples from frames with ground truth: the visible scene, the targets, and sentences about it.
 
-Wherever the frames come from, flights that are made now or a data set on disk, this is what they are turned into.
+Used for all sources of frames, rollouts and data sets on disk.
 """
 
 from __future__ import annotations
@@ -26,76 +26,76 @@ from cognitivedrone.training.common.questions import ask, families
 from cognitivedrone.types import IMAGE_SIZE, Image, Stage, Task
 
 Batch: TypeAlias = dict[str, NDArray[np.generic]]
-"""Named arrays, all with the sample as their first axis but for the `text_` ones:
+"""Named arrays whose first axis is the sample, except for the `text_` ones:
 
 image (B, 256, 256, 3) uint8; state (B, 5); the fields of `Truths`; panel_facets (B, 3, 10), gate_facets (B, 3, 3),
 board_facets (B, 3), indices into `FACETS` or -1; flown (B,) the gate flown at; tokens (B, K, L), asked (B, K) the gate
-asked for, choice (B, K) the same, or 3 where it is not in view. And text_tokens (T, L), text_panels (T, 3, 10),
-text_gates (T, 3, 3), text_board (T, 3), text_asked (T,), text_named (T,) the concept that alone the sentence means, an
+asked for, choice (B, K) the same, or 3 if it is not in view. And text_tokens (T, L), text_panels (T, 3, 10),
+text_gates (T, 3, 3), text_board (T, 3), text_asked (T,), text_named (T,) the concept that the sentence alone means, an
 index into `FACETS`, or -1. And card_image (C, g, g, 3) uint8, card_facets (C, 13), see
-`PanelCrops`; absent where C is 0.
+`PanelCrops`; absent if C is 0.
 """
 
 NONE_IN_VIEW = 3
-"""The choice where the gate asked for is not in view."""
+"""The choice if the gate asked for is not in view."""
 
 _LEFT_OUT, _LOST, _ADDED = 0.12, 0.12, 0.15
-"""Shares of words of a muddled sentence."""
+"""Shares of words that are left out, lost or added in a sentence with token noise."""
 
 _TEXT_SHARES = {"math": 0.3, "association": 0.2, "food": 0.06, "math_board": 0.12}
-"""How often families are trained without a frame; the others share the rest."""
+"""Frequency of families in training without a frame; the others share the rest."""
 
 _NAMING = frozenset({"letters", "digits", "logos", "animals", "math", "math_board", "distraction", "two_step"})
-"""Families whose sentences mean one concept, whatever else there is to choose from."""
+"""Families whose sentences mean one concept, regardless of the other options."""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamRecipe:
-    """How training flights go and what is taken from them."""
+    """Distribution of training flights and of the samples taken from them."""
 
     batch: int = 24
-    """Frames in a batch."""
+    """Frames per batch."""
     sentences: int = 6
-    """Asked of each frame."""
+    """Sentences per frame."""
     texts: int = 256
-    """Sentences in a batch that are trained without a frame."""
+    """Sentences per batch that are trained without a frame."""
     cards: int = 160
-    """Panels and boards in a batch that are trained without a frame."""
+    """Panel crops per batch that are trained without a frame."""
     chunk: int = 1
     suite: str = "train"
     """`train`, or `race`: single gates without panels, and "Fly through the gates"."""
     crowded: float = 0.0
-    """Share of a race's flights in rooms with three gates: there the one straight ahead is to be taken."""
+    """Share of a race's flights in rooms with three gates: the one straight ahead is right there."""
     spoken: float = 0.0
-    """Share of sentences about panels that are said in more ways than the training tasks."""
+    """Share of sentences about panels with more wordings than the training tasks."""
     muddled: float = 0.0
-    """Share of sentences that are put otherwise: words lost, left out and added, so that the rest must do."""
+    """Share of sentences with token noise: words lost, left out and added."""
     directives: bool = True
-    """Whether directives are among the sentences."""
+    """Whether some sentences are directives."""
     varied: float = 0.5
-    """Share of flights in a varied look."""
+    """Share of flights with varied appearance."""
     rolling: float = 0.2
     """Share of flights that begin behind the start box and in motion, as behind a gate of a track."""
     off_track: float = 0.35
-    """Share of flights that begin on the way, aside and turned."""
+    """Share of flights that begin on the path, offset and rotated."""
     wander: float = 0.6
-    """Share of the expert's flights that are disturbed by wandering commands."""
+    """Share of the expert's flights that are disturbed by random wrong commands."""
     wind_m_s: float = 1.0
-    """Largest steady wind."""
+    """Maximum steady wind."""
     learner: float = 0.25
-    """Share of worlds that the network flies, once there is one."""
+    """Share of worlds that the network flies, once it exists."""
     worlds: int = 16
-    """Flown together by each generating process."""
+    """Worlds per generating process."""
     sampled: float = 0.15
-    """Share of moments that become samples: the smaller, the less alike they are."""
+    """Share of control steps that become samples: with a smaller share, samples are less alike."""
     pool: int = 8
-    """Batches among which samples are shuffled."""
+    """Number of batches among which samples are shuffled."""
     expert: ExpertConfig = field(default_factory=ExpertConfig)
     """The teacher."""
 
 
 class Setting:
-    """What is known of a flight: its task and stage, the gate flown at, and what there is to see."""
+    """The known facts about a flight: its task and stage, the gate flown at, and the visible attributes."""
 
     def __init__(self, task: Task, stage: Stage, flown: int) -> None:
         self.task = task
@@ -118,11 +118,11 @@ class Sampler:
         self._cards = PanelCrops(labels, glimpse)
 
     def begin(self) -> None:
-        """Begin anew: what follows depends on nothing before."""
+        """Reset: the following samples do not depend on earlier ones."""
         self._cards.forget()
 
     def sample(self, rng: np.random.Generator, poses: Poses, flights: Sequence[Setting], frames: Image) -> Batch:
-        """The samples of n frames (n, 256, 256, 3), a flight each: the fields of `Batch` but `beside`."""
+        """The samples of n frames (n, 256, 256, 3), one flight each: the fields of `Batch` except those of `beside`."""
         known = truths(poses, [each.stage for each in flights], self.recipe.chunk, self.recipe.expert)
         tokens = np.zeros((len(flights), self.recipe.sentences, self.text_length), dtype=np.int64)
         asked = np.zeros((len(flights), self.recipe.sentences), dtype=np.int64)
@@ -149,7 +149,7 @@ class Sampler:
         return muddled(rng, tokens) if rng.random() < self.recipe.muddled else tokens
 
     def _questions(self, rng: np.random.Generator, row: int, each: Setting, known: Truths) -> Iterator[tuple[str, int]]:
-        """Sentences about a frame, each with the gate that is right; half of them about the gate that is flown at."""
+        """Sentences about a frame, each with the right gate; half of them about the gate flown at."""
         task = each.task
         readable = [g for g in self.askable(task) if known.in_view[row, g] and known.legible[row, g]]
         visible = [g for g in range(3) if known.in_view[row, g] and known.ahead[row, g]]
@@ -168,30 +168,30 @@ class Sampler:
                 question = ask(rng, each.stage.labels, task.board, task.gates, target, family_wanted, pools)
                 text, family = question.text, question.family
             if family == "math_board" and not known.legible[row, 3] and target != each.flown:
-                # Nobody can know: ask for something that can be seen.
+                # The answer is unknowable: ask for something visible.
                 text = ask(rng, each.stage.labels, None, task.gates, target, None, pools).text
             yield text, target
 
     def _pools(self, rng: np.random.Generator) -> Pools:
-        """What the next sentence may be made of; a recipe without a share draws nothing for it."""
+        """The ingredients of the next sentence; a recipe with a share of zero draws nothing for it."""
         return SPOKEN if self.recipe.spoken and rng.random() < self.recipe.spoken else TRAIN
 
     def askable(self, task: Task) -> tuple[int, ...]:
-        """The gates that can be asked for; without directives not those about whose panels there is nothing to say."""
+        """The gates that can be asked for; without directives, only those whose panels identify them."""
         gates = (0, 1, 2)
         if self.recipe.directives or task.family == "race":
             return gates
         return tuple(gate for gate in gates if families(task.labels, None, task.gates, gate))
 
     def beside(self, rng: np.random.Generator) -> Batch:
-        """What a batch has beside its frames: the `text_` and `card_` fields."""
+        """The parts of a batch beside its frames: the `text_` and `card_` fields."""
         if not self.recipe.cards:
             return self._texts(rng)
         images, facets = self._cards.draw(rng, self.recipe.cards)
         return self._texts(rng) | {"card_image": images, "card_facets": facets}
 
     def _texts(self, rng: np.random.Generator) -> Batch:
-        """Sentences with what the panels and gates show, told instead of seen."""
+        """Sentences with the attributes of panels and gates as ground truth instead of pixels."""
         count = self.recipe.texts
         rest = (1 - sum(_TEXT_SHARES.values())) / (len(BASE_FAMILIES) - len(_TEXT_SHARES))
         shares = np.array([_TEXT_SHARES.get(family, rest) for family in BASE_FAMILIES])
@@ -203,7 +203,7 @@ class Sampler:
         return told(tasks, np.stack([self._tokens(rng, text) for text in texts]), plain)
 
     def _task(self, rng: np.random.Generator, number: int) -> Task:
-        """A training task by its number, or one of its family said in more ways."""
+        """A training task by its number, or one of its family with additional wordings."""
         pools = self._pools(rng)
         if pools is TRAIN:
             return train_task(number, 0)
@@ -211,7 +211,7 @@ class Sampler:
 
 
 def told(tasks: Sequence[Task], tokens: NDArray[np.int64], plain: NDArray[np.bool_]) -> Batch:
-    """The `text_` fields of a batch: sentences (T, L) about tasks, with what panels and gates show told, not seen.
+    """The `text_` fields of a batch: sentences (T, L) about tasks, with attributes as ground truth instead of pixels.
 
     `plain` (T,) says which of the sentences are directives.
     """
@@ -230,14 +230,14 @@ def told(tasks: Sequence[Task], tokens: NDArray[np.int64], plain: NDArray[np.boo
 
 
 def _straight_ahead(row: int, each: Setting, known: Truths) -> int:
-    """The gate nearest to the middle of the image; where none can be flown through, the one that is flown at."""
+    """The gate nearest to the middle of the image; if none can be flown through, the gate flown at."""
     there = known.in_view[row] & known.valid[row]
     aside = np.abs(known.gate[row, :, 0] - IMAGE_SIZE / 2)
     return int(np.where(there, aside, np.inf).argmin()) if there.any() else each.flown
 
 
 def muddled(rng: np.random.Generator, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
-    """A sentence (L,) as a stranger might put it: now and then a word is left out, unknown or added (as unknown)."""
+    """A sentence (L,) with token noise: words are randomly left out, replaced by unknown or added (as unknown)."""
     kept: list[int] = []
     for token, chance in zip(tokens[tokens > 0].tolist(), rng.random(len(tokens)).tolist(), strict=False):
         if chance < _LEFT_OUT:

@@ -1,4 +1,4 @@
-"""Training of the small models: rounds of optimiser steps, checkpoints, learning curves, trials along the way."""
+"""Trainer of the small models: rounds of optimiser steps, checkpoints, learning curves, intermediate trials."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ _HEADLINES = ("loss", "choice accuracy", "text accuracy", "l1", "accuracy", "cro
 
 @dataclass(frozen=True, slots=True)
 class TrainConfig:
-    """One training."""
+    """Configuration of one training."""
 
     out: Path
     """Folder of the run."""
     subject: TrainingTask
-    """What is trained."""
+    """The training task."""
     seed: int = 0
     resume: bool = False
-    """Go on from the folder's checkpoint, if there is one."""
+    """Continue from the folder's checkpoint, if there is one."""
     threads: int = 1
-    """Of every process's network."""
+    """Threads of every process's network."""
 
 
 def learning_rate(schedule: Schedule, step: int) -> float:
-    """Of a step: up over the warm-up, level, then linearly down to zero at the end."""
+    """Learning rate of a step: linear warm-up, constant, then linear decay to zero at the end."""
     left = (schedule.steps - step) / max(schedule.decay_share * schedule.steps, 1)
     return schedule.learning_rate * min(1.0, (step + 1) / max(schedule.warmup_steps, 1), left)
 
@@ -58,8 +58,8 @@ def learning_rate(schedule: Schedule, step: int) -> float:
 def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
     """Train by a recipe; returns the checkpoint. Every process of a distributed training calls this.
 
-    Stopped at any moment, it goes on from the last full round with `resume`, and ends with the same weights on the
-    same machine as a training that was never stopped. Raises `TrainingError`.
+    A training stopped at any moment continues from the last full round with `resume`, and ends with the same weights on
+    the same machine as an uninterrupted one. Raises `TrainingError`.
     """
     torch.set_num_threads(config.threads)
     accelerator = Accelerator(mixed_precision="bf16", cpu=not torch.cuda.is_available())
@@ -106,7 +106,7 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
 
 
 def _begin(config: TrainConfig, network: nn.Module, optimizer: torch.optim.Optimizer, main: bool) -> int:
-    """Make the folder, or restore what is in it; the step to go on from."""
+    """Create the folder, or restore its content; returns the step to continue from."""
     path, identity = config.out / CHECKPOINT, _identity(config)
     if path.exists():
         if not config.resume:
@@ -130,7 +130,7 @@ def _identity(config: TrainConfig) -> dict[str, Any]:
 
 
 def _seed_step(seed: int, rank: int, step: int) -> None:
-    """Randomness inside a step depends on nothing before it, so that a resumed training is the same."""
+    """Seed the randomness of a step independently of earlier steps, so that a resumed training is the same."""
     torch.manual_seed((seed * 1_000_003 + rank) * 10_000_019 + step)
 
 
@@ -157,8 +157,8 @@ def _step(
 
 
 def _parts(network: nn.Module) -> list[list[nn.Parameter]]:
-    """The parameters of each part of a network. They are clipped apart: a panel that is hard to read, which shakes
-    what reads panels, must not quieten what sentences teach.
+    """The parameters of each part of a network. They are clipped separately: large gradients of hard-to-read panels, in
+    the reading parts, must not weaken what sentences teach.
     """
     parts: dict[str, list[nn.Parameter]] = defaultdict(list)
     for name, parameter in network.named_parameters():
@@ -167,7 +167,7 @@ def _parts(network: nn.Module) -> list[list[nn.Parameter]]:
 
 
 def _progress(*, enabled: bool) -> Progress:
-    # On standard output, as the lines of the rounds, which it lets pass above itself.
+    # On standard output, like the lines of the rounds, which are printed above it.
     columns = (SpinnerColumn(), TimeElapsedColumn())
     return progress_bar("note", show=enabled, columns=columns, screen=console())
 
@@ -178,7 +178,7 @@ def _wait(progress: Progress, bar: TaskID, doing: str) -> None:
 
 @contextmanager
 def _told_when_stopped(out: Path, step: Callable[[], int]) -> Iterator[None]:
-    """Inside, Ctrl-C says what is left of the training."""
+    """Inside this context, Ctrl-C reports the state of the training."""
     try:
         yield
     except KeyboardInterrupt:
@@ -186,7 +186,7 @@ def _told_when_stopped(out: Path, step: Callable[[], int]) -> Iterator[None]:
 
 
 def what_is_left(out: Path, where: str = "") -> str:
-    """Of a training that was stopped, in words: the step of its checkpoint, or that there is none."""
+    """State of a stopped training, in words: the step of its checkpoint, or that there is none."""
     if not (out / CHECKPOINT).exists():
         return f"stopped{where}, before the first checkpoint; there is nothing in {out} to resume, start again"
     step = read_checkpoint(out / CHECKPOINT)[1]["step"]
@@ -194,7 +194,7 @@ def what_is_left(out: Path, where: str = "") -> str:
 
 
 class _Keeper:
-    """What the main process does beside the steps: writes checkpoints and curves, validates and flies."""
+    """Work of the main process beside the steps: checkpoints, curves, validation and trials."""
 
     def __init__(self, config: TrainConfig, accelerator: Accelerator, report: Callable[[str], None]) -> None:
         self._config, self._accelerator, self._report = config, accelerator, report
@@ -208,7 +208,7 @@ class _Keeper:
         self._batches: list[Batch] = config.subject.validation(config.seed)
 
     def follow(self, measures: dict[str, torch.Tensor]) -> None:
-        """Take in a step."""
+        """Add the measures of a step."""
         for name, value in measures.items():
             self._sums[name] += float(value)
         self._count += 1
@@ -217,11 +217,11 @@ class _Keeper:
             self._recent = ", ".join(f"{name} {means[name]:.3f}" for name in _HEADLINES[:2] if name in means)
 
     def note(self) -> str:
-        """What stands beside the progress bar."""
+        """The text beside the progress bar."""
         return self._recent
 
     def end_round(self, lesson: Any, optimizer: torch.optim.Optimizer, step: int) -> None:
-        """Validate and try if it is time, then write down where the training is."""
+        """Validate and run trials if due, then save the state of the training."""
         schedule, out = self._schedule, self._config.out
         last = step == schedule.steps
         row: Row = {f"train {name}": value / max(self._count, 1) for name, value in self._sums.items()}

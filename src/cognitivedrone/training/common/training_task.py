@@ -1,4 +1,4 @@
-"""What the trainer asks of what it trains: one trainer for every small model."""
+"""Interface between the trainer and its training tasks, the same for every small model."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from cognitivedrone.training.common.sampling import Batch
 from cognitivedrone.types import FloatArray, Image
 
 Row = dict[str, Any]
-"""Measures by name: a point of the learning curves."""
+"""Measures by name: one point of the learning curves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Schedule:
-    """How long and how fast something is trained."""
+    """Duration and learning rate of a training."""
 
     name: str
     steps: int
-    """Of the optimiser."""
+    """Steps of the optimiser."""
     learning_rate: float = 1.2e-3
     warmup_steps: int = 200
     decay_share: float = 0.6
-    """Share of the training, its end, over which the learning rate falls linearly to zero."""
+    """Final share of the training over which the learning rate decays linearly to zero."""
     weight_decay: float = 0.02
     clip: float = 2.0
-    """Bound on the norm of the gradient of each part of the network."""
+    """Maximum norm of the gradient of each part of the network."""
     round_steps: int = 250
-    """Between checkpoints; also how often a network that flies along is renewed."""
+    """Steps between checkpoints; also between updates of the policy under training."""
     validate_every: int = 500
     """Steps between points of the learning curves; a multiple of `round_steps` or equal to it."""
     fly_every: int = 2000
@@ -44,7 +44,7 @@ class Schedule:
 
 
 class Learner(Protocol):
-    """What flies along: actions for images (n, 256, 256, 3), states (n, 5) and sentences."""
+    """Policy under training: actions for images (n, 256, 256, 3), states (n, 5) and sentences."""
 
     def act(self, images: Image, states: NDArray[np.float32], texts: list[str]) -> FloatArray:
         """Actions (n, 4), m/s and rad/s."""
@@ -52,28 +52,28 @@ class Learner(Protocol):
 
 
 class Batches(Protocol):
-    """Makes batches without end: the same for the same seed and learner. A training's seed ends with its round."""
+    """Endless source of batches: the same for the same seed and policy. A training's seed ends with its round."""
 
     def __call__(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
-        """A learner flies some of the flights, where there are flights."""
+        """If there are flights, the `learner` flies some of them."""
         ...
 
 
 Filling: TypeAlias = Callable[[int, int], None]
-"""Told how many samples were made, and how many there must be before the next batches can be drawn from them."""
+"""Called with the number of samples made, and the number needed before the next batches can be drawn."""
 
 
 @runtime_checkable
 class Watched(Protocol):
-    """Batches that take a while to begin, and tell how far they are."""
+    """Batches with a slow start that report their progress."""
 
     def watch(self, told: Filling) -> None:
-        """Tell from now on."""
+        """Call `told` with the progress from now on."""
         ...
 
 
 class LossModule(Protocol):
-    """A network with its teacher; a `torch.nn.Module`."""
+    """A network with its losses; a `torch.nn.Module`."""
 
     network: nn.Module
 
@@ -83,43 +83,43 @@ class LossModule(Protocol):
 
 
 class TrainingTask(Protocol):
-    """Something to train. Generating processes get a copy, so it is small and can be pickled between them."""
+    """A training task. Generating processes get a copy, so it is small and can be pickled."""
 
     @property
     def recipe(self) -> Schedule:
-        """How long and how fast, and whatever else decides what comes out."""
+        """The recipe: duration, learning rate, and everything else that determines the result."""
         ...
 
     def identity(self) -> dict[str, Any]:
-        """What makes a training this one, as plain JSON values: only such a one can be gone on with."""
+        """The identity of a training, as plain JSON values: `resume` requires an equal one."""
         ...
 
     def facts(self) -> dict[str, Any]:
-        """What else a checkpoint tells of it, as plain JSON values."""
+        """Further facts for the checkpoint, as plain JSON values."""
         ...
 
     def network(self) -> nn.Module:
-        """A new one, with random weights."""
+        """A new network, with random weights."""
         ...
 
     def lesson(self, network: nn.Module) -> nn.Module:
-        """The network with its teacher: a `LossModule`."""
+        """The network with its losses: a `LossModule`."""
         ...
 
     def learner(self, network: nn.Module) -> Learner | None:
-        """The network, with whatever weights it is given later, as what flies along; `None` where nothing does."""
+        """The network, with weights that are set later, as the policy under training; `None` if none flies."""
         ...
 
     def share(self, processes: int) -> Self:
-        """The part of one of several processes, which together make its batches. Raises `TrainingError`."""
+        """The share of one of several processes, which together make the batches. Raises `TrainingError`."""
         ...
 
     def batches(self) -> Batches:
-        """Where training batches come from; opens simulators and files."""
+        """The source of training batches; opens simulators and files."""
         ...
 
     def validation(self, seed: int) -> list[Batch]:
-        """Batches that are never trained."""
+        """Batches that are never used for training."""
         ...
 
     def validate(self, lesson: nn.Module, batches: list[Batch], autocast: Any) -> Row:
@@ -127,5 +127,5 @@ class TrainingTask(Protocol):
         ...
 
     def trial(self, network: nn.Module) -> Row:
-        """What the network can do, in closed loop or alone; rows with "success"."""
+        """Performance of the network, in closed loop or alone; rows with "success"."""
         ...

@@ -1,4 +1,4 @@
-"""People of whom nobody has heard: asked for one among two who are known, it must be the third."""
+"""Unknown identities: an unknown name beside two known people must mean the third."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from cognitivedrone.tasks.people import CAST, IDENTITY, SCHEMA, TRAIN_CAST, pers
 from cognitivedrone.types import Task
 
 STRANGER = "somebodynobodyknows"
-"""Stands for a name that was never heard; no vocabulary holds it."""
-_ALIKE = 0.6  # share of strangers who look much like somebody known
+"""Replacement for an unknown name; no vocabulary contains it."""
+_ALIKE = 0.6  # share of unknown identities that look much like a known person
 
 
 def with_stranger(rng: np.random.Generator, task: Task) -> Task:
-    """A task of the family `people`, but about somebody unknown, who may look much like somebody known."""
+    """A task of the family `people` about an unknown identity, who may look much like a known person."""
     near = rng.random() < _ALIKE
     while True:
         person = {key: values[int(rng.integers(len(values)))] for key, values in SCHEMA.items()}

@@ -1,4 +1,4 @@
-"""Low-rank adapters (Hu et al. 2021, arXiv 2106.09685) on an OpenVLA: put in, kept, restored, merged."""
+"""Low-rank adapters (Hu et al. 2021, arXiv 2106.09685) for OpenVLA: insertion, saving, restoring, merging."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from cognitivedrone.training.openvla.recipes import LoraRecipe
 
 
 def add_adapters(network: OpenVlaNetwork, recipe: LoraRecipe, seed: int = 0) -> dict[str, nn.Parameter]:
-    """Put adapters on every linear layer, and freeze all else; returns the trained weights (float32) by name.
+    """Add adapters to every linear layer, and freeze everything else; returns the trained weights (float32) by name.
 
-    As in the published fine-tuning, the layer that scores words and the convolutions that read patches count as linear,
-    and an adapter begins with normal numbers on its way in and zeros on its way out.
+    As in the published fine-tuning, the output layer and the patch convolutions count as linear, and an adapter's
+    input matrix is initialised normally, its output matrix with zeros.
     """
     names = [name for name, module in network.named_modules() if isinstance(module, nn.Linear | nn.Conv2d)]
     torch.manual_seed(seed)
@@ -33,7 +33,7 @@ def add_adapters(network: OpenVlaNetwork, recipe: LoraRecipe, seed: int = 0) -> 
 
 
 def merge_adapters(network: OpenVlaNetwork) -> None:
-    """Add the adapters to the layers that they stand on, which become plain layers again."""
+    """Merge the adapters into their layers, which become plain layers again."""
     for name, module in list(network.named_modules()):
         if isinstance(module, LoraLayer):
             module.merge()
@@ -42,7 +42,7 @@ def merge_adapters(network: OpenVlaNetwork) -> None:
 
 
 def state_of(optimizer: Any, names: list[str]) -> dict[str, Tensor]:
-    """Adapters and moments by name, whole; every process calls this, for where weights are sharded each has a part."""
+    """Adapters and moments by name, unsharded; every process must call this, because each may hold a part."""
     state: dict[str, Tensor] = {}
     for name, value in zip(names, _trained(optimizer), strict=True):
         state[f"adapter.{name}"] = _whole(value)
@@ -51,18 +51,18 @@ def state_of(optimizer: Any, names: list[str]) -> dict[str, Tensor]:
 
 
 def as_module(state: dict[str, Tensor]) -> nn.Module:
-    """What `state_of` gave, as something with a state: modules allow no dots in names."""
+    """The result of `state_of` as a module, whose names may not contain dots."""
     return nn.ParameterDict({name.replace(".", "/"): value for name, value in state.items()})
 
 
 def take_adapters(trained: dict[str, nn.Parameter], tensors: dict[str, Tensor]) -> None:
-    """Put a checkpoint's adapters into what `add_adapters` gave, before anything is sharded."""
+    """Load a checkpoint's adapters into the result of `add_adapters`, before sharding."""
     for name, value in trained.items():
         value.data.copy_(tensors[_stored(f"adapter.{name}")])
 
 
 def take_moments(optimizer: Any, names: list[str], tensors: dict[str, Tensor]) -> None:
-    """Put a checkpoint's moments into an optimiser of the same adapters, after weights are sharded, if they are."""
+    """Load a checkpoint's moments into an optimiser of the same adapters, after sharding, if any."""
     for name, value in zip(names, _trained(optimizer), strict=True):
         for moment in ("step", "exp_avg", "exp_avg_sq"):
             held = tensors[_stored(f"{moment}.{name}")].to(value.device)
@@ -82,5 +82,5 @@ def _whole(value: Tensor) -> Tensor:
 
 
 def _stored(name: str) -> str:
-    """Of a tensor in a checkpoint of `as_module`."""
+    """Name of a tensor in a checkpoint of `as_module`."""
     return "network." + name.replace(".", "/")

@@ -1,4 +1,4 @@
-"""The checkpoint that a fine-tuning starts from, and whether the machine can hold it: said before it is loaded."""
+"""The base checkpoint of a fine-tuning, and the check of the machine's memory before it is loaded."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from cognitivedrone.models.openvla.tensors import elements, used_tensors
 from cognitivedrone.training.openvla.recipes import LoraRecipe
 
 BYTES_PER_TRAINED = 16
-"""Of an adapter's number: itself, its gradient and two moments, in float32."""
+"""Bytes per trained number: the adapter's number, its gradient and two moments, in float32."""
 SMALL = 2_000_000_000
-"""Bytes up to which a network is fine-tuned on a machine without a GPU."""
-_TEXT = 64  # tokens of prompt and answer, rather more than an instruction has
-_WORKSPACE = 1_500_000_000  # bytes of a GPU that PyTorch and its libraries take
-_TAIL = 2**20  # bytes at the end of a file that tell it from another of the same shapes
+"""Maximum bytes of a network that is fine-tuned without a GPU."""
+_TEXT = 64  # tokens of prompt and answer, somewhat more than an instruction has
+_WORKSPACE = 1_500_000_000  # bytes of a GPU used by PyTorch and its libraries
+_TAIL = 2**20  # bytes at the end of a file that distinguish it from another of the same shapes
 
 
 def read_base(folder: Path, key: str, statistics: ActionStatistics) -> Checkpoint:
@@ -33,7 +33,7 @@ def read_base(folder: Path, key: str, statistics: ActionStatistics) -> Checkpoin
 
 
 def fingerprint(base: Checkpoint) -> str:
-    """What tells one base from another without reading all of it: its sizes and the ends of its files."""
+    """Identity of a base without reading all of it: from its sizes and the ends of its files."""
     digest = hashlib.sha256(repr(base.config).encode())
     for path in sorted(set(base.files.values())):
         size = path.stat().st_size
@@ -45,7 +45,7 @@ def fingerprint(base: Checkpoint) -> str:
 
 
 def trained_weights(config: Config, rank: int) -> int:
-    """Numbers in adapters of that rank on every linear layer and on both towers' first convolution."""
+    """Number of weights in adapters of that rank on every linear layer and on both towers' first convolution."""
     total = 0
     for name, shape in used_tensors(config).items():
         if len(shape) == 4 or (len(shape) == 2 and "embed_tokens" not in name):
@@ -54,21 +54,21 @@ def trained_weights(config: Config, rank: int) -> int:
 
 
 def needed_bytes(base: Checkpoint, recipe: LoraRecipe, processes: int, *, sharded: bool) -> int:
-    """Memory that fine-tuning takes on each GPU: an estimate from the shapes, on the safe side.
+    """Memory that fine-tuning needs on each GPU: a conservative estimate from the shapes.
 
-    Weights as stored; adapters with gradients and moments; activations of a micro-batch: what goes into every layer,
-    and what is inside of one (of all, where `checkpointing` is False). To be sharded, weights have to be whole for a
-    moment.
+    Stored weights; adapters with gradients and moments; activations of a micro-batch: the inputs of every layer, and
+    the activations inside one (inside all, if `checkpointing` is False). For sharding, all weights must briefly be on
+    one GPU.
     """
     config, language, each = base.config, base.config.language, base.stored_bytes
     weights = elements(used_tensors(config).values()) * each
     held = weights + trained_weights(config, recipe.rank) * BYTES_PER_TRAINED
-    if sharded:  # a part of everything, and one layer whole
+    if sharded:  # a part of everything, and one complete layer
         held = held // processes + held // language.num_hidden_layers
     tokens = PATCHES + _TEXT
     stacks = [(tower.width, tower.hidden, tower.depth) for tower in (config.dino, config.siglip)]
     stacks.append((language.hidden_size, 2 * language.intermediate_size, language.num_hidden_layers))
-    # Twice what a plain layer keeps: adapters take their inputs in float32.
+    # Twice as much as a plain layer keeps, because adapters take their inputs in float32.
     inside = [tokens * (24 * width + 8 * hidden) * each for width, hidden, _ in stacks]
     if recipe.checkpointing is not False:
         sample = sum(tokens * width * each * depth for width, _, depth in stacks) + max(inside)
@@ -79,9 +79,9 @@ def needed_bytes(base: Checkpoint, recipe: LoraRecipe, processes: int, *, sharde
 
 
 def recomputes(base: Checkpoint, recipe: LoraRecipe, processes: int, free: int, device: str, *, sharded: bool) -> bool:
-    """Whether layers are to be recomputed: as the recipe says or, where it leaves that open, if the memory is short.
+    """Whether layers are recomputed: as the recipe says or, if it is None, if memory is short.
 
-    `free` are the bytes that the fullest GPU has free, or the host. Raises `TrainingError` as `check_machine` does.
+    `free` is the free memory of the fullest GPU, or of the host, in bytes. Raises `TrainingError` like `check_machine`.
     """
     recompute, spare = recipe.checkpointing is not False, _WORKSPACE if device == "cuda" else 0
     if recipe.checkpointing is None:
@@ -93,7 +93,7 @@ def recomputes(base: Checkpoint, recipe: LoraRecipe, processes: int, free: int, 
 
 
 def check_machine(needed: int, free: int, device: str, folder: Path) -> None:
-    """Raises `TrainingError` where a fine-tuning that needs so many bytes does not fit, or there is no GPU for it."""
+    """Raise `TrainingError` if a fine-tuning that needs this many bytes does not fit, or there is no GPU for it."""
     if device == "cuda":
         needed += _WORKSPACE
     told = f"fine-tuning {folder} needs {needed / 1e9:.1f} GB"
@@ -107,7 +107,7 @@ def check_machine(needed: int, free: int, device: str, folder: Path) -> None:
 
 
 def check_merging(needed: int, free: int, folder: Path) -> None:
-    """Raises `TrainingError` where the host cannot hold a network that a run's adapters are to be merged into."""
+    """Raise `TrainingError` if the host cannot hold the network for merging a run's adapters."""
     if needed > free:
         raise TrainingError(
             f"merging {folder} needs {needed / 1e9:.1f} GB of the host's memory, has {free / 1e9:.1f} GB free; nothing"

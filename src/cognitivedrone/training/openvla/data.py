@@ -1,4 +1,4 @@
-"""Flights of a data set as OpenVLA's samples, their order, and the measures of its answers."""
+"""OpenVLA's training samples from flights of a data set, their order, and the metrics of its answers."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ from cognitivedrone.types import Category, FloatArray, Task
 
 Numbers: TypeAlias = NDArray[np.int64]
 Samples: TypeAlias = Mapping[str, Tensor]
-"""What the network takes by name: `input_ids` and `labels` (B, T), `pixel_values` (B, 6, 224, 224) and, where texts
+"""The network's inputs by name: `input_ids` and `labels` (B, T), `pixel_values` (B, 6, 224, 224) and, if texts
 differ in length, `attention_mask` (B, T)."""
 ANSWER = ACTION_SIZE + 1
-"""Labelled tokens of a sample: the action's words and the end."""
+"""Labelled tokens of a sample: the action tokens and the end."""
 
 
 class Steps(Protocol):
-    """What training asks of a data set; a `Store` has it, and so have `RldsSteps`."""
+    """Interface of data sets for training; `Store` and `RldsSteps` implement it."""
 
     def step_numbers(self, split: Split | None = None) -> Numbers:
         """The numbers of the steps of a split, or of all."""
         ...
 
     def steps(self, numbers: Numbers) -> Batch:
-        """The steps of these numbers, in their order."""
+        """The steps with these numbers, in their order."""
         ...
 
     def actions(self, split: Split | None = None) -> NDArray[np.float32]:
@@ -54,32 +54,32 @@ class Steps(Protocol):
         ...
 
     def episode_rows(self) -> Numbers:
-        """(n_steps,) the place in `tasks` of the episode that each step belongs to."""
+        """(n_steps,) the index in `tasks` of each step's episode."""
         ...
 
     def content_hash(self) -> str:
-        """The same for the same content."""
+        """Content hash."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Flights:
-    """A data set to learn from."""
+    """A data set for training."""
 
     identity: str
     """Its kind, and the hash of its content."""
     steps: Steps
     train: Numbers
-    """Numbers of the steps that are learnt; no episode has steps in both."""
+    """Numbers of the training steps; no episode has steps in both splits."""
     val: Numbers
     statistics: ActionStatistics
-    """Of the steps that are learnt."""
+    """Statistics of the training steps."""
 
 
 def open_flights(folder: Path, category: Category | None = None) -> Flights:
-    """The flights of a store or of an RLDS export, all or those of a category; the same flights give the same samples.
+    """The flights of a store or of an RLDS export, all or those of a category; same flights, same samples.
 
-    Raises `DataError` where there is neither, or an RLDS data set of others, and `TrainingError` where a split has no
+    Raises `DataError` if there is neither, or a third-party RLDS data set, and `TrainingError` if a split has no
     step.
     """
     exported = is_rlds(folder)
@@ -104,9 +104,9 @@ def _steps_of(steps: Steps, split: Split, category: Category | None) -> Numbers:
 
 
 def rows_of_step(numbers: Numbers, batch: int, seed: int, step: int) -> Numbers:
-    """(batch,) what an optimiser's step learns: all of `numbers` in a new random order, again and again.
+    """(batch,) the samples of an optimiser step: all of `numbers` in a new random order, again and again.
 
-    A function of its arguments alone, so that a training that goes on after a kill sees what it would have seen.
+    A function of its arguments alone, so that a training that continues after a kill sees the same samples.
     """
     places = np.arange(step * batch, (step + 1) * batch)
     epochs, within = np.divmod(places, len(numbers))
@@ -115,7 +115,7 @@ def rows_of_step(numbers: Numbers, batch: int, seed: int, step: int) -> Numbers:
 
 
 def plain_of_step(batch: int, share: float, seed: int, step: int) -> NDArray[np.bool_]:
-    """(batch,) which samples of a step are told the directive."""
+    """(batch,) which samples of a step get the directive."""
     return np.random.default_rng((seed, step, 1)).random(batch) < share
 
 
@@ -126,14 +126,14 @@ def validation_rows(numbers: Numbers, frames: int) -> Numbers:
 
 @dataclass(frozen=True, slots=True)
 class SampleMaker:
-    """Makes samples of the steps of flights."""
+    """Makes samples from the steps of flights."""
 
     flights: Flights
     encode: Encoder
     preparation: ImagePreparation
 
     def __call__(self, numbers: Numbers, plain: NDArray[np.bool_] | None = None) -> Samples:
-        """The samples of these steps; those of `plain` are told the directive."""
+        """The samples of these steps; those of `plain` get the directive."""
         read = self.flights.steps.steps(numbers)
         words = to_tokens(self.flights.statistics.normalise(read["action"]))
         rows = []
@@ -145,23 +145,23 @@ class SampleMaker:
 
 
 def _collate(rows: list[list[int]]) -> dict[str, Tensor]:
-    """Texts that end with an answer as one tensor, padded at the right."""
+    """Texts that end with an answer as one tensor, padded on the right."""
     longest = max(map(len, rows))
     ids = torch.full((len(rows), longest), PADDING)
     labels = torch.full_like(ids, IGNORED)
     for row, tokens in enumerate(rows):
         ids[row, : len(tokens)] = torch.tensor(tokens)
         labels[row, len(tokens) - ANSWER : len(tokens)] = torch.tensor(tokens[-ANSWER:])
-    # Where nothing is padded, attention needs no mask and takes its quick way.
+    # Without padding, attention needs no mask and uses a faster path.
     padded = min(map(len, rows)) < longest
     return {"input_ids": ids, "labels": labels} | ({"attention_mask": (ids != PADDING).long()} if padded else {})
 
 
 def answer_measures(actions: FloatArray, guess: Numbers, entropy: FloatArray, statistics: ActionStatistics) -> Row:
-    """L1 (m/s and rad/s), accuracy of the word and cross-entropy, by dimension and overall, and the baseline's, which
-    always says the commonest word.
+    """L1 (m/s and rad/s), token accuracy and cross-entropy, by dimension and overall, and those of the baseline, which
+    always predicts the most frequent token.
 
-    `actions` (n, 4) are the true ones, `guess` (n, 4) the ids that were thought likeliest, each after the true ones
+    `actions` (n, 4) are the true ones, `guess` (n, 4) the most likely ids, each given the true ones
     before it, and `entropy` (n, 4) the cross-entropy of the true ids, in nats.
     """
     true = to_tokens(statistics.normalise(actions))

@@ -1,13 +1,12 @@
 """Fine-tuning of OpenVLA by low-rank adapters (Hu et al. 2021, arXiv 2106.09685), on one or many GPUs.
 
     OUT/
-      checkpoint.safetensors   adapters, the optimiser's moments and the step; what `resume` goes on from
-      recipe.json              what makes this training the one it is
-      metrics.jsonl            a row every `save_every` steps; curves.png and tensorboard/ show the same
-      merged/                  at the end: a whole checkpoint, for `--policy openvla:OUT/merged`
+      checkpoint.safetensors   adapters, the optimiser's moments and the step; `resume` continues from it
+      recipe.json              the identity of this training
+      metrics.jsonl            one row every `save_every` steps; curves.png and tensorboard/ show the same
+      merged/                  at the end: a complete checkpoint, for `--policy openvla:OUT/merged`
 
-Everything random is a function of seed and step: what a training that was killed sees when it goes on is what it would
-have seen.
+All randomness is a function of seed and step, so a training that continues after a kill sees the same samples.
 """
 
 from __future__ import annotations
@@ -70,15 +69,15 @@ Found: TypeAlias = tuple[dict[str, Tensor], dict[str, Any]]
 """Tensors and facts of a checkpoint."""
 _IDENTITY = ("recipe", "seed", "data", "base", "key")
 _HEADLINES = ("train loss", "l1", "accuracy", "baseline accuracy", "cross-entropy")
-_LAYERS = ["LlamaDecoderLayer", "Block"]  # what is sharded as one
+_LAYERS = ["LlamaDecoderLayer", "Block"]  # units of sharding
 
 
 @dataclass(frozen=True)
 class FineTuning:
-    """One fine-tuning: what from, on what, where to."""
+    """Options of one fine-tuning."""
 
     base: Path
-    """Folder of the checkpoint to start from."""
+    """Folder of the base checkpoint."""
     data: Path
     """A store of flights, made by `collect` or `data import`, or an RLDS data set, made by `data export`."""
     out: Path
@@ -86,11 +85,11 @@ class FineTuning:
     recipe: LoraRecipe = PAPER
     seed: int = 0
     resume: bool = False
-    """Go on from the folder's checkpoint, if there is one."""
+    """Continue from the folder's checkpoint, if there is one."""
     shard: bool = False
-    """Spread the weights over the GPUs (FSDP) instead of copying them to each (DDP)."""
+    """Shard the weights over the GPUs (FSDP) instead of copying them to each (DDP)."""
     key: str = KEY
-    """Under which the statistics of actions are written into the checkpoint: its `unnorm_key`."""
+    """Key of the action statistics in the checkpoint: its `unnorm_key`."""
 
     @cached_property
     def flights(self) -> Flights:
@@ -104,7 +103,7 @@ class FineTuning:
 
     @cached_property
     def identity(self) -> dict[str, Any]:
-        """What makes a training this one, as plain JSON values: only such a one can be gone on with."""
+        """The identity of a training, as plain JSON values: `resume` requires an equal one."""
         return {
             "recipe": self.recipe.facts(),
             "seed": self.seed,
@@ -135,17 +134,17 @@ def fine_tune(config: FineTuning, report: Callable[[str], None] = print) -> Path
             (out / "recipe.json").write_text(json.dumps(config.identity, indent=2) + "\n")
         _train(config, accelerator, found, report, recompute=recompute)
     merges = accelerator.is_main_process and (step < recipe.steps or not (out / MERGED).is_dir())
-    accelerator.end_training()  # nobody has to wait for the merging
+    accelerator.end_training()  # no process has to wait for the merging
     if merges:
         merge(config)
     return out / MERGED
 
 
 def merge(config: FineTuning) -> Path:
-    """Add the adapters of the run's newest checkpoint to the base, as a checkpoint in OUT/merged; returns that folder.
+    """Merge the adapters of the run's newest checkpoint into the base, in OUT/merged; returns that folder.
 
-    On the host, in as much memory as the weights take. Raises `TrainingError` where the run has no checkpoint, it is of
-    another base, recipe or data, or the host has not the memory.
+    Runs on the host, in as much memory as the weights need. Raises `TrainingError` if the run has no checkpoint, it is
+    of another base, recipe or data, or the host lacks the memory.
     """
     found = _found(config, resume=True)
     if found is None:
@@ -165,7 +164,7 @@ def merge(config: FineTuning) -> Path:
 
 
 def _found(config: FineTuning, *, resume: bool) -> Found | None:
-    """The run's checkpoint, if it has one; raises `TrainingError` for one that is not to be gone on with."""
+    """The run's checkpoint, if it has one; raises `TrainingError` if it cannot be continued."""
     identity, path = config.identity, config.out / CHECKPOINT
     if not path.exists():
         return None
@@ -191,7 +190,7 @@ def _accelerator(config: FineTuning) -> Accelerator:
         )
     accelerator = Accelerator(mixed_precision="bf16", cpu=not torch.cuda.is_available(), fsdp_plugin=plugin)
     if plugin is not None and accelerator.distributed_type == DistributedType.MULTI_CPU:
-        # Accelerate looks at its plugin on GPUs only; PyTorch shards on CPUs by the same calls.
+        # Accelerate uses its plugin on GPUs only; PyTorch shards on CPUs by the same calls.
         plugin.set_mixed_precision("bf16")
         accelerator.state.fsdp_plugin = plugin
         accelerator.state.distributed_type = DistributedType.FSDP
@@ -201,7 +200,7 @@ def _accelerator(config: FineTuning) -> Accelerator:
 
 
 def _recomputes(config: FineTuning, accelerator: Accelerator) -> bool:
-    """See `recomputes`; all processes give the same answer, as the one with the least memory has to."""
+    """See `recomputes`; all processes give the same answer, that of the one with the least memory."""
     device, processes = accelerator.device, accelerator.num_processes
     free = torch.cuda.mem_get_info(device)[0] if device.type == "cuda" else checkpoints.free_memory()
     least = int(accelerator.gather(torch.tensor([free], device=device)).min())
@@ -217,7 +216,7 @@ def _train(
     recompute: bool,
 ) -> None:
     recipe, base = config.recipe, config.checkpoint
-    host = accelerator.device.type == "cpu"  # in several processes it is called cpu:0, which no file is read to
+    host = accelerator.device.type == "cpu"  # in several processes it is called cpu:0, to which no file can be loaded
     dtype = torch.float32 if host and base.stored_bytes == 4 else torch.bfloat16
     bare = load(base, "cpu" if host else accelerator.device, dtype)
     bare.enable_checkpointing(recompute)
@@ -265,7 +264,7 @@ def _samples_of_step(config: FineTuning, make: SampleMaker, accelerator: Acceler
 def _step(
     network: nn.Module, optimizer: Any, accelerator: Accelerator, micro_batches: list[Samples], step: int
 ) -> tuple[Tensor, Tensor]:
-    """One step of the optimiser; returns the mean loss and the accuracy of the action's words, of this process."""
+    """One step of the optimiser; returns the mean loss and the accuracy of the action tokens, of this process."""
     count = sum(len(samples["input_ids"]) for samples in micro_batches)
     loss, hits = torch.zeros(2, device=accelerator.device)
     optimizer.zero_grad()
@@ -286,10 +285,10 @@ def _step(
 
 
 def validate(network: nn.Module, accelerator: Accelerator, make: SampleMaker, recipe: LoraRecipe) -> Row:
-    """Measures on frames of flights that are never trained, by instruction; see `answer_measures`."""
+    """Metrics on frames of flights that are never used for training, by instruction; see `answer_measures`."""
     rows = validation_rows(make.flights.val, recipe.validation_frames)
     rank, processes = accelerator.process_index, accelerator.num_processes
-    # Each process asks equally often: where they share the weights, nobody can be late.
+    # All processes run equally many batches, because sharded weights need every process.
     asked = -(-len(rows) // processes) * processes
     own = rows[np.minimum(np.arange(rank, asked, processes), len(rows) - 1)]
     found = []
@@ -307,7 +306,7 @@ def validate(network: nn.Module, accelerator: Accelerator, make: SampleMaker, re
 
 
 def _answers(logits: Tensor, targets: Tensor) -> Tensor:
-    """(B, 2, 4) float32: the likeliest ids and the cross-entropy of the true ones, of the action's words."""
+    """(B, 2, 4) float32: the most likely ids and the cross-entropy of the true ones, for the action tokens."""
     entropy = F.cross_entropy(logits.float(), targets, reduction="none")
     pairs = torch.stack([logits.argmax(-1).float(), entropy])
     return pairs.view(2, -1, ANSWER)[..., :ACTION_SIZE].transpose(0, 1)
@@ -318,7 +317,7 @@ def _on(samples: Samples, device: torch.device) -> dict[str, Tensor]:
 
 
 class _Keeper:
-    """What is done beside the steps: checkpoints, rows, curves. Every process has one, the main process's writes."""
+    """Work beside the steps: checkpoints, rows, curves. Every process has one; the main process's writes."""
 
     def __init__(self, config: FineTuning, accelerator: Accelerator, report: Callable[[str], None]) -> None:
         self._config, self._accelerator, self._report = config, accelerator, report
@@ -328,11 +327,11 @@ class _Keeper:
         self._since = time.monotonic()
 
     def follow(self, loss: Tensor, accuracy: Tensor) -> None:
-        """Take in a step."""
+        """Add the measures of a step."""
         self._steps.append(torch.stack([loss, accuracy]))
 
     def end_round(self, row: Row, state: dict[str, Tensor], step: int) -> None:
-        """Write down how it went and where the training is; `row` has the measures of validation, if it was time."""
+        """Save results and the state of the training; `row` has the validation metrics, if they were due."""
         mean = self._accelerator.reduce(torch.stack(self._steps).mean(0), "mean").tolist()
         rate = len(self._steps) * self._config.recipe.batch / (time.monotonic() - self._since)
         if self._main:

@@ -1,4 +1,4 @@
-"""How OpenVLA is fine-tuned, as named frozen recipes."""
+"""Fine-tuning recipes of OpenVLA, as named frozen dataclasses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _OF_THE_MACHINE = ("micro_batch", "checkpointing")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoraRecipe:
-    """Everything that decides what comes out of a fine-tuning, but base, data and seed.
+    """Everything that determines a fine-tuning, except base, data and seed.
 
     The defaults are those of the paper (arXiv 2503.01378) and, where it is silent, of OpenVLA's published fine-tuning:
     AdamW at a constant rate, no dropout, no augmentation; products in bfloat16, adapters and moments in float32.
@@ -21,35 +21,35 @@ class LoraRecipe:
 
     name: str
     steps: int = 4_000
-    """Of the optimiser."""
+    """Steps of the optimiser."""
     batch: int = 64
-    """Samples of a step, of all processes together."""
+    """Samples per step, over all processes."""
     micro_batch: int = 8
-    """At most so many of them at once on each GPU; their gradients are accumulated."""
+    """Maximum number of samples at once on each GPU; their gradients are accumulated."""
     learning_rate: float = 5e-4
     weight_decay: float = 0.01
     rank: int = 32
     alpha: int = 16
-    """The adapters' answer is scaled by alpha / rank."""
+    """The adapters' output is scaled by alpha / rank."""
     directives: float = 0.0
-    """Share of samples that are told the plain directive instead of the instruction: for flights with a reasoner."""
+    """Share of samples with the plain directive instead of the instruction: for flights with a reasoner."""
     category: Category | None = None
-    """Learn only from flights of this category; from all by default."""
+    """Train only on flights of this category; default: all."""
     save_every: int = 250
     """Steps between checkpoints."""
     validate_every: int = 500
     """Steps between points of the learning curves; a multiple of `save_every`."""
     validation_frames: int = 512
     checkpointing: bool | None = None
-    """Recompute each layer on the way back instead of keeping what is inside: a third slower, in far less memory. None:
-    where the machine has not the memory to keep it."""
+    """Recompute each layer in the backward pass instead of keeping its activations: a third slower, in far less memory.
+    None: if the machine lacks the memory to keep them."""
 
     def __post_init__(self) -> None:
         if self.micro_batch < 1:
             raise TrainingError(f"a micro-batch of {self.micro_batch} samples cannot be trained; give at least 1")
 
     def facts(self) -> dict[str, Any]:
-        """As plain JSON values, without what only fits it to a machine."""
+        """As plain JSON values, without the parts that only adapt it to a machine."""
         return {name: value for name, value in asdict(self).items() if name not in _OF_THE_MACHINE}
 
 
@@ -71,12 +71,12 @@ LORA_RECIPES: dict[str, LoraRecipe] = {
         validation_frames=6,
     ),
 }
-"""`paper`: CognitiveDrone. `race`: RaceVLA in 7B, the same on racing flights alone. `debug`: the whole path in seconds,
-of no use otherwise."""
+"""`paper`: CognitiveDrone. `race`: RaceVLA in 7B, the same on racing flights alone. `debug`: the whole training path in
+seconds, for tests."""
 
 
 def find_lora_recipe(name: str) -> LoraRecipe:
-    """The recipe of that name; raises `TrainingError` with near names."""
+    """The recipe of that name; raises `TrainingError` with similar names."""
     if name not in LORA_RECIPES:
         raise TrainingError(f"unknown recipe {name!r}; {did_you_mean(name, LORA_RECIPES)}")
     return LORA_RECIPES[name]

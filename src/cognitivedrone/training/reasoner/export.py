@@ -1,4 +1,4 @@
-"""From checkpoints to the small reasoner's two files."""
+"""Export of checkpoints to the small reasoner's two files."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from cognitivedrone.training.small_vla.policy import load_trained
 
 
 def export_eyes(policy: Path, reader: Path, folder: Path) -> Path:
-    """The eyes: what finds gates from a policy's checkpoint, what reads panels from a reader's; the file in `folder`.
+    """Export the panel reader, with the gate detector of a policy's checkpoint and the network of a reader's.
 
-    Raises `TrainingError` for a bad checkpoint.
+    Returns the file in `folder`. Raises `TrainingError` for a bad checkpoint.
     """
     finder, _, _ = load_trained(policy)
     network, facts = load_reader(reader)
@@ -47,7 +47,7 @@ def export_eyes(policy: Path, reader: Path, folder: Path) -> Path:
 
 
 def export_mind(checkpoint: Path, folder: Path) -> Path:
-    """The mind; the file in `folder`. Raises `TrainingError` for a bad checkpoint."""
+    """Export the gate selector; returns the file in `folder`. Raises `TrainingError` for a bad checkpoint."""
     mind, vocabulary, facts = load_mind(checkpoint)
     count, length = len(SEEN), mind.config.text_length
     example = {

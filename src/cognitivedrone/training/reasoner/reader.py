@@ -1,6 +1,6 @@
-"""The reasoner's reader as a subject of training: cards of everything that any family shows.
+"""The panel reader's network as a training task: panel crops of everything that any family shows.
 
-It starts from the sight of a trained policy, which can read most of it already.
+It starts from the panel encoder of a trained policy, which can read most of it already.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ _SHARES = {**{family: 0.7 * SHARES[family] for family in BASE_FAMILIES}, "counti
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReaderRecipe(Schedule):
-    """Everything that decides what comes out of a training of the reader, but its start, processes and seed."""
+    """Everything that determines a training of the reader, except its start, processes and seed."""
 
     network: ReaderConfig = field(default_factory=ReaderConfig)
     batch: int = 192
-    """Cards; processes share them."""
+    """Panel crops; processes share them."""
     validation_cards: int = 2000
 
 
 @dataclass(frozen=True)
 class ReaderTraining:
-    """The reader, to be trained."""
+    """Training task of the reader."""
 
     recipe: ReaderRecipe
     start: Path | None = None
-    """Checkpoint of a policy whose sight it starts from."""
+    """Checkpoint of a policy whose panel encoder it starts from."""
 
     def identity(self) -> dict[str, Any]:
         """Recipe and start."""
@@ -59,11 +59,11 @@ class ReaderTraining:
         return told | {"data": origin_of(read_checkpoint(self.start)[1])}
 
     def facts(self) -> dict[str, Any]:
-        """The facets."""
+        """The attribute values."""
         return {"facets": list(SEEN)}
 
     def network(self) -> Reader:
-        """A reader with the policy's sight, channels last in memory. Raises `TrainingError` where that does not fit."""
+        """A reader with the policy's panel encoder, channels last in memory. Raises `TrainingError` on a mismatch."""
         reader = Reader(self.recipe.network)
         if self.start is not None:
             tensors, _ = read_checkpoint(self.start)
@@ -72,25 +72,25 @@ class ReaderTraining:
             try:
                 reader.sight.load_state_dict(own)
             except RuntimeError:
-                raise TrainingError(f"{self.start}: its sight has another size than the reader's") from None
+                raise TrainingError(f"{self.start}: its panel encoder has another size than the reader's") from None
         reader.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return reader
 
     def lesson(self, network: nn.Module) -> ReaderLoss:
-        """The reader with its teacher."""
+        """The reader with its loss."""
         assert isinstance(network, Reader)  # noqa: S101  (tells the type checker)
         return ReaderLoss(network)
 
     def learner(self, network: nn.Module) -> None:
-        """A reader flies nothing."""
+        """None: a reader does not fly."""
         del network
 
     def share(self, processes: int) -> ReaderTraining:
-        """Cards are shared."""
+        """Processes share the panel crops."""
         return replace(self, recipe=replace(self.recipe, batch=-(-self.recipe.batch // processes)))
 
     def batches(self) -> Batches:
-        """Cards without end."""
+        """Endless panel crops."""
 
         def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
             del learner
@@ -103,12 +103,12 @@ class ReaderTraining:
         return made
 
     def validation(self, seed: int) -> list[Batch]:
-        """Cards of another seed."""
+        """Panel crops of another seed."""
         count = -(-self.recipe.validation_cards // self.recipe.batch)
         return list(islice(self.batches()((seed, _VALIDATION)), count))
 
     def validate(self, lesson: nn.Module, batches: list[Batch], autocast: Any) -> Row:
-        """Loss, and share of what is named rightly, overall and by group."""
+        """Loss and accuracy, overall and by group."""
         assert isinstance(lesson, ReaderLoss)  # noqa: S101
         device = next(lesson.parameters()).device
         lesson.eval()
@@ -123,20 +123,20 @@ class ReaderTraining:
         return {name: float(np.nanmean([row.get(name, np.nan) for row in rows])) for name in sorted(set().union(*rows))}
 
     def trial(self, network: nn.Module) -> Row:
-        """Nothing beside the curves."""
+        """Empty: there are no trials beside the curves."""
         del network
         return {}
 
 
 class ReaderLoss(nn.Module):
-    """The reader and its teacher."""
+    """The reader and its loss."""
 
     def __init__(self, network: Reader) -> None:
         super().__init__()
         self.network = network
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss; and, detached, the share of pictures of which everything is named rightly."""
+        """The loss; and, detached, the share of pictures without any error."""
         logits, facets = self.logits(batch), batch["card_facets"]
         losses = []
         for column, (group, span) in enumerate(SEEN_GROUPS.items()):
@@ -150,19 +150,19 @@ class ReaderLoss(nn.Module):
         return total, {"cards": total.detach(), "accuracy": whole.detach()}
 
     def logits(self, batch: dict[str, Tensor]) -> Tensor:
-        """(B, F)."""
+        """Logits (B, F)."""
         logits: Tensor = self.network(batch["card_image"].permute(0, 3, 1, 2).float() / 255)
         return logits.float()
 
 
 def named(logits: Tensor, facets: Tensor) -> Tensor:
-    """(B, groups): whether each group is named rightly; true where it does not apply."""
+    """(B, groups): whether each group is classified correctly; true if it does not apply."""
     guesses = [logits[:, span].argmax(-1) + span.start for span in SEEN_GROUPS.values()]
     return (torch.stack(guesses, dim=1) == facets) | (facets < 0)
 
 
 def accuracies(logits: Tensor, facets: Tensor) -> dict[str, float]:
-    """Share of what is named rightly, by group, as far as the group occurs."""
+    """Accuracy by group, for groups that occur."""
     right, there = named(logits, facets), facets >= 0
     return {
         f"accuracy {group}": float(right[there[:, column], column].float().mean())
@@ -177,7 +177,7 @@ _PLACES = np.cumsum(list(_SHARES.values())) / sum(_SHARES.values())
 
 
 def draw_any_label(rng: np.random.Generator) -> str:
-    """A panel or board of some task of any family that shows something of its own."""
+    """A panel or board with content of its own, from a random task of any family."""
     task = drawn_task(_FAMILIES[int(np.searchsorted(_PLACES, rng.random()))], rng, "card")
     if task.board is not None and rng.random() < 0.7:
         return task.board
@@ -185,7 +185,7 @@ def draw_any_label(rng: np.random.Generator) -> str:
 
 
 def reader_subject(recipe: ReaderRecipe, start: Path | None) -> ReaderTraining:
-    """The subject of a recipe, as large as the facets ask for."""
+    """The training task of a recipe, as large as the attribute values require."""
     return ReaderTraining(replace(recipe, network=replace(recipe.network, facets=len(SEEN))), start)
 
 

@@ -1,6 +1,6 @@
-"""What a reasoner's eyes can read on a panel or a board: the facets of the policy, and what harder questions need.
+"""Attribute values that the panel reader can read: those of the policy, and more for harder questions.
 
-Beside all that `facets` names: which kind of picture it is, the two numbers and the sign of a sum wherever it stands,
+In addition to `attributes`: the kind of picture, the two numbers and the operator of any sum,
 and how many there are of which things.
 """
 
@@ -19,7 +19,7 @@ from cognitivedrone.training.common.attributes import BOARD_GROUPS, PANEL_GROUPS
 
 KINDS = ("thing", "logo", "letter", "number", "person", "sum", "several")
 MOST = 6
-"""Things of a sort on a panel, at most."""
+"""Maximum number of things of one kind on a panel."""
 
 _VALUES: dict[str, tuple[str, ...]] = {
     "kind": KINDS,
@@ -33,12 +33,12 @@ for _group in facets.GATE_GROUPS:
     del _VALUES[_group]
 
 SEEN: tuple[str, ...] = tuple(f"{group}/{value}" for group, values in _VALUES.items() for value in values)
-"""Names of all facets, "group/value"."""
+"""Names of all attribute values, "group/value"."""
 _ENDS = tuple(accumulate(len(values) for values in _VALUES.values()))
 SEEN_GROUPS: dict[str, slice] = {
     group: slice(end - len(_VALUES[group]), end) for group, end in zip(_VALUES, _ENDS, strict=True)
 }
-"""Where the facets of each group stand in `SEEN`; the groups follow each other without gaps."""
+"""Slices of the groups in `SEEN`; the groups follow each other without gaps."""
 GROUPS_OF: dict[str, tuple[str, ...]] = {
     "thing": ("concept",),
     "logo": ("concept",),
@@ -48,7 +48,7 @@ GROUPS_OF: dict[str, tuple[str, ...]] = {
     "sum": BOARD_GROUPS,
     "several": ("thing_a", "count_a", "thing_b", "count_b"),
 }
-"""Which groups tell something of a picture of each kind."""
+"""Informative groups for each kind of picture."""
 
 _INDEX = {name: index for index, name in enumerate(SEEN)}
 _COLUMNS = tuple(SEEN_GROUPS)
@@ -56,9 +56,9 @@ _COLUMNS = tuple(SEEN_GROUPS)
 
 @functools.lru_cache(maxsize=16384)
 def seen_facets(label: str) -> Indices:
-    """What a panel or board shows, by group: read-only int64 (groups,), indices into `SEEN`, -1 where nothing holds.
+    """The attribute values of a panel or board, by group: read-only int64 (groups,), indices into `SEEN`, -1 for none.
 
-    All -1 for a label that nobody has learned to read. Raises `LabelError` where it is malformed.
+    All -1 for a label of an unknown kind. Raises `LabelError` if it is malformed.
     """
     reference = parse_reference(label)
     names = [facets.FACETS[index] for index in facets.panel_facets(label) if index >= 0]
@@ -79,7 +79,7 @@ def seen_facets(label: str) -> Indices:
 
 
 def _several(concept: str) -> list[str]:
-    """What and how many, things in alphabetical order."""
+    """Things and their counts, in alphabetical order."""
     counts = sorted((thing.rpartition("/")[2], count) for thing, count in parse_several(concept))
     told = [text for side, (thing, count) in zip("ab", counts, strict=False) for text in _counted(side, thing, count)]
     return told if len(counts) > 1 else [*told, "thing_b/none"]

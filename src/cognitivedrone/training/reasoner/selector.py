@@ -1,7 +1,7 @@
-"""The reasoner's mind as a subject of training: sentences and scenes that were read, without any image.
+"""The gate selector as a training task: sentences and scenes as read, without images.
 
-Its tasks are drawn from the generators of all families, the hard ones too, from the ingredients of training. What the
-eyes will get wrong is part of it: now and then a panel is read with doubt, or wrongly, or a word is not known.
+Its tasks come from the generators of all families, including the hard ones, with training ingredients. Errors of the
+panel reader are simulated: some panels have uncertain or wrong readings, some words are unknown.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 
 _VALIDATION = 10**6
 _SENTENCES = 30_000
-_DOUBTED = 0.3  # share of what else a panel shows that is doubted as well
+_DOUBTED = 0.3  # share of a panel's other attributes that are uncertain as well
 _GROUPS = tuple(SEEN_GROUPS.values())
 _NAMES = (*FAMILIES, "directive")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SelectorRecipe(Schedule):
-    """Everything that decides what comes out of a training of the mind, but processes and seed."""
+    """Everything that determines a training of the gate selector, except processes and seed."""
 
     network: SelectorConfig = field(default_factory=SelectorConfig)
     batch: int = 256
@@ -58,21 +58,21 @@ class SelectorRecipe(Schedule):
     relabelled: float = 0.3
     """Share of base tasks that ask for any of their gates, in other words."""
     spoken: float = 0.7
-    """Share of problems that are said in more ways than the training tasks."""
+    """Share of problems with more wordings than the training tasks."""
     strangers: float = 0.4
-    """Share of tasks with people who are told to find somebody unknown among known ones."""
+    """Share of tasks about people that ask for an unknown identity among known ones."""
     earlier: float = 0.3
-    """Share of problems that come on a track, behind stages that have nothing to do with them."""
+    """Share of problems on a track, after irrelevant earlier stages."""
     earlier_from: int = 2_500
-    """Step at which they begin: from the first one they teach to ignore what is remembered before it is understood."""
+    """First step with earlier stages: from the start, they would teach to ignore the memory before it is understood."""
     doubt: float = 0.25
-    """Share of panels that are read with doubt, in one way or several."""
+    """Share of panels with uncertain readings, of one or several attributes."""
     wrong: float = 0.01
-    """Share of panels that are read as something else of the same kind."""
+    """Share of panels that are misread as something else of the same kind."""
     lost_words: float = 0.03
-    """Share of words that are not known."""
+    """Share of unknown words."""
     muddled: float = 0.4
-    """Share of sentences that are put otherwise: words lost, left out and added, so that the rest must do."""
+    """Share of sentences with token noise: words lost, left out and added."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ class Problem:
 
 
 class Problems:
-    """Draws problems of the training ingredients."""
+    """Draws problems from the training ingredients."""
 
     def __init__(self, recipe: SelectorRecipe) -> None:
         self.recipe = recipe
@@ -101,7 +101,7 @@ class Problems:
         self._past: deque[tuple[tuple[str, ...], int]] = deque(maxlen=STAGES - 1)
 
     def draw(self, rng: np.random.Generator) -> list[Problem]:
-        """One problem, or all of a track that asks for memory."""
+        """One problem, or all problems of a memory track."""
         problems = self._draw(rng)
         if problems[0].family != "memory":
             problem = problems[0]
@@ -152,13 +152,13 @@ def _track(rng: np.random.Generator) -> list[Problem]:
 
 
 class Encoder:
-    """Turns problems into what the mind is told."""
+    """Encodes problems as inputs of the gate selector."""
 
     def __init__(self, recipe: SelectorRecipe, vocabulary: Vocabulary) -> None:
         self._recipe, self._vocabulary = recipe, vocabulary
 
     def encode(self, rng: np.random.Generator, problems: list[Problem], *, doubts: bool) -> Batch:
-        """A batch; with `doubts` as eyes would have read it."""
+        """A batch; with `doubts` including simulated reading errors."""
         n, length = len(problems), self._recipe.network.text_length
         batch: Batch = {
             "tokens": np.zeros((n, length), np.int64),
@@ -190,7 +190,7 @@ class Encoder:
         return muddled(rng, tokens) if rng.random() < self._recipe.muddled else tokens
 
     def _see(self, rng: np.random.Generator, row: NDArray[Any], label: str, *, doubts: bool) -> None:
-        """Add the probabilities of what a label shows."""
+        """Add the probabilities of a label's attribute values."""
         known = seen_facets(label)
         there = known >= 0
         row[known[there]] = 1.0
@@ -224,7 +224,7 @@ def look_of(gate: Gate) -> NDArray[np.float32]:
 
 
 def values_of(sentence: str, labels: tuple[str, ...], board: str | None) -> list[int]:
-    """The five values that the mind is told: of the sums on panels and board, and of what is to be calculated."""
+    """The five input values of the gate selector: of the sums on panels and board, and of the sum in the sentence."""
     on_panels = [_sum(label) for label in labels]
     on_board = None if board is None else _sum(board)
     return [value_index(value) for value in (*on_panels, on_board, calculate(sentence, on_board))]
@@ -236,7 +236,7 @@ def _sum(label: str) -> int | None:
 
 
 class SelectorLoss(nn.Module):
-    """The mind and its teacher."""
+    """The gate selector and its loss."""
 
     def __init__(self, network: GateSelector) -> None:
         super().__init__()
@@ -250,7 +250,7 @@ class SelectorLoss(nn.Module):
         return loss, {"choice": loss.detach(), "choice accuracy": right.detach()}
 
     def logits(self, batch: dict[str, Tensor]) -> Tensor:
-        """(B, 3), without the work for words and memories that nobody has."""
+        """Logits (B, 3); skips unused words and memories."""
         words = int((batch["tokens"] != 0).sum(1).max())
         panels = int((batch["stages"][..., 0] >= 0).sum(1).max())
         logits: Tensor = self.network(
@@ -267,7 +267,7 @@ class SelectorLoss(nn.Module):
 
 @dataclass(frozen=True)
 class SelectorTraining:
-    """The mind, to be trained."""
+    """Training task of the gate selector."""
 
     recipe: SelectorRecipe
     vocabulary: Vocabulary
@@ -277,28 +277,28 @@ class SelectorTraining:
         return {"recipe": json.loads(json.dumps(self.recipe.facts()))}
 
     def facts(self) -> dict[str, Any]:
-        """Vocabulary and facets."""
+        """Vocabulary and attribute values."""
         return {"vocabulary": list(self.vocabulary.words), "facets": list(SEEN)}
 
     def network(self) -> GateSelector:
-        """A new mind."""
+        """A new gate selector."""
         return GateSelector(self.recipe.network)
 
     def lesson(self, network: nn.Module) -> SelectorLoss:
-        """The mind with its teacher."""
+        """The gate selector with its loss."""
         assert isinstance(network, GateSelector)  # noqa: S101  (tells the type checker)
         return SelectorLoss(network)
 
     def learner(self, network: nn.Module) -> None:
-        """A mind alone flies nothing."""
+        """None: a gate selector does not fly."""
         del network
 
     def share(self, processes: int) -> SelectorTraining:
-        """Problems are shared."""
+        """Processes share the problems."""
         return replace(self, recipe=replace(self.recipe, batch=-(-self.recipe.batch // processes)))
 
     def batches(self) -> Batches:
-        """Problems without end."""
+        """Endless problems."""
 
         def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
             del learner
@@ -316,7 +316,7 @@ class SelectorTraining:
         return made
 
     def validation(self, seed: int) -> list[Batch]:
-        """Problems of another seed, read without doubt; with the family of each."""
+        """Problems of another seed, with certain readings; with the family of each."""
         rng = np.random.default_rng((seed, _VALIDATION))
         drawn, encoder = Problems(self.recipe), Encoder(self.recipe, self.vocabulary)
         problems: list[Problem] = []
@@ -347,7 +347,7 @@ class SelectorTraining:
         return row
 
     def trial(self, network: nn.Module) -> Row:
-        """Nothing beside the curves."""
+        """Empty: there are no trials beside the curves."""
         del network
         return {}
 
@@ -356,7 +356,7 @@ MIND = SelectorRecipe(name="mind", steps=6_000, learning_rate=1e-3, warmup_steps
 
 
 def mind_subject(recipe: SelectorRecipe) -> SelectorTraining:
-    """The subject of a recipe, with the vocabulary of all families."""
+    """The training task of a recipe, with the vocabulary of all families."""
     rng, problems = np.random.default_rng((0, _VALIDATION + 1)), Problems(recipe)
     sentences = [problem.sentence for _ in range(_SENTENCES) for problem in problems.draw(rng)]
     vocabulary = Vocabulary.of(sentence.replace(STRANGER, "") for sentence in sentences)
@@ -365,7 +365,7 @@ def mind_subject(recipe: SelectorRecipe) -> SelectorTraining:
 
 
 def load_mind(path: Path) -> tuple[GateSelector, Vocabulary, dict[str, Any]]:
-    """The mind of a checkpoint, its vocabulary, and the checkpoint's facts."""
+    """The gate selector of a checkpoint, its vocabulary, and the checkpoint's facts."""
     tensors, facts = read_checkpoint(path)
     mind = GateSelector(SelectorConfig(**facts["recipe"]["network"]))
     restore(tensors, mind, None)

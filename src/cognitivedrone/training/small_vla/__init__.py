@@ -1,1 +1,1 @@
-"""Trainings of the small VLA: its network from flights, its language alone."""
+"""Trainings of the small VLA: the network from flights, and language alone."""

@@ -1,4 +1,4 @@
-"""From a checkpoint to the one file that flies: an ONNX graph with half-precision weights that explains itself."""
+"""Export of a checkpoint to the model file: a self-describing ONNX graph with half-precision weights."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ _STATISTICS_SEED = (0, 10**6 + 1)
 def export(
     checkpoint: Path, out: Path, *, data: Path | None = None, scores: Mapping[str, Any] | None = None
 ) -> Description:
-    """Write the network of a checkpoint as a self-describing ONNX file; what it says of itself.
+    """Write the network of a checkpoint as a self-describing ONNX file; returns its description.
 
-    `data` is the data set it was trained from, where it was; `scores` go into the file as they are. Raises
+    `data` is the training data set, if there was one; `scores` go into the file as they are. Raises
     `TrainingError` for a bad checkpoint.
     """
     network, vocabulary, facts = load_trained(checkpoint)
@@ -55,13 +55,13 @@ def export(
         provenance=provenance_of(facts, scores),
     )
     describe(beside, description)
-    SmallModel.load(beside)  # what cannot be loaded never lies in its place
+    SmallModel.load(beside)  # a file that cannot be loaded never replaces the old one
     beside.replace(out)
     return description
 
 
 def provenance_of(facts: Mapping[str, Any], scores: Mapping[str, Any] | None = None) -> Provenance:
-    """Where a network comes from, by the facts of its checkpoint."""
+    """The provenance of a network, from the facts of its checkpoint."""
     recipe = facts["recipe"]
     made = "made while training, sha256:" + hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
     return Provenance(
@@ -85,12 +85,12 @@ def write_graph(network: SmallVLA, path: Path) -> None:
 
 
 def write_onnx(network: nn.Module, example: Mapping[str, Tensor], outputs: Sequence[str], path: Path) -> None:
-    """A network as an ONNX graph with a dynamic batch, large weights stored in half precision."""
+    """Write a network as an ONNX graph with a dynamic batch, large weights in half precision."""
     network = network.to("cpu").eval()
     batch = torch.export.Dim("batch", min=1, max=1024)
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about the exporter's own insides
+        warnings.simplefilter("ignore")  # about the exporter's internals
         torch.onnx.export(
             network,
             tuple(example.values()),
@@ -111,7 +111,7 @@ def write_onnx(network: nn.Module, example: Mapping[str, Tensor], outputs: Seque
 def action_statistics(
     network: SmallVLA, vocabulary: Vocabulary, stream: StreamRecipe, data: Path | None = None
 ) -> ActionStatistics:
-    """The spread of the actions that a stream or a data set teaches, and the range that the network can ask for."""
+    """The distribution of the actions in a stream or a data set, and the network's output range."""
     recipe = replace(stream, batch=100, texts=1, cards=0, sentences=1, learner=0.0)
     made = training_batches(recipe, vocabulary, network.config, data)(_STATISTICS_SEED)
     taken = list(islice(made, _STATISTICS_FRAMES // recipe.batch))
@@ -132,7 +132,7 @@ def action_statistics(
 
 
 def _halve(model: Any) -> None:
-    """Store large single-precision weights in half precision; the runtime widens them once, as it loads the file."""
+    """Store large single-precision weights in half precision; the runtime converts them once, on loading."""
     graph = model.graph
     casts = []
     for tensor in graph.initializer:
@@ -147,10 +147,10 @@ def _halve(model: Any) -> None:
 
 
 def _forget_the_making(model: Any) -> None:
-    """Take out where in which source file each part was traced: nobody flies by it, and it tells folders' names."""
+    """Remove the source locations of the traced parts: they are useless in flight, and contain names of folders."""
     graph = model.graph
     for part in (graph, *graph.node, *graph.input, *graph.output, *graph.value_info, *graph.initializer):
         part.ClearField("metadata_props")
         part.ClearField("doc_string")
-    # Shapes inside the graph are found again on loading.
+    # Shapes inside the graph are inferred again on loading.
     graph.ClearField("value_info")

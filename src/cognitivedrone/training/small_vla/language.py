@@ -1,8 +1,8 @@
-"""Language alone as a subject of training: a policy that flies is taught to understand more, without a frame.
+"""Training on language alone: teaches a trained policy to understand more, without frames.
 
-In the small VLA vision and language meet late, where what is seen and what is said are compared. So all else can be
-held still while its text encoder learns from sentences and scenes that are told: of the families of training, and of
-those of the hard ones that ask for a gate by what itself shows, not by what stands beside it or stood there before.
+The small VLA fuses vision and language late, where it compares images with sentences. So everything but its text
+encoder can be frozen, and the text encoder learns from sentences and ground-truth scenes: of the training families, and
+of those hard ones that ask for a gate by its own content, not by neighbouring gates or earlier stages.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ from cognitivedrone.training.small_vla.policy import load_trained, trial
 from cognitivedrone.types import Task
 
 _VALIDATION = 10**6
-_SENTENCES = 40_000  # whose words are added to the vocabulary
-_NEW_WORD_SPREAD = 0.05  # as of all words at the beginning
-_MOST_DOUBT = 0.45  # of a board that is not misread
+_SENTENCES = 40_000  # their words are added to the vocabulary
+_NEW_WORD_SPREAD = 0.05  # as for all words at initialisation
+_MOST_DOUBT = 0.45  # for a board that is not misread
 SHARES = {
     "math": 0.12, "association": 0.14, "math_board": 0.06, "food": 0.05, "attributes": 0.08, "people": 0.08,
     "animals": 0.03, "letters": 0.02, "digits": 0.02, "logos": 0.02,
     "exclusion": 0.1, "comparison": 0.08, "two_step": 0.08, "negation": 0.06, "distraction": 0.03, "conjunction": 0.03,
 }  # fmt: skip
-"""How often each family is taught. Not among them: places beside something else, earlier stages and numbers of things,
-of which a gate by itself, as the network sees it, says nothing."""
+"""Frequency of each family. Families about positions relative to other things, earlier stages and counts are absent,
+because the network sees each gate by itself."""
 _FAMILIES = tuple(SHARES)
 
 
 @dataclass(frozen=True)
 class LanguageTraining:
-    """A small VLA of which all is held still but its text encoder."""
+    """A small VLA that is frozen except for its text encoder."""
 
     recipe: LanguageRecipe
     start: Path
@@ -58,7 +58,7 @@ class LanguageTraining:
     vocabulary: Vocabulary
     """The policy's words, then new ones."""
     text_length: int
-    """Words of a sentence that the policy reads."""
+    """Number of words of a sentence that the policy reads."""
 
     def identity(self) -> dict[str, Any]:
         """Recipe, with the policy's network and stream, and the start."""
@@ -72,7 +72,7 @@ class LanguageTraining:
         return {"vocabulary": list(self.vocabulary.words)}
 
     def network(self) -> SmallVLA:
-        """The policy's, with room for new words; nothing but its text encoder can learn."""
+        """The policy's network, extended for new words; only its text encoder can learn."""
         network, known, _ = load_trained(self.start)
         words = nn.Embedding(len(self.vocabulary.words), network.config.text_width)
         nn.init.normal_(words.weight, std=_NEW_WORD_SPREAD)
@@ -85,21 +85,21 @@ class LanguageTraining:
         return network
 
     def lesson(self, network: nn.Module) -> LanguageLoss:
-        """The policy with its language teacher."""
+        """The policy with its language losses."""
         assert isinstance(network, SmallVLA)  # noqa: S101  (tells the type checker)
         before, known, _ = load_trained(self.start)
         return LanguageLoss(network, before.text, len(known.words), self.recipe.kept)
 
     def learner(self, network: nn.Module) -> None:
-        """Nothing flies along."""
+        """None: nothing flies."""
         del network
 
     def share(self, processes: int) -> LanguageTraining:
-        """Sentences are shared."""
+        """Processes share the sentences."""
         return replace(self, recipe=replace(self.recipe, batch=-(-self.recipe.batch // processes)))
 
     def batches(self) -> Batches:
-        """Sentences without end."""
+        """Endless sentences."""
 
         def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
             del learner
@@ -110,7 +110,7 @@ class LanguageTraining:
         return made
 
     def validation(self, seed: int) -> list[Batch]:
-        """Sentences of another seed as they are written, with the family of each."""
+        """Unaltered sentences of another seed, with the family of each."""
         plain = replace(self, recipe=replace(self.recipe, muddled=0.0, directives=0.0, hidden=0.0, doubted=0.0))
         rng = np.random.default_rng((seed, _VALIDATION))
         tasks = [draw_told(rng, self.recipe) for _ in range(self.recipe.validation_sentences)]
@@ -138,10 +138,10 @@ class LanguageTraining:
         return trial(NetworkPilot(network, self.vocabulary), "open-v1:train", self.recipe.fly_tasks)
 
     def told(self, rng: np.random.Generator, tasks: list[Task]) -> Batch:
-        """The `text_` fields of a batch about these tasks, with doubts about boards.
+        """The `text_` fields of a batch about these tasks, with uncertain boards.
 
-        Beside them `text_open` (T,), see `text_loss`; `other_board` (T, 3), `doubt` (T,): what else the board might
-        show, and how likely that is; and `known` (T,): of which it is to say what it said before.
+        In addition `text_open` (T,), see `text_loss`; `other_board` (T, 3), `doubt` (T,): an alternative content of the
+        board and its probability; and `known` (T,): whether distillation applies.
         """
         recipe, count = self.recipe, len(tasks)
         plain = rng.random(count) < recipe.directives
@@ -169,9 +169,9 @@ class LanguageTraining:
 
 
 class LanguageLoss(nn.Module):
-    """The policy and its language teacher, who has it say of what it knew before what it said then.
+    """The policy and its language losses, with distillation on what it already knew.
 
-    What it knew it learned from what it saw; what is told says nothing of how surely a thing is seen.
+    It learned that from images; ground-truth scenes contain no information about how certain a perception is.
     """
 
     def __init__(self, network: SmallVLA, before: nn.Module, known_words: int, kept: float) -> None:
@@ -188,7 +188,7 @@ class LanguageLoss(nn.Module):
         board = board + told_embedding(self.network, batch["other_board"]) * doubt
         query = told_query(self.network.text, batch, board)
         loss, right = text_loss(self.network, batch, query)
-        # Words that are new were unknown to it: number 1 of every vocabulary.
+        # The old policy did not know new words: number 1 of every vocabulary.
         heard = torch.where(batch["text_tokens"] < self.known_words, batch["text_tokens"], 1)
         said = told_query(self.before, batch | {"text_tokens": heard}, board)
         moved = known_mean((query - said).square().sum(-1) / said.square().sum(-1), batch["known"])
@@ -200,7 +200,7 @@ class LanguageLoss(nn.Module):
 
 
 def draw_told(rng: np.random.Generator, recipe: LanguageRecipe) -> Task:
-    """A task of the training ingredients that can be told: every panel shows something of which there is a facet."""
+    """A task of training ingredients in which every panel shows a known attribute value."""
     while True:
         family = _FAMILIES[int(rng.choice(len(SHARES), p=list(SHARES.values())))]
         task = drawn_task(family, rng, family, SPOKEN if rng.random() < recipe.spoken else TRAIN)
@@ -211,7 +211,7 @@ def draw_told(rng: np.random.Generator, recipe: LanguageRecipe) -> Task:
 
 
 def language_subject(recipe: LanguageRecipe, start: Path) -> LanguageTraining:
-    """The subject of a recipe: the policy of a checkpoint; beside the words that it knows, those that are taught."""
+    """The training task of a recipe: the policy of a checkpoint, with its words and new ones."""
     facts = read_checkpoint(start)[1]
     known = tuple(facts["vocabulary"])
     rng = np.random.default_rng((0, _VALIDATION + 1))

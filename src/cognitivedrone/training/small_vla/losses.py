@@ -1,7 +1,7 @@
-"""What the small VLA is taught by: one loss a part of it, all from one batch of a `RolloutStream`.
+"""Losses of the small VLA: one for each part of it, all from one batch of a `RolloutStream`.
 
-Each part learns from the truth of the simulator, not from the mistakes of the parts before it: gates are read at their
-true cells, panels in their true boxes, give or take what the network will miss them by when it flies alone.
+Each part learns from the simulator's ground truth, not from the errors of the parts before it: gates are read at their
+true cells and panels in their true boxes, with noise as large as the network's errors in flight.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from cognitivedrone.models.small_vla import SLOTS, STRIDE, Scene, Seen, Slots, S
 from cognitivedrone.training.common.attributes import BOARD_GROUPS, GATE_GROUPS, GROUPS, PANEL_GROUPS
 from cognitivedrone.training.common.sampling import Batch
 
-_BLUR_BINS = 2.0  # labels are bells this wide, so that a neighbouring bin is nearly right
-_BOX_SHIFT, _BOX_SCALE = 0.06, 0.08  # spread of the boxes that panels are read in, in heights
-_NAMING_SHARE = 0.4  # of naming the concept that is meant, beside choosing among three
-_NEIGHBOUR = 0.15  # share of gates that are read one cell beside their own
+_BLUR_BINS = 2.0  # width of the smoothed labels, so that a neighbouring bin is nearly right
+_BOX_SHIFT, _BOX_SCALE = 0.06, 0.08  # noise of the boxes in which panels are read, in heights
+_NAMING_SHARE = 0.4  # weight of naming the right concept, beside choosing among three
+_NEIGHBOUR = 0.15  # share of gates that are read one cell off
 
 
 @dataclass(frozen=True, slots=True)
 class LossWeights:
-    """How much each part counts."""
+    """Weights of the losses."""
 
     heat: float = 1.0
     place: float = 2.0
@@ -37,12 +37,12 @@ class LossWeights:
 
 
 def to_tensors(batch: Batch, device: torch.device | str = "cpu") -> dict[str, Tensor]:
-    """The arrays of a batch as tensors, sharing memory where they can."""
+    """The arrays of a batch as tensors, sharing memory if possible."""
     return {name: torch.from_numpy(np.ascontiguousarray(values)).to(device) for name, values in batch.items()}
 
 
 class LossModule(nn.Module):
-    """The network and its teacher: a batch in, the loss and what it is made of out.
+    """The network and its losses: from a batch to the loss and its parts.
 
     One module, so that it can be wrapped for training on several devices.
     """
@@ -53,7 +53,7 @@ class LossModule(nn.Module):
         self.weights = weights or LossWeights()
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """The weighted loss, and detached losses and measures by name. `batch` as of `to_tensors`."""
+        """The weighted loss, and detached losses and measures by name. `batch` as returned by `to_tensors`."""
         network, weights = self.network, self.weights
         device = batch["image"].device.type
         dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else torch.float32
@@ -104,7 +104,7 @@ class LossModule(nn.Module):
             ],
             dim=-1,
         )
-        # A panel far outside the image need not be found to the cell.
+        # A panel far outside the image need not be located exactly.
         gates = F.smooth_l1_loss(seen.geometry.float(), target.clamp(-8, 8), beta=0.1, reduction="none").mean(-1)
         board = torch.cat(
             [
@@ -123,7 +123,7 @@ class LossModule(nn.Module):
         return panels + board + 0.5 * self._named(gates, batch["gate_facets"], batch["in_view"], GATE_GROUPS)
 
     def _card_loss(self, batch: dict[str, Tensor]) -> Tensor:
-        """Panels and boards to read, without a frame."""
+        """Loss of panel crops, without a frame."""
         if "card_image" not in batch:
             return batch["state"].new_zeros(())
         pixels = batch["card_image"].permute(0, 3, 1, 2).float() / 255  # channels last in memory, as `read` has it
@@ -134,7 +134,7 @@ class LossModule(nn.Module):
         return self._named(read, panels, known, PANEL_GROUPS) + self._named(read, boards, known, BOARD_GROUPS)
 
     def _named(self, embeddings: Tensor, facets: Tensor, known: Tensor, groups: tuple[str, ...]) -> Tensor:
-        """Cross-entropies of naming facets (n, m, groups) from embeddings (n, m, E), summed over the groups."""
+        """Cross-entropies of classifying facets (n, m, groups) from embeddings (n, m, E), summed over the groups."""
         logits = embeddings.float() @ self.network.prototypes.float().T
         losses = []
         for column, group in enumerate(groups):
@@ -142,7 +142,7 @@ class LossModule(nn.Module):
             there = known & (facets[..., column] >= 0)
             target = (facets[..., column] - span.start).clamp(0)
             loss = F.cross_entropy(logits[..., span].flatten(0, 1), target.flatten(), reduction="none")
-            # An average over all samples that could have had it: rare things count as often as they occur.
+            # An average over all samples that could have had it: rare values count as often as they occur.
             share = 1.0 if group in ("concept", *GATE_GROUPS) else 0.3
             losses.append(share * known_mean(loss.view_as(target), there))
         return torch.stack(losses).sum()
@@ -153,17 +153,17 @@ class LossModule(nn.Module):
 
 
 def text_loss(network: SmallVLA, batch: dict[str, Tensor], query: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """Of sentences against what is told about panels, gates and board, not seen; and which of them (T,) were right.
+    """Loss of sentences against ground-truth panels, gates and board; and which of them (T,) were right.
 
-    `query` (T, E) is what the network makes of the sentences, where that is already known. Of sentences that are
-    `text_open` (T,), where the batch has it, nobody can know which gate they mean: there no gate is to be preferred.
+    `query` (T, E) is the network's encoding of the sentences, if already computed. Sentences that are `text_open` (T,),
+    if the batch has it, have no knowable right gate: the target prefers no gate.
     """
     asked, named = batch["text_asked"], batch["text_named"]
     if query is None:
         query = told_query(network.text, batch, told_embedding(network, batch["text_board"]))
     gates = told_embedding(network, batch["text_panels"]) + told_embedding(network, batch["text_gates"])
     logits = (query[:, None] * gates.float()).sum(-1) * network.scale
-    # Three panels are few to tell a wrong sum from a right one: where one concept is meant, it is told from all.
+    # Three panels are too few to separate a wrong sum from a right one: a single concept is classified among all.
     concepts = GROUPS["concept"]
     among_all = query @ network.prototypes[concepts].float().T * network.scale
     meant = (named - concepts.start).clamp(0)
@@ -176,7 +176,7 @@ def text_loss(network: SmallVLA, batch: dict[str, Tensor], query: Tensor | None 
 
 
 def told_query(text: nn.Module, batch: dict[str, Tensor], board: Tensor) -> Tensor:
-    """What a text encoder makes of a batch's sentences (T, E), with what is told about the board (T, E)."""
+    """The text encoder's queries for a batch's sentences (T, E), given ground truth of the board (T, E)."""
     query: Tensor = text(_trimmed(batch["text_tokens"]), board, (batch["text_board"][:, 0] >= 0).float())
     return query.float()
 
@@ -188,7 +188,7 @@ def told_embedding(network: SmallVLA, facets: Tensor) -> Tensor:
 
 
 def action_targets(batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-    """Actions (B, 4, chunk, 4) toward the three gates and toward none in view, and which of them (B, 4) are taught."""
+    """Actions (B, 4, chunk, 4) toward the three gates and toward none in view, and which of them (B, 4) are targets."""
     rows = torch.arange(len(batch["flown"]), device=batch["flown"].device)
     flown = batch["flown"]
     target = torch.cat([batch["action"], batch["action"][rows, flown][:, None]], dim=1)
@@ -208,7 +208,7 @@ def action_loss(network: SmallVLA, raw: Tensor, target: Tensor) -> Tensor:
 
 
 def true_slots(batch: dict[str, Tensor], cells: int, *, jitter: bool) -> tuple[Slots, Tensor]:
-    """The cells of gates and board, gates in order; with `jitter` some a cell beside. And where a board is in view."""
+    """The cells of gates and board, gates in order; some are one cell off with `jitter`. And whether a board shows."""
     column, row = (torch.div(batch["gate"][..., axis], STRIDE, rounding_mode="floor").long() for axis in (0, 1))
     if jitter:
         beside = (torch.rand(column.shape, device=column.device) < _NEIGHBOUR).long()
@@ -236,7 +236,7 @@ def _heat_loss(scene: Scene, batch: dict[str, Tensor], slots: Slots, board_known
 
 
 def _focal(heat: Tensor, cells: Tensor, known: Tensor, n: int) -> Tensor:
-    """Focal loss of logits (B, n * n) against cells (B, m); the neighbours of a true cell count as neither."""
+    """Focal loss of logits (B, n * n) against cells (B, m); neighbours of a true cell are ignored."""
     truth = torch.zeros_like(heat, dtype=torch.float32)
     truth.scatter_add_(1, cells, known.float())
     truth = truth.clamp(max=1)
@@ -249,7 +249,7 @@ def _focal(heat: Tensor, cells: Tensor, known: Tensor, n: int) -> Tensor:
 
 
 def _offset(point: Tensor, cells: Tensor, n: int) -> Tensor:
-    """Offsets (..., 2) of points (..., 2) in pixels from the middles of cells (...), in cells."""
+    """Offsets (..., 2) of points (..., 2) in pixels from the centres of cells (...), in cells."""
     middle = torch.stack([cells % n, torch.div(cells, n, rounding_mode="floor")], dim=-1).float() + 0.5
     return point / STRIDE - middle
 
@@ -263,12 +263,12 @@ def _jittered(boxes: Tensor, jitter: bool) -> Tensor:
 
 
 def _trimmed(tokens: Tensor) -> Tensor:
-    """Without the columns that are padding in every row."""
+    """The tokens without columns that are padding in every row."""
     longest = int((tokens != 0).sum(dim=1).max())
     return tokens[:, :longest]
 
 
 def known_mean(values: Tensor, known: Tensor) -> Tensor:
-    """Mean of the values that are known; 0 where none is."""
+    """Mean of the known values; 0 if there are none."""
     weight = known.float()
     return (values * weight).sum() / weight.sum().clamp(min=1)

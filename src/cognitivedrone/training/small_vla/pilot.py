@@ -1,4 +1,4 @@
-"""The network in training as a pilot of many drones at once, for flights along the way and for trials."""
+"""The network under training as a batched policy, for flights during training and for trials."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cognitivedrone.types import FloatArray, Image, StageResult
 
 
 class NetworkPilot:
-    """Actions of a network for many drones at once; it knows nothing but images, motion and sentences."""
+    """Batched policy of a network; its only inputs are images, motion and sentences."""
 
     def __init__(self, network: SmallVLA, vocabulary: Vocabulary) -> None:
         self.network = network

@@ -1,4 +1,4 @@
-"""The small VLA as a subject of training: its vocabulary, batches, curves and trials."""
+"""The small VLA as a training task: its vocabulary, batches, curves and trials."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ from cognitivedrone.training.small_vla.recorded import Recorded
 from cognitivedrone.training.small_vla.stream import RolloutStream
 
 _VALIDATION = 10**6  # rank of the generator of validation frames: no training process has it
-_SENTENCES = 40_000  # training sentences whose words are the vocabulary
+_SENTENCES = 40_000  # training sentences whose words make the vocabulary
 
 
 @dataclass(frozen=True)
 class PolicyTraining:
-    """A small VLA that learns from flights made while it trains, or from a data set."""
+    """A small VLA that learns from flights made during training, or from a data set."""
 
     recipe: TrainRecipe
-    """Its network is as large as words and facets ask for."""
+    """Its network is as large as words and attribute values require."""
     vocabulary: Vocabulary
     data: Path | None = None
 
     def identity(self) -> dict[str, Any]:
         """Recipe, and the data set's hash."""
-        # As JSON gives them back: tuples as lists.
+        # In JSON's form: tuples become lists.
         told: dict[str, Any] = {"recipe": json.loads(json.dumps(self.recipe.facts()))}
         return told | ({"data": f"store {Store(self.data).content_hash()}"} if self.data else {})
 
@@ -57,22 +57,22 @@ class PolicyTraining:
         return {"vocabulary": list(self.vocabulary.words)}
 
     def network(self) -> SmallVLA:
-        """Channels last in memory, for speed."""
+        """The network, channels last in memory for speed."""
         network = SmallVLA(self.recipe.network)
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return network
 
     def lesson(self, network: nn.Module) -> LossModule:
-        """With the recipe's weights of losses."""
+        """The network with the recipe's loss weights."""
         assert isinstance(network, SmallVLA)  # noqa: S101  (tells the type checker)
         return LossModule(network, self.recipe.losses)
 
     def learner(self, network: nn.Module) -> NetworkPilot | None:
-        """A pilot of many drones, where flights are made and the recipe gives it some."""
+        """A batched policy, if flights are made and the recipe lets the network fly some."""
         return self._pilot(network) if self.data is None and self.recipe.stream.learner > 0 else None
 
     def share(self, processes: int) -> PolicyTraining:
-        """Frames, sentences and cards are shared."""
+        """Processes share frames, sentences and panel crops."""
         stream = self.recipe.stream
         if stream.batch % processes:
             raise TrainingError(f"a batch of {stream.batch} frames cannot be shared by {processes} processes")
@@ -85,18 +85,18 @@ class PolicyTraining:
         return replace(self, recipe=replace(self.recipe, stream=part))
 
     def batches(self) -> Batches:
-        """Of the training split."""
+        """Batches of the training split."""
         return training_batches(self.recipe.stream, self.vocabulary, self.recipe.network, self.data)
 
     def validation(self, seed: int) -> list[Batch]:
-        """Few frames of each flight, so that they are of many scenes; of the data set its validation split."""
+        """Few frames per flight, so that they cover many scenes; for a data set, its validation split."""
         count = self.recipe.validation_frames
         stream = replace(self.recipe.stream, batch=min(32, count), learner=0.0, sampled=0.05)
         made = training_batches(stream, self.vocabulary, self.recipe.network, self.data, validation=True)
         return list(islice(made((seed, _VALIDATION)), max(1, count // stream.batch)))
 
     def validate(self, lesson: nn.Module, batches: list[Batch], autocast: Any) -> Row:
-        """As in the literature on OpenVLA."""
+        """Metrics as in the literature on OpenVLA."""
         assert isinstance(lesson, LossModule)  # noqa: S101
         return validate(lesson, batches, autocast)
 
@@ -112,7 +112,7 @@ class PolicyTraining:
 
 
 def policy_subject(recipe: TrainRecipe, data: Path | None = None) -> PolicyTraining:
-    """The subject of a recipe, with the vocabulary of its tasks."""
+    """The training task of a recipe, with the vocabulary of its tasks."""
     racing = recipe.stream.suite == "race"
     vocabulary = Vocabulary.of(INSTRUCTIONS) if racing else training_vocabulary(spoken=recipe.stream.spoken > 0)
     network = replace(
@@ -126,7 +126,7 @@ def policy_subject(recipe: TrainRecipe, data: Path | None = None) -> PolicyTrain
 
 
 def training_vocabulary(*, spoken: bool = False) -> Vocabulary:
-    """All words of the training tasks, of their directives, and of racing; also of what else is `spoken`."""
+    """All words of training tasks, directives and racing; with `spoken`, also of additional wordings."""
     tasks = [train_task(index, 0) for index in range(_SENTENCES)]
     if spoken:
         rng = np.random.default_rng(0)
@@ -144,14 +144,14 @@ def training_batches(
     *,
     validation: bool = False,
 ) -> Batches:
-    """Batches from a split of a data set or, without one, from flights made now, whose seeds are their splits."""
+    """Batches from a split of a data set or, without one, from flights made during training, split by seed."""
     if data is None:
         return RolloutStream(stream, vocabulary, network)
     return Recorded(data, stream, vocabulary, network, "val" if validation else "train").batches
 
 
 def trial(pilot: NetworkPilot, suite: str, count: int) -> Row:
-    """Success of a pilot in closed loop on the first tracks of a suite, under a seed of its own, by family."""
+    """Success of a policy in closed loop on the first tracks of a suite, under its own seed, by family."""
     results = fly_suite(pilot, load_suite(suite, size=count, seed=10**6), TrackConfig(time_limit_s=15.0))
     row: Row = {"success": sum(r.outcome == "passed" for r in results) / len(results)}
     for family in sorted({result.family for result in results}):
@@ -173,6 +173,6 @@ def load_trained(path: Path) -> tuple[SmallVLA, Vocabulary, dict[str, Any]]:
 
 
 def stream_of(facts: dict[str, Any]) -> StreamRecipe:
-    """The stream that a checkpoint was trained from."""
+    """The rollout stream that a checkpoint was trained from."""
     told = facts["recipe"]["stream"]
     return StreamRecipe(**{**told, "expert": ExpertConfig(**told["expert"])})

@@ -1,8 +1,8 @@
-"""Training data from a data set on disk: the same samples as from flights made while training, without the flying.
+"""Training samples from a data set on disk: the same as from flights made during training.
 
-A step gives its frame, its true pose and, toward the gate that was flown at, the recorded actions. What the expert
-would do toward the other two gates is worked out from the pose, so that each frame still trains several sentences.
-There is no DAgger here: nobody can fly into a record.
+A step provides its frame, its ground-truth pose and, toward the gate that was flown at, the recorded actions. The
+expert's actions toward the other two gates are computed from the pose, so that each frame still trains several
+sentences. There is no DAgger here, because recorded flights cannot react to a policy.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Recorded:
         self._action = columns["action"]
 
     def batches(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
-        """Batches without end: all steps in a new random order, again and again; no `learner` can fly here."""
+        """Endless batches: all steps in a new random order, again and again; no `learner` can fly here."""
         del learner
         self._sampler.begin()
         rng = np.random.default_rng(seed)
@@ -73,7 +73,7 @@ class Recorded:
         return batch
 
     def _ahead(self, steps: NDArray[np.int64]) -> NDArray[np.int64]:
-        """(n, chunk) numbers of the steps that follow, which stop at the flight's last."""
+        """(n, chunk) numbers of the following steps, clamped to the flight's last."""
         ends = np.searchsorted(self._episode, self._episode[steps], side="right") - 1
         ahead: NDArray[np.int64] = np.minimum(steps[:, None] + np.arange(self._recipe.chunk), ends[:, None])
         return ahead

@@ -1,12 +1,12 @@
-"""Training data made while it is used: drones flown, disturbed and looked at in many scenes at once.
+"""Rollout stream: training data made on the fly, by drones in many scenes at once.
 
-Each world of a `RolloutStream` flies toward one gate, by the expert with wandering wrong commands on top, or by the
-network itself as it was a while ago (DAgger, all the time). Some moments of every flight become samples: a rendered
-frame, everything that is true of it, and several sentences that ask for this gate or that one. What is flown tells
-nothing about what is asked, except where the panels cannot be read: there a drone can only go on where it is going.
+Each world of a `RolloutStream` flies toward one gate, by the expert with random wrong commands added, or by the
+network itself in an earlier state (continuous DAgger). Some steps of every flight become samples: a rendered
+frame, its ground truth, and several sentences that ask for one gate or another. The gate flown at is independent of the
+gate asked for, unless the panels cannot be read: then a drone can only continue toward its gate.
 
-A stream is a pure function of recipe, seed and the weights that fly along: the same batches on every machine of a
-kind.
+A stream is a pure function of recipe, seed and the weights of the policy under training: the same batches on every
+machine of a kind.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from cognitivedrone.types import CONTROL_HZ, FloatArray, Image, Stage, Task
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN, varied_look
 
-_TOO_LONG = 14 * CONTROL_HZ  # control steps of a flight, after which it is hopeless
-_BOUND_M = 9.0  # nor is there anything to learn further than this from the stage's origin
+_TOO_LONG = 14 * CONTROL_HZ  # control steps after which a flight is hopeless
+_BOUND_M = 9.0  # beyond this distance from the stage's origin there is nothing to learn
 
 
 class _Flight(Setting):
-    """One flight in the air."""
+    """One flight in progress."""
 
     def __init__(self, task: Task, stage: Stage, flown: int, *, learner: bool, wander: float, speed: float) -> None:
         super().__init__(task, stage, flown)
@@ -52,7 +52,7 @@ class _Flight(Setting):
 
 
 class RolloutStream:
-    """Worlds in which training flights are flown."""
+    """Worlds with training flights."""
 
     def __init__(self, recipe: StreamRecipe, vocabulary: Vocabulary, network: SmallVLAConfig) -> None:
         self.recipe = recipe
@@ -65,7 +65,7 @@ class RolloutStream:
         self._told: Filling = lambda *_: None
 
     def watch(self, told: Filling) -> None:
-        """Tell from now on how the buffer fills that the next batches are drawn from."""
+        """Report from now on how the buffer for the next batches fills."""
         self._told = told
 
     def close(self) -> None:
@@ -73,7 +73,7 @@ class RolloutStream:
         self._simulator.close()
 
     def __call__(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
-        """Batches without end, from flights that all begin now; `learner` flies some where given."""
+        """Endless batches, from flights that all begin now; the `learner`, if given, flies some."""
         self._rng, self._learner = np.random.default_rng(seed), learner
         self._sampler.begin()
         self._flights = [self._begin(world) for world in range(self.recipe.worlds)]
@@ -112,7 +112,7 @@ class RolloutStream:
         return _Flight(task, stage, flown, learner=learner, wander=wander, speed=speed)
 
     def _draw_start(self) -> tuple[Start, FloatArray]:
-        """Where a flight begins, and its velocity then, heading frame, m/s."""
+        """Initial conditions of a flight, and its velocity, heading frame, m/s."""
         rng, recipe = self._rng, self.recipe
         published = draw_start(rng, RACER.hull_radius, recipe.wind_m_s * float(rng.random()))
         kind = float(rng.random())
@@ -133,7 +133,7 @@ class RolloutStream:
         )
 
     def _step(self) -> list[Batch]:
-        """One control step of all worlds; the samples taken before it."""
+        """One control step of all worlds; returns the samples taken before it."""
         taken = np.flatnonzero(self._rng.random(self.recipe.worlds) < self.recipe.sampled)
         led = np.array([w for w, flight in enumerate(self._flights) if flight.learner], dtype=np.intp)
         shown = np.union1d(taken, led)
@@ -153,7 +153,7 @@ class RolloutStream:
         return samples
 
     def _command(self, led: NDArray[np.intp], frames: Image) -> None:
-        """Send every drone on its way."""
+        """Command every drone."""
         flight, flights = self._simulator.flight, self._flights
         centers = np.stack([geometry.gate_centers(each.stage)[each.flown] for each in flights])
         yaws = np.array([geometry.gate_yaws(each.stage)[each.flown] for each in flights])
@@ -162,7 +162,7 @@ class RolloutStream:
         for world, each in enumerate(flights):
             each.steps += 1
             actions[world, :3] *= each.speed / self.recipe.expert.speed_m_s
-            # A wrong command that wanders: half a second of memory, `wander` as its spread.
+            # Random wrong command, correlated over half a second, with the standard deviation `wander`.
             each.wrong = 0.82 * each.wrong + 0.57 * each.wander * kicks[world]
             actions[world] += each.wrong
         if self._learner is not None and len(led):
