@@ -16,7 +16,8 @@ import tempfile
 import threading
 from pathlib import Path
 
-from cognitivedrone.collect.collector import CollectPlan, CollectReport, collect
+from cognitivedrone.collect.collector import CollectReport, collect
+from cognitivedrone.collect.config import CollectPlan
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.data.store import Store
 

@@ -93,7 +93,7 @@ def measure(store: Store) -> None:
     for threads in (1, 2):
         store.steps([0], threads)  # reads the numbers once
         before = time.process_time()
-        got = rate(lambda threads=threads: store.steps(rng.integers(0, store.n_steps, BATCH), threads))
+        got = rate(lambda threads=threads: store.steps(rng.integers(0, store.n_steps, BATCH), threads))  # type: ignore[misc]
         cpu = 1e3 * (time.process_time() - before) / (REPEATS * BATCH)
         of_store = f"| {first.encoding} | {kilobytes:.1f} | {len(store):,} | {threads} "
         print(f"{of_store}| {got:,.0f} | {cpu:.2f} | {got / bare:.2f} |")

@@ -11,7 +11,7 @@ from __future__ import annotations
 import statistics
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -40,9 +40,10 @@ def stopped(peer: Peer, since: float) -> float:
     """When the vehicle got the first zero velocity since then."""
     while not any(not any(velocity) for velocity in peer.setpoints_since(since)):
         time.sleep(0.001)
-    return next(
+    times: Iterator[float] = (
         at for at, s in peer.heard if at >= since and s.get_type() == "SET_POSITION_TARGET_LOCAL_NED" and s.vx == 0
     )
+    return next(times)
 
 
 def not_a_number(peer: Peer, drone: MavlinkDrone) -> float:

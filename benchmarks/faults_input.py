@@ -25,7 +25,7 @@ import numpy as np
 from rich.table import Table
 
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.episode import preflight
+from cognitivedrone.benchmark.job import preflight, prepare
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import CognitiveDroneError, PolicyError
 from cognitivedrone.labels import load_pack
@@ -33,7 +33,6 @@ from cognitivedrone.models.reasoner_file import GateSelectorModel, PanelReaderMo
 from cognitivedrone.models.small_file import SmallModel, describe, read_description
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite, load_suite, task_to_json
-from cognitivedrone.tasks.scenario import suite_of
 from cognitivedrone.terminal import console
 
 WEIGHTS = Path(sys.modules["cognitivedrone.models"].__path__[0]) / "weights"
@@ -81,8 +80,9 @@ def judge_tasks(path: Path, track_runner: TrackRunner) -> str:
     """`rejected`, `same meaning`, or what is wrong: `misread`, `not one sentence` or `error in flight`."""
     config = Plan.of(policy="hover", tasks=path)
     try:
-        suite = suite_of(config)
-        preflight(config, suite)
+        job = prepare(config)
+        preflight(job)
+        suite = job.suite
     except CognitiveDroneError as error:
         return "not one sentence" if "\n" in str(error) or not str(error).isprintable() else "rejected"
     except Exception as error:

@@ -35,11 +35,12 @@ def main() -> None:
             checkout = Path(name) / "cognitivedrone"
             environment = {**os.environ, "PYTHONPATH": "examples"}
             marks, before = [time.monotonic()], cpu_time()
-            for command in (
+            commands: tuple[list[str | Path], ...] = (
                 ["git", "clone", "--quiet", ROOT, checkout],
                 [python, "scripts/setup.py"],
                 [checkout / ".venv" / "bin" / "cognitivedrone", *BENCH.split()[1:]],
-            ):
+            )
+            for command in commands:
                 cwd = checkout if checkout.exists() else ROOT
                 subprocess.run(command, cwd=cwd, env=environment, check=True, stdout=subprocess.DEVNULL)
                 marks.append(time.monotonic())

@@ -94,7 +94,7 @@ def watch(points: Points) -> None:
             super().close()
             self._ours.close()
 
-    builtins.open = io.open = watched  # type: ignore[assignment]
+    builtins.open = io.open = watched
     pq.ParquetWriter = ParquetWriter
 
 

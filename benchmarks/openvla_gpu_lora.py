@@ -53,7 +53,7 @@ def some_batch(network: OpenVlaNetwork, size: int, seed: int = 0) -> Batch:
 
 def our_loss(network: OpenVlaNetwork, batch: Batch) -> Tensor:
     """As `train-openvla` computes it: fused attention, and only the words that matter are scored."""
-    loss = network(*batch).loss
+    loss: Tensor = network(*batch).loss
     assert loss is not None  # noqa: S101 - labels were given
     return loss
 
@@ -145,7 +145,7 @@ def training(report: Report, batches: Sequence[int], whole: int) -> None:
         return measured
 
     for way in WAYS:
-        fitting = list(takewhile(lambda size, way=way: measure(way, f"batch {size}", size, 1), batches))
+        fitting = list(takewhile(lambda size, way=way: measure(way, f"batch {size}", size, 1), batches))  # type: ignore[misc]
         if fitting:
             micro = fitting[-1] if way is PUBLISHED else min(fitting[-1], PAPER.micro_batch)
             measure(way, f"batch {whole} by {micro}", micro, whole // micro)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -73,7 +74,7 @@ TOKENS_TINY = {"image_token_id": 297, "video_token_id": 298, "vision_start_token
 def reasoner_config(*, large: bool) -> Any:
     """Transformers' configuration of Qwen2.5-VL-7B, or of one in small."""
     text, vision, tokens = (TEXT_7B, VISION_7B, TOKENS_7B) if large else (TEXT_TINY, VISION_TINY, TOKENS_TINY)
-    return transformers.Qwen2_5_VLConfig(text_config=text, vision_config=vision, **tokens)
+    return transformers.Qwen2_5_VLConfig(text_config=text, vision_config=vision, **tokens)  # type: ignore[arg-type]
 
 
 def random_reasoner(machine: Machine, quantisation: Quantisation) -> Any:
@@ -81,7 +82,7 @@ def random_reasoner(machine: Machine, quantisation: Quantisation) -> Any:
     config = reasoner_config(large=machine.large)
     torch.manual_seed(0)
     with torch.device(machine.device):
-        model = transformers.AutoModelForImageTextToText.from_config(
+        model = transformers.AutoModelForImageTextToText.from_config(  # type: ignore[no-untyped-call]
             config, dtype=machine.dtype, attn_implementation="sdpa"
         )
     model.eval().requires_grad_(False)
@@ -115,7 +116,7 @@ class Generated:
 
     def __init__(self, model: Any) -> None:
         self._model = model
-        self._decoding = transformers.GenerationConfig(
+        self._decoding = transformers.GenerationConfig(  # type: ignore[no-untyped-call]
             min_new_tokens=ANSWER, max_new_tokens=ANSWER, do_sample=False, eos_token_id=2, pad_token_id=0
         )
 
@@ -145,7 +146,7 @@ class Recorded:
         self._place = torch.zeros(1, dtype=torch.int64, device=like.device)
         self._step = torch.compile(self._next, dynamic=False, fullgraph=True) if compiled else self._next
         self._graph: Graph | None = None
-        self._stream: Any = torch.cuda.Stream() if like.is_cuda else None
+        self._stream: Any = torch.cuda.Stream() if like.is_cuda else None  # type: ignore[no-untyped-call]
         if self._stream is not None:
             self._stream.wait_stream(torch.cuda.current_stream())  # the weights are made there
 
@@ -243,7 +244,7 @@ def together(report: Report, quantisation: Quantisation, policy: Callable[[], ob
             report.machine.forget()
             begin = time.monotonic() + 0.1
             with ThreadPoolExecutor(1) as pool:
-                thinking = pool.submit(keep_pace, lambda think=think: think(inputs), REASONER_HZ, seconds, begin)
+                thinking = pool.submit(keep_pace, partial(think, inputs), REASONER_HZ, seconds, begin)
                 flying = keep_pace(policy, CONTROL_HZ, seconds, begin)
                 thought = thinking.result()
             _tell(report, f"{quantisation} policy, reasoner by {way}", flying, report.machine.peak())

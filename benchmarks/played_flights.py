@@ -19,14 +19,16 @@ from typing import Any
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.episode import PilotRunner
+from cognitivedrone.benchmark.job import prepare
 from cognitivedrone.benchmark.run_types import Rollout
 from cognitivedrone.benchmark.runner import run as bench
 from cognitivedrone.collect import executors
-from cognitivedrone.collect.collector import CollectPlan, collect
+from cognitivedrone.collect.collector import collect
+from cognitivedrone.collect.config import CollectPlan
 from cognitivedrone.collect.executors import Job, fly_here
 from cognitivedrone.collect.fleet import FlownEpisode
 from cognitivedrone.collect.recipe import RECIPES
-from cognitivedrone.tasks.scenario import suite_of
+from cognitivedrone.plan import TaskSource
 
 EPISODES = 6
 PER_SHARD = 2
@@ -38,7 +40,8 @@ WHERE = "COGNITIVEDRONE_FAULTS"
 def record_collection(folder: Path) -> None:
     """Fly the two collections that are played back."""
     jobs = {
-        seed: Job("open-v1:train", replace(RECIPES["debug"], episodes=EPISODES), seed, PER_SHARD) for seed in (0, 1)
+        seed: Job(TaskSource("open-v1:train", seed=seed), replace(RECIPES["debug"], episodes=EPISODES), PER_SHARD)
+        for seed in (0, 1)
     }
     for seed, job in jobs.items():
         dump(folder / f"collect-{seed}", {each.episode.index: each for each in fly_here(job, range(EPISODES))})
@@ -46,8 +49,7 @@ def record_collection(folder: Path) -> None:
 
 def record_run(folder: Path) -> None:
     """Fly the benchmark run that is played back."""
-    config = _bench_config(folder)
-    runner = PilotRunner(config, suite_of(config))
+    runner = PilotRunner(prepare(_bench_config(folder)))
     dump(folder / "bench", {episode: _short_film(runner.fly(episode, film=True)) for episode in range(BENCH_EPISODES)})
     dump(folder / "renderer", runner.renderer)
 

@@ -14,7 +14,7 @@ def main(worlds: int = 8, steps: int = 30) -> None:
     env = gymnasium.make_vec("cognitivedrone.envs:CognitiveDrone-v1", num_envs=worlds)
     observation, _ = env.reset(seed=0)
     experts = [Expert() for _ in range(worlds)]
-    for expert, truth in zip(experts, env.unwrapped.truths(), strict=True):
+    for expert, truth in zip(experts, env.unwrapped.truths(), strict=True):  # type: ignore[attr-defined]
         expert.reset(EpisodeContext(truth.task.instruction, ground_truth=truth))
     actions = np.zeros((worlds, 4), dtype=np.float32)
     frames = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import sys
 from collections.abc import Iterable, Iterator
@@ -16,12 +17,14 @@ from cognitivedrone.errors import MissingExtra
 for folder in ("models", "support"):
     sys.path.insert(0, str(Path(__file__).parent / folder))
 
+importlib.import_module("typechecked").install()
+
 # A busy machine makes no example wrong.
 settings.register_profile("no deadline", deadline=None)
 settings.load_profile("no deadline")
 
-OPTIONAL = ("accelerate", "httpx", "matplotlib", "peft", "pymavlink", "rosbags", "safetensors", "serial", "tensorboard")
-OPTIONAL += ("tokenizers", "torch", "torchao", "transformers")
+OPTIONAL: tuple[str, ...] = ("accelerate", "httpx", "matplotlib", "peft", "pymavlink", "rosbags", "safetensors")
+OPTIONAL += ("serial", "tensorboard", "tokenizers", "torch", "torchao", "transformers")
 ABSENT = {name for name in OPTIONAL if importlib.util.find_spec(name) is None}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -62,7 +63,7 @@ def test_what_inherits_is_taken_as_it_is():
 
 def test_a_class_of_two_methods_flies_and_its_other_methods_are_its_own():
     made = Straight()
-    policy = as_policy("policy 'mine'", made)
+    policy: Any = as_policy("policy 'mine'", made)
     policy.check()
     policy.reset(CONTEXT)
     assert policy.act("seen") is CHUNK
@@ -99,7 +100,8 @@ def test_a_reasoner_may_be_one_method_or_keep_what_it_sees_between_resets():
         def seed(self):
             raise AssertionError("nobody's business")
 
-    plain, keeps = as_reasoner("a", Once()), Keeps()
+    plain: Any = as_reasoner("a", Once())
+    keeps = Keeps()
     plain.reset(CONTEXT)
     assert plain.refine("image", "go") is GUIDANCE
     plain.close()
@@ -211,7 +213,7 @@ def test_who_takes_the_context_for_the_instruction_reads_what_to_change(when):
         policy = as_policy("policy 'mine'", Unaware(when))
     if when == "act":
         policy.reset(CONTEXT)
-    call = policy.act if when == "act" else policy.reset
+    call: Any = policy.act if when == "act" else policy.reset
     with pytest.raises(PolicyError, match=r"'mine': reset\(context\) is given .*; read context\.instruction$"):
         call(CONTEXT)
 
@@ -222,4 +224,4 @@ def test_other_mistakes_keep_their_own_words():
             return None + 1
 
     with pytest.raises(TypeError, match="unsupported operand"):
-        as_policy("policy 'mine'", Broken()).act("seen")
+        as_policy("policy 'mine'", Broken()).act(cast("Any", "seen"))

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -146,7 +147,7 @@ def test_two_runs_are_compared(tmp_path):
     assert "McNemar" in done.stdout
 
 
-TASK = {
+TASK: dict[str, Any] = {
     "prompt": "Fly through the gate with the letter A",
     "prompt_simpler": "Fly through the small red round gate",
     "options": ["A", "B", "C"],

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from rich.console import ColorSystem, Console
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
 import cognitivedrone
-from cognitivedrone import terminal
 from cognitivedrone.terminal import console
 
 EVIL = "[/f] [bold]x[/bold] :smile: \x1b]0;title \u202e \ud800"
@@ -22,7 +21,7 @@ SOURCES = Path(cognitivedrone.__file__).parent
 
 
 @pytest.fixture
-def screen() -> Iterator[terminal.Console]:
+def screen() -> Console:
     made = console()
     made.file, made.width = io.StringIO(), 200
     return made
@@ -37,7 +36,7 @@ def table(text: str) -> Table:
 @pytest.mark.parametrize(
     ("thing", "times"), [(EVIL, 1), (Text(EVIL), 1), (table(EVIL), 4), (Panel(Text(EVIL), title=Text(EVIL)), 2)]
 )
-def test_data_is_shown_as_it_is(screen: terminal.Console, thing: object, times: int) -> None:
+def test_data_is_shown_as_it_is(screen: Console, thing: object, times: int) -> None:
     screen.print(thing)
     printed = screen.file.getvalue()
     # In a cell, an escape sequence may be cut where it is longer than what it stands for.
@@ -47,9 +46,9 @@ def test_data_is_shown_as_it_is(screen: terminal.Console, thing: object, times: 
     assert not re.search("[\x00-\x09\x0b-\x1f\x7f-\x9f]", printed)
 
 
-def test_styles_of_the_program_stay(screen: terminal.Console) -> None:
+def test_styles_of_the_program_stay(screen: Console) -> None:
     coloured = console()
-    coloured.file, coloured._color_system, coloured._force_terminal = screen.file, 1, True
+    coloured.file, coloured._color_system, coloured._force_terminal = screen.file, ColorSystem.STANDARD, True
     coloured.print(Text("told\x1b[0m", style="bold"))
     assert screen.file.getvalue() == "\x1b[1mtold\\x1b[0m\x1b[0m\n"
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import PluginError
 from cognitivedrone.interfaces import PlugIn, Policy, Reasoner
 from cognitivedrone.types import ActionChunk, EpisodeContext, Guidance, Image, Observation
 
@@ -38,7 +38,7 @@ def as_reasoner(what: str, part: Any) -> Reasoner:
 def _check_methods(what: str, part: Any, *methods: str) -> None:
     for method in methods:
         if not callable(getattr(part, method, None)):
-            raise PolicyError(f"{what} has no method {method}(); see cognitivedrone.interfaces")
+            raise PluginError(f"{what} has no method {method}(); see cognitivedrone.interfaces")
 
 
 class _Adapted(PlugIn):
@@ -89,7 +89,7 @@ class _Adapted(PlugIn):
         except (AttributeError, TypeError) as error:
             if EpisodeContext.__name__ not in str(error):
                 raise
-            raise PolicyError(
+            raise PluginError(
                 f"{self._what}: reset(context) is given an EpisodeContext, no text ({error}); read context.instruction"
             ) from error
 

@@ -5,9 +5,16 @@ CognitiveDroneError
 ├── TaskError        a malformed task or task file, an unknown family or suite
 ├── LabelError       an unknown label, pack or style, an unreadable image
 ├── RenderError      no OpenGL to render with
-├── SimulationError  flight conditions that cannot be simulated: an unknown airframe or look, a negative wind
-├── PolicyError      an unknown policy or reasoner, a model that cannot be loaded, or an action that cannot be flown
-│   ├── NonFiniteAction
+├── SimulationError  flight conditions that cannot be simulated, such as a negative wind or an unreadable delay
+│   ├── AirframeError    an unknown airframe
+│   └── AppearanceError  an unknown appearance of the scene
+├── PolicyError      a policy or reasoner that cannot be made or cannot fly
+│   ├── PluginError      an unknown policy, reasoner or other plug-in, or arguments that it does not take
+│   ├── ModelError       a model file or checkpoint that is missing, damaged, too large or of another kind
+│   ├── ServerError      a server that a reasoner needs and that does not answer or refuses
+│   ├── GroundTruthError an oracle in a flight that has no ground truth
+│   ├── ActionError      an action of another shape than (k, 4), or not of numbers
+│   │   └── NonFiniteAction
 │   └── PolicyRaised
 ├── ReasonerError    one answer of a reasoner that did not come or cannot be used; the flight goes on
 ├── RunError         a benchmark run that cannot start, go on or be read
@@ -27,19 +34,13 @@ import json
 import shlex
 import sys
 import warnings
-from collections.abc import Iterable
-from contextlib import suppress
-from typing import Any, Literal
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
 from urllib.parse import unquote, urlsplit
 
+from cognitivedrone.choices import ReasonerFault as ReasonerFault
 from cognitivedrone.printable import visible
-
-ReasonerFault = Literal[
-    "unreachable", "timeout", "http", "too_long", "garbage", "schema", "refusal", "no_such_gate", "unsure", "raised"
-]
-"""What was wrong with an answer: no connection, too late, an HTTP error, more text than anybody needs, not JSON and not
-a sentence about a gate, a value of another shape, a polite refusal, a gate that there is not, "cannot tell", an
-exception of the reasoner's own."""
 
 
 class CognitiveDroneError(Exception):
@@ -63,14 +64,42 @@ class RenderError(CognitiveDroneError):
 
 
 class SimulationError(CognitiveDroneError):
-    """Flight conditions that cannot be simulated: an unknown airframe or look, a negative wind."""
+    """Flight conditions that cannot be simulated, such as a negative wind or an unreadable delay."""
+
+
+class AirframeError(SimulationError):
+    """An unknown airframe."""
+
+
+class AppearanceError(SimulationError):
+    """An unknown appearance of the scene."""
 
 
 class PolicyError(CognitiveDroneError):
-    """An unknown policy or reasoner, or an action that cannot be flown."""
+    """A policy or reasoner that cannot be made or cannot fly."""
 
 
-class NonFiniteAction(PolicyError):
+class PluginError(PolicyError):
+    """An unknown policy, reasoner or other plug-in, or arguments that it does not take."""
+
+
+class ModelError(PolicyError):
+    """A model file or checkpoint that is missing, damaged, too large for this machine or of another kind."""
+
+
+class ServerError(PolicyError):
+    """A server that a reasoner needs and that does not answer, refuses the key or lacks the model."""
+
+
+class GroundTruthError(PolicyError):
+    """An oracle in a flight that has no ground truth, such as that of a real vehicle."""
+
+
+class ActionError(PolicyError):
+    """An action of another shape than (k, 4), or not of numbers."""
+
+
+class NonFiniteAction(ActionError):
     """The policy asked for a NaN or an infinite velocity: the flight ends, a run of many goes on."""
 
 
@@ -172,6 +201,12 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return f"known: {', '.join(known[:12])}, ... ({len(known)} in all)"
 
 
-def warn_plainly() -> None:
-    """Print the warnings of this process as sentences, without places in the code: for commands."""
+@contextmanager
+def plain_warnings() -> Iterator[None]:
+    """Print warnings as sentences, without places in the code, while a command or a worker process runs."""
+    before = warnings.formatwarning
     warnings.formatwarning = lambda message, *_args, **_more: f"warning: {visible(str(message))}\n"
+    try:
+        yield
+    finally:
+        warnings.formatwarning = before

@@ -7,12 +7,11 @@ World ENU, body FLU, heading frame = body turned level. MAVLink and aerospace co
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.floating[Any]]
+from cognitivedrone.types import FloatArray, Quaternion, Quaternions, Rotations, Scalars, Vectors
 
 
 def wrap_angle(angle: ArrayLike) -> FloatArray:
@@ -20,13 +19,13 @@ def wrap_angle(angle: ArrayLike) -> FloatArray:
     return (np.asarray(angle, dtype=np.float64) + np.pi) % (2 * np.pi) - np.pi
 
 
-def yaw_of(quaternion: FloatArray) -> FloatArray:
+def yaw_of(quaternion: Quaternions) -> Scalars:
     """Heading in rad, (...,), of quaternions (..., 4)."""
     w, x, y, z = (quaternion[..., i] for i in range(4))
     return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def quaternion_from_yaw(yaw: ArrayLike) -> FloatArray:
+def quaternion_from_yaw(yaw: ArrayLike) -> Quaternions:
     """(..., 4) of headings (...,) in rad."""
     half = np.asarray(yaw, dtype=np.float64) / 2
     zero = np.zeros_like(half)
@@ -48,7 +47,7 @@ def world_to_heading(vector: FloatArray, yaw: ArrayLike) -> FloatArray:
     return rotate_yaw(vector, -np.asarray(yaw, dtype=np.float64))
 
 
-def rotation_matrix(quaternion: FloatArray) -> FloatArray:
+def rotation_matrix(quaternion: Quaternions) -> Rotations:
     """(..., 3, 3) body-to-world matrices of unit quaternions (..., 4)."""
     w, x, y, z = (quaternion[..., i] for i in range(4))
     rows = [
@@ -59,17 +58,17 @@ def rotation_matrix(quaternion: FloatArray) -> FloatArray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def enu_to_ned(vector: FloatArray) -> FloatArray:
+def enu_to_ned(vector: Vectors) -> Vectors:
     """World vectors (..., 3) from east-north-up to north-east-down; its own inverse."""
     return np.stack([vector[..., 1], vector[..., 0], -vector[..., 2]], axis=-1)
 
 
-def flu_to_frd(vector: FloatArray) -> FloatArray:
+def flu_to_frd(vector: Vectors) -> Vectors:
     """Body vectors (..., 3) from forward-left-up to forward-right-down; its own inverse."""
     return np.stack([vector[..., 0], -vector[..., 1], -vector[..., 2]], axis=-1)
 
 
-def ned_quaternion(quaternion: FloatArray) -> FloatArray:
+def ned_quaternion(quaternion: Quaternions) -> Quaternions:
     """(..., 4) w, x, y, z from body FRD to NED, for those from body FLU to ENU; its own inverse.
 
     The product of the half turn about the line between east and north, the attitude, and the half turn about forward.
@@ -78,7 +77,7 @@ def ned_quaternion(quaternion: FloatArray) -> FloatArray:
     return np.stack([w + z, x + y, x - y, w - z], axis=-1) * math.sqrt(0.5)
 
 
-def ned_euler(quaternion: FloatArray) -> tuple[float, float, float]:
+def ned_euler(quaternion: Quaternion) -> tuple[float, float, float]:
     """Roll, pitch and yaw in rad, aerospace signs, of one attitude (4,) from body FLU to ENU."""
     w, x, y, z = (float(v) for v in ned_quaternion(quaternion))
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))

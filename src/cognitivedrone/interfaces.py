@@ -20,6 +20,7 @@ from cognitivedrone.types import (
     Guidance,
     Image,
     Observation,
+    Vector,
 )
 
 
@@ -133,9 +134,9 @@ class Health:
     """Of the older of attitude and position."""
     battery: float | None
     """What is left, 0 to 1; none where the vehicle does not say."""
-    position: FloatArray
+    position: Vector
     """(3,) from where it took off, ENU, m."""
-    velocity: FloatArray
+    velocity: Vector
     """(3,) ENU, m/s."""
     yaw: float
     """Heading, from east to the left, rad."""

@@ -18,13 +18,12 @@ from dataclasses import MISSING, Field, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar, get_type_hints
 
+from cognitivedrone.choices import AppearanceName as AppearanceName
 from cognitivedrone.errors import LinkError, did_you_mean
 
 Rule = Literal["through", "within_1m"]
 """`through`: the drone's centre crosses the right gate's plane inside its opening. `within_1m`: the published rule, the
 drone comes within 1 m of the right gate's centre."""
-AppearanceName = Literal["plain", "varied"]
-"""`plain`: the room as published. `varied`: floor, walls, light, colours and camera noise drawn from the seed."""
 
 VEHICLE_KINDS = ("sim", "sitl", "gazebo", "mavlink")
 """Names of the registry of vehicles, `cognitivedrone.vehicles`."""

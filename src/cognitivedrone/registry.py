@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from cognitivedrone.errors import PolicyError, did_you_mean
+from cognitivedrone.errors import PluginError, did_you_mean
 
 _SWITCH = {"yes": True, "true": True, "on": True, "1": True, "no": False, "false": False, "off": False, "0": False}
 
@@ -47,12 +47,12 @@ class Call:
 def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
     """The factory that `name` stands for: a key of `table`, or the user's own "module:attribute".
 
-    Raises `PolicyError` naming the known names, or what was wrong with the user's own.
+    Raises `PluginError` naming the known names, or what was wrong with the user's own.
     """
     target = table.get(name, name)
     module_name, colon, attribute = target.partition(":")
     if not colon:
-        raise PolicyError(
+        raise PluginError(
             f"unknown {kind} {name!r}; {did_you_mean(name, table)} Your own is given as module:attribute."
         )
     try:
@@ -60,19 +60,19 @@ def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
     except ModuleNotFoundError as error:
         near = difflib.get_close_matches(module_name, table, n=1)
         hint = f"did you mean '{near[0]}:{attribute}'?" if near else "is its folder on PYTHONPATH?"
-        raise PolicyError(f"{kind} {name!r}: no module {error.name!r}; {hint}") from None
+        raise PluginError(f"{kind} {name!r}: no module {error.name!r}; {hint}") from None
     except AttributeError:
-        raise PolicyError(f"{kind} {name!r}: module {module_name!r} has no {attribute!r}") from None
+        raise PluginError(f"{kind} {name!r}: module {module_name!r} has no {attribute!r}") from None
     except (Exception, SystemExit) as error:
-        raise PolicyError(f"{kind} {name!r}: module {module_name!r} cannot be imported: {one_line(error)}") from error
+        raise PluginError(f"{kind} {name!r}: module {module_name!r} cannot be imported: {one_line(error)}") from error
     if not callable(factory):
-        raise PolicyError(f"{kind} {name!r}: {attribute!r} is not a class or function that makes a {kind}")
+        raise PluginError(f"{kind} {name!r}: {attribute!r} is not a class or function that makes a {kind}")
     result: Callable[..., Any] = factory
     return result
 
 
 def call_of(kind: str, text: str, table: Mapping[str, str]) -> Call:
-    """What `text`, in the syntax above, asks for. Raises `PolicyError` for names and arguments that do not fit."""
+    """What `text`, in the syntax above, asks for. Raises `PluginError` for names and arguments that do not fit."""
     head, colon, rest = text.partition(":")
     name = head
     if head not in table:
@@ -80,7 +80,7 @@ def call_of(kind: str, text: str, table: Mapping[str, str]) -> Call:
         name = f"{head}:{attribute}" if attribute else text
     factory = load(kind, name, table)
     if colon and not rest:
-        raise PolicyError(f"{kind} {text!r} ends at its colon; write {name!r}, or {usage(name, factory)}")
+        raise PluginError(f"{kind} {text!r} ends at its colon; write {name!r}, or {usage(name, factory)}")
     return Call(factory, _bind(kind, name, factory, rest))
 
 
@@ -93,13 +93,13 @@ def make(kind: str, text: str, table: Mapping[str, str]) -> Any:
     except (Exception, SystemExit) as error:
         if not own:
             raise
-        raise PolicyError(f"{kind} {text!r} cannot be made: {one_line(error)}") from error
+        raise PluginError(f"{kind} {text!r} cannot be made: {one_line(error)}") from error
 
 
 def file_of(kind: str, text: str, table: Mapping[str, str]) -> Path | None:
     """The file that the plug-in depends on, by its own `file_of`, which takes its arguments; none where it has none.
 
-    Raises `PolicyError` where the file is missing.
+    Raises `PluginError` where the file is missing.
     """
     if text not in table and ":" not in text:
         return None  # whoever makes it says that there is no such name
@@ -132,7 +132,7 @@ def _bind(kind: str, name: str, factory: Callable[..., Any], text: str) -> dict[
     what = f"{kind} {name!r}"
     parameters, hints = _parameters(factory), _hints(factory)
     if text and not parameters:
-        raise PolicyError(f"{what} takes no argument, {text!r} was given; write {name!r} alone")
+        raise PluginError(f"{what} takes no argument, {text!r} was given; write {name!r} alone")
     positional = [parameter for parameter in parameters.values() if parameter.kind is not parameter.KEYWORD_ONLY]
     given: dict[str, Any] = {}
     for part in _parts(text):
@@ -143,17 +143,17 @@ def _bind(kind: str, name: str, factory: Callable[..., Any], text: str) -> dict[
         elif not (equals and option.isidentifier()):
             free = [parameter.name for parameter in positional if parameter.name not in given]
             if not part or not free:
-                raise PolicyError(f"{what}: cannot place {part!r} of {text!r}; write {usage(name, factory)}")
+                raise PluginError(f"{what}: cannot place {part!r} of {text!r}; write {usage(name, factory)}")
             option, value = free[0], part
         if option not in parameters:
             known = did_you_mean(option, parameters)
-            raise PolicyError(f"{what} has no option {option!r}; {known} It is written {usage(name, factory)}")
+            raise PluginError(f"{what} has no option {option!r}; {known} It is written {usage(name, factory)}")
         if option in given:
-            raise PolicyError(f"{what}: {option} is given twice in {text!r}; keep one")
+            raise PluginError(f"{what}: {option} is given twice in {text!r}; keep one")
         given[option] = _converted(f"{what}: {option}", value, _hint(parameters[option], hints))
     for parameter in parameters.values():
         if parameter.default is parameter.empty and parameter.name not in given:
-            raise PolicyError(f"{what} needs {parameter.name}; write {usage(name, factory)}")
+            raise PluginError(f"{what} needs {parameter.name}; write {usage(name, factory)}")
     return given
 
 
@@ -202,20 +202,20 @@ def _choices(hint: Any) -> tuple[Any, ...]:
 
 
 def _converted(what: str, text: str, hint: Any) -> Any:
-    """A written value as its type. Raises `PolicyError`."""
+    """A written value as its type. Raises `PluginError`."""
     choices = {str(choice): choice for choice in _choices(hint)} or (_SWITCH if hint is bool else {})
     if choices:
         if text not in choices:
-            raise PolicyError(f"{what} is {text!r}; it is {'yes or no' if hint is bool else ' or '.join(choices)}")
+            raise PluginError(f"{what} is {text!r}; it is {'yes or no' if hint is bool else ' or '.join(choices)}")
         return choices[text]
     if not text:
-        raise PolicyError(f"{what} has no value")
+        raise PluginError(f"{what} has no value")
     if hint in (int, float):
         try:
             return hint(text)
         except ValueError:
             wanted = "a whole number" if hint is int else "a number"
-            raise PolicyError(f"{what} is {text!r}; it is {wanted}") from None
+            raise PluginError(f"{what} is {text!r}; it is {wanted}") from None
     return Path(text).expanduser() if hint is Path else text
 
 

@@ -5,23 +5,55 @@ Frames and units (converted in `frames.py` alone):
 - World: ENU, metres. Body: FLU (x forward, y left, z up). Heading frame: the body frame turned level, yaw only.
 - Quaternions are (w, x, y, z), body to world. Angles in radians, yaw positive to the left. Time in seconds.
 - Images are uint8 (H, W, 3) RGB.
+
+The names of arrays say shape and kind of number; the tests check both in every call (`tests/support/typechecked.py`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float, Float32, UInt8
 
-FloatArray: TypeAlias = NDArray[np.floating[Any]]
-Image: TypeAlias = NDArray[np.uint8]
+from cognitivedrone.choices import EventKind
+
+# Not NumPy's NDArray: of some versions that is an alias that jaxtyping cannot look into.
+_Floats: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.floating[Any]]]
+_Bytes: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.uint8]]
+Float32Array: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.float32]]
+"""Of any shape."""
+Float64Array: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.float64]]
+"""Of any shape."""
+if TYPE_CHECKING:
+    FloatArray: TypeAlias = _Floats
+    """Of any shape."""
+    Scalars: TypeAlias = _Floats
+    """One number for each member of a batch; a NumPy scalar where there is no batch."""
+else:  # NumPy gives a scalar for an array without axes, and its stubs call that an array
+    FloatArray = Float[np.ndarray | np.floating, "..."]
+    Scalars = Float[np.ndarray | np.floating, "..."]
+Vector: TypeAlias = Float[_Floats, "3"]
+"""(3,) x, y, z."""
+Vectors: TypeAlias = Float[_Floats, "... 3"]
+"""(..., 3), with the axes of the batch in front."""
+Quaternion: TypeAlias = Float[_Floats, "4"]
+"""(4,) w, x, y, z."""
+Quaternions: TypeAlias = Float[_Floats, "... 4"]
+"""(..., 4)."""
+Commands: TypeAlias = Float[_Floats, "... 4"]
+"""(..., 4) vx, vy, vz and yaw rate, of whatever kind of number."""
+Rotations: TypeAlias = Float[_Floats, "... 3 3"]
+"""(..., 3, 3) matrices."""
+Image: TypeAlias = UInt8[_Bytes, "_height _width 3"]
 """(H, W, 3) RGB."""
-Action: TypeAlias = NDArray[np.float32]
+Images: TypeAlias = UInt8[_Bytes, "images _height _width 3"]
+"""(n, H, W, 3) RGB."""
+Action: TypeAlias = Float32[Float32Array, "4"]
 """(4,): vx, vy, vz in m/s and yaw rate in rad/s, in the heading frame."""
-ActionChunk: TypeAlias = NDArray[np.float32]
+ActionChunk: TypeAlias = Float32[Float32Array, "steps 4"]
 """(k, 4) actions for the next k control steps, k >= 1."""
 
 Category = Literal["human_recognition", "symbol_understanding", "reasoning", "racing"]
@@ -117,13 +149,13 @@ class Stage:
 class DroneState:
     """True rigid-body state."""
 
-    position: FloatArray
+    position: Vector
     """(3,) world, m."""
-    velocity: FloatArray
+    velocity: Vector
     """(3,) world, m/s."""
-    quaternion: FloatArray
+    quaternion: Quaternion
     """(4,) w, x, y, z, body to world."""
-    body_rates: FloatArray
+    body_rates: Vector
     """(3,) body FLU, rad/s."""
 
 
@@ -135,7 +167,7 @@ class Observation:
     """(256, 256, 3) first-person view."""
     instruction: str
     """What to do: the instruction or, behind a reasoner, its directive."""
-    velocity: FloatArray
+    velocity: Vector
     """(3,) float32, heading frame, m/s."""
     height: float
     """Above ground, m."""
@@ -191,9 +223,7 @@ class Event:
 
     time: float
     """Since the start of the flight, s."""
-    kind: str
-    """`leg`, `asked`, `adopted`, `agreed`, `kept`, `stale`, `late`, or a `ReasonerFault`; of `fly` also `guard`, `hold`
-    and `sure` (it hovers since it is unsure, and flies on), `over`, `landed`."""
+    kind: EventKind
     text: str = ""
     """An instruction, a directive, or what went wrong."""
     age_s: float | None = None

@@ -161,7 +161,7 @@ class NamedRunner(FakeRunner):
     """Says which process it is in."""
 
     @property
-    def renderer(self) -> str:
+    def renderer(self) -> str:  # type: ignore[override]
         return f"process {os.getpid()}"
 
 

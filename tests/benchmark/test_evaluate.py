@@ -45,7 +45,7 @@ def test_a_reasoner_may_be_an_object_too():
 
 
 def test_what_is_made_is_closed_and_an_object_of_the_users_is_not():
-    class Closing(user_pilots.Straight):
+    class Closing(user_pilots.Straight):  # type: ignore[misc]
         closed = 0
 
         def close(self):
@@ -58,7 +58,7 @@ def test_what_is_made_is_closed_and_an_object_of_the_users_is_not():
 
 
 def test_a_policy_of_the_former_contract_flies_the_same_with_a_warning():
-    class Former(user_pilots.Straight):
+    class Former(user_pilots.Straight):  # type: ignore[misc]
         def reset(self, instruction: str) -> None:
             assert instruction.lower()
 

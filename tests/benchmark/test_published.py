@@ -44,7 +44,7 @@ def test_the_model_cards_rows_are_the_papers():
 def test_the_page_of_r1_has_the_papers_numbers_in_the_order_of_its_sentence():
     page = (ROOT / "docs" / "r1.md").read_text().replace("\n", " ")
     order = ("human_recognition", "symbol_understanding", "reasoning")
-    numbers = [percent(SYSTEMS["CognitiveDrone-R1"].categories[category]) for category in order]
+    numbers = [percent(SYSTEMS["CognitiveDrone-R1"].categories[category]) for category in order]  # type: ignore[index]
     told = "{}, {} and {} %".format(*numbers)
     assert re.search(rf"% of human recognition, symbol understanding and reasoning; the paper's R1 {told}", page)
 

@@ -104,7 +104,7 @@ def test_stages_without_a_reasoner_have_no_such_score():
     stage = StageResult("t", "reasoning", "math", 0, "passed", 0, 5.0, 6.0, 1.0, 0.3, 0.1)
     assert score([stage]).reasoner is None
     report = ReasonerReport(3, {}, 0, 0.2, 2.0, True, None, False, False)
-    mixed = score([stage, StageResult(*[getattr(stage, name) for name in stage.__slots__][:11], "Go", report)])
+    mixed = score([stage, StageResult(*[getattr(stage, name) for name in stage.__slots__][:11], "Go", report)])  # type: ignore[call-arg]
     assert (mixed.n, mixed.reasoner.n, mixed.reasoner.size, mixed.reasoner.color) == (2, 1, 1.0, None)
 
 

@@ -97,8 +97,8 @@ def test_confusions_are_shown_where_something_failed(pieces):
     for gate, row in enumerate(summary.choices, start=1):
         line = next(line for line in table.splitlines() if line.startswith(f"gate {gate}"))
         assert line.split()[2:] == [str(count) for count in row]
-        shown = re.search(rf"<tr><th>right: gate {gate}</th>(.*?)</tr>", text).group(1)
-        assert re.findall(r">(\d+)<", shown) == [str(count) for count in row if count]
+        row_shown = re.search(rf"<tr><th>right: gate {gate}</th>(.*?)</tr>", text).group(1)
+        assert re.findall(r">(\d+)<", row_shown) == [str(count) for count in row if count]
 
 
 def without_failures(results):

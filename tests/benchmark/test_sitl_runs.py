@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import cast
 
 import pytest
 from arducopters import REAL, needs_arducopter, played_arducopter
+from rich.console import Group
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.results import read_results, results_from_json
@@ -52,7 +54,9 @@ def test_files_without_a_link_are_of_our_own_autopilot(config):
     assert results_from_json(document, "here").run.option("link") == "sim"
     timing = replace(results.timing, link=LinkReport(1200, 3, 2))
     table = results_table(replace(results, timing=timing))
-    assert "ArduCopter: 1200 frames of physics, 3 lost; started anew 2 times" in [str(row) for row in table.renderables]
+    assert "ArduCopter: 1200 frames of physics, 3 lost; started anew 2 times" in [
+        str(row) for row in cast(Group, table).renderables
+    ]
 
 
 @pytest.mark.parametrize(

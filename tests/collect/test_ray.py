@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,7 +26,7 @@ def test_a_cluster_makes_the_same_bytes_as_local_workers(tmp_path):
         cluster.add_node(num_cpus=1)
         ray.init(address=cluster.address, log_to_driver=False)
         assert len([node for node in ray.nodes() if node["Alive"]]) == 2
-        folders = {name: tmp_path / name for name in ("ray", "local")}
+        folders: dict[Any, Path] = {name: tmp_path / name for name in ("ray", "local")}
         for executor, out in folders.items():
             collect(
                 CollectPlan.of(out=out, recipe="debug", episodes=8, workers=2, episodes_per_shard=2, executor=executor),

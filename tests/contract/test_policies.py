@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -166,7 +167,7 @@ def test_every_reasoner_is_reset_with_and_without_ground_truth_and_closes(name, 
 
 def test_every_reasoner_of_the_package_is_tested_somewhere():
     assert set(REASONERS) == {"small", "oracle", "noisy-oracle", "replay", "vlm", "vlm-local"}
-    assert all(issubclass(registry.load("reasoner", name, REASONERS), Reasoner) for name in REASONERS)
+    assert all(issubclass(cast("type", registry.load("reasoner", name, REASONERS)), Reasoner) for name in REASONERS)
 
 
 def test_what_needs_ground_truth_or_a_seed_declares_it():

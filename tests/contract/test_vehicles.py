@@ -93,7 +93,8 @@ KINDS: list[tuple[str, Pace]] = [
 
 @pytest.fixture(params=KINDS, ids=lambda each: "-".join(each))
 def vehicle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Vehicle]:
-    with opened_vehicle(*request.param, tmp_path) as found:
+    kind, pace = request.param
+    with opened_vehicle(kind, pace, tmp_path) as found:
         yield found
 
 

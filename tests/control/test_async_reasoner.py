@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from cognitivedrone.control.async_reasoner import Question, SimulatedReasoner, ThreadedReasoner
 from cognitivedrone.errors import ReasonerError
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.types import EpisodeContext, Guidance
+from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance
 
 FRAME = np.zeros((256, 256, 3), np.uint8)
 
@@ -51,7 +52,7 @@ def test_a_reasoner_is_reset_before_the_first_question_of_every_stage_and_the_fi
 
 @pytest.mark.parametrize("needs", [True, False])
 def test_the_ground_truth_goes_to_reasoners_that_declare_that_they_need_it(needs):
-    reasoner, truth = Remembers(), object()
+    reasoner, truth = Remembers(), cast("GroundTruth", object())
     reasoner.needs_ground_truth = needs
     SimulatedReasoner(reasoner).ask(Question(0, "to the cat", FRAME, 0.0, truth))
     assert reasoner.heard[0].ground_truth is (truth if needs else None)
@@ -99,15 +100,15 @@ def test_an_exception_of_the_reasoners_own_is_a_fault_whose_traceback_is_kept():
     [
         ("Fly through the red gate", "schema"),
         (None, "schema"),
-        (Guidance(7, None, 1.0), "schema"),
+        (Guidance(7, None, 1.0), "schema"),  # type: ignore[arg-type]
         (Guidance("Fly through the \ud800 gate", None, 1.0), "garbage"),
         (Guidance("Fly \x1b[31m", None, 1.0), "garbage"),
         (Guidance(" ", None, 1.0), "garbage"),
         (Guidance("Fly " * 400, None, 1.0), "too_long"),
         (Guidance("Fly through the red gate", 3, 1.0), "no_such_gate"),
-        (Guidance("Fly through the red gate", "1", 1.0), "no_such_gate"),
+        (Guidance("Fly through the red gate", "1", 1.0), "no_such_gate"),  # type: ignore[arg-type]
         (Guidance("Fly through the red gate", None, float("nan")), "schema"),
-        (Guidance("Fly through the red gate", None, "sure"), "schema"),
+        (Guidance("Fly through the red gate", None, "sure"), "schema"),  # type: ignore[arg-type]
         (Guidance("Fly through the red gate", None, None), "schema"),
     ],
 )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from cognitivedrone.control import latency
 from cognitivedrone.control.latency import TimedPolicy, parse_delays
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import SimulationError
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.policies.blind import Hover
 from cognitivedrone.types import EpisodeContext
@@ -63,7 +65,7 @@ def test_equal_delays_have_equal_identities(tmp_path):
     ],
 )
 def test_what_cannot_be_read_is_said(text, said):
-    with pytest.raises(PolicyError, match=said):
+    with pytest.raises(SimulationError, match=said):
         parse_delays(text)
 
 
@@ -74,7 +76,7 @@ def test_what_cannot_be_read_is_said(text, said):
 def test_a_file_that_cannot_be_read_is_said_with_its_line(tmp_path, content, said):
     file = tmp_path / "samples.txt"
     file.write_text(content)
-    with pytest.raises(PolicyError, match=said):
+    with pytest.raises(SimulationError, match=said):
         parse_delays(f"policy={file}")
 
 
@@ -106,7 +108,7 @@ class Slow(Policy):
 def test_a_measured_policy_is_called_as_ever_and_needs_what_it_needs(monkeypatch):
     slow = Slow()
     monkeypatch.setattr(latency, "time", slow)
-    timed = TimedPolicy(slow)
+    timed: Any = TimedPolicy(slow)
     assert timed.needs_ground_truth
     assert timed.needs_seed
     timed.check()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Rates, Segment, fly
 from cognitivedrone.errors import NonFiniteAction, PolicyError, ReasonerError
 from cognitivedrone.interfaces import Policy, Reasoner
-from cognitivedrone.types import EpisodeContext, Guidance, Observation
+from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance, Observation
 
 
 class Ground:
@@ -215,7 +217,7 @@ def test_the_first_leg_is_stage_0_whatever_its_index_and_every_stage_has_the_see
 
 @pytest.mark.parametrize("needs", [True, False])
 def test_the_ground_truth_goes_to_policies_that_declare_that_they_need_it(needs):
-    ground, policy, truth = Ground(), Counting(), object()
+    ground, policy, truth = Ground(), Counting(), cast("GroundTruth", object())
     policy.needs_ground_truth = needs
     fly(ground, TimedPolicy(policy), ground, lambda: Segment(0, "go", truth) if ground.time < 0.05 else None)
     assert [context.ground_truth for context in policy.resets] == [truth if needs else None]

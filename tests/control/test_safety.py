@@ -219,7 +219,7 @@ def test_speed_and_slew_limits_hold(command, previous, dt):
 
 @given(within)
 def test_a_command_that_may_be_sent_arrives(command):
-    limits, sent = Limits(), np.zeros(4)
+    limits, sent = Limits(), np.zeros(4, np.float32)
     for _ in range(20):
         sent = limit(command, sent, 0.1, limits)
     assert sent == pytest.approx(command, abs=1e-6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,7 @@ def make_episode(index: int = 0, length: int = 8, family: str | None = None, enc
         height=points[:-1, 2].astype(np.float32),
         yaw_rate=yaw_rate,
         position=points[:-1],
-        quaternion=quaternion_from_yaw(yaw[:-1]),
+        quaternion=quaternion_from_yaw(yaw[:-1]).astype(np.float64),
         final_position=points[-1],
     )
 
@@ -67,6 +68,13 @@ def assert_same_episode(a: Episode, b: Episode) -> None:
         assert x.dtype == y.dtype, name
         np.testing.assert_array_equal(x, y, err_msg=name)
     assert a.images == b.images
-    plain = {"action": None, "sent": None, "velocity": None, "height": None, "yaw_rate": None, "images": ()}
+    plain: dict[str, Any] = {
+        "action": None,
+        "sent": None,
+        "velocity": None,
+        "height": None,
+        "yaw_rate": None,
+        "images": (),
+    }
     plain |= {"position": None, "quaternion": None, "final_position": None}
     assert replace(a, **plain) == replace(b, **plain)

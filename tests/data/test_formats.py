@@ -8,17 +8,19 @@ import numpy as np
 import pytest
 from factory import make_episode
 
-from cognitivedrone.data.episode import decode_image
+from cognitivedrone.data.episode import Episode, Split, decode_image
 from cognitivedrone.data.formats import EXPORTS, IMPORTS, export, import_
 from cognitivedrone.errors import DataError
 
-FLIGHTS = [("val" if index % 3 == 1 else "train", make_episode(index, 2, encoding="jpeg")) for index in range(10)]
+FLIGHTS: list[tuple[Split, Episode]] = [
+    ("val" if index % 3 == 1 else "train", make_episode(index, 2, encoding="jpeg")) for index in range(10)
+]
 
 
 class Tracked(np.ndarray):
     """An array that a weak set can hold."""
 
-    __hash__ = object.__hash__
+    __hash__ = object.__hash__  # type: ignore[assignment]
 
 
 def reader_of(to):
@@ -56,7 +58,7 @@ def test_the_same_episodes_give_the_same_bytes(tmp_path, to):
 
 @pytest.mark.parametrize("to", EXPORTS)
 def test_one_episode_is_in_memory_at_a_time(tmp_path, to):
-    alive = weakref.WeakSet()
+    alive: weakref.WeakSet[Tracked] = weakref.WeakSet()
 
     def flights():
         for index in range(8):

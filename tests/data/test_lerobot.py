@@ -8,12 +8,14 @@ import pyarrow.parquet as pq
 import pytest
 from factory import assert_same_episode, make_episode
 
-from cognitivedrone.data.episode import decode_image
+from cognitivedrone.data.episode import Episode, Split, decode_image
 from cognitivedrone.data.formats import export, import_, lerobot
 from cognitivedrone.data.formats.lerobot_stats import image_stats, number_stats
 from cognitivedrone.errors import DataError
 
-FLIGHTS = [("val" if index == 1 else "train", make_episode(index, 3 + index)) for index in range(4)]
+FLIGHTS: list[tuple[Split, Episode]] = [
+    ("val" if index == 1 else "train", make_episode(index, 3 + index)) for index in range(4)
+]
 DATA = "data/chunk-000/file-000.parquet"
 
 

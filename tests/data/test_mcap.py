@@ -1,5 +1,7 @@
 """Bags are opened by a reader that is not ours, and hold what Foxglove and ROS expect."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from factory import make_episode
@@ -27,7 +29,7 @@ def test_topics_types_and_stamps(bag):
         assert kinds["/pose"] == ("geometry_msgs/msg/PoseStamped", 4)
         assert kinds["/command"] == ("geometry_msgs/msg/TwistStamped", 4)
         assert kinds["/instruction"] == ("std_msgs/msg/String", 1)
-        stamps = {}
+        stamps: dict[str, list[int]] = {}
         for connection, stamp, data in reader.messages():
             message = reader.deserialize(data, connection.msgtype)
             stamps.setdefault(connection.topic, []).append(stamp)
@@ -40,7 +42,7 @@ def test_topics_types_and_stamps(bag):
 def test_frames_poses_and_words(bag):
     episode, folder = bag
     with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-        told = {}
+        told: dict[str, list[Any]] = {}
         for connection, _, data in reader.messages():
             told.setdefault(connection.topic, []).append(reader.deserialize(data, connection.msgtype))
     assert told["/instruction"][0].data == episode.task.instruction

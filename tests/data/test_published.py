@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 from factory import assert_same_episode, make_episode
 
-from cognitivedrone.data.episode import decode_image
+from cognitivedrone.data.episode import Episode, Split, decode_image
 from cognitivedrone.data.formats import export, import_
 from cognitivedrone.data.formats.published import published_actions, read, velocities
 from cognitivedrone.errors import DataError
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.tasks import read_tasks
 
-FLIGHTS = [("val" if index == 1 else "train", make_episode(index, 5 + index, encoding="jpeg")) for index in range(10)]
+FLIGHTS: list[tuple[Split, Episode]] = [
+    ("val" if index == 1 else "train", make_episode(index, 5 + index, encoding="jpeg")) for index in range(10)
+]
 UPSTREAM = Path(__file__).resolve().parents[3] / "shared" / "upstream" / "tasks"
 
 

@@ -2,6 +2,7 @@ import json
 import shutil
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from factory import assert_same_episode, make_episode
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cognitivedrone.data.episode import decode_image
+from cognitivedrone.data.episode import Episode, Split, decode_image
 from cognitivedrone.data.formats import export, import_, rlds, tfrecord
 from cognitivedrone.errors import DataError
 
@@ -19,7 +20,9 @@ TENSORFLOW_EXAMPLE = (
     "c03f000000c00a150a016312101a0e0a0cffffffffffffffffff01ac02"
 )
 
-FLIGHTS = [("val" if index == 1 else "train", make_episode(index, 3 + index, encoding="jpeg")) for index in range(4)]
+FLIGHTS: list[tuple[Split, Episode]] = [
+    ("val" if index == 1 else "train", make_episode(index, 3 + index, encoding="jpeg")) for index in range(4)
+]
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +62,7 @@ def test_info_tells_what_the_shards_hold(exported):
 
 def test_the_facts_travel_as_plain_features(exported):
     (payload,) = tfrecord.read_records(shard(exported, "val"))
-    features = tfrecord.decode_example(payload)
+    features: dict[str, Any] = dict(tfrecord.decode_example(payload))
     episode = FLIGHTS[1][1]
     assert features["steps/language_instruction"] == [episode.task.instruction.encode()] * len(episode)
     assert features["episode_metadata/directive"] == [episode.task.directive.encode()]
@@ -163,7 +166,11 @@ def test_framing_matches_a_record_that_tensorflow_wrote(tmp_path):
 
 def test_examples_match_what_tensorflow_serialises():
     """`tf.train.Example` with a bytes, a float and an int64 list, `SerializeToString(deterministic=True)`."""
-    features = {"a": [b"x", b""], "b": np.array([1.5, -2], np.float32), "c": np.array([-1, 300], np.int64)}
+    features: dict[str, Any] = {
+        "a": [b"x", b""],
+        "b": np.array([1.5, -2], np.float32),
+        "c": np.array([-1, 300], np.int64),
+    }
     assert tfrecord.encode_example(features).hex() == TENSORFLOW_EXAMPLE
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -77,7 +78,7 @@ def test_families_of_unlike_size_have_their_share() -> None:
 
 def test_the_split_of_an_old_small_set_is_known_again() -> None:
     families = {index: BASE_FAMILIES[index % 10] for index in range(24)}
-    said = {"train": 14, "val": threshold_indices("ab" * 32, families)}
+    said: dict[str, Any] = {"train": 14, "val": threshold_indices("ab" * 32, families)}
     assert len(said["val"]) == 10
     assert splits_again(said, "ab" * 32, families) == said
     new = draw_splits("ab" * 32, families)

@@ -201,7 +201,7 @@ def test_another_making_is_refused(sound_store: Path, change: dict[str, object],
     making = {"recipe": RECIPE, "suite_name": "open-v1:train", "suite_digest": "d1" * 32, "seed": 3}
     making |= {"episodes_per_shard": 8} | change
     with pytest.raises(DataError, match=message):
-        StoreWriter(sound_store, resume=True, **making)  # type: ignore[arg-type]
+        StoreWriter(sound_store, resume=True, **making)
     assert files_of(sound_store) == before
 
 

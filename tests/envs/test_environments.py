@@ -56,7 +56,7 @@ def test_without_a_render_mode_nothing_is_rendered(env, vector):
     assert vector.render() is None
     drawn = gymnasium.make_vec("CognitiveDrone-v1", num_envs=2, suite="open-v1:smoke", render_mode="rgb_array")
     seen, _ = drawn.reset(seed=0)
-    assert np.array_equal(drawn.render(), seen["image"])
+    assert np.array_equal(np.asarray(drawn.render()), seen["image"])
     drawn.close()
 
 

@@ -41,7 +41,7 @@ MAKERS: dict[str, Callable[[], VectorEnv]] = {
 def fly(many: VectorEnv) -> tuple[Flight, list[list[str]]]:
     """Observations over some episodes, and the instructions of the tasks that were on."""
     actions = np.random.default_rng(0).uniform(-1, 1, (STEPS, WORLDS, 4)).astype(np.float32)
-    seen, info = many.reset(seed=SEEDS)
+    seen, info = many.reset(seed=SEEDS)  # type: ignore[arg-type]
     assert [task.id for task in info["task"]] == FIRST_TASKS
     flight, asked = [seen], [[task.instruction for task in info["task"]]]
     for action in actions:
@@ -124,9 +124,9 @@ def test_shared_memory_holds_sentences_in_any_language():
     sentences = ["Fly!", "Flieg durch das Tor mit dem Zähler für 鸟 🐦", "x" * space.max_length]
     for index, sentence in enumerate(sentences):
         assert sentence in space
-        write_to_shared_memory(space, index, sentence, memory)
+        write_to_shared_memory(space, index, sentence, memory)  # type: ignore[arg-type]
     assert list(shown) == sentences
-    write_to_shared_memory(space, 2, "short", memory)
+    write_to_shared_memory(space, 2, "short", memory)  # type: ignore[arg-type]
     assert list(shown) == [*sentences[:2], "short"]
 
 

@@ -15,6 +15,7 @@ import json
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tensorflow_datasets as tfds
@@ -31,7 +32,7 @@ def check_features(folder: Path) -> None:
     assert ours == theirs, "features.json is not what tensorflow-datasets writes"
 
 
-def json_of(features: object) -> object:
+def json_of(features: Any) -> object:
     from google.protobuf import json_format
 
     return json_format.MessageToDict(features.to_proto())

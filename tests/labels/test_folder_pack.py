@@ -18,7 +18,7 @@ MISSING = {"Elvis_Persley", "Ludwig_Van_Beethoven", "taylor_swift", "leopard", "
 """Images that the published folder lacks."""
 
 
-def save(path: Path, color: str = "red", size: tuple[int, int] = (64, 64), mode: str = "RGB") -> Path:
+def save(path: Path, color: str | tuple[int, ...] = "red", size: tuple[int, int] = (64, 64), mode: str = "RGB") -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.new(mode, size, color).save(path)
     return path

@@ -6,6 +6,7 @@ import json
 import shutil
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +51,9 @@ def test_a_sample_of_damaged_files_is_found(tmp_path: Path) -> None:
         ("reasoner/mind.onnx", GateSelectorModel.load),
     ],
 )
-def test_a_shipped_file_is_known_wherever_it_is_and_whole(tmp_path: Path, name: str, load: object) -> None:
+def test_a_shipped_file_is_known_wherever_it_is_and_whole(
+    tmp_path: Path, name: str, load: Callable[[Path], object]
+) -> None:
     assert check((WEIGHTS / name).read_bytes()) == "sound"
     copy = tmp_path / "anything.onnx"
     shutil.copyfile(WEIGHTS / name, copy)

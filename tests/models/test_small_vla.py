@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
 import torch
@@ -27,7 +27,7 @@ CONFIG = SmallVLAConfig(
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
-def network(seed: int = 0, **changes: object) -> SmallVLA:
+def network(seed: int = 0, **changes: Any) -> SmallVLA:
     torch.manual_seed(seed)
     made = SmallVLA(replace(CONFIG, **changes))
     # As if trained a little: gates are found, and normalisation is not that of the first moment.
@@ -188,7 +188,8 @@ def test_bins_and_values_decode_to_the_ends_of_the_range() -> None:
 
 def test_facts_are_json_values_that_make_the_same_configuration() -> None:
     facts = CONFIG.facts()
-    assert SmallVLAConfig(**{k: tuple(v) if isinstance(v, list) else v for k, v in facts.items()}) == CONFIG
+    given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in facts.items()}
+    assert SmallVLAConfig(**given) == CONFIG
     assert all(isinstance(value, (int, str, list)) for value in facts.values())
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ def right(given: list[Guidance], tasks: list[Task] = TASKS) -> list[bool]:
 )
 def test_it_is_right_as_often_as_it_is_told(name, accuracy):
     low, high = binom.interval(0.999, len(TASKS), accuracy)
-    assert low <= sum(right(answers(make_reasoner(name)))) <= high
+    assert low <= sum(right(answers(cast("NoisyOracle", make_reasoner(name))))) <= high
 
 
 @pytest.mark.parametrize(("accuracy", "expected"), [(1, True), (0, False)])

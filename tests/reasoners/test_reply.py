@@ -236,7 +236,7 @@ FRAMES = (
 
 def expected(code: str) -> str:
     """The sentence for a code such as "br-"."""
-    size, color, shape = code
+    size, color, shape = tuple(code)
     parts = [NAMES[0].get(size), NAMES[1].get(color), SHAPE_NAMES.get(shape)]
     return " ".join(["Fly through the", *(part for part in parts if part), "gate"])
 

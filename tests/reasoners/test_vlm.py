@@ -9,6 +9,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler
+from typing import cast
 
 import numpy as np
 import pytest
@@ -46,7 +47,7 @@ def make(url) -> Iterator[Callable[..., Vlm]]:
 
     def build(more: str = "", where: str = url) -> Vlm:
         timeout = "" if "timeout" in more else ",timeout=5"
-        made.append(make_reasoner(f"vlm:{where},model=eye-7b{timeout}{more}"))
+        made.append(cast(Vlm, make_reasoner(f"vlm:{where},model=eye-7b{timeout}{more}")))
         return made[-1]
 
     yield build
@@ -190,7 +191,7 @@ def test_responses_that_do_not_do(script, make, body, kind):
 
 
 def test_content_in_parts(script, make):
-    script.replies = [(200, chat([{"type": "text", "text": GOOD}]))]  # type: ignore[arg-type]
+    script.replies = [(200, chat([{"type": "text", "text": GOOD}]))]
     assert make().refine(FRAME, INSTRUCTION) == BIG_GREEN
 
 

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -90,7 +91,7 @@ def folder(request, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def reasoner(folder) -> LocalVlm:
-    return make_reasoner(f"vlm-local:{folder},device=cpu")
+    return cast(LocalVlm, make_reasoner(f"vlm-local:{folder},device=cpu"))
 
 
 def frame(seed: int) -> np.ndarray:

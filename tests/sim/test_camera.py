@@ -6,10 +6,10 @@ import pytest
 from attitudes import tilted
 
 from cognitivedrone.errors import RenderError
-from cognitivedrone.frames import FloatArray, quaternion_from_yaw, rotate_yaw, rotation_matrix
+from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw, rotation_matrix
 from cognitivedrone.sim.camera import Cameras
 from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
-from cognitivedrone.types import IMAGE_SIZE, DroneState, Gate, Image, Stage
+from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Gate, Image, Stage
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import varied_look
 

@@ -2,7 +2,6 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 
 import pytest
 
@@ -11,7 +10,7 @@ from cognitivedrone.sim import gl
 
 
 @pytest.fixture
-def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
+def fresh(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """A process that knows of no backend yet."""
     monkeypatch.setattr(gl, "_chosen", None)
     for name in (gl._REMEMBERED, "MUJOCO_GL"):

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 
 GOOD = '{"size": "big", "color": "green", "shape": "triangle"}'
 
@@ -25,7 +26,7 @@ class Script:
     behave: Callable[[BaseHTTPRequestHandler], None] | None = None
     models: tuple[int, bytes] = (200, json.dumps({"data": [{"id": "eye-7b"}, {"id": "eye-3b"}]}).encode())
     headers: dict[str, str] = field(default_factory=dict)
-    bodies: list[dict] = field(default_factory=list)
+    bodies: list[dict[str, Any]] = field(default_factory=list)
     paths: list[str] = field(default_factory=list)
     keys: list[str | None] = field(default_factory=list)
 
@@ -69,7 +70,8 @@ def serving(script: Script) -> Iterator[str]:
     """The base URL of a server that follows the script."""
     server = ThreadingHTTPServer(("127.0.0.1", 0), type("Scripted", (Handler,), {"script": script}))
     server.daemon_threads = True
-    server.handle_error = lambda request, address: None  # a client that hangs up is what some tests do
+    # A client that hangs up is what some tests do.
+    server.handle_error = lambda request, address: None  # type: ignore[assignment]
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True)
     thread.start()
     try:

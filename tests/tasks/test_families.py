@@ -189,7 +189,11 @@ def test_exactly_one_person_fits_a_description(train: list[Task]) -> None:
     hard = [Draw(np.random.default_rng([3, i]), TRAIN, i % 3) for i in range(200)]
     puzzles = [generator("conjunction")(draw) for draw in hard]
     cases = [(task.instruction, task.labels, task.target) for task in train if task.family == "attributes"]
-    cases += [(p.instruction, tuple(x.label for x in p.panels), d.target) for p, d in zip(puzzles, hard, strict=True)]
+    cases += [
+        (p.instruction, (a.label, b.label, c.label), d.target)
+        for p, d in zip(puzzles, hard, strict=True)
+        for a, b, c in [p.panels]
+    ]
     for instruction, labels, target in cases:
         features = described(instruction)
         assert features, instruction

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -23,7 +24,7 @@ GATES = (Gate("big", "round", "red"), Gate("small", "square", "green"), Gate("bi
 
 
 def scene(*options, kind="animal", target=0):
-    labels = tuple(f"{kind}/{option}@noto" for option in options)
+    labels: Any = tuple(f"{kind}/{option}@noto" for option in options)
     return replace(TASKS[0], family="animals", instruction="?", options=options, labels=labels, target=target,
                    gates=GATES, directive="Fly through the big red round gate")  # fmt: skip
 

@@ -107,7 +107,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory, base: Path, flights: Path) ->
     folder = tmp_path_factory.mktemp("runs")
     whole = FineTuning(base, flights, folder / "whole", RECIPE, seed=3, key="drone")
     resumed = replace(whole, out=folder / "resumed", resume=True)
-    command = [sys.executable, "-c", KILLED, base, flights, resumed.out]
+    command: list[str | Path] = [sys.executable, "-c", KILLED, base, flights, resumed.out]
     killed = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
     assert killed.returncode == -signal.SIGKILL, killed.stderr
     at_kill = read_checkpoint(resumed.out / CHECKPOINT)[1]["step"], read_rows(resumed.out / METRICS)[-1]["step"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections import Counter
+from typing import Any
 
 import numpy as np
 import pytest
@@ -250,7 +251,7 @@ def test_directives_use_words_of_training_and_vary(asked: list[tuple[Task, Quest
 def test_every_fact_can_be_asked() -> None:
     for fact in facts.FACTS:
         names = (fact.false[0], fact.true[0], fact.false[1])
-        labels = tuple(f"{facts.KIND_OF[name]}/{name}@noto" for name in names)
+        labels: Any = tuple(f"{facts.KIND_OF[name]}/{name}@noto" for name in names)
         assert "association" in families(labels, None, GATES, 1)
         texts = {ask(np.random.default_rng(i), labels, None, GATES, 1, "association").text for i in range(60)}
         assert any(fact.phrases[0] in text for text in texts)

@@ -46,7 +46,7 @@ def vocabulary() -> Vocabulary:
 
 def batches(
     recipe: StreamRecipe, vocabulary: Vocabulary, count: int, seed: tuple[int, ...] = (1, 2), learner: object = None
-) -> list[Batch]:
+) -> list[dict[str, Any]]:
     rehearsal = RolloutStream(recipe, vocabulary, NETWORK)
     try:
         return list(itertools.islice(rehearsal(seed, learner), count))  # type: ignore[arg-type]
@@ -89,7 +89,7 @@ def notebook(vocabulary: Vocabulary) -> Notebook:
 
 
 @pytest.fixture(scope="module")
-def made(vocabulary: Vocabulary, notebook: Notebook) -> list[Batch]:
+def made(vocabulary: Vocabulary, notebook: Notebook) -> list[dict[str, Any]]:
     """Enough frames that everything occurs."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sampling, "ask", notebook.ask)
@@ -159,7 +159,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(vocabulary: Voc
     assert all((one["text_tokens"] != two["text_tokens"]).any() for one, two in zip(first, other, strict=True))
 
 
-def test_the_choice_is_the_gate_asked_for_where_it_is_in_view(made: list[Batch]) -> None:
+def test_the_choice_is_the_gate_asked_for_where_it_is_in_view(made: list[dict[str, Any]]) -> None:
     unseen = 0
     for batch in made:
         seen = np.take_along_axis(batch["in_view"], batch["asked"], axis=1)
@@ -169,13 +169,13 @@ def test_the_choice_is_the_gate_asked_for_where_it_is_in_view(made: list[Batch])
     assert unseen > 0
 
 
-def test_only_what_is_flown_at_is_asked_for_where_it_cannot_be_seen(made: list[Batch]) -> None:
+def test_only_what_is_flown_at_is_asked_for_where_it_cannot_be_seen(made: list[dict[str, Any]]) -> None:
     for batch in made:
         elsewhere = batch["asked"] != batch["flown"][:, None]
         assert np.take_along_axis(batch["in_view"], batch["asked"], axis=1)[elsewhere].all()
 
 
-def test_what_is_flown_does_not_tell_what_is_asked(made: list[Batch]) -> None:
+def test_what_is_flown_does_not_tell_what_is_asked(made: list[dict[str, Any]]) -> None:
     clear = [(batch["in_view"] & batch["legible"][:, :3]).all(axis=1) for batch in made]
     flown = np.concatenate([batch["flown"][rows] for batch, rows in zip(made, clear, strict=True)])
     asked = np.concatenate([batch["asked"][rows] for batch, rows in zip(made, clear, strict=True)])
@@ -192,7 +192,7 @@ def facet(index: int) -> str | None:
     return None if index < 0 else FACETS[index].split("/", 1)[1]
 
 
-def test_directives_describe_the_gate_that_is_asked_for(made: list[Batch], vocabulary: Vocabulary) -> None:
+def test_directives_describe_the_gate_that_is_asked_for(made: list[dict[str, Any]], vocabulary: Vocabulary) -> None:
     count = 0
     for batch in made:
         for row, column, text in sentences(batch, vocabulary):
@@ -212,7 +212,9 @@ def directive(text: str) -> set[str] | None:
     return set(found[1].split()) if found else None
 
 
-def test_the_gate_asked_for_is_the_right_answer(made: list[Batch], notebook: Notebook, vocabulary: Vocabulary) -> None:
+def test_the_gate_asked_for_is_the_right_answer(
+    made: list[dict[str, Any]], notebook: Notebook, vocabulary: Vocabulary
+) -> None:
     """What a question is the right answer to is checked where questions are tested; here, that nothing is mixed up."""
     count = 0
     for batch in made:
@@ -228,7 +230,7 @@ def test_the_gate_asked_for_is_the_right_answer(made: list[Batch], notebook: Not
     assert count > 500
 
 
-def test_sentences_without_a_frame_are_training_tasks(made: list[Batch], vocabulary: Vocabulary) -> None:
+def test_sentences_without_a_frame_are_training_tasks(made: list[dict[str, Any]], vocabulary: Vocabulary) -> None:
     sums = named = 0
     for batch in made:
         for row, text in enumerate(read(tokens, vocabulary) for tokens in batch["text_tokens"]):
@@ -253,7 +255,7 @@ def test_sentences_without_a_frame_are_training_tasks(made: list[Batch], vocabul
     assert named > sums
 
 
-def test_facets_stand_in_the_columns_of_their_groups(made: list[Batch]) -> None:
+def test_facets_stand_in_the_columns_of_their_groups(made: list[dict[str, Any]]) -> None:
     for batch in made:
         for column, group in enumerate(PANEL_GROUPS):
             for name in ("panel_facets", "text_panels"):

@@ -333,7 +333,7 @@ def test_the_stream_tells_how_it_begins(tmp_path: Path) -> None:
 def _ignores_ctrl_c(pid: int | None) -> bool:
     """Whether a process blocks SIGINT, as the kernel tells."""
     status = Path(f"/proc/{pid}/status").read_text()
-    blocked = int(re.search(r"SigBlk:\s*([0-9a-f]+)", status)[1], 16)  # type: ignore[index]
+    blocked = int(re.search(r"SigBlk:\s*([0-9a-f]+)", status)[1], 16)
     return bool(blocked & 1 << (signal.SIGINT - 1))
 
 

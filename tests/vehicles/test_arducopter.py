@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from arducopters import script
@@ -34,7 +35,7 @@ def test_it_is_started_with_its_parameters_in_its_folder(tmp_path):
     theirs = tmp_path / "theirs.parm"
     theirs.write_text("A 1\n")
     binary = script(tmp_path / "arducopter", 'echo "$@"; exec sleep 60')
-    options = {"instance": 3, "defaults": [theirs], "parameters": "B 2\n", "speed": 50.0}
+    options: dict[str, Any] = {"instance": 3, "defaults": [theirs], "parameters": "B 2\n", "speed": 50.0}
     with ArduCopter(binary, tmp_path / "run", **options) as running:
         assert running.url == "tcp:127.0.0.1:5790"
         said = running.connect(lambda _: heard(running))

@@ -64,7 +64,8 @@ def test_any_image_fits(height, width):
     image = np.zeros((height, width, 3), np.uint8)
     image[..., 1] = 200
     fitted = fit(image)
-    assert (fitted.shape, fitted.dtype) == ((256, 256, 3), np.uint8)
+    assert fitted.shape == (256, 256, 3)
+    assert fitted.dtype == np.uint8
     assert (fitted == [0, 200, 0]).all()
 
 

@@ -322,7 +322,7 @@ def test_without_a_yes_nothing_is_armed():
     lists = []
     with playing() as peer, connect(peer) as drone:
         with pytest.raises(LinkError, match="not confirmed"):
-            drone.take_off(lambda checklist: bool(lists.append(str(checklist))))
+            drone.take_off(lambda checklist: bool(lists.append(str(checklist))))  # type: ignore[func-returns-value]
         assert not peer.part.armed
         assert [c.command for c in peer.of("COMMAND_LONG") if c.command in (176, 400, 22)] == []
     assert "ArduCopter 4.6" in lists[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -65,7 +66,7 @@ def flight(vehicles: list[StandIn]) -> SitlFlight:
         vehicles.append(StandIn())
         return vehicles[-1]
 
-    return SitlFlight(NOWHERE, start=start)
+    return SitlFlight(NOWHERE, start=cast(Any, start))
 
 
 def fly(flight: SitlFlight, action: tuple[float, float, float, float], seconds: float) -> np.ndarray:
@@ -163,7 +164,7 @@ def test_what_never_hovers_is_told(vehicles, monkeypatch):
         vehicles[-1].send = lambda action: None  # deaf: stays at its height
         return vehicles[-1]
 
-    deaf = SitlFlight(NOWHERE, start=start)
+    deaf = SitlFlight(NOWHERE, start=cast(Any, start))
     with pytest.raises(RunError, match=r"in 3 attempts; the last one: it did not come to hover 0\.40 m above"):
         deaf.begin(Start((0.0, 0.0, 0.4)))
     assert [vehicle.closed for vehicle in vehicles] == [True] * 3

@@ -29,7 +29,7 @@ from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.data.formats.bags import Ros
 from cognitivedrone.envs.track_runner import TrackConfig, episode_rng
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import GroundTruthError
 from cognitivedrone.labels import load_pack
 from cognitivedrone.pilot import Pilot, open_pilot
 from cognitivedrone.sim.airframe import find_airframe
@@ -199,7 +199,7 @@ class _Recorder:
 def _check_truth(vehicle: Vehicle, pilot: Pilot) -> None:
     for kind, part in (("policy", pilot.policy), ("reasoner", pilot.reasoner)):
         if vehicle.track_runner is None and part is not None and part.needs_ground_truth:
-            raise PolicyError(f"this {kind} uses privileged state, which a vehicle over MAVLink does not have")
+            raise GroundTruthError(f"this {kind} uses privileged state, which a vehicle over MAVLink does not have")
 
 
 def _confirm(checklist: Checklist, vehicle: Vehicle, console: Console, keyboard: TextIO) -> bool:

@@ -17,6 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cognitivedrone.apps.values import Step, Summary
+from cognitivedrone.choices import DecisionKind, EventKind
 from cognitivedrone.printable import visible
 from cognitivedrone.types import Event, FloatArray
 
@@ -25,9 +26,15 @@ WINDOW = 50
 """Control steps that rates and latencies are taken over."""
 GOOD_FRAME_S, GOOD_LINK_S = 0.5, 0.15
 """Older ones are shown in yellow; the rules of safety hold the drone at the same ages."""
-SILENT = frozenset({"asked", "agreed", "late"})
+SILENT: frozenset[EventKind] = frozenset({"asked", "agreed", "late"})
 """Kinds of events that are logged and counted, but not worth a line."""
-_STYLES = {"fly": "green", "hold": "yellow", "brake": "bold yellow", "land": "bold red", "hands_off": "bold red"}
+_STYLES: dict[DecisionKind, str] = {
+    "fly": "green",
+    "hold": "yellow",
+    "brake": "bold yellow",
+    "land": "bold red",
+    "hands_off": "bold red",
+}
 
 
 class Instruments:

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.benchmark.run_types import Trace
-from cognitivedrone.frames import FloatArray, rotate_yaw, world_to_heading
-from cognitivedrone.types import Color, EpisodeResult, Gate, Outcome, Stage, StageResult
+from cognitivedrone.frames import rotate_yaw, world_to_heading
+from cognitivedrone.types import Color, EpisodeResult, FloatArray, Gate, Outcome, Stage, StageResult
 from cognitivedrone.world import geometry
 
 Points = NDArray[np.floating[Any]]

@@ -28,7 +28,7 @@ from cognitivedrone.benchmark.runner import Interrupted, results_folder
 from cognitivedrone.control.async_reasoner import asking, check_guidance
 from cognitivedrone.control.calls import begin_stage, seed_of
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, draw_start, episode_rng, scenery_of, stage_of
-from cognitivedrone.errors import PolicyError, ReasonerError, RunError
+from cognitivedrone.errors import PluginError, ReasonerError, RunError
 from cognitivedrone.files import writing
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import Reasoner
@@ -98,7 +98,7 @@ def score_reasoner(plan: ReasonPlan, *, progress: bool = True) -> ReasonResults:
     labels = load_pack(plan.scenario.labels)
     reasoner = make_reasoner(plan.reasoner)
     if reasoner is None:
-        raise PolicyError(f"--reasoner {plan.reasoner} gives no answer to score; name one, such as oracle")
+        raise PluginError(f"--reasoner {plan.reasoner} gives no answer to score; name one, such as oracle")
     preflight(job)
     reasoner.check()
     out = out_of(plan)

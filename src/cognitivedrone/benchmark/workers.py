@@ -30,7 +30,7 @@ from cognitivedrone.benchmark.job import Job
 from cognitivedrone.benchmark.lost import lost_flight
 from cognitivedrone.benchmark.run_types import EpisodeRunner, Rollout
 from cognitivedrone.control.calls import NO_WATCH
-from cognitivedrone.errors import CognitiveDroneError, PolicyError, RunError, warn_plainly
+from cognitivedrone.errors import CognitiveDroneError, PolicyError, RunError, plain_warnings
 
 RUNNER = "cognitivedrone.benchmark.episode:PilotRunner"
 """What makes an `EpisodeRunner` from (Job, Watch), as module:attribute for new processes."""
@@ -320,9 +320,9 @@ def make_runner(name: str, job: Job, watch: Any = NO_WATCH) -> EpisodeRunner:
     return made
 
 
+@plain_warnings()
 def _work(connection: Connection, began: Any, crash_file: Path, runner_name: str, job: Job) -> None:
     """Life of a worker process: make an episode runner, fly what is asked, leave when the stream ends."""
-    warn_plainly()
     with crash_file.open("w") as crashes:
         faulthandler.enable(crashes)
         faulthandler.register(signal.SIGUSR1, crashes)

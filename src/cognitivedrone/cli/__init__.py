@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 import tyro
 
-from cognitivedrone.errors import CognitiveDroneError, UsageError, did_you_mean, warn_plainly
+from cognitivedrone.errors import CognitiveDroneError, UsageError, did_you_mean, plain_warnings
 from cognitivedrone.files import reason_of
 from cognitivedrone.printable import visible
 
@@ -62,9 +62,9 @@ FIRST = (
 """Suggested first commands."""
 
 
+@plain_warnings()
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; a user error ends in one sentence and exit code 2."""
-    warn_plainly()
     try:
         _run(list(sys.argv[1:] if arguments is None else arguments))
         sys.stdout.flush()  # a full disk behind it shows up here, not after the last line

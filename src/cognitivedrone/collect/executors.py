@@ -21,7 +21,7 @@ from typing import Any
 from cognitivedrone import tasks
 from cognitivedrone.collect.fleet import Fleet, FlownEpisode
 from cognitivedrone.collect.recipe import Recipe
-from cognitivedrone.errors import CognitiveDroneError, DataError, MissingExtra, warn_plainly
+from cognitivedrone.errors import CognitiveDroneError, DataError, MissingExtra, plain_warnings
 from cognitivedrone.files import digest_of_file
 from cognitivedrone.plan import TaskSource
 from cognitivedrone.policies import make_policy, model_file
@@ -219,9 +219,9 @@ def _killed() -> DataError:
     return DataError("a worker was killed, perhaps for want of memory; go on with --resume, or fewer --workers")
 
 
+@plain_warnings()
 def _work(theirs: Connection, job: Job) -> None:
     """Main loop of a worker process: fly requested batches until the stream closes."""
-    warn_plainly()
     try:
         while True:
             for flown in fly_here(job, theirs.recv()):

@@ -26,7 +26,7 @@ from cognitivedrone.policies.expert import Expert, ExpertConfig
 from cognitivedrone.sim.airframe import AIRFRAMES
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite
-from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Action, EpisodeContext, FloatArray, Image, Observation
+from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Action, EpisodeContext, FloatArray, Image, Observation, Outcome
 
 AIRFRAME = "racer"
 WORLDS = 16
@@ -42,7 +42,7 @@ class FlownEpisode:
     """One episode to store."""
 
     episode: Episode
-    outcome: str
+    outcome: Outcome
     """Outcome; "passed" if the expert flew."""
     dropped: Mapping[str, int]
     """Dropped flights of its task, by outcome; each was followed by another attempt."""
@@ -159,7 +159,7 @@ class Fleet:
                 expert_flies = rng.random(len(expert_flies)) < self.beta
         return _Flight(index, attempt, expert, disturbances, learner, expert_flies, dropped)
 
-    def _step(self, flights: Mapping[int, _Flight]) -> Iterator[tuple[int, _Flight, str]]:
+    def _step(self, flights: Mapping[int, _Flight]) -> Iterator[tuple[int, _Flight, Outcome]]:
         """One control step of all worlds; yields those that ended, with their outcome."""
         worlds = list(flights)
         frames = self._simulator.frames(self._frames[: len(worlds)], worlds)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from cognitivedrone.choices import AppearanceName
 from cognitivedrone.data.episode import Encoding
 from cognitivedrone.errors import DataError, did_you_mean
 
@@ -18,7 +19,7 @@ class Recipe:
     """Number of episodes."""
     speed_m_s: tuple[float, float] = (1.0, 2.5)
     """The expert's speed, drawn uniformly from this range for each flight."""
-    look: str = "plain"
+    look: AppearanceName = "plain"
     """`plain` as published, or `varied`: floor, walls, light, colours and camera noise."""
     off_track_share: float = 0.0
     """Share of flights that begin off the straight line to the gate instead of in the published box."""

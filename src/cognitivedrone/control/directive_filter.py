@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
+from cognitivedrone.choices import AnswerKind
 from cognitivedrone.tasks.directives import parse_directive
 from cognitivedrone.types import Guidance
 
@@ -36,7 +37,7 @@ class DirectiveFilter:
         self._current: Guidance | None = None
         self._seen_at = 0.0
 
-    def update(self, guidance: Guidance, seen_at: float) -> str:
+    def update(self, guidance: Guidance, seen_at: float) -> AnswerKind:
         """Take an answer about the frame of the time `seen_at`, s.
 
         Returns what became of it: `adopted` where it is flown by from now on, `agreed` where it says the same as the

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cognitivedrone.frames import rotate_yaw, world_to_heading
-from cognitivedrone.types import FloatArray
+from cognitivedrone.types import FloatArray, Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,15 +43,13 @@ _ON_THE_EDGE_M = 1e-9
 """Nearer to a side than this, the direction to it is rounding: there the drone is not outside yet."""
 
 
-def outside_by(position: FloatArray, fence: Fence) -> float:
+def outside_by(position: Vector, fence: Fence) -> float:
     """How far outside the fence a position (3,) ENU is, m: the worst of sides, floor and ceiling; negative inside."""
     sides, _ = _sides(position[:2], fence)
     return max(sides, float(fence.floor_m - position[2]), float(position[2] - fence.ceiling_m))
 
 
-def keep_inside(
-    command: FloatArray, position: FloatArray, velocity: FloatArray, yaw: float, fence: Fence
-) -> FloatArray:
+def keep_inside(command: Vector, position: Vector, velocity: Vector, yaw: float, fence: Fence) -> FloatArray:
     """`command` (3,) in m/s of the heading frame, less what would lead outside.
 
     Judged where the drone will be in `lookahead_s` at its present `velocity` (3,) ENU, and where it is: whichever is

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from cognitivedrone.control.calls import NO_WATCH, Watch, calling
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import SimulationError
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.types import ActionChunk, EpisodeContext, Observation
 
@@ -97,7 +97,7 @@ class Delays:
 def parse_delays(text: str) -> Delays:
     """Delays from "none", "measured", "policy=80ms,reasoner=0.45s", "reasoner=measured" or "reasoner=samples.txt".
 
-    A file holds one delay in ms a line; empty lines and what follows a # are skipped. Raises `PolicyError`.
+    A file holds one delay in ms a line; empty lines and what follows a # are skipped. Raises `SimulationError`.
     """
     text = text.strip()
     if text == "none":
@@ -109,7 +109,7 @@ def parse_delays(text: str) -> Delays:
     for item in text.split(","):
         name, _, value = (word.strip() for word in item.partition("="))
         if name not in ("policy", "reasoner") or not value or name in parts:
-            raise PolicyError(f"--latency {text}: cannot read {item.strip()!r}; {_HOW}")
+            raise SimulationError(f"--latency {text}: cannot read {item.strip()!r}; {_HOW}")
         parts[name], told = _delay(value, text)
         identity.append(f"{name}={told}")
     return Delays(**parts, identity=",".join(sorted(identity)))
@@ -124,13 +124,13 @@ def _delay(value: str, text: str) -> tuple[Delay, str]:
         return Delay((_checked(float(number[1]) * _UNITS_S[number[2]], f"--latency {text}"),)), value
     path = Path(value)
     if not path.is_file():
-        raise PolicyError(f"--latency {text}: {value!r} is neither a time such as 80ms nor a file; {_HOW}")
+        raise SimulationError(f"--latency {text}: {value!r} is neither a time such as 80ms nor a file; {_HOW}")
     if path.stat().st_size > _LARGEST_FILE:
-        raise PolicyError(f"--latency {text}: {path} is larger than {_LARGEST_FILE // 10**6} MB; give fewer samples")
+        raise SimulationError(f"--latency {text}: {path} is over {_LARGEST_FILE // 10**6} MB; give fewer samples")
     content = path.read_bytes()
     samples = tuple(_samples(content.decode("utf-8", errors="replace"), path))
     if not samples:
-        raise PolicyError(f"--latency {text}: {path} holds no number; write one delay in ms a line")
+        raise SimulationError(f"--latency {text}: {path} holds no number; write one delay in ms a line")
     return Delay(samples), f"sha256:{hashlib.sha256(content).hexdigest()}"
 
 
@@ -143,11 +143,11 @@ def _samples(content: str, path: Path) -> list[float]:
         try:
             samples.append(_checked(float(value) * 1e-3, f"{path}, line {number}"))
         except ValueError:
-            raise PolicyError(f"{path}, line {number}: {value!r} is no number of ms") from None
+            raise SimulationError(f"{path}, line {number}: {value!r} is no number of ms") from None
     return samples
 
 
 def _checked(seconds: float, where: str) -> float:
     if not (math.isfinite(seconds) and 0 <= seconds <= LONGEST_S):
-        raise PolicyError(f"{where}: {seconds:g} s is no delay; it must be from 0 to {LONGEST_S:.0f} s")
+        raise SimulationError(f"{where}: {seconds:g} s is no delay; it must be from 0 to {LONGEST_S:.0f} s")
     return seconds

@@ -13,7 +13,7 @@ from cognitivedrone.control.async_reasoner import AsyncReasoner, Question
 from cognitivedrone.control.calls import begin_stage
 from cognitivedrone.control.directive_filter import DirectiveFilter
 from cognitivedrone.control.latency import Charge
-from cognitivedrone.errors import NonFiniteAction, PolicyError
+from cognitivedrone.errors import ActionError, NonFiniteAction
 from cognitivedrone.interfaces import Clock, Drone, Policy, Recorder
 from cognitivedrone.types import (
     CONTROL_HZ,
@@ -62,19 +62,19 @@ class Rates:
         return self.control_hz // self.reasoner_hz
 
 
-def check_chunk(chunk: ActionChunk) -> ActionChunk:
+def check_chunk(chunk: object) -> ActionChunk:
     """The chunk as (k, 4) float32.
 
-    Raises `PolicyError` where it has another shape, `NonFiniteAction` where a number is NaN or infinite.
+    Raises `ActionError` where it has another shape, `NonFiniteAction` where a number is NaN or infinite.
     """
     try:
         array = np.asarray(chunk, dtype=np.float32)
     except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor that is not on the host
-        raise PolicyError(
+        raise ActionError(
             f"the policy returned {type(chunk).__name__!r}, which is no array of numbers; expected (k, 4) float32"
         ) from None
     if array.ndim != 2 or array.shape[0] < 1 or array.shape[1] != 4:
-        raise PolicyError(
+        raise ActionError(
             f"the policy returned an action of shape {array.shape};"
             " expected (k, 4): vx, vy, vz in m/s and yaw rate in rad/s"
         )

@@ -17,15 +17,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 
+from cognitivedrone.choices import DecisionKind
 from cognitivedrone.control.fence import Fence, keep_inside, outside_by
 from cognitivedrone.interfaces import Health
-from cognitivedrone.types import ACTION_LIMITS, Action, FloatArray
+from cognitivedrone.types import ACTION_LIMITS, Action, Commands, FloatArray
 
-Kind = Literal["fly", "hold", "brake", "land", "hands_off"]
+Kind = DecisionKind
 SEVERITY: tuple[Kind, ...] = ("fly", "hold", "brake", "land", "hands_off")
 """From the mildest to the strongest; where several rules speak, the strongest is done."""
 
@@ -174,7 +174,7 @@ def _outside(health: Health, memory: Memory, fence: Fence) -> Iterator[Decision]
         yield Decision("fly", f"{reason}: only inwards")
 
 
-def shape(health: Health, previous: FloatArray, step_s: float, config: SafetyConfig) -> Action:
+def shape(health: Health, previous: Commands, step_s: float, config: SafetyConfig) -> Action:
     """The policy's command (4,) as it may be sent: within speed and slew limits, and nothing outwards at the fence.
 
     `previous` (4,) is what was sent `step_s` seconds ago. The fence comes last and outranks the slew limits: what it
@@ -189,7 +189,7 @@ def shape(health: Health, previous: FloatArray, step_s: float, config: SafetyCon
     return np.append(allowed / over, command[3]).astype(np.float32)
 
 
-def limit(command: FloatArray, previous: FloatArray, step_s: float, limits: Limits) -> Action:
+def limit(command: FloatArray, previous: Commands, step_s: float, limits: Limits) -> Action:
     """`command` (4,) within the speed limits, and no farther from `previous` than the slew limits allow."""
     speed = np.array(limits.speed)
     change = np.array(limits.slew) * min(max(step_s, 0.0), limits.longest_step_s)

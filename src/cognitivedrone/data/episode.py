@@ -7,10 +7,11 @@ from io import BytesIO
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float32, Float64
 from PIL import Image as PillowImage
 
-from cognitivedrone.types import Image, Task
+from cognitivedrone.choices import AppearanceName
+from cognitivedrone.types import ActionChunk, Float32Array, Float64Array, Image, Task
 
 Encoding = Literal["jpeg", "png", "webp"]
 """`jpeg` is lossy; `png` and `webp` are lossless."""
@@ -24,8 +25,8 @@ class Conditions:
     seed: int
     """Seed of its collection."""
     airframe: str
-    look: str
-    """`plain` or `varied`."""
+    look: AppearanceName | Literal["published"]
+    """`published`: imported from a data set in the published layout, whose look is not told."""
     start_position: tuple[float, float, float]
     """World, m."""
     start_yaw: float
@@ -47,28 +48,28 @@ class Episode:
     encoding: Encoding
     images: tuple[bytes, ...]
     """T encoded first-person frames, 256x256 RGB."""
-    action: NDArray[np.float32]
+    action: ActionChunk
     """(T, 4) the label: the clean expert action, heading frame, vx, vy, vz m/s and yaw rate rad/s."""
-    sent: NDArray[np.float32]
+    sent: ActionChunk
     """(T, 4) the command sent; differs from `action` where the flight was perturbed."""
-    velocity: NDArray[np.float32]
+    velocity: Float32[Float32Array, "steps 3"]
     """(T, 3) heading frame, m/s."""
-    height: NDArray[np.float32]
+    height: Float32[Float32Array, " steps"]
     """(T,) above ground, m."""
-    yaw_rate: NDArray[np.float32]
+    yaw_rate: Float32[Float32Array, " steps"]
     """(T,) rad/s."""
-    position: NDArray[np.float64]
+    position: Float64[Float64Array, "steps 3"]
     """(T, 3) ground truth, world, m. For scoring and conversion, never for a policy."""
-    quaternion: NDArray[np.float64]
+    quaternion: Float64[Float64Array, "steps 4"]
     """(T, 4) ground truth, w, x, y, z, body to world."""
-    final_position: NDArray[np.float64]
+    final_position: Float64[Float64Array, 3]
     """(3,) world, m, after the last action."""
 
     def __len__(self) -> int:
         return len(self.images)
 
     @property
-    def state(self) -> NDArray[np.float32]:
+    def state(self) -> Float32[Float32Array, "steps 5"]:
         """(T, 5) the drone's own state that a policy may know: heading-frame velocity, height, yaw rate."""
         return np.column_stack([self.velocity, self.height, self.yaw_rate]).astype(np.float32)
 

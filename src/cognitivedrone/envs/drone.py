@@ -9,7 +9,7 @@ import numpy as np
 from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.sim.dynamics import Flight
-from cognitivedrone.types import ACTION_LIMITS, Action, DroneState, FloatArray, Observation
+from cognitivedrone.types import ACTION_LIMITS, Action, Commands, DroneState, FloatArray, Observation
 
 
 class SimulatedDrone:
@@ -92,7 +92,7 @@ def proprioception(state: DroneState) -> tuple[FloatArray, float, float]:
     return velocity, float(state.position[2]), float(state.body_rates[2])
 
 
-def clip_action(action: FloatArray) -> Action:
+def clip_action(action: Commands) -> Commands:
     """The action (..., 4) within `ACTION_LIMITS`, float32."""
     limit = np.array(ACTION_LIMITS, dtype=np.float32)
     return np.clip(np.asarray(action, dtype=np.float32), -limit, limit)

@@ -14,14 +14,13 @@ from cognitivedrone.envs.captions import font, readable, wrap
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import replace_file, writing
-from cognitivedrone.frames import FloatArray
 from cognitivedrone.labels import load_pack
 from cognitivedrone.plan import Scenario
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.sim.views import View, chase_view, first_person_view, top_view
 from cognitivedrone.tasks import Suite, track_at
-from cognitivedrone.types import IMAGE_SIZE, Gate, Image, Task
+from cognitivedrone.types import IMAGE_SIZE, FloatArray, Gate, Image, Task
 from cognitivedrone.world import geometry
 
 SIDE: Final = 2 * IMAGE_SIZE

@@ -11,7 +11,7 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_differing_spaces, read_from_shared_memory, write_to_shared_memory
 from numpy.typing import NDArray
 
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import ActionError
 from cognitivedrone.sim.dynamics import MAX_BODY_RATE_RAD_S, MAX_POSITION_M, MAX_VELOCITY_M_S
 from cognitivedrone.tasks.validate import MAX_TEXT
 from cognitivedrone.types import ACTION_LIMITS, IMAGE_SIZE, FloatArray
@@ -78,14 +78,14 @@ def observation_space() -> spaces.Dict:
 
 
 def check_actions(actions: FloatArray, shape: tuple[int, ...]) -> None:
-    """Raise `PolicyError` unless the actions have this shape, (4,) or (worlds, 4), and are finite."""
+    """Raises `ActionError` unless the actions are of this shape, (4,) or (worlds, 4), and finite."""
     given = np.asarray(actions)
     if given.shape != shape:
-        raise PolicyError(f"the action has shape {given.shape}; the action space has {shape}")
+        raise ActionError(f"the action has shape {given.shape}; the action space has {shape}")
     if not np.isfinite(given).all():
         if len(shape) == 1:
-            raise PolicyError(f"action {given.tolist()} holds a number that is not finite")
-        raise PolicyError(f"world {int(np.argmax(~np.isfinite(given).all(axis=1)))}: the action is not finite")
+            raise ActionError(f"action {given.tolist()} holds a number that is not finite")
+        raise ActionError(f"world {int(np.argmax(~np.isfinite(given).all(axis=1)))}: the action is not finite")
 
 
 def _within(limit: float, size: int) -> spaces.Box:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cognitivedrone.errors import SimulationError, did_you_mean
+from cognitivedrone.choices import AppearanceName
+from cognitivedrone.errors import AppearanceError, SimulationError, did_you_mean
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.plan import Scenario
 from cognitivedrone.sim.drone_world import DroneWorld, Scenery, Start
@@ -30,7 +31,7 @@ FLOOR_ROOM_M = 0.05
 class TrackConfig:
     """The conditions of a flight. Raises `SimulationError` if they cannot be simulated."""
 
-    look: str = "plain"
+    look: AppearanceName = "plain"
     """`plain` as published, or `varied`: floor, walls, light, colours and camera noise drawn from the seed."""
     time_limit_s: float = 30.0
     """Time limit for each stage."""
@@ -44,7 +45,7 @@ class TrackConfig:
 
     def __post_init__(self) -> None:
         if self.look not in LOOKS:
-            raise SimulationError(f"unknown look {self.look!r}; {did_you_mean(str(self.look), LOOKS)}")
+            raise AppearanceError(f"unknown look {self.look!r}; {did_you_mean(str(self.look), LOOKS)}")
         if not self.time_limit_s > 0:
             raise SimulationError(f"time_limit_s is {self.time_limit_s}; it is a time in seconds, more than 0")
         if not 0 <= self.wind_m_s < math.inf:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from cognitivedrone.errors import PolicyError, import_extra
+from cognitivedrone.errors import ModelError, import_extra
 from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.models.checksum import BLANK, check, seal
 from cognitivedrone.models.text import Vocabulary
@@ -63,26 +63,26 @@ def write_table(path: str | Path, kind: str, table: Mapping[str, Any]) -> None:
 def open_model(path: Path, kind: str, *, threads: int, optimise: bool) -> tuple[Any, dict[str, Any]]:
     """An inference session of a model file of this kind, run on the CPU, and its description.
 
-    Raises `PolicyError` if it cannot be loaded, does not match its checksum, or is of another kind or format; warns
-    if it has no checksum.
+    Raises `ModelError` where it cannot be loaded, does not match its checksum, or is of another kind or format; warns
+    where it has no checksum.
     """
     if not path.is_file():
-        raise PolicyError(f"there is no model file {path}")
+        raise ModelError(f"there is no model file {path}")
     if path.stat().st_size > LARGEST_BYTES:
-        raise PolicyError(
+        raise ModelError(
             f"{path} has {path.stat().st_size / 2**20:.0f} MB; a small model has at most {LARGEST_BYTES / 2**20:.0f} MB"
         )
     try:
         content = read_regular(path, LARGEST_BYTES)
     except OSError as error:
-        raise PolicyError(f"{path} cannot be read: {reason_of(error)}") from None
+        raise ModelError(f"{path} cannot be read: {reason_of(error)}") from None
     if (finding := check(content)) == "damaged":
-        raise PolicyError(f"{path} does not match its checksum, so it is damaged; download or train it again")
+        raise ModelError(f"{path} does not match its checksum, so it is damaged; download or train it again")
     # Use the bytes that were checked, not the file's current content.
     session = _open_session(content, path, threads=threads, optimise=optimise)
     table = _read_table(session, kind, str(path))
     if finding == "unknown" and table["format"] == FORMAT:
-        raise PolicyError(f"{path} has lost its checksum, so it is damaged; download or train it again")
+        raise ModelError(f"{path} has lost its checksum, so it is damaged; download or train it again")
     if finding == "unknown" and multiprocessing.parent_process() is None:  # once, not in every worker
         warnings.warn(
             f"{path} was written before model files had checksums: damage to it would not be noticed", stacklevel=4
@@ -109,43 +109,43 @@ def _open_session(content: bytes, path: Path, *, threads: int, optimise: bool) -
         reason = next(iter(str(error).splitlines()), type(error).__name__)
         no_graph = "No graph was found" in reason or "does not have a graph" in reason  # the latter until 1.23
         if type(error).__name__ == "InvalidProtobuf" or no_graph or not content:
-            raise PolicyError(f"{path} is not an ONNX file, or it was cut short; download or train it again") from None
-        raise PolicyError(f"ONNX Runtime {ort.__version__} cannot load {path}: {reason}") from None
+            raise ModelError(f"{path} is not an ONNX file, or it was cut short; download or train it again") from None
+        raise ModelError(f"ONNX Runtime {ort.__version__} cannot load {path}: {reason}") from None
 
 
 def _read_table(session: Any, kind: str, where: str) -> dict[str, Any]:
-    """The description in an open file, of a supported format and of this kind; raises `PolicyError` for any other."""
+    """The description in an open file, of a format read here and of this kind; raises `ModelError` for any other."""
     try:
         text = session.get_modelmeta().custom_metadata_map.get(KEY)
         table = None if text is None else json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise PolicyError(f"the description in {where} is not JSON: {error}") from None
+        raise ModelError(f"the description in {where} is not JSON: {error}") from None
     if text is None:
-        raise PolicyError(
+        raise ModelError(
             f"{where} does not describe itself: it lacks the metadata {KEY!r} that `cognitivedrone train` writes"
         )
     version = table.get("format") if isinstance(table, dict) else None
     if version not in (1, FORMAT):
-        raise PolicyError(
+        raise ModelError(
             f"{where} is a model file of format {version!r} and this version reads formats 1 and {FORMAT};"
             " use a file and a release of cognitivedrone that match"
         )
     found = cast(dict[str, Any], table)
     if found.get("kind") != kind:
-        raise PolicyError(f"{where} is a model of kind {found.get('kind')!r}, not {kind!r}")
+        raise ModelError(f"{where} is a model of kind {found.get('kind')!r}, not {kind!r}")
     return found
 
 
 def check_graph(session: Any, inputs: Tensors, outputs: Tensors, where: str) -> None:
-    """Compare names, types and shapes of inputs and outputs with a contract; raises `PolicyError`."""
+    """Compare names, types and shapes of inputs and outputs with a contract; raises `ModelError`."""
     for side, wanted, found in (("in", inputs, session.get_inputs()), ("out", outputs, session.get_outputs())):
         nodes = {node.name: node for node in found}
         if nodes.keys() != wanted.keys():
-            raise PolicyError(f"{where} has the {side}puts {', '.join(nodes)}; expected {', '.join(wanted)}")
+            raise ModelError(f"{where} has the {side}puts {', '.join(nodes)}; expected {', '.join(wanted)}")
         for name, (kind, shape) in wanted.items():
             node = nodes[name]
             if node.type != kind or not _fits(node.shape, shape):
-                raise PolicyError(
+                raise ModelError(
                     f"{side}put {name!r} of {where} is {node.type} {node.shape}; expected {kind} {['batch', *shape]}"
                 )
 
@@ -163,33 +163,33 @@ def _fits(found: Sequence[Any], wanted: tuple[int, ...]) -> bool:
 def field_of(table: Mapping[str, Any], name: str, kind: type[T], where: str) -> T:
     """A field of the description, checked to be of this type."""
     if name not in table:
-        raise PolicyError(f"the description in {where} lacks {name!r}")
+        raise ModelError(f"the description in {where} lacks {name!r}")
     value = table[name]
     if not isinstance(value, kind) or isinstance(value, bool):
-        raise PolicyError(f"{name!r} of the description in {where} is {value!r:.60}, which is not a {kind.__name__}")
+        raise ModelError(f"{name!r} of the description in {where} is {value!r:.60}, which is not a {kind.__name__}")
     return value
 
 
 def count_of(table: Mapping[str, Any], name: str, where: str) -> int:
-    """A field that is a positive integer; raises `PolicyError`."""
+    """A field that is a whole number from 1; raises `ModelError`."""
     value = field_of(table, name, int, where)
     if value < 1:
-        raise PolicyError(f"{name!r} of the description in {where} is {value}; it must be at least 1")
+        raise ModelError(f"{name!r} of the description in {where} is {value}; it must be at least 1")
     return value
 
 
 def vocabulary_of(words: list[Any], where: str) -> Vocabulary:
-    """A vocabulary of words; raises `PolicyError`."""
+    """A vocabulary of words; raises `ModelError`."""
     if not all(isinstance(word, str) for word in words):
-        raise PolicyError(f"the vocabulary in {where} contains an entry that is not a word")
+        raise ModelError(f"the vocabulary in {where} contains an entry that is not a word")
     try:
         return Vocabulary(tuple(words))
-    except PolicyError as error:
-        raise PolicyError(f"{where}: {error}") from None
+    except ModelError as error:
+        raise ModelError(f"{where}: {error}") from None
 
 
 def provenance_of(table: Mapping[str, Any], where: str) -> Provenance:
-    """The provenance in a description; raises `PolicyError`."""
+    """Where a model comes from, from its description; raises `ModelError`."""
     origin = field_of(table, "provenance", dict, where)
     return Provenance(
         **{name: field_of(origin, name, str, where) for name in ("recipe", "data", "commit", "trained")},

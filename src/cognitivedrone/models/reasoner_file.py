@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import ModelError, PolicyError
 from cognitivedrone.models.onnx_file import (
     Provenance,
     check_graph,
@@ -82,7 +82,7 @@ class PanelReaderModel:
 
     @classmethod
     def load(cls, path: Path, *, threads: int = 1) -> PanelReaderModel:
-        """Load a file; raises `PolicyError` if it is missing, broken or of another kind."""
+        """Load a file; raises `ModelError` where it is missing, broken or of another kind."""
         session, table = open_model(path, EYES, threads=threads, optimise=True)
         facets = _facets(table, str(path))
         outputs = {
@@ -114,7 +114,7 @@ class GateSelectorModel:
 
     @classmethod
     def load(cls, path: Path, *, threads: int = 1) -> GateSelectorModel:
-        """Load a file; raises `PolicyError` if it is missing, broken or of another kind."""
+        """Load a file; raises `ModelError` where it is missing, broken or of another kind."""
         session, table = open_model(path, MIND, threads=threads, optimise=True)
         where = str(path)
         facets, length = _facets(table, where), count_of(table, "text_length", where)
@@ -144,5 +144,5 @@ class GateSelectorModel:
 def _facets(table: Mapping[str, Any], where: str) -> AttributeSchema:
     names = field_of(table, "facets", list, where)
     if not names or not all(isinstance(name, str) and "/" in name for name in names):
-        raise PolicyError(f"the facets in {where} are not names of the form group/value")
+        raise ModelError(f"the facets in {where} are not names of the form group/value")
     return AttributeSchema(tuple(names))

@@ -20,9 +20,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float32
 from numpy.typing import NDArray
 
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import ModelError, PolicyError
 from cognitivedrone.models.onnx_file import (
     Provenance,
     check_graph,
@@ -34,7 +35,7 @@ from cognitivedrone.models.onnx_file import (
     write_table,
 )
 from cognitivedrone.models.text import Vocabulary
-from cognitivedrone.types import IMAGE_SIZE
+from cognitivedrone.types import IMAGE_SIZE, Float32Array
 
 KIND = "small-vla"
 
@@ -87,7 +88,7 @@ class Description:
 
     @classmethod
     def of(cls, table: Mapping[str, Any], where: str) -> Description:
-        """The inverse of `table`; raises `PolicyError` that names the place and the fault."""
+        """Read back what `table` gave; raises `ModelError` that says where what is wrong."""
         described = cls(
             name=field_of(table, "name", str, where),
             vocabulary=vocabulary_of(field_of(table, "vocabulary", list, where), where),
@@ -99,7 +100,7 @@ class Description:
             provenance=provenance_of(table, where),
         )
         if described.image_size != IMAGE_SIZE:
-            raise PolicyError(f"{where} reads images of {described.image_size} pixels; drones send {IMAGE_SIZE}")
+            raise ModelError(f"{where} reads images of {described.image_size} pixels; drones send {IMAGE_SIZE}")
         return described
 
 
@@ -107,11 +108,11 @@ class Description:
 class Output:
     """The network's output for n frames."""
 
-    action: NDArray[np.float32]
+    action: Float32[Float32Array, "images steps 4"]
     """(n, k, 4), heading frame, m/s and rad/s: for the next k control steps."""
-    choice: NDArray[np.float32]
+    choice: Float32[Float32Array, "images 4"]
     """(n, 4) probability that each detected gate is the right one; last, that none of them is."""
-    gates: NDArray[np.float32]
+    gates: Float32[Float32Array, "images 3 4"]
     """(n, 3, 4) for each detected gate: centre u, v in pixels, detection score 0 to 1, distance in m."""
 
 
@@ -124,7 +125,7 @@ def describe(path: str | Path, description: Description) -> None:
 
 
 def read_description(path: str | Path) -> Description:
-    """The description in a model file; raises `PolicyError` like `SmallModel.load`."""
+    """What the model in the file says of itself; raises `ModelError` as `SmallModel.load` does."""
     _, table = open_model(Path(path), KIND, threads=1, optimise=False)
     return Description.of(table, str(path))
 
@@ -141,7 +142,7 @@ class SmallModel:
     def load(cls, path: str | Path, *, threads: int = 1) -> SmallModel:
         """Load a model file, to be run on `threads` cores.
 
-        Raises `PolicyError` if the file is missing, too large, damaged, truncated, or violates the contract.
+        Raises `ModelError` where the file is missing, too large, damaged, cut short, or does not keep to the contract.
         """
         session, table = open_model(Path(path), KIND, threads=threads, optimise=True)
         description = Description.of(table, str(path))
@@ -193,12 +194,12 @@ def _statistics(table: Mapping[str, Any], where: str) -> ActionStatistics:
     for field in fields(ActionStatistics):
         values = field_of(table, field.name, list, f"{where} (action)")
         if len(values) != 4 or not all(isinstance(value, int | float) and math.isfinite(value) for value in values):
-            raise PolicyError(
+            raise ModelError(
                 f"action statistics {field.name!r} in {where} are {values!r:.60}; expected 4 finite numbers"
             )
         columns[field.name] = (float(values[0]), float(values[1]), float(values[2]), float(values[3]))
     if any(low >= high for low, high in zip(columns["low"], columns["high"], strict=True)):
-        raise PolicyError(
+        raise ModelError(
             f"action statistics in {where} have low {columns['low']} and high {columns['high']};"
             " every low must be below its high"
         )

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import ModelError
 
 PAD, UNKNOWN = "<pad>", "<unknown>"
 """The first two words of every vocabulary: padding, and the replacement for unknown words."""
@@ -52,13 +52,13 @@ class Vocabulary:
     """Numbers of every known word."""
 
     def __post_init__(self) -> None:
-        """Raise `PolicyError` if the first two words are not `PAD` and `UNKNOWN`, or a word is repeated."""
+        """Raises `ModelError` where the first two words are not `PAD` and `UNKNOWN`, or a word comes twice."""
         if self.words[:2] != (PAD, UNKNOWN):
-            raise PolicyError(f"a vocabulary begins with {PAD!r} and {UNKNOWN!r}, not with {self.words[:2]!r}")
+            raise ModelError(f"a vocabulary begins with {PAD!r} and {UNKNOWN!r}, not with {self.words[:2]!r}")
         numbers = {word: (number,) for number, word in enumerate(self.words)}
         if len(numbers) != len(self.words):
             twice = next(word for number, word in enumerate(self.words) if numbers[word] != (number,))
-            raise PolicyError(f"a vocabulary holds every word once; {twice!r} is repeated")
+            raise ModelError(f"a vocabulary holds every word once; {twice!r} is repeated")
         object.__setattr__(self, "_numbers", numbers)
 
     @classmethod

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from cognitivedrone import registry
 from cognitivedrone.adapters import as_policy
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import PluginError
 from cognitivedrone.interfaces import Policy
 
 POLICIES: dict[str, str] = {
@@ -35,5 +35,5 @@ def model_file(name: str) -> Path | None:
 def make_policy(name: str) -> Policy:
     """A new policy by its name and arguments, in the syntax of `registry`; raises `PolicyError`."""
     if name.endswith(".onnx") and ":" not in name:
-        raise PolicyError(f"policy {name!r} is a model file; write small:{name}")
+        raise PluginError(f"policy {name!r} is a model file; write small:{name}")
     return as_policy(f"policy {name!r}", registry.make("policy", name, POLICIES))

@@ -7,10 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import GroundTruthError
 from cognitivedrone.frames import world_to_heading, wrap_angle, yaw_of
 from cognitivedrone.interfaces import Policy
-from cognitivedrone.types import CONTROL_HZ, Action, ActionChunk, EpisodeContext, FloatArray, GroundTruth, Observation
+from cognitivedrone.types import (
+    CONTROL_HZ,
+    Action,
+    ActionChunk,
+    Commands,
+    EpisodeContext,
+    FloatArray,
+    GroundTruth,
+    Observation,
+    Scalars,
+    Vectors,
+)
 from cognitivedrone.world.geometry import gate_centers, gate_yaws
 
 _PERIOD_S = 1 / CONTROL_HZ
@@ -57,7 +68,7 @@ class Way:
     normal: FloatArray
     """(..., 3) direction of the straight part."""
 
-    def at(self, metres: float) -> FloatArray:
+    def at(self, metres: float) -> Vectors:
         """The points (..., 3) so far along the ways, world, m."""
         share = np.minimum(metres / self.length, 1.0)[..., None]
         beyond = np.maximum(metres - self.length, 0.0)[..., None]
@@ -66,7 +77,7 @@ class Way:
         return point
 
 
-def plan(start: FloatArray, gate: FloatArray, normal: FloatArray, config: ExpertConfig) -> Way:
+def plan(start: Vectors, gate: Vectors, normal: Vectors, config: ExpertConfig) -> Way:
     """The ways from `start` (..., 3) onto the axis of the gate at `gate` (..., 3) and along it, world, m.
 
     `normal` (..., 3) is the unit direction to cross the gate in. The curve leaves toward the axis, meets it with the
@@ -80,7 +91,7 @@ def plan(start: FloatArray, gate: FloatArray, normal: FloatArray, config: Expert
     return Way(curve, length, normal)
 
 
-def wish(start: FloatArray, gate: FloatArray, normal: FloatArray, config: ExpertConfig) -> FloatArray:
+def wish(start: Vectors, gate: Vectors, normal: Vectors, config: ExpertConfig) -> Vectors:
     """Velocities (..., 3) that follow the way of `plan` from its start, world, m/s."""
     way = plan(start, gate, normal, config)
     first, second = way.curve(_GRID, 1), way.curve(_GRID, 2)
@@ -92,7 +103,7 @@ def wish(start: FloatArray, gate: FloatArray, normal: FloatArray, config: Expert
     return velocity
 
 
-def turn_rate(wanted: FloatArray, yaw: FloatArray, config: ExpertConfig) -> FloatArray:
+def turn_rate(wanted: Vectors, yaw: Scalars, config: ExpertConfig) -> Scalars:
     """Yaw rates (...,), rad/s, that turn the nose from `yaw` (...,) to where `wanted` (..., 3), world, leads."""
     turn = wrap_angle(np.arctan2(wanted[..., 1], wanted[..., 0]) - yaw)
     rate: FloatArray = np.clip(config.yaw_gain * turn, -config.yaw_rate_max, config.yaw_rate_max)
@@ -100,13 +111,13 @@ def turn_rate(wanted: FloatArray, yaw: FloatArray, config: ExpertConfig) -> Floa
 
 
 def intent(
-    position: FloatArray,
-    velocity: FloatArray,
-    yaw: FloatArray,
-    gate: FloatArray,
-    gate_yaw: FloatArray,
+    position: Vectors,
+    velocity: Vectors,
+    yaw: Scalars,
+    gate: Vectors,
+    gate_yaw: Scalars,
     config: ExpertConfig,
-) -> FloatArray:
+) -> Commands:
     """What the expert wants right now, before it is smoothed: (..., 4), heading frame, m/s and rad/s.
 
     It follows from the moment alone, so it is what a policy without memory learns: position, velocity and gate centre
@@ -159,7 +170,7 @@ class Expert(Policy):
     def command(self) -> Action:
         """The command for where the drone is now, (4,), heading frame, m/s and rad/s."""
         if self._truth is None:
-            raise PolicyError("the oracle policy needs the simulator's truth, which this flight does not have")
+            raise GroundTruthError("the oracle policy needs the simulator's truth, which this flight does not have")
         config = self.config
         stage, target = self._truth.stage, self._truth.task.target
         state = self._truth.state()

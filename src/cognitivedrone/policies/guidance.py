@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cognitivedrone.types import FloatArray
+from cognitivedrone.types import Commands, Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Pursuit:
     """rad/s."""
 
 
-def pursue(gate: FloatArray, normal: FloatArray, velocity: FloatArray, config: Pursuit) -> FloatArray:
+def pursue(gate: Vector, normal: Vector, velocity: Vector, config: Pursuit) -> Commands:
     """Velocity command (4,) toward and through a gate; all vectors in the heading frame.
 
     `gate` (3,) is the gate's centre seen from the drone, m; `normal` (3,) the unit direction to cross it in, level;

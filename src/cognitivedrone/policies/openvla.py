@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from cognitivedrone.errors import NonFiniteAction, PolicyError, import_extra
+from cognitivedrone.errors import ModelError, NonFiniteAction, PolicyError, import_extra
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.models.openvla.checkpoint import Checkpoint, DecoderName, Quantisation
@@ -59,7 +59,7 @@ class OpenVla(Policy):
         self.options = Options(Path(folder), decoder, quant, device, unnorm_key)
         self.checkpoint = checkpoints.inspect(self.options.folder, self.options.unnorm_key)
         if self.options.decoder == "parallel" and self.checkpoint.head is None:
-            raise PolicyError(
+            raise ModelError(
                 f"{self.options.folder} has no head for decoder=parallel; use decoder=ar, or fine-tune it in chunks"
             )
         self._decode = _decoder(self.options, self.checkpoint)
@@ -100,11 +100,11 @@ def _decoder(options: Options, checkpoint: Checkpoint) -> Decoder:
     has_gpu = torch.cuda.is_available()
     device = options.device or ("cuda" if has_gpu else "cpu")
     if options.quant == "int4" and device == "cpu":
-        raise PolicyError("quant=int4 is for GPUs; on the host use quant=int8 or quant=none")
+        raise ModelError("quant=int4 is for GPUs; on the host use quant=int8 or quant=none")
     stored = 2 if device == "cuda" else checkpoint.stored_bytes
     needed = checkpoints.needed_bytes(checkpoint.config, options.quant, stored)
     if not has_gpu and (device == "cuda" or (options.device is None and needed > SMALL)):
-        raise PolicyError(
+        raise ModelError(
             f"the network needs {needed / 1e9:.1f} GB of GPU memory, and this machine has no GPU that PyTorch can use,"
             f" but {checkpoints.free_memory() / 1e9:.1f} GB of its own free; fly it on a machine with a GPU, or here"
             " with device=cpu, at seconds an action"

@@ -9,7 +9,7 @@ from string import punctuation
 
 import numpy as np
 
-from cognitivedrone.errors import NonFiniteAction, PolicyError
+from cognitivedrone.errors import ModelError, NonFiniteAction, PolicyError
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.models.small_file import Output, SmallModel
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, FloatArray, Image, Observation
@@ -45,13 +45,13 @@ class Small(Policy):
         """The file that a policy made with `path` flies; raises `PolicyError` where there is none."""
         packaged = Path(str(resources.files("cognitivedrone.models") / "weights" / cls.weights))
         if path is None and not packaged.is_file():
-            raise PolicyError(
+            raise ModelError(
                 f"this installation has no model {cls.weights}: reinstall cognitivedrone, or train one with"
                 " `cognitivedrone train` and give its file, as in --policy small:model.onnx"
             )
         found = packaged if path is None else Path(path)
         if not found.is_file():
-            raise PolicyError(f"there is no model file {found}")
+            raise ModelError(f"there is no model file {found}")
         return found
 
     def reset(self, context: EpisodeContext) -> None:

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import GroundTruthError, PluginError
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.tasks import write_directive
 from cognitivedrone.types import CATEGORIES, EpisodeContext, Guidance, Image, Task
@@ -46,7 +46,7 @@ class NoisyOracle(Reasoner):
         }
         for value in (accuracy, *self.accuracy.values()):
             if not 0.0 <= value <= 1.0:
-                raise PolicyError(
+                raise PluginError(
                     f"noisy-oracle: {value:g} is no accuracy; give a number from 0 to 1, such as 0.8, or one a"
                     " category, such as reasoning=0.6"
                 )
@@ -67,7 +67,9 @@ class NoisyOracle(Reasoner):
         """The directive of the gate that was drawn; always as if it were sure."""
         task = self._task
         if task is None:
-            raise PolicyError("the noisy-oracle reasoner needs the simulator's truth, which this flight does not have")
+            raise GroundTruthError(
+                "the noisy-oracle reasoner needs the simulator's truth, which this flight does not have"
+            )
         if self.each:
             self._gate = self._draw(task)
         directive = task.directive if self._gate == task.target else write_directive(task.gates[self._gate])

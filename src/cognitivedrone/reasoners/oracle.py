@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import GroundTruthError
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.types import EpisodeContext, Guidance, Image, Task
 
@@ -22,5 +22,5 @@ class Oracle(Reasoner):
     def refine(self, image: Image, instruction: str) -> Guidance:
         """The gold directive of the task at hand."""
         if self._task is None:
-            raise PolicyError("the oracle reasoner needs the simulator's truth, which this flight does not have")
+            raise GroundTruthError("the oracle reasoner needs the simulator's truth, which this flight does not have")
         return Guidance(self._task.directive, self._task.target, 1.0)

@@ -6,7 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from cognitivedrone.errors import PolicyError, ReasonerError
+from cognitivedrone.errors import PluginError, ReasonerError
 from cognitivedrone.types import COLORS, SHAPES, SIZES
 
 PLACEHOLDER = "{instruction}"
@@ -35,7 +35,7 @@ ANSWER_SCHEMA: dict[str, Any] = {
 def load_prompt(path: Path | None = None) -> str:
     """The prompt's text: that of the package, or a file of the user's, which must hold `{instruction}`.
 
-    Raises `PolicyError` where the file cannot be read, is too long, or lacks the placeholder.
+    Raises `PluginError` where the file cannot be read, is too long, or lacks the placeholder.
     """
     if path is None:
         return (files("cognitivedrone.reasoners") / "prompts" / "gate.txt").read_text(encoding="utf-8")
@@ -44,13 +44,13 @@ def load_prompt(path: Path | None = None) -> str:
             content = file.read(MAX_PROMPT_BYTES + 1)
         text = content.decode("utf-8")
     except OSError as error:
-        raise PolicyError(f"prompt file {path}: {error.strerror}") from None
+        raise PluginError(f"prompt file {path}: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise PolicyError(f"prompt file {path} is not text in UTF-8") from None
+        raise PluginError(f"prompt file {path} is not text in UTF-8") from None
     if len(content) > MAX_PROMPT_BYTES:
-        raise PolicyError(f"prompt file {path} is over {MAX_PROMPT_BYTES} bytes; a prompt of that length is too slow")
+        raise PluginError(f"prompt file {path} is over {MAX_PROMPT_BYTES} bytes; a prompt of that length is too slow")
     if PLACEHOLDER not in text:
-        raise PolicyError(f"prompt file {path} does not say where the instruction goes; write {PLACEHOLDER} there")
+        raise PluginError(f"prompt file {path} does not say where the instruction goes; write {PLACEHOLDER} there")
     return text
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, get_args
 
-from cognitivedrone.errors import PolicyError, ReasonerError, ReasonerFault, did_you_mean
+from cognitivedrone.errors import GroundTruthError, PluginError, ReasonerError, ReasonerFault, did_you_mean
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.types import EpisodeContext, Guidance, Image
 
@@ -23,7 +23,7 @@ def read_answers(path: Path) -> dict[str, tuple[Entry, ...]]:
 
     A line is `{"task": id, "directive": text, "gate": 0 to 2 or null, "confidence": 0 to 1, "fault": kind or null}`.
     `gate`, `confidence` (1) and `fault` may be left out, a line with a fault needs no directive, keys that are not
-    listed here are ignored, and so are empty lines. Raises `PolicyError` naming file and line.
+    listed here are ignored, and so are empty lines. Raises `PluginError` naming file and line.
     """
     answers: dict[str, list[Entry]] = {}
     for number, line in enumerate(_content(path).split(b"\n"), start=1):
@@ -33,27 +33,27 @@ def read_answers(path: Path) -> dict[str, tuple[Entry, ...]]:
         try:
             obj = json.loads(line)
         except (ValueError, RecursionError):
-            raise PolicyError(f"{where} is not JSON; every line must be one object") from None
+            raise PluginError(f"{where} is not JSON; every line must be one object") from None
         if not isinstance(obj, dict) or not isinstance(obj.get("task"), str):
-            raise PolicyError(
+            raise PluginError(
                 f'{where} must be an object with a task\'s id, as in {{"task": "open-v1:test/0007", ...}}'
             )
         answers.setdefault(obj["task"], []).append(_entry(obj, where))
     if not answers:
-        raise PolicyError(f"{path} holds no answer; every line of it must be an object with task and directive")
+        raise PluginError(f"{path} holds no answer; every line of it must be an object with task and directive")
     return {task: tuple(entries) for task, entries in answers.items()}
 
 
 def _content(path: Path) -> bytes:
     if not path.is_file():
-        raise PolicyError(f"replay: there is no file {path}; give one as replay:FILE, such as a run's reason.jsonl")
+        raise PluginError(f"replay: there is no file {path}; give one as replay:FILE, such as a run's reason.jsonl")
     try:
         with path.open("rb") as stream:
             content = stream.read(MAX_FILE_BYTES + 1)
     except OSError as error:
-        raise PolicyError(f"replay: {path} cannot be read: {error.strerror}") from None
+        raise PluginError(f"replay: {path} cannot be read: {error.strerror}") from None
     if len(content) > MAX_FILE_BYTES:
-        raise PolicyError(
+        raise PluginError(
             f"replay: {path} is larger than {MAX_FILE_BYTES >> 20} MB; keep only the tasks that are flown"
         )
     return content
@@ -63,18 +63,18 @@ def _entry(obj: Mapping[str, Any], where: str) -> Entry:
     fault = obj.get("fault")
     if fault is not None:
         if fault not in FAULTS:
-            raise PolicyError(f"{where}: unknown fault {fault!r}; {did_you_mean(str(fault), FAULTS)}")
+            raise PluginError(f"{where}: unknown fault {fault!r}; {did_you_mean(str(fault), FAULTS)}")
         known: ReasonerFault = fault
         return known
     directive, gate, confidence = obj.get("directive"), obj.get("gate"), obj.get("confidence", 1.0)
     if not isinstance(directive, str):
-        raise PolicyError(
+        raise PluginError(
             f"{where}: directive must be a sentence, not {directive!r:.40}, or fault say why there is none"
         )
     if gate is not None and (type(gate) is not int or not 0 <= gate <= 2):
-        raise PolicyError(f"{where}: gate is {gate!r:.40}; it must be 0, 1 or 2 from left to right, or null")
+        raise PluginError(f"{where}: gate is {gate!r:.40}; it must be 0, 1 or 2 from left to right, or null")
     if isinstance(confidence, bool) or not isinstance(confidence, (int, float)) or not 0 <= confidence <= 1:
-        raise PolicyError(f"{where}: confidence is {confidence!r:.40}; it must be a number from 0 to 1")
+        raise PluginError(f"{where}: confidence is {confidence!r:.40}; it must be a number from 0 to 1")
     return Guidance(directive, gate, float(confidence))
 
 
@@ -106,7 +106,7 @@ class Replay(Reasoner):
     def refine(self, image: Image, instruction: str) -> Guidance:
         """The next answer of the task at hand; raises `ReasonerError` where that is a fault, or there is none."""
         if self._task is None:
-            raise PolicyError("the replay reasoner needs the id of the task, which only the simulator can tell")
+            raise GroundTruthError("the replay reasoner needs the id of the task, which only the simulator can tell")
         entries = self.answers.get(self._task)
         if entries is None:
             raise ReasonerError("unsure", f"{self.path} has no answer for task {self._task!r}")

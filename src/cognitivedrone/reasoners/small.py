@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.errors import PolicyError, ReasonerError
+from cognitivedrone.errors import ModelError, ReasonerError
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.models.reasoner_file import (
     EYES_FILE,
@@ -68,11 +68,11 @@ class SmallReasoner(Reasoner):
     """The packaged reasoner, or the one in a folder with `eyes.onnx` and `mind.onnx`."""
 
     def __init__(self, folder: Path | str | None = None) -> None:
-        """Raises `PolicyError` where a file is missing, or the two do not belong together."""
+        """Raises `ModelError` where a file is missing, or the two do not belong together."""
         place = _place_of(folder)
         self.eyes, self.mind = PanelReaderModel.load(place / EYES_FILE), GateSelectorModel.load(place / MIND_FILE)
         if self.eyes.facets != self.mind.facets:
-            raise PolicyError(f"{place}: eyes and mind do not belong together; take both from one release")
+            raise ModelError(f"{place}: eyes and mind do not belong together; take both from one release")
         self._names = self.eyes.facets.names
         self._groups = self.eyes.facets.groups
         self._stage = self._new()
@@ -82,7 +82,7 @@ class SmallReasoner(Reasoner):
 
     @classmethod
     def file_of(cls, folder: Path | str | None = None) -> Path:
-        """The file of the eyes, which a run is told by; raises `PolicyError` where it is missing."""
+        """The file of the eyes, which a run is told by; raises `ModelError` where it is missing."""
         return _place_of(folder) / EYES_FILE
 
     def reset(self, context: EpisodeContext) -> None:
@@ -259,7 +259,7 @@ def _by_place(stage: _Stage) -> list[tuple[int, _Gate]]:
 def _place_of(folder: Path | str | None) -> Path:
     place = Path(folder or str(resources.files("cognitivedrone.models") / "weights" / "reasoner"))
     if not (place / EYES_FILE).is_file() or not (place / MIND_FILE).is_file():
-        raise PolicyError(
+        raise ModelError(
             f"there is no {EYES_FILE} and {MIND_FILE} in {place}; reinstall cognitivedrone, or train them with"
             " `cognitivedrone train --recipe reader` and `--recipe mind`"
         )

@@ -18,7 +18,14 @@ from urllib.parse import urlsplit
 
 from PIL import Image as PillowImage
 
-from cognitivedrone.errors import PolicyError, ReasonerError, ReasonerFault, did_you_mean, import_extra
+from cognitivedrone.errors import (
+    PluginError,
+    ReasonerError,
+    ReasonerFault,
+    ServerError,
+    did_you_mean,
+    import_extra,
+)
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.reasoners.prompt import ANSWER_SCHEMA, MAX_TOKENS, load_prompt, write_prompt
 from cognitivedrone.reasoners.reply import quote, read_reply
@@ -45,7 +52,7 @@ class Vlm(Reasoner):
     given by either, OPENAI_BASE_URL with OPENAI_API_KEY. The key comes from the environment alone, so that no result
     tells it.
 
-    Raises `PolicyError` for an argument that does not do, `MissingExtra` where httpx is not installed.
+    Raises `ServerError` for an argument that does not do, `MissingExtra` where httpx is not installed.
     """
 
     def __init__(
@@ -59,7 +66,7 @@ class Vlm(Reasoner):
         self._url, self._key = _server(url)
         self._model = model or os.environ.get("COGNITIVEDRONE_VLM_MODEL") or ""
         if not self._model:
-            raise PolicyError(
+            raise PluginError(
                 "reasoner 'vlm' needs a model's name: 'vlm:URL,model=NAME', or COGNITIVEDRONE_VLM_MODEL set"
             )
         self._timeout = _checked(timeout)
@@ -98,25 +105,25 @@ class Vlm(Reasoner):
     def check(self) -> None:
         """Ask the server for its models, before take-off.
 
-        Raises `PolicyError` where it is down, does not take the key, or does not have the model. A server without such
+        Raises `ServerError` where it is down, does not take the key, or does not have the model. A server without such
         a list passes.
         """
         try:
             status, body = self._exchange("GET", "/models", None, time.monotonic() + CHECK_TIMEOUT_S)
         except ReasonerError as error:
-            raise PolicyError(
+            raise ServerError(
                 f"the VLM server at {self._url} does not answer ({error}); start one, for example with"
                 f" 'vllm serve {self._model}', or give its address: vlm:URL,model=NAME"
             ) from None
         if status in (401, 403):
-            raise PolicyError(f"the VLM server at {self._url} {self._key_advice(status)}")
+            raise ServerError(f"the VLM server at {self._url} {self._key_advice(status)}")
         if status in (404, 405, 501):
             return
         if status != 200:
-            raise PolicyError(f"the VLM server at {self._url} answers {status} to GET /models: {self._quote(body)}")
+            raise ServerError(f"the VLM server at {self._url} answers {status} to GET /models: {self._quote(body)}")
         names = _model_names(body)
         if names and self._model not in names:
-            raise PolicyError(
+            raise ServerError(
                 f"the VLM server at {self._url} has no model {self._model!r}; {did_you_mean(self._model, names)}"
             )
 
@@ -238,19 +245,19 @@ def _server(url: str | None) -> tuple[str, str]:
     except ValueError:
         valid = False
     if not valid:
-        raise PolicyError(f"reasoner 'vlm': {url!r} is no base URL of a server; it looks like {DEFAULT_URL}")
+        raise PluginError(f"reasoner 'vlm': {url!r} is no base URL of a server; it looks like {DEFAULT_URL}")
     if parts.username or parts.password:
-        raise PolicyError(
+        raise PluginError(
             "reasoner 'vlm': a password in the URL would land in results; set COGNITIVEDRONE_VLM_KEY instead"
         )
     if not key.isascii() or not key.isprintable():
-        raise PolicyError("COGNITIVEDRONE_VLM_KEY holds characters that no key has; was a line break copied with it?")
+        raise PluginError("COGNITIVEDRONE_VLM_KEY holds characters that no key has; was a line break copied with it?")
     return url, key
 
 
 def _checked(timeout: float) -> float:
     if not 0 < timeout <= 600:
-        raise PolicyError(f"reasoner 'vlm': timeout={timeout:g} is no number of seconds from 0 to 600")
+        raise PluginError(f"reasoner 'vlm': timeout={timeout:g} is no number of seconds from 0 to 600")
     return timeout
 
 

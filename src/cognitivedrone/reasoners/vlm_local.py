@@ -10,7 +10,7 @@ import importlib.util
 from pathlib import Path
 from typing import Any, Literal
 
-from cognitivedrone.errors import MissingExtra, PolicyError, did_you_mean, import_extra
+from cognitivedrone.errors import MissingExtra, ModelError, did_you_mean, import_extra
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.reasoners.prompt import MAX_TOKENS, load_prompt, write_prompt
 from cognitivedrone.reasoners.reply import read_reply
@@ -34,7 +34,7 @@ class LocalVlm(Reasoner):
     `model` is a folder, or a name on the hub. Nothing is downloaded unless `download` is true; weights are read from
     safetensors, and no code that comes with a model is run.
 
-    Raises `PolicyError` for an argument that does not do or a model that cannot be loaded, `MissingExtra`.
+    Raises `ModelError` for an argument that does not do or a model that cannot be loaded, `MissingExtra`.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class LocalVlm(Reasoner):
             self._load(str(Path(model).expanduser()), loading, self._torch.device(device), dtype, bits)
         except (OSError, ValueError, RuntimeError, KeyError) as error:
             line = " ".join(str(error).split())[:300]
-            raise PolicyError(
+            raise ModelError(
                 f"reasoner 'vlm-local' cannot load {model!r} on {device!r}: {line} (give a folder with config.json, the"
                 " tokenizer's and the image processor's files and *.safetensors; or add download=yes)"
             ) from None

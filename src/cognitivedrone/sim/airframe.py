@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from cognitivedrone.errors import SimulationError, did_you_mean
+from cognitivedrone.errors import AirframeError, did_you_mean
 from cognitivedrone.world.engine import mujoco
 
 GRAVITY = 9.81
@@ -90,9 +90,9 @@ AIRFRAMES: dict[str, Airframe] = {"racer": RACER, "iris": IRIS}
 
 
 def find_airframe(name: str) -> Airframe:
-    """The airframe of that name. Raises `SimulationError` if there is none."""
+    """The airframe of that name. Raises `AirframeError` where there is none."""
     if name not in AIRFRAMES:
-        raise SimulationError(f"unknown airframe {name!r}; {did_you_mean(str(name), AIRFRAMES)}")
+        raise AirframeError(f"unknown airframe {name!r}; {did_you_mean(str(name), AIRFRAMES)}")
     return AIRFRAMES[name]
 
 

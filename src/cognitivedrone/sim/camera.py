@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image as PillowImage
 
 from cognitivedrone.errors import RenderError
-from cognitivedrone.frames import FloatArray, rotation_matrix
+from cognitivedrone.frames import rotation_matrix
 from cognitivedrone.sim.gl import GLThread
 from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT, View, chase_view, top_view
-from cognitivedrone.types import IMAGE_SIZE, DroneState, Image, Stage
+from cognitivedrone.types import IMAGE_SIZE, DroneState, Image, Images, Stage, Vector, Vectors
 from cognitivedrone.world.appearance import PLAIN, Look, expose
 from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture
 from cognitivedrone.world.engine import mujoco
@@ -68,7 +68,12 @@ class Cameras:
         self._finalizer()
 
     def set_stage(
-        self, slot: int, stage: Stage, images: Sequence[Image], board: Image | None = None, look: Look = PLAIN
+        self,
+        slot: int,
+        stage: Stage,
+        images: Sequence[NDArray[np.uint8]],
+        board: NDArray[np.uint8] | None = None,
+        look: Look = PLAIN,
     ) -> None:
         """Show `stage` in `slot`, with the label `images` (h, w, 3) of gates 1 to 3, and a board if given."""
         if len(images) != 3:
@@ -80,9 +85,9 @@ class Cameras:
         self,
         positions: ArrayLike,
         quaternions: ArrayLike,
-        out: Image | None = None,
+        out: Images | None = None,
         slots: Sequence[int] | None = None,
-    ) -> Image:
+    ) -> Images:
         """First-person images (n, size, size, 3) uint8 of drones at `positions` (n, 3) world m, attitudes (n, 4) wxyz.
 
         Image i shows the world of `slots[i]`, or of slot i without `slots`. A slot may occur several times.
@@ -165,7 +170,9 @@ class _Renderer:
             raise RenderError("this slot shows no stage yet; call set_stage first.")
         return stage
 
-    def set_stage(self, slot: int, stage: Stage, images: Sequence[Image], board: Image | None, look: Look) -> None:
+    def set_stage(
+        self, slot: int, stage: Stage, images: Sequence[NDArray[np.uint8]], board: NDArray[np.uint8] | None, look: Look
+    ) -> None:
         pictures = dict(enumerate(images)) | ({} if board is None else {BOARD: board})
         for picture, image in pictures.items():
             texture = write_picture(self._assets, slot, picture, image)
@@ -178,7 +185,7 @@ class _Renderer:
         self._stages[slot], self._looks[slot] = stage, look
 
     def first_person(
-        self, job: list[tuple[int, int]], eye: FloatArray, forward: FloatArray, up: FloatArray, out: Image
+        self, job: list[tuple[int, int]], eye: Vectors, forward: Vectors, up: Vectors, out: Images
     ) -> None:
         """Render (index, slot) pairs of `job` into `out[index]`."""
         for index, slot in job:
@@ -228,7 +235,7 @@ def _set_lens(scene: Any, field_of_view: float) -> None:
         camera.frustum_near, camera.frustum_far = _NEAR, _FAR
 
 
-def _aim(scene: Any, eye: FloatArray, forward: FloatArray, up: FloatArray) -> None:
+def _aim(scene: Any, eye: Vector, forward: Vector, up: Vector) -> None:
     # Two cameras because MuJoCo can draw in stereo; a single view averages them.
     for camera in scene.camera:
         camera.pos = eye
@@ -236,7 +243,7 @@ def _aim(scene: Any, eye: FloatArray, forward: FloatArray, up: FloatArray) -> No
         camera.up = up
 
 
-def _aspect(image: Image) -> float:
+def _aspect(image: NDArray[np.uint8]) -> float:
     return float(image.shape[1] / image.shape[0])
 
 

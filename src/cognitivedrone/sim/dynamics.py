@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import ActionError
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.sim.airframe import RACER, Airframe, build_model
 from cognitivedrone.sim.autopilot import GUIDE_S, Autopilot, AutopilotGains, trim
-from cognitivedrone.types import DroneState, FloatArray
+from cognitivedrone.types import DroneState, FloatArray, Quaternions, Scalars, Vector, Vectors
 from cognitivedrone.world.engine import Batch, mujoco
 
 MAX_POSITION_M = 1e4
@@ -61,11 +61,11 @@ class Flight:
     def reset(
         self,
         world: int,
-        position: FloatArray,
+        position: Vector,
         yaw: float = 0.0,
-        velocity: FloatArray | None = None,
+        velocity: Vector | None = None,
         *,
-        wind: FloatArray | None = None,
+        wind: Vector | None = None,
     ) -> None:
         """Reset to steady, trimmed flight with spinning rotors.
 
@@ -89,24 +89,24 @@ class Flight:
         if self.worlds == 1:
             self._phase = 0
 
-    def command(self, actions: FloatArray) -> None:
-        """Latch (worlds, 4) heading-frame velocities in m/s and yaw rates in rad/s, converted to world axes now.
+    def command(self, actions: ArrayLike) -> None:
+        """Latch (worlds, 4) heading-frame velocities in m/s and yaw rates in rad/s, turned to world axes now.
 
-        Speeds and rates beyond the autopilot's limits are limited. Raises `PolicyError` on non-finite values or an
-        array of another shape.
+        Speeds and rates beyond the autopilot's limits are flown at the limit. Raises `ActionError` on values that are
+        not finite or an array of another shape.
         """
         self._latch(slice(None), np.asarray(actions, dtype=np.float64), (self.worlds, 4))
 
-    def command_one(self, world: int, action: FloatArray) -> None:
+    def command_one(self, world: int, action: ArrayLike) -> None:
         """Like `command`, (4,) for one world."""
         self._latch(slice(world, world + 1), np.asarray(action, dtype=np.float64)[None], (1, 4))
 
     def _latch(self, worlds: slice, actions: FloatArray, shape: tuple[int, int]) -> None:
         if actions.shape != shape:
-            raise PolicyError(f"actions have shape {actions.shape}; expected {shape}: vx, vy, vz and yaw rate a drone")
+            raise ActionError(f"actions have shape {actions.shape}; expected {shape}: vx, vy, vz and yaw rate a drone")
         if not np.isfinite(actions).all():
             bad = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
-            raise PolicyError(
+            raise ActionError(
                 f"the action {actions[bad].tolist()} of drone {bad} is not finite; send four real numbers"
             )
         w, x, y, z = self._state[3:7, worlds]
@@ -117,7 +117,7 @@ class Flight:
         vx, vy, vz, yaw_rate = actions.T
         self._autopilot.command(worlds, np.stack((c * vx - s * vy, s * vx + c * vy, vz, yaw_rate)))
 
-    def advance(self, ticks: int) -> FloatArray:
+    def advance(self, ticks: int) -> Vectors:
         """Advance the simulation; returns positions (worlds, samples, 3), world, m, every fourth tick and at the end.
 
         Several worlds share one guidance clock, so they advance by multiples of four ticks; a single world by any
@@ -172,32 +172,32 @@ class Flight:
         self._qvel[~sane] = self._state[7:, ~sane].T
 
     @property
-    def position(self) -> FloatArray:
+    def position(self) -> Vectors:
         """(worlds, 3), world, m."""
         return self._state[:3].T.copy()
 
     @property
-    def velocity(self) -> FloatArray:
+    def velocity(self) -> Vectors:
         """(worlds, 3), world, m/s."""
         return self._state[7:10].T.copy()
 
     @property
-    def heading_velocity(self) -> FloatArray:
+    def heading_velocity(self) -> Vectors:
         """(worlds, 3), heading frame, m/s."""
         return world_to_heading(self.velocity, self.yaw)
 
     @property
-    def quaternion(self) -> FloatArray:
+    def quaternion(self) -> Quaternions:
         """(worlds, 4), w, x, y, z, body to world."""
         return self._state[3:7].T.copy()
 
     @property
-    def body_rates(self) -> FloatArray:
+    def body_rates(self) -> Vectors:
         """(worlds, 3), body FLU, rad/s."""
         return self._state[10:].T.copy()
 
     @property
-    def yaw(self) -> FloatArray:
+    def yaw(self) -> Scalars:
         """(worlds,), heading, rad."""
         return yaw_of(self.quaternion)
 

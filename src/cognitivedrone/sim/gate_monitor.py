@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from cognitivedrone.types import FloatArray, Stage
+from cognitivedrone.types import Stage, Vector, Vectors
 from cognitivedrone.world import geometry
 
 VerdictKind = Literal["gate", "missed", "collision", "out_of_bounds"]
@@ -45,7 +45,7 @@ class GateEvent:
     """Clearance between hull and frame at the plane; only for a gate flown through."""
 
 
-def judge(stage: Stage, path: FloatArray, hull_radius: float, aspects: tuple[float, float, float]) -> GateEvent | None:
+def judge(stage: Stage, path: Vectors, hull_radius: float, aspects: tuple[float, float, float]) -> GateEvent | None:
     """The first event along `path` ((k, 3) world, m; its first sample was judged before), or None.
 
     `aspects` are width over height of the three panels.
@@ -92,7 +92,7 @@ def judge(stage: Stage, path: FloatArray, hull_radius: float, aspects: tuple[flo
     return first
 
 
-def to_stage_frame(stage: Stage, points: FloatArray) -> FloatArray:
+def to_stage_frame(stage: Stage, points: Vectors) -> Vectors:
     """World points (..., 3) in the frame of the stage's origin and heading."""
     c, s = np.cos(stage.yaw), np.sin(stage.yaw)
     x, y = points[..., 0] - stage.origin[0], points[..., 1] - stage.origin[1]
@@ -102,9 +102,7 @@ def to_stage_frame(stage: Stage, points: FloatArray) -> FloatArray:
 class GateMonitor:
     """Monitors one drone in one stage: judges its path and measures it."""
 
-    def __init__(
-        self, stage: Stage, start: FloatArray, hull_radius: float, aspects: tuple[float, float, float]
-    ) -> None:
+    def __init__(self, stage: Stage, start: Vector, hull_radius: float, aspects: tuple[float, float, float]) -> None:
         self.stage = stage
         self.start = np.array(start, dtype=np.float64)
         self.hull_radius = hull_radius
@@ -115,7 +113,7 @@ class GateMonitor:
         """(3,) closest approach to each gate's centre so far, m."""
         self._last = self.start
 
-    def follow(self, path: FloatArray) -> GateEvent | None:
+    def follow(self, path: Vectors) -> GateEvent | None:
         """Judge the next part of the path, (k, 3) world, m."""
         whole = np.concatenate([self._last[None], path])
         gate_event = judge(self.stage, whole, self.hull_radius, self.aspects) if self._near(whole) else None
@@ -134,7 +132,7 @@ class GateMonitor:
         nearest = min(geometry.standing(self.stage), key=lambda index: float(distances[index]))
         return nearest if distances[nearest] < FAVOUR_M else None
 
-    def _near(self, path: FloatArray) -> bool:
+    def _near(self, path: Vectors) -> bool:
         """Whether an event is possible: a cheap check that skips the full judgement in free flight."""
         last = path[-1]
         astray = max(abs(last[0] - self.stage.origin[0]), abs(last[1] - self.stage.origin[1]), last[2])

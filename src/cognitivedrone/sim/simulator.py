@@ -11,7 +11,7 @@ from cognitivedrone.sim.camera import Cameras
 from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, Scenery, Start
 from cognitivedrone.sim.dynamics import Flight
 from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor
-from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Image, Stage
+from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Image, Images, Stage
 
 
 class Simulator:
@@ -68,7 +68,7 @@ class Simulator:
             for world, gate_monitor in enumerate(self._gate_monitors)
         ]
 
-    def frames(self, out: Image | None = None, worlds: Sequence[int] | None = None) -> Image:
+    def frames(self, out: Images | None = None, worlds: Sequence[int] | None = None) -> Images:
         """First-person views (n, size, size, 3) of all worlds, or of some."""
         if self.cameras is None:
             raise ValueError("this simulator was made without cameras")

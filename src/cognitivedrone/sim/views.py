@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from cognitivedrone.frames import FloatArray, rotate_yaw, rotation_matrix, yaw_of
-from cognitivedrone.types import IMAGE_SIZE, DroneState, Stage
+from cognitivedrone.frames import rotate_yaw, rotation_matrix, yaw_of
+from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Stage, Vector
 
 FIELD_OF_VIEW: Final = 1.85
 """Field of view of the first-person camera, horizontal and, because images are square, vertical, rad."""
@@ -34,11 +34,11 @@ FOCAL_PX: Final = focal_length(IMAGE_SIZE, FIELD_OF_VIEW)
 class View:
     """A pinhole camera in the world. `forward` and `up` are orthogonal unit vectors."""
 
-    eye: FloatArray
+    eye: Vector
     """(3,) m"""
-    forward: FloatArray
+    forward: Vector
     """(3,)"""
-    up: FloatArray
+    up: Vector
     """(3,)"""
     field_of_view: float
     """Vertical, rad."""
@@ -78,7 +78,7 @@ def top_view(stage: Stage) -> View:
     return _looking_at(eye, target)
 
 
-def _looking_at(eye: FloatArray, target: FloatArray) -> View:
+def _looking_at(eye: Vector, target: Vector) -> View:
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     return View(eye, forward, np.cross(right / np.linalg.norm(right), forward), _OVERLOOK_FIELD_OF_VIEW)

@@ -10,6 +10,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from cognitivedrone.choices import DecisionKind
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner
 from cognitivedrone.interfaces import Clock, Drone, LabelPack
 from cognitivedrone.plan import SafetySpec, VehicleSpec
@@ -45,7 +46,7 @@ class Status:
     """Of the frame that was flown by, now."""
     link_age_s: float = 0.0
     """Of the last message from the vehicle."""
-    decision: str = "fly"
+    decision: DecisionKind = "fly"
     """Of the guard: fly, hold, brake, land or hands_off."""
     reason: str = ""
     """Of the decision, in words."""

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from cognitivedrone.errors import LinkError, PolicyError
+from cognitivedrone.errors import ActionError, LinkError
 from cognitivedrone.frames import rotate_yaw, yaw_of
 from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, Scenery, Start
 from cognitivedrone.sim.dynamics import Flight
@@ -103,11 +103,11 @@ class ExternalFlight(ABC):
     def command(self, action: FloatArray) -> None:
         """Ask for a velocity (4,), heading frame, m/s and rad/s; the autopilot turns it to world axes on arrival.
 
-        Raises `PolicyError` for anything but four finite numbers.
+        Raises `ActionError` for anything but four finite numbers.
         """
         action = np.asarray(action, dtype=np.float64)
         if action.shape != (4,) or not np.isfinite(action).all():
-            raise PolicyError(f"the action {action.tolist()} cannot be flown; send four real numbers")
+            raise ActionError(f"the action {action.tolist()} cannot be flown; send four real numbers")
         try:
             self._send(action)
         except LinkError as error:

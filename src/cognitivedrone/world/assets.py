@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
-from cognitivedrone.frames import FloatArray, rotation_matrix
-from cognitivedrone.types import SHAPES, SIZES, Gate, Image, Shape, Size
+from cognitivedrone.frames import rotation_matrix
+from cognitivedrone.types import SHAPES, SIZES, FloatArray, Gate, Image, Shape, Size
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PATTERNS, Pattern, pattern_texture
 from cognitivedrone.world.engine import mujoco

@@ -19,14 +19,17 @@ def _load() -> None:
     except ImportError:
         raise  # not installed, or built for another machine: the message explains it
     except Exception:  # ctypes, PyOpenGL and MuJoCo each fail in their own way
-        wanted = os.environ.get("MUJOCO_GL", "")
+        wanted = os.environ.get("MUJOCO_GL")
         for name in [name for name in sys.modules if name.partition(".")[0] == "OpenGL"]:
             del sys.modules[name]
         os.environ["MUJOCO_GL"] = "disable"
         try:
             importlib.import_module("mujoco")
         finally:
-            os.environ["MUJOCO_GL"] = wanted
+            if wanted is None:
+                del os.environ["MUJOCO_GL"]
+            else:
+                os.environ["MUJOCO_GL"] = wanted
 
 
 _load()

@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cognitivedrone.frames import FloatArray, rotate_yaw, world_to_heading
-from cognitivedrone.types import Gate, Size, Stage
+from cognitivedrone.frames import rotate_yaw, world_to_heading
+from cognitivedrone.types import FloatArray, Gate, Size, Stage, Vectors
 
 GATE_XY: Final = np.array([[4.0, 4.0], [5.0, 0.0], [4.0, -4.0]])
 """Gate centres from the stage's origin, in the stage frame, m."""
@@ -62,7 +62,7 @@ _TRIANGLE: Final = np.array([[np.sqrt(3.0), -1.0], [0.0, 2.0], [-np.sqrt(3.0), -
 """Corners of the upright equilateral triangle of inradius one: base left to right, apex."""
 
 
-def gate_centers(stage: Stage) -> FloatArray:
+def gate_centers(stage: Stage) -> Vectors:
     """(3, 3) world positions of the gate centres, gates 1, 2, 3 from left to right, m."""
     xy = rotate_yaw(GATE_XY, stage.yaw) + np.asarray(stage.origin)
     return np.column_stack([xy, np.full(3, GATE_HEIGHT)])
@@ -97,7 +97,7 @@ def next_stage_origin(stage: Stage, gate_index: int) -> tuple[tuple[float, float
     return (x, y), wrapped
 
 
-def to_gate_frame(points: FloatArray, center: FloatArray, yaw: ArrayLike) -> FloatArray:
+def to_gate_frame(points: Vectors, center: Vectors, yaw: ArrayLike) -> Vectors:
     """World points (..., 3) as (along, lateral, vertical) of the gate at `center` (..., 3) with heading `yaw` (...)."""
     return world_to_heading(np.asarray(points) - center, yaw)
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from cognitivedrone.frames import FloatArray, quaternion_from_yaw, rotate_yaw, rotation_matrix
-from cognitivedrone.types import COLORS, DroneState, Stage
+from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw, rotation_matrix
+from cognitivedrone.types import COLORS, DroneState, FloatArray, Stage
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import RGB, Look
 from cognitivedrone.world.assets import BOARD, Assets, Placed

@@ -315,7 +315,7 @@ class TestInputs:
     def test_the_preparation_is_read_where_it_is_told(self):
         means, stds = [[0.484375, 0.5, 0.5], [0.5] * 3], [[0.25] * 3, [0.5] * 3]
         found = read_preparation({"means": means, "stds": stds})
-        assert found == replace(ImagePreparation(), means=tuple(map(tuple, means)), deviations=tuple(map(tuple, stds)))
+        assert found == replace(ImagePreparation(), means=tuple(map(tuple, means)), deviations=tuple(map(tuple, stds)))  # type: ignore[arg-type]
 
     @pytest.mark.parametrize("told", [{}, {"means": [[0] * 3] * 2, "stds": [[0] * 3] * 2}, {"means": 1, "stds": 1}])
     def test_a_preparation_of_another_model(self, told):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
@@ -28,7 +30,7 @@ def test_worlds_of_every_gate_variant_pass_the_parser(tmp_path):
     for first in range(0, len(VARIANTS), 3):
         look = PLAIN if first % 2 else varied_look(np.random.default_rng(first))
         gates = tuple(VARIANTS[first : first + 3])
-        stage = Stage(gates, ("letter/A@inter",) * 3, "sum/1+2@inter", (float(first), -2.0), 0.1 * first)
+        stage = Stage(cast(Any, gates), ("letter/A@inter",) * 3, "sum/1+2@inter", (float(first), -2.0), 0.1 * first)
         files.append(tmp_path / f"{first}.sdf")
         files[-1].write_text(document(world_of(stage, props_of(stage, PICTURES, BOARD, look), look)))
     assert "sdf" in check(files)
@@ -36,7 +38,7 @@ def test_worlds_of_every_gate_variant_pass_the_parser(tmp_path):
 
 @needs_parser
 def test_an_exported_track_and_a_model_to_spawn_pass_the_parser(track_folder, tmp_path):
-    stage = Stage(tuple(VARIANTS[:3]), ("letter/A@inter",) * 3)
+    stage = Stage((VARIANTS[0], VARIANTS[1], VARIANTS[2]), ("letter/A@inter",) * 3)
     model = tmp_path / "model.sdf"
     model.write_text(document(prop_model(props_of(stage, PICTURES, None, PLAIN)[3], "file:///somewhere/")))
     check([track_folder / "stage_2.sdf", model])

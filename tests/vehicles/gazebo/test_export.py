@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
 from reading import models, read_world
 
@@ -42,7 +43,9 @@ def test_the_stages_of_a_track_lie_behind_the_right_gates(track_folder):
         assert (after.origin, after.yaw) == geometry.next_stage_origin(before, task.target)
     for number, stage in enumerate(stages, start=1):
         vehicle = models(read_world(track_folder / f"stage_{number}.sdf"))["iris"].findtext("pose").split()
-        start = geometry.to_gate_frame([float(v) for v in vehicle[:3]], [*stage.origin, 0.0], stage.yaw)
+        start = geometry.to_gate_frame(
+            np.array([float(v) for v in vehicle[:3]]), np.array([*stage.origin, 0.0]), stage.yaw
+        )
         assert start[:2] == pytest.approx(geometry.START[:2], abs=1e-6)
         assert float(vehicle[5]) == pytest.approx(stage.yaw)
 

@@ -20,13 +20,13 @@ from stand_in import StandIn
 from cognitivedrone.cli import main
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.envs.drone import SimulatedDrone
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, stage_of
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, scenery_of, stage_of
 from cognitivedrone.errors import GazeboError, RunError
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
 from cognitivedrone.sim.airframe import IRIS
-from cognitivedrone.sim.drone_world import Scenery, Start
+from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.vehicles.external import ExternalWorld, Placement
 from cognitivedrone.vehicles.gazebo import pilot
@@ -35,6 +35,7 @@ from cognitivedrone.vehicles.gazebo.flight import on_the_ground
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld
 from cognitivedrone.vehicles.gazebo.pilot import RefereesGuard
 from cognitivedrone.world import geometry
+from cognitivedrone.world.appearance import PLAIN
 
 START = Start((-1.2, 0.3, 0.8))
 
@@ -104,7 +105,7 @@ def test_a_vehicle_that_is_lost_voids_the_flight_and_the_next_one_takes_off_agai
                 break
         assert flight.diverged
         assert "mode became LAND" in flight.trouble
-        flight.show(stage, Scenery(tuple(pack.image(reference) for reference in stage.labels)))
+        flight.show(stage, scenery_of(stage, pack, PLAIN))
         for _ in range(100):  # it lands by itself
             flight.advance(40)
             if not running.vehicle.modes.armed:

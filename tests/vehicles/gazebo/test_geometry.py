@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ ORIGIN, YAW = (7.5, -3.25), 2.3
 
 def stage_with(first: int, **options) -> Stage:
     """A stage whose gates are three of the variants, so that all stages put every variant in every place."""
-    gates = tuple(VARIANTS[(first + 6 * place) % len(VARIANTS)] for place in range(3))
+    gates: Any = tuple(VARIANTS[(first + 6 * place) % len(VARIANTS)] for place in range(3))
     return Stage(gates=gates, labels=("letter/A@inter",) * 3, origin=ORIGIN, yaw=YAW, **options)
 
 

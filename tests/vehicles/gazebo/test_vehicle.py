@@ -9,7 +9,7 @@ import pytest
 from reading import element_pose, parse, values
 
 from cognitivedrone.sim.airframe import IRIS, ROTORS
-from cognitivedrone.sim.camera import FIELD_OF_VIEW, MOUNT
+from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.vehicles.gazebo.sdf import STEP_S, document
 from cognitivedrone.vehicles.gazebo.vehicle import ground_clearance, iris, parameters
 from cognitivedrone.vehicles.mavlink.client.preflight import EXPECTED

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import cast
 
 from cognitivedrone.data.episode import Episode, Split
-from cognitivedrone.errors import DataError, PolicyError
+from cognitivedrone.errors import DataError, PluginError
 from cognitivedrone.registry import load
 
 EXPORTS: dict[str, str] = {
@@ -36,7 +36,7 @@ def export(episodes: Iterable[tuple[Split, Episode]], to: str, out: Path) -> int
     """
     try:
         writer = load("export format", to, EXPORTS)
-    except PolicyError as error:
+    except PluginError as error:
         raise DataError(str(error)) from None
     return cast(int, writer(episodes, out))
 
@@ -48,6 +48,6 @@ def import_(path: Path, source: str) -> Iterator[tuple[Split, Episode]]:
     """
     try:
         reader = load("import format", source, IMPORTS)
-    except PolicyError as error:
+    except PluginError as error:
         raise DataError(str(error)) from None
     return cast(Iterator[tuple[Split, Episode]], reader(path))

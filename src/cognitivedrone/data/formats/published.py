@@ -44,7 +44,7 @@ from cognitivedrone.files import read_regular, reason_of, safe_name
 from cognitivedrone.frames import world_to_heading, wrap_angle, yaw_of
 from cognitivedrone.tasks import task_from_json, task_to_json
 from cognitivedrone.tasks.format import PUBLISHED_TYPES
-from cognitivedrone.types import CONTROL_HZ, FloatArray
+from cognitivedrone.types import CONTROL_HZ, FloatArray, Quaternions
 
 COLUMNS = ("frame_id", "dx", "dy", "dz", "angle", "x", "y", "z", "qx", "qy", "qz", "qw")
 LOOKAHEAD = 3
@@ -76,7 +76,7 @@ def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
     return count
 
 
-def published_actions(position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+def published_actions(position: NDArray[np.float64], quaternion: Quaternions) -> NDArray[np.float64]:
     """(T, 4) published dx, dy, dz in m and angle in rad for positions (T or T + 1, 3) and quaternions (T, 4)."""
     steps = np.arange(len(quaternion))
     ahead = np.minimum(steps + LOOKAHEAD, len(position) - 1)

@@ -9,9 +9,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.errors import PolicyError, did_you_mean
+from cognitivedrone.errors import ModelError, did_you_mean
 from cognitivedrone.models.openvla.config import ACTION_SIZE, WORDS
-from cognitivedrone.types import FloatArray
+from cognitivedrone.types import Commands, FloatArray
 
 BINS = 256
 EDGES: FloatArray = np.linspace(-1.0, 1.0, BINS)
@@ -26,9 +26,9 @@ Tokens: TypeAlias = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class ActionStatistics:
-    """Quantiles of a network's training actions: an output of -1 is flown as q01, of 1 as q99.
+    """Quantiles of the actions that a network was trained on: q01 is flown for -1, q99 for 1.
 
-    Raises `PolicyError` for anything but four finite, ordered numbers each.
+    Raises `ModelError` for what is not four finite numbers each, in order.
     """
 
     q01: tuple[float, ...]
@@ -40,19 +40,19 @@ class ActionStatistics:
     def __post_init__(self) -> None:
         for name, values in (("q01", self.q01), ("q99", self.q99), ("mask", self.mask)):
             if len(values) != ACTION_SIZE:
-                raise PolicyError(
+                raise ModelError(
                     f"{name} has {len(values)} numbers; a drone's action has {ACTION_SIZE}: vx, vy, vz, yaw rate."
                     " Fine-tune the checkpoint on flights before you fly it"
                 )
         low, high = np.asarray(self.q01), np.asarray(self.q99)
         if not (np.isfinite(low).all() and np.isfinite(high).all() and (low <= high).all()):
-            raise PolicyError(f"q01 is {list(self.q01)} and q99 {list(self.q99)}; they must be finite, q01 <= q99")
+            raise ModelError(f"q01 is {list(self.q01)} and q99 {list(self.q99)}; they must be finite, q01 <= q99")
 
     def to_json(self) -> dict[str, Any]:
         """The form under `norm_stats.KEY.action` of a published `config.json`."""
         return {"q01": list(self.q01), "q99": list(self.q99), "mask": list(self.mask)}
 
-    def normalise(self, actions: FloatArray) -> FloatArray:
+    def normalise(self, actions: Commands) -> Commands:
         """Actions (..., 4) normalised for training, in [-1, 1]; 0 in a dimension that never moves."""
         low, high, mask = self._arrays()
         width = high - low
@@ -61,7 +61,7 @@ class ActionStatistics:
         scaled = np.where(moving, scaled, 0.0)
         return np.asarray(np.where(mask, scaled, actions))
 
-    def flown(self, normalised: FloatArray) -> FloatArray:
+    def flown(self, normalised: Commands) -> Commands:
         """The network's outputs (..., 4) in [-1, 1] as velocities; a dimension that never moves keeps its value."""
         low, high, mask = self._arrays()
         return np.asarray(np.where(mask, 0.5 * (normalised + 1.0) * (high - low) + low, normalised))
@@ -71,29 +71,29 @@ class ActionStatistics:
 
 
 def choose_statistics(norm_stats: Mapping[str, Any], key: str | None) -> tuple[str, ActionStatistics]:
-    """The statistics under `key`, or the only ones for a drone: published checkpoints also hold those of robot arms.
+    """The statistics under `key`, or the only ones that are a drone's: published checkpoints also hold those of arms.
 
-    Raises `PolicyError` if there are none, several without a key, an unknown key, or those of another robot.
+    Raises `ModelError` where there are none, several and no key, an unknown key, or those of another robot.
     """
     if not norm_stats:
-        raise PolicyError(
+        raise ModelError(
             "the checkpoint has no action statistics (norm_stats in config.json, or dataset_statistics.json beside it);"
             " without them its answers have no unit: copy that file there, or fine-tune the checkpoint on flights"
         )
     if key is None:
         key = _only_drone(norm_stats)
     if key not in norm_stats:
-        raise PolicyError(f"the checkpoint has no statistics {key!r}; {did_you_mean(key, norm_stats)}")
+        raise ModelError(f"the checkpoint has no statistics {key!r}; {did_you_mean(key, norm_stats)}")
     try:
         told = norm_stats[key]["action"]
         q01, q99 = (tuple(float(value) for value in told[name]) for name in ("q01", "q99"))
         mask = tuple(bool(value) for value in told.get("mask", [True] * len(q01)))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise PolicyError(f"statistics {key!r} lack readable q01 and q99: {type(error).__name__} {error}") from None
+        raise ModelError(f"statistics {key!r} lack readable q01 and q99: {type(error).__name__} {error}") from None
     try:
         return key, ActionStatistics(q01, q99, mask)
-    except PolicyError as error:
-        raise PolicyError(f"statistics {key!r}: {error}") from None
+    except ModelError as error:
+        raise ModelError(f"statistics {key!r}: {error}") from None
 
 
 def _only_drone(norm_stats: Mapping[str, Any]) -> str:
@@ -101,13 +101,13 @@ def _only_drone(norm_stats: Mapping[str, Any]) -> str:
         return next(iter(norm_stats))
     drones = sorted(key for key, told in norm_stats.items() if _numbers(told) == ACTION_SIZE)
     if not drones:
-        raise PolicyError(
+        raise ModelError(
             f"the checkpoint has the statistics of {len(norm_stats)} data sets, none with the {ACTION_SIZE} numbers of"
             " a drone's action: vx, vy, vz, yaw rate. Fine-tune it on flights before you fly it"
         )
     if len(drones) > 1:
         more = ", ..." if len(drones) > 8 else ""
-        raise PolicyError(
+        raise ModelError(
             f"the checkpoint has the statistics of {len(drones)} data sets of drones; add unnorm_key=NAME,"
             f" one of {', '.join(drones[:8])}{more}"
         )

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import ModelError
 from cognitivedrone.models.openvla.actions import ActionStatistics, choose_statistics
 from cognitivedrone.models.openvla.config import Config, read_config
 from cognitivedrone.models.openvla.prepare import ImagePreparation, check_tokenizer, read_preparation
@@ -65,14 +65,14 @@ class Checkpoint:
 def inspect(
     folder: Path, unnorm_key: str | None = None, *, given: tuple[str, ActionStatistics] | None = None
 ) -> Checkpoint:
-    """A folder's checkpoint, with everything read except the weights.
+    """A folder's checkpoint, read but for the weights themselves.
 
-    Statistics are the folder's own, by `unnorm_key`, or `given` with their key, which replace them.
-    Raises `PolicyError` for a missing, unreadable or wrong file, a missing, extra or misshapen tensor, statistics that
+    Statistics are the folder's own, by `unnorm_key`, or `given` with their key: then its own are not looked at.
+    Raises `ModelError` for a missing, unreadable or wrong file, a missing, extra or misshapen tensor, statistics that
     are missing, ambiguous or another robot's, and a tokenizer that is not Llama's.
     """
     if not folder.is_dir():
-        raise PolicyError(f"there is no folder {folder}; give that of an OpenVLA checkpoint, with {CONFIG} in it")
+        raise ModelError(f"there is no folder {folder}; give that of an OpenVLA checkpoint, with {CONFIG} in it")
     told = _read_json(folder / CONFIG)
     try:
         config = read_config(told)
@@ -80,8 +80,8 @@ def inspect(
         check_tokenizer(_read_json(folder / TOKENIZER), TOKENIZER)
         prepared = folder / PREPARATION
         preparation = read_preparation(_read_json(prepared)) if prepared.is_file() else ImagePreparation()
-    except PolicyError as error:
-        raise PolicyError(f"{folder}: {error}") from None
+    except ModelError as error:
+        raise ModelError(f"{folder}: {error}") from None
     shapes, files, stored = _tensors(folder)
     check_tensors(shapes, used_tensors(config), unused_tensors(config), str(folder))
     return Checkpoint(
@@ -100,7 +100,7 @@ def needed_bytes(config: Config, quantisation: Quantisation, stored: int = 2) ->
 
 
 def check_memory(needed: int, free: int, device: str) -> None:
-    """Raise `PolicyError` if a network does not fit."""
+    """Raises `ModelError` where a network does not fit."""
     if needed <= free:
         return
     way_out = (
@@ -109,13 +109,13 @@ def check_memory(needed: int, free: int, device: str) -> None:
         else "fly it on a machine with a GPU (device=cuda), or fly the small model (--policy small)"
     )
     where = "GPU memory" if device == "cuda" else "memory"
-    raise PolicyError(f"the network needs {needed / 1e9:.1f} GB of {where}, has {free / 1e9:.1f} GB free; {way_out}")
+    raise ModelError(f"the network needs {needed / 1e9:.1f} GB of {where}, has {free / 1e9:.1f} GB free; {way_out}")
 
 
 def check_reading(whole: int, free: int, quantisation: Quantisation) -> None:
-    """Raise `PolicyError` if the host cannot hold a network that must be read whole to be quantised."""
+    """Raises `ModelError` where the host cannot hold a network that is read whole, to be quantised."""
     if whole > free:
-        raise PolicyError(
+        raise ModelError(
             f"quant={quantisation}: the whole network is read before it is quantised, and that needs"
             f" {whole / 1e9:.1f} GB of the host's memory, has {free / 1e9:.1f} GB free; close what else runs, or take a"
             " machine with more"
@@ -134,7 +134,7 @@ def free_memory() -> int:
 
 
 def read_header(path: Path) -> dict[str, Any]:
-    """The tensor descriptions of a safetensors file, without the tensors; raises `PolicyError` for another file.
+    """What a safetensors file tells of its tensors, without them; raises `ModelError` for a file that is none.
 
     The format: eight bytes of length (little endian), then JSON with `dtype`, `shape` and `data_offsets` by name.
     """
@@ -147,11 +147,11 @@ def read_header(path: Path) -> dict[str, Any]:
         header.pop("__metadata__", None)
         end = max((int(entry["data_offsets"][1]) for entry in header.values()), default=0)
     except OSError as error:
-        raise PolicyError(f"{path}: {error.strerror}") from None
+        raise ModelError(f"{path}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, IndexError, AttributeError):
-        raise PolicyError(f"{path} is not a safetensors file; if it is a pointer of Git LFS, fetch the file") from None
+        raise ModelError(f"{path} is not a safetensors file; if it is a pointer of Git LFS, fetch the file") from None
     if held != end:
-        raise PolicyError(f"{path} is truncated: it holds {held} bytes of tensors, not {end}; copy it again")
+        raise ModelError(f"{path} is truncated: it holds {held} bytes of tensors, not {end}; copy it again")
     return header
 
 
@@ -167,17 +167,17 @@ def _tensors(folder: Path) -> tuple[Shapes, dict[str, Path], int]:
     if index.is_file():
         placed = _read_json(index).get("weight_map")
         if not isinstance(placed, dict) or not placed:
-            raise PolicyError(f"{index} has no weight_map; copy it again")
+            raise ModelError(f"{index} has no weight_map; copy it again")
         names = sorted({str(name) for name in placed.values()})
     elif (folder / WEIGHTS).is_file():
         names = [WEIGHTS]
     else:
-        raise PolicyError(f"{folder} has neither {WEIGHTS} nor {INDEX}; download the checkpoint's *.safetensors too")
+        raise ModelError(f"{folder} has neither {WEIGHTS} nor {INDEX}; download the checkpoint's *.safetensors too")
     if any(Path(name).name != name for name in names):
-        raise PolicyError(f"{index} names a file outside of its folder; copy it again")
+        raise ModelError(f"{index} names a file outside of its folder; copy it again")
     absent = [name for name in names if not (folder / name).is_file()]
     if absent:
-        raise PolicyError(f"{folder} lacks {', '.join(absent[:4])}, which its index names; download them too")
+        raise ModelError(f"{folder} lacks {', '.join(absent[:4])}, which its index names; download them too")
     shapes: Shapes = {}
     files: dict[str, Path] = {}
     sizes = {"BF16": 2, "F16": 2, "F32": 4}
@@ -185,9 +185,9 @@ def _tensors(folder: Path) -> tuple[Shapes, dict[str, Path], int]:
     for name in names:
         for tensor, entry in read_header(folder / name).items():
             if tensor in shapes:
-                raise PolicyError(f"{folder}: {tensor} lies in both {files[tensor].name} and {name}")
+                raise ModelError(f"{folder}: {tensor} lies in both {files[tensor].name} and {name}")
             if entry.get("dtype") not in sizes:
-                raise PolicyError(
+                raise ModelError(
                     f"{folder / name}: {tensor} is {entry.get('dtype')}; it should be one of {list(sizes)}"
                 )
             stored = max(stored, sizes[entry["dtype"]])
@@ -202,7 +202,7 @@ def _head(folder: Path, config: Config) -> Path | None:
         return None
     path = folder / HEAD
     if not path.is_file():
-        raise PolicyError(f"{folder} lacks {HEAD}, and its {CONFIG} has chunks of {config.chunk} actions")
+        raise ModelError(f"{folder} lacks {HEAD}, and its {CONFIG} has chunks of {config.chunk} actions")
     shapes = {name: tuple(entry["shape"]) for name, entry in read_header(path).items()}
     check_tensors(shapes, head_tensors(config), {}, str(path))
     return path
@@ -212,9 +212,9 @@ def _read_json(path: Path) -> dict[str, Any]:
     try:
         told = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise PolicyError(f"{path}: {error.strerror}; the folder of a whole OpenVLA checkpoint has it") from None
+        raise ModelError(f"{path}: {error.strerror}; the folder of a whole OpenVLA checkpoint has it") from None
     except ValueError:
-        raise PolicyError(f"{path} is not JSON; if it is a pointer of Git LFS, fetch the file") from None
+        raise ModelError(f"{path} is not JSON; if it is a pointer of Git LFS, fetch the file") from None
     if not isinstance(told, dict):
-        raise PolicyError(f"{path} is not a JSON object")
+        raise ModelError(f"{path} is not a JSON object")
     return told

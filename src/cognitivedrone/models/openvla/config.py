@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import ModelError
 
 IMAGE = 224
 """Height and width of the towers' input, pixels."""
@@ -92,7 +92,7 @@ def tiny_config(chunk: int | None = None) -> Config:
 
 
 def read_config(told: Mapping[str, Any]) -> Config:
-    """The sizes in a `config.json`; raises `PolicyError` for another architecture."""
+    """The sizes that a `config.json` tells; raises `ModelError` for another architecture."""
     expected = {
         "model_type": "openvla",
         "arch_specifier": "no-align+fused-gelu-mlp",
@@ -101,14 +101,14 @@ def read_config(told: Mapping[str, Any]) -> Config:
     }
     for key, value in expected.items():
         if told.get(key) != value:
-            raise PolicyError(f"config.json: {key} is {told.get(key)!r}; an OpenVLA-7B that can be flown has {value!r}")
+            raise ModelError(f"config.json: {key} is {told.get(key)!r}; an OpenVLA-7B that can be flown has {value!r}")
     own = told.get(KEY, {})
     try:
         dino, siglip = _towers(told, own)
         config = Config(dino, siglip, _language(told["text_config"]), own.get("chunk"))
         _check(config)
     except (KeyError, TypeError, ValueError, AttributeError, ZeroDivisionError) as error:
-        raise PolicyError(f"config.json does not describe an OpenVLA: {type(error).__name__} {error}") from None
+        raise ModelError(f"config.json does not describe an OpenVLA: {type(error).__name__} {error}") from None
     return config
 
 
@@ -151,7 +151,7 @@ def _language(told: Mapping[str, Any]) -> LanguageSize:
 
 
 def _check(config: Config) -> None:
-    """Raise `PolicyError` for impossible sizes."""
+    """Raises `ModelError` for sizes that no network can have."""
     language = config.language
     sizes = {
         "dino.width / heads": config.dino.width / config.dino.heads,
@@ -161,10 +161,10 @@ def _check(config: Config) -> None:
     }
     for name, value in sizes.items():
         if value <= 0 or not math.isclose(value, round(value)):
-            raise PolicyError(f"config.json: {name} is {value:g}; it must be a whole number above 0")
+            raise ModelError(f"config.json: {name} is {value:g}; it must be a whole number above 0")
     if min(config.dino.depth, config.siglip.depth) < 2:
-        raise PolicyError("config.json: a tower has fewer than 2 blocks; the second-to-last one is read")
+        raise ModelError("config.json: a tower has fewer than 2 blocks; the second-to-last one is read")
     if language.vocab_size < WORDS:
-        raise PolicyError(f"config.json: vocab_size is {language.vocab_size}; Llama's words alone are {WORDS}")
+        raise ModelError(f"config.json: vocab_size is {language.vocab_size}; Llama's words alone are {WORDS}")
     if config.chunk is not None and not 1 <= config.chunk <= 100:
-        raise PolicyError(f"config.json: {KEY}.chunk is {config.chunk}; it is 1 to 100 actions")
+        raise ModelError(f"config.json: {KEY}.chunk is {config.chunk}; it is 1 to 100 actions")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Picture
 
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import ModelError, PolicyError
 from cognitivedrone.models.openvla.config import IMAGE, WORDS
 from cognitivedrone.types import Image
 
@@ -49,17 +49,17 @@ class ImagePreparation:
 
 
 def read_preparation(told: Mapping[str, Any]) -> ImagePreparation:
-    """The preparation in a published `preprocessor_config.json`; raises `PolicyError` if it is another model's."""
+    """What a published `preprocessor_config.json` tells; raises `ModelError` where it is of another model."""
     try:
         means, deviations = (
             tuple(tuple(float(value) for value in tower) for tower in told[name]) for name in ("means", "stds")
         )
     except (KeyError, TypeError, ValueError) as error:
-        raise PolicyError(
+        raise ModelError(
             f"preprocessor_config.json lacks readable means and stds: {type(error).__name__} {error}"
         ) from None
     if [len(tower) for tower in (*means, *deviations)] != [3] * 4 or min(min(tower) for tower in deviations) <= 0:
-        raise PolicyError("preprocessor_config.json: means and stds are not three numbers for each of two towers")
+        raise ModelError("preprocessor_config.json: means and stds are not three numbers for each of two towers")
     return ImagePreparation(means, deviations)  # type: ignore[arg-type]  # the lengths are checked above
 
 
@@ -90,18 +90,18 @@ def prompt_ids(encode: Encoder, instruction: str) -> list[int]:
 
 
 def check_tokenizer(told: Mapping[str, Any], where: str) -> None:
-    """Raise `PolicyError` if a `tokenizer.json` is not Llama's."""
+    """Raises `ModelError` where a `tokenizer.json` is not Llama's."""
     try:
         pieces = dict(told["model"]["vocab"])
     except (KeyError, TypeError, ValueError):
-        raise PolicyError(f"{where} has no vocabulary; copy the tokenizer.json of the published OpenVLA") from None
+        raise ModelError(f"{where} has no vocabulary; copy the tokenizer.json of the published OpenVLA") from None
     wrong = [
         f"{piece!r} is {pieces.get(piece)}, not {id_}" for piece, id_ in PIECES.items() if pieces.get(piece) != id_
     ]
     if len(pieces) != WORDS:
         wrong.insert(0, f"it has {len(pieces)} pieces, not {WORDS}")
     if wrong:
-        raise PolicyError(
+        raise ModelError(
             f"{where} is not Llama's: {'; '.join(wrong[:3])}; the actions are words of Llama's vocabulary, so copy the"
             " tokenizer.json of the published OpenVLA"
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TypeAlias
 
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import ModelError
 from cognitivedrone.models.openvla.config import ACTION_SIZE, PATCH, PATCHES, Config, LanguageSize, TowerSize
 
 Shapes: TypeAlias = dict[str, tuple[int, ...]]
@@ -71,7 +71,7 @@ def head_tensors(config: Config) -> Shapes:
 
 
 def check_tensors(found: Mapping[str, tuple[int, ...]], needed: Shapes, spare: Shapes, where: str) -> None:
-    """Raise `PolicyError` with the first missing, extra or misshapen tensors; all of `spare` may be missing."""
+    """Raises `ModelError` that lists the first missing, extra or misshapen tensors; all of `spare` may be missing."""
     known = needed | spare
     faults = [f"{name} is missing" for name in needed if name not in found]
     faults += [f"{name} is extra" for name in found if name not in known]
@@ -83,7 +83,7 @@ def check_tensors(found: Mapping[str, tuple[int, ...]], needed: Shapes, spare: S
     if faults:
         more = f", and {len(faults) - _SHOWN} more" if len(faults) > _SHOWN else ""
         count = "1 tensor does" if len(faults) == 1 else f"{len(faults)} tensors do"
-        raise PolicyError(
+        raise ModelError(
             f"{where}: {count} not fit its config.json: {'; '.join(faults[:_SHOWN])}{more};"
             " give a whole checkpoint of this architecture, with adapters merged"
         )

@@ -23,10 +23,10 @@ _TAIL = 2**20  # bytes at the end of a file that distinguish it from another of 
 
 
 def read_base(folder: Path, key: str, statistics: ActionStatistics) -> Checkpoint:
-    """The checkpoint in `folder`, to be fine-tuned for `statistics`; its own, usually of robot arms, are ignored.
+    """The checkpoint in `folder`, to be fine-tuned for `statistics`: its own, of arms as a rule, are not looked at.
 
-    A head of the parallel decoder is left out, because it would not fit the fine-tuned network. Raises `PolicyError`
-    like `inspect`.
+    A head of the parallel decoder is left out, for it would not fit the fine-tuned network. Raises `ModelError` as
+    `inspect` does.
     """
     found = inspect(folder, given=(key, statistics))
     return replace(found, config=replace(found.config, chunk=None), head=None)

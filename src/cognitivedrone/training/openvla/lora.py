@@ -96,7 +96,7 @@ class FineTuning:
 
     @cached_property
     def checkpoint(self) -> Checkpoint:
-        """The base, checked but not loaded; raises `PolicyError`, see `read_base`."""
+        """The base, looked at but not loaded; raises `ModelError`, see `read_base`."""
         return read_base(self.base, self.key, self.flights.statistics)
 
     @cached_property
@@ -112,11 +112,11 @@ class FineTuning:
 
 
 def fine_tune(config: FineTuning, report: Callable[[str], None] = print) -> Path:
-    """Train adapters, merge them, and return the folder of the resulting checkpoint.
+    """Train adapters, merge them, and return the folder of the checkpoint that can be flown.
 
-    Every process of a distributed training calls this. A training stopped at any moment continues from the last
-    checkpoint with `resume` and ends with the same weights on the same machine with as many processes. Raises
-    `TrainingError`, `DataError` and `PolicyError` for unusable inputs, before the weights are loaded.
+    Every process of a distributed training calls this. Stopped at any moment, it goes on from the last checkpoint with
+    `resume` and ends with the same weights on the same machine and as many processes. Raises `TrainingError`,
+    `DataError` and `ModelError` for what does not do, before the weights are loaded.
     """
     recipe, out = config.recipe, config.out
     found = _found(config, resume=config.resume)

@@ -12,8 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.frames import FloatArray
-from cognitivedrone.types import SHAPES, SIZES, Shape, Size
+from cognitivedrone.types import SHAPES, SIZES, FloatArray, Shape, Size
 from cognitivedrone.world.assets import Assets, Placed, build_assets
 
 PANEL: Final = "panel"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal, Protocol
+from typing import Protocol
 
+from cognitivedrone.choices import DecisionKind
 from cognitivedrone.interfaces import Health
 from cognitivedrone.types import Action
 
@@ -12,7 +13,7 @@ class Decision(Protocol):
     """What a guard says."""
 
     @property
-    def kind(self) -> Literal["fly", "hold", "brake", "land", "hands_off"]:
+    def kind(self) -> DecisionKind:
         """What to do."""
         ...
 
