@@ -250,8 +250,8 @@ def weight_files(count: int, seed: int, folder: Path) -> dict[str, Counter[str]]
     loaders: dict[Path, Callable[[Path], object]] = {
         WEIGHTS / "small.onnx": SmallModel.load,
         WEIGHTS / "race.onnx": SmallModel.load,
-        WEIGHTS / "reasoner" / "eyes.onnx": PanelReaderModel.load,
-        WEIGHTS / "reasoner" / "mind.onnx": GateSelectorModel.load,
+        WEIGHTS / "reasoner" / "panel_reader.onnx": PanelReaderModel.load,
+        WEIGHTS / "reasoner" / "gate_selector.onnx": GateSelectorModel.load,
         _written_anew(folder / "written.onnx"): SmallModel.load,
     }
     sources = list(loaders)

@@ -57,14 +57,14 @@ class Flights:
         """How an episode ends: the outcome of its worst stage, or `hovered`."""
         track_runner, hold = self.track_runner, Hold(HoldRule(below=self.config.below))
         track_runner.begin(self.suite.tracks[episode], episode_rng(self.suite.digest, episode, self.config.seed))
-        mind = HoldAwareReasoner(SimulatedReasoner(self.reasoner), hold)
+        async_reasoner = HoldAwareReasoner(SimulatedReasoner(self.reasoner), hold)
 
-        def leg() -> Segment | None:
+        def segment() -> Segment | None:
             return (
                 None if track_runner.finished else Segment(track_runner.index, words or track_runner.task.instruction)
             )
 
-        fly(HeldDrone(self.drone, hold), self.policy, self.drone, leg, mind=mind)
+        fly(HeldDrone(self.drone, hold), self.policy, self.drone, segment, reasoner=async_reasoner)
         outcomes = [result.outcome for result in track_runner.results]
         if words is not None and outcomes[0] in ("passed", "wrong_gate"):
             return "through a gate"
@@ -75,7 +75,7 @@ def kinds(task: Task) -> set[str]:
     return {label.partition("/")[0] for label in task.labels}
 
 
-def strangers(suite: Suite, episodes: range, seed: int) -> Iterator[tuple[int, str]]:
+def unknown_people(suite: Suite, episodes: range, seed: int) -> Iterator[tuple[int, str]]:
     """Scenes, each with the instruction of a task whose panels show other kinds of things."""
     rng = np.random.default_rng(seed)
     tasks = [track[0] for track in suite.tracks if track[0].board is None]
@@ -93,7 +93,7 @@ def main(config: Config) -> None:
     own = Counter(flights.fly(episode, None) for episode in episodes)
     print(f"{config.suite}, hovers below {config.below:g}")
     print(f"  its own instruction  n {own.total():3d}: {dict(own.most_common())}")
-    other = Counter(flights.fly(episode, words) for episode, words in strangers(suite, episodes, config.seed))
+    other = Counter(flights.fly(episode, words) for episode, words in unknown_people(suite, episodes, config.seed))
     print(f"  another's            n {other.total():3d}: {dict(other.most_common())}")
     flights.simulator.close()
 

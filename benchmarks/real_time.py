@@ -78,15 +78,15 @@ def real_time(policy_name: str, reasoner_name: str, seconds: float) -> None:
     while time.perf_counter() < end:
         track_runner.begin(suite.tracks[episode], episode_rng(suite.digest, episode, 0))
         drone = PacedDrone(SimulatedDrone(track_runner))
-        mind = ThreadedReasoner(reasoner) if reasoner else None
+        async_reasoner = ThreadedReasoner(reasoner) if reasoner else None
 
         def mission() -> Segment | None:
             over = track_runner.finished or time.perf_counter() > end
             return None if over else Segment(track_runner.index, track_runner.task.instruction, track_runner.truth())
 
-        fly(drone, policy, drone, mission, mind=mind, recorder=log)
-        if mind is not None:
-            mind.close()
+        fly(drone, policy, drone, mission, reasoner=async_reasoner, recorder=log)
+        if async_reasoner is not None:
+            async_reasoner.close()
         episode += 1
     simulator.close()
     print(f"{policy_name} at 10 Hz with {reasoner_name} at 2 Hz, {seconds:.0f} s on the wall clock, {episode} flights")
@@ -136,7 +136,7 @@ def overhead(steps: int = 20_000) -> None:
     nothing = Nothing()
     begin = time.perf_counter()
     mission = lambda: Segment(0, "go") if nothing.time < steps / 10 - 1e-6 else None  # noqa: E731
-    fly(nothing, nothing, nothing, mission, mind=SimulatedReasoner(nothing))
+    fly(nothing, nothing, nothing, mission, reasoner=SimulatedReasoner(nothing))
     each = (time.perf_counter() - begin) / steps
     print(f"loop alone: {each * 1e6:.0f} us a tick, {1e-3 / each:.0f} times less than 1 ms")
 

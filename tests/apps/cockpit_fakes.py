@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from cognitivedrone.apps.mjpeg import FrameServer
-from cognitivedrone.policies.blind import Hover
+from cognitivedrone.policies.baselines import Hover
 from cognitivedrone.types import ActionChunk, EpisodeContext, Guidance, Image, Observation
 
 

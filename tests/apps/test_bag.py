@@ -21,10 +21,10 @@ pytest.importorskip("rosbags")
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles" / "gazebo"))
 
+from fake_gazebo import MESSAGES, FakeGazebo
 from peer import playing
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
-from stand_in import MESSAGES, StandIn
 
 from cognitivedrone.apps.bag import BagLog
 from cognitivedrone.apps.config import FlyPlan
@@ -129,9 +129,9 @@ def test_without_rosbags_nothing_takes_off(tmp_path, monkeypatch):
 
 
 @contextmanager
-def gazebo_with_camera(monkeypatch: pytest.MonkeyPatch) -> Iterator[StandIn]:
+def gazebo_with_camera(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeGazebo]:
     """A Gazebo that sends the same picture all the time, and its bindings installed."""
-    gazebo, stopping = StandIn(), threading.Event()
+    gazebo, stopping = FakeGazebo(), threading.Event()
     message = MESSAGES["Image"](width=256, height=256, pixel_format_type=3, step=768, data=PICTURE.tobytes())
 
     def film() -> None:

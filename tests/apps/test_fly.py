@@ -114,10 +114,10 @@ def test_an_instruction_typed_in_flight_is_a_new_leg_and_asks_the_reasoner_at_on
     assert (summary.ending.kind, summary.exit_code) == ("told", 0)
     assert summary.seconds < 5
     events = pq.read_table(tmp_path / "f" / "events.parquet").to_pylist()
-    legs = [event for event in events if event["kind"] == "leg"]
-    assert [leg["text"] for leg in legs] == ["go to red", "go to blue"]
+    segments = [event for event in events if event["kind"] == "leg"]
+    assert [segment["text"] for segment in segments] == ["go to red", "go to blue"]
     asked = next(e for e in events if e["kind"] == "asked" and e["text"] == "go to blue")
-    assert asked["time_s"] - legs[1]["time_s"] < 0.3  # it is asked twice a second otherwise
+    assert asked["time_s"] - segments[1]["time_s"] < 0.3  # it is asked twice a second otherwise
     steps = pq.read_table(tmp_path / "f" / "steps.parquet").to_pydict()
     assert sorted(set(steps["leg"])) == [0, 1]
     told = dict(zip(steps["directive"], steps["leg"], strict=True))

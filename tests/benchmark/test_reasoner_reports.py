@@ -71,12 +71,12 @@ def test_the_drone_goes_where_it_is_told(flown):
 
 
 def test_scores_of_mind_and_wings_stand_apart(flown):
-    mind = flown.summary().overall.reasoner
-    assert mind.n == EPISODES
-    assert mind.gate == 0.5
-    assert mind.color == pytest.approx(2 / 3)
-    assert mind.faults["refusal"] >= 2
-    assert mind.answers == sum(episode.stages[0].reasoner.answers for episode in flown.episodes)
+    async_reasoner = flown.summary().overall.reasoner
+    assert async_reasoner.n == EPISODES
+    assert async_reasoner.gate == 0.5
+    assert async_reasoner.color == pytest.approx(2 / 3)
+    assert async_reasoner.faults["refusal"] >= 2
+    assert async_reasoner.answers == sum(episode.stages[0].reasoner.answers for episode in flown.episodes)
 
 
 def test_the_file_of_results_holds_it_and_what_it_came_from(flown, answers):

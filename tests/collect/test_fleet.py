@@ -14,7 +14,7 @@ from cognitivedrone.collect.recipe import RECIPES, find_recipe
 from cognitivedrone.collect.replay import replay
 from cognitivedrone.data.episode import decode_image
 from cognitivedrone.errors import DataError, PolicyError
-from cognitivedrone.policies.blind import Hover
+from cognitivedrone.policies.baselines import Hover
 from cognitivedrone.tasks import BASE_FAMILIES, load_suite
 
 SUITE = load_suite("open-v1:train", size=40)

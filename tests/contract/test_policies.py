@@ -192,7 +192,7 @@ class Nothing:
     [
         ("hoover", "did you mean 'hover'"),
         ("no_such_module:Thing", "no module 'no_such_module'"),
-        ("cognitivedrone.policies.blind:Hoover", "has no 'Hoover'"),
+        ("cognitivedrone.policies.baselines:Hoover", "has no 'Hoover'"),
         ("cognitivedrone.types:COLORS", "is not a class or function"),
         ("cognitivedrone.reasoners.oracle:Oracle", r"has no method act\(\)"),
         (f"{__name__}:Nothing", r"policy '.*:Nothing' has no method reset\(\)"),

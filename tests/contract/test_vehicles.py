@@ -17,9 +17,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles" / "gazebo"))
 
 from arducopters import played_arducopter
+from fake_gazebo import FakeGazebo
 from moving import moving, opened
 from reading import models, read_world
-from stand_in import StandIn
 
 from cognitivedrone.apps.config import SimPlan
 from cognitivedrone.apps.vehicle import Served, serve_vehicle
@@ -53,7 +53,7 @@ def opened_vehicle(kind: str, pace: Pace, folder: Path) -> Iterator[Vehicle]:
             safety = SafetySpec(sitl_instance=INSTANCE, takeoff_height=0.8)
         if kind == "gazebo":
             world = export("open-v1:track", track="0", out=folder / "track").out / "stage_1.sdf"
-            gazebo = stack.enter_context(StandIn(models=tuple(models(read_world(world)))).running())
+            gazebo = stack.enter_context(FakeGazebo(models=tuple(models(read_world(world)))).running())
             running = stack.enter_context(moving(gazebo))
             patch = stack.enter_context(pytest.MonkeyPatch.context())
             patch.setattr(pilot, "open_gazebo", lambda: opened(running))

@@ -17,12 +17,12 @@ from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance
 FRAME = np.zeros((256, 256, 3), np.uint8)
 
 
-def question(leg=0, time=0.0):
-    return Question(leg, "to the cat", FRAME, time)
+def question(segment=0, time=0.0):
+    return Question(segment, "to the cat", FRAME, time)
 
 
-def wait(mind):
-    while (answer := mind.answer(0.0)) is None:
+def wait(async_reasoner):
+    while (answer := async_reasoner.answer(0.0)) is None:
         pass
     return answer
 
@@ -42,10 +42,10 @@ class Remembers(Reasoner):
 @pytest.mark.parametrize("first", [0, 3])
 def test_a_reasoner_is_reset_before_the_first_question_of_every_stage_and_the_first_of_a_flight_is_0(first):
     reasoner = Remembers()
-    mind = SimulatedReasoner(reasoner, seed=7)
-    for leg in (first, first, first + 1):
-        mind.ask(question(leg))
-        assert mind.answer(0.0).guidance.confidence == 0.5
+    async_reasoner = SimulatedReasoner(reasoner, seed=7)
+    for segment in (first, first, first + 1):
+        async_reasoner.ask(question(segment))
+        assert async_reasoner.answer(0.0).guidance.confidence == 0.5
     begun, later = EpisodeContext("to the cat", 7, 0), EpisodeContext("to the cat", 7, first + 1)
     assert reasoner.heard == [begun, "to the cat", "to the cat", later, "to the cat"]
 
@@ -59,14 +59,14 @@ def test_the_ground_truth_goes_to_reasoners_that_declare_that_they_need_it(needs
 
 
 def test_an_answer_comes_once():
-    mind = SimulatedReasoner(Remembers(), lambda _: 0.2)
-    assert mind.idle(0.0)
-    mind.ask(question())
-    assert not mind.idle(0.1)
-    assert mind.answer(0.1) is None
-    assert mind.answer(0.2).question.time == 0.0
-    assert mind.answer(0.3) is None
-    assert mind.idle(0.3)
+    async_reasoner = SimulatedReasoner(Remembers(), lambda _: 0.2)
+    assert async_reasoner.idle(0.0)
+    async_reasoner.ask(question())
+    assert not async_reasoner.idle(0.1)
+    assert async_reasoner.answer(0.1) is None
+    assert async_reasoner.answer(0.2).question.time == 0.0
+    assert async_reasoner.answer(0.3) is None
+    assert async_reasoner.idle(0.3)
 
 
 class Mistaken(Reasoner):
@@ -79,20 +79,20 @@ def test_faults_are_answers():
         def refine(self, image, instruction):
             raise ReasonerError("garbage", "it said <html>")
 
-    mind = SimulatedReasoner(Faulty())
-    mind.ask(question())
-    answer = mind.answer(0.0)
+    async_reasoner = SimulatedReasoner(Faulty())
+    async_reasoner.ask(question())
+    answer = async_reasoner.answer(0.0)
     assert (answer.guidance, answer.fault, answer.message) == (None, "garbage", "it said <html>")
-    assert mind.trace == ""
+    assert async_reasoner.trace == ""
 
 
 def test_an_exception_of_the_reasoners_own_is_a_fault_whose_traceback_is_kept():
-    mind = SimulatedReasoner(Mistaken())
-    mind.ask(question())
-    answer = mind.answer(0.0)
+    async_reasoner = SimulatedReasoner(Mistaken())
+    async_reasoner.ask(question())
+    answer = async_reasoner.answer(0.0)
     assert (answer.guidance, answer.fault) == (None, "raised")
     assert re.fullmatch(r"the reasoner raised KeyError: 'oops' \(test_async_reasoner.py, line \d+\)", answer.message)
-    assert "in refine" in mind.trace
+    assert "in refine" in async_reasoner.trace
 
 
 @pytest.mark.parametrize(
@@ -117,9 +117,9 @@ def test_what_is_no_answer_is_a_fault(returned, fault):
         def refine(self, image, instruction):
             return returned
 
-    mind = SimulatedReasoner(Returns())
-    mind.ask(question())
-    answer = mind.answer(0.0)
+    async_reasoner = SimulatedReasoner(Returns())
+    async_reasoner.ask(question())
+    answer = async_reasoner.answer(0.0)
     assert (answer.guidance, answer.fault) == (None, fault)
     assert answer.message.isprintable()
 
@@ -133,20 +133,20 @@ def test_a_thread_thinks_beside_the_loop():
             done.set()
             return Guidance(threading.current_thread().name, None, 1.0)
 
-    mind = ThreadedReasoner(Slow())
-    mind.ask(question())
-    assert not mind.idle(0.0)
-    assert mind.answer(0.0) is None
+    async_reasoner = ThreadedReasoner(Slow())
+    async_reasoner.ask(question())
+    assert not async_reasoner.idle(0.0)
+    assert async_reasoner.answer(0.0) is None
     go.set()
     assert done.wait(10)
-    answer = wait(mind)
+    answer = wait(async_reasoner)
     assert answer.guidance.directive.startswith("reasoner")
-    assert mind.idle(1.0)
-    mind.close()
+    assert async_reasoner.idle(1.0)
+    async_reasoner.close()
 
 
 def test_an_exception_in_the_thread_is_a_fault_too():
-    mind = ThreadedReasoner(Mistaken())
-    mind.ask(question())
-    assert wait(mind).fault == "raised"
-    mind.close()
+    async_reasoner = ThreadedReasoner(Mistaken())
+    async_reasoner.ask(question())
+    assert wait(async_reasoner).fault == "raised"
+    async_reasoner.close()

@@ -14,13 +14,13 @@ from cognitivedrone.types import Guidance
 FRAME = np.zeros((256, 256, 3), np.uint8)
 
 
-def answer(confidence, present=None, leg=0):
+def answer(confidence, present=None, segment=0):
     guidance = Guidance("Fly through the red gate", 0, confidence, present=present)
-    return Answer(Question(leg, "the bird", FRAME, 0.0), guidance)
+    return Answer(Question(segment, "the bird", FRAME, 0.0), guidance)
 
 
-def fault(kind, leg=0):
-    return Answer(Question(leg, "the bird", FRAME, 0.0), None, kind, "it said so")
+def fault(kind, segment=0):
+    return Answer(Question(segment, "the bird", FRAME, 0.0), None, kind, "it said so")
 
 
 def after(*answers, rule=None):
@@ -72,10 +72,10 @@ def test_a_new_leg_is_flown_until_it_is_doubted_itself():
     assert hold.active
     hold.begin(1)
     assert not hold.active
-    hold.update(answer(0.1, leg=0))  # late, about the leg before
-    hold.update(answer(0.1, leg=1))
+    hold.update(answer(0.1, segment=0))  # late, about the leg before
+    hold.update(answer(0.1, segment=1))
     assert not hold.active
-    hold.update(answer(0.1, leg=1))
+    hold.update(answer(0.1, segment=1))
     assert hold.active
 
 
@@ -115,14 +115,14 @@ class Doubtful(Reasoner):
 
 def test_a_heeding_mind_answers_as_the_mind_and_is_heard():
     hold = Hold()
-    mind = HoldAwareReasoner(SimulatedReasoner(Doubtful(), lambda _: 0.5), hold)
+    async_reasoner = HoldAwareReasoner(SimulatedReasoner(Doubtful(), lambda _: 0.5), hold)
     for instruction in ("the bird", "blind", "the bird"):
-        assert mind.idle(0.0)
-        mind.ask(Question(3, instruction, FRAME, 0.0))
-        assert mind.answer(0.1) is None
-        assert mind.answer(0.6).question.instruction == instruction
+        assert async_reasoner.idle(0.0)
+        async_reasoner.ask(Question(3, instruction, FRAME, 0.0))
+        assert async_reasoner.answer(0.1) is None
+        assert async_reasoner.answer(0.6).question.instruction == instruction
     assert hold.active
     assert hold.sure == pytest.approx(0.2)
-    mind.ask(Question(4, "the bird", FRAME, 1.0))
+    async_reasoner.ask(Question(4, "the bird", FRAME, 1.0))
     assert not hold.active
-    mind.close()
+    async_reasoner.close()

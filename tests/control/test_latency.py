@@ -11,13 +11,13 @@ from cognitivedrone.control import latency
 from cognitivedrone.control.latency import TimedPolicy, parse_delays
 from cognitivedrone.errors import SimulationError
 from cognitivedrone.interfaces import Policy
-from cognitivedrone.policies.blind import Hover
+from cognitivedrone.policies.baselines import Hover
 from cognitivedrone.types import EpisodeContext
 
 
 def charges(delay, seed=0, needed=0.123, n=200):
-    charge = delay.charge(np.random.default_rng(seed))
-    return [charge(needed) for _ in range(n)]
+    latency_model = delay.latency_model(np.random.default_rng(seed))
+    return [latency_model(needed) for _ in range(n)]
 
 
 def test_none_measured_and_fixed():

@@ -105,7 +105,7 @@ RED, BLUE = "Fly through the red gate", "Fly through the blue gate"
 
 def test_the_reasoner_is_asked_twice_a_second_and_its_directive_replaces_the_instruction():
     ground, policy, reasoner, notes = Ground(), Counting(), Saying(RED), Notes()
-    fly(ground, policy, ground, for_steps(ground, 12), mind=SimulatedReasoner(reasoner), recorder=notes)
+    fly(ground, policy, ground, for_steps(ground, 12), reasoner=SimulatedReasoner(reasoner), recorder=notes)
     assert policy.texts == [RED] * 12
     assert notes.of("asked") == [(0.0, "asked", "go"), (0.5, "asked", "go"), (1.0, "asked", "go")]
     assert notes.of("adopted", "agreed") == [(0.0, "adopted", RED), (0.5, "agreed", RED), (1.0, "agreed", RED)]
@@ -114,24 +114,24 @@ def test_the_reasoner_is_asked_twice_a_second_and_its_directive_replaces_the_ins
 
 def test_another_directive_must_be_said_twice():
     ground, policy, notes = Ground(), Counting(), Notes()
-    mind = SimulatedReasoner(Saying(RED, BLUE, BLUE))
-    fly(ground, policy, ground, for_steps(ground, 12), mind=mind, recorder=notes)
+    async_reasoner = SimulatedReasoner(Saying(RED, BLUE, BLUE))
+    fly(ground, policy, ground, for_steps(ground, 12), reasoner=async_reasoner, recorder=notes)
     assert policy.texts == [RED] * 10 + [BLUE] * 2
     assert [kind for _, kind, _ in notes.of("adopted", "kept", "agreed")] == ["adopted", "kept", "adopted"]
 
 
 def test_without_an_answer_the_last_good_directive_or_the_instruction_stays():
     ground, policy, notes = Ground(), Counting(), Notes()
-    mind = SimulatedReasoner(Saying(None, RED, None))
-    fly(ground, policy, ground, for_steps(ground, 15), mind=mind, recorder=notes)
+    async_reasoner = SimulatedReasoner(Saying(None, RED, None))
+    fly(ground, policy, ground, for_steps(ground, 15), reasoner=async_reasoner, recorder=notes)
     assert policy.texts == ["go"] * 5 + [RED] * 10
     assert notes.of("unsure") == [(0.0, "unsure", "it is too dark"), (1.0, "unsure", "it is too dark")]
 
 
 def test_an_answer_comes_when_its_time_is_up_and_says_how_old_its_frame_is():
     ground, policy, notes = Ground(), Counting(), Notes()
-    mind = SimulatedReasoner(Saying(RED), lambda _: 0.25)
-    fly(ground, policy, ground, for_steps(ground, 10), mind=mind, recorder=notes)
+    async_reasoner = SimulatedReasoner(Saying(RED), lambda _: 0.25)
+    fly(ground, policy, ground, for_steps(ground, 10), reasoner=async_reasoner, recorder=notes)
     assert policy.texts == ["go"] * 3 + [RED] * 7
     assert notes.of("asked", "adopted", "agreed") == [
         (0.0, "asked", "go"),
@@ -144,8 +144,8 @@ def test_an_answer_comes_when_its_time_is_up_and_says_how_old_its_frame_is():
 
 def test_a_slow_reasoner_is_asked_about_the_newest_frame_never_about_a_queue():
     ground, notes = Ground(), Notes()
-    mind = SimulatedReasoner(Saying(RED), lambda _: 0.72)
-    fly(ground, Counting(), ground, for_steps(ground, 20), mind=mind, recorder=notes)
+    async_reasoner = SimulatedReasoner(Saying(RED), lambda _: 0.72)
+    fly(ground, Counting(), ground, for_steps(ground, 20), reasoner=async_reasoner, recorder=notes)
     assert [time for time, _, _ in notes.of("asked")] == [0.0, 0.8, 1.6]
 
 
@@ -156,27 +156,27 @@ def test_an_answer_about_an_earlier_leg_is_not_flown_by():
         step = round(ground.time * 10)
         return None if step >= 10 else Segment(int(step >= 3), "first" if step < 3 else "second")
 
-    mind = SimulatedReasoner(Saying(RED, BLUE), lambda _: 0.4)
-    fly(ground, policy, ground, mission, mind=mind, recorder=notes)
+    async_reasoner = SimulatedReasoner(Saying(RED, BLUE), lambda _: 0.4)
+    fly(ground, policy, ground, mission, reasoner=async_reasoner, recorder=notes)
     assert policy.texts == ["first"] * 3 + ["second"] * 5 + [BLUE] * 2
     assert notes.of("stale", "asked")[:3] == [(0.0, "asked", "first"), (0.4, "stale", RED), (0.4, "asked", "second")]
 
 
 def test_thinking_is_charged_to_a_simulated_clock():
     ground, policy = Ground(), Counting()
-    assert fly(ground, policy, ground, for_steps(ground, 10), charge=lambda _: 0.08) == 10
+    assert fly(ground, policy, ground, for_steps(ground, 10), latency_model=lambda _: 0.08) == 10
     assert [time for time, _ in ground.sent] == pytest.approx([i / 10 + 0.08 for i in range(10)])
 
 
 def test_a_policy_slower_than_its_rate_skips_deadlines_and_keeps_the_others():
     ground, notes = Ground(), Notes()
-    assert fly(ground, Counting(), ground, for_steps(ground, 10), charge=lambda _: 0.13, recorder=notes) == 5
+    assert fly(ground, Counting(), ground, for_steps(ground, 10), latency_model=lambda _: 0.13, recorder=notes) == 5
     assert [time for time, _ in ground.sent] == pytest.approx([0.13, 0.33, 0.53, 0.73, 0.93])
 
 
 def test_only_decisions_are_charged_not_the_rest_of_a_chunk():
     ground = Ground()
-    fly(ground, Counting(k=2), ground, for_steps(ground, 4), charge=lambda _: 0.05)
+    fly(ground, Counting(k=2), ground, for_steps(ground, 4), latency_model=lambda _: 0.05)
     assert [time for time, _ in ground.sent] == pytest.approx([0.05, 0.1, 0.25, 0.3])
 
 
@@ -198,7 +198,7 @@ def test_a_new_leg_resets_the_policy_and_drops_the_rest_of_the_chunk():
         step = round(ground.time * 10)
         return None if step >= 4 else Segment(step // 2, "the correct answer")
 
-    fly(ground, policy, ground, mission, mind=SimulatedReasoner(reasoner))
+    fly(ground, policy, ground, mission, reasoner=SimulatedReasoner(reasoner))
     assert policy.resets == [EpisodeContext("the correct answer", stage=stage) for stage in (0, 1)]
     assert policy.calls == 2
     assert len(reasoner.asked) == 2

@@ -47,8 +47,8 @@ def test_a_sample_of_damaged_files_is_found(tmp_path: Path) -> None:
     [
         ("small.onnx", SmallModel.load),
         ("race.onnx", SmallModel.load),
-        ("reasoner/eyes.onnx", PanelReaderModel.load),
-        ("reasoner/mind.onnx", GateSelectorModel.load),
+        ("reasoner/panel_reader.onnx", PanelReaderModel.load),
+        ("reasoner/gate_selector.onnx", GateSelectorModel.load),
     ],
 )
 def test_a_shipped_file_is_known_wherever_it_is_and_whole(

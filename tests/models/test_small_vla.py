@@ -13,15 +13,15 @@ from cognitivedrone.models.small_vla import SLOTS, STRIDE, Head, Scene, SmallVLA
 
 CONFIG = SmallVLAConfig(
     vocabulary=20,
-    facets=12,
+    attributes=12,
     text_length=10,
     backbone=(8, 8, 16),
     blocks=1,
-    sight=(8, 8, 8, 8),
+    panel_encoder=(8, 8, 8, 8),
     embedding=16,
     text_width=16,
     text_layers=1,
-    glimpse=32,
+    crop_size=32,
 )
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -195,7 +195,7 @@ def test_facts_are_json_values_that_make_the_same_configuration() -> None:
 
 def test_a_board_that_is_read_surely_is_told_to_sentences_as_the_sum_of_its_prototypes():
     torch.manual_seed(0)
-    config = replace(CONFIG, facets=9, board_bounds=(2, 5, 9))
+    config = replace(CONFIG, attributes=9, board_bounds=(2, 5, 9))
     network = SmallVLA(config)
     prototypes = network.prototypes.detach()
     # What a sure reading is: far along the prototypes of facets 3 and 8, and off those of their rivals.

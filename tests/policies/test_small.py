@@ -143,7 +143,7 @@ def test_a_name_with_a_wrong_argument_is_said_in_one_sentence(name, says):
 
 
 def test_a_class_is_still_given_as_module_and_attribute():
-    assert type(make_policy("cognitivedrone.policies.blind:Hover")).__name__ == "Hover"
+    assert type(make_policy("cognitivedrone.policies.baselines:Hover")).__name__ == "Hover"
 
 
 def test_a_package_without_weights_says_what_to_do(monkeypatch):

@@ -17,8 +17,10 @@ def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(policy, "_SENTENCES", 100)
-        subject = RECIPES["debug"].training()
+        training_task = RECIPES["debug"].training()
     torch.manual_seed(0)
     path = tmp_path_factory.mktemp("policy") / CHECKPOINT
-    save_checkpoint(path, subject.network(), None, subject.identity() | subject.facts() | {"seed": 0, "step": 6})
+    save_checkpoint(
+        path, training_task.network(), None, training_task.identity() | training_task.facts() | {"seed": 0, "step": 6}
+    )
     return path

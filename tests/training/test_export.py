@@ -27,7 +27,7 @@ def exported(tmp_path_factory):
     folder = tmp_path_factory.mktemp("export")
     torch.manual_seed(0)
     recipe = RECIPES["debug"]
-    sizes = replace(recipe.network, vocabulary=len(WORDS.words), facets=len(FACETS), chunk=2)
+    sizes = replace(recipe.network, vocabulary=len(WORDS.words), attributes=len(FACETS), chunk=2)
     recipe = replace(recipe, network=sizes, stream=replace(recipe.stream, chunk=2))
     network = SmallVLA(sizes)
     facts = {"recipe": recipe.facts(), "seed": 0, "step": 6, "vocabulary": list(WORDS.words)}

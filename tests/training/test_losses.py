@@ -40,19 +40,19 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 def batch() -> Batch:
     """Frames of the debug recipe, with three actions each; boards are among them."""
     recipe = replace(DEBUG.stream, batch=12, worlds=8, chunk=3, varied=0.0)
-    rehearsal = RolloutStream(recipe, VOCABULARY, DEBUG.network)
+    rollout_stream = RolloutStream(recipe, VOCABULARY, DEBUG.network)
     try:
-        for made in itertools.islice(rehearsal((3,)), 200):
+        for made in itertools.islice(rollout_stream((3,)), 200):
             if made["legible"][:, SLOTS].any():
                 return made
     finally:
-        rehearsal.close()
+        rollout_stream.close()
     raise AssertionError("no board in view")
 
 
-def lesson(head: Head = "tokens", chunk: int = 1, weights: LossWeights | None = None) -> LossModule:
+def loss_module(head: Head = "tokens", chunk: int = 1, weights: LossWeights | None = None) -> LossModule:
     torch.manual_seed(0)
-    sized = replace(DEBUG.network, vocabulary=len(VOCABULARY.words), facets=len(FACETS), head=head, chunk=chunk)
+    sized = replace(DEBUG.network, vocabulary=len(VOCABULARY.words), attributes=len(FACETS), head=head, chunk=chunk)
     return LossModule(SmallVLA(sized), weights)
 
 
@@ -68,7 +68,7 @@ def as_in_training(taught: LossModule, batch: dict[str, Tensor]) -> tuple[Tensor
 
 @pytest.mark.parametrize(("head", "chunk"), VARIANTS)
 def test_the_loss_is_finite_and_teaches_every_parameter(batch: Batch, head: Head, chunk: int) -> None:
-    taught = lesson(head, chunk)
+    taught = loss_module(head, chunk)
     total, measures = as_in_training(taught, tensors(batch, chunk))
     weights = LossWeights()
     assert set(measures) == {*PARTS, "choice accuracy", "text accuracy"}
@@ -84,7 +84,7 @@ def test_the_loss_is_finite_and_teaches_every_parameter(batch: Batch, head: Head
 
 @pytest.mark.parametrize(("head", "chunk"), VARIANTS)
 def test_every_part_of_the_loss_falls_on_a_batch_that_is_learned_by_heart(batch: Batch, head: Head, chunk: int) -> None:
-    taught, fixed = lesson(head, chunk), tensors(batch, chunk)
+    taught, fixed = loss_module(head, chunk), tensors(batch, chunk)
     optimizer = torch.optim.AdamW(taught.parameters(), 0.01)
     torch.manual_seed(1)
     history = []
@@ -100,13 +100,13 @@ def test_every_part_of_the_loss_falls_on_a_batch_that_is_learned_by_heart(batch:
 
 
 def test_weights_count(batch: Batch) -> None:
-    alone = LossWeights(heat=0, place=0, facets=0, cards=0, choice=0, text=3.0, action=0)
-    total, measures = lesson(weights=alone)(tensors(batch))
+    alone = LossWeights(heat=0, place=0, attributes=0, panel_crops=0, choice=0, text=3.0, action=0)
+    total, measures = loss_module(weights=alone)(tensors(batch))
     assert float(total.detach()) == pytest.approx(3 * float(measures["text"]))
 
 
 def test_bfloat16_gives_nearly_the_same_loss(batch: Batch) -> None:
-    taught = lesson().eval()
+    taught = loss_module().eval()
     with torch.no_grad():
         exact, _ = taught(tensors(batch))
         with torch.autocast("cpu", torch.bfloat16):
@@ -115,7 +115,7 @@ def test_bfloat16_gives_nearly_the_same_loss(batch: Batch) -> None:
 
 
 def test_nothing_is_random_outside_training(batch: Batch) -> None:
-    taught = lesson()
+    taught = loss_module()
     with torch.no_grad():
         torch.manual_seed(1)
         first = taught(tensors(batch))[0]
@@ -125,7 +125,7 @@ def test_nothing_is_random_outside_training(batch: Batch) -> None:
 
 
 def test_right_choices_are_counted_where_all_panels_are_clear(batch: Batch) -> None:
-    taught = lesson().eval()
+    taught = loss_module().eval()
     clear = (batch["in_view"] & batch["legible"][:, :SLOTS]).all(axis=1)
     assert clear.any()
     truth = torch.nn.functional.one_hot(torch.from_numpy(batch["choice"]), SLOTS + 1).float() * 50
@@ -189,7 +189,7 @@ def test_slots_are_the_cells_of_the_gates(batch: Batch) -> None:
 
 @pytest.mark.parametrize(("head", "chunk"), VARIANTS)
 def test_what_is_decoded_from_the_best_answer_is_the_action(head: Head, chunk: int) -> None:
-    network = lesson(head, chunk).network
+    network = loss_module(head, chunk).network
     torch.manual_seed(2)
     share = torch.rand(6, chunk, 4) * 0.9 + 0.05  # bells are cut off at the ends
     target = network.low + share * (network.high - network.low)
@@ -212,7 +212,7 @@ def test_what_is_decoded_from_the_best_answer_is_the_action(head: Head, chunk: i
 
 @pytest.mark.parametrize("head", get_args(Head))
 def test_worse_actions_cost_more_and_actions_out_of_range_are_the_nearest_in_it(head: Head) -> None:
-    network = lesson(head).network
+    network = loss_module(head).network
     bins = torch.arange(256)
     places = [0.5, 0.55, 0.7]
     raws = [

@@ -18,22 +18,22 @@ from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.tasks import FAMILIES, HARD_FAMILIES
 from cognitivedrone.training.common.attributes import FACETS, GATE_GROUPS, GROUPS
 from cognitivedrone.training.common.checkpoint import CHECKPOINT
-from cognitivedrone.training.common.sampling import muddled
+from cognitivedrone.training.common.sampling import token_noise
 from cognitivedrone.training.common.trainer import TrainConfig, train
 from cognitivedrone.training.common.training_task import to_tensors
 from cognitivedrone.training.launch import TrainOptions, run
-from cognitivedrone.training.reasoner import selector as mind
-from cognitivedrone.training.reasoner.export import export_eyes, export_mind
+from cognitivedrone.training.reasoner import selector as selector
+from cognitivedrone.training.reasoner.export import export_panel_reader, export_selector
 from cognitivedrone.training.reasoner.reader import READER, draw_any_label
-from cognitivedrone.training.reasoner.reading import SEEN, SEEN_GROUPS, seen_facets
-from cognitivedrone.training.reasoner.selector import MIND, Encoder, Problems, values_of
-from cognitivedrone.training.reasoner.trained import load_mind, load_reader
+from cognitivedrone.training.reasoner.reading import SEEN, SEEN_GROUPS, seen_attributes
+from cognitivedrone.training.reasoner.selector import SELECTOR, Encoder, Problems, values_of
+from cognitivedrone.training.reasoner.trained import load_reader, load_selector
 from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.small_vla.trained import load_trained
 from cognitivedrone.types import COLORS, SHAPES, SIZES
 
-SMALL_MIND = replace(
-    MIND,
+SMALL_SELECTOR = replace(
+    SELECTOR,
     steps=2,
     batch=64,
     round_steps=2,
@@ -49,7 +49,7 @@ SMALL_READER = replace(
     round_steps=2,
     validate_every=2,
     validation_cards=32,
-    network=ReaderConfig(glimpse=TINY.glimpse, sight=TINY.sight, embedding=TINY.embedding),
+    network=ReaderConfig(crop_size=TINY.crop_size, panel_encoder=TINY.panel_encoder, embedding=TINY.embedding),
 )
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -60,11 +60,11 @@ def parts(tmp_path_factory: pytest.TempPathFactory, policy_checkpoint: Path) -> 
     """A folder with a mind and eyes that have hardly been trained."""
     folder = tmp_path_factory.mktemp("reasoner")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mind, "_SENTENCES", 400)
-        thinks = train(TrainConfig(folder / "mind", SMALL_MIND.training()), lambda _: None)
+        patch.setattr(selector, "_SENTENCES", 400)
+        thinks = train(TrainConfig(folder / "selector", SMALL_SELECTOR.training()), lambda _: None)
     reads = train(TrainConfig(folder / "reader", SMALL_READER.training(start=policy_checkpoint)), lambda _: None)
-    export_mind(thinks, folder)
-    export_eyes(policy_checkpoint, reads, folder)
+    export_selector(thinks, folder)
+    export_panel_reader(policy_checkpoint, reads, folder)
     return folder
 
 
@@ -76,7 +76,7 @@ def test_all_that_any_family_shows_has_facets() -> None:
     kinds = set()
     for _ in range(800):
         label = draw_any_label(rng)
-        row = seen_facets(label)
+        row = seen_attributes(label)
         kind = SEEN[row[0]].partition("/")[2]
         kinds.add(kind)
         told = {SEEN[index] for index in row if index >= 0}
@@ -100,18 +100,18 @@ def test_groups_follow_each_other() -> None:
 
 
 def test_counts_are_those_of_the_label() -> None:
-    row = seen_facets("several/food/lemon=4+animal/cat=2@noto")
+    row = seen_attributes("several/food/lemon=4+animal/cat=2@noto")
     assert {SEEN[index] for index in row if index >= 0} == {
         "kind/several", "thing_a/cat", "count_a/2", "thing_b/lemon", "count_b/4"
     }  # fmt: skip
-    assert "thing_b/none" in {SEEN[index] for index in seen_facets("several/food/lemon=4@noto") if index >= 0}
+    assert "thing_b/none" in {SEEN[index] for index in seen_attributes("several/food/lemon=4@noto") if index >= 0}
 
 
 # ---- problems
 
 
 def test_problems_are_of_every_family_and_their_values_are_right() -> None:
-    rng, problems = np.random.default_rng(0), Problems(MIND)
+    rng, problems = np.random.default_rng(0), Problems(SELECTOR)
     drawn = [problem for _ in range(800) for problem in problems.draw(rng)]
     assert {problem.family for problem in drawn} == (set(FAMILIES) - {"race"}) | {"directive"}
     for problem in drawn:
@@ -126,15 +126,15 @@ def test_problems_are_of_every_family_and_their_values_are_right() -> None:
 
 def test_what_is_told_without_doubt_is_the_truth() -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mind, "_SENTENCES", 300)
-        subject = SMALL_MIND.training()
-    rng, problems = np.random.default_rng(1), Problems(MIND)
+        patch.setattr(selector, "_SENTENCES", 300)
+        training_task = SMALL_SELECTOR.training()
+    rng, problems = np.random.default_rng(1), Problems(SELECTOR)
     drawn = [problem for _ in range(60) for problem in problems.draw(rng)]
-    encoder = Encoder(subject.recipe, subject.vocabulary)
+    encoder = Encoder(training_task.recipe, training_task.vocabulary)
     sure, doubted = (encoder.encode(np.random.default_rng(2), drawn, doubts=doubts) for doubts in (False, True))
     for row, problem in enumerate(drawn):
         for place, label in enumerate(problem.labels):
-            known = seen_facets(label)
+            known = seen_attributes(label)
             assert set(np.flatnonzero(sure["panels"][row, place])) == set(known[known >= 0])
         assert (sure["stages"][row, :, 0] >= 0).sum() == 3 * len(problem.before)
     changed = (sure["panels"] != doubted["panels"]).any(axis=2).mean()
@@ -146,8 +146,8 @@ def test_what_is_told_without_doubt_is_the_truth() -> None:
 
 
 def test_earlier_stages_that_say_nothing_come_later_in_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mind, "_SENTENCES", 200)
-    recipe = replace(SMALL_MIND, batch=256, round_steps=10, earlier_from=20)
+    monkeypatch.setattr(selector, "_SENTENCES", 200)
+    recipe = replace(SMALL_SELECTOR, batch=256, round_steps=10, earlier_from=20)
     made = recipe.training().batches()
     first, last, after = (next(made((0, 0, round_))) for round_ in (0, 1, 2))
     on_tracks = [float((batch["stages"][:, 0, 0] >= 0).mean()) for batch in (first, last, after)]
@@ -160,30 +160,30 @@ def test_a_muddled_sentence_keeps_most_of_its_words_in_their_order() -> None:
     rng, length = np.random.default_rng(4), 48
     tokens = np.zeros(length, np.int64)
     tokens[:20] = np.arange(10, 30)
-    said = [muddled(rng, tokens) for _ in range(300)]
+    said = [token_noise(rng, tokens) for _ in range(300)]
     kept = [row[row > 1] for row in said]
     assert all(row.shape == (length,) and (np.diff(words) > 0).all() for row, words in zip(said, kept, strict=True))
     assert 0.7 < np.mean([len(words) for words in kept]) / 20 < 0.82
     assert 0.2 < np.mean([(row == 1).sum() for row in said]) / 20 < 0.34
     assert all((row[np.count_nonzero(row) :] == 0).all() for row in said)
     whole = np.arange(2, 2 + length)
-    assert all(muddled(rng, whole).shape == (length,) for _ in range(20))
+    assert all(token_noise(rng, whole).shape == (length,) for _ in range(20))
 
 
 @pytest.mark.parametrize("family", ["letters", *HARD_FAMILIES[:2]])
 def test_the_mind_learns_a_batch_by_heart(family: str) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mind, "_SENTENCES", 300)
-        subject = SMALL_MIND.training()
+        patch.setattr(selector, "_SENTENCES", 300)
+        training_task = SMALL_SELECTOR.training()
     torch.manual_seed(0)
     rng = np.random.default_rng(3)
-    problems = Problems(SMALL_MIND)
+    problems = Problems(SMALL_SELECTOR)
     drawn = [p for _ in range(3000) for p in problems.draw(rng) if p.family == family][:32]
-    batch = to_tensors(Encoder(subject.recipe, subject.vocabulary).encode(rng, drawn, doubts=False))
-    lesson = subject.lesson(subject.network())
-    optimizer = torch.optim.AdamW(lesson.parameters(), 0.01)
+    batch = to_tensors(Encoder(training_task.recipe, training_task.vocabulary).encode(rng, drawn, doubts=False))
+    loss_module = training_task.loss_module(training_task.network())
+    optimizer = torch.optim.AdamW(loss_module.parameters(), 0.01)
     for _ in range(60):
-        loss, measures = lesson(batch)
+        loss, measures = loss_module(batch)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -196,8 +196,8 @@ def test_the_mind_learns_a_batch_by_heart(family: str) -> None:
 def test_the_reader_starts_from_the_policys_sight(policy_checkpoint: Path, tmp_path: Path) -> None:
     reader = SMALL_READER.training(start=policy_checkpoint).network()
     finder, _, _ = load_trained(policy_checkpoint)
-    for name, value in finder.sight.state_dict().items():
-        assert torch.equal(value, reader.sight.state_dict()[name]), name
+    for name, value in finder.panel_encoder.state_dict().items():
+        assert torch.equal(value, reader.panel_encoder.state_dict()[name]), name
     other = replace(SMALL_READER, network=replace(SMALL_READER.network, embedding=24))
     with pytest.raises(TrainingError, match="another size"):
         other.training(start=policy_checkpoint).network()
@@ -205,19 +205,19 @@ def test_the_reader_starts_from_the_policys_sight(policy_checkpoint: Path, tmp_p
 
 def test_eyes_in_onnx_see_what_they_see_in_torch(parts: Path, policy_checkpoint: Path) -> None:
     finder, _, _ = load_trained(policy_checkpoint)
-    reader, _ = load_reader(parts / "reader" / CHECKPOINT)
-    eyes = PanelReader(finder, reader, {group: GROUPS[group] for group in GATE_GROUPS}).eval()
+    network, _ = load_reader(parts / "reader" / CHECKPOINT)
+    reader = PanelReader(finder, network, {group: GROUPS[group] for group in GATE_GROUPS}).eval()
     image = np.random.default_rng(0).integers(0, 256, (256, 256, 3), dtype=np.uint8)
     image[60:120, 80:140] = load_pack("open-v1").image("animal/cat@noto")[::4, ::4][:60, :60]
     with torch.no_grad():
-        told = [part[0].numpy() for part in eyes(torch.from_numpy(image)[None])]
-    for mine, theirs in zip(PanelReaderModel.load(parts / "eyes.onnx").see(image), told, strict=True):
+        told = [part[0].numpy() for part in reader(torch.from_numpy(image)[None])]
+    for mine, theirs in zip(PanelReaderModel.load(parts / "panel_reader.onnx").see(image), told, strict=True):
         np.testing.assert_allclose(mine, theirs, atol=0.02, rtol=0.02)
 
 
 def test_the_mind_in_onnx_answers_as_in_torch(parts: Path) -> None:
-    thinker, vocabulary, _ = load_mind(parts / "mind" / CHECKPOINT)
-    model = GateSelectorModel.load(parts / "mind.onnx")
+    thinker, vocabulary, _ = load_selector(parts / "selector" / CHECKPOINT)
+    model = GateSelectorModel.load(parts / "gate_selector.onnx")
     assert model.vocabulary == vocabulary
     rng = np.random.default_rng(0)
     told = {
@@ -239,18 +239,20 @@ def test_the_mind_in_onnx_answers_as_in_torch(parts: Path) -> None:
 def test_the_small_reasoner_is_made_of_the_two_files(parts: Path) -> None:
     reasoner = make_reasoner(f"small:{parts}")
     assert isinstance(reasoner, SmallReasoner)
-    assert SmallReasoner.file_of(str(parts)) == parts / "eyes.onnx"
+    assert SmallReasoner.file_of(str(parts)) == parts / "panel_reader.onnx"
 
 
 def test_one_command_trains_and_exports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mind, "_SENTENCES", 300)
-    monkeypatch.setattr("cognitivedrone.training.recipes.ALL_RECIPES", {"mind": SMALL_MIND, "reader": SMALL_READER})
-    assert run(TrainOptions(tmp_path / "mind", "mind")) == tmp_path / "mind" / "mind.onnx"
-    GateSelectorModel.load(tmp_path / "mind" / "mind.onnx")
+    monkeypatch.setattr(selector, "_SENTENCES", 300)
+    monkeypatch.setattr(
+        "cognitivedrone.training.recipes.ALL_RECIPES", {"selector": SMALL_SELECTOR, "reader": SMALL_READER}
+    )
+    assert run(TrainOptions(tmp_path / "selector", "selector")) == tmp_path / "selector" / "gate_selector.onnx"
+    GateSelectorModel.load(tmp_path / "selector" / "gate_selector.onnx")
     with pytest.raises(TrainingError, match="need --start"):
         run(TrainOptions(tmp_path / "reader", "reader"))
     with pytest.raises(TrainingError, match="does not use flights"):
-        run(TrainOptions(tmp_path / "again", "mind", data=tmp_path))
+        run(TrainOptions(tmp_path / "again", "selector", data=tmp_path))
 
 
 def test_gates_of_the_policy_are_told_in_the_reasoners_order() -> None:

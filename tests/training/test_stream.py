@@ -22,8 +22,8 @@ from cognitivedrone.training.common.attributes import (
     FACETS,
     GROUPS,
     PANEL_GROUPS,
-    gate_facets,
-    panel_facets,
+    gate_attributes,
+    panel_attributes,
 )
 from cognitivedrone.training.common.questions import Question, ask
 from cognitivedrone.training.common.sampling import NONE_IN_VIEW, Batch, StreamRecipe
@@ -47,11 +47,11 @@ def vocabulary() -> Vocabulary:
 def batches(
     recipe: StreamRecipe, vocabulary: Vocabulary, count: int, seed: tuple[int, ...] = (1, 2), learner: object = None
 ) -> list[dict[str, Any]]:
-    rehearsal = RolloutStream(recipe, vocabulary, NETWORK)
+    rollout_stream = RolloutStream(recipe, vocabulary, NETWORK)
     try:
-        return list(itertools.islice(rehearsal(seed, learner), count))  # type: ignore[arg-type]
+        return list(itertools.islice(rollout_stream(seed, learner), count))  # type: ignore[arg-type]
     finally:
-        rehearsal.close()
+        rollout_stream.close()
 
 
 class Notebook:
@@ -75,8 +75,8 @@ class Notebook:
 
     def _write(self, text: str, labels: tuple[str, ...], gates: tuple[Gate, ...], target: int) -> None:
         tokens = self._vocabulary.encode(text, LENGTH)
-        panels = np.stack([panel_facets(label) for label in labels])
-        self.targets[self.key(tokens, panels, np.stack([gate_facets(gate) for gate in gates]))].add(target)
+        panels = np.stack([panel_attributes(label) for label in labels])
+        self.targets[self.key(tokens, panels, np.stack([gate_attributes(gate) for gate in gates]))].add(target)
 
     @staticmethod
     def key(*arrays: NDArray[np.generic]) -> bytes:
@@ -135,8 +135,8 @@ def test_a_batch_has_its_layout(vocabulary: Vocabulary) -> None:
         "text_board": (np.int64, (t, 3)),
         "text_asked": (np.int64, (t,)),
         "text_named": (np.int64, (t,)),
-        "card_image": (np.uint8, (RECIPE.cards, NETWORK.glimpse, NETWORK.glimpse, 3)),
-        "card_facets": (np.int64, (RECIPE.cards, len(PANEL_GROUPS) + len(BOARD_GROUPS))),
+        "card_image": (np.uint8, (RECIPE.panel_crops, NETWORK.crop_size, NETWORK.crop_size, 3)),
+        "card_facets": (np.int64, (RECIPE.panel_crops, len(PANEL_GROUPS) + len(BOARD_GROUPS))),
     }
     assert {name: (values.dtype, values.shape) for name, values in batch.items()} == expected
     assert all(np.isfinite(values).all() for values in batch.values())
@@ -144,11 +144,11 @@ def test_a_batch_has_its_layout(vocabulary: Vocabulary) -> None:
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(vocabulary: Vocabulary) -> None:
-    rehearsal = RolloutStream(RECIPE, vocabulary, NETWORK)
+    rollout_stream = RolloutStream(RECIPE, vocabulary, NETWORK)
     try:
-        first, other, again = (list(itertools.islice(rehearsal((seed,)), 3)) for seed in (5, 6, 5))
+        first, other, again = (list(itertools.islice(rollout_stream((seed,)), 3)) for seed in (5, 6, 5))
     finally:
-        rehearsal.close()
+        rollout_stream.close()
     # Neither a used rehearsal nor a new one makes a difference.
     for repeated in (again, batches(RECIPE, vocabulary, 3, (5,))):
         for one, two in zip(first, repeated, strict=True):
@@ -188,7 +188,7 @@ def test_what_is_flown_does_not_tell_what_is_asked(made: list[dict[str, Any]]) -
 # ---- sentences are true
 
 
-def facet(index: int) -> str | None:
+def attribute(index: int) -> str | None:
     return None if index < 0 else FACETS[index].split("/", 1)[1]
 
 
@@ -200,7 +200,7 @@ def test_directives_describe_the_gate_that_is_asked_for(made: list[dict[str, Any
             if look is None:
                 continue
             count += 1
-            gates = [{facet(index) for index in gate} for gate in batch["gate_facets"][row]]
+            gates = [{attribute(index) for index in gate} for gate in batch["gate_facets"][row]]
             fits = [look <= gate for gate in gates]
             assert fits == [gate == batch["asked"][row, column] for gate in range(3)], text
     assert count > 50
@@ -236,15 +236,15 @@ def test_sentences_without_a_frame_are_training_tasks(made: list[dict[str, Any]]
         for row, text in enumerate(read(tokens, vocabulary) for tokens in batch["text_tokens"]):
             assert text
             asked = batch["text_asked"][row]
-            board = [facet(index) for index in batch["text_board"][row]]
+            board = [attribute(index) for index in batch["text_board"][row]]
             if board[0] is not None:
                 first, sign, second = board
                 answer = {"+": int.__add__, "-": int.__sub__, "*": int.__mul__}[str(sign)](int(first), int(second))
-                assert facet(batch["text_panels"][row, asked, 0]) == f"number:{answer}"
+                assert attribute(batch["text_panels"][row, asked, 0]) == f"number:{answer}"
                 sums += 1
             look = directive(text)
             if look is not None:
-                assert look <= {facet(index) for index in batch["text_gates"][row, asked]}
+                assert look <= {attribute(index) for index in batch["text_gates"][row, asked]}
                 assert batch["text_named"][row] == -1
             if batch["text_named"][row] >= 0:
                 assert batch["text_named"][row] == batch["text_panels"][row, asked, 0]
@@ -342,10 +342,11 @@ def test_a_racer_in_a_crowded_room_is_to_take_the_gate_straight_ahead(vocabulary
 
 
 def test_muddled_sentences_hold_words_that_nobody_knows(vocabulary: Vocabulary) -> None:
-    plain, muddled = (batches(replace(RECIPE, muddled=share), vocabulary, 2) for share in (0.0, 1.0))
+    plain, token_noise = (batches(replace(RECIPE, token_noise=share), vocabulary, 2) for share in (0.0, 1.0))
     for name in ("tokens", "text_tokens"):
         unknown = [
-            np.mean([(batch[name] == 1).sum() / (batch[name] > 0).sum() for batch in made]) for made in (plain, muddled)
+            np.mean([(batch[name] == 1).sum() / (batch[name] > 0).sum() for batch in made])
+            for made in (plain, token_noise)
         ]
         assert unknown[0] < 0.03
         assert 0.15 < unknown[1] < 0.4

@@ -263,26 +263,26 @@ def test_recipes_are_whole(name: str) -> None:
 
 
 def test_processes_share_a_batch() -> None:
-    subject = replace(RECIPES["small"], stream=replace(RECIPES["small"].stream, cards=10)).training()
-    part = subject.share(4)
-    whole, shared = subject.recipe.stream, part.recipe.stream
+    training_task = replace(RECIPES["small"], stream=replace(RECIPES["small"].stream, panel_crops=10)).training()
+    part = training_task.share(4)
+    whole, shared = training_task.recipe.stream, part.recipe.stream
     assert shared.batch * 4 == whole.batch
     assert shared.texts * 4 == whole.texts
-    assert shared.cards == 3
-    assert replace(part, recipe=replace(part.recipe, stream=whole)) == subject
+    assert shared.panel_crops == 3
+    assert replace(part, recipe=replace(part.recipe, stream=whole)) == training_task
     with pytest.raises(TrainingError, match="a batch of 24 frames cannot be shared by 5 processes"):
-        subject.share(5)
+        training_task.share(5)
 
 
 def test_a_policy_flies_along_where_flights_are_made_and_the_recipe_gives_it_some() -> None:
-    subject = RECIPE.training()
-    network = subject.network()
-    pilot = subject.learner(network)
+    training_task = RECIPE.training()
+    network = training_task.network()
+    pilot = training_task.learner(network)
     assert pilot is not None
     assert pilot.network is network  # so it flies with whatever weights the network is given
-    assert replace(subject, data=Path("recorded")).learner(network) is None
+    assert replace(training_task, data=Path("recorded")).learner(network) is None
     expert_alone = replace(RECIPE, stream=replace(RECIPE.stream, learner=0.0))
-    assert replace(subject, recipe=expert_alone).learner(network) is None
+    assert replace(training_task, recipe=expert_alone).learner(network) is None
 
 
 def test_the_learning_rate_warms_up_stays_and_falls_to_nothing() -> None:
@@ -318,12 +318,12 @@ def test_ctrl_c_before_the_first_checkpoint_says_that_there_is_nothing_to_resume
 def test_the_stream_tells_how_it_begins(tmp_path: Path) -> None:
     """The process starts, its first flights fill the buffer, and only then comes a batch; Ctrl-C is not its own."""
     told: list[str] = []
-    subject = RECIPE.training()
-    with PrefetchQueue(subject, tmp_path, seed=3, rank=0, first_round=0, waiting=told.append) as feed:
-        next(iter(feed))
+    training_task = RECIPE.training()
+    with PrefetchQueue(training_task, tmp_path, seed=3, rank=0, first_round=0, waiting=told.append) as prefetch:
+        next(iter(prefetch))
         size = RECIPE.stream.batch * RECIPE.stream.pool
-        assert feed._filled[1] == size
-        assert _ignores_ctrl_c(feed._process.pid)
+        assert prefetch._filled[1] == size
+        assert _ignores_ctrl_c(prefetch._process.pid)
     assert told
     assert told[0] == "starting the stream"
     allowed = {"starting the stream", "waiting for a batch"}
@@ -338,9 +338,9 @@ def _ignores_ctrl_c(pid: int | None) -> bool:
 
 
 def test_a_buffer_tells_how_it_fills() -> None:
-    subject = RECIPE.training()
+    training_task = RECIPE.training()
     told: list[tuple[int, int]] = []
-    batches = subject.batches()
+    batches = training_task.batches()
     assert isinstance(batches, Watched)
     batches.watch(lambda made, wanted: told.append((made, wanted)))
     next(batches((3, 0, 0)))

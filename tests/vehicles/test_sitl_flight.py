@@ -25,7 +25,7 @@ from cognitivedrone.vehicles.sitl.flight import STILL_M_S, SitlFlight
 NOWHERE = Path("arducopter")
 
 
-class StandIn:
+class FakeVehicle:
     """Flies as our own autopilot does, far from where the benchmark thinks it is; every tick is three frames."""
 
     def __init__(self) -> None:
@@ -56,14 +56,14 @@ class StandIn:
 
 
 @pytest.fixture
-def vehicles() -> list[StandIn]:
+def vehicles() -> list[FakeVehicle]:
     return []
 
 
 @pytest.fixture
-def flight(vehicles: list[StandIn]) -> SitlFlight:
-    def start() -> StandIn:
-        vehicles.append(StandIn())
+def flight(vehicles: list[FakeVehicle]) -> SitlFlight:
+    def start() -> FakeVehicle:
+        vehicles.append(FakeVehicle())
         return vehicles[-1]
 
     return SitlFlight(NOWHERE, start=cast(Any, start))
@@ -159,8 +159,8 @@ def test_a_vehicle_that_is_lost_ends_the_flight_and_the_next_has_another(flight,
 def test_what_never_hovers_is_told(vehicles, monkeypatch):
     monkeypatch.setattr("cognitivedrone.vehicles.sitl.flight.HOVER_S", 1.0)
 
-    def start() -> StandIn:
-        vehicles.append(StandIn())
+    def start() -> FakeVehicle:
+        vehicles.append(FakeVehicle())
         vehicles[-1].send = lambda action: None  # deaf: stays at its height
         return vehicles[-1]
 

@@ -117,16 +117,18 @@ def _fly(
             )
             stack.enter_context(Live(shown, console=console, refresh_per_second=REDRAWN_HZ))
         recorder = _Recorder((log, shown), mission, vehicle, timed, hold)
-        mind = HoldAwareReasoner(ThreadedReasoner(pilot.reasoner), hold) if pilot.reasoner is not None else None
+        async_reasoner = (
+            HoldAwareReasoner(ThreadedReasoner(pilot.reasoner), hold) if pilot.reasoner is not None else None
+        )
         try:
-            steps = fly(HeldDrone(drone, hold), timed, drone, mission, mind=mind, recorder=recorder)
+            steps = fly(HeldDrone(drone, hold), timed, drone, mission, reasoner=async_reasoner, recorder=recorder)
             ending, seconds = mission.ending or Ending("told", ""), drone.now()
             recorder.note(Event(seconds, "over", ending.reason))
             if vehicle.land():
                 recorder.note(Event(drone.now(), "landed"))
         finally:
-            if mind is not None:
-                mind.close()
+            if async_reasoner is not None:
+                async_reasoner.close()
     return Summary(
         ending, steps, seconds, recorder.late, _spread_ms(timed.took_s), _spread_ms(recorder.answers_s), log.out
     )
@@ -136,7 +138,7 @@ class _Mission:
     """The leg at hand: the newest of what was typed, asked for at the start, or written in the scene."""
 
     def __init__(self, plan: FlyPlan, vehicle: Vehicle, orders: Orders, now: Callable[[], float], hold: Hold) -> None:
-        self.leg: Segment | None = None
+        self.segment: Segment | None = None
         self.ending: Ending | None = None
         self._plan, self._vehicle, self._orders, self._now, self._hold = plan, vehicle, orders, now, hold
 
@@ -154,8 +156,8 @@ class _Mission:
         index, truth = (track.index, track.truth()) if track is not None else (0, None)
         of_scene = truth.task.instruction if truth is not None else ""
         self._hold.begin(index + count)
-        self.leg = Segment(index + count, instruction or of_scene, truth)
-        return self.leg
+        self.segment = Segment(index + count, instruction or of_scene, truth)
+        return self.segment
 
 
 class _Recorder:
@@ -172,8 +174,8 @@ class _Recorder:
         self._hold, self._held = hold, False
 
     def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:
-        leg, status = self._mission.leg, self._vehicle.status()
-        if leg is None:
+        segment, status = self._mission.segment, self._vehicle.status()
+        if segment is None:
             return
         if status.decision != self._decision:
             self._decision = status.decision
@@ -184,7 +186,9 @@ class _Recorder:
             self.note(Event(observation.time, "hold" if self._held else "sure", told))
         thought = self._timed.took_s[-1] if len(self._timed.took_s) > self._decisions else None
         self._decisions = len(self._timed.took_s)
-        step = Step(observation.time, leg.index, leg.instruction, observation, action, guidance, thought, status)
+        step = Step(
+            observation.time, segment.index, segment.instruction, observation, action, guidance, thought, status
+        )
         for instrument in self._instruments:
             instrument.step(step)
 

@@ -3,7 +3,7 @@
 | file | |
 |---|---|
 | `steps.parquet` | one row a control step: what was seen, sent, thought and decided (`STEP_COLUMNS`) |
-| `events.parquet` | legs, answers of the reasoner, missed deadlines, decisions of the guard (`EVENT_COLUMNS`) |
+| `events.parquet` | segments, answers of the reasoner, missed deadlines, decisions of the guard (`EVENT_COLUMNS`) |
 | `flight.mp4` | the frames at the times when they were flown by; readable also where it was cut short |
 | `flight.tlog` | of a MAVLink vehicle: everything received and sent, for ground stations |
 | `bag/` | where it is asked for: a ROS 2 bag (`apps/bag.py`) |
@@ -137,7 +137,7 @@ def _row(step: Step) -> dict[str, Any]:
         guidance.confidence if guidance else None, status.frame_age_s, status.link_age_s, step.policy_s, status.battery,
     )  # fmt: skip
     return dict(zip(_NUMBERS, numbers, strict=True)) | {
-        "leg": step.leg,
+        "leg": step.segment,
         "armed": status.armed,
         "instruction": step.instruction,
         "directive": guidance.directive if guidance else None,

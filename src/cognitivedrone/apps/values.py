@@ -33,7 +33,7 @@ class Step:
 
     time: float
     """Since the start of the flight, s."""
-    leg: int
+    segment: int
     """Counts the instructions, from 0."""
     instruction: str
     """The user's."""

@@ -58,15 +58,26 @@ class PilotRunner:
         # The reasoner first: what it draws must not depend on the policy that it flies with.
         reasoner_seed, policy_seed = (seed_of(part, rng) for part in (self.reasoner, self.policy))
         latency_rng = np.random.default_rng(int(rng.integers(2**31)))
-        charge = self.job.delays.reasoner.charge(latency_rng)
-        mind = SimulatedReasoner(self.reasoner, charge, self._watch, seed=reasoner_seed) if self.reasoner else None
+        latency_model = self.job.delays.reasoner.latency_model(latency_rng)
+        async_reasoner = (
+            SimulatedReasoner(self.reasoner, latency_model, self._watch, seed=reasoner_seed) if self.reasoner else None
+        )
         log = FlightLog(self.track_runner, keep_frames=film)
         timed = TimedPolicy(self.policy, self._watch)
-        charge = self.job.delays.policy.charge(latency_rng)
+        latency_model = self.job.delays.policy.latency_model(latency_rng)
         message = trace = ""
         try:
             drone = self.vehicle.take_off(lambda _: True)
-            fly(drone, timed, drone, self._mission, mind=mind, recorder=log, charge=charge, seed=policy_seed)
+            fly(
+                drone,
+                timed,
+                drone,
+                self._mission,
+                reasoner=async_reasoner,
+                recorder=log,
+                latency_model=latency_model,
+                seed=policy_seed,
+            )
         except PolicyError as error:
             self.track_runner.end("policy_error")
             message = str(error)
@@ -76,7 +87,7 @@ class PilotRunner:
         result = EpisodeResult(episode, seed, log.results(), len(log.path), message)
         path = log.trace(sum(timed.took_s) / max(len(timed.took_s), 1))
         link = self.vehicle.report - before
-        trace = trace or (mind.trace if mind else "")
+        trace = trace or (async_reasoner.trace if async_reasoner else "")
         return Rollout(result, path, log.frames if film else None, link if link.frames else None, trace)
 
     def close(self) -> None:

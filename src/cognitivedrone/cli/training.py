@@ -31,7 +31,7 @@ def train(
 
     Args:
         out: Folder of the run: checkpoint, curves.png, TensorBoard logs and, at the end, model.onnx.
-        recipe: small, race, base or debug; language, which teaches a trained policy more language; reader or mind,
+        recipe: small, race, base or debug; language, which teaches a trained policy more language; reader or selector,
             the two networks of the small reasoner.
         data: A data set made by `collect`, used instead of flights made during training.
         start: Checkpoint of a policy: the start of recipe language, or the source of the reader's panel encoder.

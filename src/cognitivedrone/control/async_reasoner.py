@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 
 from cognitivedrone.control.calls import NO_WATCH, Watch, begin_stage, calling
-from cognitivedrone.control.latency import Charge
+from cognitivedrone.control.latency import LatencyModel
 from cognitivedrone.errors import PolicyRaised, ReasonerError, ReasonerFault
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance, Image
@@ -30,7 +30,7 @@ LONGEST_DIRECTIVE = 1000
 class Question:
     """What a reasoner is asked."""
 
-    leg: int
+    segment: int
     """Index of the leg that it is about."""
     instruction: str
     image: Image
@@ -76,10 +76,10 @@ class SimulatedReasoner:
     """Thinks in no time and answers after the time that is charged for it."""
 
     def __init__(
-        self, reasoner: Reasoner, charge: Charge = lambda _: 0.0, watch: Watch = NO_WATCH, *, seed: int = 0
+        self, reasoner: Reasoner, latency_model: LatencyModel = lambda _: 0.0, watch: Watch = NO_WATCH, *, seed: int = 0
     ) -> None:
         self._thinker = _Thinker(reasoner, watch, seed)
-        self._charge = charge
+        self._charge = latency_model
         self.trace = ""
         """The first traceback of the reasoner's own exceptions; empty where it raised none."""
         self._pending: tuple[float, Answer] | None = None
@@ -144,7 +144,7 @@ class _Thinker:
         self._reasoner = reasoner
         self._watch = watch
         self._seed = seed
-        self._leg: int | None = None
+        self._segment: int | None = None
 
     def think(self, question: Question) -> Answer:
         """An answer in any case: whatever the reasoner raises or returns is a fault, and the flight goes on."""
@@ -157,10 +157,10 @@ class _Thinker:
 
     def _ask(self, question: Question) -> Guidance:
         reasoner = self._reasoner
-        if question.leg != self._leg:
-            stage = 0 if self._leg is None else question.leg
+        if question.segment != self._segment:
+            stage = 0 if self._segment is None else question.segment
             begin_stage(reasoner, EpisodeContext(question.instruction, self._seed, stage, question.truth))
-            self._leg = question.leg
+            self._segment = question.segment
         return reasoner.refine(question.image, question.instruction)
 
 

@@ -48,20 +48,20 @@ class Hold:
         """Whether the drone is to hover now."""
         self.sure = 1.0
         """Mean of the answers of this leg; 1 before the first."""
-        self._leg: int | None = None
+        self._segment: int | None = None
         self._heard = 0
         self._answered = False
 
-    def begin(self, leg: int) -> None:
+    def begin(self, segment: int) -> None:
         """Forget the last leg where this is another one, and fly."""
-        if leg != self._leg:
-            self._leg, self._heard, self._answered = leg, 0, False
+        if segment != self._segment:
+            self._segment, self._heard, self._answered = segment, 0, False
             self.active, self.sure = False, 1.0
 
     def update(self, answer: Answer) -> None:
         """Take an answer; those of other legs, and faults that tell nothing of the scene, say nothing."""
         guidance = answer.guidance
-        if answer.question.leg != self._leg:
+        if answer.question.segment != self._segment:
             return
         if guidance is not None:
             value = guidance.confidence * (1.0 if guidance.present is None else guidance.present)
@@ -81,28 +81,28 @@ class Hold:
 class HoldAwareReasoner:
     """A mind whose answers are heard by a `Hold` as well."""
 
-    def __init__(self, mind: AsyncReasoner, hold: Hold) -> None:
-        self._mind, self._hold = mind, hold
+    def __init__(self, async_reasoner: AsyncReasoner, hold: Hold) -> None:
+        self._async_reasoner, self._hold = async_reasoner, hold
 
     def idle(self, now: float) -> bool:
         """As the mind."""
-        return self._mind.idle(now)
+        return self._async_reasoner.idle(now)
 
     def ask(self, question: Question) -> None:
         """A question of another leg begins anew."""
-        self._hold.begin(question.leg)
-        self._mind.ask(question)
+        self._hold.begin(question.segment)
+        self._async_reasoner.ask(question)
 
     def answer(self, now: float) -> Answer | None:
         """As the mind."""
-        answer = self._mind.answer(now)
+        answer = self._async_reasoner.answer(now)
         if answer is not None:
             self._hold.update(answer)
         return answer
 
     def close(self) -> None:
         """As the mind."""
-        self._mind.close()
+        self._async_reasoner.close()
 
 
 class HeldDrone:

@@ -27,7 +27,7 @@ _LARGEST_FILE = 16_000_000
 _UNITS_S = {"ms": 1e-3, "s": 1.0}
 _HOW = "give none, measured, or parts as policy=80ms,reasoner=450ms; a part may also be measured, or a file of ms"
 
-Charge = Callable[[float], float]
+LatencyModel = Callable[[float], float]
 """From the seconds that were really needed to the seconds that are charged."""
 
 
@@ -75,7 +75,7 @@ class Delay:
     measured: bool = False
     """Charge what was really needed instead."""
 
-    def charge(self, rng: np.random.Generator) -> Charge:
+    def latency_model(self, rng: np.random.Generator) -> LatencyModel:
         """What to charge for one decision after another; draws depend on `rng` alone."""
         if self.measured:
             return lambda needed_s: needed_s

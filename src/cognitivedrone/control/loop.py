@@ -12,7 +12,7 @@ import numpy as np
 from cognitivedrone.control.async_reasoner import AsyncReasoner, Question
 from cognitivedrone.control.calls import begin_stage
 from cognitivedrone.control.directive_filter import DirectiveFilter
-from cognitivedrone.control.latency import Charge
+from cognitivedrone.control.latency import LatencyModel
 from cognitivedrone.errors import ActionError, NonFiniteAction
 from cognitivedrone.interfaces import Clock, Drone, Policy, Recorder
 from cognitivedrone.types import (
@@ -89,54 +89,56 @@ def fly(
     clock: Clock,
     mission: Mission,
     *,
-    mind: AsyncReasoner | None = None,
+    reasoner: AsyncReasoner | None = None,
     recorder: Recorder | None = None,
     rates: Rates | None = None,
-    charge: Charge | None = None,
+    latency_model: LatencyModel | None = None,
     seed: int = 0,
 ) -> int:
     """Fly until the mission ends; returns the number of commands sent.
 
     The policy decides on absolute deadlines; a deadline that has passed is skipped. Its commands are sent when its
-    thinking is over: on a wall clock that takes its time, on a simulated one what `charge` makes of it. A chunk of
-    actions is flown to its end before the policy is asked again.
+    inference is over: on a wall clock that takes its time, on a simulated one what `latency_model` makes of it. A chunk
+    of actions is flown to its end before the policy is asked again.
 
-    A new leg resets the policy, with `seed` in its context, and drops what is left of the chunk. The `mind` is asked
-    then, and `reasoner_hz` times a second, about the newest frame, as soon as it is idle. Its directive is flown by
-    from when it arrives (`DirectiveFilter` says whether it replaces another); without one, by the instruction.
+    A new segment resets the policy, with `seed` in its context, and drops what is left of the chunk. The `reasoner` is
+    asked then, and `reasoner_hz` times a second, about the newest frame, as soon as it is idle. Its directive replaces
+    the instruction from when it arrives (`DirectiveFilter` says whether it replaces another directive).
     """
     rates = rates or Rates()
     log = recorder or _NullRecorder()
     start = clock.now()
-    leg_index: int | None = None
+    segment_index: int | None = None
     directive_filter = DirectiveFilter()
     pending: list[Action] = []
     slot = sent_count = 0
     next_question = 0
-    while (leg := mission()) is not None:
+    while (segment := mission()) is not None:
         late = clock.now() - (start + slot / rates.control_hz)
         if late > LATE_S:
             log.note(Event(clock.now() - start, "late", age_s=late))
-        if leg.index != leg_index:
-            stage = 0 if leg_index is None else leg.index
-            leg_index, directive_filter, pending, next_question = leg.index, DirectiveFilter(), [], slot
-            begin_stage(policy, EpisodeContext(leg.instruction, seed, stage, leg.truth))
-            log.note(Event(clock.now() - start, "leg", leg.instruction))
+        if segment.index != segment_index:
+            stage = 0 if segment_index is None else segment.index
+            segment_index, directive_filter, pending, next_question = segment.index, DirectiveFilter(), [], slot
+            begin_stage(policy, EpisodeContext(segment.instruction, seed, stage, segment.truth))
+            log.note(Event(clock.now() - start, "leg", segment.instruction))
         observation = drone.observe()
-        if mind is not None:
-            _poll(mind, directive_filter, leg, start, clock.now(), log)
-            if slot >= next_question and mind.idle(clock.now()):
-                mind.ask(Question(leg.index, leg.instruction, observation.image, clock.now(), leg.truth))
-                log.note(Event(clock.now() - start, "asked", leg.instruction))
+        if reasoner is not None:
+            _poll(reasoner, directive_filter, segment, start, clock.now(), log)
+            if slot >= next_question and reasoner.idle(clock.now()):
+                reasoner.ask(
+                    Question(segment.index, segment.instruction, observation.image, clock.now(), segment.truth)
+                )
+                log.note(Event(clock.now() - start, "asked", segment.instruction))
                 next_question = slot + rates.reason_every
-                _poll(mind, directive_filter, leg, start, clock.now(), log)
+                _poll(reasoner, directive_filter, segment, start, clock.now(), log)
         guidance = directive_filter.guidance(clock.now())
-        observation = replace(observation, instruction=guidance.directive if guidance else leg.instruction)
+        observation = replace(observation, instruction=guidance.directive if guidance else segment.instruction)
         if not pending:
             begin = time.perf_counter()
             pending = list(check_chunk(policy.act(observation)))
-            if charge is not None:
-                clock.sleep_until(clock.now() + charge(time.perf_counter() - begin))
+            if latency_model is not None:
+                clock.sleep_until(clock.now() + latency_model(time.perf_counter() - begin))
         sent = drone.send(pending.pop(0))
         log.record(observation, sent, guidance)
         sent_count += 1
@@ -146,14 +148,19 @@ def fly(
 
 
 def _poll(
-    mind: AsyncReasoner, directive_filter: DirectiveFilter, leg: Segment, start: float, now: float, log: Recorder
+    reasoner: AsyncReasoner,
+    directive_filter: DirectiveFilter,
+    segment: Segment,
+    start: float,
+    now: float,
+    log: Recorder,
 ) -> None:
-    """Take the mind's answer, if it is there."""
-    answer = mind.answer(now)
+    """Take the reasoner's answer, if it is there."""
+    answer = reasoner.answer(now)
     if answer is None:
         return
     age = now - answer.question.time
-    if answer.question.leg != leg.index:
+    if answer.question.segment != segment.index:
         text = answer.guidance.directive if answer.guidance else answer.message
         log.note(Event(now - start, "stale", text, age))
     elif answer.guidance is None:

@@ -2,7 +2,7 @@
 
 Contracts; the batch is a dynamic axis, F the number of attribute values, L the gate selector's `text_length`:
 
-- panel reader: input `image` uint8 (batch, 256, 256, 3); outputs `facets` float32 (batch, 4, F), logits of the
+- panel reader: input `image` uint8 (batch, 256, 256, 3); outputs `attributes` float32 (batch, 4, F), logits of the
   attribute values of three panels and the board; `looks` float32 (batch, 3, 8), probabilities of a gate's colours,
   shapes and sizes; `boxes` float32 (batch, 4, 4) of panels and board: centre u, v and height in pixels, and the
   detection score, 0 to 1;
@@ -33,8 +33,9 @@ from cognitivedrone.models.onnx_file import (
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.types import IMAGE_SIZE, Image
 
-EYES, MIND = "small-reasoner-eyes", "small-reasoner-mind"
-EYES_FILE, MIND_FILE = "eyes.onnx", "mind.onnx"
+READER_KIND, SELECTOR = "small-reasoner-eyes", "small-reasoner-mind"
+READER_FILE, SELECTOR_FILE = "panel_reader.onnx", "gate_selector.onnx"
+FORMER_FILES = {READER_FILE: "eyes.onnx", SELECTOR_FILE: "mind.onnx"}
 LOOKS = 8
 """Colours, shapes and sizes of gates, in the order of `types`."""
 REMEMBERED = 15
@@ -43,10 +44,10 @@ REMEMBERED = 15
 Floats = NDArray[np.float32]
 
 
-class Sight(NamedTuple):
+class PanelReading(NamedTuple):
     """The panel reader's output for one frame."""
 
-    facets: Floats
+    attributes: Floats
     """(4, F) logits of three panels, unordered, and the board."""
     looks: Floats
     """(3, 8)."""
@@ -75,50 +76,50 @@ class AttributeSchema:
 class PanelReaderModel:
     """Panel reader, run by ONNX Runtime on the CPU."""
 
-    def __init__(self, session: Any, facets: AttributeSchema, provenance: Provenance) -> None:
+    def __init__(self, session: Any, attributes: AttributeSchema, provenance: Provenance) -> None:
         self._session = session
-        self.facets = facets
+        self.attributes = attributes
         self.provenance = provenance
 
     @classmethod
     def load(cls, path: Path, *, threads: int = 1) -> PanelReaderModel:
         """Load a file; raises `ModelError` where it is missing, broken or of another kind."""
-        session, table = open_model(path, EYES, threads=threads, optimise=True)
-        facets = _facets(table, str(path))
+        session, table = open_model(path, READER_KIND, threads=threads, optimise=True)
+        attributes = _attributes(table, str(path))
         outputs = {
-            "facets": ("tensor(float)", (4, len(facets.names))),
+            "facets": ("tensor(float)", (4, len(attributes.names))),
             "looks": ("tensor(float)", (3, LOOKS)),
             "boxes": ("tensor(float)", (4, 4)),
         }
         check_graph(session, {"image": ("tensor(uint8)", (IMAGE_SIZE, IMAGE_SIZE, 3))}, outputs, str(path))
-        return cls(session, facets, provenance_of(table, str(path)))
+        return cls(session, attributes, provenance_of(table, str(path)))
 
-    def see(self, image: Image) -> Sight:
+    def see(self, image: Image) -> PanelReading:
         """The attributes in a frame (256, 256, 3); raises `PolicyError` for one of another shape or type."""
         if image.dtype != np.uint8 or image.shape != (IMAGE_SIZE, IMAGE_SIZE, 3):
             raise PolicyError(
                 f"the panel reader needs an image of uint8 (256, 256, 3), not {image.dtype} {image.shape}"
             )
-        facets, looks, boxes = self._session.run(("facets", "looks", "boxes"), {"image": image[None]})
-        return Sight(facets[0], looks[0], boxes[0])
+        attributes, looks, boxes = self._session.run(("facets", "looks", "boxes"), {"image": image[None]})
+        return PanelReading(attributes[0], looks[0], boxes[0])
 
 
 class GateSelectorModel:
     """Gate selector, run by ONNX Runtime on the CPU."""
 
-    def __init__(self, session: Any, facets: AttributeSchema, vocabulary: Vocabulary, text_length: int) -> None:
+    def __init__(self, session: Any, attributes: AttributeSchema, vocabulary: Vocabulary, text_length: int) -> None:
         self._session = session
-        self.facets = facets
+        self.attributes = attributes
         self.vocabulary = vocabulary
         self.text_length = text_length
 
     @classmethod
     def load(cls, path: Path, *, threads: int = 1) -> GateSelectorModel:
         """Load a file; raises `ModelError` where it is missing, broken or of another kind."""
-        session, table = open_model(path, MIND, threads=threads, optimise=True)
+        session, table = open_model(path, SELECTOR, threads=threads, optimise=True)
         where = str(path)
-        facets, length = _facets(table, where), count_of(table, "text_length", where)
-        count = len(facets.names)
+        attributes, length = _attributes(table, where), count_of(table, "text_length", where)
+        count = len(attributes.names)
         inputs = {
             "tokens": ("tensor(int64)", (length,)),
             "panels": ("tensor(float)", (3, count)),
@@ -129,19 +130,19 @@ class GateSelectorModel:
             "stages": ("tensor(int64)", (REMEMBERED, 3)),
         }
         check_graph(session, inputs, {"logits": ("tensor(float)", (3,))}, where)
-        return cls(session, facets, vocabulary_of(field_of(table, "vocabulary", list, where), where), length)
+        return cls(session, attributes, vocabulary_of(field_of(table, "vocabulary", list, where), where), length)
 
     def choose(self, sentence: str, told: Mapping[str, NDArray[Any]]) -> Floats:
         """Probabilities (3,) of the gates, for a sentence and the other inputs, each without its batch axis."""
         tokens = self.vocabulary.encode(sentence, self.text_length)
-        feed = {"tokens": tokens[None], **{name: value[None] for name, value in told.items()}}
-        (logits,) = self._session.run(("logits",), feed)
+        prefetch = {"tokens": tokens[None], **{name: value[None] for name, value in told.items()}}
+        (logits,) = self._session.run(("logits",), prefetch)
         shares = np.exp(logits[0] - logits[0].max())
         probabilities: Floats = shares / shares.sum()
         return probabilities
 
 
-def _facets(table: Mapping[str, Any], where: str) -> AttributeSchema:
+def _attributes(table: Mapping[str, Any], where: str) -> AttributeSchema:
     names = field_of(table, "facets", list, where)
     if not names or not all(isinstance(name, str) and "/" in name for name in names):
         raise ModelError(f"the facets in {where} are not names of the form group/value")

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from cognitivedrone.models.reasoner_file import REMEMBERED
-from cognitivedrone.models.small_vla import SLOTS, SmallVLA, TextLayer, sight
+from cognitivedrone.models.small_vla import SLOTS, SmallVLA, TextLayer, panel_encoder
 
 VALUES = 24
 """Number of values of sums, as indexed by `reasoners.small.value_index`."""
@@ -29,11 +29,11 @@ STAGES = REMEMBERED // 3
 class ReaderConfig:
     """Sizes of the reader; those of the policy's panel encoder, from which its training starts."""
 
-    facets: int = 1
+    attributes: int = 1
     """Number of attribute values in the training."""
-    glimpse: int = 48
+    crop_size: int = 48
     """Height and width of a panel crop, pixels."""
-    sight: tuple[int, int, int, int] = (32, 64, 128, 256)
+    panel_encoder: tuple[int, int, int, int] = (32, 64, 128, 256)
     embedding: int = 192
 
     def facts(self) -> dict[str, Any]:
@@ -47,23 +47,23 @@ class Reader(nn.Module):
     def __init__(self, config: ReaderConfig) -> None:
         super().__init__()
         self.config = config
-        self.sight = sight(config.sight, config.glimpse, config.embedding)
-        self.facets = nn.Linear(config.embedding, config.facets)
+        self.panel_encoder = panel_encoder(config.panel_encoder, config.crop_size, config.embedding)
+        self.attributes = nn.Linear(config.embedding, config.attributes)
 
-    def forward(self, glimpses: Tensor) -> Tensor:
+    def forward(self, panel_images: Tensor) -> Tensor:
         """From panel crops (n, 3, g, g), 0 to 1, channels last in memory for speed, to logits (n, F)."""
-        logits: Tensor = self.facets(self.sight((glimpses - 0.5) * 4))
+        logits: Tensor = self.attributes(self.panel_encoder((panel_images - 0.5) * 4))
         return logits
 
 
 class PanelReader(nn.Module):
     """Panel reader: a small VLA's detector of gates, panels and board, and a network that reads each panel."""
 
-    def __init__(self, finder: SmallVLA, reader: Reader, gate_facets: Mapping[str, slice]) -> None:
-        """`gate_facets`: indices of a gate's colour, shape and size among the detector's attribute values."""
+    def __init__(self, finder: SmallVLA, reader: Reader, gate_attributes: Mapping[str, slice]) -> None:
+        """`gate_attributes`: indices of a gate's colour, shape and size among the detector's attribute values."""
         super().__init__()
         self.finder, self.reader = finder, reader
-        self.gate_facets = dict(gate_facets)
+        self.gate_attributes = dict(gate_attributes)
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """From images uint8 (B, 256, 256, 3) to attributes.
@@ -77,10 +77,10 @@ class PanelReader(nn.Module):
         slots, scores, board = self.finder.find(scene)
         seen = self.finder.attend(scene, slots)
         boxes = self.finder.boxes(slots, seen)
-        glimpses = self.finder.crops(pixels, boxes, self.reader.config.glimpse)
-        read = self.reader(glimpses).view(image.shape[0], SLOTS + 1, -1)
+        panel_images = self.finder.crops(pixels, boxes, self.reader.config.crop_size)
+        read = self.reader(panel_images).view(image.shape[0], SLOTS + 1, -1)
         looks = self.finder.gate_embedding(seen.cell) @ self.finder.prototypes.T
-        gates = torch.cat([looks[..., span].softmax(-1) for span in self.gate_facets.values()], dim=-1)
+        gates = torch.cat([looks[..., span].softmax(-1) for span in self.gate_attributes.values()], dim=-1)
         told = torch.cat([boxes, torch.cat([scores, board[:, None]], dim=1)[..., None]], dim=-1)
         return read, gates, told
 
@@ -91,7 +91,7 @@ class SelectorConfig:
 
     vocabulary: int = 2
     """Number of words in the training, including padding and the unknown word."""
-    facets: int = 1
+    attributes: int = 1
     text_length: int = 48
     width: int = 128
     layers: int = 3
@@ -111,7 +111,7 @@ class GateSelector(nn.Module):
         width = config.width
         self.words = nn.Embedding(config.vocabulary, width)
         self.places = nn.Parameter(torch.randn(config.text_length, width) * 0.02)
-        self.facets = nn.Linear(config.facets, width, bias=False)
+        self.attributes = nn.Linear(config.attributes, width, bias=False)
         self.looks = nn.Linear(8, width, bias=False)
         self.values = nn.Embedding(VALUES, width)
         self.kinds = nn.Parameter(torch.randn(6, width) * 0.02)  # start, board, calculator, and gates 1 to 3
@@ -122,7 +122,7 @@ class GateSelector(nn.Module):
         self.out = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 1))
         for embedding in (self.words, self.values):
             nn.init.normal_(embedding.weight, std=0.05)
-        nn.init.normal_(self.facets.weight, std=0.05)
+        nn.init.normal_(self.attributes.weight, std=0.05)
 
     def forward(
         self,
@@ -142,14 +142,16 @@ class GateSelector(nn.Module):
         ago, and 1 if that gate was flown through. A stage of -1 means none.
         """
         n = tokens.shape[0]
-        gates = self.facets(panels) + self.looks(looks) + self.values(values[:, :3]) + self.kinds[3:]
+        gates = self.attributes(panels) + self.looks(looks) + self.values(values[:, :3]) + self.kinds[3:]
         start = self.kinds[0].expand(n, 1, -1)
-        on_board = (self.facets(board) + self.values(values[:, 3]) + self.kinds[1])[:, None]
+        on_board = (self.attributes(board) + self.values(values[:, 3]) + self.kinds[1])[:, None]
         calculated = (self.values(values[:, 4]) + self.kinds[2])[:, None]
         words = self.words(tokens) + self.places[: tokens.shape[1]]
         there = (stages[..., 0] >= 0).to(words.dtype)
         index, ago = (stages[..., column].clamp(0, STAGES - 1) for column in (0, 1))
-        memory = self.facets(remembered) + self.stages[index] + self.ago[ago] + self.flown[stages[..., 2].clamp(0, 1)]
+        memory = (
+            self.attributes(remembered) + self.stages[index] + self.ago[ago] + self.flown[stages[..., 2].clamp(0, 1)]
+        )
         x = torch.cat([start, gates, on_board, calculated, words, memory], dim=1)
         always = torch.ones_like(tokens[:, :1], dtype=words.dtype).expand(-1, 6)
         present = torch.cat([always, (tokens != 0).to(words.dtype), there], dim=1)

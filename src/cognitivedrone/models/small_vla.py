@@ -49,20 +49,20 @@ class SmallVLAConfig:
 
     vocabulary: int = 2
     """Number of words in the training, including padding and the unknown word."""
-    facets: int = 1
+    attributes: int = 1
     """Number of attribute values in the training."""
     board_bounds: tuple[int, ...] = (0, 1)
     """Start indices, among the attribute values, of the groups that boards show, and the end index of the last one."""
     text_length: int = 32
     image_size: int = 256
     """Height and width of the processed image, pixels: 256, or 128 (reduced inside the network)."""
-    glimpse: int = 48
+    crop_size: int = 48
     """Height and width of a panel crop, pixels."""
     backbone: tuple[int, int, int] = (32, 64, 128)
     """Channels at strides 4, 8 and 16."""
     blocks: int = 3
     """Residual blocks at stride 16."""
-    sight: tuple[int, int, int, int] = (32, 64, 128, 256)
+    panel_encoder: tuple[int, int, int, int] = (32, 64, 128, 256)
     """Channels of the panel encoder at strides 2, 4, 8 and 16."""
     embedding: int = 192
     text_width: int = 128
@@ -99,7 +99,7 @@ class Block(nn.Module):
         return F.relu(self.norm2(self.second(y)) + shortcut)
 
 
-def sight(channels: tuple[int, int, int, int], glimpse: int, embedding: int) -> nn.Sequential:
+def panel_encoder(channels: tuple[int, int, int, int], crop_size: int, embedding: int) -> nn.Sequential:
     """The panel encoder: from (n, 3, glimpse, glimpse), about -2 to 2, to (n, embedding)."""
     c1, c2, c3, c4 = channels
     return nn.Sequential(
@@ -111,7 +111,7 @@ def sight(channels: tuple[int, int, int, int], glimpse: int, embedding: int) -> 
         Block(c2, c3, 2),
         Block(c3, c4, 2),
         nn.Flatten(),
-        nn.Linear(c4 * (glimpse // 16) ** 2, embedding),
+        nn.Linear(c4 * (crop_size // 16) ** 2, embedding),
     )
 
 
@@ -219,11 +219,11 @@ class SmallVLA(nn.Module):
         self.heat = nn.Conv2d(third, 2, 1)
         self.place = nn.Linear(third, GEOMETRY)
         self.board_place = nn.Linear(third, BOARD)
-        self.sight = sight(config.sight, config.glimpse, config.embedding)
+        self.panel_encoder = panel_encoder(config.panel_encoder, config.crop_size, config.embedding)
         self.gate_embedding = nn.Linear(third, config.embedding)
         self.prior = nn.Sequential(nn.Linear(third + GEOMETRY + STATE, 64), nn.ReLU(), nn.Linear(64, 1))
         self.nowhere = nn.Sequential(nn.Linear(third + STATE, 64), nn.ReLU(), nn.Linear(64, 1))
-        self.prototypes = nn.Parameter(torch.randn(config.facets, config.embedding) * config.embedding**-0.5)
+        self.prototypes = nn.Parameter(torch.randn(config.attributes, config.embedding) * config.embedding**-0.5)
         self.text = TextEncoder(config)
         self.scale = nn.Parameter(torch.tensor(1.0))
         outputs = config.bins if config.head == "tokens" else 1
@@ -295,7 +295,7 @@ class SmallVLA(nn.Module):
 
     def read(self, image: Tensor, boxes: Boxes) -> Tensor:
         """Embeddings (B, m, E) of the content of `boxes` (B, m, 3) of the image (B, 3, 256, 256)."""
-        embedded: Tensor = self.sight((self.crops(image, boxes, self.config.glimpse) - 0.5) * 4)
+        embedded: Tensor = self.panel_encoder((self.crops(image, boxes, self.config.crop_size) - 0.5) * 4)
         return embedded.view(-1, boxes.shape[1], self.config.embedding)
 
     def spell(self, read: Tensor) -> Tensor:
@@ -310,10 +310,10 @@ class SmallVLA(nn.Module):
             spelled.append((read.float() @ prototypes.T).softmax(-1) @ prototypes)
         return torch.stack(spelled).sum(0)
 
-    def describe(self, seen: Seen, glimpses: Tensor) -> Tensor:
-        """Embeddings (B, S, E) of gates: their appearance and the `glimpses` (B, S, E) of their panels."""
+    def describe(self, seen: Seen, panel_images: Tensor) -> Tensor:
+        """Embeddings (B, S, E) of gates: their appearance and the `panel_images` (B, S, E) of their panels."""
         looks: Tensor = self.gate_embedding(seen.cell)
-        return glimpses + looks
+        return panel_images + looks
 
     def choose(self, query: Tensor, gates: Tensor, seen: Seen, state: Tensor) -> Tensor:
         """Logits (B, K, S + 1) of `query` (B, K, E) for `gates` (B, S, E) and, last, for none of those in view."""

@@ -19,8 +19,8 @@ POLICIES: dict[str, str] = {
     "small": "cognitivedrone.policies.small:Small",
     "race": "cognitivedrone.policies.small:Race",
     "openvla": "cognitivedrone.policies.openvla:OpenVla",
-    "hover": "cognitivedrone.policies.blind:Hover",
-    "random": "cognitivedrone.policies.blind:Random",
+    "hover": "cognitivedrone.policies.baselines:Hover",
+    "random": "cognitivedrone.policies.baselines:Random",
 }
 
 

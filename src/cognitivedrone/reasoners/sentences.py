@@ -24,7 +24,7 @@ class Description:
     size: Size | None = None
     color: Color | None = None
     shape: Shape | None = None
-    stranger: str | None = None
+    unknown_person: str | None = None
     """A color or shape that no gate has."""
     hedged: bool = False
     """Said with a doubt."""
@@ -33,7 +33,7 @@ class Description:
         """Whether it contradicts nothing that the other says."""
         mine, theirs = (self.size, self.color, self.shape), (other.size, other.color, other.shape)
         agree = all(a is None or b is None or a == b for a, b in zip(mine, theirs, strict=True))
-        return agree and (self.stranger is None or other.stranger in (None, self.stranger))
+        return agree and (self.unknown_person is None or other.unknown_person in (None, self.unknown_person))
 
     def merged(self, other: Description) -> Description:
         """Both together, for descriptions that do not contradict each other."""
@@ -41,7 +41,7 @@ class Description:
             self.size or other.size,
             self.color or other.color,
             self.shape or other.shape,
-            self.stranger or other.stranger,
+            self.unknown_person or other.unknown_person,
             self.hedged or other.hedged,
         )
 
@@ -165,8 +165,8 @@ def read_sentences(text: str) -> Description:
     if len(gates) > 1:
         raise ReasonerError("unsure", f"the reply names several gates: {_begin(text)}")
     gate = gates[0]
-    if gate.stranger is not None:
-        raise ReasonerError("no_such_gate", f"no gate is {gate.stranger!r}, the reply says so: {_begin(text)}")
+    if gate.unknown_person is not None:
+        raise ReasonerError("no_such_gate", f"no gate is {gate.unknown_person!r}, the reply says so: {_begin(text)}")
     return _with_details(gate, found)
 
 
@@ -176,7 +176,7 @@ def _with_details(gate: Description, found: list[_Finding]) -> Description:
         return gate
     for finding in found:
         for other in finding.gates:
-            if other.color == gate.color and other.stranger is None and other.adds_to(gate):
+            if other.color == gate.color and other.unknown_person is None and other.adds_to(gate):
                 gate = gate.merged(replace(other, hedged=False))
     return gate
 
@@ -313,7 +313,7 @@ def _read_run(run: list[str], after: str | None, panel_of_gate: bool, panel: boo
 def _describe_word(word: str) -> Description | None:
     """What one word says of a gate; none where it says nothing."""
     if word in _STRANGERS:
-        return Description(stranger=word)
+        return Description(unknown_person=word)
     if word in _MORE_WORDS:
         return _MORE_WORDS[word]
     size, color, shape = parse_directive(word)

@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from cognitivedrone.errors import ModelError, ReasonerError
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.models.reasoner_file import (
-    EYES_FILE,
+    FORMER_FILES,
     LOOKS,
-    MIND_FILE,
+    READER_FILE,
     REMEMBERED,
+    SELECTOR_FILE,
     GateSelectorModel,
     PanelReaderModel,
-    Sight,
+    PanelReading,
 )
 from cognitivedrone.reasoners.calculator import calculate
 from cognitivedrone.tasks.directives import write_directive
@@ -45,7 +46,7 @@ class _Gate:
     """What is known of one gate, from all frames so far; sums, weighted by how well each was seen."""
 
     looks: Floats
-    facets: Floats
+    attributes: Floats
     weight: float = 0.0
     u: float = 0.0
     """Where it was seen last, pixels from the left."""
@@ -65,16 +66,19 @@ class _Stage:
 
 
 class SmallReasoner(Reasoner):
-    """The packaged reasoner, or the one in a folder with `eyes.onnx` and `mind.onnx`."""
+    """The packaged reasoner, or the one in a folder with `panel_reader.onnx` and `gate_selector.onnx`."""
 
     def __init__(self, folder: Path | str | None = None) -> None:
         """Raises `ModelError` where a file is missing, or the two do not belong together."""
         place = _place_of(folder)
-        self.eyes, self.mind = PanelReaderModel.load(place / EYES_FILE), GateSelectorModel.load(place / MIND_FILE)
-        if self.eyes.facets != self.mind.facets:
-            raise ModelError(f"{place}: eyes and mind do not belong together; take both from one release")
-        self._names = self.eyes.facets.names
-        self._groups = self.eyes.facets.groups
+        self.reader = PanelReaderModel.load(_file(place, READER_FILE))
+        self.selector = GateSelectorModel.load(_file(place, SELECTOR_FILE))
+        if self.reader.attributes != self.selector.attributes:
+            raise ModelError(
+                f"{place}: panel reader and gate selector do not belong together; take both from one release"
+            )
+        self._names = self.reader.attributes.names
+        self._groups = self.reader.attributes.groups
         self._stage = self._new()
         self._earlier: list[list[tuple[Floats, int]]] = []
         self._named: dict[str, NDArray[np.intp] | None] = {}
@@ -82,8 +86,8 @@ class SmallReasoner(Reasoner):
 
     @classmethod
     def file_of(cls, folder: Path | str | None = None) -> Path:
-        """The file of the eyes, which a run is told by; raises `ModelError` where it is missing."""
-        return _place_of(folder) / EYES_FILE
+        """The panel reader's file, which identifies the reasoner in a run; raises `ModelError` where it is missing."""
+        return _file(_place_of(folder), READER_FILE)
 
     def reset(self, context: EpisodeContext) -> None:
         """Forget everything for a new flight.
@@ -95,7 +99,7 @@ class SmallReasoner(Reasoner):
             self._stage, self._earlier = self._new(), []
             return
         stage = self._stage
-        panels = [(gate.facets / gate.weight, int(color == stage.chosen)) for color, gate in _by_place(stage)]
+        panels = [(gate.attributes / gate.weight, int(color == stage.chosen)) for color, gate in _by_place(stage)]
         self._earlier.append(panels)
         self._stage = self._new()
 
@@ -104,17 +108,17 @@ class SmallReasoner(Reasoner):
 
         Raises `ReasonerError` where fewer than three gates were seen yet, or none is likely enough.
         """
-        self._look(self.eyes.see(image))
+        self._look(self.reader.see(image))
         gates = _by_place(self._stage)
         if len(gates) < 3:
             raise ReasonerError("unsure", f"only {len(gates)} of 3 gates have been in view")
-        panels = np.stack([gate.facets / gate.weight for _, gate in gates])
+        panels = np.stack([gate.attributes / gate.weight for _, gate in gates])
         looks = np.stack([gate.looks / gate.weight for _, gate in gates])
         board = self._board()
         on_board = self._sum_of(board)
         values = [*(self._sum_of(panel) for panel in panels), on_board, calculate(instruction, on_board)]
         remembered, stages = self._memory()
-        chosen = self.mind.choose(
+        chosen = self.selector.choose(
             instruction,
             {
                 "panels": panels,
@@ -135,11 +139,11 @@ class SmallReasoner(Reasoner):
     def _presence(self, instruction: str, panels: Floats) -> float | None:
         """How likely one of the panels (n, F) shows what the instruction names; none where no word tells what."""
         if instruction not in self._named:
-            self._named = {instruction: self._facets_named(instruction)}
+            self._named = {instruction: self._attributes_named(instruction)}
         named = self._named[instruction]
         return None if named is None else min(1.0, float(panels[:, named].sum(axis=1).max()))
 
-    def _facets_named(self, instruction: str) -> NDArray[np.intp] | None:
+    def _attributes_named(self, instruction: str) -> NDArray[np.intp] | None:
         """Of the things, or else the kinds, that an instruction names, and of kinds that can show anything."""
         if calculate(instruction) is not None:
             instruction = "the number"
@@ -151,32 +155,34 @@ class SmallReasoner(Reasoner):
             kinds -= _THINGS
         else:
             kinds = frozenset()
-        names = {_facet_of(concept) for concept in concepts} | {f"kind/{kind}" for kind in (*kinds, "sum", "several")}
+        names = {_attribute_of(concept) for concept in concepts} | {
+            f"kind/{kind}" for kind in (*kinds, "sum", "several")
+        }
         return np.array([i for i, name in enumerate(self._names) if name in names])
 
     def _new(self) -> _Stage:
         return _Stage(np.zeros(len(self._names), np.float32))
 
-    def _look(self, sight: Sight) -> None:
+    def _look(self, panel_encoder: PanelReading) -> None:
         """Add a frame to what is known."""
-        known = self._probabilities(sight.facets)
+        known = self._probabilities(panel_encoder.attributes)
         for slot in range(3):
-            u, _, height, score = sight.boxes[slot].tolist()
+            u, _, height, score = panel_encoder.boxes[slot].tolist()
             if score < _SEEN:
                 continue
-            color = int(sight.looks[slot, : len(COLORS)].argmax())
+            color = int(panel_encoder.looks[slot, : len(COLORS)].argmax())
             legible = height >= _LEGIBLE_PX
             # Nearer is clearer; what was hardly read must not drown what was.
             weight = score * (min(height, 60.0) if legible else 0.01)
             gate = self._stage.gates.setdefault(
                 color, _Gate(np.zeros(LOOKS, np.float32), np.zeros(len(self._names), np.float32))
             )
-            gate.looks += weight * sight.looks[slot]
-            gate.facets += weight * known[slot]
+            gate.looks += weight * panel_encoder.looks[slot]
+            gate.attributes += weight * known[slot]
             gate.weight += weight
             gate.u = u
-        if sight.boxes[3, 3] >= 0.5:
-            weight = float(sight.boxes[3, 3] * sight.boxes[3, 2])
+        if panel_encoder.boxes[3, 3] >= 0.5:
+            weight = float(panel_encoder.boxes[3, 3] * panel_encoder.boxes[3, 2])
             self._stage.board += weight * known[3]
             self._stage.board_weight += weight
 
@@ -197,17 +203,17 @@ class SmallReasoner(Reasoner):
         board: Floats = self._stage.board / max(self._stage.board_weight, 1e-6)
         return board
 
-    def _sum_of(self, facets: Floats) -> int | None:
+    def _sum_of(self, attributes: Floats) -> int | None:
         """The value of the sum that a panel or board shows; none where it shows none."""
-        kind = self._names[self._best("kind", facets)]
-        if kind != "kind/sum" or facets[self._groups["kind"]].max() < 0.3:
+        kind = self._names[self._best("kind", attributes)]
+        if kind != "kind/sum" or attributes[self._groups["kind"]].max() < 0.3:
             return None
-        first, sign, second = (self._names[self._best(group, facets)].partition("/")[2] for group in _SUM)
+        first, sign, second = (self._names[self._best(group, attributes)].partition("/")[2] for group in _SUM)
         return calculate(f"{first} {sign} {second}")
 
-    def _best(self, group: str, facets: Floats) -> int:
+    def _best(self, group: str, attributes: Floats) -> int:
         span = self._groups[group]
-        return int(span.start + facets[span].argmax())
+        return int(span.start + attributes[span].argmax())
 
     def _memory(self) -> tuple[Floats, NDArray[np.int64]]:
         remembered = np.zeros((REMEMBERED, len(self._names)), np.float32)
@@ -215,8 +221,8 @@ class SmallReasoner(Reasoner):
         earlier = self._earlier[-_STAGES:]
         first = len(self._earlier) - len(earlier)
         for number, panels in enumerate(earlier):
-            for place, (facets, flown) in enumerate(panels[:3]):
-                remembered[3 * number + place] = facets
+            for place, (attributes, flown) in enumerate(panels[:3]):
+                remembered[3 * number + place] = attributes
                 stages[3 * number + place] = first + number, len(earlier) - 1 - number, flown
         return remembered, stages
 
@@ -232,7 +238,7 @@ _KINDS_OF = {
 """Kinds of picture of which a group tells something; the other groups tell of people."""
 
 
-def _facet_of(label: str) -> str:
+def _attribute_of(label: str) -> str:
     """The facet of a label `kind/concept`."""
     kind, _, concept = label.partition("/")
     return f"concept/{'thing' if kind in _THINGS else kind}:{concept}"
@@ -258,9 +264,15 @@ def _by_place(stage: _Stage) -> list[tuple[int, _Gate]]:
 
 def _place_of(folder: Path | str | None) -> Path:
     place = Path(folder or str(resources.files("cognitivedrone.models") / "weights" / "reasoner"))
-    if not (place / EYES_FILE).is_file() or not (place / MIND_FILE).is_file():
+    if not all(_file(place, name).is_file() for name in (READER_FILE, SELECTOR_FILE)):
         raise ModelError(
-            f"there is no {EYES_FILE} and {MIND_FILE} in {place}; reinstall cognitivedrone, or train them with"
-            " `cognitivedrone train --recipe reader` and `--recipe mind`"
+            f"there is no {READER_FILE} and {SELECTOR_FILE} in {place}; reinstall cognitivedrone, or train them with"
+            " `cognitivedrone train --recipe reader` and `--recipe selector`"
         )
     return place
+
+
+def _file(place: Path, name: str) -> Path:
+    """A file of the reasoner, by its name or by the one that it had before."""
+    former = place / FORMER_FILES[name]
+    return former if former.is_file() and not (place / name).is_file() else place / name

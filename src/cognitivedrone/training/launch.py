@@ -26,7 +26,7 @@ class TrainOptions:
     out: Path
     """Folder of the run: checkpoint, curves, TensorBoard logs and, at the end, model.onnx."""
     recipe: str = "small"
-    """Recipe: small, race, base or debug; language; reader or mind (the reasoner's networks); or an ablation."""
+    """Recipe: small, race, base or debug; language; reader or selector (the reasoner's networks); or an ablation."""
     data: Path | None = None
     """A data set made by `collect`, instead of flights made during training (which train better, because the network
     flies some of them and no two frames are alike)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 from cognitivedrone.errors import TrainingError, did_you_mean
@@ -9,11 +10,11 @@ from cognitivedrone.models.small_vla import SmallVLAConfig
 from cognitivedrone.training.common.sampling import StreamRecipe
 from cognitivedrone.training.common.training_task import Recipe
 from cognitivedrone.training.reasoner.reader import READER
-from cognitivedrone.training.reasoner.selector import MIND
+from cognitivedrone.training.reasoner.selector import SELECTOR
 from cognitivedrone.training.small_vla.language import LANGUAGE
 from cognitivedrone.training.small_vla.policy import TrainRecipe
 
-SMALL = TrainRecipe(name="small", steps=9_000, decay_share=1 / 3, stream=StreamRecipe(spoken=0.5, muddled=0.1))
+SMALL = TrainRecipe(name="small", steps=9_000, decay_share=1 / 3, stream=StreamRecipe(spoken=0.5, token_noise=0.1))
 
 _SHORT = replace(SMALL, name="ablation-tokens", steps=1_000)
 _ABLATION = (
@@ -31,23 +32,29 @@ RECIPES: dict[str, TrainRecipe] = {
         SMALL,
         name="race",
         steps=3_000,
-        stream=StreamRecipe(suite="race", crowded=0.5, muddled=0.7, sentences=2, texts=1, cards=0),
+        stream=StreamRecipe(suite="race", crowded=0.5, token_noise=0.7, sentences=2, texts=1, panel_crops=0),
         losses=replace(SMALL.losses, text=0.0),
     ),
     "base": replace(
         SMALL,
         name="base",
         steps=30_000,
-        stream=replace(SMALL.stream, batch=128, worlds=32, cards=512),
-        network=replace(SMALL.network, backbone=(48, 96, 160), sight=(48, 96, 160, 256), text_layers=4),
+        stream=replace(SMALL.stream, batch=128, worlds=32, panel_crops=512),
+        network=replace(SMALL.network, backbone=(48, 96, 160), panel_encoder=(48, 96, 160, 256), text_layers=4),
     ),
     "debug": replace(
         SMALL,
         name="debug",
         steps=6,
-        stream=StreamRecipe(batch=4, sentences=2, texts=4, cards=4, worlds=4, sampled=0.5, pool=2, learner=0.5),
+        stream=StreamRecipe(batch=4, sentences=2, texts=4, panel_crops=4, worlds=4, sampled=0.5, pool=2, learner=0.5),
         network=SmallVLAConfig(
-            backbone=(8, 8, 16), blocks=1, sight=(8, 8, 8, 8), embedding=16, text_width=16, text_layers=1, glimpse=32
+            backbone=(8, 8, 16),
+            blocks=1,
+            panel_encoder=(8, 8, 8, 8),
+            embedding=16,
+            text_width=16,
+            text_layers=1,
+            crop_size=32,
         ),
         warmup_steps=1,
         round_steps=2,
@@ -61,13 +68,17 @@ RECIPES: dict[str, TrainRecipe] = {
 training path in seconds, for tests. `ablation-*`: a ninth of `small`, all but the first with one change."""
 
 
-ALL_RECIPES: dict[str, Recipe] = {**RECIPES, "language": LANGUAGE, "mind": MIND, "reader": READER}
-"""`language`: teaches a trained policy more language. `mind`: the small reasoner's gate selector. `reader`: its network
-for reading panels, which starts from a policy's panel encoder."""
+ALL_RECIPES: dict[str, Recipe] = {**RECIPES, "language": LANGUAGE, "selector": SELECTOR, "reader": READER}
+"""`language`: teaches a trained policy more language. `selector`: the small reasoner's gate selector. `reader`: its
+network for reading panels, which starts from a policy's panel encoder."""
+FORMER_RECIPES = {"selector": "selector"}
 
 
 def find_recipe(name: str) -> Recipe:
     """The recipe of that name; raises `TrainingError` with similar names."""
+    if name in FORMER_RECIPES:
+        warnings.warn(f"recipe {name} is now {FORMER_RECIPES[name]}", FutureWarning, stacklevel=2)
+        name = FORMER_RECIPES[name]
     if name not in ALL_RECIPES:
         raise TrainingError(f"unknown recipe {name!r}; {did_you_mean(name, ALL_RECIPES)}")
     return ALL_RECIPES[name]

@@ -1,4 +1,4 @@
-"""Makes `reading` and `stand_in` importable by their names, and writes one world for all."""
+"""Makes `reading` and `fake_gazebo` importable by their names, and writes one world for all."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from stand_in import MESSAGES, StandIn
+from fake_gazebo import MESSAGES, FakeGazebo
 
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.simulator import Simulator
@@ -20,7 +20,7 @@ from cognitivedrone.vehicles.gazebo.bindings import load_bindings
 from cognitivedrone.vehicles.gazebo.flight import GazeboFlight
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
 from cognitivedrone.vehicles.gazebo.pilot import open_gazebo
-from cognitivedrone.vehicles.gazebo.sight import Sample, TruePath
+from cognitivedrone.vehicles.gazebo.sensing import Sample, TruePath
 from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC, NAME
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.server.vehicle import STEP_S, SimulatedVehicle, VehicleConfig
@@ -36,7 +36,7 @@ POSE_S, FRAME_S = 0.016, 0.05
 class Moving:
     """What runs."""
 
-    gazebo: StandIn
+    gazebo: FakeGazebo
     vehicle: SimulatedVehicle
     url: str
     limit: float = math.inf
@@ -46,7 +46,7 @@ class Moving:
 
 
 @contextmanager
-def moving(gazebo: StandIn) -> Iterator[Moving]:
+def moving(gazebo: FakeGazebo) -> Iterator[Moving]:
     """Fly the stand-in's vehicle by MAVLink; its poses and frames are published.
 
     Every frame shows how many entities stand, as its grey value.

@@ -13,9 +13,9 @@ import pytest
 
 pytest.importorskip("pymavlink")
 
+from fake_gazebo import FakeGazebo
 from moving import PATIENT, Moving, moving, opened
 from reading import models, read_world
-from stand_in import StandIn
 
 from cognitivedrone.cli import main
 from cognitivedrone.control.loop import Segment, fly
@@ -33,7 +33,7 @@ from cognitivedrone.vehicles.gazebo import pilot
 from cognitivedrone.vehicles.gazebo.bindings import load_bindings
 from cognitivedrone.vehicles.gazebo.flight import on_the_ground
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld
-from cognitivedrone.vehicles.gazebo.pilot import RefereesGuard
+from cognitivedrone.vehicles.gazebo.pilot import PassThroughGuard
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN
 
@@ -43,8 +43,8 @@ START = Start((-1.2, 0.3, 0.8))
 @pytest.fixture
 def running(track_folder) -> Iterator[Moving]:
     """A Gazebo with the first stage of a track, and its vehicle on the ground."""
-    stand_in = StandIn(models=tuple(models(read_world(track_folder / "stage_1.sdf"))))
-    with stand_in.running() as gazebo, moving(gazebo) as flown:
+    fake_gazebo = FakeGazebo(models=tuple(models(read_world(track_folder / "stage_1.sdf"))))
+    with fake_gazebo.running() as gazebo, moving(gazebo) as flown:
         yield flown
 
 
@@ -179,7 +179,7 @@ def test_what_cannot_be_flown_is_said(running, monkeypatch):
 def test_software_in_the_loop_is_told_by_its_parameters(running, tmp_path):
     with (
         GazeboWorld(tmp_path, PATIENT, load_bindings(load=running.gazebo.load)) as world,
-        pilot._Drone(running.url, world.camera(), RefereesGuard(), pilot.VEHICLE) as drone,
+        pilot._Drone(running.url, world.camera(), PassThroughGuard(), pilot.VEHICLE) as drone,
     ):
         assert drone.is_software
         drone.simulated = False
@@ -190,7 +190,7 @@ def test_software_in_the_loop_is_told_by_its_parameters(running, tmp_path):
 
 def test_the_guard_lets_go_for_good():
     health = type("Health", (), {"armed": True, "mode": "GUIDED", "ordered_modes": {"GUIDED"}, "command": None})()
-    guard = RefereesGuard()
+    guard = PassThroughGuard()
     assert guard.judge(health).kind == "fly"
     assert not guard.shape(health).any()
     guard.land("the end")

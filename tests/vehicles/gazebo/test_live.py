@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fake_gazebo import MESSAGES, FakeGazebo
 from reading import models, parse, read_world, values
-from stand_in import MESSAGES, StandIn
 
 from cognitivedrone.errors import CameraError
 from cognitivedrone.frames import quaternion_from_yaw
@@ -24,7 +24,7 @@ from cognitivedrone.vehicles.gazebo.export import stages_of
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig, plan
 from cognitivedrone.vehicles.gazebo.release import RELEASES, GazeboError
 from cognitivedrone.vehicles.gazebo.sdf import Prop
-from cognitivedrone.vehicles.gazebo.sight import GazeboCamera, PoseTrack
+from cognitivedrone.vehicles.gazebo.sensing import GazeboCamera, PoseTrack
 from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC
 from cognitivedrone.world import geometry
 
@@ -33,13 +33,13 @@ PACK = load_pack()
 
 
 @pytest.fixture
-def gazebo(track_folder) -> Iterator[StandIn]:
+def gazebo(track_folder) -> Iterator[FakeGazebo]:
     """The first stage of the exported track, running."""
-    with StandIn(models=tuple(models(read_world(track_folder / "stage_1.sdf")))).running() as running:
+    with FakeGazebo(models=tuple(models(read_world(track_folder / "stage_1.sdf")))).running() as running:
         yield running
 
 
-def connect(gazebo: StandIn, folder, config: LiveConfig = QUICK) -> GazeboWorld:
+def connect(gazebo: FakeGazebo, folder, config: LiveConfig = QUICK) -> GazeboWorld:
     return GazeboWorld(folder, config, load_bindings(load=gazebo.load))
 
 
@@ -47,7 +47,7 @@ def stages():
     return stages_of(load_suite("open-v1:track").tracks[0])
 
 
-def standing_places(gazebo: StandIn) -> dict[str, tuple[list[float], float]]:
+def standing_places(gazebo: FakeGazebo) -> dict[str, tuple[list[float], float]]:
     """Position and yaw of what stands but for vehicle and ground, by what it is: its name without the serial number."""
     places = {name: place for name, place in gazebo.poses.items() if name not in ("iris", "ground")}
     return {re.fullmatch(r"((?:gate|panel)_\d|[a-z]+)(_\d+)?", name)[1]: place for name, place in places.items()}
@@ -55,7 +55,7 @@ def standing_places(gazebo: StandIn) -> dict[str, tuple[list[float], float]]:
 
 @pytest.mark.parametrize("release", RELEASES)
 def test_the_bindings_of_every_release_are_found(release, tmp_path):
-    gazebo = StandIn(release, models=("iris",))
+    gazebo = FakeGazebo(release, models=("iris",))
     bindings = load_bindings(load=gazebo.load)
     assert bindings.release.name == release
     assert bindings.message("EntityFactory") is MESSAGES["EntityFactory"]
@@ -141,7 +141,7 @@ def image_message(pixels: np.ndarray, **options):
     )
 
 
-def publishing(gazebo: StandIn, topic: str, *messages) -> threading.Thread:
+def publishing(gazebo: FakeGazebo, topic: str, *messages) -> threading.Thread:
     """Publishes as soon as somebody listens, from another thread as gz-transport does."""
 
     def run() -> None:
@@ -253,7 +253,7 @@ def test_without_bindings_it_says_what_to_install():
     with pytest.raises(GazeboError, match="did you mean 'harmonic'"):
         load_bindings("harmonics")
     with pytest.raises(GazeboError, match=r"Jetty: apt-get install python3-gz-transport15"):
-        load_bindings("jetty", StandIn("harmonic").load)
+        load_bindings("jetty", FakeGazebo("harmonic").load)
 
 
 @pytest.mark.parametrize(
@@ -295,10 +295,10 @@ def test_the_release_of_the_simulator_is_read_from_its_own_words(tmp_path, monke
 
 
 def test_a_world_that_is_not_ours_is_left_alone(tmp_path):
-    gazebo = StandIn(world="shapes", models=("box",))
+    gazebo = FakeGazebo(world="shapes", models=("box",))
     with pytest.raises(GazeboError, match="already runs the world 'shapes', not 'cognitivedrone'; stop it"):
         connect(gazebo, tmp_path)
-    gazebo = StandIn(models=("box",))
+    gazebo = FakeGazebo(models=("box",))
     with pytest.raises(GazeboError, match="has no model 'iris'; start one made by"):
         connect(gazebo, tmp_path)
     assert gazebo.asked == []
@@ -344,7 +344,7 @@ def test_what_does_not_move_is_told_of(gazebo, tmp_path):
 
 
 def test_a_paused_gazebo_is_told_of(tmp_path):
-    gazebo = StandIn(models=("iris",))
+    gazebo = FakeGazebo(models=("iris",))
     with (
         connect(gazebo, tmp_path) as world,
         pytest.raises(GazeboError, match=r"pose/info has stayed silent for 0\.3 s; is"),

@@ -62,7 +62,7 @@ BOARD_BOUNDS = (*(GROUPS[group].start for group in BOARD_GROUPS), GROUPS[BOARD_G
 """Start indices of those groups in `FACETS`, and the end index of the last one; they are contiguous."""
 GATE_GROUPS: tuple[str, ...] = ("color", "shape", "size")
 
-_INDEX = {facet: index for index, facet in enumerate(FACETS)}
+_INDEX = {attribute: index for index, attribute in enumerate(FACETS)}
 _SUM = re.compile(r"(\d+)([-+*])(\d+)")
 
 
@@ -82,7 +82,7 @@ def parse_sum(label: str) -> tuple[int, str, int] | None:
 
 
 @functools.lru_cache(maxsize=8192)
-def panel_facets(label: str) -> Indices:
+def panel_attributes(label: str) -> Indices:
     """The attribute values of a panel, by group.
 
     Returns read-only int64 (len(PANEL_GROUPS),): indices into `FACETS`, -1 if there is no value: concepts that are
@@ -99,7 +99,7 @@ def panel_facets(label: str) -> Indices:
 
 
 @functools.lru_cache(maxsize=2048)
-def board_facets(label: str) -> Indices:
+def board_attributes(label: str) -> Indices:
     """The attribute values of a board: read-only int64 (3,), operand, operator, operand as indices into `FACETS`.
 
     -1 for a number that is not in the list, and throughout if the label is not a sum of two numbers. Raises
@@ -112,7 +112,7 @@ def board_facets(label: str) -> Indices:
 
 
 @functools.cache
-def gate_facets(gate: Gate) -> Indices:
+def gate_attributes(gate: Gate) -> Indices:
     """The attribute values of a gate: read-only int64 (3,), colour, shape and size as indices into `FACETS`."""
     return _indices(*(f"{group}/{getattr(gate, group)}" for group in GATE_GROUPS))
 

@@ -16,7 +16,7 @@ from PIL import Image as PillowImage
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.models.small_vla import REACH
 from cognitivedrone.tasks import BASE_FAMILIES, train_task
-from cognitivedrone.training.common.attributes import BOARD_GROUPS, PANEL_GROUPS, board_facets, panel_facets
+from cognitivedrone.training.common.attributes import BOARD_GROUPS, PANEL_GROUPS, board_attributes, panel_attributes
 from cognitivedrone.training.common.restyle import restyled
 from cognitivedrone.types import FloatArray, Image
 
@@ -45,12 +45,12 @@ class PanelCrops:
     """Draws panel crops; by default of the panels and boards of the training tasks."""
 
     def __init__(
-        self, labels: LabelPack, glimpse: int, draw_label: DrawLabel | None = None, facets_of: FacetsOf | None = None
+        self, labels: LabelPack, crop_size: int, draw_label: DrawLabel | None = None, facets_of: FacetsOf | None = None
     ) -> None:
         self._labels = labels
-        self._glimpse = glimpse
+        self._glimpse = crop_size
         self._draw_label = draw_label or draw_training_label
-        self._facets_of = facets_of or panel_and_board_facets
+        self._attributes_of = facets_of or panel_and_board_attributes
         self._kept: list[tuple[PillowImage.Image, NDArray[np.int64]]] = []
 
     def forget(self) -> None:
@@ -64,8 +64,8 @@ class PanelCrops:
         for _ in range(round(count * _FRESH)):
             self._learn(rng)
         chosen = rng.integers(len(self._kept), size=count)
-        cards = np.stack([glimpse_of(self._kept[i][0], self._glimpse, rng) for i in chosen])
-        return cards, np.stack([self._kept[i][1] for i in chosen])
+        panel_crops = np.stack([panel_image_of(self._kept[i][0], self._glimpse, rng) for i in chosen])
+        return panel_crops, np.stack([self._kept[i][1] for i in chosen])
 
     def _learn(self, rng: np.random.Generator) -> None:
         """Store one more picture, replacing another if the store is full."""
@@ -74,7 +74,7 @@ class PanelCrops:
         if rng.random() < _RESTYLED:
             pixels = restyled(label, pixels, rng)
         picture = PillowImage.fromarray(pixels).resize((_SIDE, _SIDE), PillowImage.Resampling.BOX)
-        kept = picture, self._facets_of(label)
+        kept = picture, self._attributes_of(label)
         if len(self._kept) < _KEPT:
             self._kept.append(kept)
         else:
@@ -96,15 +96,15 @@ def draw_training_label(rng: np.random.Generator) -> str:
     return task.labels[int(rng.integers(3))]
 
 
-def panel_and_board_facets(label: str) -> NDArray[np.int64]:
+def panel_and_board_attributes(label: str) -> NDArray[np.int64]:
     """(13,): the attribute values of a panel, then those of a board."""
-    board = board_facets(label)
+    board = board_attributes(label)
     if (board >= 0).any():
         return np.concatenate([_NO_PANEL, board])
-    return np.concatenate([panel_facets(label), _NO_BOARD])
+    return np.concatenate([panel_attributes(label), _NO_BOARD])
 
 
-def glimpse_of(picture: PillowImage.Image, size: int, rng: np.random.Generator) -> Image:
+def panel_image_of(picture: PillowImage.Image, size: int, rng: np.random.Generator) -> Image:
     """A panel with this picture as a crop (size, size, 3): random height, background and light."""
     low, high = np.log(HEIGHTS)
     height = float(np.exp(rng.uniform(low, high)))

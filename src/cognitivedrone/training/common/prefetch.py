@@ -39,7 +39,7 @@ class PrefetchQueue:
 
     def __init__(
         self,
-        subject: TrainingTask,
+        training_task: TrainingTask,
         out: Path,
         *,
         seed: int,
@@ -52,7 +52,7 @@ class PrefetchQueue:
         self._queue = context.Queue(_AHEAD)
         self._filled = context.Array("q", 2)
         self._waiting = waiting
-        arguments = (self._queue, self._filled, subject, out, seed, rank, first_round)
+        arguments = (self._queue, self._filled, training_task, out, seed, rank, first_round)
         self._process = context.Process(target=_generate, args=arguments, daemon=True)
 
     def __enter__(self) -> PrefetchQueue:
@@ -93,7 +93,7 @@ class PrefetchQueue:
 def _generate(
     out_queue: multiprocessing.queues.Queue[Batch],
     filled: MutableSequence[int],
-    subject: TrainingTask,
+    training_task: TrainingTask,
     out: Path,
     seed: int,
     rank: int,
@@ -102,8 +102,8 @@ def _generate(
     """Fill the queue, round by round, until the training is complete."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     torch.set_num_threads(1)
-    schedule, batches_of, network = subject.recipe, subject.batches(), subject.network()
-    learner = subject.learner(network)
+    schedule, batches_of, network = training_task.recipe, training_task.batches(), training_task.network()
+    learner = training_task.learner(network)
     if isinstance(batches_of, Watched):
 
         def told(*made_of_wanted: int) -> None:

@@ -18,7 +18,7 @@ from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.tasks import BASE_FAMILIES, train_task
 from cognitivedrone.tasks.generate import TRAIN, Pools
 from cognitivedrone.tasks.suites import drawn_task
-from cognitivedrone.training.common.attributes import PANEL_GROUPS, board_facets, gate_facets, panel_facets
+from cognitivedrone.training.common.attributes import PANEL_GROUPS, board_attributes, gate_attributes, panel_attributes
 from cognitivedrone.training.common.ground_truth import Poses, Truths, truths
 from cognitivedrone.training.common.panel_crops import PanelCrops
 from cognitivedrone.training.common.phrasing import SPOKEN
@@ -59,7 +59,7 @@ class StreamRecipe:
     """Sentences per frame."""
     texts: int = 256
     """Sentences per batch that are trained without a frame."""
-    cards: int = 160
+    panel_crops: int = 160
     """Panel crops per batch that are trained without a frame."""
     chunk: int = 1
     suite: str = "train"
@@ -68,7 +68,7 @@ class StreamRecipe:
     """Share of a race's flights in rooms with three gates: the one straight ahead is right there."""
     spoken: float = 0.0
     """Share of sentences about panels with more wordings than the training tasks."""
-    muddled: float = 0.0
+    token_noise: float = 0.0
     """Share of sentences with token noise: words lost, left out and added."""
     directives: bool = True
     """Whether some sentences are directives."""
@@ -101,21 +101,21 @@ class Setting:
         self.task = task
         self.stage = stage
         self.flown = flown
-        self.panels = np.stack([panel_facets(label) for label in stage.labels])
-        self.gates = np.stack([gate_facets(gate) for gate in stage.gates])
-        self.board = board_facets(stage.board) if stage.board else np.full(3, -1)
+        self.panels = np.stack([panel_attributes(label) for label in stage.labels])
+        self.gates = np.stack([gate_attributes(gate) for gate in stage.gates])
+        self.board = board_attributes(stage.board) if stage.board else np.full(3, -1)
 
 
 class Sampler:
     """Makes samples by a recipe."""
 
     def __init__(
-        self, recipe: StreamRecipe, vocabulary: Vocabulary, text_length: int, glimpse: int, labels: LabelPack
+        self, recipe: StreamRecipe, vocabulary: Vocabulary, text_length: int, crop_size: int, labels: LabelPack
     ) -> None:
         self.recipe = recipe
         self.vocabulary = vocabulary
         self.text_length = text_length
-        self._cards = PanelCrops(labels, glimpse)
+        self._cards = PanelCrops(labels, crop_size)
 
     def begin(self) -> None:
         """Reset: the following samples do not depend on earlier ones."""
@@ -146,7 +146,7 @@ class Sampler:
 
     def _tokens(self, rng: np.random.Generator, text: str) -> NDArray[np.int64]:
         tokens = self.vocabulary.encode(text, self.text_length)
-        return muddled(rng, tokens) if rng.random() < self.recipe.muddled else tokens
+        return token_noise(rng, tokens) if rng.random() < self.recipe.token_noise else tokens
 
     def _questions(self, rng: np.random.Generator, row: int, each: Setting, known: Truths) -> Iterator[tuple[str, int]]:
         """Sentences about a frame, each with the right gate; half of them about the gate flown at."""
@@ -185,10 +185,10 @@ class Sampler:
 
     def beside(self, rng: np.random.Generator) -> Batch:
         """The parts of a batch beside its frames: the `text_` and `card_` fields."""
-        if not self.recipe.cards:
+        if not self.recipe.panel_crops:
             return self._texts(rng)
-        images, facets = self._cards.draw(rng, self.recipe.cards)
-        return self._texts(rng) | {"card_image": images, "card_facets": facets}
+        images, attributes = self._cards.draw(rng, self.recipe.panel_crops)
+        return self._texts(rng) | {"card_image": images, "card_facets": attributes}
 
     def _texts(self, rng: np.random.Generator) -> Batch:
         """Sentences with the attributes of panels and gates as ground truth instead of pixels."""
@@ -215,15 +215,15 @@ def told(tasks: Sequence[Task], tokens: NDArray[np.int64], plain: NDArray[np.boo
 
     `plain` (T,) says which of the sentences are directives.
     """
-    panels = np.stack([[panel_facets(label) for label in task.labels] for task in tasks])
+    panels = np.stack([[panel_attributes(label) for label in task.labels] for task in tasks])
     target = np.array([task.target for task in tasks])
     named = np.array([task.family in _NAMING for task in tasks]) & ~plain
     concept = panels[np.arange(len(tasks)), target, PANEL_GROUPS.index("concept")]
     return {
         "text_tokens": tokens,
         "text_panels": panels,
-        "text_gates": np.stack([[gate_facets(gate) for gate in task.gates] for task in tasks]),
-        "text_board": np.stack([board_facets(task.board) if task.board else np.full(3, -1) for task in tasks]),
+        "text_gates": np.stack([[gate_attributes(gate) for gate in task.gates] for task in tasks]),
+        "text_board": np.stack([board_attributes(task.board) if task.board else np.full(3, -1) for task in tasks]),
         "text_asked": target,
         "text_named": np.where(named, concept, -1),
     }
@@ -236,7 +236,7 @@ def _straight_ahead(row: int, each: Setting, known: Truths) -> int:
     return int(np.where(there, aside, np.inf).argmin()) if there.any() else each.flown
 
 
-def muddled(rng: np.random.Generator, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
+def token_noise(rng: np.random.Generator, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
     """A sentence (L,) with token noise: words are randomly left out, replaced by unknown or added (as unknown)."""
     kept: list[int] = []
     for token, chance in zip(tokens[tokens > 0].tolist(), rng.random(len(tokens)).tolist(), strict=False):

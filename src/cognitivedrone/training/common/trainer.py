@@ -37,7 +37,7 @@ class TrainConfig:
 
     out: Path
     """Folder of the run."""
-    subject: TrainingTask
+    training_task: TrainingTask
     """The training task."""
     seed: int = 0
     resume: bool = False
@@ -60,10 +60,10 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
     """
     torch.set_num_threads(config.threads)
     accelerator = Accelerator(mixed_precision="bf16", cpu=not torch.cuda.is_available())
-    subject, out = config.subject, config.out
-    schedule = subject.recipe
+    training_task, out = config.training_task, config.out
+    schedule = training_task.recipe
     torch.manual_seed(config.seed)
-    network = subject.network()
+    network = training_task.network()
     optimizer = torch.optim.AdamW(
         network.parameters(), schedule.learning_rate, (0.9, 0.98), weight_decay=schedule.weight_decay, fused=True
     )
@@ -71,8 +71,8 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
     accelerator.wait_for_everyone()
     if step >= schedule.steps:
         return out / CHECKPOINT
-    lesson, optimizer = accelerator.prepare(subject.lesson(network), optimizer)
-    part = subject.share(accelerator.num_processes)
+    loss_module, optimizer = accelerator.prepare(training_task.loss_module(network), optimizer)
+    part = training_task.share(accelerator.num_processes)
     first_round, rank = step // schedule.round_steps, accelerator.process_index
     with (
         _told_when_stopped(out, lambda: step),
@@ -81,12 +81,12 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
     ):
         bar = progress.add_task(schedule.name, total=schedule.steps, completed=step, note="drawing validation data")
         waiting = functools.partial(_wait, progress, bar)
-        feed = PrefetchQueue(part, out, seed=config.seed, rank=rank, first_round=first_round, waiting=waiting)
-        stack.enter_context(feed)
+        prefetch = PrefetchQueue(part, out, seed=config.seed, rank=rank, first_round=first_round, waiting=waiting)
+        stack.enter_context(prefetch)
         keeper = _Keeper(config, accelerator, report) if accelerator.is_main_process else None
-        for batch in feed:
+        for batch in prefetch:
             _seed_step(config.seed, rank, step)
-            measures = _step(lesson, optimizer, accelerator, batch, schedule, step)
+            measures = _step(loss_module, optimizer, accelerator, batch, schedule, step)
             step += 1
             if keeper is not None:
                 keeper.follow(measures)
@@ -94,7 +94,7 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
             if step % schedule.round_steps == 0 or step == schedule.steps:
                 if keeper is not None:
                     progress.update(bar, note="validating, writing")
-                    keeper.end_round(accelerator.unwrap_model(lesson), optimizer, step)
+                    keeper.end_round(accelerator.unwrap_model(loss_module), optimizer, step)
                 accelerator.wait_for_everyone()
             if step == schedule.steps:
                 break
@@ -123,7 +123,7 @@ _IDENTITY = ("recipe", "seed", "data")
 
 
 def _identity(config: TrainConfig) -> dict[str, Any]:
-    return {**config.subject.identity(), "seed": config.seed}
+    return {**config.training_task.identity(), "seed": config.seed}
 
 
 def _seed_step(seed: int, rank: int, step: int) -> None:
@@ -132,7 +132,7 @@ def _seed_step(seed: int, rank: int, step: int) -> None:
 
 
 def _step(
-    lesson: torch.nn.Module,
+    loss_module: torch.nn.Module,
     optimizer: torch.optim.Optimizer,
     accelerator: Accelerator,
     batch: Batch,
@@ -142,12 +142,12 @@ def _step(
     for group in optimizer.param_groups:
         group["lr"] = learning_rate(schedule, step)
     with accelerator.autocast():
-        loss, measures = lesson(to_tensors(batch, accelerator.device))
+        loss, measures = loss_module(to_tensors(batch, accelerator.device))
     if not math.isfinite(float(loss.detach())):
         raise TrainingError(f"step {step}: the loss is not finite; resume with a smaller learning rate")
     optimizer.zero_grad()
     accelerator.backward(loss)
-    for part in _parts(accelerator.unwrap_model(lesson).network):
+    for part in _parts(accelerator.unwrap_model(loss_module).network):
         accelerator.clip_grad_norm_(part, schedule.clip)
     optimizer.step()
     return {"loss": loss.detach(), **measures}
@@ -195,14 +195,14 @@ class _Keeper:
 
     def __init__(self, config: TrainConfig, accelerator: Accelerator, report: Callable[[str], None]) -> None:
         self._config, self._accelerator = config, accelerator
-        self._subject, self._schedule = config.subject, config.subject.recipe
-        self._facts = _identity(config) | config.subject.facts()
+        self._subject, self._schedule = config.training_task, config.training_task.recipe
+        self._facts = _identity(config) | config.training_task.facts()
         self._sums: dict[str, float] = defaultdict(float)
         self._count = 0
         self._since = time.monotonic()
         self._recent = ""
         self._log = RunLog(config.out, report, "steps_per_s", _HEADLINES)
-        self._batches: list[Batch] = config.subject.validation(config.seed)
+        self._batches: list[Batch] = config.training_task.validation(config.seed)
 
     def follow(self, measures: dict[str, torch.Tensor]) -> None:
         """Add the measures of a step."""
@@ -217,21 +217,21 @@ class _Keeper:
         """The text beside the progress bar."""
         return self._recent
 
-    def end_round(self, lesson: Any, optimizer: torch.optim.Optimizer, step: int) -> None:
+    def end_round(self, loss_module: Any, optimizer: torch.optim.Optimizer, step: int) -> None:
         """Validate and run trials if due, then save the state of the training."""
         schedule, out = self._schedule, self._config.out
         last = step == schedule.steps
         row: Row = {f"train {name}": value / max(self._count, 1) for name, value in self._sums.items()}
         row |= {"step": step, "steps_per_s": self._count / (time.monotonic() - self._since)}
         if step % schedule.validate_every == 0 or last:
-            row |= self._subject.validate(lesson, self._batches, self._accelerator.autocast)
+            row |= self._subject.validate(loss_module, self._batches, self._accelerator.autocast)
         if step % schedule.fly_every == 0 or last:
-            row |= self._subject.trial(lesson.network)
+            row |= self._subject.trial(loss_module.network)
         self._log.write(row)
         facts = self._facts | {"step": step}
         round_ = (step - 1) // schedule.round_steps
-        save_checkpoint(learner_path(out, round_), lesson.network, None, facts)
+        save_checkpoint(learner_path(out, round_), loss_module.network, None, facts)
         learner_path(out, round_ - 4).unlink(missing_ok=True)
-        save_checkpoint(out / CHECKPOINT, lesson.network, optimizer, facts)
+        save_checkpoint(out / CHECKPOINT, loss_module.network, optimizer, facts)
         self._sums.clear()
         self._count, self._since = 0, time.monotonic()

@@ -123,7 +123,7 @@ class TrainingTask(Protocol):
         """A new network, with random weights."""
         ...
 
-    def lesson(self, network: nn.Module) -> nn.Module:
+    def loss_module(self, network: nn.Module) -> nn.Module:
         """The network with its losses: a `LossModule`."""
         ...
 
@@ -143,7 +143,7 @@ class TrainingTask(Protocol):
         """Batches that are never used for training."""
         ...
 
-    def validate(self, lesson: nn.Module, batches: list[Batch], autocast: Any) -> Row:
+    def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
         """A point of the learning curves."""
         ...
 

@@ -10,12 +10,12 @@ from cognitivedrone.references import PERSON_ATTRIBUTES
 from cognitivedrone.tasks.people import CAST, IDENTITY, TRAIN_CAST, person_label, seen
 from cognitivedrone.types import Task
 
-STRANGER = "somebodynobodyknows"
+UNKNOWN_PERSON = "somebodynobodyknows"
 """Replacement for an unknown name; no vocabulary contains it."""
 _ALIKE = 0.6  # share of unknown identities that look much like a known person
 
 
-def with_stranger(rng: np.random.Generator, task: Task) -> Task:
+def with_unknown_person(rng: np.random.Generator, task: Task) -> Task:
     """A task of the family `people` about an unknown identity, who may look much like a known person."""
     near = rng.random() < _ALIKE
     while True:
@@ -31,5 +31,5 @@ def with_stranger(rng: np.random.Generator, task: Task) -> Task:
         person_label(person, label.rpartition("@")[2]) if gate == task.target else label
         for gate, label in enumerate(task.labels)
     )
-    instruction = task.instruction.replace(task.options[task.target], STRANGER)
+    instruction = task.instruction.replace(task.options[task.target], UNKNOWN_PERSON)
     return replace(task, labels=(first, second, third), instruction=instruction)

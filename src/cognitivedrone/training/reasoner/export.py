@@ -13,43 +13,43 @@ from torch import Tensor, nn
 from cognitivedrone.files import replacing
 from cognitivedrone.models.onnx_file import Provenance, write_table
 from cognitivedrone.models.reasoner_file import (
-    EYES,
-    EYES_FILE,
     LOOKS,
-    MIND,
-    MIND_FILE,
+    READER_FILE,
+    READER_KIND,
     REMEMBERED,
+    SELECTOR,
+    SELECTOR_FILE,
     GateSelectorModel,
     PanelReaderModel,
 )
 from cognitivedrone.models.small_reasoner import PanelReader
 from cognitivedrone.training.common.attributes import GATE_GROUPS, GROUPS
 from cognitivedrone.training.reasoner.reading import SEEN
-from cognitivedrone.training.reasoner.trained import load_mind, load_reader
+from cognitivedrone.training.reasoner.trained import load_reader, load_selector
 from cognitivedrone.training.small_vla.export import provenance_of, write_onnx
 from cognitivedrone.training.small_vla.trained import load_trained
 
 
-def export_eyes(policy: Path, reader: Path, folder: Path) -> Path:
+def export_panel_reader(policy: Path, reader: Path, folder: Path) -> Path:
     """Export the panel reader, with the gate detector of a policy's checkpoint and the network of a reader's.
 
     Returns the file in `folder`. Raises `TrainingError` for a bad checkpoint.
     """
     finder, _, _ = load_trained(policy)
     network, facts = load_reader(reader)
-    eyes = PanelReader(finder, network, {group: GROUPS[group] for group in GATE_GROUPS})
+    model = PanelReader(finder, network, {group: GROUPS[group] for group in GATE_GROUPS})
     example = {"image": torch.zeros(2, 256, 256, 3, dtype=torch.uint8)}
     table = {"facets": list(SEEN), "config": network.config.facts()}
-    path = folder / EYES_FILE
-    _export(eyes, example, ("facets", "looks", "boxes"), path, EYES, table, provenance_of(facts))
+    path = folder / READER_FILE
+    _export(model, example, ("facets", "looks", "boxes"), path, READER_KIND, table, provenance_of(facts))
     PanelReaderModel.load(path)
     return path
 
 
-def export_mind(checkpoint: Path, folder: Path) -> Path:
+def export_selector(checkpoint: Path, folder: Path) -> Path:
     """Export the gate selector; returns the file in `folder`. Raises `TrainingError` for a bad checkpoint."""
-    mind, vocabulary, facts = load_mind(checkpoint)
-    count, length = len(SEEN), mind.config.text_length
+    selector, vocabulary, facts = load_selector(checkpoint)
+    count, length = len(SEEN), selector.config.text_length
     example = {
         "tokens": torch.ones(2, length, dtype=torch.int64),
         "panels": torch.zeros(2, 3, count),
@@ -63,10 +63,10 @@ def export_mind(checkpoint: Path, folder: Path) -> Path:
         "facets": list(SEEN),
         "vocabulary": vocabulary.words,
         "text_length": length,
-        "config": mind.config.facts(),
+        "config": selector.config.facts(),
     }
-    path = folder / MIND_FILE
-    _export(mind, example, ("logits",), path, MIND, table, provenance_of(facts))
+    path = folder / SELECTOR_FILE
+    _export(selector, example, ("logits",), path, SELECTOR, table, provenance_of(facts))
     GateSelectorModel.load(path)
     return path
 

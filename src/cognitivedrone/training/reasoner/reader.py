@@ -18,7 +18,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.labels import load_pack
-from cognitivedrone.models.reasoner_file import EYES_FILE
+from cognitivedrone.models.reasoner_file import READER_FILE
 from cognitivedrone.models.small_reasoner import Reader, ReaderConfig
 from cognitivedrone.tasks import BASE_FAMILIES
 from cognitivedrone.tasks.suites import drawn_task
@@ -26,7 +26,7 @@ from cognitivedrone.training.common.checkpoint import origin_of, read_checkpoint
 from cognitivedrone.training.common.panel_crops import SHARES, PanelCrops
 from cognitivedrone.training.common.sampling import Batch
 from cognitivedrone.training.common.training_task import Batches, Learner, Recipe, Row, to_tensors
-from cognitivedrone.training.reasoner.reading import SEEN, SEEN_GROUPS, seen_facets
+from cognitivedrone.training.reasoner.reading import SEEN, SEEN_GROUPS, seen_attributes
 
 _VALIDATION = 10**6
 _SHARES = {**{family: 0.7 * SHARES[family] for family in BASE_FAMILIES}, "counting": 0.18, "comparison": 0.12}
@@ -41,13 +41,13 @@ class ReaderRecipe(Recipe):
     """Panel crops; processes share them."""
     validation_cards: int = 2000
 
-    model_file: ClassVar[str] = EYES_FILE
+    model_file: ClassVar[str] = READER_FILE
     needs_start: ClassVar[bool] = True
 
     def training(self, *, start: Path | None = None, data: Path | None = None) -> ReaderTraining:
         """A reader as large as the facets ask for."""
         del data
-        return ReaderTraining(replace(self, network=replace(self.network, facets=len(SEEN))), start)
+        return ReaderTraining(replace(self, network=replace(self.network, attributes=len(SEEN))), start)
 
 
 @dataclass(frozen=True)
@@ -75,13 +75,13 @@ class ReaderTraining:
             prefix = "network.sight."
             own = {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
             try:
-                reader.sight.load_state_dict(own)
+                reader.panel_encoder.load_state_dict(own)
             except RuntimeError:
                 raise TrainingError(f"{self.start}: its panel encoder has another size than the reader's") from None
         reader.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return reader
 
-    def lesson(self, network: nn.Module) -> ReaderLoss:
+    def loss_module(self, network: nn.Module) -> ReaderLoss:
         """The reader with its loss."""
         assert isinstance(network, Reader)  # noqa: S101  (tells the type checker)
         return ReaderLoss(network)
@@ -100,10 +100,10 @@ class ReaderTraining:
         def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
             del learner
             rng = np.random.default_rng(seed)
-            cards = PanelCrops(load_pack(), self.recipe.network.glimpse, draw_any_label, seen_facets)
+            panel_crops = PanelCrops(load_pack(), self.recipe.network.crop_size, draw_any_label, seen_attributes)
             while True:
-                images, facets = cards.draw(rng, self.recipe.batch)
-                yield {"card_image": images, "card_facets": facets}
+                images, attributes = panel_crops.draw(rng, self.recipe.batch)
+                yield {"card_image": images, "card_facets": attributes}
 
         return made
 
@@ -112,19 +112,19 @@ class ReaderTraining:
         count = -(-self.recipe.validation_cards // self.recipe.batch)
         return list(islice(self.batches()((seed, _VALIDATION)), count))
 
-    def validate(self, lesson: nn.Module, batches: list[Batch], autocast: Any) -> Row:
+    def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
         """Loss and accuracy, overall and by group."""
-        assert isinstance(lesson, ReaderLoss)  # noqa: S101
-        device = next(lesson.parameters()).device
-        lesson.eval()
+        assert isinstance(loss_module, ReaderLoss)  # noqa: S101
+        device = next(loss_module.parameters()).device
+        loss_module.eval()
         rows: list[dict[str, float]] = []
         with torch.no_grad(), autocast():
             for batch in batches:
                 tensors = to_tensors(batch, device)
-                _, measures = lesson(tensors)
+                _, measures = loss_module(tensors)
                 rows.append({name: float(value) for name, value in measures.items()})
-                rows[-1] |= accuracies(lesson.logits(tensors), tensors["card_facets"])
-        lesson.train()
+                rows[-1] |= accuracies(loss_module.logits(tensors), tensors["card_facets"])
+        loss_module.train()
         return {name: float(np.nanmean([row.get(name, np.nan) for row in rows])) for name in sorted(set().union(*rows))}
 
     def trial(self, network: nn.Module) -> Row:
@@ -134,10 +134,12 @@ class ReaderTraining:
 
     def export(self, checkpoint: Path, folder: Path) -> None:
         """The eyes, which find gates by the policy that the reader started from."""
-        from cognitivedrone.training.reasoner.export import export_eyes  # a training does without ONNX until its end
+        from cognitivedrone.training.reasoner.export import (
+            export_panel_reader,  # a training does without ONNX until its end
+        )
 
         assert self.start is not None  # noqa: S101  (tells the type checker)
-        export_eyes(self.start, checkpoint, folder)
+        export_panel_reader(self.start, checkpoint, folder)
 
 
 class ReaderLoss(nn.Module):
@@ -149,16 +151,16 @@ class ReaderLoss(nn.Module):
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
         """The loss; and, detached, the share of pictures without any error."""
-        logits, facets = self.logits(batch), batch["card_facets"]
+        logits, attributes = self.logits(batch), batch["card_facets"]
         losses = []
         for column, (group, span) in enumerate(SEEN_GROUPS.items()):
-            there = (facets[:, column] >= 0).float()
-            target = (facets[:, column] - span.start).clamp(0)
+            there = (attributes[:, column] >= 0).float()
+            target = (attributes[:, column] - span.start).clamp(0)
             loss = F.cross_entropy(logits[:, span], target, reduction="none")
             share = 1.0 if group in ("kind", "concept") else 0.3
             losses.append(share * (loss * there).sum() / there.sum().clamp(min=1))
         total = torch.stack(losses).sum()
-        whole = named(logits, facets).all(dim=1).float().mean()
+        whole = named(logits, attributes).all(dim=1).float().mean()
         return total, {"cards": total.detach(), "accuracy": whole.detach()}
 
     def logits(self, batch: dict[str, Tensor]) -> Tensor:
@@ -167,15 +169,15 @@ class ReaderLoss(nn.Module):
         return logits.float()
 
 
-def named(logits: Tensor, facets: Tensor) -> Tensor:
+def named(logits: Tensor, attributes: Tensor) -> Tensor:
     """(B, groups): whether each group is classified correctly; true if it does not apply."""
     guesses = [logits[:, span].argmax(-1) + span.start for span in SEEN_GROUPS.values()]
-    return (torch.stack(guesses, dim=1) == facets) | (facets < 0)
+    return (torch.stack(guesses, dim=1) == attributes) | (attributes < 0)
 
 
-def accuracies(logits: Tensor, facets: Tensor) -> dict[str, float]:
+def accuracies(logits: Tensor, attributes: Tensor) -> dict[str, float]:
     """Accuracy by group, for groups that occur."""
-    right, there = named(logits, facets), facets >= 0
+    right, there = named(logits, attributes), attributes >= 0
     return {
         f"accuracy {group}": float(right[there[:, column], column].float().mean())
         for column, group in enumerate(SEEN_GROUPS)

@@ -14,7 +14,7 @@ import numpy as np
 from cognitivedrone.labels.images import parse_several
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.hard import COUNTABLE
-from cognitivedrone.training.common import attributes as facets
+from cognitivedrone.training.common import attributes as attributes
 from cognitivedrone.training.common.attributes import Indices
 
 KINDS = ("thing", "logo", "letter", "number", "person", "sum", "several")
@@ -23,13 +23,16 @@ MOST = 6
 
 _VALUES: dict[str, tuple[str, ...]] = {
     "kind": KINDS,
-    **{group: tuple(name.partition("/")[2] for name in facets.FACETS[facets.GROUPS[group]]) for group in facets.GROUPS},
+    **{
+        group: tuple(name.partition("/")[2] for name in attributes.FACETS[attributes.GROUPS[group]])
+        for group in attributes.GROUPS
+    },
     "thing_a": COUNTABLE,
     "count_a": tuple(map(str, range(1, MOST + 1))),
     "thing_b": ("none", *COUNTABLE),
     "count_b": tuple(map(str, range(1, MOST + 1))),
 }
-for _group in facets.GATE_GROUPS:
+for _group in attributes.GATE_GROUPS:
     del _VALUES[_group]
 
 SEEN: tuple[str, ...] = tuple(f"{group}/{value}" for group, values in _VALUES.items() for value in values)
@@ -45,16 +48,16 @@ _COLUMNS = tuple(SEEN_GROUPS)
 
 
 @functools.lru_cache(maxsize=16384)
-def seen_facets(label: str) -> Indices:
+def seen_attributes(label: str) -> Indices:
     """The attribute values of a panel or board, by group: read-only int64 (groups,), indices into `SEEN`, -1 for none.
 
     All -1 for a label of an unknown kind. Raises `LabelError` if it is malformed.
     """
     reference = parse_reference(label)
-    names = [facets.FACETS[index] for index in facets.panel_facets(label) if index >= 0]
+    names = [attributes.FACETS[index] for index in attributes.panel_attributes(label) if index >= 0]
     kind = reference.kind
     if kind == "sum":
-        names = [facets.FACETS[index] for index in facets.board_facets(label) if index >= 0]
+        names = [attributes.FACETS[index] for index in attributes.board_attributes(label) if index >= 0]
     elif kind == "several":
         names = _several(reference.concept)
     elif kind not in KINDS:

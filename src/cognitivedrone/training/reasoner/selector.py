@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-from cognitivedrone.models.reasoner_file import MIND_FILE, REMEMBERED
+from cognitivedrone.models.reasoner_file import REMEMBERED, SELECTOR_FILE
 from cognitivedrone.models.small_reasoner import STAGES, GateSelector, SelectorConfig
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.reasoners.calculator import calculate, evaluate
@@ -29,10 +29,10 @@ from cognitivedrone.tasks.memory import memory_track
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.training.common.phrasing import SPOKEN
 from cognitivedrone.training.common.questions import ask
-from cognitivedrone.training.common.sampling import Batch, muddled
+from cognitivedrone.training.common.sampling import Batch, token_noise
 from cognitivedrone.training.common.training_task import Batches, Learner, Recipe, Row, to_tensors
-from cognitivedrone.training.common.unknown_people import STRANGER, with_stranger
-from cognitivedrone.training.reasoner.reading import SEEN, SEEN_GROUPS, seen_facets
+from cognitivedrone.training.common.unknown_people import UNKNOWN_PERSON, with_unknown_person
+from cognitivedrone.training.reasoner.reading import SEEN, SEEN_GROUPS, seen_attributes
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 
 _VALIDATION = 10**6
@@ -56,7 +56,7 @@ class SelectorRecipe(Recipe):
     """Share of base tasks that ask for any of their gates, in other words."""
     spoken: float = 0.7
     """Share of problems with more wordings than the training tasks."""
-    strangers: float = 0.4
+    unknown_people: float = 0.4
     """Share of tasks about people that ask for an unknown identity among known ones."""
     earlier: float = 0.3
     """Share of problems on a track, after irrelevant earlier stages."""
@@ -68,18 +68,18 @@ class SelectorRecipe(Recipe):
     """Share of panels that are misread as something else of the same kind."""
     lost_words: float = 0.03
     """Share of unknown words."""
-    muddled: float = 0.4
+    token_noise: float = 0.4
     """Share of sentences with token noise: words lost, left out and added."""
 
-    model_file: ClassVar[str] = MIND_FILE
+    model_file: ClassVar[str] = SELECTOR_FILE
 
     def training(self, *, start: Path | None = None, data: Path | None = None) -> SelectorTraining:
         """A new mind, with the vocabulary of all families."""
         del start, data
         rng, problems = np.random.default_rng((0, _VALIDATION + 1)), Problems(self)
         sentences = [problem.sentence for _ in range(_SENTENCES) for problem in problems.draw(rng)]
-        vocabulary = Vocabulary.of(sentence.replace(STRANGER, "") for sentence in sentences)
-        network = replace(self.network, vocabulary=len(vocabulary.words), facets=len(SEEN))
+        vocabulary = Vocabulary.of(sentence.replace(UNKNOWN_PERSON, "") for sentence in sentences)
+        network = replace(self.network, vocabulary=len(vocabulary.words), attributes=len(SEEN))
         return SelectorTraining(replace(self, network=network), vocabulary)
 
 
@@ -125,8 +125,8 @@ class Problems:
             return _track(rng)
         pools = SPOKEN if rng.random() < self.recipe.spoken else TRAIN
         task = drawn_task(family, rng, family, pools)
-        if family == "people" and rng.random() < self.recipe.strangers:
-            task = with_stranger(rng, task)
+        if family == "people" and rng.random() < self.recipe.unknown_people:
+            task = with_unknown_person(rng, task)
             return [Problem(task.instruction, family, task.labels, task.gates, None, task.target)]
         sentence, target, said = task.instruction, task.target, family
         if rng.random() < self.recipe.directives:
@@ -195,11 +195,11 @@ class Encoder:
             return tokens
         gone = (rng.random(len(tokens)) < self._recipe.lost_words) & (tokens > 0)
         tokens = np.where(gone, 1, tokens)
-        return muddled(rng, tokens) if rng.random() < self._recipe.muddled else tokens
+        return token_noise(rng, tokens) if rng.random() < self._recipe.token_noise else tokens
 
     def _see(self, rng: np.random.Generator, row: NDArray[Any], label: str, *, doubts: bool) -> None:
         """Add the probabilities of a label's attribute values."""
-        known = seen_facets(label)
+        known = seen_attributes(label)
         there = known >= 0
         row[known[there]] = 1.0
         if not doubts:
@@ -292,7 +292,7 @@ class SelectorTraining:
         """A new gate selector."""
         return GateSelector(self.recipe.network)
 
-    def lesson(self, network: nn.Module) -> SelectorLoss:
+    def loss_module(self, network: nn.Module) -> SelectorLoss:
         """The gate selector with its loss."""
         assert isinstance(network, GateSelector)  # noqa: S101  (tells the type checker)
         return SelectorLoss(network)
@@ -335,19 +335,19 @@ class SelectorTraining:
         encoded = [encoder.encode(rng, part, doubts=False) for part in parts]
         return [batch | {"family": family} for batch, family in zip(encoded, families, strict=True)]
 
-    def validate(self, lesson: nn.Module, batches: list[Batch], autocast: Any) -> Row:
+    def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
         """Loss and accuracy of the choice, overall and by family."""
-        assert isinstance(lesson, SelectorLoss)  # noqa: S101
-        device = next(lesson.parameters()).device
-        lesson.eval()
+        assert isinstance(loss_module, SelectorLoss)  # noqa: S101
+        device = next(loss_module.parameters()).device
+        loss_module.eval()
         losses, rights = [], []
         with torch.no_grad(), autocast():
             for batch in batches:
                 tensors = to_tensors(batch, device)
-                logits = lesson.logits(tensors)
+                logits = loss_module.logits(tensors)
                 losses.append(F.cross_entropy(logits, tensors["target"], reduction="none"))
                 rights.append(logits.argmax(-1) == tensors["target"])
-        lesson.train()
+        loss_module.train()
         right, family = torch.cat(rights).cpu().numpy(), np.concatenate([batch["family"] for batch in batches])
         row: Row = {"choice": float(torch.cat(losses).mean()), "choice accuracy": float(right.mean())}
         for index in np.unique(family):
@@ -361,9 +361,9 @@ class SelectorTraining:
 
     def export(self, checkpoint: Path, folder: Path) -> None:
         """The mind's file."""
-        from cognitivedrone.training.reasoner.export import export_mind
+        from cognitivedrone.training.reasoner.export import export_selector
 
-        export_mind(checkpoint, folder)
+        export_selector(checkpoint, folder)
 
 
-MIND = SelectorRecipe(name="mind", steps=6_000, learning_rate=1e-3, warmup_steps=300)
+SELECTOR = SelectorRecipe(name="selector", steps=6_000, learning_rate=1e-3, warmup_steps=300)

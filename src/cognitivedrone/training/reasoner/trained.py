@@ -20,10 +20,10 @@ def load_reader(path: Path) -> tuple[Reader, dict[str, Any]]:
     return reader, facts
 
 
-def load_mind(path: Path) -> tuple[GateSelector, Vocabulary, dict[str, Any]]:
+def load_selector(path: Path) -> tuple[GateSelector, Vocabulary, dict[str, Any]]:
     """The gate selector of a checkpoint, its vocabulary, and the checkpoint's facts."""
     tensors, facts = read_checkpoint(path)
-    mind = GateSelector(SelectorConfig(**facts["recipe"]["network"]))
-    restore(tensors, mind, None)
-    mind.eval()
-    return mind, Vocabulary(tuple(facts["vocabulary"])), facts
+    selector = GateSelector(SelectorConfig(**facts["recipe"]["network"]))
+    restore(tensors, selector, None)
+    selector.eval()
+    return selector, Vocabulary(tuple(facts["vocabulary"])), facts

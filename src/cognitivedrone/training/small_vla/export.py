@@ -113,7 +113,7 @@ def action_statistics(
     network: SmallVLA, vocabulary: Vocabulary, stream: StreamRecipe, data: Path | None = None
 ) -> ActionStatistics:
     """The distribution of the actions in a stream or a data set, and the network's output range."""
-    recipe = replace(stream, batch=100, texts=1, cards=0, sentences=1, learner=0.0)
+    recipe = replace(stream, batch=100, texts=1, panel_crops=0, sentences=1, learner=0.0)
     made = training_batches(recipe, vocabulary, network.config, data)(_STATISTICS_SEED)
     taken = list(islice(made, _STATISTICS_FRAMES // recipe.batch))
     actions = np.concatenate([batch["action"][batch["valid"]][:, 0] for batch in taken]).astype(np.float64)

@@ -21,12 +21,12 @@ from cognitivedrone.models.text import Vocabulary, words_of
 from cognitivedrone.tasks import BASE_FAMILIES
 from cognitivedrone.tasks.generate import TRAIN
 from cognitivedrone.tasks.suites import drawn_task
-from cognitivedrone.training.common.attributes import panel_facets
+from cognitivedrone.training.common.attributes import panel_attributes
 from cognitivedrone.training.common.checkpoint import origin_of, read_checkpoint
 from cognitivedrone.training.common.phrasing import SPOKEN
-from cognitivedrone.training.common.sampling import Batch, muddled, told
+from cognitivedrone.training.common.sampling import Batch, token_noise, told
 from cognitivedrone.training.common.training_task import Batches, Learner, Recipe, Row, to_tensors
-from cognitivedrone.training.common.unknown_people import STRANGER, with_stranger
+from cognitivedrone.training.common.unknown_people import UNKNOWN_PERSON, with_unknown_person
 from cognitivedrone.training.small_vla.losses import known_mean, text_loss, told_embedding, told_query
 from cognitivedrone.training.small_vla.pilot import NetworkPilot
 from cognitivedrone.training.small_vla.policy import trial
@@ -55,17 +55,17 @@ class LanguageRecipe(Recipe):
     """Number of sentences; processes share them."""
     spoken: float = 0.6
     """Share of sentences with more wordings than the training tasks."""
-    muddled: float = 0.1
+    token_noise: float = 0.1
     """Share of sentences with token noise: words lost, left out and added."""
     directives: float = 0.08
     """Share of sentences that are directives."""
-    strangers: float = 0.4
+    unknown_people: float = 0.4
     """Share of sentences about people that ask for an unknown identity among known ones."""
     hidden: float = 0.3
     """Share of sentences about a board while no board is in view, so that the right gate is unknowable."""
     doubted: float = 0.4
     """Share of boards with uncertain readings: they get a second reading, that of another sentence."""
-    kept: float = 1.0
+    distillation_weight: float = 1.0
     """Distillation weight: for families that the policy already knew, how much its old answers count."""
     validation_sentences: int = 3000
     fly_tasks: int = 60
@@ -80,7 +80,7 @@ class LanguageRecipe(Recipe):
         facts = read_checkpoint(start)[1]
         known = tuple(facts["vocabulary"])
         rng = np.random.default_rng((0, _VALIDATION + 1))
-        sentences = (draw_told(rng, self).instruction.replace(STRANGER, "") for _ in range(_SENTENCES))
+        sentences = (draw_told(rng, self).instruction.replace(UNKNOWN_PERSON, "") for _ in range(_SENTENCES))
         new = {word for sentence in sentences for word in words_of(sentence)} - set(known)
         return LanguageTraining(
             self, start, Vocabulary((*known, *sorted(new))), facts["recipe"]["network"]["text_length"]
@@ -128,11 +128,11 @@ class LanguageTraining:
         network.text.requires_grad_()
         return network
 
-    def lesson(self, network: nn.Module) -> LanguageLoss:
+    def loss_module(self, network: nn.Module) -> LanguageLoss:
         """The policy with its language losses."""
         assert isinstance(network, SmallVLA)  # noqa: S101  (tells the type checker)
         before, known, _ = load_trained(self.start)
-        return LanguageLoss(network, before.text, len(known.words), self.recipe.kept)
+        return LanguageLoss(network, before.text, len(known.words), self.recipe.distillation_weight)
 
     def learner(self, network: nn.Module) -> None:
         """None: nothing flies."""
@@ -155,21 +155,21 @@ class LanguageTraining:
 
     def validation(self, seed: int) -> list[Batch]:
         """Unaltered sentences of another seed, with the family of each."""
-        plain = replace(self, recipe=replace(self.recipe, muddled=0.0, directives=0.0, hidden=0.0, doubted=0.0))
+        plain = replace(self, recipe=replace(self.recipe, token_noise=0.0, directives=0.0, hidden=0.0, doubted=0.0))
         rng = np.random.default_rng((seed, _VALIDATION))
         tasks = [draw_told(rng, self.recipe) for _ in range(self.recipe.validation_sentences)]
         parts = [tasks[first : first + 250] for first in range(0, len(tasks), 250)]
         families = [np.array([_FAMILIES.index(task.family) for task in part]) for part in parts]
         return [plain.told(rng, part) | {"family": own} for part, own in zip(parts, families, strict=True)]
 
-    def validate(self, lesson: nn.Module, batches: list[Batch], autocast: Any) -> Row:
+    def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
         """Loss, and share of sentences that were understood, overall and by family."""
-        assert isinstance(lesson, LanguageLoss)  # noqa: S101
-        device = next(lesson.parameters()).device
+        assert isinstance(loss_module, LanguageLoss)  # noqa: S101
+        device = next(loss_module.parameters()).device
         losses, rights = [], []
         with torch.no_grad(), autocast():
             for batch in batches:
-                loss, understood = text_loss(lesson.network, to_tensors(batch, device))
+                loss, understood = text_loss(loss_module.network, to_tensors(batch, device))
                 losses.append(float(loss))
                 rights.append(understood.cpu().numpy())
         right, family = np.concatenate(rights), np.concatenate([batch["family"] for batch in batches])
@@ -198,7 +198,7 @@ class LanguageTraining:
         rows = []
         for task, directive in zip(tasks, plain, strict=True):
             row = self.vocabulary.encode(task.directive if directive else task.instruction, self.text_length)
-            rows.append(muddled(rng, row) if rng.random() < recipe.muddled else row)
+            rows.append(token_noise(rng, row) if rng.random() < recipe.token_noise else row)
         batch = told(tasks, np.stack(rows), plain)
         board = np.asarray(batch["text_board"], np.int64)
         hidden = rng.random(count) < recipe.hidden
@@ -207,7 +207,7 @@ class LanguageTraining:
         others = board[rng.choice(boards, count)] if len(boards) else board
         same = (others < 0) | (rng.random(board.shape) < 0.5)
         doubted = (board[:, 0] >= 0) & (rng.random(count) < recipe.doubted)
-        known = [task.family in BASE_FAMILIES and STRANGER not in task.instruction for task in tasks]
+        known = [task.family in BASE_FAMILIES and UNKNOWN_PERSON not in task.instruction for task in tasks]
         return batch | {
             "text_board": np.where(hidden[:, None], -1, board),
             "text_named": np.where(unknowable, -1, batch["text_named"]),
@@ -224,12 +224,12 @@ class LanguageLoss(nn.Module):
     It learned that from images; ground-truth scenes contain no information about how certain a perception is.
     """
 
-    def __init__(self, network: SmallVLA, before: nn.Module, known_words: int, kept: float) -> None:
+    def __init__(self, network: SmallVLA, before: nn.Module, known_words: int, distillation_weight: float) -> None:
         super().__init__()
         self.network = network
         self.before = before.requires_grad_(requires_grad=False)
         self.known_words = known_words
-        self.kept = kept
+        self.distillation_weight = distillation_weight
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
         """The loss; and, detached, its parts and the share of sentences that were understood."""
@@ -242,7 +242,7 @@ class LanguageLoss(nn.Module):
         heard = torch.where(batch["text_tokens"] < self.known_words, batch["text_tokens"], 1)
         said = told_query(self.before, batch | {"text_tokens": heard}, board)
         moved = known_mean((query - said).square().sum(-1) / said.square().sum(-1), batch["known"])
-        return loss + self.kept * moved, {
+        return loss + self.distillation_weight * moved, {
             "text": loss.detach(),
             "moved": moved.detach(),
             "text accuracy": right.float().mean(),
@@ -254,7 +254,7 @@ def draw_told(rng: np.random.Generator, recipe: LanguageRecipe) -> Task:
     while True:
         family = _FAMILIES[int(rng.choice(len(SHARES), p=list(SHARES.values())))]
         task = drawn_task(family, rng, family, SPOKEN if rng.random() < recipe.spoken else TRAIN)
-        if family == "people" and rng.random() < recipe.strangers:
-            return with_stranger(rng, task)
-        if all(panel_facets(label)[0] >= 0 for label in task.labels):
+        if family == "people" and rng.random() < recipe.unknown_people:
+            return with_unknown_person(rng, task)
+        if all(panel_attributes(label)[0] >= 0 for label in task.labels):
             return task

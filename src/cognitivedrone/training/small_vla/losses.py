@@ -27,8 +27,8 @@ class LossWeights:
 
     heat: float = 1.0
     place: float = 2.0
-    facets: float = 1.0
-    cards: float = 1.0
+    attributes: float = 1.0
+    panel_crops: float = 1.0
     choice: float = 1.0
     text: float = 2.0
     action: float = 1.0
@@ -71,8 +71,8 @@ class LossModule(nn.Module):
         parts = {
             "heat": _heat_loss(scene, batch, slots, board_cell_known),
             "place": self._place_loss(seen, batch, slots, board_cell_known),
-            "facets": self._facet_loss(read, network.gate_embedding(seen.cell), batch),
-            "cards": self._card_loss(batch),
+            "facets": self._attribute_loss(read, network.gate_embedding(seen.cell), batch),
+            "cards": self._crop_loss(batch),
             "choice": F.cross_entropy(logits.flatten(0, 1), batch["choice"].flatten()),
             "text": text,
             "action": self._action_loss(raw, batch),
@@ -109,31 +109,31 @@ class LossModule(nn.Module):
         boards = F.smooth_l1_loss(seen.board_geometry.float(), board.clamp(-8, 8), beta=0.1, reduction="none").mean(-1)
         return known_mean(gates, batch["in_view"]) + known_mean(boards, board_known)
 
-    def _facet_loss(self, read: Tensor, gates: Tensor, batch: dict[str, Tensor]) -> Tensor:
+    def _attribute_loss(self, read: Tensor, gates: Tensor, batch: dict[str, Tensor]) -> Tensor:
         legible = batch["legible"] & torch.cat([batch["in_view"], batch["legible"][:, SLOTS:]], dim=1)
         panels = self._named(read[:, :SLOTS], batch["panel_facets"], legible[:, :SLOTS], PANEL_GROUPS)
         board = self._named(read[:, SLOTS:], batch["board_facets"][:, None], legible[:, SLOTS:], BOARD_GROUPS)
         return panels + board + 0.5 * self._named(gates, batch["gate_facets"], batch["in_view"], GATE_GROUPS)
 
-    def _card_loss(self, batch: dict[str, Tensor]) -> Tensor:
+    def _crop_loss(self, batch: dict[str, Tensor]) -> Tensor:
         """Loss of panel crops, without a frame."""
         if "card_image" not in batch:
             return batch["state"].new_zeros(())
         pixels = batch["card_image"].permute(0, 3, 1, 2).float() / 255  # channels last in memory, as `read` has it
-        read = self.network.sight((pixels - 0.5) * 4)[:, None]
-        facets = batch["card_facets"][:, None]
-        known = torch.ones_like(facets[..., 0], dtype=torch.bool)
-        panels, boards = facets[..., : len(PANEL_GROUPS)], facets[..., len(PANEL_GROUPS) :]
+        read = self.network.panel_encoder((pixels - 0.5) * 4)[:, None]
+        attributes = batch["card_facets"][:, None]
+        known = torch.ones_like(attributes[..., 0], dtype=torch.bool)
+        panels, boards = attributes[..., : len(PANEL_GROUPS)], attributes[..., len(PANEL_GROUPS) :]
         return self._named(read, panels, known, PANEL_GROUPS) + self._named(read, boards, known, BOARD_GROUPS)
 
-    def _named(self, embeddings: Tensor, facets: Tensor, known: Tensor, groups: tuple[str, ...]) -> Tensor:
+    def _named(self, embeddings: Tensor, attributes: Tensor, known: Tensor, groups: tuple[str, ...]) -> Tensor:
         """Cross-entropies of classifying facets (n, m, groups) from embeddings (n, m, E), summed over the groups."""
         logits = embeddings.float() @ self.network.prototypes.float().T
         losses = []
         for column, group in enumerate(groups):
             span = GROUPS[group]
-            there = known & (facets[..., column] >= 0)
-            target = (facets[..., column] - span.start).clamp(0)
+            there = known & (attributes[..., column] >= 0)
+            target = (attributes[..., column] - span.start).clamp(0)
             loss = F.cross_entropy(logits[..., span].flatten(0, 1), target.flatten(), reduction="none")
             # An average over all samples that could have had it: rare values count as often as they occur.
             share = 1.0 if group in ("concept", *GATE_GROUPS) else 0.3
@@ -174,10 +174,10 @@ def told_query(text: nn.Module, batch: dict[str, Tensor], board: Tensor) -> Tens
     return query.float()
 
 
-def told_embedding(network: SmallVLA, facets: Tensor) -> Tensor:
+def told_embedding(network: SmallVLA, attributes: Tensor) -> Tensor:
     """Sums of prototypes (..., E) of facets (..., groups); those that are -1 do not count."""
-    rows = F.embedding(facets.clamp(0), network.prototypes)
-    return (rows * (facets >= 0).to(rows.dtype)[..., None]).sum(-2)
+    rows = F.embedding(attributes.clamp(0), network.prototypes)
+    return (rows * (attributes >= 0).to(rows.dtype)[..., None]).sum(-2)
 
 
 def action_targets(batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:

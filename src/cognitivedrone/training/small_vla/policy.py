@@ -54,7 +54,7 @@ class TrainRecipe(Recipe):
         network = replace(
             self.network,
             vocabulary=len(vocabulary.words),
-            facets=len(FACETS),
+            attributes=len(FACETS),
             board_bounds=BOARD_BOUNDS,
             chunk=self.stream.chunk,
         )
@@ -86,7 +86,7 @@ class PolicyTraining:
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return network
 
-    def lesson(self, network: nn.Module) -> LossModule:
+    def loss_module(self, network: nn.Module) -> LossModule:
         """The network with the recipe's loss weights."""
         assert isinstance(network, SmallVLA)  # noqa: S101  (tells the type checker)
         return LossModule(network, self.recipe.losses)
@@ -104,7 +104,7 @@ class PolicyTraining:
             stream,
             batch=stream.batch // processes,
             texts=max(1, stream.texts // processes),
-            cards=-(-stream.cards // processes),
+            panel_crops=-(-stream.panel_crops // processes),
         )
         return replace(self, recipe=replace(self.recipe, stream=part))
 
@@ -119,10 +119,10 @@ class PolicyTraining:
         made = training_batches(stream, self.vocabulary, self.recipe.network, self.data, validation=True)
         return list(islice(made((seed, _VALIDATION)), max(1, count // stream.batch)))
 
-    def validate(self, lesson: nn.Module, batches: list[Batch], autocast: Any) -> Row:
+    def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
         """Metrics as in the literature on OpenVLA."""
-        assert isinstance(lesson, LossModule)  # noqa: S101
-        return validate(lesson, batches, autocast)
+        assert isinstance(loss_module, LossModule)  # noqa: S101
+        return validate(loss_module, batches, autocast)
 
     def trial(self, network: nn.Module) -> Row:
         """Success in closed loop on training tasks under another seed, by family."""

@@ -40,7 +40,7 @@ class Recorded:
     ) -> None:
         self._recipe, self._split = recipe, split
         labels = load_pack()
-        self._sampler = Sampler(recipe, vocabulary, network.text_length, network.glimpse, labels)
+        self._sampler = Sampler(recipe, vocabulary, network.text_length, network.crop_size, labels)
         self._store = Store(folder)
         self._steps = self._store.step_numbers(split)
         if not len(self._steps):

@@ -58,7 +58,7 @@ class RolloutStream:
     def __init__(self, recipe: StreamRecipe, vocabulary: Vocabulary, network: SmallVLAConfig) -> None:
         self.recipe = recipe
         self._labels: LabelPack = load_pack()
-        self._sampler = Sampler(recipe, vocabulary, network.text_length, network.glimpse, self._labels)
+        self._sampler = Sampler(recipe, vocabulary, network.text_length, network.crop_size, self._labels)
         self._simulator = Simulator(recipe.worlds)
         self._rng = np.random.default_rng()
         self._learner: Learner | None = None

@@ -18,23 +18,23 @@ from cognitivedrone.training.common.training_task import Row, to_tensors
 from cognitivedrone.training.small_vla.losses import LossModule, action_loss, action_targets, true_slots
 
 
-def validate(lesson: LossModule, batches: Sequence[Batch], autocast: Any) -> Row:
+def validate(loss_module: LossModule, batches: Sequence[Batch], autocast: Any) -> Row:
     """Losses and metrics of a loss module on validation batches; actions toward the gate flown at, if it is in view."""
-    network = lesson.network
+    network = loss_module.network
     device = next(network.parameters()).device
-    lesson.eval()
+    loss_module.eval()
     sums: dict[str, list[float]] = {}
     raws, targets = [], []
     with torch.no_grad(), autocast():
         for batch in batches:
             tensors = to_tensors(batch, device)
-            _, measures = lesson(tensors)
+            _, measures = loss_module(tensors)
             for name, value in measures.items():
                 sums.setdefault(name, []).append(float(value))
             raw, target = _flown(network, tensors)
             raws.append(raw.float())
             targets.append(target)
-    lesson.train()
+    loss_module.train()
     return {name: float(np.mean(values)) for name, values in sums.items()} | action_measures(
         network, torch.cat(raws), torch.cat(targets)
     )

@@ -27,7 +27,7 @@ from cognitivedrone.types import CONTROL_HZ, DroneState, FloatArray, Image, Stag
 from cognitivedrone.vehicles.camera import Camera
 from cognitivedrone.vehicles.external import ExternalFlight, LinkReport, Placement, placed
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld
-from cognitivedrone.vehicles.gazebo.sight import TruePath
+from cognitivedrone.vehicles.gazebo.sensing import TruePath
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 
 STILL_M_S: Final = 0.1

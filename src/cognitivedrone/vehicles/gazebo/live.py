@@ -31,7 +31,7 @@ from cognitivedrone.vehicles.gazebo.bindings import Bindings, installed_releases
 from cognitivedrone.vehicles.gazebo.export import write_meshes, write_pictures
 from cognitivedrone.vehicles.gazebo.release import RELEASES
 from cognitivedrone.vehicles.gazebo.sdf import SUN, WORLD, Prop, document, prop_model, sun
-from cognitivedrone.vehicles.gazebo.sight import GazeboCamera, Topic, TruePath, places_of
+from cognitivedrone.vehicles.gazebo.sensing import GazeboCamera, Topic, TruePath, places_of
 from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC, NAME
 from cognitivedrone.world.appearance import PLAIN, Look
 

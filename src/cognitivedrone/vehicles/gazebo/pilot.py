@@ -63,7 +63,7 @@ def open_gazebo_vehicle(request: Request) -> SimulatedFlight:
 
 def take_off(url: str, world: GazeboWorld) -> MavlinkDrone:
     """The world's vehicle, in the air; raises `LinkError` where it does not fly, or is not known to be simulated."""
-    drone = _Drone(url, world.camera(), RefereesGuard(), VEHICLE)
+    drone = _Drone(url, world.camera(), PassThroughGuard(), VEHICLE)
     with ExitStack() as undo:
         undo.callback(drone.close)
         if not drone.is_software:
@@ -76,7 +76,7 @@ def take_off(url: str, world: GazeboWorld) -> MavlinkDrone:
     return drone
 
 
-class RefereesGuard:
+class PassThroughGuard:
     """Lets every command pass until it is told to land: where a gate monitor judges, no rule is to hold back.
 
     Hands off, for good, where the motors stop or a mode shows that nobody here ordered.

@@ -16,7 +16,7 @@ from cognitivedrone.vehicles.camera import Camera, Shot, open_camera
 from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, Request, Status
 from cognitivedrone.vehicles.external import LinkReport
 from cognitivedrone.vehicles.gazebo.bindings import load_bindings
-from cognitivedrone.vehicles.gazebo.sight import GazeboCamera
+from cognitivedrone.vehicles.gazebo.sensing import GazeboCamera
 from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig

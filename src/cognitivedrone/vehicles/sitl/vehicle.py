@@ -46,7 +46,7 @@ class _Word:
     reason: str
 
 
-class OpenGuard:
+class PassThroughGuard:
     """Lets every command pass while the vehicle is ours and armed: where a gate monitor judges, no rule holds it back.
 
     Times on the wall say nothing here, since the vehicle stands still while a policy thinks.
@@ -169,7 +169,7 @@ def connected(url: str) -> MavlinkDrone:
         ready_timeout_s=900.0,
         takeoff_timeout_s=600.0,
     )
-    return MavlinkDrone(url, _NoCamera(), OpenGuard(), config)
+    return MavlinkDrone(url, _NoCamera(), PassThroughGuard(), config)
 
 
 def open_server(plant: Plant) -> tuple[SitlServer, int]:

@@ -10,14 +10,14 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import BASE_FAMILIES
-from cognitivedrone.training.common.attributes import FACETS, PANEL_GROUPS, panel_facets
-from cognitivedrone.training.common.panel_crops import SHARES, PanelCrops, glimpse_of
+from cognitivedrone.training.common.attributes import FACETS, PANEL_GROUPS, panel_attributes
+from cognitivedrone.training.common.panel_crops import SHARES, PanelCrops, panel_image_of
 
 SIZE = 48
 
 
 @pytest.fixture(scope="module")
-def cards() -> PanelCrops:
+def panel_crops() -> PanelCrops:
     return PanelCrops(load_pack("open-v1"), SIZE)
 
 
@@ -35,26 +35,26 @@ def test_a_glimpse_shows_its_picture_and_none_is_like_another() -> None:
     dark = np.zeros((64, 64, 3), np.uint8)
     dark[:, 32:] = (255, 0, 0)
     halves = PillowImage.fromarray(dark)
-    seen = np.stack([glimpse_of(halves, SIZE, rng) for _ in range(100)]).astype(float)
+    seen = np.stack([panel_image_of(halves, SIZE, rng) for _ in range(100)]).astype(float)
     left, right = (seen[:, 22:26, column : column + 4].mean(axis=(1, 2)) for column in (12, 32))
     assert (right[:, 0] > left[:, 0] + 60).mean() > 0.9
     assert (right[:, 0] > right[:, 1] + 60).mean() > 0.9
     assert (left.max(axis=1) < 60).mean() > 0.9
     cat = picture("animal/cat@noto")
-    glimpses = {glimpse_of(cat, SIZE, rng).tobytes() for _ in range(20)}
-    assert len(glimpses) == 20
+    panel_images = {panel_image_of(cat, SIZE, rng).tobytes() for _ in range(20)}
+    assert len(panel_images) == 20
 
 
-def test_a_card_looks_like_the_label_that_its_facets_name(cards: PanelCrops) -> None:
+def test_a_card_looks_like_the_label_that_its_facets_name(panel_crops: PanelCrops) -> None:
     """The nearest of a few pictures is the one that is named, for most cards."""
-    cards.forget()
+    panel_crops.forget()
     rng = np.random.default_rng(1)
     labels = {name: picture(f"letter/{name}@inter") for name in "OILXW"}
     ink = {name: 255 - np.asarray(image.convert("L").resize((32, 32)), float) for name, image in labels.items()}
     right = total = 0
     while total < 40:
-        images, facets = cards.draw(rng, 64)
-        for image, row in zip(images, facets, strict=True):
+        images, attributes = panel_crops.draw(rng, 64)
+        for image, row in zip(images, attributes, strict=True):
             concept = FACETS[row[0]].rpartition(":")[2] if row[0] >= 0 else ""
             if row[0] < 0 or "letter:" not in FACETS[row[0]] or concept not in ink:
                 continue
@@ -66,15 +66,15 @@ def test_a_card_looks_like_the_label_that_its_facets_name(cards: PanelCrops) -> 
     assert right > 0.6 * total
 
 
-def test_everything_there_is_to_read_comes_up(cards: PanelCrops) -> None:
-    cards.forget()
+def test_everything_there_is_to_read_comes_up(panel_crops: PanelCrops) -> None:
+    panel_crops.forget()
     rng = np.random.default_rng(2)
     counts: Counter[str] = Counter()
     for _ in range(20):
-        images, facets = cards.draw(rng, 50)
+        images, attributes = panel_crops.draw(rng, 50)
         assert images.shape == (50, SIZE, SIZE, 3)
         assert images.dtype == np.uint8
-        for row in facets:
+        for row in attributes:
             board = (row[len(PANEL_GROUPS) :] >= 0).all()
             assert board != (row[: len(PANEL_GROUPS)] >= 0).any()
             person = row[0] < 0 and not board
@@ -83,15 +83,15 @@ def test_everything_there_is_to_read_comes_up(cards: PanelCrops) -> None:
     assert min(counts.values()) > 20
 
 
-def test_the_same_seed_draws_the_same_cards(cards: PanelCrops) -> None:
+def test_the_same_seed_draws_the_same_cards(panel_crops: PanelCrops) -> None:
     drawn = []
     for seed in (3, 4, 3):
-        cards.forget()
+        panel_crops.forget()
         rng = np.random.default_rng(seed)
-        drawn.append([part.tobytes() for _ in range(2) for part in cards.draw(rng, 16)])
+        drawn.append([part.tobytes() for _ in range(2) for part in panel_crops.draw(rng, 16)])
     assert drawn[0] == drawn[2]
     assert drawn[0] != drawn[1]
 
 
 def test_facets_are_those_of_the_label() -> None:
-    assert FACETS[panel_facets("letter/W@inter")[0]].endswith("letter:W")
+    assert FACETS[panel_attributes("letter/W@inter")[0]].endswith("letter:W")

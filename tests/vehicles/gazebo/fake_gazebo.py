@@ -79,7 +79,7 @@ def make_messages() -> dict[str, Any]:
 MESSAGES = make_messages()
 
 
-class StandIn:
+class FakeGazebo:
     """A running Gazebo of one release, with one world in it."""
 
     def __init__(self, release: str = "harmonic", world: str = "cognitivedrone", models: tuple[str, ...] = ()) -> None:
@@ -142,7 +142,7 @@ class StandIn:
         return MESSAGES["Boolean"](data=True)
 
     @contextmanager
-    def running(self) -> Iterator[StandIn]:
+    def running(self) -> Iterator[FakeGazebo]:
         """Simulates in a thread of its own: carries out commands, and tells where everything is."""
         thread = threading.Thread(target=self._run)
         self._running.set()
@@ -205,7 +205,7 @@ class StandIn:
 class Node:
     """As `gz.transport13.Node`."""
 
-    def __init__(self, gazebo: StandIn) -> None:
+    def __init__(self, gazebo: FakeGazebo) -> None:
         self._gazebo = gazebo
         self._own: dict[str, tuple[Any, Callable[[Any], None]]] = {}
 
