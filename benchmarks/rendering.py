@@ -16,7 +16,7 @@ from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.sim.camera import Cameras
 from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Stage
-from cognitivedrone.world.appearance import PLAIN, Look, varied_look
+from cognitivedrone.world.appearance import PLAIN, Appearance, varied_appearance
 from cognitivedrone.world.geometry import START
 
 WORLDS = 16
@@ -28,7 +28,7 @@ def main() -> None:
     rounds = parser.parse_args().rounds
     rng = np.random.default_rng(0)
     print(f"renderer: {renderer_name()}; 256x256 RGB, {WORLDS} worlds, medians of {rounds} rounds")
-    looks = {"plain": [PLAIN] * WORLDS, "varied": [varied_look(rng) for _ in range(WORLDS)]}
+    looks = {"plain": [PLAIN] * WORLDS, "varied": [varied_appearance(rng) for _ in range(WORLDS)]}
     single = 0.0
     for name, worlds in looks.items():
         for threads in (1, 2):
@@ -40,11 +40,11 @@ def main() -> None:
         print(f"{name:7} change of stage: {change:5.2f} ms, with the first frame {first:5.2f} ms")
 
 
-def frame_rate(looks: list[Look], threads: int, rounds: int, rng: np.random.Generator) -> float:
+def frame_rate(looks: list[Appearance], threads: int, rounds: int, rng: np.random.Generator) -> float:
     out = np.empty((WORLDS, 256, 256, 3), np.uint8)
     with Cameras(WORLDS, threads=threads) as cameras:
-        for slot, look in enumerate(looks):
-            cameras.set_stage(slot, random_stage(rng), pictures(rng), look=look)
+        for slot, appearance in enumerate(looks):
+            cameras.set_stage(slot, random_stage(rng), pictures(rng), appearance=appearance)
 
         def render() -> None:
             positions = START + rng.uniform([-1, -1, -0.5], 1, (WORLDS, 3))
@@ -53,12 +53,12 @@ def frame_rate(looks: list[Look], threads: int, rounds: int, rng: np.random.Gene
         return WORLDS / median_seconds(render, rounds)
 
 
-def stage_change(looks: list[Look], rounds: int, rng: np.random.Generator) -> tuple[float, float]:
+def stage_change(looks: list[Appearance], rounds: int, rng: np.random.Generator) -> tuple[float, float]:
     """Milliseconds of `set_stage`, and of it with the first frame of the new stage."""
     with Cameras(1) as cameras:
 
         def change() -> None:
-            cameras.set_stage(0, random_stage(rng), images, look=looks[rng.integers(WORLDS)])
+            cameras.set_stage(0, random_stage(rng), images, appearance=looks[rng.integers(WORLDS)])
 
         def change_and_look() -> None:
             change()

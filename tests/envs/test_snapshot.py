@@ -77,7 +77,7 @@ def test_a_gate_that_stands_alone_is_the_only_one_listed(tmp_path):
     ("change", "error", "message"),
     [
         ({"episode": 30}, TaskError, "has episodes 0 to 29, not 30"),
-        ({"appearance": "vareid"}, SimulationError, "unknown look 'vareid'; did you mean 'varied'"),
+        ({"appearance": "vareid"}, SimulationError, "unknown appearance 'vareid'; did you mean 'varied'"),
         ({"out": "nowhere/view.png"}, RunError, "there is no folder"),
         ({"out": "view.xyz"}, RunError, "not an image format; end the name in .png"),
         ({"out": "folder.png"}, RunError, "cannot write"),

@@ -11,7 +11,7 @@ from cognitivedrone.sim.camera import Cameras
 from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Gate, Image, Stage
 from cognitivedrone.world import geometry
-from cognitivedrone.world.appearance import varied_look
+from cognitivedrone.world.appearance import varied_appearance
 
 STAGE = Stage(
     gates=(Gate("big", "round", "red"), Gate("small", "square", "green"), Gate("big", "triangle", "blue")),
@@ -159,11 +159,11 @@ def test_plain_look_is_the_published_one(cameras: Cameras) -> None:
 def test_a_picture_depends_on_nothing_but_its_own_slot_and_pose() -> None:
     """Bit for bit the same: any slot, any number of threads and images, whatever was there before."""
     rng = np.random.default_rng(5)
-    look = varied_look(rng)
+    appearance = varied_appearance(rng)
     positions = START + rng.uniform(-0.5, 0.5, (5, 3))
     quaternions = np.stack([tilted(*rng.uniform(-0.3, 0.3, 3)) for _ in range(5)])
     with Cameras(1) as alone:
-        alone.set_stage(0, STAGE, FLAGS, flag(), look)
+        alone.set_stage(0, STAGE, FLAGS, flag(), appearance)
         expected = np.concatenate(
             [alone.first_person(p[None], q[None]) for p, q in zip(positions, quaternions, strict=True)]
         )
@@ -174,7 +174,7 @@ def test_a_picture_depends_on_nothing_but_its_own_slot_and_pose() -> None:
         many.first_person(positions, quaternions, out)
         assert not np.array_equal(out, expected)
         for slot in range(5):
-            many.set_stage(slot, STAGE, FLAGS, flag(), look)
+            many.set_stage(slot, STAGE, FLAGS, flag(), appearance)
         assert many.first_person(positions, quaternions, out) is out
         np.testing.assert_array_equal(out, expected)
         for size in [(90, 70), (700, 500)]:
@@ -187,8 +187,8 @@ def test_a_picture_depends_on_nothing_but_its_own_slot_and_pose() -> None:
 def test_stages_leave_nothing_behind(cameras: Cameras) -> None:
     cameras.set_stage(0, STAGE, FLAGS)
     before = see(cameras, START)
-    cameras.set_stage(1, OTHER, [GREY] * 3, flag(512, 128), varied_look(np.random.default_rng(1)))
-    cameras.set_stage(0, OTHER, [GREY] * 3, flag(512, 128), varied_look(np.random.default_rng(1)))
+    cameras.set_stage(1, OTHER, [GREY] * 3, flag(512, 128), varied_appearance(np.random.default_rng(1)))
+    cameras.set_stage(0, OTHER, [GREY] * 3, flag(512, 128), varied_appearance(np.random.default_rng(1)))
     there = see(cameras, START)
     np.testing.assert_array_equal(there, see(cameras, START, slot=1))
     assert (there != before).mean() > 0.5
@@ -197,9 +197,9 @@ def test_stages_leave_nothing_behind(cameras: Cameras) -> None:
 
 
 def test_pixel_noise_differs_from_frame_to_frame(cameras: Cameras) -> None:
-    look = varied_look(np.random.default_rng(3))
-    assert look.noise > 1
-    cameras.set_stage(0, STAGE, FLAGS, look=look)
+    appearance = varied_appearance(np.random.default_rng(3))
+    assert appearance.noise > 1
+    cameras.set_stage(0, STAGE, FLAGS, appearance=appearance)
     here, there = see(cameras, START), see(cameras, START + np.array([1e-9, 0.0, 0.0]))
     assert (here != there).mean() > 0.3
     np.testing.assert_array_equal(here, see(cameras, START))

@@ -6,35 +6,35 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cognitivedrone.world.appearance import PATTERNS, PLAIN, Pattern, expose, pattern_texture, varied_look
+from cognitivedrone.world.appearance import PATTERNS, PLAIN, Pattern, expose, pattern_texture, varied_appearance
 
 seeds = st.integers(0, 2**32 - 1)
 
 
 @given(seed=seeds)
 def test_varied_gates_keep_their_names(seed: int) -> None:
-    look = varied_look(np.random.default_rng(seed))
-    for color, hue in zip(look.gate_colors, (0.0, 1 / 3, 2 / 3), strict=True):
+    appearance = varied_appearance(np.random.default_rng(seed))
+    for color, hue in zip(appearance.gate_colors, (0.0, 1 / 3, 2 / 3), strict=True):
         seen, saturation, value = colorsys.rgb_to_hsv(*color)
         assert abs((seen - hue + 0.5) % 1 - 0.5) < 1 / 12
         assert saturation >= 0.75
         assert value >= 0.65
-    for color in (look.floor, look.surroundings):
+    for color in (appearance.floor, appearance.surroundings):
         assert colorsys.rgb_to_hsv(*color)[1] <= 0.4, "no wall passes for a gate"
-    assert look.light_direction[2] < 0
+    assert appearance.light_direction[2] < 0
 
 
 @given(seed=seeds)
 def test_looks_are_drawn_from_the_generator_alone(seed: int) -> None:
-    assert varied_look(np.random.default_rng(seed)) == varied_look(np.random.default_rng(seed))
-    assert varied_look(np.random.default_rng(seed)) != varied_look(np.random.default_rng(seed + 1))
+    assert varied_appearance(np.random.default_rng(seed)) == varied_appearance(np.random.default_rng(seed))
+    assert varied_appearance(np.random.default_rng(seed)) != varied_appearance(np.random.default_rng(seed + 1))
 
 
 def test_looks_reach_every_pattern() -> None:
     rng = np.random.default_rng(0)
-    looks = [varied_look(rng) for _ in range(200)]
-    assert {look.floor_pattern for look in looks} == set(PATTERNS)
-    assert {look.surroundings_pattern for look in looks} == set(PATTERNS)
+    looks = [varied_appearance(rng) for _ in range(200)]
+    assert {appearance.floor_pattern for appearance in looks} == set(PATTERNS)
+    assert {appearance.surroundings_pattern for appearance in looks} == set(PATTERNS)
 
 
 def test_the_perfect_camera_changes_nothing() -> None:
@@ -45,11 +45,11 @@ def test_the_perfect_camera_changes_nothing() -> None:
 
 
 def test_noise_has_the_spread_it_says_and_follows_its_key() -> None:
-    look = dataclasses.replace(PLAIN, noise=4.0, seed=3)
+    appearance = dataclasses.replace(PLAIN, noise=4.0, seed=3)
     images = []
     for key in (0, 0, 1):
         image = np.full((256, 256, 3), 128, np.uint8)
-        expose(image, look, key)
+        expose(image, appearance, key)
         images.append(image)
     noise = images[0].astype(float) - 128
     assert abs(noise.mean()) < 0.1

@@ -143,7 +143,7 @@ def views(track_runner: TrackRunner, suite: Suite, episode: int, rng: np.random.
         origin, yaw = geometry.next_stage_origin(stage, track_runner.track[index - 1].target)
         stage = stage_of(task, origin, yaw)
         start = _placed(draw_start(rng, world.hull_radius), stage)
-        world.begin(stage, scenery_of(stage, track_runner.labels, track_runner.look), start)
+        world.begin(stage, scenery_of(stage, track_runner.labels, track_runner.appearance), start)
         yield View(episode, index, GroundTruth(task, stage, world.state), _looking(world))
 
 

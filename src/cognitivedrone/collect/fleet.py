@@ -105,7 +105,7 @@ class Fleet:
         self._learners = [as_policy(f"policy {self._name}", each) for each in made]
         self._simulator = Simulator(worlds, airframe=AIRFRAMES[AIRFRAME])
         pack = load_pack(labels)
-        config = TrackConfig(look=recipe.look, time_limit_s=recipe.time_limit_s)
+        config = TrackConfig(appearance=recipe.look, time_limit_s=recipe.time_limit_s)
         self._courses = [TrackRunner(self._simulator.world(world), pack, config) for world in range(worlds)]
         self._frames = np.empty((worlds, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)
 

@@ -20,9 +20,9 @@ from cognitivedrone.sim.drone_world import DroneWorld, Scenery, Start
 from cognitivedrone.sim.gate_monitor import GateEvent
 from cognitivedrone.types import GroundTruth, Outcome, Stage, StageResult, Task, Track
 from cognitivedrone.world import geometry
-from cognitivedrone.world.appearance import PLAIN, Look, varied_look
+from cognitivedrone.world.appearance import PLAIN, Appearance, varied_appearance
 
-LOOKS = ("plain", "varied")
+APPEARANCES = ("plain", "varied")
 FLOOR_ROOM_M = 0.05
 """Distance between hull and floor at the lowest start."""
 
@@ -31,7 +31,7 @@ FLOOR_ROOM_M = 0.05
 class TrackConfig:
     """The conditions of a flight. Raises `SimulationError` if they cannot be simulated."""
 
-    look: AppearanceName = "plain"
+    appearance: AppearanceName = "plain"
     """`plain` as published, or `varied`: floor, walls, light, colours and camera noise drawn from the seed."""
     time_limit_s: float = 30.0
     """Time limit for each stage."""
@@ -44,8 +44,10 @@ class TrackConfig:
         return cls(scenario.appearance, time_limit_s, scenario.wind)
 
     def __post_init__(self) -> None:
-        if self.look not in LOOKS:
-            raise AppearanceError(f"unknown look {self.look!r}; {did_you_mean(str(self.look), LOOKS)}")
+        if self.appearance not in APPEARANCES:
+            raise AppearanceError(
+                f"unknown appearance {self.appearance!r}; {did_you_mean(str(self.appearance), APPEARANCES)}"
+            )
         if not self.time_limit_s > 0:
             raise SimulationError(f"time_limit_s is {self.time_limit_s}; it is a time in seconds, more than 0")
         if not 0 <= self.wind_m_s < math.inf:
@@ -63,10 +65,10 @@ def stage_of(task: Task, origin: tuple[float, float] = (0.0, 0.0), yaw: float = 
     return Stage(gates=task.gates, labels=task.labels, board=task.board, origin=origin, yaw=yaw, only=task.only)
 
 
-def scenery_of(stage: Stage, labels: LabelPack, look: Look) -> Scenery:
+def scenery_of(stage: Stage, labels: LabelPack, appearance: Appearance) -> Scenery:
     """The pictures of a stage."""
     first, second, third = (labels.image(reference) for reference in stage.labels)
-    return Scenery((first, second, third), labels.image(stage.board) if stage.board else None, look)
+    return Scenery((first, second, third), labels.image(stage.board) if stage.board else None, appearance)
 
 
 def draw_start(rng: np.random.Generator, hull_radius: float, wind_m_s: float = 0.0) -> Start:
@@ -95,7 +97,7 @@ class TrackRunner:
         self.track: Track = ()
         self.results: list[StageResult] = []
         self.stages: list[Stage] = []
-        self.look = PLAIN
+        self.appearance = PLAIN
         self.start = Start((0.0, 0.0, 0.0))
 
     def begin(self, track: Track, rng: np.random.Generator, start: Start | None = None) -> None:
@@ -106,9 +108,9 @@ class TrackRunner:
         self.track = track
         self.results = []
         self.stages = [stage_of(track[0])]
-        self.look = varied_look(rng) if self.config.look == "varied" else PLAIN
+        self.appearance = varied_appearance(rng) if self.config.appearance == "varied" else PLAIN
         self.start = start or draw_start(rng, self.world.hull_radius, self.config.wind_m_s)
-        scenery = scenery_of(self.stages[0], self.labels, self.look)
+        scenery = scenery_of(self.stages[0], self.labels, self.appearance)
         self.world.begin(self.stages[0], scenery, self.start)
         self._stage_start_s = 0.0
 
@@ -166,7 +168,7 @@ class TrackRunner:
         if not self.finished and gate_event.gate is not None:
             origin, yaw = geometry.next_stage_origin(self.stage, gate_event.gate)
             self.stages.append(stage_of(self.track[self.index], origin, yaw))
-            self.world.place(self.stage, scenery_of(self.stage, self.labels, self.look))
+            self.world.place(self.stage, scenery_of(self.stage, self.labels, self.appearance))
             self._stage_start_s = self.world.time()
         return result
 

@@ -23,7 +23,7 @@ from cognitivedrone.frames import rotation_matrix
 from cognitivedrone.sim.gl import GLThread
 from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT, View, chase_view, top_view
 from cognitivedrone.types import IMAGE_SIZE, DroneState, Image, Images, Stage, Vector, Vectors
-from cognitivedrone.world.appearance import PLAIN, Look, expose
+from cognitivedrone.world.appearance import PLAIN, Appearance, expose
 from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture
 from cognitivedrone.world.engine import mujoco
 from cognitivedrone.world.scene import add_drone, fill_scene, new_scene
@@ -73,13 +73,13 @@ class Cameras:
         stage: Stage,
         images: Sequence[NDArray[np.uint8]],
         board: NDArray[np.uint8] | None = None,
-        look: Look = PLAIN,
+        appearance: Appearance = PLAIN,
     ) -> None:
         """Show `stage` in `slot`, with the label `images` (h, w, 3) of gates 1 to 3, and a board if given."""
         if len(images) != 3:
             raise ValueError(f"a stage has three labels, not {len(images)}")
         thread, renderer, own = self._owner(slot)
-        thread.call(partial(renderer.set_stage, own, stage, images, board, look)).result()
+        thread.call(partial(renderer.set_stage, own, stage, images, board, appearance)).result()
 
     def first_person(
         self,
@@ -160,7 +160,7 @@ class _Renderer:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         self._scenes = [new_scene(self._assets) for _ in range(slots)]
         self._stages: list[Stage | None] = [None] * slots
-        self._looks: list[Look] = [PLAIN] * slots
+        self._looks: list[Appearance] = [PLAIN] * slots
         self._pixels = np.empty((size, size, 3), np.uint8)
         self._viewport = mujoco.MjrRect(0, 0, size, size)
 
@@ -171,7 +171,12 @@ class _Renderer:
         return stage
 
     def set_stage(
-        self, slot: int, stage: Stage, images: Sequence[NDArray[np.uint8]], board: NDArray[np.uint8] | None, look: Look
+        self,
+        slot: int,
+        stage: Stage,
+        images: Sequence[NDArray[np.uint8]],
+        board: NDArray[np.uint8] | None,
+        appearance: Appearance,
     ) -> None:
         pictures = dict(enumerate(images)) | ({} if board is None else {BOARD: board})
         for picture, image in pictures.items():
@@ -179,10 +184,16 @@ class _Renderer:
             mujoco.mjr_uploadTexture(self._assets.model, self._context, texture)
         aspects = [_aspect(image) for image in images]
         fill_scene(
-            self._scenes[slot], self._assets, slot, stage, aspects, None if board is None else _aspect(board), look
+            self._scenes[slot],
+            self._assets,
+            slot,
+            stage,
+            aspects,
+            None if board is None else _aspect(board),
+            appearance,
         )
         _set_lens(self._scenes[slot], FIELD_OF_VIEW)
-        self._stages[slot], self._looks[slot] = stage, look
+        self._stages[slot], self._looks[slot] = stage, appearance
 
     def first_person(
         self, job: list[tuple[int, int]], eye: Vectors, forward: Vectors, up: Vectors, out: Images
@@ -190,12 +201,12 @@ class _Renderer:
         """Render (index, slot) pairs of `job` into `out[index]`."""
         for index, slot in job:
             self.stage(slot)
-            scene, look = self._scenes[slot], self._looks[slot]
+            scene, appearance = self._scenes[slot], self._looks[slot]
             _aim(scene, eye[index], forward[index], up[index])
             self._draw(scene, self._viewport, self._pixels)
             out[index] = self._pixels[::-1]
             pose = np.concatenate([eye[index], forward[index], up[index]])
-            expose(out[index], look, zlib.crc32(pose.tobytes()))
+            expose(out[index], appearance, zlib.crc32(pose.tobytes()))
 
     def overlook(self, slot: int, state: DroneState, scale: float, size: tuple[int, int], view: View) -> Image:
         """A third-person view, including the drone: (h, w, 3)."""

@@ -8,7 +8,7 @@ from typing import Protocol
 from cognitivedrone.sim.dynamics import Flight
 from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor
 from cognitivedrone.types import CONTROL_HZ, DroneState, FloatArray, Image, Stage
-from cognitivedrone.world.appearance import PLAIN, Look
+from cognitivedrone.world.appearance import PLAIN, Appearance
 
 TICKS_PER_CONTROL = round(1 / (CONTROL_HZ * Flight.TICK_S))
 """Ticks of `Flight.TICK_S` in a control period."""
@@ -34,7 +34,7 @@ class Scenery:
 
     panels: tuple[Image, Image, Image]
     board: Image | None = None
-    look: Look = PLAIN
+    appearance: Appearance = PLAIN
 
     @property
     def aspects(self) -> tuple[float, float, float]:

@@ -51,7 +51,7 @@ class Simulator:
     def place(self, world: int, stage: Stage, scenery: Scenery) -> None:
         """Replace the stage of one world; the drone flies on."""
         if self.cameras is not None:
-            self.cameras.set_stage(world, stage, scenery.panels, scenery.board, scenery.look)
+            self.cameras.set_stage(world, stage, scenery.panels, scenery.board, scenery.appearance)
         start, radius = self.flight.position[world], self.airframe.hull_radius
         self._gate_monitors[world] = GateMonitor(stage, start, radius, scenery.aspects)
 

@@ -22,7 +22,7 @@ _NOISE_SIZE = 512
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class Appearance:
     """Colours, light and lens of a stage."""
 
     floor: RGB
@@ -51,7 +51,7 @@ class Look:
     """Seed of the pixel noise."""
 
 
-PLAIN = Look(
+PLAIN = Appearance(
     floor=(1.0, 1.0, 1.0),
     floor_pattern="plain",
     surroundings=(0.7, 0.7, 0.7),
@@ -65,7 +65,7 @@ PLAIN = Look(
 """The published stage: white floor, plain grey surroundings, pure colours, a perfect camera."""
 
 
-def varied_look(rng: np.random.Generator) -> Look:
+def varied_appearance(rng: np.random.Generator) -> Appearance:
     """An appearance drawn from `rng`: random room, light and camera. Gate colours remain recognisable by name."""
 
     def hsv(hue: float, saturation: tuple[float, float], value: tuple[float, float]) -> RGB:
@@ -80,7 +80,7 @@ def varied_look(rng: np.random.Generator) -> Look:
         hsv(hue + rng.uniform(-spread, spread), (0.8, 1.0), (0.7, 1.0))
         for hue, spread in ((0.0, 0.025), (1 / 3, 0.05), (0.64, 0.035))
     )
-    return Look(
+    return Appearance(
         floor=hsv(rng.uniform(), (0.0, 0.3), (0.35, 1.0)),
         floor_pattern=pattern(plain=0.25),
         surroundings=hsv(rng.uniform(), (0.0, 0.35), (0.3, 0.95)),
@@ -98,20 +98,20 @@ def varied_look(rng: np.random.Generator) -> Look:
     )
 
 
-def expose(image: Image, look: Look, key: int) -> None:
+def expose(image: Image, appearance: Appearance, key: int) -> None:
     """Apply the camera of an appearance to a perfect `image` (h, w, 3), in place: response curve, gain, pixel noise.
 
     The noise depends only on its seed and `key`, so equal keys give equal bits; h and w are at most 512.
     """
-    if look.gain != 1.0 or look.gamma != 1.0:
+    if appearance.gain != 1.0 or appearance.gamma != 1.0:
         # bytes.translate is several times faster than indexing a table with an array.
-        exposed = image.tobytes().translate(_response(look.gain, look.gamma))
+        exposed = image.tobytes().translate(_response(appearance.gain, appearance.gamma))
         image[...] = np.frombuffer(exposed, np.uint8).reshape(image.shape)
-    if look.noise > 0.0:
+    if appearance.noise > 0.0:
         height, width = image.shape[:2]
-        top, left = np.random.default_rng((look.seed, key)).integers(0, _NOISE_SIZE, 2)
+        top, left = np.random.default_rng((appearance.seed, key)).integers(0, _NOISE_SIZE, 2)
         rows = (np.arange(height) + top) % _NOISE_SIZE
-        table = _noise_table(round(look.noise, 1))
+        table = _noise_table(round(appearance.noise, 1))
         grain = np.concatenate([table[rows, left:], table[rows, :left]], axis=1)[:, :width]
         np.clip(image + grain, 0, 255, out=image, casting="unsafe")
 

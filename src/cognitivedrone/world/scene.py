@@ -14,7 +14,7 @@ import numpy as np
 from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw, rotation_matrix
 from cognitivedrone.types import COLORS, DroneState, FloatArray, Stage
 from cognitivedrone.world import geometry
-from cognitivedrone.world.appearance import RGB, Look
+from cognitivedrone.world.appearance import RGB, Appearance
 from cognitivedrone.world.assets import BOARD, Assets, Placed
 from cognitivedrone.world.engine import mujoco
 
@@ -42,7 +42,7 @@ def fill_scene(
     stage: Stage,
     aspects: Sequence[float],
     board_aspect: float | None,
-    look: Look,
+    appearance: Appearance,
 ) -> None:
     """Replace the content of `scene` by a stage whose pictures are in the textures of `slot`.
 
@@ -55,11 +55,11 @@ def fill_scene(
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
     for index in geometry.standing(stage):
         gate = stage.gates[index]
-        color = look.gate_colors[COLORS.index(gate.color)]
+        color = appearance.gate_colors[COLORS.index(gate.color)]
         mesh = assets.gates[gate.size, gate.shape]
         _add_mesh(scene, mesh, centers[index], rotation_matrix(quaternion_from_yaw(yaws[index])), color, _GATE_GLOW)
     pictures = assets.pictures[slot]
-    paper: RGB = (look.panel_brightness,) * 3
+    paper: RGB = (appearance.panel_brightness,) * 3
     for index in geometry.panelled(stage):
         center, yaw, aspect = centers[index], yaws[index], aspects[index]
         raised = np.array([center[0], center[1], geometry.PANEL_CENTER_HEIGHT])
@@ -70,17 +70,17 @@ def fill_scene(
         size = np.array([1.0, board_aspect * geometry.BOARD_HEIGHT, geometry.BOARD_HEIGHT])
         place = home + rotate_yaw(geometry.BOARD_CENTER, stage.yaw)
         _add_mesh(scene, assets.panel, place, level * size, paper, 1.0, int(pictures[BOARD]))
-    _add_mesh(scene, assets.floor, home, level, look.floor, 0.0, _pattern(assets, look.floor_pattern))
+    _add_mesh(scene, assets.floor, home, level, appearance.floor, 0.0, _pattern(assets, appearance.floor_pattern))
     _add_mesh(
         scene,
         assets.room,
         home,
         level,
-        look.surroundings,
-        look.surroundings_glow,
-        _pattern(assets, look.surroundings_pattern),
+        appearance.surroundings,
+        appearance.surroundings_glow,
+        _pattern(assets, appearance.surroundings_pattern),
     )
-    _set_light(scene, level, look)
+    _set_light(scene, level, appearance)
 
 
 def add_drone(scene: Any, state: DroneState, scale: float = 1.0) -> None:
@@ -146,9 +146,9 @@ def _next_geom(
     return geom
 
 
-def _set_light(scene: Any, level: FloatArray, look: Look) -> None:
+def _set_light(scene: Any, level: FloatArray, appearance: Appearance) -> None:
     """One directional light without shadows."""
-    direction = level @ np.array(look.light_direction)
+    direction = level @ np.array(appearance.light_direction)
     scene.nlight = 1
     light = scene.lights[0]
     light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
@@ -156,6 +156,6 @@ def _set_light(scene: Any, level: FloatArray, look: Look) -> None:
     light.pos[:] = (0.0, 0.0, 10.0)
     light.dir[:] = direction / np.linalg.norm(direction)
     light.attenuation[:] = (1.0, 0.0, 0.0)
-    light.ambient[:] = look.ambient
-    light.diffuse[:] = look.diffuse
+    light.ambient[:] = appearance.ambient
+    light.diffuse[:] = appearance.diffuse
     light.specular[:] = 0.0

@@ -14,7 +14,7 @@ from cognitivedrone.vehicles.gazebo import check as checking
 from cognitivedrone.vehicles.gazebo.check import PACKAGE, check, find_checker
 from cognitivedrone.vehicles.gazebo.export import world_of
 from cognitivedrone.vehicles.gazebo.sdf import Picture, document, prop_model, props_of
-from cognitivedrone.world.appearance import PLAIN, varied_look
+from cognitivedrone.world.appearance import PLAIN, varied_appearance
 
 needs_parser = pytest.mark.skipif(
     find_checker() is None, reason=f"libsdformat is not on this machine: apt-get install {PACKAGE}"
@@ -28,11 +28,11 @@ BOARD = Picture("sum.png", 1.0)
 def test_worlds_of_every_gate_variant_pass_the_parser(tmp_path):
     files = []
     for first in range(0, len(VARIANTS), 3):
-        look = PLAIN if first % 2 else varied_look(np.random.default_rng(first))
+        appearance = PLAIN if first % 2 else varied_appearance(np.random.default_rng(first))
         gates = tuple(VARIANTS[first : first + 3])
         stage = Stage(cast(Any, gates), ("letter/A@inter",) * 3, "sum/1+2@inter", (float(first), -2.0), 0.1 * first)
         files.append(tmp_path / f"{first}.sdf")
-        files[-1].write_text(document(world_of(stage, props_of(stage, PICTURES, BOARD, look), look)))
+        files[-1].write_text(document(world_of(stage, props_of(stage, PICTURES, BOARD, appearance), appearance)))
     assert "sdf" in check(files)
 
 

@@ -18,7 +18,7 @@ from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Stage
 from cognitivedrone.vehicles.gazebo.export import stages_of, world_of
 from cognitivedrone.vehicles.gazebo.sdf import Picture, document, props_of
 from cognitivedrone.world import geometry
-from cognitivedrone.world.appearance import PLAIN, varied_look
+from cognitivedrone.world.appearance import PLAIN, varied_appearance
 from cognitivedrone.world.assets import ROOM_HALF_SIZE, ROOM_HEIGHT
 
 MM = 1e-3
@@ -34,9 +34,9 @@ def stage_with(first: int, **options) -> Stage:
     return Stage(gates=gates, labels=("letter/A@inter",) * 3, origin=ORIGIN, yaw=YAW, **options)
 
 
-def world_with(stage: Stage, look=PLAIN, board: Picture | None = None):
-    props = props_of(stage, LABELS, board, look)
-    return parse(document(world_of(stage, props, look))).find("world")
+def world_with(stage: Stage, appearance=PLAIN, board: Picture | None = None):
+    props = props_of(stage, LABELS, board, appearance)
+    return parse(document(world_of(stage, props, appearance))).find("world")
 
 
 def nearest(points: np.ndarray, others: np.ndarray) -> float:
@@ -148,16 +148,16 @@ def test_the_camera_is_ours():
 
 
 def test_a_varied_look_brings_its_colours_patterns_and_noise():
-    look = next(
-        look
-        for look in (varied_look(np.random.default_rng(seed)) for seed in range(100))
-        if look.floor_pattern != "plain" and look.noise > 1 and look.surroundings_pattern != "plain"
+    appearance = next(
+        appearance
+        for appearance in (varied_appearance(np.random.default_rng(seed)) for seed in range(100))
+        if appearance.floor_pattern != "plain" and appearance.noise > 1 and appearance.surroundings_pattern != "plain"
     )
-    world = world_with(stage_with(0), look)
+    world = world_with(stage_with(0), appearance)
     floor, sensor = models(world)["floor"], models(world)["iris"].find(".//sensor[@type='camera']")
-    assert floor.findtext(".//albedo_map") == f"textures/pattern_{look.floor_pattern}.png"
-    assert values(floor, ".//diffuse")[:3] == pytest.approx(look.floor)
-    assert values(sensor, "camera/noise/stddev") == pytest.approx([look.noise / 255])
+    assert floor.findtext(".//albedo_map") == f"textures/pattern_{appearance.floor_pattern}.png"
+    assert values(floor, ".//diffuse")[:3] == pytest.approx(appearance.floor)
+    assert values(sensor, "camera/noise/stddev") == pytest.approx([appearance.noise / 255])
     assert models(world)["panel_1"].findtext(".//emissive_map") == "textures/a.png"
 
 

@@ -34,7 +34,7 @@ from cognitivedrone.training.common.sampling import Batch, Sampler, Setting, Str
 from cognitivedrone.training.common.training_task import Filling, Learner
 from cognitivedrone.types import CONTROL_HZ, FloatArray, Image, Stage, Task
 from cognitivedrone.world import geometry
-from cognitivedrone.world.appearance import PLAIN, varied_look
+from cognitivedrone.world.appearance import PLAIN, varied_appearance
 
 _TOO_LONG = 14 * CONTROL_HZ  # control steps after which a flight is hopeless
 _BOUND_M = 9.0  # beyond this distance from the stage's origin there is nothing to learn
@@ -99,9 +99,9 @@ class RolloutStream:
             make = crowded_task if rng.random() < recipe.crowded else race_task
         task = make(int(rng.integers(2**31)), 0)
         stage = stage_of(task)
-        look = varied_look(rng) if rng.random() < recipe.varied else PLAIN
+        appearance = varied_appearance(rng) if rng.random() < recipe.varied else PLAIN
         start, velocity = self._draw_start()
-        self._simulator.begin(world, stage, scenery_of(stage, self._labels, look), start)
+        self._simulator.begin(world, stage, scenery_of(stage, self._labels, appearance), start)
         self._simulator.flight.reset(
             world, np.array(start.position), start.yaw, rotate_yaw(velocity, start.yaw), wind=np.array(start.wind)
         )

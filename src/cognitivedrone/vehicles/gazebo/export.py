@@ -32,7 +32,7 @@ from cognitivedrone.vehicles.gazebo.release import Release, release_named
 from cognitivedrone.vehicles.gazebo.sdf import Picture, Prop, document, pattern_file, props_of, world
 from cognitivedrone.vehicles.gazebo.vehicle import iris, parameters
 from cognitivedrone.world import geometry
-from cognitivedrone.world.appearance import PATTERNS, PLAIN, Look, pattern_texture
+from cognitivedrone.world.appearance import PATTERNS, PLAIN, Appearance, pattern_texture
 
 PARAMETERS_FILE = "cognitivedrone.parm"
 README_FILE = "README.md"
@@ -57,7 +57,7 @@ def export(
     track: str | None = None,
     version: str = "harmonic",
     labels: str = "open-v1",
-    look: Look = PLAIN,
+    appearance: Appearance = PLAIN,
 ) -> Exported:
     """Write the task of that id, or the track of that number or with a task of that id, into a new folder.
 
@@ -67,7 +67,7 @@ def export(
     """
     release = release_named(version)
     found = find_track(open_suite(suite, tasks), task=task, track=track)
-    return write(found, out, load_pack(labels), release, look)
+    return write(found, out, load_pack(labels), release, appearance)
 
 
 def find_track(suite: Suite, *, task: str | None = None, track: str | None = None) -> Track:
@@ -101,7 +101,7 @@ def stages_of(track: Track) -> tuple[Stage, ...]:
     return tuple(stages)
 
 
-def write(track: Track, out: Path, labels: LabelPack, release: Release, look: Look = PLAIN) -> Exported:
+def write(track: Track, out: Path, labels: LabelPack, release: Release, appearance: Appearance = PLAIN) -> Exported:
     """Write a track into `out`, which must be new or empty; raises `GazeboError` where it cannot be written."""
     stages = stages_of(track)
     names = ["world.sdf"] if len(track) == 1 else [f"stage_{number}.sdf" for number in range(1, len(track) + 1)]
@@ -110,8 +110,8 @@ def write(track: Track, out: Path, labels: LabelPack, release: Release, look: Lo
             raise GazeboError(f"{out} is not empty; give --out a new folder, or remove it first")
         write_meshes(out)
         for stage, name in zip(stages, names, strict=True):
-            props = write_pictures(stage, labels, look, out)
-            (out / name).write_text(document(world_of(stage, props, look)), encoding="utf-8")
+            props = write_pictures(stage, labels, appearance, out)
+            (out / name).write_text(document(world_of(stage, props, appearance)), encoding="utf-8")
         (out / PARAMETERS_FILE).write_text(parameters(), encoding="utf-8")
         (out / README_FILE).write_text(_readme(track, names, release), encoding="utf-8")
     except OSError as error:
@@ -122,10 +122,10 @@ def write(track: Track, out: Path, labels: LabelPack, release: Release, look: Lo
     return Exported(out, tuple(out / name for name in names), track)
 
 
-def world_of(stage: Stage, props: Sequence[Prop], look: Look = PLAIN) -> ET.Element:
+def world_of(stage: Stage, props: Sequence[Prop], appearance: Appearance = PLAIN) -> ET.Element:
     """The `<world>` of a stage, the vehicle on the ground under the middle of its start box."""
     x, y = rotate_yaw(geometry.START[:2], stage.yaw) + np.array(stage.origin)
-    return world(stage, props, look, iris((float(x), float(y)), stage.yaw, look))
+    return world(stage, props, appearance, iris((float(x), float(y)), stage.yaw, appearance))
 
 
 def write_meshes(out: Path) -> None:
@@ -136,7 +136,7 @@ def write_meshes(out: Path) -> None:
         (folder / f"{name}.obj").write_text(text, encoding="ascii")
 
 
-def write_pictures(stage: Stage, labels: LabelPack, look: Look, out: Path) -> tuple[Prop, ...]:
+def write_pictures(stage: Stage, labels: LabelPack, appearance: Appearance, out: Path) -> tuple[Prop, ...]:
     """Write what the panels of a stage show, and the patterns of floor and room, into `out`/textures; its props."""
     folder = out / "textures"
     folder.mkdir(parents=True, exist_ok=True)
@@ -144,9 +144,9 @@ def write_pictures(stage: Stage, labels: LabelPack, look: Look, out: Path) -> tu
     board = None if stage.board is None else _write_label(stage.board, labels.image(stage.board), folder)
     for pattern in PATTERNS:
         name = pattern_file(pattern)
-        if name is not None and pattern in (look.floor_pattern, look.surroundings_pattern):
+        if name is not None and pattern in (appearance.floor_pattern, appearance.surroundings_pattern):
             Pictures.fromarray(pattern_texture(pattern)).save(folder / name)
-    return props_of(stage, pictures, board, look)
+    return props_of(stage, pictures, board, appearance)
 
 
 def _write_label(reference: str, image: Image, folder: Path) -> Picture:

@@ -130,7 +130,7 @@ class GazeboFlight(ExternalFlight):
         shown = dict(zip(stage.labels, scenery.panels, strict=True)) | board
         there = on_the_ground(self._placement, stage)
         self._await_stage()
-        self._showing = self._stagehand.submit(self._world.show, there, Pictures(shown), scenery.look)
+        self._showing = self._stagehand.submit(self._world.show, there, Pictures(shown), scenery.appearance)
         if self._ticks == 0:
             self._await_stage()
             self._await_frames()

@@ -33,7 +33,7 @@ from cognitivedrone.vehicles.gazebo.release import RELEASES
 from cognitivedrone.vehicles.gazebo.sdf import SUN, WORLD, Prop, document, prop_model, sun
 from cognitivedrone.vehicles.gazebo.sensing import GazeboCamera, Topic, TruePath, places_of
 from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC, NAME
-from cognitivedrone.world.appearance import PLAIN, Look
+from cognitivedrone.world.appearance import PLAIN, Appearance
 
 LIGHT, MODEL = 1, 2
 """gz.msgs.Entity.Type."""
@@ -145,14 +145,14 @@ class GazeboWorld:
     def __exit__(self, *exception: object) -> None:
         self.close()
 
-    def show(self, stage: Stage, labels: LabelPack, look: Look = PLAIN) -> None:
+    def show(self, stage: Stage, labels: LabelPack, appearance: Appearance = PLAIN) -> None:
         """Make a stage stand in place of what stands, its light included; returns once it stands.
 
         Of the look, the ambient light stays that of the world. Raises `LabelError`, or `GazeboError` where Gazebo
         refuses or does not do it in time.
         """
         try:
-            wanted = write_pictures(stage, labels, look, self._folder)
+            wanted = write_pictures(stage, labels, appearance, self._folder)
         except OSError as error:
             raise GazeboError(f"cannot write a texture into {self._folder}: {error.strerror or error}") from None
         if not self._sure:
@@ -169,7 +169,7 @@ class GazeboWorld:
         for name in steps.removals:
             self._remove(name, MODEL)
             del self._standing[name]
-        self._shine(sun(stage, look))
+        self._shine(sun(stage, appearance))
         self._await_places()
         self._sure = True
 

@@ -18,7 +18,7 @@ from cognitivedrone.sim.airframe import GRAVITY
 from cognitivedrone.types import COLORS, Stage
 from cognitivedrone.vehicles.gazebo.meshes import FLOOR, PANEL, ROOM, gate_mesh
 from cognitivedrone.world import geometry
-from cognitivedrone.world.appearance import RGB, Look, Pattern
+from cognitivedrone.world.appearance import RGB, Appearance, Pattern
 
 VERSION: Final = "1.9"
 WORLD: Final = "cognitivedrone"
@@ -69,7 +69,9 @@ class Prop:
         return replace(self, position=other.position, yaw=other.yaw) == other
 
 
-def props_of(stage: Stage, labels: Sequence[Picture], board: Picture | None, look: Look) -> tuple[Prop, ...]:
+def props_of(
+    stage: Stage, labels: Sequence[Picture], board: Picture | None, appearance: Appearance
+) -> tuple[Prop, ...]:
     """Gates, panels, board, floor and room of a stage, where our world has them.
 
     `labels` are the pictures of gates 1 to 3. A gate that stands alone has no panel. Floor and room belong to the
@@ -77,12 +79,12 @@ def props_of(stage: Stage, labels: Sequence[Picture], board: Picture | None, loo
     """
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
     home = (float(stage.origin[0]), float(stage.origin[1]), 0.0)
-    paper: RGB = (look.panel_brightness,) * 3
+    paper: RGB = (appearance.panel_brightness,) * 3
     props: list[Prop] = []
     for index in geometry.standing(stage):
         gate = stage.gates[index]
         x, y, z = (float(value) for value in centers[index])
-        color = look.gate_colors[COLORS.index(gate.color)]
+        color = appearance.gate_colors[COLORS.index(gate.color)]
         mesh = gate_mesh(gate.size, gate.shape)
         props.append(Prop(f"gate_{index + 1}", mesh, (x, y, z), float(yaws[index]), color, _GATE_GLOW))
     for index in geometry.panelled(stage):
@@ -94,9 +96,13 @@ def props_of(stage: Stage, labels: Sequence[Picture], board: Picture | None, loo
     if board is not None:
         x, y, z = (float(value) for value in np.array(home) + rotate_yaw(geometry.BOARD_CENTER, stage.yaw))
         props.append(_panel("board", board, (x, y, z), stage.yaw, geometry.BOARD_HEIGHT, paper))
-    props.append(Prop(FLOOR, FLOOR, home, stage.yaw, look.floor, 0.0, texture=pattern_file(look.floor_pattern)))
-    surroundings = pattern_file(look.surroundings_pattern)
-    props.append(Prop(ROOM, ROOM, home, stage.yaw, look.surroundings, look.surroundings_glow, texture=surroundings))
+    props.append(
+        Prop(FLOOR, FLOOR, home, stage.yaw, appearance.floor, 0.0, texture=pattern_file(appearance.floor_pattern))
+    )
+    surroundings = pattern_file(appearance.surroundings_pattern)
+    props.append(
+        Prop(ROOM, ROOM, home, stage.yaw, appearance.surroundings, appearance.surroundings_glow, texture=surroundings)
+    )
     return tuple(props)
 
 
@@ -149,7 +155,7 @@ def material(color: RGB, glow: float, texture: str | None = None) -> ET.Element:
     return element
 
 
-def world(stage: Stage, props: Sequence[Prop], look: Look, vehicle: ET.Element) -> ET.Element:
+def world(stage: Stage, props: Sequence[Prop], appearance: Appearance, vehicle: ET.Element) -> ET.Element:
     """The `<world>` of a stage: systems, physics, one light without shadows, ground, props and the vehicle."""
     element = ET.Element("world", name=WORLD)
     physics = add(element, "physics", name="lockstep", type="ignored")
@@ -167,11 +173,11 @@ def world(stage: Stage, props: Sequence[Prop], look: Look, vehicle: ET.Element) 
         add(place, tag, numbers(value))
     add(place, "heading_deg", "0")
     scene = add(element, "scene")
-    add(scene, "ambient", numbers(*(look.ambient,) * 3, 1.0))
-    add(scene, "background", numbers(*look.surroundings, 1.0))
+    add(scene, "ambient", numbers(*(appearance.ambient,) * 3, 1.0))
+    add(scene, "background", numbers(*appearance.surroundings, 1.0))
     add(scene, "grid", "false")
     add(scene, "shadows", "false")
-    element.append(sun(stage, look))
+    element.append(sun(stage, appearance))
     element.append(_ground())
     for prop in props:
         element.append(prop_model(prop))
@@ -179,17 +185,17 @@ def world(stage: Stage, props: Sequence[Prop], look: Look, vehicle: ET.Element) 
     return element
 
 
-def sun(stage: Stage, look: Look) -> ET.Element:
+def sun(stage: Stage, appearance: Appearance) -> ET.Element:
     """The one `<light>`: directional, without shadows, turned with the stage."""
     light = ET.Element("light", name=SUN, type="directional")
     add(light, "pose", numbers(*stage.origin, 10.0, 0.0, 0.0, stage.yaw))
     add(light, "cast_shadows", "false")
-    add(light, "diffuse", numbers(*(look.diffuse,) * 3, 1.0))
+    add(light, "diffuse", numbers(*(appearance.diffuse,) * 3, 1.0))
     add(light, "specular", "0 0 0 1")
     attenuation = add(light, "attenuation")
     for tag, value in (("range", 1000.0), ("constant", 1.0), ("linear", 0.0), ("quadratic", 0.0)):
         add(attenuation, tag, numbers(value))
-    add(light, "direction", numbers(*look.light_direction))
+    add(light, "direction", numbers(*appearance.light_direction))
     return light
 
 

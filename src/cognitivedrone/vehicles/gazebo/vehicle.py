@@ -18,7 +18,7 @@ from cognitivedrone.sim.airframe import GRAVITY, IRIS, ROTORS, Airframe
 from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.types import IMAGE_SIZE
 from cognitivedrone.vehicles.gazebo.sdf import add, material, numbers
-from cognitivedrone.world.appearance import RGB, Look
+from cognitivedrone.world.appearance import RGB, Appearance
 
 NAME: Final = "iris"
 CAMERA_TOPIC: Final = "/cognitivedrone/camera"
@@ -43,7 +43,7 @@ _FRONT: RGB = (1.0, 0.55, 0.0)
 _REAR: RGB = (0.35, 0.35, 0.4)
 
 
-def iris(position: tuple[float, float], yaw: float, look: Look, airframe: Airframe = IRIS) -> ET.Element:
+def iris(position: tuple[float, float], yaw: float, appearance: Appearance, airframe: Airframe = IRIS) -> ET.Element:
     """The `<model>` of the vehicle, standing on the ground at world x, y (m), its nose at `yaw` (rad).
 
     Of the look only the camera's pixel noise is taken; its response curve and gain have no place in SDF.
@@ -62,7 +62,7 @@ def iris(position: tuple[float, float], yaw: float, look: Look, airframe: Airfra
         add(add(add(arm, "geometry"), "box"), "size", numbers(2 * airframe.arm, 0.03, 0.02))
         arm.append(material(_DARK, 0.2))
     base.append(_imu())
-    base.append(_camera(look))
+    base.append(_camera(appearance))
     for index, (forward, left, _) in enumerate(ROTORS):
         _add_rotor(model, index, forward * side, left * side)
     for index, (_, _, torque) in enumerate(ROTORS):
@@ -129,7 +129,7 @@ def _imu() -> ET.Element:
     return sensor
 
 
-def _camera(look: Look) -> ET.Element:
+def _camera(appearance: Appearance) -> ET.Element:
     sensor = ET.Element("sensor", name="camera", type="camera")
     add(sensor, "pose", numbers(*MOUNT, 0.0, 0.0, 0.0))
     add(sensor, "always_on", "true")
@@ -144,11 +144,11 @@ def _camera(look: Look) -> ET.Element:
     clip = add(camera, "clip")
     add(clip, "near", numbers(_NEAR))
     add(clip, "far", numbers(_FAR))
-    if look.noise > 0.0:
+    if appearance.noise > 0.0:
         noise = add(camera, "noise")
         add(noise, "type", "gaussian")
         add(noise, "mean", "0")
-        add(noise, "stddev", numbers(look.noise / 255))
+        add(noise, "stddev", numbers(appearance.noise / 255))
     return sensor
 
 

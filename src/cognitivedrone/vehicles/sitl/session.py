@@ -64,7 +64,7 @@ class RenderedView:
 
     def show(self, stage: Stage, scenery: Scenery) -> None:
         """Put up a stage."""
-        self._cameras.set_stage(0, stage, scenery.panels, scenery.board, scenery.look)
+        self._cameras.set_stage(0, stage, scenery.panels, scenery.board, scenery.appearance)
 
     def frame(self, state: DroneState) -> Image:
         """The first-person view from a state, (256, 256, 3) uint8."""
