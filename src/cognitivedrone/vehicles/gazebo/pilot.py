@@ -117,4 +117,4 @@ class _Drone(MavlinkDrone):
     @property
     def is_software(self) -> bool:
         """Whether it says so: software in the loop, or this project's own."""
-        return self.simulated or self._link.parameters([SIMULATION_PARAMETER])[SIMULATION_PARAMETER] is not None
+        return self.simulated or self.link.parameters([SIMULATION_PARAMETER])[SIMULATION_PARAMETER] is not None
