@@ -24,9 +24,9 @@ from cognitivedrone.errors import LinkError
 from cognitivedrone.frames import flu_to_frd
 from cognitivedrone.interfaces import Health
 from cognitivedrone.types import Action, FloatArray
-from cognitivedrone.vehicles.mavlink.client.connection import Connection, Vehicle
+from cognitivedrone.vehicles.mavlink.client.connection import Connection
 from cognitivedrone.vehicles.mavlink.client.guard import Decision, Guard
-from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, meet
+from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, Met, meet
 from cognitivedrone.vehicles.mavlink.client.preflight import EXPECTED, Checklist, build_checklist, misfits
 from cognitivedrone.vehicles.mavlink.client.transport import open_transport
 from cognitivedrone.vehicles.mavlink.telemetry import MODE_NUMBERS, Telemetry, last_words, stick_moved
@@ -51,9 +51,7 @@ class FlightCore:
     Raises `LinkError` for a link that cannot be opened, `MissingExtra` without pymavlink.
     """
 
-    vehicle: Vehicle
-    version: tuple[int, int] | None
-    simulated: bool
+    met: Met
 
     def __init__(
         self,
@@ -94,7 +92,7 @@ class FlightCore:
 
     def meet(self) -> None:
         """Wait for the vehicle and see that it can be flown. Raises `LinkError`."""
-        self.vehicle, self.version, self.simulated = meet(self.link, self._url, self.config)
+        self.met = meet(self.link, self._url, self.config)
 
     @property
     def telemetry(self) -> Telemetry:
@@ -118,7 +116,7 @@ class FlightCore:
         for name, wanted in changed.items():
             self.link.set_parameter(name, wanted)
         return build_checklist(
-            version=self.version,
+            version=self.met.version,
             values=values | changed,
             changed=changed,
             telemetry=self.telemetry,
@@ -146,7 +144,7 @@ class FlightCore:
         self._set_mode("GUIDED")
         self.home = self.telemetry.position
         with self._lock:
-            self._check_wanted()
+            self.check_wanted()
             self.phase = "climbing"  # from here on the drone is ours to bring down
         self.link.command(ARM, 1, what="arming")
         if not self.link.until(lambda: self.telemetry.armed or self.phase != "climbing", 3.0):
@@ -236,7 +234,7 @@ class FlightCore:
         """Wait until it knows where it is and its own checks pass."""
 
         def ready() -> bool:
-            self._check_wanted()
+            self.check_wanted()
             return self.telemetry.estimating and self.telemetry.prearm is not False
 
         if not self.link.until(ready, self.config.ready_timeout_s):
@@ -268,7 +266,8 @@ class FlightCore:
                 f" ordered{last_words(self.telemetry, began)}"
             )
 
-    def _check_wanted(self) -> None:
+    def check_wanted(self) -> None:
+        """Raise `LinkError` where it was told to land before it was in the air."""
         if self._given_up:
             raise LinkError(f"the take-off was given up: {self._given_up}")
 
@@ -338,7 +337,7 @@ class FlightCore:
         yaw_rate = flu_to_frd(np.array([0.0, 0.0, action[3]]))[2]
         boot_ms = int((monotonic() - self._opened) * 1000)
         self.link.send(
-            "set_position_target_local_ned", boot_ms, self.vehicle.system, self.vehicle.component, BODY_NED,
+            "set_position_target_local_ned", boot_ms, self.met.vehicle.system, self.met.vehicle.component, BODY_NED,
             VELOCITY_AND_YAW_RATE, 0, 0, 0, *map(float, velocity), 0, 0, 0, 0, float(yaw_rate),
         )  # fmt: skip
         return action

@@ -61,12 +61,12 @@ class MavlinkDrone:
     @property
     def vehicle(self) -> Vehicle:
         """Who is flown."""
-        return self._core.vehicle
+        return self._core.met.vehicle
 
     @property
     def simulated(self) -> bool:
         """Whether the vehicle says that it is this project's simulator."""
-        return self._core.simulated
+        return self._core.met.simulated
 
     @property
     def telemetry(self) -> Telemetry:
