@@ -27,7 +27,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-import cognitivedrone
 from cognitivedrone.control.safety import Decision, SafetyConfig
 from cognitivedrone.errors import LinkError, import_extra
 from cognitivedrone.types import Action, FloatArray, Observation
@@ -73,8 +72,8 @@ class GuardedDrone:
         self._frame_at = 0.0
         self._texts: deque[Text] = deque(maxlen=TEXTS_KEPT)
         self._replies: deque[Reply] = deque()
-        self._words = ""
-        self._gone = False
+        self._words = self._cut = ""
+        self._gone = self._closed = False
         self._news = threading.Condition()
         self._sending = threading.Lock()
         self._sequence = 0
@@ -138,6 +137,7 @@ class GuardedDrone:
 
     def take_off(self, confirm: Callable[[Checklist], bool]) -> None:
         """Wait until it is ready, have a person confirm the checklist, arm, and climb: `FlightCore.take_off`."""
+        self._replies.clear()
         self._tell_of_the_camera()
         self._post(Kind.TAKE_OFF)
         checklist = self._reply("checklist")
@@ -219,7 +219,9 @@ class GuardedDrone:
         A guard that is still needed, for heartbeats to a vehicle that was taken over and is armed, stays.
         """
         with self._undo:
-            self.land()
+            if not self._closed:
+                self._closed = True
+                self.land()
 
     # The guard process.
 
@@ -245,6 +247,8 @@ class GuardedDrone:
             self._texts.append(from_json(Text, said.content))
         elif said.kind == "words":
             self._words = said.content
+        elif said.kind == "cut":
+            self._cut = said.content
         else:
             self._replies.append(said)
 
@@ -302,9 +306,8 @@ class GuardedDrone:
 
     def _check(self) -> None:
         """Raise what keeps the guard from guarding, if anything does."""
-        failed = next((reply for reply in self._replies if reply.kind == "failed"), None)
-        if failed is not None:
-            raise LinkError(failed.content)
+        if self._cut:
+            raise LinkError(self._cut)
         if self._gone:
             raise LinkError(
                 f"the guard process has ended ({self._how()}); the vehicle now does what its FS_GCS_ENABLE says"
@@ -347,7 +350,7 @@ def _start(
         "url": url, "safety": to_json(safety), "config": to_json(replace(config, tlog=None)),
         "pilot": theirs.fileno(), "log": log, "process": os.getpid(),
     }  # fmt: skip
-    root = str(Path(cognitivedrone.__file__).parents[1])
+    root = str(Path(__file__).parents[4])
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH")))),

@@ -167,8 +167,7 @@ class GuardProcess:
         self._cut_at = self._cut_at or time.monotonic()
         self._core.land(str(error))
         self._core.link.fail(error)
-        if self._worker is None:
-            self._say(Reply("failed", str(error)))
+        self._say(Reply("cut", str(error)))
 
     def _reopen(self) -> None:
         if time.monotonic() - self._opened_at < REOPEN_S or self._core.phase == "ground":
@@ -297,7 +296,8 @@ class GuardProcess:
             try:
                 self._say(job())
             except Exception as error:
-                self._core.land(f"the take-off failed: {error}")
+                if self._core.phase != "ground":
+                    self._core.land(f"the take-off failed: {error}")
                 self._say(Reply("failed", str(error) if isinstance(error, CognitiveDroneError) else repr(error)))
             finally:
                 self._worker = None
