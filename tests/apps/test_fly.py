@@ -302,7 +302,7 @@ def free_instance() -> int:
     ("options", "says"),
     [
         ({"link": "mavlnk:udp:127.0.0.1:1"}, "did you mean 'mavlink'"),
-        ({"link": "sim:fast"}, "takes nothing behind a colon"),
+        ({"link": "sim:fast"}, "takes no address"),
         ({"link": "mavlink:udp:127.0.0.1:1", "camera": "x"}, "say what to do"),
         ({"link": "mavlink:udp:127.0.0.1:1", "instruction": "go"}, "needs --camera"),
         ({"camera": "/dev/video0"}, "has its own camera"),

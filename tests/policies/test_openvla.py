@@ -67,7 +67,7 @@ def test_bad_observations_are_refused(folder):
     with pytest.raises(PolicyError, match="the instruction is empty"):
         policy.reset(EpisodeContext(" "))
     small = Observation(np.zeros((10, 10, 3), np.uint8), INSTRUCTION, np.zeros(3), 0.8, 0.0, 0.0)
-    with pytest.raises(PolicyError, match=r"uint8 \(256, 256, 3\); what came is uint8 \(10, 10, 3\)"):
+    with pytest.raises(PolicyError, match=r"uint8 images of shape \(256, 256, 3\), got uint8 \(10, 10, 3\)"):
         policy.act(small)
 
 

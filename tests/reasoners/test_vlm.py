@@ -275,7 +275,7 @@ def test_the_check_names_the_models_that_there_are(url):
     reasoner.close()
 
 
-@pytest.mark.parametrize(("key", "said"), [("wrong", "does not take the key"), ("", "asks for a key")])
+@pytest.mark.parametrize(("key", "said"), [("wrong", "rejects the key"), ("", "requires a key")])
 def test_the_check_knows_a_wrong_key(script, make, monkeypatch, key, said):
     monkeypatch.setenv("COGNITIVEDRONE_VLM_KEY", key)
     script.models = (401, b'{"error": "bad key"}')
