@@ -196,7 +196,7 @@ def test_what_is_written_is_what_was_scored(config):
 
 def test_answers_are_not_thrown_away_unasked(config):
     asked(config)
-    with pytest.raises(RunError, match="already holds answers; give --overwrite"):
+    with pytest.raises(RunError, match="already contains answers; give --overwrite"):
         asked(config)
     assert asked(config.changed(episodes=2, overwrite=True)).summary.overall.n == 2
     assert len((config.out / "reason.jsonl").read_text().splitlines()) == 2

@@ -128,7 +128,7 @@ class TestBeforeAnythingHeavyIsLoaded:
         monkeypatch.setattr(checkpoints, "needed_bytes", lambda *_: 15_100_000_000)
         monkeypatch.setattr(checkpoints, "free_memory", lambda: 64_000_000_000)
         with pytest.raises(
-            PolicyError, match=r"needs 15\.1 GB of GPU memory, .* 64\.0 GB of its own.*device=cpu, at sec"
+            PolicyError, match=r"needs 15\.1 GB of GPU memory, .* 64\.0 GB of its own.*device=cpu, which takes sec"
         ):
             OpenVla(folder)
         with pytest.raises(AssertionError, match="the weights were loaded"):  # whoever asks for it gets it

@@ -56,7 +56,7 @@ def make(url) -> Iterator[Callable[..., Vlm]]:
 
 
 def fault(reasoner: Vlm) -> ReasonerError:
-    with pytest.warns(RuntimeWarning, match="the flight goes on"), pytest.raises(ReasonerError) as caught:
+    with pytest.warns(RuntimeWarning, match="the flight continues"), pytest.raises(ReasonerError) as caught:
         reasoner.refine(FRAME, INSTRUCTION)
     return caught.value
 
@@ -299,9 +299,9 @@ def test_the_check_does_not_pass_a_server_in_trouble(script, make):
     [
         (None, "needs a model"),
         ("http://127.0.0.1:1/v1", "needs a model"),
-        ("localhost:8000,model=x", "no base URL"),
-        ("ftp://host/v1,model=x", "no base URL"),
-        ("http://host:port/v1,model=x", "no base URL"),
+        ("localhost:8000,model=x", "not a base URL"),
+        ("ftp://host/v1,model=x", "not a base URL"),
+        ("http://host:port/v1,model=x", "not a base URL"),
         ("http://me:secret@host/v1,model=x", "COGNITIVEDRONE_VLM_KEY"),
         ("http://host/v1,model=x,timeout=0", "timeout=0 is no"),
         ("http://host/v1,model=x,timeout=nan", "timeout=nan is no"),
