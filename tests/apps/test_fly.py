@@ -303,7 +303,7 @@ def free_instance() -> int:
     [
         ({"link": "mavlnk:udp:127.0.0.1:1"}, "did you mean 'mavlink'"),
         ({"link": "sim:fast"}, "takes no address"),
-        ({"link": "mavlink:udp:127.0.0.1:1", "camera": "x"}, "say what to do"),
+        ({"link": "mavlink:udp:127.0.0.1:1", "camera": "x"}, "give an instruction"),
         ({"link": "mavlink:udp:127.0.0.1:1", "instruction": "go"}, "needs --camera"),
         ({"camera": "/dev/video0"}, "has its own camera"),
         ({"time_limit": 0}, "--time-limit is 0"),
@@ -336,7 +336,7 @@ def test_who_must_know_the_truth_flies_only_where_it_is_known(tmp_path):
 
 def test_a_log_is_never_written_over(tmp_path):
     (tmp_path / "flight.json").write_text("{}")
-    with pytest.raises(RunError, match="holds a flight already"):
+    with pytest.raises(RunError, match="already contains a flight"):
         fly_mission(FlyPlan.of(policy="hover", reasoner="none", out=tmp_path), console=quiet(), keyboard=nobody())
 
 

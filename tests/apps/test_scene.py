@@ -145,10 +145,10 @@ def test_in_doubt_it_hovers_until_the_time_is_over_and_says_so(tmp_path):
     summary = fly_mission(config, console=console, keyboard=io.StringIO())
     assert (summary.ending.kind, summary.exit_code) == ("unsure", 1)
     assert summary.ending.reason == (
-        "the time limit of 1.6 s is over; it hovered, only 20% sure that what is asked is here"
+        "the time limit of 1.6 s is over; it hovered, only 20% sure that the scene shows what is asked for"
     )
     begun = events(tmp_path / "f")["hold"]
-    assert begun["text"] == "hovering, 20% sure that what is asked is here"
+    assert begun["text"] == "hovering, 20% sure that the scene shows what is asked for"
     assert f"hold      {begun['text']}" in console.file.getvalue()
     times = pq.read_table(tmp_path / "f" / "steps.parquet").to_pydict()["time_s"]
     speeds = np.abs(sent(tmp_path / "f")).max(axis=1)

@@ -28,7 +28,7 @@ def looks_of(gate):
 
 
 def panel_encoder(labels, *, order=(0, 1, 2), board=None, heights=(30, 30, 30), scores=(1, 1, 1), strength=12.0):
-    """What eyes would tell, the gates' slots in any order."""
+    """A panel reader's output, the gates' slots in any order."""
     attributes = [logits_of(labels[i], strength) for i in order]
     attributes.append(logits_of(board) if board else np.zeros(len(SEEN), np.float32))
     boxes = [(50 + 80 * i, 100, heights[i], scores[i]) for i in order] + [(128, 40, 50, 0.9 if board else 0.1)]
@@ -38,7 +38,7 @@ def panel_encoder(labels, *, order=(0, 1, 2), board=None, heights=(30, 30, 30), 
 
 
 class Scripted:
-    """Eyes that see what they are told, and a mind that notes what it is asked and answers as it is told."""
+    """A panel reader with a given output, and a gate selector that records its inputs and gives a set answer."""
 
     def __init__(self, *sights, answer=(0.1, 0.8, 0.1)):
         self.attributes, self.sights, self.answer, self.asked = AttributeSchema(SEEN), list(sights), answer, []
@@ -154,7 +154,7 @@ def test_it_says_when_it_cannot_tell(made):
         reasoner.refine(FRAME, "go")
 
 
-def test_numbers_as_the_mind_is_told():
+def test_numbers_as_the_gate_selector_reads_them():
     assert [value_index(value) for value in (0, 20, 21, 400, None, -3)] == [0, 20, 21, 21, 22, 23]
 
 
@@ -164,7 +164,7 @@ def test_a_gate_is_named_by_what_is_likeliest():
 
 
 def test_missing_files_are_said(tmp_path):
-    with pytest.raises(PolicyError, match=r"no eyes\.onnx and mind\.onnx in"):
+    with pytest.raises(PolicyError, match=r"panel_reader\.onnx or gate_selector\.onnx is missing in"):
         SmallReasoner(str(tmp_path))
 
 
@@ -178,7 +178,7 @@ PEOPLE = ("person/skin=tan,hat=hat@sky", "person/skin=dark@sky", "person/skin=li
         (ANIMALS, "Fly through the gate with the bird", True),
         (PEOPLE, "Fly through the gate with the bird", False),
         (ANIMALS, "Fly through the gate with the dolphin", False),
-        (ANIMALS, "the animal that lives in the sea", True),  # which animal it is, is the mind's to tell
+        (ANIMALS, "the animal that lives in the sea", True),  # which animal it is, the gate selector decides
         (PEOPLE, "somebody with an eyepatch", True),
         (LETTERS, "somebody with an eyepatch", False),
         (("number/3@inter", "number/7@inter", "sum/3*3@inter"), "the answer to 3 + 4", True),
