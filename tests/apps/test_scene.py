@@ -57,7 +57,7 @@ def test_what_the_test_suite_does_not_show_is_made():
     (task,) = scene.track
     assert task.options[task.target] == "police_car"
     assert task.instruction == "Fly through the gate with the police car"  # so that it is judged
-    assert "made since no task of open-v1:test shows all of it" in scene.told
+    assert "made because no task of open-v1:test shows all of it" in scene.told
     assert scene.track == choose_scene(FlyPlan.of(instruction="Fly through the gate with the police car", seed=3)).track
 
 

@@ -320,7 +320,7 @@ def test_arguments_that_do_not_do(argument, said):
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [(b"no place", r"write \{instruction\}"), (b"\xff{instruction}", "UTF-8"), (b"{instruction}" * 2000, "20000")],
+    [(b"no place", r"lacks \{instruction\}"), (b"\xff{instruction}", "UTF-8"), (b"{instruction}" * 2000, "20000")],
 )
 def test_prompt_files_that_do_not_do(tmp_path, content, said):
     file = tmp_path / "p.txt"

@@ -132,7 +132,7 @@ def test_a_video_is_shown_at_its_own_pace_and_ends(video):
     assert greys == sorted(greys)
     assert greys[0] < 60
     assert 60 < greys[-1] < 190
-    assert over(camera) == f"{video} is over"
+    assert over(camera) == f"{video} has ended"
     assert 0.4 < time.monotonic() - began < 2
     camera.close()
 

@@ -145,5 +145,5 @@ class GateSelectorModel:
 def _attributes(table: Mapping[str, Any], where: str) -> AttributeSchema:
     names = field_of(table, "facets", list, where)
     if not names or not all(isinstance(name, str) and "/" in name for name in names):
-        raise ModelError(f"the facets in {where} are not names of the form group/value")
+        raise ModelError(f"the attributes (facets) in {where} must have the form group/value")
     return AttributeSchema(tuple(names))

@@ -351,7 +351,7 @@ def test_a_paused_gazebo_is_told_of(tmp_path):
     ):
         world.show(stages()[0], PACK)
     gazebo.silent = {"info"}
-    with pytest.raises(GazeboError, match="does not tell of its scene"):
+    with pytest.raises(GazeboError, match="did not report its scene"):
         connect(gazebo, tmp_path)
 
 

@@ -45,7 +45,7 @@ class ReaderRecipe(Recipe):
     needs_start: ClassVar[bool] = True
 
     def training(self, *, start: Path | None = None, data: Path | None = None) -> ReaderTraining:
-        """A reader as large as the facets ask for."""
+        """Make the training, with a network sized for the attributes."""
         del data
         return ReaderTraining(replace(self, network=replace(self.network, attributes=len(SEEN))), start)
 
@@ -133,7 +133,7 @@ class ReaderTraining:
         return {}
 
     def export(self, checkpoint: Path, folder: Path) -> None:
-        """The eyes, which find gates by the policy that the reader started from."""
+        """The panel reader, which finds gates with the policy that it started from."""
         from cognitivedrone.training.reasoner.export import (
             export_panel_reader,  # a training does without ONNX until its end
         )
