@@ -97,7 +97,7 @@ def test_a_flight_in_the_simulator_passes_a_gate_and_is_recorded(tmp_path, capsy
     assert np.ptp(frames[0].to_ndarray(format="rgb24")) > 100
 
 
-def test_an_instruction_typed_in_flight_is_a_new_leg_and_asks_the_reasoner_at_once(tmp_path, monkeypatch):
+def test_an_instruction_typed_in_flight_is_a_new_segment_and_asks_the_reasoner_at_once(tmp_path, monkeypatch):
     reading, writing = os.pipe()
     monkeypatch.setattr(Typist, "keyboard", writing)
     monkeypatch.setattr(Typist, "lines", {8: b"go to  blue\n", 16: b"LAND\n"})

@@ -1,4 +1,4 @@
-"""The parts of the cockpit, each alone: view, keyboard, orders, frame server, log."""
+"""The parts of `fly`, each alone: view, keyboard, orders, frame server, log."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def test_the_drone_goes_where_it_is_told(flown):
     assert [episode.stages[0].outcome == "passed" for episode in flown.episodes][:2] == [True, False]
 
 
-def test_scores_of_mind_and_wings_stand_apart(flown):
+def test_scores_of_reasoner_and_flying_are_separate(flown):
     async_reasoner = flown.summary().overall.reasoner
     assert async_reasoner.n == EPISODES
     assert async_reasoner.gate == 0.5

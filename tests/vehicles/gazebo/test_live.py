@@ -1,4 +1,4 @@
-"""The link to a running Gazebo, against a stand-in that speaks gz-transport's Python interface."""
+"""The link to a running Gazebo, against a fake that speaks gz-transport's Python interface."""
 
 from __future__ import annotations
 
