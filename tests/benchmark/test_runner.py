@@ -270,7 +270,7 @@ def test_tasks_of_a_file_are_flown(config, tmp_path):
     write_tasks(tmp_path / "mine.json", tasks)
     assert [t.instruction for (t,) in open_suite(str(tmp_path / "mine.json")).tracks] == [t.instruction for t in tasks]
     given = config.changed(tasks=tmp_path / "mine.json", episodes=None)
-    assert suite_of(given).n_tasks == 3
+    assert suite_of(given.scenario).n_tasks == 3
     assert run(given, progress=False, runner=RUNNER).summary().overall.n == 3
 
 

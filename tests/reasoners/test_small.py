@@ -164,7 +164,7 @@ def test_a_gate_is_named_by_what_is_likeliest():
 
 
 def test_missing_files_are_said(tmp_path):
-    with pytest.raises(PolicyError, match=r"no eyes\.onnx and mind\.onnx in"):
+    with pytest.raises(PolicyError, match=r"no panel_reader\.onnx and gate_selector\.onnx in"):
         SmallReasoner(str(tmp_path))
 
 

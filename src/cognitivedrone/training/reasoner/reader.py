@@ -72,7 +72,7 @@ class ReaderTraining:
         reader = Reader(self.recipe.network)
         if self.start is not None:
             tensors, _ = read_checkpoint(self.start)
-            prefix = "network.sight."
+            prefix = "network.panel_encoder."
             own = {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
             try:
                 reader.panel_encoder.load_state_dict(own)
@@ -161,7 +161,7 @@ class ReaderLoss(nn.Module):
             losses.append(share * (loss * there).sum() / there.sum().clamp(min=1))
         total = torch.stack(losses).sum()
         whole = named(logits, attributes).all(dim=1).float().mean()
-        return total, {"cards": total.detach(), "accuracy": whole.detach()}
+        return total, {"panel_crops": total.detach(), "accuracy": whole.detach()}
 
     def logits(self, batch: dict[str, Tensor]) -> Tensor:
         """Logits (B, F)."""

@@ -71,8 +71,8 @@ class LossModule(nn.Module):
         parts = {
             "heat": _heat_loss(scene, batch, slots, board_cell_known),
             "place": self._place_loss(seen, batch, slots, board_cell_known),
-            "facets": self._attribute_loss(read, network.gate_embedding(seen.cell), batch),
-            "cards": self._crop_loss(batch),
+            "attributes": self._attribute_loss(read, network.gate_embedding(seen.cell), batch),
+            "panel_crops": self._crop_loss(batch),
             "choice": F.cross_entropy(logits.flatten(0, 1), batch["choice"].flatten()),
             "text": text,
             "action": self._action_loss(raw, batch),
