@@ -10,7 +10,7 @@ from cognitivedrone.benchmark import Plan, run
 from cognitivedrone.benchmark.results import read_results
 from cognitivedrone.benchmark.scoring import score
 from cognitivedrone.benchmark.sweep import PLOT_FILE, SweepPlan, sweep
-from cognitivedrone.errors import PolicyError, RunError
+from cognitivedrone.errors import RunError, SimulationError
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import ReasonerReport, StageResult
 
@@ -109,7 +109,7 @@ def test_stages_without_a_reasoner_have_no_such_score():
 
 
 def test_latency_that_cannot_be_read_stops_before_take_off(tmp_path):
-    with pytest.raises(PolicyError, match="cannot read 'soon'"):
+    with pytest.raises(SimulationError, match="cannot read 'soon'"):
         run(Plan.of(policy="hover", suite="open-v1:smoke", latency="soon", out=tmp_path / "run"), progress=False)
     assert not (tmp_path / "run").exists()
 
