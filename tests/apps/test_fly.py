@@ -26,8 +26,8 @@ pytest.importorskip("pymavlink")
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
 
+from app_fakes import Typist, camera
 from arducopters import played_arducopter
-from cockpit_fakes import Typist, camera
 from peer import MODES, Peer, playing
 from pymavlink import mavutil
 
@@ -103,8 +103,8 @@ def test_an_instruction_typed_in_flight_is_a_new_segment_and_asks_the_reasoner_a
     monkeypatch.setattr(Typist, "lines", {8: b"go to  blue\n", 16: b"LAND\n"})
     config = FlyPlan.of(
         instruction="go to red",
-        policy="cockpit_fakes:Typist",
-        reasoner="cockpit_fakes:Echo",
+        policy="app_fakes:Typist",
+        reasoner="app_fakes:Echo",
         out=tmp_path / "f",
         time_limit=10,
     )
@@ -341,7 +341,7 @@ def test_a_log_is_never_written_over(tmp_path):
 
 
 def test_a_policy_that_fails_ends_the_flight_and_leaves_a_log(tmp_path):
-    config = FlyPlan.of(instruction="x", policy="cockpit_fakes:Broken", reasoner="none", out=tmp_path / "f")
+    config = FlyPlan.of(instruction="x", policy="app_fakes:Broken", reasoner="none", out=tmp_path / "f")
     with pytest.raises(PolicyError, match="not all of it is a finite number"):
         fly_mission(config, console=quiet(), keyboard=nobody())
     about = json.loads((tmp_path / "f" / "flight.json").read_text())

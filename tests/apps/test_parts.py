@@ -20,7 +20,7 @@ from rich.console import Console
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from cockpit_fakes import camera
+from app_fakes import camera
 
 from cognitivedrone.apps.config import FlyPlan
 from cognitivedrone.apps.log import FlightLog

@@ -18,7 +18,7 @@ pytest.importorskip("pymavlink")
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
 
-from cockpit_fakes import Eager, camera
+from app_fakes import Eager, camera
 from peer import playing
 
 from cognitivedrone.apps.config import FlyPlan, SimPlan
@@ -139,7 +139,7 @@ def events(out: Path) -> dict[str, dict[str, object]]:
 def test_in_doubt_it_hovers_until_the_time_is_over_and_says_so(tmp_path):
     console = quiet()
     config = FlyPlan.of(
-        instruction="to the bird", policy="cockpit_fakes:Eager", reasoner="cockpit_fakes:Doubtful", out=tmp_path / "f",
+        instruction="to the bird", policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", out=tmp_path / "f",
         time_limit=1.6, suite="open-v1:smoke", episode=0,
     )  # fmt: skip
     summary = fly_mission(config, console=console, keyboard=io.StringIO())
@@ -163,7 +163,7 @@ def test_another_instruction_ends_the_hovering(tmp_path, monkeypatch):
     monkeypatch.setattr(Eager, "keyboard", writing)
     monkeypatch.setattr(Eager, "lines", {14: b"to the cat\n"})
     config = FlyPlan.of(
-        instruction="to the bird", policy="cockpit_fakes:Eager", reasoner="cockpit_fakes:Doubtful", out=tmp_path / "f",
+        instruction="to the bird", policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", out=tmp_path / "f",
         time_limit=2.5, suite="open-v1:smoke", episode=0,
     )  # fmt: skip
     with os.fdopen(reading) as keyboard:
@@ -181,7 +181,7 @@ def test_on_a_vehicle_doubt_is_zero_velocity_as_well(tmp_path):
         config = FlyPlan.of(
             instruction="to the bird", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=url, out=tmp_path / "f",
             time_limit=1.6,
-            policy="cockpit_fakes:Eager", reasoner="cockpit_fakes:Doubtful", i_understand_this_flies_a_real_drone=True,
+            policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", i_understand_this_flies_a_real_drone=True,
         )  # fmt: skip
         summary = fly_mission(config, console=quiet(), keyboard=io.StringIO("arm\n"))
     assert (summary.ending.kind, summary.exit_code) == ("unsure", 1)
@@ -190,7 +190,7 @@ def test_on_a_vehicle_doubt_is_zero_velocity_as_well(tmp_path):
 
 def test_never_hovering_is_an_option(tmp_path):
     config = FlyPlan.of(
-        instruction="to the bird", policy="cockpit_fakes:Eager", reasoner="cockpit_fakes:Doubtful", out=tmp_path / "f",
+        instruction="to the bird", policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", out=tmp_path / "f",
         time_limit=1.6, episode=0, hold_below=0.0,
     )  # fmt: skip
     assert fly_mission(config, console=quiet(), keyboard=io.StringIO()).ending.kind == "missed"

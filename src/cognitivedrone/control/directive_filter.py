@@ -14,7 +14,7 @@ _Meaning: TypeAlias = tuple[str | None, ...] | str
 
 
 @dataclass(frozen=True, slots=True)
-class SteeringRule:
+class FilterRule:
     """When a new directive replaces the current one.
 
     Every answer adds its confidence as evidence, which fades with each further answer. Another directive takes over
@@ -31,8 +31,8 @@ class SteeringRule:
 class DirectiveFilter:
     """The current directive of one segment."""
 
-    def __init__(self, rule: SteeringRule | None = None) -> None:
-        self.rule = rule or SteeringRule()
+    def __init__(self, rule: FilterRule | None = None) -> None:
+        self.rule = rule or FilterRule()
         self._evidence: dict[_Meaning, float] = {}
         self._current: Guidance | None = None
         self._seen_at = 0.0

@@ -135,8 +135,8 @@ class GateSelectorModel:
     def choose(self, sentence: str, told: Mapping[str, NDArray[Any]]) -> Floats:
         """Probabilities (3,) of the gates, for a sentence and the other inputs, each without its batch axis."""
         tokens = self.vocabulary.encode(sentence, self.text_length)
-        prefetch = {"tokens": tokens[None], **{name: value[None] for name, value in told.items()}}
-        (logits,) = self._session.run(("logits",), prefetch)
+        inputs = {"tokens": tokens[None], **{name: value[None] for name, value in told.items()}}
+        (logits,) = self._session.run(("logits",), inputs)
         shares = np.exp(logits[0] - logits[0].max())
         probabilities: Floats = shares / shares.sum()
         return probabilities

@@ -96,8 +96,8 @@ def _read_fields(fields: dict[str, str], text: str) -> Guidance:
         if value in _UNKNOWN:
             continue
         read = describe(value)
-        if read is not None and read.unknown_person is not None and name != "size":
-            raise ReasonerError("no_such_gate", f"no gate is {read.unknown_person!r}: {quote(text)}")
+        if read is not None and read.unknown_word is not None and name != "size":
+            raise ReasonerError("no_such_gate", f"no gate is {read.unknown_word!r}: {quote(text)}")
         part = getattr(read, name) if read is not None else None
         if part is None:
             raise ReasonerError("schema", f"the reply's {name} is {value!r}, which is none that gates have")

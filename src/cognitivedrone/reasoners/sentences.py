@@ -24,7 +24,7 @@ class Description:
     size: Size | None = None
     color: Color | None = None
     shape: Shape | None = None
-    unknown_person: str | None = None
+    unknown_word: str | None = None
     """A color or shape that no gate has."""
     hedged: bool = False
     """Stated with doubt."""
@@ -33,7 +33,7 @@ class Description:
         """Whether it does not contradict the other."""
         mine, theirs = (self.size, self.color, self.shape), (other.size, other.color, other.shape)
         agree = all(a is None or b is None or a == b for a, b in zip(mine, theirs, strict=True))
-        return agree and (self.unknown_person is None or other.unknown_person in (None, self.unknown_person))
+        return agree and (self.unknown_word is None or other.unknown_word in (None, self.unknown_word))
 
     def merged(self, other: Description) -> Description:
         """Both descriptions combined; they must not contradict each other."""
@@ -41,7 +41,7 @@ class Description:
             self.size or other.size,
             self.color or other.color,
             self.shape or other.shape,
-            self.unknown_person or other.unknown_person,
+            self.unknown_word or other.unknown_word,
             self.hedged or other.hedged,
         )
 
@@ -74,7 +74,7 @@ _MORE_WORDS: dict[str, Description] = {
     "greenish": Description(color="green"),
     "bluish": Description(color="blue"),
 }
-_STRANGERS = _words(
+_UNKNOWN_WORDS = _words(
     "yellow orange purple violet pink black white gray grey brown cyan magenta gold golden silver turquoise"
     " hexagon hexagonal pentagon pentagonal octagon octagonal oval ellipse elliptical star diamond heart rhombus"
     " trapezoid cross crescent"
@@ -165,8 +165,8 @@ def read_sentences(text: str) -> Description:
     if len(gates) > 1:
         raise ReasonerError("unsure", f"the reply names several gates: {_begin(text)}")
     gate = gates[0]
-    if gate.unknown_person is not None:
-        raise ReasonerError("no_such_gate", f"no gate is {gate.unknown_person!r}: {_begin(text)}")
+    if gate.unknown_word is not None:
+        raise ReasonerError("no_such_gate", f"no gate is {gate.unknown_word!r}: {_begin(text)}")
     return _with_details(gate, found)
 
 
@@ -176,7 +176,7 @@ def _with_details(gate: Description, found: list[_Finding]) -> Description:
         return gate
     for finding in found:
         for other in finding.gates:
-            if other.color == gate.color and other.unknown_person is None and other.adds_to(gate):
+            if other.color == gate.color and other.unknown_word is None and other.adds_to(gate):
                 gate = gate.merged(replace(other, hedged=False))
     return gate
 
@@ -312,8 +312,8 @@ def _read_run(run: list[str], after: str | None, panel_of_gate: bool, panel: boo
 
 def _describe_word(word: str) -> Description | None:
     """The part of a gate that a word names; none if it names none."""
-    if word in _STRANGERS:
-        return Description(unknown_person=word)
+    if word in _UNKNOWN_WORDS:
+        return Description(unknown_word=word)
     if word in _MORE_WORDS:
         return _MORE_WORDS[word]
     size, color, shape = parse_directive(word)

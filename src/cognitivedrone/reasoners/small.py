@@ -107,7 +107,7 @@ class SmallReasoner(Reasoner):
 
         Raises `ReasonerError` if fewer than three gates have been seen, or none is likely enough.
         """
-        self._look(self.reader.see(image))
+        self._add(self.reader.see(image))
         gates = _by_place(self._stage)
         if len(gates) < 3:
             raise ReasonerError("unsure", f"only {len(gates)} of 3 gates have been in view")
@@ -162,26 +162,26 @@ class SmallReasoner(Reasoner):
     def _new(self) -> _Stage:
         return _Stage(np.zeros(len(self._names), np.float32))
 
-    def _look(self, panel_encoder: PanelReading) -> None:
+    def _add(self, reading: PanelReading) -> None:
         """Add the readings of a frame."""
-        known = self._probabilities(panel_encoder.attributes)
+        known = self._probabilities(reading.attributes)
         for slot in range(3):
-            u, _, height, score = panel_encoder.boxes[slot].tolist()
+            u, _, height, score = reading.boxes[slot].tolist()
             if score < _SEEN:
                 continue
-            color = int(panel_encoder.looks[slot, : len(COLORS)].argmax())
+            color = int(reading.looks[slot, : len(COLORS)].argmax())
             legible = height >= _LEGIBLE_PX
             # Nearer is clearer; illegible readings must not outweigh legible ones.
             weight = score * (min(height, 60.0) if legible else 0.01)
             gate = self._stage.gates.setdefault(
                 color, _Gate(np.zeros(LOOKS, np.float32), np.zeros(len(self._names), np.float32))
             )
-            gate.looks += weight * panel_encoder.looks[slot]
+            gate.looks += weight * reading.looks[slot]
             gate.attributes += weight * known[slot]
             gate.weight += weight
             gate.u = u
-        if panel_encoder.boxes[3, 3] >= 0.5:
-            weight = float(panel_encoder.boxes[3, 3] * panel_encoder.boxes[3, 2])
+        if reading.boxes[3, 3] >= 0.5:
+            weight = float(reading.boxes[3, 3] * reading.boxes[3, 2])
             self._stage.board += weight * known[3]
             self._stage.board_weight += weight
 
