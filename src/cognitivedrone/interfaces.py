@@ -1,14 +1,12 @@
 """Every plug-in interface of the project.
 
 `Policy` and `Reasoner` are base classes, with defaults for what few need; a user's class may inherit them, or have only
-the methods of `PolicyLike` or `ReasonerLike`. The others are Protocols: a class fits by its methods. Beside them stands
-`Health`, what links tell the rules of safety: neither room may know the other.
+the methods of `PolicyLike` or `ReasonerLike`. The others are Protocols: a class fits by its methods.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from typing import Protocol
 
 from cognitivedrone.types import (
@@ -16,11 +14,9 @@ from cognitivedrone.types import (
     ActionChunk,
     EpisodeContext,
     Event,
-    FloatArray,
     Guidance,
     Image,
     Observation,
-    Vector,
 )
 
 
@@ -114,40 +110,6 @@ class Recorder(Protocol):
     def note(self, event: Event) -> None:
         """Anything else, as it happens."""
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class Health:
-    """How everything around a drone is doing at one moment. Ages count from when a thing was last good, s."""
-
-    time: float
-    """Of a steady clock, s."""
-    command: FloatArray | None
-    """(4,) what the policy asked for last, heading frame, m/s and rad/s, NaN and all; none before it first did."""
-    command_age_s: float
-    """Of the last command of finite numbers; before there was one, since the policy took over."""
-    frame_age_s: float
-    """Of the newest camera frame."""
-    link_age_s: float
-    """Of the last message from the vehicle, whatever it was."""
-    state_age_s: float
-    """Of the older of attitude and position."""
-    battery: float | None
-    """What is left, 0 to 1; none where the vehicle does not say."""
-    position: Vector
-    """(3,) from where it took off, ENU, m."""
-    velocity: Vector
-    """(3,) ENU, m/s."""
-    yaw: float
-    """Heading, from east to the left, rad."""
-    mode: str
-    """The vehicle's flight mode, as it says."""
-    ordered_modes: frozenset[str]
-    """The mode that we ordered and, until the vehicle shows it, the one before."""
-    armed: bool
-    """Whether the motors may turn."""
-    stick_moved: bool
-    """Whether a stick of the remote control has left its place since we took over."""
 
 
 class LabelPack(Protocol):

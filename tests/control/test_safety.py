@@ -22,7 +22,7 @@ from cognitivedrone.control.safety import (
     shape,
 )
 from cognitivedrone.frames import rotate_yaw
-from cognitivedrone.interfaces import Health
+from cognitivedrone.control.health import Health
 
 CONFIG = SafetyConfig()
 GOOD = Health(

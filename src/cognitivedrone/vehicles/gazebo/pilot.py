@@ -12,7 +12,7 @@ from typing import Final, Literal
 import numpy as np
 
 from cognitivedrone.errors import LinkError
-from cognitivedrone.interfaces import Health
+from cognitivedrone.control.health import Health
 from cognitivedrone.types import Action
 from cognitivedrone.vehicles.contract import Request
 from cognitivedrone.vehicles.external import ExternalWorld

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from cognitivedrone.errors import LinkError, RunError
-from cognitivedrone.interfaces import Health
+from cognitivedrone.control.health import Health
 from cognitivedrone.sim.airframe import IRIS, Airframe
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.camera import Shot

@@ -8,24 +8,26 @@ from __future__ import annotations
 
 import contextlib
 import math
+import secrets
 import struct
 import threading
 import time
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from cognitivedrone.errors import LinkError
+from cognitivedrone.vehicles.mavlink.client.traffic import OUR_COMPONENT, OUR_SYSTEM, Traffic, answered, noticed, request_time
 from cognitivedrone.vehicles.mavlink.client.transport import Transport
 from cognitivedrone.vehicles.mavlink.telemetry import GROUND_STATION, Telemetry, dialect, heard, is_vehicle, last_words
 
 T = TypeVar("T")
 
-OUR_SYSTEM, OUR_COMPONENT = 255, 191
-"""A ground station's system, so that the vehicle's ground-station failsafe watches our heartbeat; the component of an
-onboard computer, to be told from a ground station of the same system."""
-HEARTBEAT_S, WATCH_S = 1.0, 0.02
+HEARTBEAT_S, WATCH_S, ASK_S = 1.0, 0.02, 0.2
+"""Periods of our heartbeat, of the watch, and of a request that the vehicle answers at once (TIMESYNC)."""
+MOVED_S = 0.5
+"""A vehicle that was silent for so long may go on from another address; before, who sends as it there is another."""
 ACK_S, TRIES = 1.0, 3
 RESULTS = {1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed", 6: "cancelled"}
 """MAV_RESULT; 0 is accepted and 5 in progress."""
@@ -78,8 +80,10 @@ class Connection:
         self._replies: dict[Hashable, Any] = {}
         self.vehicle: Vehicle | None = None
         self.telemetry = Telemetry()
-        self.ground_stations: frozenset[tuple[int, int]] = frozenset()
-        """System and component of others that heartbeat as ground stations."""
+        self.traffic = Traffic(nonce=secrets.randbelow(1000))
+        """Who else is on the link, and whether the vehicle hears us."""
+        self._peer: tuple[Hashable, float] = (None, -math.inf)
+        """Where the vehicle last sent from, and when."""
         self._tlog = _open_log(tlog) if tlog is not None else None
         self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True)
         self._thread.start()
@@ -203,7 +207,7 @@ class Connection:
     # The listening thread.
 
     def _run(self) -> None:
-        beat = vehicle_beat = watched = -math.inf
+        beat = vehicle_beat = watched = asked = -math.inf
         try:
             while not self._stopping.is_set():
                 data, peer = self._transport.read(WATCH_S)
@@ -215,6 +219,9 @@ class Connection:
                 if now - beat >= HEARTBEAT_S or vehicle_time - vehicle_beat >= HEARTBEAT_S:
                     beat, vehicle_beat = now, vehicle_time
                     self.send("heartbeat", GROUND_STATION, 8, 0, 0, 4)  # no autopilot, active
+                if self.vehicle is not None and now - asked >= ASK_S:
+                    asked = now
+                    self.send("timesync", 0, request_time(self.traffic, now))
                 if now - watched >= WATCH_S:
                     watched = now
                     self._watch()
@@ -234,8 +241,9 @@ class Connection:
         decoder = self._new_decoder() if self._transport.datagrams else self._decoder
         now = time.monotonic()
         with self._news:
-            for message in decoder.parse_buffer(data) or ():
+            for message in self._messages(decoder, data):
                 if message.get_type().startswith(("BAD_DATA", "UNKNOWN")):
+                    self.traffic = replace(self.traffic, broken=self.traffic.broken + 1)
                     continue
                 self._log(bytes(message.get_msgbuf()))
                 # A message with an impossible number must not end the listening: what it did not tell grows old.
@@ -243,21 +251,37 @@ class Connection:
                     self._hear(message, peer, now)
             self._news.notify_all()
 
+    def _messages(self, decoder: Any, data: bytes) -> Sequence[Any]:
+        try:
+            return decoder.parse_buffer(data) or ()
+        except Exception:
+            # pymavlink raises several of them for bytes that are no message: none may end the listening.
+            self._decoder = self._new_decoder()
+            self.traffic = replace(self.traffic, broken=self.traffic.broken + 1)
+            return ()
+
     def _hear(self, message: Any, peer: Hashable, now: float) -> None:
         kind, sender = message.get_type(), (message.get_srcSystem(), message.get_srcComponent())
         if kind == "HEARTBEAT":
-            if message.type == GROUND_STATION and sender != (OUR_SYSTEM, OUR_COMPONENT):
-                self.ground_stations |= {sender}
             wanted = self._system in (None, sender[0])
             if self.vehicle is None and wanted and is_vehicle(message):
                 self.vehicle = Vehicle(*sender, message.type, message.autopilot)
-        if self.vehicle is None or sender != (self.vehicle.system, self.vehicle.component):
+        known = (self.vehicle.system, self.vehicle.component) if self.vehicle is not None else None
+        if sender != known:
+            self.traffic = noticed(self.traffic, message, known, now)
             return
+        where, last = self._peer
+        if peer != where and now - last < MOVED_S:
+            self.traffic = replace(self.traffic, impostor_at=now)
+            return
+        self._peer = peer, now
         if kind == "HEARTBEAT":
             self._transport.answer_to(peer)  # wherever the vehicle has moved to
         self.telemetry = heard(self.telemetry, message, now)
         if kind == "COMMAND_ACK" and message.target_system in (0, OUR_SYSTEM):
             self._replies["ack", message.command] = message.result
+        elif kind == "TIMESYNC":
+            self.traffic = answered(self.traffic, message, now)
         elif kind == "PARAM_VALUE":
             self._replies["parameter", message.param_id] = message.param_value
         else:

@@ -26,7 +26,7 @@ import numpy as np
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.frames import flu_to_frd
-from cognitivedrone.interfaces import Health
+from cognitivedrone.control.health import Health
 from cognitivedrone.types import Action, FloatArray, Observation
 from cognitivedrone.vehicles.camera import Camera
 from cognitivedrone.vehicles.mavlink.client.connection import Connection

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Protocol
 
 from cognitivedrone.choices import DecisionKind
-from cognitivedrone.interfaces import Health
+from cognitivedrone.control.health import Health
+from cognitivedrone.control.safety import Order
 from cognitivedrone.types import Action
 
 
@@ -32,6 +33,10 @@ class Guard(Protocol):
 
     def shape(self, health: Health) -> Action:
         """The command (4,) to send now, after a decision to fly."""
+        ...
+
+    def order(self, decision: Decision, health: Health, landing: str) -> Order:
+        """What to send for a decision but to fly; `landing` is the mode that lands."""
         ...
 
     def land(self, reason: str) -> None:
