@@ -10,6 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from cognitivedrone.control.fence import Fence, keep_inside, outside_by
+from cognitivedrone.control.health import Health
 from cognitivedrone.control.safety import (
     SEVERITY,
     Guard,
@@ -22,7 +23,6 @@ from cognitivedrone.control.safety import (
     shape,
 )
 from cognitivedrone.frames import rotate_yaw
-from cognitivedrone.control.health import Health
 
 CONFIG = SafetyConfig()
 GOOD = Health(

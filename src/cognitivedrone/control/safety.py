@@ -308,6 +308,10 @@ class Guard:
         self._sent_at = health.time
         return self._sent
 
+    def order(self, decision: Decision, health: Health, landing: str) -> Order:
+        """What to send for a decision but to fly."""
+        return order(decision, health, self.config, landing)
+
     def land(self, reason: str) -> None:
         """Decide to land from now on, unless the drone is landing already or no longer ours."""
         if SEVERITY.index(self._memory.floor.kind) < SEVERITY.index("land"):

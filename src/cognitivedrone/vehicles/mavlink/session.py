@@ -140,6 +140,7 @@ def mavlink_config(safety: SafetySpec, folder: Path | None) -> MavlinkConfig:
     """How the options talk to a vehicle; the log of its messages goes into `folder`."""
     return MavlinkConfig(
         takeoff_height_m=safety.takeoff_height,
+        ceiling_m=safety.ceiling,
         clock=safety.clock,
         set_parameters=safety.set_parameters,
         tlog=None if folder is None else folder / TLOG_FILE,

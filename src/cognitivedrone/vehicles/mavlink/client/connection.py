@@ -1,30 +1,32 @@
-"""A MAVLink conversation with one vehicle: a thread that listens, heartbeats, and a caller that asks and waits.
-
-Everything received and sent can be written to a tlog, the format that ground stations replay: 8 bytes of big-endian
-microseconds since 1970 before each packet.
-"""
+"""A MAVLink conversation with one vehicle: somebody who listens and heartbeats, and a caller that asks and waits."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 import secrets
-import struct
+import select
 import threading
 import time
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, TypeVar
 
 from cognitivedrone.errors import LinkError
-from cognitivedrone.vehicles.mavlink.client.traffic import OUR_COMPONENT, OUR_SYSTEM, Traffic, answered, noticed, request_time
+from cognitivedrone.vehicles.mavlink.client.traffic import (
+    OUR_COMPONENT,
+    OUR_SYSTEM,
+    Traffic,
+    answered,
+    noticed,
+    request_time,
+)
 from cognitivedrone.vehicles.mavlink.client.transport import Transport
 from cognitivedrone.vehicles.mavlink.telemetry import GROUND_STATION, Telemetry, dialect, heard, is_vehicle, last_words
 
 T = TypeVar("T")
 
-HEARTBEAT_S, WATCH_S, ASK_S = 1.0, 0.02, 0.2
+HEARTBEAT_S, WATCH_S, PING_S = 1.0, 0.02, 0.2
 """Periods of our heartbeat, of the watch, and of a request that the vehicle answers at once (TIMESYNC)."""
 MOVED_S = 0.5
 """A vehicle that was silent for so long may go on from another address; before, who sends as it there is another."""
@@ -53,8 +55,9 @@ class Vehicle:
 class Connection:
     """Talks to the first vehicle that is heard, or to the one with system id `system`.
 
-    `watch` is called some fifty times a second from the listening thread, which it must not block. Once the link is
-    cut, every method raises `LinkError`.
+    A thread listens and heartbeats, or, without `threaded`, whoever calls `step` again and again. `watch` is called
+    from there some fifty times a second, and `log` for every packet received and sent; neither may wait. Once the link
+    is cut, every method raises `LinkError`.
     """
 
     def __init__(
@@ -62,19 +65,21 @@ class Connection:
         transport: Transport,
         *,
         system: int | None = None,
-        tlog: Path | None = None,
+        log: Callable[[bytes], None] = lambda _: None,
         watch: Callable[[], None] = lambda: None,
+        threaded: bool = True,
     ) -> None:
         self._dialect = dialect()
         self._transport = transport
         self._system = system
+        self._log = log
         self._watch = watch
+        self._beat = self._vehicle_beat = self._watched = self._pinged = -math.inf
         self._encoder = self._dialect.MAVLink(_Outlet(self._put), OUR_SYSTEM, OUR_COMPONENT)
         self._decoder = self._new_decoder()
         self._sending = threading.Lock()
         self._asking = threading.RLock()
         self._news = threading.Condition()
-        self._logging = threading.Lock()
         self._stopping = threading.Event()
         self._failure: LinkError | None = None
         self._replies: dict[Hashable, Any] = {}
@@ -84,9 +89,9 @@ class Connection:
         """Who else is on the link, and whether the vehicle hears us."""
         self._peer: tuple[Hashable, float] = (None, -math.inf)
         """Where the vehicle last sent from, and when."""
-        self._tlog = _open_log(tlog) if tlog is not None else None
-        self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True)
-        self._thread.start()
+        self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True) if threaded else None
+        if self._thread is not None:
+            self._thread.start()
 
     def check(self) -> None:
         """Raise what cut the link, if it is cut."""
@@ -96,11 +101,9 @@ class Connection:
     def close(self) -> None:
         """Stop listening and heartbeating."""
         self._stopping.set()
-        if threading.current_thread() is not self._thread:
+        if self._thread is not None and threading.current_thread() is not self._thread:
             self._thread.join()
         self._transport.close()
-        if self._tlog is not None:
-            self._tlog.close()
 
     def send(self, message: str, *fields: Any) -> None:
         """Encode and send a message by its name in lower case and its fields in the order of the definition."""
@@ -196,6 +199,17 @@ class Connection:
                     return
         raise LinkError(f"the vehicle did not take {name} = {value:g}; set it with a ground station")
 
+    def tell_parameter(self, name: str, value: float) -> None:
+        """Set a parameter without waiting; `told_parameter` gives the vehicle's answer."""
+        vehicle = self._target()
+        self._replies.pop(("parameter", name), None)
+        self.send("param_set", vehicle.system, vehicle.component, name.encode(), value, REAL32)
+
+    def told_parameter(self, name: str) -> float | None:
+        """What the vehicle last said of a parameter since it was asked for or told one."""
+        value: float | None = self._replies.get(("parameter", name))
+        return value
+
     def _target(self) -> Vehicle:
         if self.vehicle is None:
             raise LinkError("no vehicle has been heard on this link yet")
@@ -204,37 +218,55 @@ class Connection:
     def _result(self, number: int, timeout_s: float) -> int | None:
         return self.wait(lambda: self._replies.get(("ack", number)), timeout_s)
 
-    # The listening thread.
+    # Listening.
 
-    def _run(self) -> None:
-        beat = vehicle_beat = watched = asked = -math.inf
-        try:
-            while not self._stopping.is_set():
-                data, peer = self._transport.read(WATCH_S)
-                if data:
-                    self._take(data, peer)
-                now = time.monotonic()
-                # Once a second of the vehicle's time as well: a simulator that runs fast would think us gone.
-                vehicle_time = self.telemetry.vehicle_time
-                if now - beat >= HEARTBEAT_S or vehicle_time - vehicle_beat >= HEARTBEAT_S:
-                    beat, vehicle_beat = now, vehicle_time
-                    self.send("heartbeat", GROUND_STATION, 8, 0, 0, 4)  # no autopilot, active
-                if self.vehicle is not None and now - asked >= ASK_S:
-                    asked = now
-                    self.send("timesync", 0, request_time(self.traffic, now))
-                if now - watched >= WATCH_S:
-                    watched = now
-                    self._watch()
-        except LinkError as error:
-            self._fail(error)
-        except Exception as error:
-            # A thread that ends in silence would leave a drone in the air that nobody watches: the caller must hear.
-            self._fail(LinkError(f"listening to the vehicle failed: {error!r}"))
+    def step(self, wait_s: float = WATCH_S, *others: int) -> None:
+        """Heartbeat and watch where that is due; then take what comes.
 
-    def _fail(self, error: LinkError) -> None:
+        Waits at most so long for it, or for one of the `others` (files) to become readable. Raises `LinkError` where
+        the link is cut.
+        """
+        now = time.monotonic()
+        # Once a second of the vehicle's time as well: a simulator that runs fast would think us gone.
+        vehicle_time = self.telemetry.vehicle_time
+        if now - self._beat >= HEARTBEAT_S or vehicle_time - self._vehicle_beat >= HEARTBEAT_S:
+            self._beat, self._vehicle_beat = now, vehicle_time
+            self.send("heartbeat", GROUND_STATION, 8, 0, 0, 4)  # no autopilot, active
+        if self.vehicle is not None and now - self._pinged >= PING_S:
+            self._pinged = now
+            self.send("timesync", 0, request_time(self.traffic, now))
+        if now - self._watched >= WATCH_S:
+            self._watched = now
+            self._watch()
+        # Last: what cannot be taken must not keep the heartbeat back.
+        link = self._transport.fileno()
+        if link in select.select([link, *others], [], [], wait_s)[0]:
+            data, peer = self._transport.read(0.0)
+            if data:
+                self._take(data, peer)
+
+    def go_on_with(self, transport: Transport) -> None:
+        """Talk over another transport from now on, after the last one was cut."""
+        with self._sending:
+            self._transport.close()
+            self._transport, self._decoder, self._failure = transport, self._new_decoder(), None
+            self._peer = None, -math.inf
+
+    def fail(self, error: LinkError) -> None:
+        """Have every method raise this."""
         with self._news:
             self._failure = error
             self._news.notify_all()
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping.is_set():
+                self.step()
+        except LinkError as error:
+            self.fail(error)
+        except Exception as error:
+            # A thread that ends in silence would leave a drone in the air that nobody watches: the caller must hear.
+            self.fail(LinkError(f"listening to the vehicle failed: {error!r}"))
 
     def _take(self, data: bytes, peer: Hashable) -> None:
         # A datagram is whole: what a broken one leaves in a decoder must not swallow the next.
@@ -296,22 +328,9 @@ class Connection:
         self._log(data)
         self._transport.write(data)
 
-    def _log(self, packet: bytes) -> None:
-        if self._tlog is not None:
-            with self._logging:
-                self._tlog.write(struct.pack(">Q", time.time_ns() // 1000) + packet)
-
 
 class _Outlet:
     """What pymavlink's encoder writes to."""
 
     def __init__(self, write: Callable[[bytes], None]) -> None:
         self.write = write
-
-
-def _open_log(path: Path) -> Any:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return path.open("wb")
-    except OSError as error:
-        raise LinkError(f"cannot write the log {path}: {error.strerror}") from None

@@ -1,27 +1,14 @@
-"""What a link asks of whoever decides about safety, so that it need not know the rules."""
+"""What a link asks of whoever decides about safety: the rules, or what stands in for them in simulations."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
-from cognitivedrone.choices import DecisionKind
 from cognitivedrone.control.health import Health
-from cognitivedrone.control.safety import Order
+from cognitivedrone.control.safety import Decision, Order
 from cognitivedrone.types import Action
 
-
-class Decision(Protocol):
-    """What a guard says."""
-
-    @property
-    def kind(self) -> DecisionKind:
-        """What to do."""
-        ...
-
-    @property
-    def reason(self) -> str:
-        """Why, in words."""
-        ...
+__all__ = ["Decision", "Guard"]
 
 
 class Guard(Protocol):

@@ -76,15 +76,22 @@ class Asked:
 
 
 def health_of(
-    telemetry: Telemetry, traffic: Traffic, baseline: Baseline, asked: Asked, now: float, *, patience_s: float = 0.0
+    telemetry: Telemetry,
+    traffic: Traffic,
+    baseline: Baseline,
+    asked: Asked,
+    now: float,
+    *,
+    patience_s: float = 0.0,
+    judges_time: bool = True,
 ) -> Health:
     """How everything is at `now`, by our steady clock.
 
-    `patience_s` above 0 is for simulators whose time may stand still: so much silence of theirs is forgiven, and how
-    their clock runs against ours says nothing.
+    `patience_s` above 0 is for simulators whose time may stand still: so much silence of theirs is forgiven. Without
+    `judges_time` it says nothing how their clock runs against ours: a machine that is busy slows it.
     """
     t, b = telemetry, baseline
-    lateness = t.late_s if patience_s == 0 else 0.0
+    lateness = t.late_s if judges_time else 0.0
 
     def age(since: float) -> float:
         return max(0.0, now - since - patience_s)
@@ -145,4 +152,6 @@ def foreign_target(telemetry: Telemetry, since: float, sent: Iterable[tuple[floa
     if t.target_mask & POSITION_IGNORED != POSITION_IGNORED:
         return True
     # It flies to zero by itself when our commands are late, so that slower is no sign.
-    return t.target_speed > max((speed for at, speed in sent if at >= t.target_at - OWN_TARGETS_S), default=0) + TARGET_M_S
+    return (
+        t.target_speed > max((speed for at, speed in sent if at >= t.target_at - OWN_TARGETS_S), default=0) + TARGET_M_S
+    )
