@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as m
 
+from cognitivedrone.control.safety import SafetyConfig, Timeouts
 from cognitivedrone.vehicles.camera import Shot
 
 MODES = {"STABILIZE": 0, "GUIDED": 4, "LOITER": 5, "RTL": 6, "LAND": 9, "BRAKE": 17}
@@ -35,6 +36,20 @@ PARAMETERS = {
     "FS_EKF_THRESH": 0.8,
     "FS_CRASH_CHECK": 1.0,
 }
+
+
+CALM = SafetyConfig(
+    policy=Timeouts(2, 4),
+    camera=Timeouts(2, 4),
+    link=Timeouts(2, 4),
+    state=Timeouts(2, 4),
+    heartbeat=Timeouts(2, 4),
+    uplink=Timeouts(2, 4),
+    estimator_report=Timeouts(2, 4),
+    remote=Timeouts(2, 4),
+    most_jump_m=np.inf,
+)
+"""For tests of something else, on machines that are busy."""
 
 
 class StillCamera:

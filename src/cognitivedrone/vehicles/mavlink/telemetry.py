@@ -233,8 +233,8 @@ def is_vehicle(message: Any) -> bool:
 
 def _with_position(t: Telemetry, message: Any, now: float) -> Telemetry:
     """Numbers that are none are no position: the last one grows old."""
-    position = enu_to_ned(np.array([message.x, message.y, message.z]))
-    velocity = enu_to_ned(np.array([message.vx, message.vy, message.vz]))
+    position = enu_to_ned(np.array([message.x, message.y, message.z], dtype=np.float64))
+    velocity = enu_to_ned(np.array([message.vx, message.vy, message.vz], dtype=np.float64))
     if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
         return t
     t, time = _timed(t, message, now), message.time_boot_ms / 1000
@@ -256,7 +256,7 @@ def _with_attitude(t: Telemetry, message: Any, now: float) -> Telemetry:
     if not all(map(math.isfinite, angles)):
         return t
     nose = enu_to_ned(np.array([math.cos(message.yaw), math.sin(message.yaw), 0.0]))
-    rates = flu_to_frd(np.array(angles[3:]))
+    rates = flu_to_frd(np.array(angles[3:], dtype=np.float64))
     return replace(
         _timed(t, message, now),
         yaw=math.atan2(nose[1], nose[0]),
