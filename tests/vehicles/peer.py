@@ -89,10 +89,10 @@ class Part:
     mute: bool = False
     quiet: frozenset[str] = frozenset()
     """Messages that it does not send, by their names."""
-    clock: float | None = None
-    """Where its clock stands still, s since its start; none where it runs."""
+    clock_rate: float = 1.0
+    """Of the times in its messages: 0 repeats one, less than 1 is a link on which they are later and later."""
     behind_s: float = 0.0
-    """How late its messages are, by its clock."""
+    """How far its clock has gone back."""
     tilt: float = 0.0
     yaw: float = 0.0
     variance: float = 0.0
@@ -119,7 +119,7 @@ class Peer:
         self._mav.robust_parsing = True
         self._to: Any = None
         self._stop = threading.Event()
-        self._born = time.monotonic() - 5.0
+        self._clock, self._looked = 5.0, time.monotonic()
         self._sent_speed = 0.0
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -132,6 +132,11 @@ class Peer:
         self._stop.set()
         self._thread.join()
         self._socket.close()
+
+    def address(self) -> tuple[str, int]:
+        """Of whom it talks to."""
+        host, port = self._to
+        return host, port
 
     def of(self, kind: str) -> list[Any]:
         return [message for _, message in self.heard if message.get_type() == kind]
@@ -186,9 +191,9 @@ class Peer:
 
     def boot_ms(self) -> int:
         """Its clock."""
-        part = self.part
-        seconds = time.monotonic() - self._born if part.clock is None else part.clock
-        return round(1000 * (seconds - part.behind_s))
+        now = time.monotonic()
+        self._clock, self._looked = self._clock + (now - self._looked) * self.part.clock_rate, now
+        return round(1000 * (self._clock - self.part.behind_s))
 
     def _answer(self, message: Any) -> None:
         part, kind = self.part, message.get_type()

@@ -37,8 +37,8 @@ def status(battery: int = 80, present: int = 0, healthy: int = 0):
 
 
 def estimator(flags: int = 0x33F, **variances: float):
-    names = "velocity_variance pos_horiz_variance pos_vert_variance compass_variance terrain_alt_variance".split()
-    return m.MAVLink_ekf_status_report_message(flags, *[variances.get(name.split("_v")[0], 0.0) for name in names])
+    names = ("velocity", "pos_horiz", "pos_vert", "compass", "terrain_alt")
+    return m.MAVLink_ekf_status_report_message(flags, *[variances.get(name, 0.0) for name in names])
 
 
 def heartbeat(mode: int = 4):
@@ -118,9 +118,17 @@ def test_a_clock_that_runs_a_little_slow_is_forgiven():
     telemetry = GOOD
     for step in range(600):
         at = START + step * 0.1
-        theirs = START + step * 0.1 * 0.995
+        theirs = START + step * 0.1 * 0.9995
         telemetry = told((at, attitude(theirs)), (at, position(theirs)), since=telemetry)
     assert health(telemetry, START + 60).state_age_s < 0.15
+
+
+def test_lateness_is_not_forgiven_in_a_flight():
+    telemetry = GOOD
+    for step in range(600):
+        at = START + step * 0.1
+        telemetry = told((at, attitude(at - 0.8)), (at, position(at - 0.8)), since=telemetry)
+    assert health(telemetry, START + 60).state_age_s > 0.7
 
 
 def test_a_restart_is_a_clock_that_goes_back():
@@ -221,7 +229,10 @@ def sent_by(system: int, component: int, message):
 @pytest.mark.parametrize(
     ("message", "words"),
     [
-        (m.MAVLink_set_position_target_local_ned_message(0, 1, 1, 8, 0x5C7, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0), "system 9"),
+        (
+            m.MAVLink_set_position_target_local_ned_message(0, 1, 1, 8, 0x5C7, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0),
+            "system 9",
+        ),
         (m.MAVLink_command_long_message(1, 1, 176, 0, 1, 5, 0, 0, 0, 0, 0), "system 9"),
         (m.MAVLink_set_mode_message(1, 1, 5), "system 9"),
         (m.MAVLink_command_long_message(1, 1, 512, 0, 1, 0, 0, 0, 0, 0, 0), ""),  # asks, and moves nothing

@@ -40,7 +40,7 @@ POSITION_IGNORED = 0x07
 """In the type mask of POSITION_TARGET_LOCAL_NED: it flies by velocity."""
 CLOCK_BACK_S = 1.0
 """A vehicle's clock that goes back by more than this has started again; less is a message that was overtaken."""
-CLOCK_DRIFT = 0.01
+CLOCK_DRIFT = 0.001
 """So much slower than ours may a vehicle's clock run without its messages counting as late."""
 JUMP_M_S = 2.0
 """Speed that a position may have beyond what the vehicle reports of its velocity."""
