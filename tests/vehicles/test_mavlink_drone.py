@@ -19,7 +19,7 @@ import pytest
 pytest.importorskip("pymavlink")
 sys.path.insert(0, str(Path(__file__).parent))
 
-from peer import MODES, PARAMETERS, Peer, StillCamera, playing
+from peer import CALM, MODES, PARAMETERS, Peer, StillCamera, playing
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as m
 
@@ -34,8 +34,6 @@ from cognitivedrone.vehicles.mavlink.server.modes import Mode
 from cognitivedrone.vehicles.mavlink.server.vehicle import STEP_S, SimulatedVehicle, VehicleConfig
 
 FAST = MavlinkConfig(heartbeat_timeout_s=0.5, ready_timeout_s=0.3, takeoff_timeout_s=0.5, landing_timeout_s=5)
-CALM = SafetyConfig(link=Timeouts(2, 4), state=Timeouts(2, 4), policy=Timeouts(2, 4), camera=Timeouts(2, 4))
-"""For tests of something else, on machines that are busy."""
 FORWARD = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
 
 
@@ -146,12 +144,13 @@ def test_a_silent_policy_is_held_braked_and_landed():
         due = time.monotonic() + 0.1
         soon(lambda: (0, 0, 0, 0) in peer.setpoints_since(due - 0.1))
         assert time.monotonic() - due < SOON_S
-        soon(lambda: peer.part.mode == MODES["BRAKE"])
+        soon(lambda: drone.decision.kind == "brake")
         # A policy that comes back then is not trusted any more.
         assert not drone.send(FORWARD).any()
         assert drone.over is None
         soon(lambda: peer.part.mode == MODES["LAND"])
         assert "no new command from the policy" in drone.over
+        assert MODES["BRAKE"] not in [c.param2 for c in peer.of("COMMAND_LONG") if c.command == 176]
 
 
 @pytest.mark.parametrize("mode", ["LOITER", "STABILIZE"])
@@ -197,8 +196,13 @@ def test_a_stick_that_moves_brakes():
         drone.send(FORWARD)
         assert drone.decision.kind == "fly"
         peer.part.sticks = (1500, 1700, 1200, 1500)
-        soon(lambda: peer.part.mode == MODES["BRAKE"])
+        moved = time.monotonic()
+        soon(lambda: drone.decision.kind == "brake")
         assert "stick" in drone.decision.reason
+        soon(lambda: len(peer.setpoints_since(moved)) > 3)
+        assert not np.any(peer.setpoints_since(moved)[1:])
+        # Still GUIDED, in which ArduCopter lands when we fall silent.
+        assert peer.part.mode == MODES["GUIDED"]
         peer.part.mode = MODES["LOITER"]
         soon(lambda: drone.over)
 
@@ -212,7 +216,8 @@ def test_a_vehicle_that_falls_silent_is_told_to_stop():
         soon(lambda: drone.decision.kind == "hold")
         assert time.monotonic() - cut < SOON_S
         assert "no message from the vehicle" in drone.decision.reason
-        soon(lambda: peer.part.mode == MODES["BRAKE"])
+        soon(lambda: drone.decision.kind == "brake")
+        assert peer.part.mode == MODES["GUIDED"]
         peer.part.mute = False
 
 
@@ -298,7 +303,7 @@ def test_a_vehicle_that_cannot_be_flown(part, said):
         ({"refuse": {22: "no"}}, "refused take-off"),
         ({"battery": 20}, r"not fit to fly.*\[bad \] battery"),
         ({"parameters": {**PARAMETERS, "GUID_TIMEOUT": 5.0}}, r"\[bad \] GUID_TIMEOUT +5"),
-        ({"position": [np.nan] * 3, "climbs": False}, "not at 1.5 m"),
+        ({"position": [np.nan] * 3, "climbs": False}, "does not say that it knows where it is"),
     ],
 )
 def test_a_vehicle_that_is_not_ready(part, said):
@@ -309,13 +314,14 @@ def test_a_vehicle_that_is_not_ready(part, said):
 def test_parameters_are_set_with_consent_alone():
     with playing(parameters={**PARAMETERS, "FS_GCS_ENABLE": 0.0, "FENCE_ENABLE": 0.0}) as peer:
         with connect(peer) as drone:
-            assert [finding.what for finding in drone.checklist().bad] == ["FS_GCS_ENABLE"]
+            assert [finding.what for finding in drone.checklist().bad] == ["FS_GCS_ENABLE", "FENCE_ENABLE"]
             assert peer.of("PARAM_SET") == []
         with connect(peer, replace(FAST, set_parameters=True)) as drone:
             checklist = drone.checklist()
             assert not checklist.bad
             assert "FS_GCS_ENABLE    5, set by this program" in str(checklist)
-        assert peer.part.parameters == {**PARAMETERS, "FENCE_ENABLE": 0.0}
+            assert peer.part.parameters == PARAMETERS
+        assert peer.part.parameters == {**PARAMETERS, "FS_GCS_ENABLE": 0.0, "FENCE_ENABLE": 0.0}
 
 
 def test_without_a_yes_nothing_is_armed():

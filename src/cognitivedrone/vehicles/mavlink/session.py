@@ -12,7 +12,7 @@ from cognitivedrone.control.safety import SafetyConfig, Timeouts
 from cognitivedrone.errors import CameraError, LinkError
 from cognitivedrone.plan import SafetySpec, VehicleSpec
 from cognitivedrone.types import Track
-from cognitivedrone.vehicles.camera import Camera, Shot, open_camera
+from cognitivedrone.vehicles.camera import Camera, ChangingCamera, Shot, open_camera
 from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, Request, Status
 from cognitivedrone.vehicles.external import LinkReport
 from cognitivedrone.vehicles.gazebo.bindings import load_bindings
@@ -52,8 +52,16 @@ class MavlinkVehicle:
     trouble = ""
     renderer = ""
 
-    def __init__(self, drone: GuardedDrone, camera: TimestampedCamera, *, simulated: bool) -> None:
+    def __init__(
+        self,
+        drone: GuardedDrone,
+        camera: TimestampedCamera,
+        *,
+        simulated: bool,
+        changing: ChangingCamera | None = None,
+    ) -> None:
         self.simulated = simulated
+        self._changing = changing
         self.report = LinkReport()
         self._drone = drone
         self._camera = camera
@@ -70,6 +78,8 @@ class MavlinkVehicle:
     def take_off(self, confirm: Confirm) -> ClockedDrone:
         """Check, have it confirmed, arm and climb."""
         self._drone.take_off(confirm)
+        if self._changing is not None:
+            self._changing.active = True
         return self._drone
 
     def status(self) -> Status:
@@ -108,13 +118,15 @@ def open_mavlink(request: Request) -> MavlinkVehicle:
     consent = safety.i_understand_this_flies_a_real_drone
     if not (consent or spec.on_loopback):
         raise LinkError(f"{spec.link} may be a real drone: read docs/real-drone.md, then add {FLAG}")
-    camera = TimestampedCamera(open_source(safety.camera))
+    changing = ChangingCamera(open_source(safety.camera))
+    camera = TimestampedCamera(changing)
     drone = GuardedDrone(spec.url, camera, safety_rules(safety), mavlink_config(safety, request.folder))
     simulated = spec.on_loopback and drone.simulated
     if not simulated and (not consent or safety.clock == "vehicle"):
         drone.close()
         raise LinkError(_refusal(spec, consent=consent))
-    return MavlinkVehicle(drone, camera, simulated=simulated)
+    judged = None if simulated or safety.camera.startswith(GAZEBO) else changing
+    return MavlinkVehicle(drone, camera, simulated=simulated, changing=judged)
 
 
 def open_source(source: str) -> Camera:
@@ -140,6 +152,7 @@ def mavlink_config(safety: SafetySpec, folder: Path | None) -> MavlinkConfig:
     """How the options talk to a vehicle; the log of its messages goes into `folder`."""
     return MavlinkConfig(
         takeoff_height_m=safety.takeoff_height,
+        ceiling_m=safety.ceiling,
         clock=safety.clock,
         set_parameters=safety.set_parameters,
         tlog=None if folder is None else folder / TLOG_FILE,

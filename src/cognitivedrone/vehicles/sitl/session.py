@@ -148,7 +148,13 @@ class GuardedSitl:
                 defaults=safety.sitl_defaults,
             )
         )
-        config = replace(mavlink_config(safety, folder), clock="vehicle", set_parameters=True, ready_timeout_s=READY_S)
+        config = replace(
+            mavlink_config(safety, folder),
+            clock="vehicle",
+            set_parameters=True,
+            put_back=False,
+            ready_timeout_s=READY_S,
+        )
         camera = TimestampedCamera(source)
         drone = autopilot.connect(lambda url: GuardedDrone(url, camera, safety_rules(safety), config))
         self._vehicle = MavlinkVehicle(drone, camera, simulated=True)

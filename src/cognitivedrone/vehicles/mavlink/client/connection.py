@@ -4,23 +4,32 @@ from __future__ import annotations
 
 import contextlib
 import math
+import secrets
 import select
 import threading
 import time
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from cognitivedrone.errors import LinkError
+from cognitivedrone.vehicles.mavlink.client.traffic import (
+    OUR_COMPONENT,
+    OUR_SYSTEM,
+    Traffic,
+    answered,
+    noticed,
+    request_time,
+)
 from cognitivedrone.vehicles.mavlink.client.transport import Transport
 from cognitivedrone.vehicles.mavlink.telemetry import GROUND_STATION, Telemetry, dialect, heard, is_vehicle, last_words
 
 T = TypeVar("T")
 
-OUR_SYSTEM, OUR_COMPONENT = 255, 191
-"""A ground station's system, so that the vehicle's ground-station failsafe watches our heartbeat; the component of an
-onboard computer, to be told from a ground station of the same system."""
-HEARTBEAT_S, WATCH_S = 1.0, 0.02
+HEARTBEAT_S, WATCH_S, PING_S = 1.0, 0.02, 0.2
+"""Periods of our heartbeat, of the watch, and of a request that the vehicle answers at once (TIMESYNC)."""
+MOVED_S = 0.5
+"""A vehicle that was silent for so long may go on from another address; before, who sends as it there is another."""
 ACK_S, TRIES = 1.0, 3
 RESULTS = {1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed", 6: "cancelled"}
 """MAV_RESULT; 0 is accepted and 5 in progress."""
@@ -65,7 +74,7 @@ class Connection:
         self._system = system
         self._log = log
         self._watch = watch
-        self._beat = self._vehicle_beat = self._watched = -math.inf
+        self._beat = self._vehicle_beat = self._watched = self._pinged = -math.inf
         self._encoder = self._dialect.MAVLink(_Outlet(self._put), OUR_SYSTEM, OUR_COMPONENT)
         self._decoder = self._new_decoder()
         self._sending = threading.Lock()
@@ -76,8 +85,10 @@ class Connection:
         self._replies: dict[Hashable, Any] = {}
         self.vehicle: Vehicle | None = None
         self.telemetry = Telemetry()
-        self.ground_stations: frozenset[tuple[int, int]] = frozenset()
-        """System and component of others that heartbeat as ground stations."""
+        self.traffic = Traffic(nonce=secrets.randbelow(1000))
+        """Who else is on the link, and whether the vehicle hears us."""
+        self._peer: tuple[Hashable, float] = (None, -math.inf)
+        """Where the vehicle last sent from, and when."""
         self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True) if threaded else None
         if self._thread is not None:
             self._thread.start()
@@ -188,6 +199,17 @@ class Connection:
                     return
         raise LinkError(f"the vehicle did not take {name} = {value:g}; set it with a ground station")
 
+    def tell_parameter(self, name: str, value: float) -> None:
+        """Set a parameter without waiting; `told_parameter` gives the vehicle's answer."""
+        vehicle = self._target()
+        self._replies.pop(("parameter", name), None)
+        self.send("param_set", vehicle.system, vehicle.component, name.encode(), value, REAL32)
+
+    def told_parameter(self, name: str) -> float | None:
+        """What the vehicle last said of a parameter since it was asked for or told one."""
+        value: float | None = self._replies.get(("parameter", name))
+        return value
+
     def _target(self) -> Vehicle:
         if self.vehicle is None:
             raise LinkError("no vehicle has been heard on this link yet")
@@ -210,6 +232,9 @@ class Connection:
         if now - self._beat >= HEARTBEAT_S or vehicle_time - self._vehicle_beat >= HEARTBEAT_S:
             self._beat, self._vehicle_beat = now, vehicle_time
             self.send("heartbeat", GROUND_STATION, 8, 0, 0, 4)  # no autopilot, active
+        if self.vehicle is not None and now - self._pinged >= PING_S:
+            self._pinged = now
+            self.send("timesync", 0, request_time(self.traffic, now))
         if now - self._watched >= WATCH_S:
             self._watched = now
             self._watch()
@@ -225,6 +250,7 @@ class Connection:
         with self._sending:
             self._transport.close()
             self._transport, self._decoder, self._failure = transport, self._new_decoder(), None
+            self._peer = None, -math.inf
 
     def fail(self, error: LinkError) -> None:
         """Have every method raise this."""
@@ -247,8 +273,9 @@ class Connection:
         decoder = self._new_decoder() if self._transport.datagrams else self._decoder
         now = time.monotonic()
         with self._news:
-            for message in decoder.parse_buffer(data) or ():
+            for message in self._messages(decoder, data):
                 if message.get_type().startswith(("BAD_DATA", "UNKNOWN")):
+                    self.traffic = replace(self.traffic, broken=self.traffic.broken + 1)
                     continue
                 self._log(bytes(message.get_msgbuf()))
                 # A message with an impossible number must not end the listening: what it did not tell grows old.
@@ -256,21 +283,37 @@ class Connection:
                     self._hear(message, peer, now)
             self._news.notify_all()
 
+    def _messages(self, decoder: Any, data: bytes) -> Sequence[Any]:
+        try:
+            return decoder.parse_buffer(data) or ()
+        except Exception:
+            # pymavlink raises several of them for bytes that are no message: none may end the listening.
+            self._decoder = self._new_decoder()
+            self.traffic = replace(self.traffic, broken=self.traffic.broken + 1)
+            return ()
+
     def _hear(self, message: Any, peer: Hashable, now: float) -> None:
         kind, sender = message.get_type(), (message.get_srcSystem(), message.get_srcComponent())
         if kind == "HEARTBEAT":
-            if message.type == GROUND_STATION and sender != (OUR_SYSTEM, OUR_COMPONENT):
-                self.ground_stations |= {sender}
             wanted = self._system in (None, sender[0])
             if self.vehicle is None and wanted and is_vehicle(message):
                 self.vehicle = Vehicle(*sender, message.type, message.autopilot)
-        if self.vehicle is None or sender != (self.vehicle.system, self.vehicle.component):
+        known = (self.vehicle.system, self.vehicle.component) if self.vehicle is not None else None
+        if sender != known:
+            self.traffic = noticed(self.traffic, message, known, now)
             return
+        where, last = self._peer
+        if peer != where and now - last < MOVED_S:
+            self.traffic = replace(self.traffic, impostor_at=now)
+            return
+        self._peer = peer, now
         if kind == "HEARTBEAT":
             self._transport.answer_to(peer)  # wherever the vehicle has moved to
         self.telemetry = heard(self.telemetry, message, now)
         if kind == "COMMAND_ACK" and message.target_system in (0, OUR_SYSTEM):
             self._replies["ack", message.command] = message.result
+        elif kind == "TIMESYNC":
+            self.traffic = answered(self.traffic, message, now)
         elif kind == "PARAM_VALUE":
             self._replies["parameter", message.param_id] = message.param_value
         else:

@@ -14,22 +14,24 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from time import monotonic
 from typing import Literal
 
 import numpy as np
 
+from cognitivedrone.control.health import Health
 from cognitivedrone.errors import LinkError
 from cognitivedrone.frames import flu_to_frd
-from cognitivedrone.interfaces import Health
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.mavlink.client.connection import Connection
 from cognitivedrone.vehicles.mavlink.client.guard import Decision, Guard
-from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, Met, meet
-from cognitivedrone.vehicles.mavlink.client.preflight import EXPECTED, Checklist, build_checklist, misfits
+from cognitivedrone.vehicles.mavlink.client.handshake import HOME_POSITION, MavlinkConfig, Met, meet
+from cognitivedrone.vehicles.mavlink.client.health import OWN_TARGETS_S, Asked, Baseline, health_of
+from cognitivedrone.vehicles.mavlink.client.parameters import ParameterChanges, journal_of
+from cognitivedrone.vehicles.mavlink.client.preflight import NAMES, Checklist, Facts, build_checklist, corrections
 from cognitivedrone.vehicles.mavlink.client.transport import open_transport
-from cognitivedrone.vehicles.mavlink.telemetry import MODE_NUMBERS, Telemetry, last_words, stick_moved
+from cognitivedrone.vehicles.mavlink.telemetry import MODE_NUMBERS, Telemetry, last_words
 
 BODY_NED, VELOCITY_AND_YAW_RATE = 8, 0x05C7
 """MAV_FRAME_BODY_NED; the type mask that leaves velocity and yaw rate."""
@@ -39,8 +41,10 @@ PAUSE_S = 5.0
 """A simulation whose time stands still for longer is not waited for."""
 Phase = Literal["ground", "climbing", "flying", "released"]
 """`climbing` from the order to arm; `flying` also while it brakes and lands; `released` once it is no longer ours."""
-REPEAT_S = {"hold": 0.1, "brake": 0.5, "land": 0.5}
-"""How often what a decision asks for is said again, until the vehicle does it."""
+REPEAT_S = 0.5
+"""How often a mode is ordered again, until the vehicle shows it."""
+SETPOINT_S = 0.1
+"""How often a velocity is sent again."""
 LandingMode = Literal["LAND", "RTL"]
 
 
@@ -76,7 +80,10 @@ class FlightCore:
         self._command: FloatArray | None = None
         self._command_at = self._frame_at = 0.0
         self._said_at = -math.inf
-        self._sticks: tuple[int, ...] = ()
+        self._baseline = Baseline()
+        self._sent: tuple[tuple[float, float], ...] = ()
+        self._changes = ParameterChanges(None)
+        self._guided_timeout_s: float | None = None
         self._was_armed = False
         self._taken_over: str | None = None
         self._given_up = ""
@@ -93,6 +100,8 @@ class FlightCore:
     def meet(self) -> None:
         """Wait for the vehicle and see that it can be flown. Raises `LinkError`."""
         self.met = meet(self.link, self._url, self.config)
+        if self.config.put_back:
+            self._changes = ParameterChanges(journal_of(self.met.key))
 
     @property
     def telemetry(self) -> Telemetry:
@@ -110,19 +119,28 @@ class FlightCore:
 
     def checklist(self, frame_age_s: float) -> Checklist:
         """Read what safety leans on, set what may be set, and list it all."""
-        values = self.link.parameters([expected.name for expected in EXPECTED])
-        consent = self.config.set_parameters
-        changed = {expected.name: expected.wanted for expected in misfits(values) if expected.needed and consent}
-        for name, wanted in changed.items():
-            self.link.set_parameter(name, wanted)
+        if not self.telemetry.armed:
+            self._changes.put_back(self.link)  # of a flight that could not
+        config, values = self.config, self.link.parameters(NAMES)
+        changed = corrections(values, config.ceiling_m, config.only) if config.set_parameters else {}
+        self._changes.make(self.link, values, changed)
+        values |= changed
+        self._guided_timeout_s = values["GUID_TIMEOUT"]
         return build_checklist(
-            version=self.met.version,
-            values=values | changed,
-            changed=changed,
-            telemetry=self.telemetry,
-            ground_stations=sorted(self.link.ground_stations),
-            frame_age_s=frame_age_s,
-            takeoff_height_m=self.config.takeoff_height_m,
+            Facts(
+                now=monotonic(),
+                version=self.met.version,
+                values=values,
+                changed=changed,
+                telemetry=self.telemetry,
+                traffic=self.link.traffic,
+                home=self.link.message("HOME_POSITION", HOME_POSITION) is not None,
+                frame_age_s=frame_age_s,
+                takeoff_height_m=config.takeoff_height_m,
+                ceiling_m=config.ceiling_m,
+                judges_time=config.clock == "wall" and not self.met.simulated,
+            ),
+            config.only,
         )
 
     def take_off(self, confirm: Callable[[Checklist], bool], frame_age: Callable[[], float]) -> None:
@@ -154,7 +172,7 @@ class FlightCore:
         self._climb()
         with self._lock:
             self._check_climbing()
-            self._sticks = self.telemetry.sticks
+            self._baseline = Baseline.taken(self.telemetry, self.home, monotonic(), self._guided_timeout_s)
             self.start = self._command_at = self.clock()
             self._frame_at = self.start - frame_age()
             self.phase = "flying"
@@ -177,7 +195,7 @@ class FlightCore:
             if np.isfinite(self._command).all():
                 self._command_at = self.clock() - age_s
             health = self._health()
-            if not self._obey(self._guard.judge(health)):
+            if not self._obey(self._guard.judge(health), health):
                 return np.zeros(4, dtype=np.float32)
             return self._setpoint(self._guard.shape(health))
 
@@ -211,15 +229,25 @@ class FlightCore:
                 f" {self.telemetry.mode}{last_words(self.telemetry, monotonic() - 5)}; take over by hand"
             )
 
+    def put_back(self) -> None:
+        """Put the vehicle's parameters back, waiting for it; those of a pilot's flight that may not go now stay."""
+        with suppress(LinkError):  # what stays is in the journal, for the next start
+            self._changes.put_back(self.link, flying=self.telemetry.armed)
+
     def close(self) -> None:
-        """Hang up."""
+        """Put the vehicle's parameters back, and hang up."""
+        self.put_back()
         self.link.close()
 
     def watch(self) -> None:
         """Ask the rules, and do as they say: some fifty times a second, from where the link is listened to."""
         with self._lock:
-            if self.phase == "flying":
-                self._obey(self._guard.judge(self._health()))
+            if self.phase == "released":
+                # The pilot flies: what we have set on the vehicle must not act against them.
+                self._changes.put_back_meanwhile(self.link, monotonic(), flying=self.telemetry.armed)
+            elif self.phase == "flying":
+                health = self._health()
+                self._obey(self._guard.judge(health), health)
             elif self.phase == "climbing":
                 # A policy has nothing to say yet; the pilot has.
                 self._settle()
@@ -278,28 +306,24 @@ class FlightCore:
             raise LinkError("told to land during take-off")
 
     def _health(self) -> Health:
-        state, now = self.telemetry, self.clock()
         self._settle()
         # A simulator that is slow, or pauses, is silent without being lost.
         patience = 0.0 if self.config.clock == "wall" else PAUSE_S
-        return Health(
-            time=now,
-            command=self._command,
-            command_age_s=now - self._command_at,
-            frame_age_s=now - self._frame_at,
-            link_age_s=max(0.0, monotonic() - state.heard_at - patience),
-            state_age_s=max(0.0, monotonic() - state.state_at - patience),
-            battery=state.battery,
-            position=state.position - self.home,
-            velocity=state.velocity,
-            yaw=state.yaw,
-            mode=state.mode,
-            ordered_modes=self._modes,
-            armed=state.armed,
-            stick_moved=stick_moved(self._sticks, state.sticks),
+        now = monotonic()
+        self._sent = tuple(sent for sent in self._sent if now - sent[0] < 2 * OWN_TARGETS_S)
+        asked = Asked(self.clock(), self._command, self._command_at, self._frame_at, self._modes, self._sent)
+        judges_time = self.config.clock == "wall" and not self.met.simulated
+        return health_of(
+            self.telemetry,
+            self.link.traffic,
+            self._baseline,
+            asked,
+            now,
+            patience_s=patience,
+            judges_time=judges_time,
         )
 
-    def _obey(self, decision: Decision) -> bool:
+    def _obey(self, decision: Decision, health: Health) -> bool:
         """Do what a decision asks for; true where that is to fly."""
         before, now = self.decision, monotonic()
         if decision.kind == "hands_off":
@@ -309,15 +333,16 @@ class FlightCore:
         self.decision = decision
         if decision.kind in ("fly", "hands_off"):
             return decision.kind == "fly"
-        if before is not None and before.kind == decision.kind and now - self._said_at < REPEAT_S[decision.kind]:
+        order = self._guard.order(decision, health, self._landing)
+        period = SETPOINT_S if order.mode is None else REPEAT_S
+        if before is not None and before.kind == decision.kind and now - self._said_at < period:
             return False
         self._said_at = now
-        mode = {"brake": "BRAKE", "land": self._landing}.get(decision.kind)
-        if self.telemetry.mode == "GUIDED" and decision.kind != "land":
-            self._setpoint(np.zeros(4, dtype=np.float32))
-        if mode is not None and self.telemetry.mode != mode:
-            self._expect(mode)
-            self.link.order(SET_MODE, 1, MODE_NUMBERS[mode])
+        if order.setpoint is not None:
+            self._setpoint(order.setpoint)
+        if order.mode is not None:
+            self._expect(order.mode)
+            self.link.order(SET_MODE, 1, MODE_NUMBERS[order.mode])
         return False
 
     def _expect(self, mode: str) -> None:
@@ -335,6 +360,7 @@ class FlightCore:
         """Send a command (4,) of the heading frame; returns it."""
         velocity = flu_to_frd(action[:3])
         yaw_rate = flu_to_frd(np.array([0.0, 0.0, action[3]]))[2]
+        self._sent = (*self._sent, (monotonic(), float(np.linalg.norm(action[:3]))))
         boot_ms = int((monotonic() - self._opened) * 1000)
         self.link.send(
             "set_position_target_local_ned", boot_ms, self.met.vehicle.system, self.met.vehicle.component, BODY_NED,

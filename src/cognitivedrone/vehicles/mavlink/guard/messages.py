@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, Literal, TypeVar
 
-import cattrs
 import numpy as np
+from cattrs.preconf.json import make_converter
 
 from cognitivedrone.choices import DecisionKind
 from cognitivedrone.types import Action, FloatArray
@@ -177,9 +177,9 @@ class Snapshot:
 class Reply:
     """Something that is told once."""
 
-    kind: Literal["met", "checklist", "flying", "failed", "cut", "text", "words"]
+    kind: Literal["met", "checklist", "flying", "failed", "cut", "text", "back", "words"]
     """The vehicle was met; the checklist; the climb is over; what was asked for failed; the link was cut; a text of the
-    vehicle; the last words of the guard."""
+    vehicle; its parameters were put back; the last words of the guard."""
     content: Any = None
     """JSON."""
 
@@ -211,7 +211,7 @@ def _text(data: bytes) -> str:
     return data.rstrip(b"\0").decode(errors="replace")
 
 
-_CONVERTER = cattrs.Converter()
+_CONVERTER = make_converter()
 
 
 def to_json(value: Any) -> Any:

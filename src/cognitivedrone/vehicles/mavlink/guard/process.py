@@ -49,6 +49,8 @@ REOPEN_S, GIVE_UP_S = 0.5, 60.0
 """A link that was cut is opened again that often, for so long."""
 GONE_S = 300.0
 """A vehicle that has been silent for so long is not waited for any more, once the pilot process is done."""
+PUT_BACK_S = 10.0
+"""For the vehicle's parameters, at the end."""
 LANDED, FAILED, LOST, LEFT = 0, 2, 3, 4
 """Exit codes: on the ground; could not begin; the vehicle was lost; dismissed, or told to leave, while it was armed."""
 NAMES = {signal.SIGHUP: "the terminal has gone (SIGHUP)", signal.SIGTERM: "SIGTERM", signal.SIGINT: "SIGINT"}
@@ -96,16 +98,24 @@ class GuardProcess:
             signal.signal(number, lambda number, _: self._signals.append(number))
         self._begin(self._meet)
         while (code := self._code()) is None:
-            try:
-                self._step()
-            except LinkError as error:
-                self._cut(error)
-            except Exception as error:  # a fault of the guard's own must not leave a drone in the air alone
-                self._land(f"the guard failed: {error!r}")
-                time.sleep(WATCH_S / 4)  # what fails again and again must not take the machine
+            self._go_on()
+        self._begin(self._put_back)
+        until = time.monotonic() + PUT_BACK_S
+        while self._worker is not None and time.monotonic() < until:
+            self._go_on()
         self._say(Reply("words", _LAST_WORDS[code]))
         self._tell()
         return code
+
+    def _go_on(self) -> None:
+        """One round of the loop, whatever goes wrong in it."""
+        try:
+            self._step()
+        except LinkError as error:
+            self._cut(error)
+        except Exception as error:  # a fault of the guard's own must not leave a drone in the air alone
+            self._land(f"the guard failed: {error!r}")
+            time.sleep(WATCH_S / 4)  # what fails again and again must not take the machine
 
     def _step(self) -> None:
         self._look_at_the_time()
@@ -312,6 +322,10 @@ class GuardProcess:
     def _take_off(self) -> Reply:
         self._core.take_off(self._confirm, lambda: time.monotonic() - self._frame_at)
         return Reply("flying")
+
+    def _put_back(self) -> Reply:
+        self._core.put_back()
+        return Reply("back")
 
     def _confirm(self, checklist: Checklist) -> bool:
         self._say(Reply("checklist", to_json(checklist)))
