@@ -258,7 +258,7 @@ class GuardProcess:
             self._stopped, self._sent = True, self._core.command(np.full(4, np.nan))
         if fault.kind == "flood":
             self._deaf_until = now + WATCH_S
-        if len(self._faults) > MOST_FAULTS:
+        if fault.kind == "flood" or len(self._faults) > MOST_FAULTS:
             self._faults.clear()
             self._land(f"the pilot process sends what cannot be flown by: {fault.reason}")
 
