@@ -221,7 +221,7 @@ class SafetySpec(Options):
     policy_patience: float = _option(0.2)
     """Seconds without a command until the vehicle is stopped; a policy that thinks longer needs more."""
     set_parameters: bool = _option(False)
-    """Consent to set GUID_TIMEOUT and FS_GCS_ENABLE of the vehicle where they are not fit to fly."""
+    """Consent to set parameters of the vehicle that are not fit to fly, and to put them back afterwards."""
     clock: Literal["wall", "vehicle"] = _option("wall")
     """With mavlink: fly by the vehicle's own time, for simulators that run faster or slower than real time."""
     sitl_defaults: tuple[Path, ...] = _option(())
