@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -26,8 +26,8 @@ pytest.importorskip("pymavlink")
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
 
+from app_fakes import Typist, camera
 from arducopters import played_arducopter
-from cockpit_fakes import Typist, camera
 from peer import MODES, Peer, playing
 from pymavlink import mavutil
 
@@ -97,14 +97,14 @@ def test_a_flight_in_the_simulator_passes_a_gate_and_is_recorded(tmp_path, capsy
     assert np.ptp(frames[0].to_ndarray(format="rgb24")) > 100
 
 
-def test_an_instruction_typed_in_flight_is_a_new_leg_and_asks_the_reasoner_at_once(tmp_path, monkeypatch):
+def test_an_instruction_typed_in_flight_is_a_new_segment_and_asks_the_reasoner_at_once(tmp_path, monkeypatch):
     reading, writing = os.pipe()
     monkeypatch.setattr(Typist, "keyboard", writing)
     monkeypatch.setattr(Typist, "lines", {8: b"go to  blue\n", 16: b"LAND\n"})
     config = FlyPlan.of(
         instruction="go to red",
-        policy="cockpit_fakes:Typist",
-        reasoner="cockpit_fakes:Echo",
+        policy="app_fakes:Typist",
+        reasoner="app_fakes:Echo",
         out=tmp_path / "f",
         time_limit=10,
     )
@@ -253,18 +253,98 @@ def test_a_vehicle_that_may_be_real_is_refused_without_the_flag_and_without_the_
     assert "propellers clear" in console.file.getvalue()
 
 
+def take_over(peer: Peer) -> None:
+    """As soon as it flies."""
+    while not peer.setpoints_since(0):
+        time.sleep(0.01)
+    peer.part.mode = MODES["LOITER"]
+
+
 def test_the_pilot_ends_the_flight(tmp_path):
     with playing() as peer, camera() as url:
         config = vehicle(peer, url, tmp_path / "f", i_understand_this_flies_a_real_drone=True)
-        pilot = threading.Timer(0.6, lambda: setattr(peer.part, "mode", MODES["LOITER"]))
+        pilot = threading.Thread(target=take_over, args=(peer,))
         pilot.start()
         summary = fly_mission(config, console=quiet(), keyboard=io.StringIO("arm\n"))
         pilot.join()
+        peer.part.armed = False  # the guard heartbeats until it sees that
         assert commands(peer, 400) == [400]
     assert (summary.ending.kind, summary.exit_code) == ("vehicle", 1)
     assert "LOITER" in summary.ending.reason
     about = json.loads((tmp_path / "f" / "flight.json").read_text())
     assert about["end"]["reason"] == summary.ending.reason
+
+
+def flight(peer: Peer, url: str, out: Path, policy: str = "hover", **options: object) -> subprocess.Popen[bytes]:
+    """`fly` in a process and a session of its own, as at a terminal; confirmed."""
+    link = f"mavlink:udpout:127.0.0.1:{peer.port}"
+    command = [
+        *(sys.executable, "-m", "cognitivedrone", "fly", "go", "--link", link, "--camera", url, "--out", out),
+        *("--policy", policy, "--reasoner", "none", "--i-understand-this-flies-a-real-drone"),
+        *(word for name, value in options.items() for word in (f"--{name}", value)),
+    ]
+    fakes = Path(__file__).parent
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(fakes), os.environ.get("PYTHONPATH", "")])}
+    reading, writing = os.pipe()
+    os.write(writing, b"arm\n")
+    with (out.parent / "said").open("wb") as said:
+        process = subprocess.Popen(
+            list(map(str, command)), stdin=reading, stdout=said, stderr=said, env=environment, start_new_session=True
+        )
+    os.close(reading)
+    os.close(writing)
+    return process
+
+
+def soon(holds: Callable[[], object], timeout_s: float = 30.0) -> None:
+    began = time.monotonic()
+    while not holds():
+        assert time.monotonic() - began < timeout_s
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM])
+@pytest.mark.parametrize("climbing", [True, False])
+def test_a_terminal_that_goes_away_and_a_request_to_terminate_land_and_leave_a_log(tmp_path, number, climbing):
+    with playing(climbs=not climbing) as peer, camera() as url:
+        process = flight(peer, url, tmp_path / "f")
+        try:
+            if climbing:
+                soon(lambda: any(c.command == 22 for c in peer.of("COMMAND_LONG")))
+            else:
+                soon(lambda: len(peer.setpoints_since(0)) > 5)
+            os.killpg(process.pid, number)
+            soon(lambda: peer.part.mode == MODES["LAND"], 2.0)
+            assert process.wait(30) == 130
+        finally:
+            process.kill()
+            process.wait()
+    about = json.loads((tmp_path / "f" / "flight.json").read_text())
+    reason = about["end"]["error"] if climbing else about["end"]["reason"]
+    assert reason == ("the terminal has gone" if number == signal.SIGHUP else "asked to terminate")
+
+
+@pytest.mark.parametrize(
+    ("policy", "code", "says"),
+    [
+        ("Hangs", 1, "the policy hangs; the flight had ended: still braking because no new command from the policy"),
+        ("NeverCloses", 0, "the policy or the reasoner does not close"),
+        ("LeavesThread", 0, "still running: left behind"),
+    ],
+)
+def test_a_policy_that_hangs_does_not_keep_the_process_after_the_landing(tmp_path, policy, code, says):
+    with playing() as peer, camera() as url:
+        process = flight(peer, url, tmp_path / "f", f"cockpit_fakes:{policy}", **{"time-limit": 1})
+        try:
+            assert process.wait(40) == code
+        finally:
+            process.kill()
+            process.wait()
+    assert peer.part.mode == MODES["LAND"]
+    assert says in (tmp_path / "said").read_text()
+    about = json.loads((tmp_path / "f" / "flight.json").read_text())
+    assert "end" in about
+    assert pq.read_table(tmp_path / "f" / "steps.parquet").num_rows >= 3
 
 
 def test_arducopter_is_started_on_our_physics_and_flown(tmp_path):
@@ -302,8 +382,8 @@ def free_instance() -> int:
     ("options", "says"),
     [
         ({"link": "mavlnk:udp:127.0.0.1:1"}, "did you mean 'mavlink'"),
-        ({"link": "sim:fast"}, "takes nothing behind a colon"),
-        ({"link": "mavlink:udp:127.0.0.1:1", "camera": "x"}, "say what to do"),
+        ({"link": "sim:fast"}, "takes no address"),
+        ({"link": "mavlink:udp:127.0.0.1:1", "camera": "x"}, "give an instruction"),
         ({"link": "mavlink:udp:127.0.0.1:1", "instruction": "go"}, "needs --camera"),
         ({"camera": "/dev/video0"}, "has its own camera"),
         ({"time_limit": 0}, "--time-limit is 0"),
@@ -336,12 +416,12 @@ def test_who_must_know_the_truth_flies_only_where_it_is_known(tmp_path):
 
 def test_a_log_is_never_written_over(tmp_path):
     (tmp_path / "flight.json").write_text("{}")
-    with pytest.raises(RunError, match="holds a flight already"):
+    with pytest.raises(RunError, match="already contains a flight"):
         fly_mission(FlyPlan.of(policy="hover", reasoner="none", out=tmp_path), console=quiet(), keyboard=nobody())
 
 
 def test_a_policy_that_fails_ends_the_flight_and_leaves_a_log(tmp_path):
-    config = FlyPlan.of(instruction="x", policy="cockpit_fakes:Broken", reasoner="none", out=tmp_path / "f")
+    config = FlyPlan.of(instruction="x", policy="app_fakes:Broken", reasoner="none", out=tmp_path / "f")
     with pytest.raises(PolicyError, match="not all of it is a finite number"):
         fly_mission(config, console=quiet(), keyboard=nobody())
     about = json.loads((tmp_path / "f" / "flight.json").read_text())

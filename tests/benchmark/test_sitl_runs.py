@@ -62,8 +62,8 @@ def test_files_without_a_link_are_of_our_own_autopilot(config):
 @pytest.mark.parametrize(
     ("change", "binary", "says"),
     [
-        ({}, "", r"needs an ArduCopter binary: set ARDUCOPTER to its path; docs/ardupilot\.md"),
-        ({}, "pyproject.toml", "is not a program that can be run: set ARDUCOPTER"),
+        ({}, "", r"needs an ArduCopter binary: give --sitl PATH or set ARDUCOPTER to its path; docs/ardupilot\.md"),
+        ({}, "pyproject.toml", "is not a program that can be run: give --sitl PATH or set ARDUCOPTER"),
         ({"airframe": "iriss"}, "/bin/true", "did you mean 'iris'"),
     ],
 )

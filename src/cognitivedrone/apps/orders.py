@@ -1,4 +1,4 @@
-"""What the person at the keyboard says during a flight: new instructions, and "land"."""
+"""Keyboard input during a flight: new instructions, and "land"."""
 
 from __future__ import annotations
 
@@ -6,42 +6,46 @@ import codecs
 import os
 import select
 import signal
+import stat
 import termios
 import threading
 import tty
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import TextIO
 
 from cognitivedrone.apps.values import Ending
 
 LAND = frozenset({"land", "stop"})
+ENDED: dict[int, str] = {
+    signal.SIGINT: "ctrl-C", signal.SIGTERM: "asked to terminate", signal.SIGHUP: "the terminal has gone"
+}  # fmt: skip
 LONGEST = 500
-"""Characters of an instruction that are taken."""
+"""Maximum length of an instruction in characters; the rest is dropped."""
 _BACKSPACE, _LINE_ENDS = ("\x7f", "\b"), ("\n", "\r")
 
 
 class Orders:
-    """The newest instruction and whether to land, set from any thread or signal handler, read by the control loop."""
+    """The latest instruction and whether to land; set by any thread or signal handler, read by the control loop."""
 
     def __init__(self) -> None:
-        # Each is replaced as a whole: no lock, which a signal handler could find taken by its own thread.
+        # Each is replaced as a whole, without a lock: a signal handler could find the lock taken by its own thread.
         self._given: tuple[int, str] = (0, "")
         self._ending: Ending | None = None
 
     @property
     def given(self) -> tuple[int, str]:
-        """How many instructions were given in flight, and the newest; "" where there was none."""
+        """Number of instructions given in flight, and the latest; "" if there was none."""
         return self._given
 
     @property
     def ending(self) -> Ending | None:
-        """Why to land, once that is asked for."""
+        """Why to land, if requested."""
         return self._ending
 
     def say(self, line: str) -> None:
-        """Take a line: "land" lands, anything else but blanks is a new instruction."""
+        """Process a line: "land" lands, any other non-blank line is a new instruction."""
         line = " ".join(line.split())[:LONGEST]
         if line.casefold() in LAND:
             self.land(Ending("told", f"{line!r} was typed"))
@@ -49,26 +53,54 @@ class Orders:
             self._given = (self._given[0] + 1, line)
 
     def land(self, ending: Ending) -> None:
-        """Land; the first reason stays."""
+        """Request a landing; the first reason is kept."""
         self._ending = self._ending or ending
 
 
 @contextmanager
-def landing_on_interrupt(orders: Orders) -> Iterator[None]:
-    """Inside, ctrl-C and a request to terminate ask to land; a second one raises `KeyboardInterrupt`.
+def ending_on_signals() -> Iterator[None]:
+    """In the block, SIGTERM and a terminal that hangs up (SIGHUP) raise `KeyboardInterrupt` as ctrl-C does, once.
 
-    Only the main thread can do that: in others nothing is changed.
+    So what is open is closed, and a drone in the climb is landed. Only possible in the main thread; elsewhere nothing
+    is changed. A signal that is ignored already, as SIGHUP by nohup, stays ignored.
     """
+    raised = False
+
+    def handler(number: int, _: FrameType | None) -> None:
+        nonlocal raised
+        _leave_terminal(number)
+        if not raised:
+            raised = True
+            raise KeyboardInterrupt(ENDED[number])
+
+    with _handling((signal.SIGTERM, signal.SIGHUP), handler):
+        yield
+
+
+@contextmanager
+def landing_on_interrupt(orders: Orders) -> Iterator[None]:
+    """In the block, ctrl-C, SIGTERM and SIGHUP request a landing; a second ctrl-C raises `KeyboardInterrupt`.
+
+    Only possible in the main thread; elsewhere nothing is changed.
+    """
+
+    def handler(number: int, _: FrameType | None) -> None:
+        _leave_terminal(number)
+        if orders.ending is not None and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        orders.land(Ending("interrupted", ENDED[number]))
+
+    with _handling((signal.SIGINT, signal.SIGTERM, signal.SIGHUP), handler):
+        yield
+
+
+@contextmanager
+def _handling(numbers: Iterable[int], handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-
-    def handler(number: int, _: FrameType | None) -> None:
-        if orders.ending is not None:
-            raise KeyboardInterrupt
-        orders.land(Ending("interrupted", "ctrl-C" if number == signal.SIGINT else "asked to terminate"))
-
-    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
+    before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
@@ -76,11 +108,23 @@ def landing_on_interrupt(orders: Orders) -> Iterator[None]:
             signal.signal(number, old)
 
 
+def _leave_terminal(number: int) -> None:
+    """After a hang-up, write to nowhere what went to the terminal: every write there would be an error."""
+    if number != signal.SIGHUP:
+        return
+    with suppress(OSError):
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for file in (0, 1, 2):
+            if stat.S_ISCHR(os.fstat(file).st_mode):
+                os.dup2(nowhere, file)
+        os.close(nowhere)
+
+
 class Keyboard:
     """Reads lines in a thread, from a terminal or a pipe. Use it as a context manager.
 
-    A terminal is read key by key, so that what is typed can be shown inside a live view (`typed`); it is put back as it
-    was at the end.
+    A terminal is read key by key, so that a live view can show the line being typed (`typed`); its settings are
+    restored at the end.
     """
 
     def __init__(self, stream: TextIO, update: Callable[[str], None]) -> None:
@@ -91,7 +135,7 @@ class Keyboard:
         self._before: list[object] | None = None
         try:
             self._file = stream.fileno()
-        except (OSError, ValueError):  # no file behind it, or closed
+        except (OSError, ValueError):  # no file descriptor, or closed
             self._file = -1
         self._thread = threading.Thread(target=self._run, name="keyboard", daemon=True)
 
@@ -108,19 +152,23 @@ class Keyboard:
         if self._thread.is_alive():
             self._thread.join()
         if self._before is not None:
-            termios.tcsetattr(self._file, termios.TCSADRAIN, self._before)  # type: ignore[arg-type]
+            with suppress(termios.error):  # a terminal that has gone
+                termios.tcsetattr(self._file, termios.TCSADRAIN, self._before)  # type: ignore[arg-type]
 
     def _run(self) -> None:
         decoder = codecs.getincrementaldecoder("utf-8")(errors="replace")
         while not self._stopping.is_set():
             if not select.select([self._file], [], [], 0.1)[0]:
                 continue
-            data = os.read(self._file, 4096)
+            try:
+                data = os.read(self._file, 4096)
+            except OSError:  # a terminal that has gone
+                break
             if not data:
                 break
             for character in decoder.decode(data):
                 self._press(character)
-        self._press("\n")  # a last line without an end
+        self._press("\n")  # the last line may lack its newline
 
     def _press(self, key: str) -> None:
         if key in _LINE_ENDS:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cognitivedrone.control.fence import Fence
-from cognitivedrone.control.safety import Guard, SafetyConfig, Timeouts
+from cognitivedrone.control.safety import SafetyConfig, Timeouts
 from cognitivedrone.errors import CameraError, LinkError
 from cognitivedrone.plan import SafetySpec, VehicleSpec
 from cognitivedrone.types import Track
@@ -18,8 +18,8 @@ from cognitivedrone.vehicles.external import LinkReport
 from cognitivedrone.vehicles.gazebo.bindings import load_bindings
 from cognitivedrone.vehicles.gazebo.sensing import GazeboCamera
 from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
+from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
 
 FLAG = "--i-understand-this-flies-a-real-drone"
 TLOG_FILE = "flight.tlog"
@@ -54,7 +54,7 @@ class MavlinkVehicle:
 
     def __init__(
         self,
-        drone: MavlinkDrone,
+        drone: GuardedDrone,
         camera: TimestampedCamera,
         *,
         simulated: bool,
@@ -120,7 +120,7 @@ def open_mavlink(request: Request) -> MavlinkVehicle:
         raise LinkError(f"{spec.link} may be a real drone: read docs/real-drone.md, then add {FLAG}")
     changing = ChangingCamera(open_source(safety.camera))
     camera = TimestampedCamera(changing)
-    drone = MavlinkDrone(spec.url, camera, guard_of(safety), mavlink_config(safety, request.folder))
+    drone = GuardedDrone(spec.url, camera, safety_rules(safety), mavlink_config(safety, request.folder))
     simulated = spec.on_loopback and drone.simulated
     if not simulated and (not consent or safety.clock == "vehicle"):
         drone.close()
@@ -142,10 +142,10 @@ def open_source(source: str) -> Camera:
     return GazeboCamera(load_bindings(), topic)
 
 
-def guard_of(safety: SafetySpec) -> Guard:
+def safety_rules(safety: SafetySpec) -> SafetyConfig:
     """The rules of safety as the options have them."""
     patience = Timeouts(safety.policy_patience, max(1.0, 2 * safety.policy_patience))
-    return Guard(SafetyConfig(fence=Fence(radius_m=safety.fence_radius, ceiling_m=safety.ceiling), policy=patience))
+    return SafetyConfig(fence=Fence(radius_m=safety.fence_radius, ceiling_m=safety.ceiling), policy=patience)
 
 
 def mavlink_config(safety: SafetySpec, folder: Path | None) -> MavlinkConfig:

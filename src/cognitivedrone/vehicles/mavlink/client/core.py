@@ -24,9 +24,9 @@ from cognitivedrone.control.health import Health
 from cognitivedrone.errors import LinkError
 from cognitivedrone.frames import flu_to_frd
 from cognitivedrone.types import Action, FloatArray
-from cognitivedrone.vehicles.mavlink.client.connection import Connection, Vehicle
+from cognitivedrone.vehicles.mavlink.client.connection import Connection
 from cognitivedrone.vehicles.mavlink.client.guard import Decision, Guard
-from cognitivedrone.vehicles.mavlink.client.handshake import HOME_POSITION, MavlinkConfig, meet
+from cognitivedrone.vehicles.mavlink.client.handshake import HOME_POSITION, MavlinkConfig, Met, meet
 from cognitivedrone.vehicles.mavlink.client.health import OWN_TARGETS_S, Asked, Baseline, health_of
 from cognitivedrone.vehicles.mavlink.client.parameters import ParameterChanges, journal_of
 from cognitivedrone.vehicles.mavlink.client.preflight import NAMES, Checklist, Facts, build_checklist, corrections
@@ -55,9 +55,7 @@ class FlightCore:
     Raises `LinkError` for a link that cannot be opened, `MissingExtra` without pymavlink.
     """
 
-    vehicle: Vehicle
-    version: tuple[int, int] | None
-    simulated: bool
+    met: Met
 
     def __init__(
         self,
@@ -78,6 +76,7 @@ class FlightCore:
         """When the take-off ended, by `clock`."""
         self._url = url
         self._guard = guard
+        self._threaded = threaded
         self._lock = threading.RLock()
         self._command: FloatArray | None = None
         self._command_at = self._frame_at = 0.0
@@ -101,14 +100,19 @@ class FlightCore:
 
     def meet(self) -> None:
         """Wait for the vehicle and see that it can be flown. Raises `LinkError`."""
-        self.vehicle, self.version, self.simulated, key = meet(self.link, self._url, self.config)
+        self.met = meet(self.link, self._url, self.config)
         if self.config.put_back:
-            self._changes = ParameterChanges(journal_of(key))
+            self._changes = ParameterChanges(journal_of(self.met.key))
 
     @property
     def telemetry(self) -> Telemetry:
         """The newest of everything that the vehicle has said."""
         return self.link.telemetry
+
+    @property
+    def restoring(self) -> bool:
+        """Whether parameters of the vehicle are still to be put back, by `watch`."""
+        return self.phase == "released" and bool(self._changes.open) and self.config.put_back
 
     @property
     def over(self) -> str | None:
@@ -131,7 +135,7 @@ class FlightCore:
         return build_checklist(
             Facts(
                 now=monotonic(),
-                version=self.version,
+                version=self.met.version,
                 values=values,
                 changed=changed,
                 telemetry=self.telemetry,
@@ -140,7 +144,7 @@ class FlightCore:
                 frame_age_s=frame_age_s,
                 takeoff_height_m=config.takeoff_height_m,
                 ceiling_m=config.ceiling_m,
-                judges_time=config.clock == "wall" and not self.simulated,
+                judges_time=config.clock == "wall" and not self.met.simulated,
             ),
             config.only,
         )
@@ -154,17 +158,22 @@ class FlightCore:
         """
         if self.telemetry.armed:
             raise LinkError("the vehicle is armed already: somebody flies it; land and disarm it first")
-        self._get_ready()
-        checklist = self.checklist(frame_age())
-        if checklist.bad:
-            raise LinkError(f"not fit to fly:\n{checklist}\nchange what is bad, or allow it: set_parameters=True")
-        if not confirm(checklist):
-            raise LinkError("the take-off was not confirmed; nothing was armed")
-        self._modes = frozenset({self.telemetry.mode})
-        self._set_mode("GUIDED")
+        try:
+            self._get_ready()
+            checklist = self.checklist(frame_age())
+            if checklist.bad:
+                raise LinkError(f"not fit to fly:\n{checklist}\nchange what is bad, or allow it: set_parameters=True")
+            if not confirm(checklist):
+                raise LinkError("the take-off was not confirmed; nothing was armed")
+            self._modes = frozenset({self.telemetry.mode})
+            self._set_mode("GUIDED")
+        except LinkError:
+            with suppress(LinkError):  # what stays is in the journal, for the next start
+                self._changes.put_back(self.link)
+            raise
         self.home = self.telemetry.position
         with self._lock:
-            self._check_wanted()
+            self.check_wanted()
             self.phase = "climbing"  # from here on the drone is ours to bring down
         self.link.command(ARM, 1, what="arming")
         if not self.link.until(lambda: self.telemetry.armed or self.phase != "climbing", 3.0):
@@ -233,8 +242,9 @@ class FlightCore:
 
     def close(self) -> None:
         """Put the vehicle's parameters back, and hang up."""
-        with suppress(LinkError):  # what stays is in the journal, for the next start
-            self._changes.put_back(self.link, flying=self.telemetry.armed)
+        if self._threaded:  # who listens by itself cannot wait: `watch` has put back what it could
+            with suppress(LinkError):
+                self._changes.put_back(self.link, flying=self.telemetry.armed)
         self.link.close()
 
     def watch(self) -> None:
@@ -260,7 +270,7 @@ class FlightCore:
         """Wait until it knows where it is and its own checks pass."""
 
         def ready() -> bool:
-            self._check_wanted()
+            self.check_wanted()
             return self.telemetry.estimating and self.telemetry.prearm is not False
 
         if not self.link.until(ready, self.config.ready_timeout_s):
@@ -292,7 +302,8 @@ class FlightCore:
                 f" ordered{last_words(self.telemetry, began)}"
             )
 
-    def _check_wanted(self) -> None:
+    def check_wanted(self) -> None:
+        """Raise `LinkError` where it was told to land before it was in the air."""
         if self._given_up:
             raise LinkError(f"the take-off was given up: {self._given_up}")
 
@@ -309,7 +320,7 @@ class FlightCore:
         now = monotonic()
         self._sent = tuple(sent for sent in self._sent if now - sent[0] < 2 * OWN_TARGETS_S)
         asked = Asked(self.clock(), self._command, self._command_at, self._frame_at, self._modes, self._sent)
-        judges_time = self.config.clock == "wall" and not self.simulated
+        judges_time = self.config.clock == "wall" and not self.met.simulated
         return health_of(
             self.telemetry,
             self.link.traffic,
@@ -360,7 +371,7 @@ class FlightCore:
         self._sent = (*self._sent, (monotonic(), float(np.linalg.norm(action[:3]))))
         boot_ms = int((monotonic() - self._opened) * 1000)
         self.link.send(
-            "set_position_target_local_ned", boot_ms, self.vehicle.system, self.vehicle.component, BODY_NED,
+            "set_position_target_local_ned", boot_ms, self.met.vehicle.system, self.met.vehicle.component, BODY_NED,
             VELOCITY_AND_YAW_RATE, 0, 0, 0, *map(float, velocity), 0, 0, 0, 0, float(yaw_rate),
         )  # fmt: skip
         return action

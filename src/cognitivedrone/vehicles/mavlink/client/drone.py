@@ -18,7 +18,7 @@ from time import sleep
 from cognitivedrone.errors import LinkError
 from cognitivedrone.types import Action, Observation
 from cognitivedrone.vehicles.camera import Camera
-from cognitivedrone.vehicles.mavlink.client.connection import Connection, Vehicle
+from cognitivedrone.vehicles.mavlink.client.connection import Connection
 from cognitivedrone.vehicles.mavlink.client.core import PAUSE_S, FlightCore, LandingMode
 from cognitivedrone.vehicles.mavlink.client.guard import Decision, Guard
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
@@ -45,6 +45,8 @@ class MavlinkDrone:
             self._core = FlightCore(url, guard, self.config, log=PacketLog(writer.sink if writer else None).put)
             undo.callback(self._core.close)
             self._core.meet()
+            self.vehicle, self.simulated = self._core.met.vehicle, self._core.met.simulated
+            """Who is flown, and whether it says that it is this project's simulator."""
             self._undo = undo.pop_all()
 
     def __enter__(self) -> MavlinkDrone:
@@ -57,16 +59,6 @@ class MavlinkDrone:
     def link(self) -> Connection:
         """The conversation with the vehicle."""
         return self._core.link
-
-    @property
-    def vehicle(self) -> Vehicle:
-        """Who is flown."""
-        return self._core.vehicle
-
-    @property
-    def simulated(self) -> bool:
-        """Whether the vehicle says that it is this project's simulator."""
-        return self._core.simulated
 
     @property
     def telemetry(self) -> Telemetry:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.mavlink.client.connection import Connection, Vehicle
@@ -51,7 +51,8 @@ class MavlinkConfig:
     landing_timeout_s: float = 60.0
 
 
-class Met(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Met:
     """A vehicle that can be flown."""
 
     vehicle: Vehicle

@@ -11,6 +11,7 @@ import socket
 import sys
 import threading
 from collections import deque
+from contextlib import suppress
 
 MOST_BYTES = 64 << 20
 """That wait for a slow disk; what comes then is lost."""
@@ -73,7 +74,8 @@ def _write(record: bytes, position: int) -> int:
         while written < len(record):
             written += os.pwrite(1, record[written:], position + written)
     except OSError:
-        os.ftruncate(1, position)
+        with suppress(OSError):
+            os.ftruncate(1, position)
         raise
     return position + len(record)
 
