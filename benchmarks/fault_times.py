@@ -32,11 +32,13 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "vehicles"))
 
 from peer import MODES, Peer, playing
+from test_hazards import FAULTS as VEHICLE_FAULTS
+from test_hazards import NAMES
 
 TESTS = Path(__file__).parents[1] / "tests" / "vehicles"
 PERIOD_S = 0.1
 """Of the pilot's commands."""
-LATEST_S = 20.0
+LATEST_S = 25.0
 """What has not happened by then is not counted as having happened."""
 PILOT = """
 import os, re, sys, threading, time
@@ -180,6 +182,17 @@ def cut_downlink(flight: Flight) -> float:
     return time.monotonic()
 
 
+def of_the_vehicle(change: Callable[[Peer], None]) -> Callable[[Flight], float]:
+    """Let the vehicle do something."""
+
+    def inject(flight: Flight) -> float:
+        now = time.monotonic()
+        change(flight.peer)
+        return now
+
+    return inject
+
+
 def go_on(flight: Flight) -> float:
     return time.monotonic()
 
@@ -214,6 +227,14 @@ FAULTS: dict[str, Fault] = {
     "camera closed": Fault(told, does="camera.closes_at = 0.0"),
     "downlink cut": Fault(cut_downlink, land_s=7.0),
     "disk of the log full": Fault(go_on, land_s=None, log="/dev/full"),
+}
+PATIENT_S: dict[str, float] = {"silent_status": 3.0, "silent_battery": 3.0}
+"""Where the default rules wait longer than those of the tests."""
+FAULTS |= {
+    f"vehicle: {name.replace('_', ' ')}": Fault(
+        of_the_vehicle(inject), safe_s=PATIENT_S.get(name, within_s) + 0.2, land_s=20.0
+    )
+    for name, (inject, _, _, within_s) in zip(NAMES, VEHICLE_FAULTS, strict=True)
 }
 
 

@@ -475,6 +475,43 @@ def test_the_loop_flies_the_simulator_over_mavlink_and_lands_it():
         assert sky.vehicle.state().position[2] == pytest.approx(start[2], abs=0.1)
 
 
+def braked_then_killed(sky: Sky) -> MavlinkDrone:
+    """Stopped for good by the rules, and then as after `kill -9`."""
+    config = MavlinkConfig(clock="vehicle", set_parameters=True, takeoff_height_m=1.0)
+    drone = MavlinkDrone(sky.url, StillCamera(), Guard(replace(CALM, land_after_brake_s=1e6)), config)
+    drone.take_off(lambda _: True)
+    drone.send(FORWARD)
+    soon(lambda: drone.decision.kind == "brake", 20)
+    drone.link.close()
+    return drone
+
+
+def test_killed_after_we_have_stopped_it_the_vehicle_still_lands():
+    with Sky(speed=8) as sky:
+        braked_then_killed(sky)
+        assert sky.vehicle.parameters["FS_OPTIONS"] == 16  # as ArduCopter comes
+        assert sky.vehicle.modes.mode == Mode.GUIDED
+        soon(lambda: sky.vehicle.modes.mode == Mode.LAND, 20)
+        soon(lambda: not sky.vehicle.modes.armed, 20)
+
+
+@pytest.mark.parametrize("mode", [Mode.RTL, Mode.LOITER])
+def test_after_a_take_over_nothing_we_configured_acts_when_we_end(mode):
+    with Sky(speed=8) as sky:
+        config = MavlinkConfig(clock="vehicle", set_parameters=True, takeoff_height_m=1.0)
+        sky.vehicle.parameters.set("RTL_LOIT_TIME", 60000)
+        with MavlinkDrone(sky.url, StillCamera(), Guard(CALM), config) as drone:
+            drone.take_off(lambda _: True)
+            drone.send(FORWARD)
+            assert sky.vehicle.parameters["FS_GCS_ENABLE"] == 5
+            sky.vehicle.pilot(mode)
+            soon(lambda: drone.over)
+            soon(lambda: sky.vehicle.parameters["FS_GCS_ENABLE"] == 0)
+        ended = sky.vehicle.time
+        soon(lambda: sky.vehicle.time > ended + 8, 20)
+        assert sky.vehicle.modes.mode == mode
+
+
 def test_the_simulators_pilot_takes_over():
     with Sky(speed=8) as sky:
         config = MavlinkConfig(clock="vehicle", set_parameters=True, takeoff_height_m=1.0)

@@ -76,6 +76,7 @@ class FlightCore:
         """When the take-off ended, by `clock`."""
         self._url = url
         self._guard = guard
+        self._threaded = threaded
         self._lock = threading.RLock()
         self._command: FloatArray | None = None
         self._command_at = self._frame_at = 0.0
@@ -107,6 +108,11 @@ class FlightCore:
     def telemetry(self) -> Telemetry:
         """The newest of everything that the vehicle has said."""
         return self.link.telemetry
+
+    @property
+    def restoring(self) -> bool:
+        """Whether parameters of the vehicle are still to be put back, by `watch`."""
+        return self.phase == "released" and bool(self._changes.open) and self.config.put_back
 
     @property
     def over(self) -> str | None:
@@ -152,14 +158,19 @@ class FlightCore:
         """
         if self.telemetry.armed:
             raise LinkError("the vehicle is armed already: somebody flies it; land and disarm it first")
-        self._get_ready()
-        checklist = self.checklist(frame_age())
-        if checklist.bad:
-            raise LinkError(f"not fit to fly:\n{checklist}\nchange what is bad, or allow it: set_parameters=True")
-        if not confirm(checklist):
-            raise LinkError("the take-off was not confirmed; nothing was armed")
-        self._modes = frozenset({self.telemetry.mode})
-        self._set_mode("GUIDED")
+        try:
+            self._get_ready()
+            checklist = self.checklist(frame_age())
+            if checklist.bad:
+                raise LinkError(f"not fit to fly:\n{checklist}\nchange what is bad, or allow it: set_parameters=True")
+            if not confirm(checklist):
+                raise LinkError("the take-off was not confirmed; nothing was armed")
+            self._modes = frozenset({self.telemetry.mode})
+            self._set_mode("GUIDED")
+        except LinkError:
+            with suppress(LinkError):  # what stays is in the journal, for the next start
+                self._changes.put_back(self.link)
+            raise
         self.home = self.telemetry.position
         with self._lock:
             self.check_wanted()
@@ -229,14 +240,11 @@ class FlightCore:
                 f" {self.telemetry.mode}{last_words(self.telemetry, monotonic() - 5)}; take over by hand"
             )
 
-    def put_back(self) -> None:
-        """Put the vehicle's parameters back, waiting for it; those of a pilot's flight that may not go now stay."""
-        with suppress(LinkError):  # what stays is in the journal, for the next start
-            self._changes.put_back(self.link, flying=self.telemetry.armed)
-
     def close(self) -> None:
         """Put the vehicle's parameters back, and hang up."""
-        self.put_back()
+        if self._threaded:  # who listens by itself cannot wait: `watch` has put back what it could
+            with suppress(LinkError):
+                self._changes.put_back(self.link, flying=self.telemetry.armed)
         self.link.close()
 
     def watch(self) -> None:

@@ -177,9 +177,9 @@ class Snapshot:
 class Reply:
     """Something that is told once."""
 
-    kind: Literal["met", "checklist", "flying", "failed", "cut", "text", "back", "words"]
+    kind: Literal["met", "checklist", "flying", "failed", "cut", "text", "words"]
     """The vehicle was met; the checklist; the climb is over; what was asked for failed; the link was cut; a text of the
-    vehicle; its parameters were put back; the last words of the guard."""
+    vehicle; the last words of the guard."""
     content: Any = None
     """JSON."""
 

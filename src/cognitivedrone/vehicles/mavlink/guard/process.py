@@ -49,8 +49,8 @@ REOPEN_S, GIVE_UP_S = 0.5, 60.0
 """A link that was cut is opened again that often, for so long."""
 GONE_S = 300.0
 """A vehicle that has been silent for so long is not waited for any more, once the pilot process is done."""
-PUT_BACK_S = 10.0
-"""For the vehicle's parameters, at the end."""
+RESTORE_S = 3.0
+"""For the vehicle's parameters to be put back, on the ground; what is not is left to the next start."""
 LANDED, FAILED, LOST, LEFT = 0, 2, 3, 4
 """Exit codes: on the ground; could not begin; the vehicle was lost; dismissed, or told to leave, while it was armed."""
 NAMES = {signal.SIGHUP: "the terminal has gone (SIGHUP)", signal.SIGTERM: "SIGTERM", signal.SIGINT: "SIGINT"}
@@ -87,6 +87,7 @@ class GuardProcess:
         self._cut_at: float | None = None
         self._opened_at = -np.inf
         self._leaving = self._dismissed = False
+        self._landed_at: float | None = None
         self._wake, self._woken = socket.socketpair()
 
     def run(self) -> int:
@@ -98,10 +99,6 @@ class GuardProcess:
             signal.signal(number, lambda number, _: self._signals.append(number))
         self._begin(self._meet)
         while (code := self._code()) is None:
-            self._go_on()
-        self._begin(self._put_back)
-        until = time.monotonic() + PUT_BACK_S
-        while self._worker is not None and time.monotonic() < until:
             self._go_on()
         self._say(Reply("words", _LAST_WORDS[code]))
         self._tell()
@@ -199,7 +196,8 @@ class GuardProcess:
         if self._cut_at is not None and now - self._cut_at > GIVE_UP_S:
             return LOST
         if core.phase == "released" and not core.telemetry.armed:
-            return LANDED
+            self._landed_at = self._landed_at or now
+            return None if core.restoring and now - self._landed_at < RESTORE_S else LANDED
         return LOST if now - core.telemetry.heard_at > GONE_S else None
 
     # The pilot process.
@@ -322,10 +320,6 @@ class GuardProcess:
     def _take_off(self) -> Reply:
         self._core.take_off(self._confirm, lambda: time.monotonic() - self._frame_at)
         return Reply("flying")
-
-    def _put_back(self) -> Reply:
-        self._core.put_back()
-        return Reply("back")
 
     def _confirm(self, checklist: Checklist) -> bool:
         self._say(Reply("checklist", to_json(checklist)))
