@@ -60,12 +60,26 @@ class LinkReport:
     command came."""
     restarts: int = 0
     """How often it had to be started anew, after a crash or a failsafe of its own."""
+    reasons: tuple[str, ...] = field(default=(), metadata={"json": "where set"})
+    """Why each of them was given up, in words, oldest first."""
 
     def __add__(self, other: LinkReport) -> LinkReport:
-        return LinkReport(self.frames + other.frames, self.lost + other.lost, self.restarts + other.restarts)
+        """Both together, the other one later."""
+        return LinkReport(
+            self.frames + other.frames,
+            self.lost + other.lost,
+            self.restarts + other.restarts,
+            self.reasons + other.reasons,
+        )
 
-    def __sub__(self, other: LinkReport) -> LinkReport:
-        return LinkReport(self.frames - other.frames, self.lost - other.lost, self.restarts - other.restarts)
+    def __sub__(self, before: LinkReport) -> LinkReport:
+        """What has happened since `before`, an earlier report of the same link."""
+        return LinkReport(
+            self.frames - before.frames,
+            self.lost - before.lost,
+            self.restarts - before.restarts,
+            self.reasons[len(before.reasons) :],
+        )
 
 
 class ExternalFlight(ABC):
