@@ -137,7 +137,7 @@ class TestBeforeAnythingHeavyIsLoaded:
     def test_too_little_of_the_host_to_quantise(self, folder, monkeypatch):
         monkeypatch.setattr(checkpoints, "free_memory", lambda: 1_000_000)
         with pytest.raises(
-            PolicyError, match=r"quant=int8: .* read whole .* 0\.0 GB of the host's memory, has 0\.0 GB"
+            PolicyError, match=r"quant=int8: the whole network is read .* 0\.0 GB of the host's memory, has 0\.0 GB"
         ):
             make_policy(f"openvla:{folder},quant=int8,device=cpu")
 

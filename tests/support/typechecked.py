@@ -10,7 +10,14 @@ from beartype import beartype
 from jaxtyping import AbstractArray, config, install_import_hook
 
 CHECKED: tuple[str, ...] = ("types", "frames", "sim.camera", "sim.simulator", "sim.views", "envs.drone", "control.loop")
-CHECKED += ("models", "policies.small", "policies.openvla", "data.episode")
+CHECKED += (
+    "models.small_file",
+    "models.reasoner_file",
+    "models.openvla.actions",
+    "policies.small",
+    "policies.openvla",
+    "data.episode",
+)
 """Where arrays pass from one part to another. The arithmetic of one tick is left out: it is called too often."""
 
 
