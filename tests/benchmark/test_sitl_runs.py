@@ -73,8 +73,8 @@ def test_the_reason_of_every_restart_is_in_the_results_and_the_table(config):
 @pytest.mark.parametrize(
     ("change", "binary", "says"),
     [
-        ({}, "", r"needs an ArduCopter binary: set ARDUCOPTER to its path; docs/ardupilot\.md"),
-        ({}, "pyproject.toml", "is not a program that can be run: set ARDUCOPTER"),
+        ({}, "", r"needs an ArduCopter binary: give --sitl PATH or set ARDUCOPTER to its path; docs/ardupilot\.md"),
+        ({}, "pyproject.toml", "is not a program that can be run: give --sitl PATH or set ARDUCOPTER"),
         ({"airframe": "iriss"}, "/bin/true", "did you mean 'iris'"),
     ],
 )

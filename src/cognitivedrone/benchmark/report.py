@@ -119,7 +119,7 @@ def render_report(
         segments=_segments(summary.overall),
         other_rule=next((rule, results.summary(rule).overall) for rule in RULES if rule != results.rule),
         published=PUBLISHED if comparable(results) else (),
-        async_reasoner=summary.overall.reasoner,
+        reasoner=summary.overall.reasoner,
         maps=list(_maps(results.episodes, traces, summary)),
         failed_films=[film for film in films if not film.passed],
         passed_films=[film for film in films if film.passed],

@@ -58,16 +58,16 @@ def _reasoning(summary: Summary) -> Iterator[RenderableType]:
     table = new_table("the reasoner's directives", "", "n", "right gate", "95 % CI", "size", "colour", "shape")
     rows = [("overall", summary.overall), *summary.categories.items(), *summary.families.items()]
     for name, score in rows:
-        async_reasoner = score.reasoner
-        if async_reasoner is not None:
+        reasoner = score.reasoner
+        if reasoner is not None:
             parts = (
-                percent(async_reasoner.gate),
-                interval(async_reasoner.gate_ci95),
-                *map(percent, (async_reasoner.size, async_reasoner.color, async_reasoner.shape)),
+                percent(reasoner.gate),
+                interval(reasoner.gate_ci95),
+                *map(percent, (reasoner.size, reasoner.color, reasoner.shape)),
             )
             indent = "  " if name in summary.families else ""
             table.add_row(
-                Text(indent + words(name)), str(async_reasoner.n), *parts, style="bold" if name == "overall" else ""
+                Text(indent + words(name)), str(reasoner.n), *parts, style="bold" if name == "overall" else ""
             )
     yield table
     faults = ", ".join(f"{words(kind)} {count}" for kind, count in thought.faults.items()) or "none"
