@@ -97,7 +97,11 @@ class Drone(Protocol):
 
 
 class Clock(Protocol):
-    """Where the loop takes its time from: the wall, or the simulation."""
+    """Where the loop takes its time from: the wall, or the simulation.
+
+    One whose time goes on in steps, as a vehicle tells it, has the length of a step in s as `resolution_s`: so much
+    late is in time.
+    """
 
     def now(self) -> float: ...
 
