@@ -282,6 +282,20 @@ class StageResult:
 
 
 @dataclass(frozen=True, slots=True)
+class GuardReport:
+    """How many commands of a flight the rules of safety changed, by what changed them."""
+
+    touched: int = 0
+    """Commands that were changed at all; by several of what follows, perhaps."""
+    speed: int = 0
+    """Beyond the largest speed."""
+    slew: int = 0
+    """A jump from the command before."""
+    fence: int = 0
+    """Outwards at the fence, its floor and its ceiling included."""
+
+
+@dataclass(frozen=True, slots=True)
 class EpisodeResult:
     """One flight: a stage, or the stages of a track in order."""
 
@@ -293,3 +307,5 @@ class EpisodeResult:
     """Control steps flown."""
     message: str = ""
     """Why the episode is invalid or the policy failed, in one sentence."""
+    guard: GuardReport | None = field(default=None, metadata={"json": "where set"})
+    """What the rules of safety changed, where they flew along."""

@@ -31,6 +31,8 @@ class FlyPlan(Options):
     best. The suite auto is open-v1:smoke, or for an instruction of your own whichever shows what it asks for."""
     hold_below: float = 0.5
     """Hover while the reasoner is less sure than this, 0 to 1, that what is asked for is there; 0 never hovers."""
+    gates: int = 1
+    """With mavlink: land after so many gates, by the pilot's own estimate; 0 flies on until the time limit."""
     time_limit: float = 60.0
     """Seconds of flight, then it lands."""
     out: Path | None = None
@@ -43,6 +45,8 @@ class FlyPlan(Options):
     def __post_init__(self) -> None:
         if not 0 < self.time_limit < float("inf"):
             raise LinkError(f"--time-limit is {self.time_limit}; it is a number of seconds above 0")
+        if self.gates < 0:
+            raise LinkError(f"--gates is {self.gates}; give 1 or more, or 0 to fly on until the time limit")
         if not 0 <= self.hold_below <= 1:
             raise LinkError(f"--hold-below is {self.hold_below}; it is a confidence from 0 to 1")
         if problem := unprintable(self.instruction):

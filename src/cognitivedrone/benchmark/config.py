@@ -27,6 +27,9 @@ class Plan(Options):
     latency: str = field(default="none", metadata={"identity": "latency", "written": "where set"})
     """Inference latency that is charged to the simulated clock: none, measured, or policy=80ms,reasoner=450ms (a part
     may also be measured, or a file with a number of ms a line)."""
+    guard: bool = field(default=False, metadata={"identity": "guard", "written": "where set"})
+    """Apply the speed limits and the geofence that vehicles are flown with to every command, and count what they
+    change (docs/real-drone.md)."""
     rule: Rule = "through"
     """The rule that the table and the report show first; results.json always holds both."""
     workers: int | None = field(default=None, metadata=_NEVER)

@@ -84,7 +84,7 @@ def check_chunk(chunk: object) -> ActionChunk:
 
 
 def resolution_of(clock: Clock) -> float:
-    """How coarse a clock is, s: `resolution_s`, where it has one. One that tells the vehicle's time goes on in steps."""
+    """The steps in which a clock goes on, s: `resolution_s`, where it has one."""
     return float(getattr(clock, "resolution_s", 0.0))
 
 

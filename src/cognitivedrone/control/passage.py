@@ -8,6 +8,7 @@ passed: neither the size of the gate nor its distance needs to be known. Which g
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,16 @@ CONTRASTS = (180, 40)
 picture that shows a paler shade of its colour; the second finds a gate in bad light."""
 SLOWEST_M_S = 0.2
 """Slower than this forward there is no direction of flight."""
+
+
+class Sighting(NamedTuple):
+    """What surrounded the direction of flight in one colour."""
+
+    flown_m: float
+    """Distance flown until then, forward less backward."""
+    turned_rad: float
+    """Turned until then, to the left."""
+    width_px: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +52,11 @@ class PassageConfig:
     beyond_m: float = 0.35
     """So far behind the gate's plane it is passed."""
     forget_m: float = 3.0
-    """So far after the last sighting the gate is forgotten: it was another way."""
+    """So far after the last sighting the gate is forgotten: the way led elsewhere."""
+    retreat_m: float = 0.3
+    """So far back from the last sighting, too."""
+    turn_rad: float = 0.6
+    """Turned so far since the last sighting, too."""
 
 
 class Passage:
@@ -52,9 +67,9 @@ class Passage:
         self.gates = 0
         """Flown through so far."""
         self._time: float | None = None
-        self._flown_m = 0.0
-        self._seen: tuple[list[tuple[float, float]], ...] = tuple([] for _ in COLORS)
-        """By colour: the distance flown, m, and the width, pixels, of each sighting of the gate ahead."""
+        self._flown_m = self._turned_rad = 0.0
+        self._seen: tuple[list[Sighting], ...] = tuple([] for _ in COLORS)
+        """By colour: the sightings of the gate ahead."""
 
     def update(self, observation: Observation) -> bool:
         """Whether this observation is the first behind a gate."""
@@ -62,33 +77,37 @@ class Passage:
         self._time = observation.time
         velocity = np.asarray(observation.velocity, dtype=np.float64)
         self._flown_m += float(velocity[0]) * elapsed
+        self._turned_rad += observation.yaw_rate * elapsed
+        for seen in self._seen:
+            if seen and self._is_left(seen[-1]):
+                seen.clear()
         if velocity[0] < SLOWEST_M_S:
             return False
         point = direction_of_flight(observation.image, velocity)
-        # All three colours, with a list and no generator: each must see every observation.
-        passed = any([
-            self._follow(seen, self._width(clear, point))
-            for seen, clear in zip(self._seen, colour_contrasts(observation.image), strict=True)
-        ])  # fmt: skip
+        passed = False
+        for seen, clear in zip(self._seen, colour_contrasts(observation.image), strict=True):
+            passed |= self._follow(seen, self._width(clear, point))
         if passed:
             self.gates += 1
             for seen in self._seen:
                 seen.clear()
         return passed
 
-    def _follow(self, seen: list[tuple[float, float]], width: float | None) -> bool:
+    def _follow(self, seen: list[Sighting], width: float | None) -> bool:
         """Take a sighting, or that there is none, of the gate of one colour; whether it has been passed."""
         if width is None:
-            passed = self._is_passed(seen)
-            if seen and self._flown_m > seen[-1][0] + self.config.forget_m:
-                seen.clear()
-            return passed
+            return self._is_passed(seen)
         passed = False
-        if seen and width < self.config.shrink * seen[-1][1]:
+        if seen and width < self.config.shrink * seen[-1].width_px:
             passed = self._is_passed(seen)
             seen.clear()
-        seen.append((self._flown_m, width))
+        seen.append(Sighting(self._flown_m, self._turned_rad, width))
         return passed
+
+    def _is_left(self, last: Sighting) -> bool:
+        """Whether the drone has left the gate that it saw last like that."""
+        flown, turned = self._flown_m - last.flown_m, abs(self._turned_rad - last.turned_rad)
+        return not -self.config.retreat_m <= flown <= self.config.forget_m or turned > self.config.turn_rad
 
     def _width(self, clear: NDArray[np.int16], point: tuple[float, float]) -> float | None:
         """Width in pixels of what surrounds a point (row, column) in one colour, if there is something."""
@@ -100,18 +119,19 @@ class Passage:
                 if rows.start <= point[0] < rows.stop
                 and columns.start <= point[1] < columns.stop
                 # What an edge of the image cuts is wider than it looks.
-                and 0 < columns.start
+                and columns.start > 0
                 and columns.stop < clear.shape[1]
             ]
             if max(widths, default=0.0) >= self.config.narrowest_px:
                 return max(widths)
         return None
 
-    def _is_passed(self, seen: list[tuple[float, float]]) -> bool:
+    def _is_passed(self, seen: list[Sighting]) -> bool:
         """Whether the plane of the gate that was seen like that is behind the drone."""
-        if not seen or seen[-1][1] < max(self.config.near_px, self.config.growth * seen[0][1]):
+        if not seen or seen[-1].width_px < max(self.config.near_px, self.config.growth * seen[0].width_px):
             return False
-        plane = plane_at(np.array(seen[-self.config.fitted :]))
+        last = seen[-self.config.fitted :]
+        plane = plane_at(np.array([(one.flown_m, one.width_px) for one in last]))
         return plane is not None and self._flown_m >= plane + self.config.beyond_m
 
 
