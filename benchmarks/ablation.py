@@ -3,8 +3,9 @@
 Run: python benchmarks/ablation.py OUT [--processes 2]
 
 Trains the recipes `ablation-*`, each but the first with one thing changed, flies `open-v1:test` with each twice (as the
-user says it, and told the gold directive) and prints a table. All trainings are equally short, far shorter than that of
-the shipped model, so the rows compare with each other and with nothing else. Stopped and started again, it goes on.
+user says it, and given the gold directive) and prints a table. All trainings are equally short, far shorter than that
+of the shipped model, so the rows compare with each other and with nothing else. A stopped run continues when started
+again.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Line:
 
 
 def measure(recipe: str, out: Path, processes: int) -> Line:
-    """Train a variant and fly it, or go on with that."""
+    """Train a variant and fly it, or continue with that."""
     model = out / recipe / "model.onnx"
     if not model.exists():
         train(TrainOptions(out / recipe, recipe, resume=True, processes=processes))

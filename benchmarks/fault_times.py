@@ -2,7 +2,7 @@
 
 Run: python benchmarks/fault_times.py
 
-Seven flights for each fault against the scripted vehicle of the tests, which tells its state and mode 50 times a
+Seven flights for each fault against the scripted vehicle of the tests, which reports its state and mode 50 times a
 second. A silent policy is at fault from when its next command is due, 0.1 s after its last.
 """
 

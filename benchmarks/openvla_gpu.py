@@ -12,8 +12,8 @@ With --together: the policy at 10 Hz and a reasoner of Qwen2.5-VL-7B's sizes at 
 were missed by over 10 ms, and how many of the answers that were due came at all. The reasoner answers by Transformers'
 own loop, as `vlm-local` does, and once more with its words recorded as a CUDA graph.
 
-Quantisations need torchao. What cannot be measured is told of in its row, and the rest goes on. On a machine without a
-GPU it says so and runs the tiny networks on the same paths, which tells nothing about the large ones.
+Quantisations need torchao. A failed measurement is reported in its row, and the rest continues. On a machine without a
+GPU it says so and runs the tiny networks on the same paths, which says nothing about the large ones.
 """
 
 from __future__ import annotations

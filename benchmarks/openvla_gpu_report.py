@@ -43,7 +43,7 @@ class Machine:
         return made
 
     def wait(self) -> None:
-        """Until the GPU has done all that it was told."""
+        """Wait until the GPU has finished all its work."""
         if self.large:
             torch.cuda.synchronize()
 
@@ -98,7 +98,7 @@ class Report:
 
     @contextmanager
     def measuring(self, name: str) -> Iterator[None]:
-        """Whatever fails within is told of in a row: the others are still to be measured, often on a rented card."""
+        """Report a failure in the block as a row: the others must still be measured, often on a rented GPU."""
         self.machine.forget()
         failed = None
         try:

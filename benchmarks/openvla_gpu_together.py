@@ -209,7 +209,7 @@ class Pace:
 def keep_pace(work: Callable[[], object], hz: float, seconds: float, begin: float) -> Pace:
     """Work at `begin`, s on the monotonic clock, and each period after it, each time to be done by the next.
 
-    The deadlines are absolute: whoever is late goes on at once, and has to catch up.
+    The deadlines are absolute: a late caller continues at once, and has to catch up.
     """
     due, times, missed = round(seconds * hz), [], 0
     for number in range(due):

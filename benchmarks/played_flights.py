@@ -90,7 +90,7 @@ def collect_into(out: Path, executor: Callable[..., Iterator[FlownEpisode]] = pl
 
 
 def collect_twice(out: Path) -> None:
-    """A collection that somebody stops by Ctrl-C in the middle of its second shard, and goes on with."""
+    """A collection that is stopped by Ctrl-C in its second shard, and then continued."""
 
     def stopped(*arguments: Any) -> Iterator[FlownEpisode]:
         yield from islice(play_back(*arguments), PER_SHARD + 1)

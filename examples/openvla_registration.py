@@ -1,4 +1,4 @@
-r"""Fine-tune OpenVLA on an RLDS export: tells OpenVLA's data loader of our data set, then runs its own script.
+r"""Fine-tune OpenVLA on an RLDS export: registers our data set with OpenVLA's data loader, then runs its own script.
 
 OpenVLA (https://github.com/openvla/openvla) knows arms: its loader takes 7 numbers an action, the last a gripper. Ours
 are 4 velocities, all of them normalised by their 1st and 99th percentile. Nothing of OpenVLA is changed on disk; the

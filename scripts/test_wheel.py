@@ -2,7 +2,7 @@
 
 Usage: PYTHON scripts/test_wheel.py [--lowest]
 
-The environment is of the Python that runs this script, lies in a temporary folder, and has the light extras: tests of
+The environment is of the Python that runs this script, is in a temporary folder, and has the light extras: tests of
 PyTorch and Ray are skipped. With --lowest every dependency that pyproject.toml names comes in the lowest
 version that it allows, as uv finds it.
 """

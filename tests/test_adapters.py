@@ -214,7 +214,7 @@ def test_who_takes_the_context_for_the_instruction_reads_what_to_change(when):
     if when == "act":
         policy.reset(CONTEXT)
     call: Any = policy.act if when == "act" else policy.reset
-    with pytest.raises(PolicyError, match=r"'mine': reset\(context\) is given .*; read context\.instruction$"):
+    with pytest.raises(PolicyError, match=r"'mine': reset\(context\) receives .*; read context\.instruction$"):
         call(CONTEXT)
 
 

@@ -75,7 +75,7 @@ def test_wind_is_felt(capsys, tmp_path, tiny_model_file):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("--wind", -1), "--wind is -1.0; it is a speed in m/s"),
+        (("--wind", -1), "--wind is -1.0; it must be 0 m/s or more"),
         (("--wind", "nan"), "--wind is nan"),
         (("--policy", "small:no/such/model.onnx"), "there is no model file no/such/model.onnx"),
         (("--policy", "small:pyproject.toml"), "not an ONNX file"),

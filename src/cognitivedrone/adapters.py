@@ -1,7 +1,7 @@
-"""Makes a user's object a whole `Policy` or `Reasoner`.
+"""Adapts a user's object to the full `Policy` or `Reasoner` interface.
 
-An object that inherits one of them is used as it is. Any other gets the defaults for the methods and attributes that it
-lacks. Classes written for the contract before `EpisodeContext` work as before, with a warning, until the next version.
+An object that inherits one of them is used unchanged. Any other gets defaults for the methods and attributes that it
+lacks. Classes written for the interface before `EpisodeContext` still work, with a warning, until the next version.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _OLD_METHODS = ("seed", "brief", "new_flight", "new_stage", "check")
 
 
 def as_policy(what: str, part: Any) -> Policy:
-    """`part` as a policy; `what` names it in messages. Raises `PolicyError` where it lacks `reset` or `act`."""
+    """`part` as a policy; `what` names it in messages. Raises `PolicyError` if it lacks `reset` or `act`."""
     if isinstance(part, Policy):
         return part
     _check_methods(what, part, "reset", "act")
@@ -28,7 +28,7 @@ def as_policy(what: str, part: Any) -> Policy:
 
 
 def as_reasoner(what: str, part: Any) -> Reasoner:
-    """`part` as a reasoner; `what` names it in messages. Raises `PolicyError` where it lacks `refine`."""
+    """`part` as a reasoner; `what` names it in messages. Raises `PolicyError` if it lacks `refine`."""
     if isinstance(part, Reasoner):
         return part
     _check_methods(what, part, "refine")
@@ -42,7 +42,7 @@ def _check_methods(what: str, part: Any, *methods: str) -> None:
 
 
 class _Adapted(PlugIn):
-    """A user's object that inherits nothing of ours."""
+    """Wraps a user's object that inherits none of our classes."""
 
     def __init__(self, what: str, part: Any, *, old: bool) -> None:
         self._what, self._part = what, part
@@ -83,14 +83,14 @@ class _Adapted(PlugIn):
 
     @contextmanager
     def _explained(self) -> Iterator[None]:
-        """Errors of a class that takes the context for the instruction say so."""
+        """Explain errors of a class that mistakes the context for the instruction."""
         try:
             yield
         except (AttributeError, TypeError) as error:
             if EpisodeContext.__name__ not in str(error):
                 raise
             raise PluginError(
-                f"{self._what}: reset(context) is given an EpisodeContext, no text ({error}); read context.instruction"
+                f"{self._what}: reset(context) receives an EpisodeContext, not text ({error}); read context.instruction"
             ) from error
 
 
@@ -113,7 +113,7 @@ def _old_methods(part: Any) -> tuple[str, ...]:
 
 
 def _takes_text(reset: Any) -> bool:
-    """Whether a method is written as `reset(self, instruction: str)`, by its parameter's name or type."""
+    """Whether a method has the form `reset(self, instruction: str)`, by its parameter's name or type."""
     try:
         parameters = [*inspect.signature(reset).parameters.values()]
     except (TypeError, ValueError):  # some classes written in C

@@ -1,4 +1,4 @@
-"""The words that decide something in more than one room, as types. Options use them, so nothing heavy is imported."""
+"""Literal types shared by several packages. Options use them, so this module imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ AppearanceName = Literal["plain", "varied"]
 ReasonerFault = Literal[
     "unreachable", "timeout", "http", "too_long", "garbage", "schema", "refusal", "no_such_gate", "unsure", "raised"
 ]
-"""What was wrong with an answer: no connection, too late, an HTTP error, more text than anybody needs, not JSON and not
-a sentence about a gate, a value of another shape, a polite refusal, a gate that there is not, "cannot tell", an
-exception of the reasoner's own."""
+"""Why an answer is unusable: no connection, too late, an HTTP error, too much text, neither JSON nor a sentence about a
+gate, a value of the wrong type, a refusal, a gate that does not exist, "cannot tell", an exception of the reasoner's
+own."""
 
 AnswerKind = Literal["adopted", "agreed", "kept"]
-"""What became of a directive: flown by from now on, the same as the present one, or not enough to replace it."""
+"""What the filter did with a directive: adopted it, found it equal to the current one, or kept the current one."""
 
 EventKind = (
     Literal["leg", "asked", "stale", "late", "guard", "hold", "sure", "over", "landed"] | AnswerKind | ReasonerFault
 )
 """What happened in a flight: a new instruction, a question, an answer to an earlier instruction, a missed deadline,
-what became of an answer; of `fly` also the safety rules' decision, `hold` and `sure` (it hovers since it is unsure, and
-flies on), and the flight's end."""
+what the filter did with an answer. `fly` adds the safety rules' decisions, `hold` and `sure` (it hovers because the
+reasoner is unsure, and flies on), and the flight's end."""
 
 DecisionKind = Literal["fly", "hold", "brake", "land", "hands_off"]
-"""What the safety rules decide, from the mildest to the last: `hands_off` leaves the vehicle to its pilot."""
+"""Decisions of the safety rules, from mildest to strictest; `hands_off` leaves the vehicle to its pilot."""

@@ -1,4 +1,4 @@
-"""The error tree. Every message names the place and the way out; the CLI prints it alone and exits with 2.
+"""The error tree. Every message names the place and the fix; the CLI prints it alone and exits with 2.
 
 CognitiveDroneError
 ├── UsageError       an unknown command
@@ -16,13 +16,13 @@ CognitiveDroneError
 │   ├── ActionError      an action of another shape than (k, 4), or not of numbers
 │   │   └── NonFiniteAction
 │   └── PolicyRaised
-├── ReasonerError    one answer of a reasoner that did not come or cannot be used; the flight goes on
-├── RunError         a benchmark run that cannot start, go on or be read
+├── ReasonerError    a reasoner's answer that is missing or unusable; the flight continues
+├── RunError         a benchmark run that cannot start, continue or be read
 ├── DataError        a data set that cannot be written, read or trusted
-├── TrainingError    a training that cannot start or go on, or a checkpoint that cannot be read
-├── LinkError        a vehicle that cannot be reached, refuses, or is not one that can be flown
+├── TrainingError    a training that cannot start or continue, or a checkpoint that cannot be read
+├── LinkError        a vehicle that cannot be reached, refuses a command, or cannot be flown
 ├── GazeboError      a Gazebo world that cannot be exported or checked, or a Gazebo that does not answer
-├── CameraError      a camera that cannot be opened, has gone silent, or has come to its end
+├── CameraError      a camera that cannot be opened, stopped sending frames, or reached the end of its file
 └── MissingExtra     an optional dependency is not installed
 """
 
@@ -48,7 +48,7 @@ class CognitiveDroneError(Exception):
 
 
 class UsageError(CognitiveDroneError):
-    """A command that there is not."""
+    """An unknown command."""
 
 
 class TaskError(CognitiveDroneError):
@@ -100,11 +100,11 @@ class ActionError(PolicyError):
 
 
 class NonFiniteAction(ActionError):
-    """The policy asked for a NaN or an infinite velocity: the flight ends, a run of many goes on."""
+    """The policy returned a NaN or infinite velocity: the flight ends, the benchmark run continues."""
 
 
 class PolicyRaised(PolicyError):
-    """A policy or reasoner raised an exception that is not of this package: the flight ends, a run of many goes on."""
+    """A policy or reasoner raised an exception of its own: the flight ends, the benchmark run continues."""
 
     def __init__(self, message: str, trace: str) -> None:
         super().__init__(message)
@@ -116,7 +116,7 @@ class PolicyRaised(PolicyError):
 
 
 class ReasonerError(CognitiveDroneError):
-    """One answer of a reasoner that did not come or cannot be used: counted by `kind`, and the flight goes on."""
+    """A reasoner's answer that is missing or unusable: counted by `kind`, and the flight continues."""
 
     def __init__(self, kind: ReasonerFault, message: str, trace: str = "") -> None:
         super().__init__(message)
@@ -129,7 +129,7 @@ class ReasonerError(CognitiveDroneError):
 
 
 class RunError(CognitiveDroneError):
-    """A benchmark run that cannot start, go on or be read."""
+    """A benchmark run that cannot start, continue or be read."""
 
 
 class DataError(CognitiveDroneError):
@@ -137,11 +137,11 @@ class DataError(CognitiveDroneError):
 
 
 class TrainingError(CognitiveDroneError):
-    """A training that cannot start or go on, or a checkpoint that cannot be read."""
+    """A training that cannot start or continue, or a checkpoint that cannot be read."""
 
 
 class LinkError(CognitiveDroneError):
-    """A vehicle that cannot be reached, refuses, or is not one that can be flown."""
+    """A vehicle that cannot be reached, refuses a command, or cannot be flown."""
 
 
 class GazeboError(CognitiveDroneError):
@@ -149,7 +149,7 @@ class GazeboError(CognitiveDroneError):
 
 
 class CameraError(CognitiveDroneError):
-    """A camera that cannot be opened, has gone silent, or has come to its end."""
+    """A camera that cannot be opened, stopped sending frames, or reached the end of its file."""
 
 
 class MissingExtra(CognitiveDroneError):
@@ -160,7 +160,7 @@ class MissingExtra(CognitiveDroneError):
 
 
 def import_extra(module: str, extra: str, package: str | None = None) -> Any:
-    """A module of an optional dependency; raises `MissingExtra` of `package` or, without one, of what was not found."""
+    """Import a module of an optional dependency; raises `MissingExtra` for `package`, or for the missing module."""
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
@@ -168,9 +168,9 @@ def import_extra(module: str, extra: str, package: str | None = None) -> Any:
 
 
 def install_command(extra: str) -> str:
-    """The line that adds an extra to this installation: from where it was installed, by what installed it.
+    """The command that adds an extra to this installation: same source, same installer.
 
-    A checkout, a wheel and a repository are installed from there again; an index is asked only where it was before.
+    A checkout, wheel or repository is reinstalled from the same place; the package index is used only if it was before.
     """
     from importlib import metadata
 
@@ -191,7 +191,7 @@ def install_command(extra: str) -> str:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """A closing hint for "unknown name" messages: near names, or all of them where there are few."""
+    """A closing hint for "unknown name" messages: similar names, or all names if there are few."""
     known = sorted(known)
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
     if near:
@@ -203,7 +203,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 @contextmanager
 def plain_warnings() -> Iterator[None]:
-    """Print warnings as sentences, without places in the code, while a command or a worker process runs."""
+    """Print warnings as sentences, without source locations, while a command or worker process runs."""
     before = warnings.formatwarning
     warnings.formatwarning = lambda message, *_args, **_more: f"warning: {visible(str(message))}\n"
     try:

@@ -1,8 +1,8 @@
 """Every plug-in interface of the project.
 
-`Policy` and `Reasoner` are base classes, with defaults for what few need; a user's class may inherit them, or have only
-the methods of `PolicyLike` or `ReasonerLike`. The others are Protocols: a class fits by its methods. Beside them stands
-`Health`, what links tell the rules of safety: neither room may know the other.
+`Policy` and `Reasoner` are base classes with defaults for rarely needed methods. A user's class may inherit them, or
+define only the methods of `PolicyLike` or `ReasonerLike`. The others are Protocols: a class fits by its methods.
+`Health` is here because vehicles fill it in and the safety rules read it, and neither package may import the other.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from cognitivedrone.types import (
 
 
 class PlugIn:
-    """What policies and reasoners have in common. A class that inherits it overrides only what it needs."""
+    """Common base of policies and reasoners. A subclass overrides only what it needs."""
 
     needs_ground_truth: bool = False
-    """Whether contexts hold the ground truth, for oracles and teachers: only a simulator has it."""
+    """Whether contexts include the ground truth, for oracles and teachers. Only simulators have it."""
     needs_seed: bool = False
-    """Whether it draws random numbers: contexts then hold a seed of its own."""
+    """Whether it draws random numbers. If so, contexts include a seed of its own."""
 
     def reset(self, context: EpisodeContext) -> None:
-        """A stage begins; with `context.stage` 0 a new flight, and everything before it is forgotten."""
+        """Start a stage. `context.stage` is 0 for a new flight: forget everything before it."""
 
     def check(self) -> None:
-        """Called once before take-off: raises `PolicyError` where it could not fly, as without its server."""
+        """Check once before take-off; raises `PolicyError` if it cannot fly, for example without its server."""
 
     def close(self) -> None:
-        """Let go of what is held open, such as a connection: called once, after the last flight."""
+        """Release resources such as connections. Called once, after the last flight."""
 
 
 class Policy(PlugIn, ABC):
-    """Image and text in, velocity commands out. `reset` begins every stage."""
+    """Image and text in, velocity commands out. `reset` is called at the start of every stage."""
 
     @abstractmethod
     def act(self, observation: Observation) -> ActionChunk:
@@ -51,22 +51,22 @@ class Policy(PlugIn, ABC):
 
 
 class Reasoner(PlugIn, ABC):
-    """Turns the user's instruction into a plain directive, looking at the scene.
+    """Turns the user's instruction and an image of the scene into a plain directive.
 
-    `reset` comes before the first question of a stage. With `context.stage` above 0 what was answered last was the
-    answer for the stage that has ended.
+    `reset` is called before the first question of a stage. If `context.stage` is above 0, the last answer was the one
+    for the previous stage.
     """
 
     @abstractmethod
     def refine(self, image: Image, instruction: str) -> Guidance:
-        """The directive for what `image` shows; raises `ReasonerError` where it has none to give this time."""
+        """The directive for the scene in `image`; raises `ReasonerError` if it has no answer this time."""
 
 
 class PolicyLike(Protocol):
-    """The least that a policy of the user's has; `adapters.as_policy` completes it."""
+    """The minimum that a user's policy defines; `adapters.as_policy` adds the rest."""
 
     def reset(self, context: EpisodeContext) -> None:
-        """A stage begins."""
+        """Start a stage."""
         ...
 
     def act(self, observation: Observation) -> ActionChunk:
@@ -75,7 +75,7 @@ class PolicyLike(Protocol):
 
 
 class ReasonerLike(Protocol):
-    """The least that a reasoner of the user's has; `adapters.as_reasoner` completes it."""
+    """The minimum that a user's reasoner defines; `adapters.as_reasoner` adds the rest."""
 
     def refine(self, image: Image, instruction: str) -> Guidance:
         """As `Reasoner.refine`."""
@@ -90,17 +90,17 @@ class Drone(Protocol):
         ...
 
     def send(self, action: Action) -> Action:
-        """Set the velocity setpoint; returns it as really sent, after limits."""
+        """Set the velocity setpoint; returns it as sent, after limits."""
         ...
 
     def close(self) -> None: ...
 
 
 class Clock(Protocol):
-    """Where the loop takes its time from: the wall, or the simulation.
+    """The loop's time source: wall clock or simulation.
 
-    One whose time goes on in steps, as a vehicle tells it, has the length of a step in s as `resolution_s`: so much
-    late is in time.
+    A clock that advances in steps, such as a vehicle's time by its telemetry, may have `resolution_s`, the length of a
+    step; a deadline missed by less than that is met.
     """
 
     def now(self) -> float: ...
@@ -109,53 +109,53 @@ class Clock(Protocol):
 
 
 class Recorder(Protocol):
-    """Sees everything that happens in a flight."""
+    """Receives everything that happens in a flight."""
 
     def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:
-        """One control step: what was seen, what was sent, and the directive that was flown by."""
+        """One control step: the observation, the command sent, and the directive in effect."""
         ...
 
     def note(self, event: Event) -> None:
-        """Anything else, as it happens."""
+        """Any other event, as it happens."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """How everything around a drone is doing at one moment. Ages count from when a thing was last good, s."""
+    """Health of a drone and its links at one moment. Ages are seconds since a source last delivered good data."""
 
     time: float
     """Of a steady clock, s."""
     command: FloatArray | None
-    """(4,) what the policy asked for last, heading frame, m/s and rad/s, NaN and all; none before it first did."""
+    """(4,) the policy's last command, heading frame, m/s and rad/s, NaN included; none before the first."""
     command_age_s: float
-    """Of the last command of finite numbers; before there was one, since the policy took over."""
+    """Of the last finite command; before the first one, time since the policy took over."""
     frame_age_s: float
     """Of the newest camera frame."""
     link_age_s: float
-    """Of the last message from the vehicle, whatever it was."""
+    """Of the last message of any type from the vehicle."""
     state_age_s: float
-    """Of the older of attitude and position."""
+    """Of attitude or position, whichever is older."""
     battery: float | None
-    """What is left, 0 to 1; none where the vehicle does not say."""
+    """Remaining charge, 0 to 1; none if the vehicle does not report it."""
     position: Vector
-    """(3,) from where it took off, ENU, m."""
+    """(3,) relative to the take-off point, ENU, m."""
     velocity: Vector
     """(3,) ENU, m/s."""
     yaw: float
-    """Heading, from east to the left, rad."""
+    """Heading, counter-clockwise from east, rad."""
     mode: str
-    """The vehicle's flight mode, as it says."""
+    """The flight mode that the vehicle reports."""
     ordered_modes: frozenset[str]
-    """The mode that we ordered and, until the vehicle shows it, the one before."""
+    """The mode that we ordered and, until the vehicle reports it, the previous one."""
     armed: bool
-    """Whether the motors may turn."""
+    """Whether the motors are armed."""
     stick_moved: bool
-    """Whether a stick of the remote control has left its place since we took over."""
+    """Whether a stick of the remote control has moved since we took over."""
 
 
 class LabelPack(Protocol):
-    """Knows what panels show."""
+    """Supplies the pictures on panels."""
 
     def image(self, reference: str) -> Image:
         """The picture for a label reference `kind/concept@style`; raises `LabelError` with near names."""

@@ -14,13 +14,13 @@ from cognitivedrone.reasoners import make_reasoner
 
 @dataclass(frozen=True, slots=True)
 class Pilot:
-    """What flies."""
+    """A policy and an optional reasoner."""
 
     policy: Policy
     reasoner: Reasoner | None = None
 
     def check(self) -> None:
-        """Raise `PolicyError` where policy or reasoner could not fly."""
+        """Raise `PolicyError` if policy or reasoner cannot fly."""
         self.policy.check()
         if self.reasoner is not None:
             self.reasoner.check()
@@ -28,9 +28,9 @@ class Pilot:
 
 @contextmanager
 def open_pilot(spec: PilotSpec) -> Iterator[Pilot]:
-    """Policy and reasoner, ready to fly; both are closed at the end.
+    """Policy and reasoner, ready to fly; both are closed on exit.
 
-    Raises `PolicyError` where one cannot be made, or could not fly.
+    Raises `PolicyError` if one cannot be made or cannot fly.
     """
     with ExitStack() as stack:
         policy = make_policy(spec.policy)

@@ -1,13 +1,13 @@
-"""What a command was asked to do: one frozen value, made where the command begins and handed on whole.
+"""Plans: the options of a command as one frozen value, made where the command starts and passed on whole.
 
 A plan is a dataclass of dataclasses: `Scenario` (what is flown), `PilotSpec` (who flies), `VehicleSpec` (where), and
-options of the command itself. A field is an option of the command line: its name is the flag, its docstring the help.
-The identity of a run, the command line that repeats it and its JSON are derived from the fields, so a new option is
-added here and nowhere else. This module imports nothing heavy, so that help is quick.
+the command's own options. Each field is an option of the command line: its name is the flag, its docstring the help.
+A run's identity, the command line that repeats it and its JSON are derived from the fields, so a new option is added
+here and nowhere else. This module imports nothing heavy, so that `--help` is fast.
 
-Metadata of a field: `identity` is its key among the options of run.json and results.json; a field without one does not
-decide the results. `written` is "always" or "where set", which leaves the key out at the option's default. `command`
-says when the command line that repeats a run names the option: "always", "where set" or "never".
+Field metadata: `identity` is the key among the options of run.json and results.json; a field without it does not affect
+the results. `written` is "always", or "where set" to omit the key at the default. `command` says when the command line
+that repeats a run includes the option: "always", "where set" or "never".
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _Self = TypeVar("_Self", bound="Options")
 def _option(
     default: _Value, *, identity: str | None = None, written: _Written = "always", command: _Written = "where set"
 ) -> _Value:
-    """A field of a plan, with the metadata that the module's docstring describes."""
+    """A field of a plan, with the metadata described in the module docstring."""
     metadata = {"identity": identity, "written": written, "command": command}
     made: _Value = field(default=default, metadata=metadata)
     return made
@@ -52,19 +52,19 @@ class _Leaf(NamedTuple):
 
 
 class Options:
-    """Base of plans and of their parts: options by name, however deep they are nested."""
+    """Base of plans and their parts: access to options by name, at any depth."""
 
     __slots__ = ()
 
     @classmethod
     def of(cls: type[_Self], **values: Any) -> _Self:
-        """A plan from options, or whole parts, by name. Raises `TypeError` for a name that it does not have."""
+        """A plan from options, or whole parts, by name. Raises `TypeError` for an unknown name."""
         made = _build(cls, None, values)
         _refuse(values, cls)
         return made
 
     def changed(self: _Self, **values: Any) -> _Self:
-        """This plan with some options, or whole parts, changed. Raises `TypeError` for a name that it does not have."""
+        """A copy of this plan with some options, or whole parts, changed. Raises `TypeError` for an unknown name."""
         made = _build(type(self), self, values)
         _refuse(values, type(self))
         return made
@@ -74,7 +74,7 @@ class Options:
         return {name: leaf.value for name, leaf in _leaves(self)}
 
     def changes(self) -> dict[str, Any]:
-        """The options that decide the results and differ from their defaults."""
+        """The options that affect the results and differ from their defaults."""
         return {
             name: leaf.value
             for name, leaf in _leaves(self)
@@ -82,9 +82,9 @@ class Options:
         }
 
     def identity(self, resolved: Mapping[str, object]) -> dict[str, Any]:
-        """The options that decide the results, by their keys in run.json.
+        """The options that affect the results, by their keys in run.json.
 
-        `resolved` gives, by option, what stands for it there where that is not its value, such as a file's hash.
+        `resolved` maps options to what is recorded instead of their value, such as a file's hash.
         """
         found = {}
         for name, leaf in _leaves(self):
@@ -109,7 +109,7 @@ class Options:
         return found
 
     def words(self) -> list[str]:
-        """The options of the command line that repeats this, without what does not change its results."""
+        """The command-line options that repeat this plan, without those that do not affect the results."""
         values, words = self.values(), list[str]()
         for name, leaf in _leaves(self):
             when = leaf.field.metadata.get("command", "where set")
@@ -127,14 +127,14 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class TaskSource(Options):
-    """Which tasks, and the pictures on their panels."""
+    """Tasks and the pictures on their panels."""
 
     suite: str = _option("open-v1:test", command="always")
     """Name of a suite of tasks."""
     tasks: Path | None = _option(None)
     """Task file, or folder of them, in place of a suite."""
     labels: Path | None = _option(None, identity="labels")
-    """Folder of label images that come before the shipped ones."""
+    """Folder of label images that take precedence over the shipped ones."""
     seed: int = _option(0, identity="seed", command="always")
     """Seed of all random numbers. Same seed, same results."""
 
@@ -163,9 +163,9 @@ class PilotSpec(Options):
     """Who flies."""
 
     policy: str = _option("small", command="always")
-    """Name of a policy, small:MODEL.onnx for a model file, or your own as module:attribute."""
+    """Policy: a name, small:MODEL.onnx for a model file, or your own as module:attribute."""
     reasoner: str = _option("none", command="always")
-    """Name of a reasoner, none to fly by the instruction as it is, or your own as module:attribute."""
+    """Reasoner: a name, none to give the policy the raw instruction, or your own as module:attribute."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +174,7 @@ class VehicleSpec(Options):
 
     link: str = _option("sim", identity="link", written="where set")
     """sim: the simulator. sitl: a real ArduCopter on our physics (docs/ardupilot.md). gazebo: ArduPilot in the Gazebo
-    that runs on this machine, in its time; needs --airframe iris (docs/gazebo.md). mavlink:URL: a vehicle, such as
+    running on this machine, in Gazebo's time; needs --airframe iris (docs/gazebo.md). mavlink:URL: a vehicle, such as
     mavlink:udp:127.0.0.1:14550, mavlink:tcp:HOST:PORT or mavlink:serial:DEVICE:BAUD; `fly` only."""
     sitl: Path | None = _option(None, command="never")
     """With sitl: the ArduCopter binary; the environment variable ARDUCOPTER by default."""
@@ -186,50 +186,50 @@ class VehicleSpec(Options):
                 f" mavlink:udp:127.0.0.1:14550; {did_you_mean(self.kind, VEHICLE_KINDS)}"
             )
         if self.kind != "mavlink" and self.link != self.kind:
-            raise LinkError(f"--link {self.kind} takes nothing behind a colon, {self.link!r} was given")
+            raise LinkError(f"--link {self.kind} takes no address, {self.link!r} was given")
 
     @property
     def kind(self) -> str:
-        """The name in the registry of vehicles."""
+        """Name in the registry of vehicles."""
         return self.link.partition(":")[0]
 
     @property
     def url(self) -> str:
-        """Of a vehicle over MAVLink."""
+        """Address of a MAVLink vehicle; empty for others."""
         return self.link.partition(":")[2]
 
     @property
     def on_loopback(self) -> bool:
-        """Whether a vehicle over MAVLink is reached inside this machine."""
+        """Whether a MAVLink vehicle's address is on this machine."""
         kind, _, address = self.url.partition(":")
         return kind != "serial" and address.startswith(LOOPBACK)
 
 
 @dataclass(frozen=True, slots=True)
 class SafetySpec(Options):
-    """How a vehicle over MAVLink is flown, and held back."""
+    """How a MAVLink vehicle is flown, and its safety limits."""
 
     camera: str = _option("")
     """With mavlink: /dev/videoN, an rtsp:// or http:// URL, a video file, a folder of images, or gazebo:TOPIC of a
     running Gazebo, such as gazebo:/cognitivedrone/camera."""
     takeoff_height: float = _option(1.0)
-    """Metres above where the vehicle stands."""
+    """Take-off height, m above the ground."""
     fence_radius: float = _option(30.0)
-    """Metres around the place of take-off that are not left."""
+    """Geofence radius, m around the take-off point."""
     ceiling: float = _option(10.0)
-    """Metres above the place of take-off that are not exceeded."""
+    """Maximum height, m above the take-off point."""
     policy_patience: float = _option(0.2)
-    """Seconds without a command until the vehicle is stopped; a policy that thinks longer needs more."""
+    """Seconds without a command before the vehicle is stopped; raise it for slower policies."""
     set_parameters: bool = _option(False)
-    """Consent to set GUID_TIMEOUT and FS_GCS_ENABLE of the vehicle where they are not fit to fly."""
+    """Allow GUID_TIMEOUT and FS_GCS_ENABLE of the vehicle to be set if their values are not safe to fly."""
     clock: Literal["wall", "vehicle"] = _option("wall")
     """With mavlink: fly by the vehicle's own time, for simulators that run faster or slower than real time."""
     sitl_defaults: tuple[Path, ...] = _option(())
-    """With sitl: parameter files that are loaded before ours."""
+    """With sitl: parameter files to load before ours."""
     sitl_instance: int = _option(0)
-    """With sitl: shifts its ports, so that several fly side by side."""
+    """With sitl: instance number; shifts the ports, so that several can run at once."""
     i_understand_this_flies_a_real_drone: bool = _option(False)
-    """Needed for everything that is not known to be simulated."""
+    """Required for any vehicle that is not known to be simulated."""
 
     def __post_init__(self) -> None:
         if not 0 < self.takeoff_height < self.ceiling:
@@ -237,13 +237,13 @@ class SafetySpec(Options):
                 f"--takeoff-height {self.takeoff_height} must be above 0 and below --ceiling {self.ceiling}"
             )
         if not self.fence_radius > 0:
-            raise LinkError(f"--fence-radius is {self.fence_radius}; it is a number of metres above 0")
+            raise LinkError(f"--fence-radius is {self.fence_radius}; it must be above 0 (metres)")
         if not 0.1 <= self.policy_patience <= 5:
             raise LinkError(f"--policy-patience is {self.policy_patience}; give 0.1 to 5 seconds")
 
 
 def _build(kind: type[_Self], base: _Self | None, values: dict[str, Any]) -> _Self:
-    """A plan of `kind`: `base`, or its defaults, with the options of `values`, which are taken out of there."""
+    """A plan of `kind`: `base`, or the defaults, changed by the options in `values`, which are removed from it."""
     given: dict[str, Any] = {}
     for each in dataclasses.fields(kind):  # type: ignore[arg-type]
         current = _default(each) if base is None else getattr(base, each.name)
@@ -266,7 +266,7 @@ def _default(each: Field[Any]) -> Any:
 
 
 def _leaves(plan: Options, default: Options | None = None) -> Iterator[tuple[str, _Leaf]]:
-    """The options of a plan by name, in the order of its fields."""
+    """The options of a plan by name, in field order."""
     for each in dataclasses.fields(plan):  # type: ignore[arg-type]
         value = getattr(plan, each.name)
         usual = _default(each) if default is None else getattr(default, each.name)

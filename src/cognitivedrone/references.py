@@ -1,6 +1,6 @@
 """Label references: `kind/concept@style`, the one string by which tasks name what label packs draw.
 
-The concept of a person is `attribute=value` joined by `,`, of the attributes and values told here.
+The concept of a person is `attribute=value` joined by `,`, with the attributes and values listed here.
 """
 
 from __future__ import annotations

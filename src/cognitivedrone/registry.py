@@ -1,6 +1,6 @@
-"""Names to objects: a family of plug-ins is one literal dict from a name to "module:attribute".
+"""Plug-ins by name: each family is one literal dict from a name to "module:attribute".
 
-Every plug-in, of the package or the user's own, is written in one syntax:
+All plug-ins, the package's and the user's own, are named in the same syntax:
 
     NAME                                small
     NAME:VALUE                          small:runs/a/model.onnx
@@ -8,9 +8,9 @@ Every plug-in, of the package or the user's own, is written in one syntax:
     MODULE:ATTRIBUTE                    my_policy:MyPolicy
     MODULE:ATTRIBUTE:VALUE,option=...   my_policy:MyPolicy:weights.pt,device=cpu
 
-Values go to the parameters of the class or function by position, options by name, each converted to the type of its
-annotation, or of its default. A switch (a bool) may be written as its name alone. A part that holds a comma is put in
-double quotes.
+Values are passed to the class or function by position, options by name, each converted to the type of the parameter's
+annotation or default. A switch (bool) may be written as its name alone. Put a part that contains a comma in double
+quotes.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ _SWITCH = {"yes": True, "true": True, "on": True, "1": True, "no": False, "false
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """What makes a plug-in, and with which arguments."""
+    """A plug-in's factory and its arguments."""
 
     factory: Callable[..., Any]
     arguments: Mapping[str, Any]
-    """By the parameters' names."""
+    """By parameter name."""
 
     def __call__(self) -> Any:
-        """The object."""
+        """Make the object."""
         return self.factory(**self.arguments)
 
 
 def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
-    """The factory that `name` stands for: a key of `table`, or the user's own "module:attribute".
+    """The factory named `name`: a key of `table`, or the user's own "module:attribute".
 
-    Raises `PluginError` naming the known names, or what was wrong with the user's own.
+    Raises `PluginError` that lists the known names, or says what is wrong with the user's own.
     """
     target = table.get(name, name)
     module_name, colon, attribute = target.partition(":")
@@ -72,7 +72,7 @@ def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
 
 
 def call_of(kind: str, text: str, table: Mapping[str, str]) -> Call:
-    """What `text`, in the syntax above, asks for. Raises `PluginError` for names and arguments that do not fit."""
+    """Parse `text`, in the syntax above, into a call. Raises `PluginError` for unknown names and invalid arguments."""
     head, colon, rest = text.partition(":")
     name = head
     if head not in table:
@@ -85,7 +85,7 @@ def call_of(kind: str, text: str, table: Mapping[str, str]) -> Call:
 
 
 def make(kind: str, text: str, table: Mapping[str, str]) -> Any:
-    """A new object of the plug-in that `text` names; raises `PolicyError` where it cannot be made."""
+    """A new object of the plug-in named by `text`; raises `PolicyError` if it cannot be made."""
     call = call_of(kind, text, table)
     own = text.partition(":")[0] not in table
     try:
@@ -97,12 +97,12 @@ def make(kind: str, text: str, table: Mapping[str, str]) -> Any:
 
 
 def file_of(kind: str, text: str, table: Mapping[str, str]) -> Path | None:
-    """The file that the plug-in depends on, by its own `file_of`, which takes its arguments; none where it has none.
+    """The file that the plug-in depends on, from its `file_of`, called with the same arguments; none if it has none.
 
-    Raises `PluginError` where the file is missing.
+    Raises `PluginError` if the file is missing.
     """
     if text not in table and ":" not in text:
-        return None  # whoever makes it says that there is no such name
+        return None  # making it reports the unknown name
     call = call_of(kind, text, table)
     ask = getattr(call.factory, "file_of", None)
     found: Path | None = ask(**call.arguments) if ask else None
@@ -110,7 +110,7 @@ def file_of(kind: str, text: str, table: Mapping[str, str]) -> Path | None:
 
 
 def usage(name: str, factory: Callable[..., Any]) -> str:
-    """How a plug-in and its arguments are written, such as "replay:PATH" or "vlm[:URL][,timeout=NUMBER]"."""
+    """The syntax of a plug-in and its arguments, such as "replay:PATH" or "vlm[:URL][,timeout=NUMBER]"."""
     hints = _hints(factory)
     text = ""
     for parameter in _parameters(factory).values():
@@ -165,7 +165,7 @@ def _parts(text: str) -> list[str]:
 
 
 def _parameters(factory: Callable[..., Any]) -> dict[str, inspect.Parameter]:
-    """Those that can be given by name, and written as text."""
+    """The parameters that can be passed by name and written as text."""
     try:
         parameters = inspect.signature(factory).parameters
     except (TypeError, ValueError):  # some classes written in C
@@ -183,12 +183,12 @@ def _parameters(factory: Callable[..., Any]) -> dict[str, inspect.Parameter]:
 def _hints(factory: Callable[..., Any]) -> dict[str, Any]:
     try:
         return get_type_hints(factory.__init__ if inspect.isclass(factory) else factory)
-    except Exception:  # a user's annotation that cannot be evaluated is none
+    except Exception:  # ignore a user's annotations that cannot be evaluated
         return {}
 
 
 def _hint(parameter: inspect.Parameter, hints: Mapping[str, Any]) -> Any:
-    """What a parameter takes: its annotation without None, or the type of its default."""
+    """A parameter's type: its annotation without None, or the type of its default."""
     hint = hints.get(parameter.name)
     if get_origin(hint) in (Union, types.UnionType):
         (hint, *_) = [each for each in get_args(hint) if each is not type(None)]
@@ -202,7 +202,7 @@ def _choices(hint: Any) -> tuple[Any, ...]:
 
 
 def _converted(what: str, text: str, hint: Any) -> Any:
-    """A written value as its type. Raises `PluginError`."""
+    """A value converted from text to its type. Raises `PluginError`."""
     choices = {str(choice): choice for choice in _choices(hint)} or (_SWITCH if hint is bool else {})
     if choices:
         if text not in choices:

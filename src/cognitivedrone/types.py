@@ -1,12 +1,12 @@
-"""The values that travel between rooms: frozen, without behaviour, with shapes, units and frames in the docstrings.
+"""The values that packages exchange: frozen, without behaviour; shapes, units and frames are in the docstrings.
 
-Frames and units (converted in `frames.py` alone):
+Frames and units (converted only in `frames.py`):
 
 - World: ENU, metres. Body: FLU (x forward, y left, z up). Heading frame: the body frame turned level, yaw only.
 - Quaternions are (w, x, y, z), body to world. Angles in radians, yaw positive to the left. Time in seconds.
 - Images are uint8 (H, W, 3) RGB.
 
-The names of arrays say shape and kind of number; the tests check both in every call (`tests/support/typechecked.py`).
+The array types give shape and dtype; the tests check both in every call (`tests/support/typechecked.py`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from jaxtyping import Float, Float32, UInt8
 
 from cognitivedrone.choices import EventKind
 
-# Not NumPy's NDArray: of some versions that is an alias that jaxtyping cannot look into.
+# Not NumPy's NDArray: in some versions it is an alias that jaxtyping cannot inspect.
 _Floats: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.floating[Any]]]
 _Bytes: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.uint8]]
 Float32Array: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.float32]]
@@ -31,20 +31,20 @@ if TYPE_CHECKING:
     FloatArray: TypeAlias = _Floats
     """Of any shape."""
     Scalars: TypeAlias = _Floats
-    """One number for each member of a batch; a NumPy scalar where there is no batch."""
-else:  # NumPy gives a scalar for an array without axes, and its stubs call that an array
+    """One number per member of a batch; a NumPy scalar without a batch."""
+else:  # NumPy returns a scalar for an array without axes, and its stubs call that an array
     FloatArray = Float[np.ndarray | np.floating, "..."]
     Scalars = Float[np.ndarray | np.floating, "..."]
 Vector: TypeAlias = Float[_Floats, "3"]
 """(3,) x, y, z."""
 Vectors: TypeAlias = Float[_Floats, "... 3"]
-"""(..., 3), with the axes of the batch in front."""
+"""(..., 3), batch axes first."""
 Quaternion: TypeAlias = Float[_Floats, "4"]
 """(4,) w, x, y, z."""
 Quaternions: TypeAlias = Float[_Floats, "... 4"]
 """(..., 4)."""
 Commands: TypeAlias = Float[_Floats, "... 4"]
-"""(..., 4) vx, vy, vz and yaw rate, of whatever kind of number."""
+"""(..., 4) vx, vy, vz and yaw rate, of any float dtype."""
 Rotations: TypeAlias = Float[_Floats, "... 3 3"]
 """(..., 3, 3) matrices."""
 Image: TypeAlias = UInt8[_Bytes, "_height _width 3"]
@@ -73,15 +73,15 @@ Outcome = Literal[
 ]
 
 CATEGORIES: tuple[Category, ...] = ("human_recognition", "symbol_understanding", "reasoning")
-"""The three of the paper, which ask for a choice."""
+"""The paper's three categories, each a choice among gates."""
 ALL_CATEGORIES: tuple[Category, ...] = (*CATEGORIES, "racing")
-"""And that of gates that stand alone, where there is nothing to choose."""
+"""All categories: also racing, with single gates and no choice."""
 SIZES: tuple[Size, ...] = ("big", "small")
 SHAPES: tuple[Shape, ...] = ("round", "square", "triangle")
 COLORS: tuple[Color, ...] = ("red", "green", "blue")
 
 ACTION_LIMITS = (3.0, 3.0, 1.5, 1.0)
-"""Largest magnitude of each action component that is flown, m/s and rad/s; what lies beyond is clipped."""
+"""Largest magnitude of each action component, m/s and rad/s; larger values are clipped."""
 CONTROL_HZ = 10
 """Rate of the policy's commands."""
 IMAGE_SIZE = 256
@@ -90,7 +90,7 @@ IMAGE_SIZE = 256
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """What a gate looks like; where it stands is the stage's matter."""
+    """A gate's appearance; its position belongs to the stage."""
 
     size: Size
     shape: Shape
@@ -99,42 +99,42 @@ class Gate:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """An instruction, three labelled gates and the one that is right."""
+    """An instruction, three labelled gates and which of them is right."""
 
     id: str
     """Unique in its suite, for example "open-v1:test/0007"."""
     category: Category
     family: str
     instruction: str
-    """What the user says; `prompt` in task files."""
+    """The user's instruction; `prompt` in task files."""
     directive: str
-    """The plain rewrite that names the right gate; `prompt_simpler` in task files."""
+    """Plain rewrite that names the right gate; `prompt_simpler` in task files."""
     options: tuple[str, str, str]
-    """What the panels show, as published task files name it."""
+    """What the panels show, named as in the published task files."""
     labels: tuple[str, str, str]
     """Label references `kind/concept@style`, one above each gate, left to right as gates 1, 2, 3."""
     target: int
     """Index of the right gate, 0 to 2; `correct` in task files is this plus one."""
     gates: tuple[Gate, Gate, Gate]
     board: str | None = None
-    """Label reference of the sum that hangs in the scene, where the family has one."""
+    """Label reference of the sum on the board in the scene, for families that have one."""
     background: str = "room"
     only: int | None = None
-    """Index of the gate that stands alone, 0 to 2, always the target; none where all three stand. Without panels: those
-    of `labels` are not shown."""
+    """Index of the only gate in the scene, 0 to 2, always the target; none if all three are present. A single gate has
+    no panel: `labels` are not shown."""
 
 
 Track: TypeAlias = tuple[Task, ...]
-"""Tasks flown one after the other in one episode; a single task is a track of one."""
+"""Tasks flown in sequence in one episode; a single task is a track of one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """A task placed in the world, without its question: what the simulator and the renderer know."""
+    """A task placed in the world, without its instruction: what simulator and renderer need."""
 
     gates: tuple[Gate, Gate, Gate]
     labels: tuple[str, str, str]
-    """Label references, one a gate."""
+    """Label references, one per gate."""
     board: str | None = None
     """Label reference of the board, or none."""
     origin: tuple[float, float] = (0.0, 0.0)
@@ -142,7 +142,7 @@ class Stage:
     yaw: float = 0.0
     """Heading of the stage's x axis in the world, rad."""
     only: int | None = field(default=None, metadata={"json": "where set"})
-    """Index of the only gate that stands, 0 to 2, without a panel; none where all three stand with theirs."""
+    """Index of the only gate in the scene, 0 to 2, without a panel; none if all three are present, with panels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,12 +161,12 @@ class DroneState:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What a policy may see: no position, no gate, no truth."""
+    """Input of a policy: no position, no gate, no ground truth."""
 
     image: Image
     """(256, 256, 3) first-person view."""
     instruction: str
-    """What to do: the instruction or, behind a reasoner, its directive."""
+    """The user's instruction or, with a reasoner, its directive."""
     velocity: Vector
     """(3,) float32, heading frame, m/s."""
     height: float
@@ -179,26 +179,26 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class GroundTruth:
-    """What only a simulator knows of the stage at hand."""
+    """Privileged information about the current stage, which only a simulator has."""
 
     task: Task
     stage: Stage
     state: Callable[[], DroneState]
-    """The drone's true state now."""
+    """Returns the drone's current true state."""
 
 
 @dataclass(frozen=True, slots=True)
 class EpisodeContext:
-    """What a policy or reasoner is given at the start of every stage."""
+    """What a policy or reasoner receives at the start of every stage."""
 
     instruction: str
-    """The user's. Behind a reasoner a policy's observations hold the directive in its place."""
+    """The user's instruction. With a reasoner, a policy's observations contain the directive instead."""
     seed: int = 0
-    """To draw random numbers from in this episode, the same at every stage of it; 0 unless `needs_seed` is declared."""
+    """Random seed of this episode, the same at all its stages; 0 unless `needs_seed` is declared."""
     stage: int = 0
-    """0 where a new flight begins; larger at each later stage of it."""
+    """0 at the start of a flight; larger at each later stage."""
     ground_truth: GroundTruth | None = None
-    """In a simulator, where `needs_ground_truth` is declared."""
+    """Only in a simulator, and only if `needs_ground_truth` is declared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,13 +208,13 @@ class Guidance:
     directive: str
     """Plain sentence for the policy, such as "Fly through the small red round gate"."""
     gate: int | None
-    """Index of the gate that is meant, 0 to 2 from left to right, where the reasoner can tell."""
+    """Index of the gate, 0 to 2 from left to right, if the reasoner reports it."""
     confidence: float
     """0 to 1."""
     age: float = 0.0
-    """Seconds between the frame it was read from and now."""
+    """Seconds since the frame that it is based on."""
     present: float | None = None
-    """How likely what is asked for is shown at any gate, 0 to 1; none where the reasoner cannot tell."""
+    """Probability that a gate shows what the instruction asks for, 0 to 1; none if it is not estimated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +227,7 @@ class Event:
     text: str = ""
     """An instruction, a directive, or what went wrong."""
     age_s: float | None = None
-    """Between the frame of an answer and its arrival, or between a deadline and now."""
+    """Between an answer's frame and its arrival, or since a missed deadline, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,17 +235,17 @@ class ReasonerReport:
     """What a reasoner did in one stage."""
 
     answers: int
-    """That could be used."""
+    """Number of usable answers."""
     faults: Mapping[str, int]
-    """Answers that could not be used, by `ReasonerFault`."""
+    """Number of unusable answers, by `ReasonerFault`."""
     changes: int
-    """Directives that replaced another one."""
+    """Number of directives that replaced another one."""
     age_s: float | None
-    """Mean age of the frames behind the directives, when the policy flew by them."""
+    """Mean age of the directives' frames while the policy followed them."""
     rate_hz: float | None
-    """Answers and faults a second."""
+    """Answers and faults per second."""
     size: bool | None
-    """Whether the last directive's size is the right gate's; none where it does not say, or there was no directive."""
+    """Whether the last directive's size is the right gate's; none if it names no size, or there was no directive."""
     color: bool | None
     shape: bool | None
     gate: bool
@@ -263,36 +263,36 @@ class StageResult:
     """Index of the right gate, 0 to 2."""
     outcome: Outcome
     chosen: int | None
-    """Index of the gate flown at, 0 to 2; none where the flight favoured no gate."""
+    """Index of the gate flown at, 0 to 2; none if the flight favoured no gate."""
     time_s: float
     """Duration of the stage."""
     path_m: float
-    """Length flown."""
+    """Path length."""
     path_ratio: float | None
-    """Length flown over the straight line from the stage's start to the gate; for gates flown through."""
+    """Path length over the straight line from the stage's start to the gate; only for gates flown through."""
     clearance_m: float | None
-    """Room between the drone's hull and the frame when its centre crossed the gate plane."""
+    """Distance between the drone's hull and the frame when its centre crossed the gate plane."""
     gate_distance_m: float | None
-    """Closest approach of the drone's centre to the right gate's centre (the published rule asks for 1 m); none where
-    the stage was not reached."""
+    """Closest approach of the drone's centre to the right gate's centre (the published rule requires 1 m); none if the
+    stage was not reached."""
     directive: str | None = None
-    """The last directive of the reasoner, if one flew along."""
+    """The reasoner's last directive, if there was a reasoner."""
     reasoner: ReasonerReport | None = field(default=None, metadata={"json": "where set"})
-    """What the reasoner did, if one flew along and the stage was reached."""
+    """What the reasoner did, if there was one and the stage was reached."""
 
 
 @dataclass(frozen=True, slots=True)
 class GuardReport:
-    """How many commands of a flight the rules of safety changed, by what changed them."""
+    """How many commands of a flight the guard changed, in all and by cause."""
 
     touched: int = 0
-    """Commands that were changed at all; by several of what follows, perhaps."""
+    """Commands that were changed; one may have several causes."""
     speed: int = 0
-    """Beyond the largest speed."""
+    """Speed limits."""
     slew: int = 0
-    """A jump from the command before."""
+    """Slew limits: a jump from the previous command."""
     fence: int = 0
-    """Outwards at the fence, its floor and its ceiling included."""
+    """The geofence, including its floor and ceiling."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,6 +306,6 @@ class EpisodeResult:
     steps: int
     """Control steps flown."""
     message: str = ""
-    """Why the episode is invalid or the policy failed, in one sentence."""
+    """One sentence: why the episode is invalid, or why the policy failed."""
     guard: GuardReport | None = field(default=None, metadata={"json": "where set"})
-    """What the rules of safety changed, where they flew along."""
+    """What the guard changed, if it was on."""

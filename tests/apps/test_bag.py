@@ -1,4 +1,4 @@
-"""`fly --record mcap` and `fly --camera gazebo:TOPIC`: bags are read by rosbags' own reader, Gazebo is the stand-in."""
+"""`fly --record mcap` and `fly --camera gazebo:TOPIC`: bags are read by rosbags' own reader, Gazebo is a fake."""
 
 from __future__ import annotations
 

@@ -26,8 +26,8 @@ pytest.importorskip("pymavlink")
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
 
+from app_fakes import Typist, camera
 from arducopters import played_arducopter
-from cockpit_fakes import Typist, camera
 from peer import MODES, Peer, playing
 from pymavlink import mavutil
 
@@ -97,14 +97,14 @@ def test_a_flight_in_the_simulator_passes_a_gate_and_is_recorded(tmp_path, capsy
     assert np.ptp(frames[0].to_ndarray(format="rgb24")) > 100
 
 
-def test_an_instruction_typed_in_flight_is_a_new_leg_and_asks_the_reasoner_at_once(tmp_path, monkeypatch):
+def test_an_instruction_typed_in_flight_is_a_new_segment_and_asks_the_reasoner_at_once(tmp_path, monkeypatch):
     reading, writing = os.pipe()
     monkeypatch.setattr(Typist, "keyboard", writing)
     monkeypatch.setattr(Typist, "lines", {8: b"go to  blue\n", 16: b"LAND\n"})
     config = FlyPlan.of(
         instruction="go to red",
-        policy="cockpit_fakes:Typist",
-        reasoner="cockpit_fakes:Echo",
+        policy="app_fakes:Typist",
+        reasoner="app_fakes:Echo",
         out=tmp_path / "f",
         time_limit=10,
     )
@@ -346,8 +346,8 @@ def free_instance() -> int:
     ("options", "says"),
     [
         ({"link": "mavlnk:udp:127.0.0.1:1"}, "did you mean 'mavlink'"),
-        ({"link": "sim:fast"}, "takes nothing behind a colon"),
-        ({"link": "mavlink:udp:127.0.0.1:1", "camera": "x"}, "say what to do"),
+        ({"link": "sim:fast"}, "takes no address"),
+        ({"link": "mavlink:udp:127.0.0.1:1", "camera": "x"}, "give an instruction"),
         ({"link": "mavlink:udp:127.0.0.1:1", "instruction": "go"}, "needs --camera"),
         ({"camera": "/dev/video0"}, "has its own camera"),
         ({"time_limit": 0}, "--time-limit is 0"),
@@ -381,12 +381,12 @@ def test_who_must_know_the_truth_flies_only_where_it_is_known(tmp_path):
 
 def test_a_log_is_never_written_over(tmp_path):
     (tmp_path / "flight.json").write_text("{}")
-    with pytest.raises(RunError, match="holds a flight already"):
+    with pytest.raises(RunError, match="already contains a flight"):
         fly_mission(FlyPlan.of(policy="hover", reasoner="none", out=tmp_path), console=quiet(), keyboard=nobody())
 
 
 def test_a_policy_that_fails_ends_the_flight_and_leaves_a_log(tmp_path):
-    config = FlyPlan.of(instruction="x", policy="cockpit_fakes:Broken", reasoner="none", out=tmp_path / "f")
+    config = FlyPlan.of(instruction="x", policy="app_fakes:Broken", reasoner="none", out=tmp_path / "f")
     with pytest.raises(PolicyError, match="not all of it is a finite number"):
         fly_mission(config, console=quiet(), keyboard=nobody())
     about = json.loads((tmp_path / "f" / "flight.json").read_text())

@@ -1,4 +1,4 @@
-"""The parts of the cockpit, each alone: view, keyboard, orders, frame server, log."""
+"""The parts of `fly`, each alone: view, keyboard, orders, frame server, log."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rich.console import Console
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from cockpit_fakes import camera
+from app_fakes import camera
 
 from cognitivedrone.apps.config import FlyPlan
 from cognitivedrone.apps.log import FlightLog
@@ -74,7 +74,7 @@ def test_the_view_shows_everything():
     text = drawn(view)
     for told in (
         "small + small on sim", "13.0 s, 10.0 Hz, 1 late", "Find the cat", "Fly through the red gate (80% sure",
-        "its frame is 0.3 s old",
+        "frame 0.3 s old",
         "forward +1.25, left -0.50, up +0.25 m/s, turn +0.40 rad/s", "forward +1.00, left +0.20, up -0.10",
         "+1.50 -2.50 +0.75 m, heading +90 deg, height 0.87 m", "GUIDED, armed, battery 62%", "34 ms", "12 ms",
         "policy 21 ms, reasoner 310 ms", "hold: no new camera frame for 0.60 s", "adopted", "> go le", "ctrl-C lands",
@@ -238,7 +238,7 @@ def test_what_is_typed_said_and_told_is_no_markup() -> None:
 
 @pytest.mark.parametrize("evil", ["red\x1b[2J", "red\ud800", "red\u202e"])
 def test_an_instruction_is_a_text_that_can_be_shown_and_written(evil: str) -> None:
-    with pytest.raises(LinkError, match=r"the instruction holds the .*; say it without"):
+    with pytest.raises(LinkError, match=r"the instruction contains the .*; leave that out"):
         FlyPlan.of(instruction=evil)
 
 

@@ -18,7 +18,7 @@ pytest.importorskip("pymavlink")
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
 
-from cockpit_fakes import Eager, camera
+from app_fakes import Eager, camera
 from peer import playing
 
 from cognitivedrone.apps.config import FlyPlan, SimPlan
@@ -57,7 +57,7 @@ def test_what_the_test_suite_does_not_show_is_made():
     (task,) = scene.track
     assert task.options[task.target] == "police_car"
     assert task.instruction == "Fly through the gate with the police car"  # so that it is judged
-    assert "made since no task of open-v1:test shows all of it" in scene.told
+    assert "made because no task of open-v1:test shows all of it" in scene.told
     assert scene.track == choose_scene(FlyPlan.of(instruction="Fly through the gate with the police car", seed=3)).track
 
 
@@ -139,16 +139,16 @@ def events(out: Path) -> dict[str, dict[str, object]]:
 def test_in_doubt_it_hovers_until_the_time_is_over_and_says_so(tmp_path):
     console = quiet()
     config = FlyPlan.of(
-        instruction="to the bird", policy="cockpit_fakes:Eager", reasoner="cockpit_fakes:Doubtful", out=tmp_path / "f",
+        instruction="to the bird", policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", out=tmp_path / "f",
         time_limit=1.6, suite="open-v1:smoke", episode=0,
     )  # fmt: skip
     summary = fly_mission(config, console=console, keyboard=io.StringIO())
     assert (summary.ending.kind, summary.exit_code) == ("unsure", 1)
     assert summary.ending.reason == (
-        "the time limit of 1.6 s is over; it hovered, only 20% sure that what is asked is here"
+        "the time limit of 1.6 s is over; it hovered, only 20% sure that the scene shows what is asked for"
     )
     begun = events(tmp_path / "f")["hold"]
-    assert begun["text"] == "hovering, 20% sure that what is asked is here"
+    assert begun["text"] == "hovering, 20% sure that the scene shows what is asked for"
     assert f"hold      {begun['text']}" in console.file.getvalue()
     times = pq.read_table(tmp_path / "f" / "steps.parquet").to_pydict()["time_s"]
     speeds = np.abs(sent(tmp_path / "f")).max(axis=1)
@@ -163,7 +163,7 @@ def test_another_instruction_ends_the_hovering(tmp_path, monkeypatch):
     monkeypatch.setattr(Eager, "keyboard", writing)
     monkeypatch.setattr(Eager, "lines", {14: b"to the cat\n"})
     config = FlyPlan.of(
-        instruction="to the bird", policy="cockpit_fakes:Eager", reasoner="cockpit_fakes:Doubtful", out=tmp_path / "f",
+        instruction="to the bird", policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", out=tmp_path / "f",
         time_limit=2.5, suite="open-v1:smoke", episode=0,
     )  # fmt: skip
     with os.fdopen(reading) as keyboard:
@@ -181,7 +181,7 @@ def test_on_a_vehicle_doubt_is_zero_velocity_as_well(tmp_path):
         config = FlyPlan.of(
             instruction="to the bird", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=url, out=tmp_path / "f",
             time_limit=1.6,
-            policy="cockpit_fakes:Eager", reasoner="cockpit_fakes:Doubtful", i_understand_this_flies_a_real_drone=True,
+            policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", i_understand_this_flies_a_real_drone=True,
         )  # fmt: skip
         summary = fly_mission(config, console=quiet(), keyboard=io.StringIO("arm\n"))
     assert (summary.ending.kind, summary.exit_code) == ("unsure", 1)
@@ -190,7 +190,7 @@ def test_on_a_vehicle_doubt_is_zero_velocity_as_well(tmp_path):
 
 def test_never_hovering_is_an_option(tmp_path):
     config = FlyPlan.of(
-        instruction="to the bird", policy="cockpit_fakes:Eager", reasoner="cockpit_fakes:Doubtful", out=tmp_path / "f",
+        instruction="to the bird", policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", out=tmp_path / "f",
         time_limit=1.6, episode=0, hold_below=0.0,
     )  # fmt: skip
     assert fly_mission(config, console=quiet(), keyboard=io.StringIO()).ending.kind == "missed"

@@ -196,7 +196,7 @@ def test_what_is_written_is_what_was_scored(config):
 
 def test_answers_are_not_thrown_away_unasked(config):
     asked(config)
-    with pytest.raises(RunError, match="already holds answers; give --overwrite"):
+    with pytest.raises(RunError, match="already contains answers; give --overwrite"):
         asked(config)
     assert asked(config.changed(episodes=2, overwrite=True)).summary.overall.n == 2
     assert len((config.out / "reason.jsonl").read_text().splitlines()) == 2
@@ -213,7 +213,7 @@ def test_the_table_names_suite_and_reasoner_and_fits_into_a_terminal(config):
     text = text_of(asked(config))
     assert "open-v1:smoke: reasoner oracle" in text
     assert "…" not in text
-    assert "answers that say which gate from the left: 6, of them right: 6" in text
+    assert "answers that report the gate's index: 6, of them right: 6" in text
     assert "(median)" in text
 
 
@@ -225,7 +225,7 @@ def test_nothing_asked_nothing_scored():
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
-        ({"reasoner": "none"}, PolicyError, "none gives no answer to score; name one"),
+        ({"reasoner": "none"}, PolicyError, "none gives no answers to score; name a reasoner"),
         ({"reasoner": "orakle"}, PolicyError, "unknown reasoner 'orakle'; did you mean 'oracle'"),
         ({"frames": 0}, RunError, "--frames is 0; it must be at least 1"),
         ({"episodes": 0}, RunError, "--episodes is 0; it must be at least 1"),

@@ -10,7 +10,7 @@ from cognitivedrone.benchmark import Plan, run
 from cognitivedrone.benchmark.results import read_results
 from cognitivedrone.benchmark.scoring import score
 from cognitivedrone.benchmark.sweep import PLOT_FILE, SweepPlan, sweep
-from cognitivedrone.errors import PolicyError, RunError
+from cognitivedrone.errors import RunError, SimulationError
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import ReasonerReport, StageResult
 
@@ -70,7 +70,7 @@ def test_the_drone_goes_where_it_is_told(flown):
     assert [episode.stages[0].outcome == "passed" for episode in flown.episodes][:2] == [True, False]
 
 
-def test_scores_of_mind_and_wings_stand_apart(flown):
+def test_scores_of_reasoner_and_flying_are_separate(flown):
     async_reasoner = flown.summary().overall.reasoner
     assert async_reasoner.n == EPISODES
     assert async_reasoner.gate == 0.5
@@ -109,7 +109,7 @@ def test_stages_without_a_reasoner_have_no_such_score():
 
 
 def test_latency_that_cannot_be_read_stops_before_take_off(tmp_path):
-    with pytest.raises(PolicyError, match="cannot read 'soon'"):
+    with pytest.raises(SimulationError, match="cannot read 'soon'"):
         run(Plan.of(policy="hover", suite="open-v1:smoke", latency="soon", out=tmp_path / "run"), progress=False)
     assert not (tmp_path / "run").exists()
 

@@ -65,7 +65,7 @@ def test_a_changed_line_is_found_by_its_checksum(folder, facts):
 
 def test_a_folder_that_holds_a_run_is_not_overwritten_unasked(folder, facts):
     before = (folder / EPISODES_FILE).read_bytes()
-    with pytest.raises(RunError, match="already holds a run; give --resume"):
+    with pytest.raises(RunError, match="already contains a run; give --resume"):
         RunFolder(folder, facts)
     assert (folder / EPISODES_FILE).read_bytes() == before
 
@@ -90,7 +90,7 @@ def test_overwrite_starts_anew(folder, facts):
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_a_folder_of_other_things_is_left_alone(tmp_path, facts, overwrite):
     (tmp_path / "report.html").write_text("my own report")
-    with pytest.raises(RunError, match="is not empty and holds no run"):
+    with pytest.raises(RunError, match="is not empty and contains no run"):
         RunFolder(tmp_path, facts, overwrite=overwrite)
     assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
 

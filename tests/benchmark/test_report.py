@@ -15,6 +15,7 @@ from rich.console import Console
 from cognitivedrone.benchmark import report
 from cognitivedrone.benchmark.clips import choose_clips, encode_mp4, make_clip
 from cognitivedrone.benchmark.drawing import episode_map, overlay, stage_flights
+from cognitivedrone.benchmark.job import prepare
 from cognitivedrone.benchmark.report import render_report
 from cognitivedrone.benchmark.runner import run
 from cognitivedrone.benchmark.tables import results_table, words
@@ -50,7 +51,7 @@ class Page(HTMLParser):
 
 @pytest.fixture
 def flown(config):
-    runner = FakeRunner(config, suite_of(config))
+    runner = FakeRunner(prepare(config))
     return [runner.fly(episode, film=True) for episode in range(20)]
 
 
@@ -58,7 +59,7 @@ def flown(config):
 def pieces(config, flown):
     """Results, traces and three clips."""
     results = run(config, progress=False, runner=RUNNER)
-    tracks = suite_of(config).tracks
+    tracks = suite_of(config.scenario, config.episodes).tracks
     clips = [make_clip(one, tracks[one.result.episode], one.result) for one in flown[:3]]
     return results, [one.trace for one in flown], clips
 
@@ -166,7 +167,7 @@ def test_films_stand_over_the_tables_failures_first_and_loop(config):
 def test_the_instruction_of_every_failure_is_told(config):
     results = run(config.changed(clips=0), progress=False, runner=RUNNER)
     listed = (config.out / "report.html").read_text().partition("Every stage not passed")[2].partition("</table>")[0]
-    tracks = suite_of(config).tracks
+    tracks = suite_of(config.scenario, config.episodes).tracks
     failed = [e.episode for e in results.episodes if e.stages[0].outcome != "passed"]
     assert failed
     for episode in failed:
@@ -293,7 +294,7 @@ def test_a_film_plays_as_it_was_taken():
 
 def test_a_map_shows_each_flight_in_the_frame_of_its_stage(config):
     config = config.changed(track=True)
-    runner = FakeRunner(config, suite_of(config))
+    runner = FakeRunner(prepare(config))
     flown = max((runner.fly(e, film=False) for e in range(4)), key=lambda one: len(one.trace.stages))
     flights = list(stage_flights(flown.result, flown.trace))
     assert len(flights) > 1

@@ -120,8 +120,8 @@ def test_a_worker_that_dies_is_told_with_its_episode_and_the_rest_is_kept(config
     ("runner", "says", "trace"),
     [
         ("HangingRunner", "took longer than 1 s", "benchmark_fakes.py"),
-        ("QuittingRunner", "ended with exit code 0 in the middle of a call of policy or reasoner", "exit code 0"),
-        ("CrashingRunner", "was killed by SIGSEGV in the middle of a call", "Segmentation fault"),
+        ("QuittingRunner", "ended with exit code 0 during a call of policy or reasoner", "exit code 0"),
+        ("CrashingRunner", "was killed by SIGSEGV during a call", "Segmentation fault"),
     ],
 )
 def test_a_worker_that_a_policy_takes_down_costs_one_episode(config, runner, says, trace, workers):
@@ -140,7 +140,7 @@ def test_a_worker_that_a_policy_takes_down_costs_one_episode(config, runner, say
 
 
 def test_a_worker_that_leaves_on_its_own_never_ends_a_run_well(config):
-    with pytest.raises(RunError, match=r"the worker of episode 5 .* ended with exit code 0; give --resume"):
+    with pytest.raises(RunError, match=r"the worker of episode 5 .* ended with exit code 0; continue with --resume"):
         run(config.changed(workers=1), progress=False, runner="benchmark_fakes:LeavingRunner")
     assert not (config.out / "results.json").exists()
 
@@ -174,7 +174,7 @@ def test_a_bug_in_a_worker_is_told_with_its_episode_and_its_traceback_is_kept(co
 
 
 def test_a_worker_that_cannot_start_is_told(config):
-    with pytest.raises(RunError, match="a worker ended with exit code 3 before it was ready; --workers 0"):
+    with pytest.raises(RunError, match="a worker ended with exit code 3 before it was ready; use --workers 0"):
         run(config.changed(workers=2), progress=False, runner="benchmark_fakes:StillbornRunner")
 
 
@@ -270,7 +270,7 @@ def test_tasks_of_a_file_are_flown(config, tmp_path):
     write_tasks(tmp_path / "mine.json", tasks)
     assert [t.instruction for (t,) in open_suite(str(tmp_path / "mine.json")).tracks] == [t.instruction for t in tasks]
     given = config.changed(tasks=tmp_path / "mine.json", episodes=None)
-    assert suite_of(given).n_tasks == 3
+    assert suite_of(given.scenario).n_tasks == 3
     assert run(given, progress=False, runner=RUNNER).summary().overall.n == 3
 
 

@@ -21,7 +21,7 @@ def lasting(folder):
         ("raise", r"the policy raised RuntimeError: CUDA out of memory (user_pilots.py, line", "in misbehave"),
         ("exit", "the policy raised SystemExit: 0 (user_pilots.py, line", "in misbehave"),
         ("shape", "the policy returned an action of shape (4,)", "check_chunk"),
-        ("words", "the policy returned 'str', which is no array of numbers", "check_chunk"),
+        ("words", "the policy returned 'str', not an array of numbers", "check_chunk"),
         ("nothing", "the policy returned", "check_chunk"),
         ("nan", "not all of it is a finite number", "check_chunk"),
     ],

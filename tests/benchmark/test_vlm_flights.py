@@ -102,7 +102,7 @@ def test_a_directive_for_a_gate_that_is_not_there_is_told_as_wrong(tmp_path):
 
 @pytest.mark.parametrize(
     ("models", "says"),
-    [((401, b"no"), "asks for a key"), ((200, b'{"data": [{"id": "eye-3b"}]}'), "eye-3b")],
+    [((401, b"no"), "requires a key"), ((200, b'{"data": [{"id": "eye-3b"}]}'), "eye-3b")],
 )
 def test_a_wrong_key_or_model_stops_before_take_off(models, says, tmp_path):
     with pytest.raises(PolicyError, match=says):

@@ -178,6 +178,7 @@ def test_progress_goes_to_the_error_stream(tmp_path, monkeypatch, capfd):
         ({"episodes": 0}, DataError, "--episodes 0"),
         ({"workers": 0}, DataError, "--workers 0"),
         ({"seed": -1}, DataError, "--seed -1"),
+        ({"suite": "open-v2:words"}, DataError, "is only for testing"),
         ({"beta": 0.5}, DataError, "give a --policy"),
         ({"beta": 1.5, "policy": "hover"}, DataError, "--beta 1.5: must be a probability"),
         ({"policy": "hovr"}, PolicyError, "did you mean 'hover'"),

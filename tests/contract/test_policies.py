@@ -205,7 +205,7 @@ def test_a_policy_that_cannot_be_made_is_said_in_one_sentence(name, says):
 
 
 def test_oracles_refuse_to_fly_without_the_truth():
-    with pytest.raises(PolicyError, match="needs the simulator's truth"):
+    with pytest.raises(PolicyError, match="needs the simulator's ground truth"):
         make_policy("oracle").act(observation(noise()))
-    with pytest.raises(PolicyError, match="needs the simulator's truth"):
+    with pytest.raises(PolicyError, match="needs the simulator's ground truth"):
         make_reasoner("oracle").refine(noise(), "go")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cognitivedrone.control.directive_filter import DirectiveFilter, SteeringRule, meaning_of
+from cognitivedrone.control.directive_filter import DirectiveFilter, FilterRule, meaning_of
 from cognitivedrone.types import Guidance
 
 RED, BLUE = "Fly through the big red round gate", "Fly through the small blue square gate"
@@ -49,5 +49,5 @@ def test_other_words_of_the_same_meaning_agree():
 
 
 def test_a_rule_without_memory_follows_every_answer():
-    directive_filter = DirectiveFilter(SteeringRule(fading=0.0))
+    directive_filter = DirectiveFilter(FilterRule(fading=0.0))
     assert heard(directive_filter, (RED, 1.0), (BLUE, 0.5), (RED, 0.5)) == ["adopted"] * 3

@@ -62,7 +62,7 @@ def test_zero_never_hovers():
     assert after(*[answer(0.0)] * 5, rule=HoldRule(below=0.0)) == [False] * 5
 
 
-def test_a_new_leg_is_flown_until_it_is_doubted_itself():
+def test_a_new_segment_is_flown_until_it_is_doubted_itself():
     hold = Hold()
     hold.begin(0)
     for _ in range(2):
@@ -72,7 +72,7 @@ def test_a_new_leg_is_flown_until_it_is_doubted_itself():
     assert hold.active
     hold.begin(1)
     assert not hold.active
-    hold.update(answer(0.1, segment=0))  # late, about the leg before
+    hold.update(answer(0.1, segment=0))  # late, about the segment before
     hold.update(answer(0.1, segment=1))
     assert not hold.active
     hold.update(answer(0.1, segment=1))
@@ -113,7 +113,7 @@ class Doubtful(Reasoner):
         return Guidance("Fly through the red gate", 0, 0.2)
 
 
-def test_a_heeding_mind_answers_as_the_mind_and_is_heard():
+def test_a_hold_aware_reasoner_passes_answers_on_and_to_the_hold():
     hold = Hold()
     async_reasoner = HoldAwareReasoner(SimulatedReasoner(Doubtful(), lambda _: 0.5), hold)
     for instruction in ("the bird", "blind", "the bird"):

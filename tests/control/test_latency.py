@@ -71,7 +71,12 @@ def test_what_cannot_be_read_is_said(text, said):
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [("", "holds no number"), ("fast\n", "line 1: 'fast' is no number"), ("1\n-3\n", "line 2"), ("nan\n", "line 1")],
+    [
+        ("", "contains no number"),
+        ("fast\n", "line 1: 'fast' is not a number"),
+        ("1\n-3\n", "line 2"),
+        ("nan\n", "line 1"),
+    ],
 )
 def test_a_file_that_cannot_be_read_is_said_with_its_line(tmp_path, content, said):
     file = tmp_path / "samples.txt"

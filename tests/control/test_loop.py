@@ -1,4 +1,4 @@
-"""The loop keeps its rates, flies chunks to their end, follows legs and refuses what cannot be flown."""
+"""The loop keeps its rates, flies chunks to their end, follows segments and rejects what cannot be flown."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_a_slow_reasoner_is_asked_about_the_newest_frame_never_about_a_queue():
     assert [time for time, _, _ in notes.of("asked")] == [0.0, 0.8, 1.6]
 
 
-def test_an_answer_about_an_earlier_leg_is_not_flown_by():
+def test_an_answer_about_an_earlier_segment_is_not_followed():
     ground, policy, notes = Ground(), Counting(), Notes()
 
     def mission():
@@ -212,7 +212,7 @@ def test_a_clock_that_goes_in_steps_is_not_late_by_one_of_them():
     assert len(notes.of("late")) == 1
 
 
-def test_a_new_leg_resets_the_policy_and_drops_the_rest_of_the_chunk():
+def test_a_new_segment_resets_the_policy_and_drops_the_rest_of_the_chunk():
     ground, policy, reasoner = Ground(), Counting(k=4), Saying(RED)
 
     def mission():
@@ -225,7 +225,7 @@ def test_a_new_leg_resets_the_policy_and_drops_the_rest_of_the_chunk():
     assert len(reasoner.asked) == 2
 
 
-def test_the_first_leg_is_stage_0_whatever_its_index_and_every_stage_has_the_seed():
+def test_the_first_segment_is_stage_0_whatever_its_index_and_every_stage_has_the_seed():
     ground, policy = Ground(), Counting()
 
     def mission():

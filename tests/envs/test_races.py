@@ -1,4 +1,4 @@
-"""A race as it is flown: one gate in sight at a time, on the way from one to the next."""
+"""Races in flight: one visible gate at a time, each followed by the next."""
 
 from __future__ import annotations
 

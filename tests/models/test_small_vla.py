@@ -198,7 +198,7 @@ def test_a_board_that_is_read_surely_is_told_to_sentences_as_the_sum_of_its_prot
     config = replace(CONFIG, attributes=9, board_bounds=(2, 5, 9))
     network = SmallVLA(config)
     prototypes = network.prototypes.detach()
-    # What a sure reading is: far along the prototypes of facets 3 and 8, and off those of their rivals.
+    # What a sure reading is: far along the prototypes of attributes 3 and 8, and away from those of their rivals.
     wanted = torch.full((7,), -60.0)
     wanted[3 - 2] = wanted[8 - 2] = 60.0
     read = torch.linalg.lstsq(prototypes[2:], wanted[:, None]).solution.T

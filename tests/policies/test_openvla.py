@@ -67,7 +67,7 @@ def test_bad_observations_are_refused(folder):
     with pytest.raises(PolicyError, match="the instruction is empty"):
         policy.reset(EpisodeContext(" "))
     small = Observation(np.zeros((10, 10, 3), np.uint8), INSTRUCTION, np.zeros(3), 0.8, 0.0, 0.0)
-    with pytest.raises(PolicyError, match=r"uint8 \(256, 256, 3\); what came is uint8 \(10, 10, 3\)"):
+    with pytest.raises(PolicyError, match=r"uint8 images of shape \(256, 256, 3\), got uint8 \(10, 10, 3\)"):
         policy.act(small)
 
 
@@ -120,7 +120,7 @@ class TestBeforeAnythingHeavyIsLoaded:
 
     @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")
     def test_a_gpu_that_is_not_there(self, folder):
-        with pytest.raises(PolicyError, match=r"needs 0\.0 GB of GPU memory, and this machine has no GPU .*device=cpu"):
+        with pytest.raises(PolicyError, match=r"needs 0\.0 GB of GPU memory, but this machine has no GPU .*device=cpu"):
             make_policy(f"openvla:{folder},device=cuda")
 
     @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")
@@ -128,7 +128,7 @@ class TestBeforeAnythingHeavyIsLoaded:
         monkeypatch.setattr(checkpoints, "needed_bytes", lambda *_: 15_100_000_000)
         monkeypatch.setattr(checkpoints, "free_memory", lambda: 64_000_000_000)
         with pytest.raises(
-            PolicyError, match=r"needs 15\.1 GB of GPU memory, .* 64\.0 GB of its own.*device=cpu, at sec"
+            PolicyError, match=r"needs 15\.1 GB of GPU memory, .* 64\.0 GB of free main.*device=cpu, which takes sec"
         ):
             OpenVla(folder)
         with pytest.raises(AssertionError, match="the weights were loaded"):  # whoever asks for it gets it

@@ -121,16 +121,16 @@ def test_a_gate_that_stands_alone_is_not_mistaken():
 def test_it_asks_for_the_truth_and_a_seed():
     assert NoisyOracle().needs_ground_truth
     assert NoisyOracle().needs_seed
-    with pytest.raises(PolicyError, match="needs the simulator's truth"):
+    with pytest.raises(PolicyError, match="needs the simulator's ground truth"):
         NoisyOracle().refine(IMAGE, "Fly through the gate with the cat")
 
 
 @pytest.mark.parametrize(
     ("argument", "message"),
     [
-        ("1.2", r"1\.2 is no accuracy; give a number from 0 to 1"),
-        ("nan", "nan is no accuracy"),
-        ("reasoning=-1", "-1 is no accuracy"),
+        ("1.2", r"accuracy is 1\.2; give a number from 0 to 1"),
+        ("nan", "accuracy is nan"),
+        ("reasoning=-1", "accuracy is -1"),
         ("often", "accuracy is 'often'; it is a number"),
         ("0.8,", "cannot place '' of '0.8,'"),
         ("reasoning=", "reasoning is ''; it is a number|reasoning has no value"),

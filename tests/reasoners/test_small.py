@@ -27,8 +27,8 @@ def looks_of(gate):
     return np.array([*told, *(gate.size == name for name in SIZES)], np.float32)
 
 
-def panel_encoder(labels, *, order=(0, 1, 2), board=None, heights=(30, 30, 30), scores=(1, 1, 1), strength=12.0):
-    """What eyes would tell, the gates' slots in any order."""
+def reading_of(labels, *, order=(0, 1, 2), board=None, heights=(30, 30, 30), scores=(1, 1, 1), strength=12.0):
+    """A panel reader's output, the gates' slots in any order."""
     attributes = [logits_of(labels[i], strength) for i in order]
     attributes.append(logits_of(board) if board else np.zeros(len(SEEN), np.float32))
     boxes = [(50 + 80 * i, 100, heights[i], scores[i]) for i in order] + [(128, 40, 50, 0.9 if board else 0.1)]
@@ -38,7 +38,7 @@ def panel_encoder(labels, *, order=(0, 1, 2), board=None, heights=(30, 30, 30), 
 
 
 class Scripted:
-    """Eyes that see what they are told, and a mind that notes what it is asked and answers as it is told."""
+    """A panel reader with a given output, and a gate selector that records its inputs and gives a set answer."""
 
     def __init__(self, *sights, answer=(0.1, 0.8, 0.1)):
         self.attributes, self.sights, self.answer, self.asked = AttributeSchema(SEEN), list(sights), answer, []
@@ -74,7 +74,7 @@ def shown(panel, label):
 
 
 def test_gates_are_told_from_left_to_right_whatever_slot_they_were_found_in(made):
-    parts = Scripted(panel_encoder(LETTERS, order=(2, 0, 1)))
+    parts = Scripted(reading_of(LETTERS, order=(2, 0, 1)))
     guidance = made(parts).refine(FRAME, "to the letter B")
     (asked,) = parts.asked
     assert [shown(panel, label) > 0.95 for panel, label in zip(asked["panels"], LETTERS, strict=True)] == [True] * 3
@@ -83,7 +83,7 @@ def test_gates_are_told_from_left_to_right_whatever_slot_they_were_found_in(made
 
 
 def test_what_does_not_belong_to_a_kind_of_picture_is_not_told(made):
-    parts = Scripted(panel_encoder(LETTERS))
+    parts = Scripted(reading_of(LETTERS))
     made(parts).refine(FRAME, "to the letter B")
     panel = parts.asked[0]["panels"][0]
     people = [i for i, name in enumerate(SEEN) if name.startswith("hair/")]
@@ -92,7 +92,7 @@ def test_what_does_not_belong_to_a_kind_of_picture_is_not_told(made):
 
 def test_frames_are_averaged_and_clear_ones_count_more(made):
     wrong = ("letter/Z@inter", *LETTERS[1:])
-    parts = Scripted(panel_encoder(wrong, heights=(15, 30, 30)), panel_encoder(LETTERS, heights=(45, 30, 30)))
+    parts = Scripted(reading_of(wrong, heights=(15, 30, 30)), reading_of(LETTERS, heights=(45, 30, 30)))
     reasoner = made(parts)
     reasoner.refine(FRAME, "to the letter A")
     reasoner.refine(FRAME, "to the letter A")
@@ -101,7 +101,7 @@ def test_frames_are_averaged_and_clear_ones_count_more(made):
 
 
 def test_a_gate_that_has_left_the_view_is_remembered(made):
-    parts = Scripted(panel_encoder(LETTERS), panel_encoder(LETTERS, scores=(0.05, 1, 1)))
+    parts = Scripted(reading_of(LETTERS), reading_of(LETTERS, scores=(0.05, 1, 1)))
     reasoner = made(parts)
     for _ in range(2):
         reasoner.refine(FRAME, "to the letter A")
@@ -110,14 +110,14 @@ def test_a_gate_that_has_left_the_view_is_remembered(made):
 
 def test_it_calculates_what_is_asked_and_what_stands_on_the_board(made):
     labels = ("sum/3*3@inter", "sum/20-1@inter", "number/9@inter")
-    parts = Scripted(panel_encoder(labels, board="sum/7+5@inter"))
+    parts = Scripted(reading_of(labels, board="sum/7+5@inter"))
     made(parts).refine(FRAME, "the number that is 3 more than the sum on the board")
     np.testing.assert_array_equal(parts.asked[0]["values"], [9, 19, 22, 12, 15])
 
 
 def test_earlier_stages_are_remembered_with_the_gate_it_sent_the_drone_to(made):
     others = ("letter/D@inter", "letter/E@inter", "letter/F@inter")
-    parts = Scripted(panel_encoder(LETTERS), panel_encoder(others), panel_encoder(LETTERS))
+    parts = Scripted(reading_of(LETTERS), reading_of(others), reading_of(LETTERS))
     reasoner = made(parts)
     reasoner.reset(EpisodeContext("", stage=0))
     reasoner.refine(FRAME, "one")
@@ -132,7 +132,7 @@ def test_earlier_stages_are_remembered_with_the_gate_it_sent_the_drone_to(made):
 
 
 def test_only_the_latest_stages_are_remembered(made):
-    parts = Scripted(*[panel_encoder(LETTERS)] * 8)
+    parts = Scripted(*[reading_of(LETTERS)] * 8)
     reasoner = made(parts)
     for _ in range(7):
         reasoner.refine(FRAME, "go")
@@ -144,9 +144,7 @@ def test_only_the_latest_stages_are_remembered(made):
 
 
 def test_it_says_when_it_cannot_tell(made):
-    reasoner = made(
-        Scripted(panel_encoder(LETTERS, scores=(1, 1, 0.1)), panel_encoder(LETTERS), answer=(0.34, 0.33, 0.33))
-    )
+    reasoner = made(Scripted(reading_of(LETTERS, scores=(1, 1, 0.1)), reading_of(LETTERS), answer=(0.34, 0.33, 0.33)))
     with pytest.raises(ReasonerError, match="only 2 of 3 gates") as error:
         reasoner.refine(FRAME, "go")
     assert error.value.kind == "unsure"
@@ -154,7 +152,7 @@ def test_it_says_when_it_cannot_tell(made):
         reasoner.refine(FRAME, "go")
 
 
-def test_numbers_as_the_mind_is_told():
+def test_numbers_as_the_gate_selector_reads_them():
     assert [value_index(value) for value in (0, 20, 21, 400, None, -3)] == [0, 20, 21, 21, 22, 23]
 
 
@@ -164,7 +162,7 @@ def test_a_gate_is_named_by_what_is_likeliest():
 
 
 def test_missing_files_are_said(tmp_path):
-    with pytest.raises(PolicyError, match=r"no eyes\.onnx and mind\.onnx in"):
+    with pytest.raises(PolicyError, match=r"panel_reader\.onnx or gate_selector\.onnx is missing in"):
         SmallReasoner(str(tmp_path))
 
 
@@ -178,7 +176,7 @@ PEOPLE = ("person/skin=tan,hat=hat@sky", "person/skin=dark@sky", "person/skin=li
         (ANIMALS, "Fly through the gate with the bird", True),
         (PEOPLE, "Fly through the gate with the bird", False),
         (ANIMALS, "Fly through the gate with the dolphin", False),
-        (ANIMALS, "the animal that lives in the sea", True),  # which animal it is, is the mind's to tell
+        (ANIMALS, "the animal that lives in the sea", True),  # which animal it is, the gate selector decides
         (PEOPLE, "somebody with an eyepatch", True),
         (LETTERS, "somebody with an eyepatch", False),
         (("number/3@inter", "number/7@inter", "sum/3*3@inter"), "the answer to 3 + 4", True),
@@ -188,7 +186,7 @@ PEOPLE = ("person/skin=tan,hat=hat@sky", "person/skin=dark@sky", "person/skin=li
     ],
 )
 def test_it_tells_whether_what_is_named_is_shown_at_all(made, labels, instruction, present):
-    guidance = made(Scripted(panel_encoder(labels))).refine(FRAME, instruction)
+    guidance = made(Scripted(reading_of(labels))).refine(FRAME, instruction)
     assert guidance.confidence == pytest.approx(0.8)
     if present is None:
         assert guidance.present is None

@@ -56,7 +56,7 @@ def make(url) -> Iterator[Callable[..., Vlm]]:
 
 
 def fault(reasoner: Vlm) -> ReasonerError:
-    with pytest.warns(RuntimeWarning, match="the flight goes on"), pytest.raises(ReasonerError) as caught:
+    with pytest.warns(RuntimeWarning, match="the flight continues"), pytest.raises(ReasonerError) as caught:
         reasoner.refine(FRAME, INSTRUCTION)
     return caught.value
 
@@ -275,7 +275,7 @@ def test_the_check_names_the_models_that_there_are(url):
     reasoner.close()
 
 
-@pytest.mark.parametrize(("key", "said"), [("wrong", "does not take the key"), ("", "asks for a key")])
+@pytest.mark.parametrize(("key", "said"), [("wrong", "rejects the key"), ("", "requires a key")])
 def test_the_check_knows_a_wrong_key(script, make, monkeypatch, key, said):
     monkeypatch.setenv("COGNITIVEDRONE_VLM_KEY", key)
     script.models = (401, b'{"error": "bad key"}')
@@ -299,12 +299,12 @@ def test_the_check_does_not_pass_a_server_in_trouble(script, make):
     [
         (None, "needs a model"),
         ("http://127.0.0.1:1/v1", "needs a model"),
-        ("localhost:8000,model=x", "no base URL"),
-        ("ftp://host/v1,model=x", "no base URL"),
-        ("http://host:port/v1,model=x", "no base URL"),
+        ("localhost:8000,model=x", "not a base URL"),
+        ("ftp://host/v1,model=x", "not a base URL"),
+        ("http://host:port/v1,model=x", "not a base URL"),
         ("http://me:secret@host/v1,model=x", "COGNITIVEDRONE_VLM_KEY"),
-        ("http://host/v1,model=x,timeout=0", "timeout=0 is no"),
-        ("http://host/v1,model=x,timeout=nan", "timeout=nan is no"),
+        ("http://host/v1,model=x,timeout=0", "timeout=0; it must be"),
+        ("http://host/v1,model=x,timeout=nan", "timeout=nan; it must be"),
         ("http://host/v1,model=x,timeout=soon", "timeout is 'soon'; it is a number"),
         ("http://host/v1,modle=x", "did you mean 'model'"),
         ("http://host/v1,model=x,key=y", "no option 'key'"),
@@ -320,7 +320,7 @@ def test_arguments_that_do_not_do(argument, said):
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [(b"no place", r"write \{instruction\}"), (b"\xff{instruction}", "UTF-8"), (b"{instruction}" * 2000, "20000")],
+    [(b"no place", r"lacks \{instruction\}"), (b"\xff{instruction}", "UTF-8"), (b"{instruction}" * 2000, "20000")],
 )
 def test_prompt_files_that_do_not_do(tmp_path, content, said):
     file = tmp_path / "p.txt"

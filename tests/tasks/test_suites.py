@@ -8,13 +8,14 @@ from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cognitivedrone.errors import TaskError
 from cognitivedrone.tasks import (
     BASE_FAMILIES,
     HARD_FAMILIES,
-    SUITES,
+    TEST_ONLY,
     UNLIMITED,
     Suite,
     load_suite,
@@ -24,10 +25,12 @@ from cognitivedrone.tasks import (
     validate_task,
     write_tasks,
 )
-from cognitivedrone.tasks.build import main
+from cognitivedrone.tasks.build import main, suite_text
+from cognitivedrone.tasks.generate import HELD_OUT, TRAIN
+from cognitivedrone.tasks.suites import AUTHORED, BUILT, FIXED, drawn_task
 from cognitivedrone.types import CATEGORIES, COLORS, SHAPES, SIZES, Task
 
-FIXED = [name for name in SUITES if not name.endswith(":train")]
+WORDS = "open-v2:words"
 
 
 def tasks_of(suite: Suite) -> list[Task]:
@@ -40,7 +43,7 @@ def spread(values: Iterable[object], known: Iterable[object]) -> int:
 
 
 def test_suite_sizes() -> None:
-    sizes = {name.split(":")[1]: load_suite(name).n_tasks for name in FIXED}
+    sizes = {name.split(":")[1]: load_suite(name).n_tasks for name in BUILT}
     assert sizes == {"test": 300, "unseen": 150, "smoke": 30, "track": 100, "hard": 150, "race": 100}
     assert [len(track) for track in load_suite("open-v1:track").tracks] == [5] * 20
     assert [len(track) for track in load_suite("open-v1:race").tracks] == [5] * 20
@@ -49,10 +52,20 @@ def test_suite_sizes() -> None:
 
 def test_committed_files_are_what_build_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(tmp_path)
-    assert len(capsys.readouterr().out.splitlines()) == len(FIXED)
+    assert len(capsys.readouterr().out.splitlines()) == len(BUILT)
     committed = resources.files("cognitivedrone.tasks").joinpath("suites")
-    for path in sorted(tmp_path.iterdir()):
-        assert committed.joinpath(path.name).read_text(encoding="utf-8") == path.read_text(encoding="utf-8"), path.name
+    written = sorted(tmp_path.rglob("*.json"))
+    assert len(written) == len(BUILT)
+    for path in written:
+        name = path.relative_to(tmp_path).as_posix()
+        assert committed.joinpath(name).read_text(encoding="utf-8") == path.read_text(encoding="utf-8"), name
+
+
+@pytest.mark.parametrize("name", AUTHORED)
+def test_authored_files_have_the_form_of_built_ones(name: str) -> None:
+    version, _, bare = name.partition(":")
+    committed = resources.files("cognitivedrone.tasks").joinpath("suites", version, f"{bare}.json")
+    assert committed.read_text(encoding="utf-8") == suite_text(name, load_suite(name).tracks)
 
 
 @pytest.mark.parametrize("name", FIXED)
@@ -77,7 +90,7 @@ def test_positions_colours_shapes_and_sizes_are_balanced(name: str) -> None:
     assert spread((task.category for task in tasks), CATEGORIES) <= 1
 
 
-@pytest.mark.parametrize("name", ["open-v1:test", "open-v1:unseen", "open-v1:hard"])
+@pytest.mark.parametrize("name", ["open-v1:test", "open-v1:unseen", "open-v1:hard", WORDS])
 def test_positions_are_balanced_in_every_family(name: str) -> None:
     tasks = tasks_of(load_suite(name))
     for family in {task.family for task in tasks}:
@@ -126,13 +139,63 @@ def test_unknown_suites_and_sizes(name: str, size: int | None, message: str) -> 
 
 
 def test_a_changed_suite_file_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = resources.files("cognitivedrone.tasks").joinpath("suites", "smoke.json").read_text(encoding="utf-8")
-    (tmp_path / "suites").mkdir()
-    (tmp_path / "suites" / "smoke.json").write_text(text.replace('"correct":1', '"correct":2', 1), encoding="utf-8")
+    text = resources.files("cognitivedrone.tasks").joinpath("suites/open-v1/smoke.json").read_text(encoding="utf-8")
+    changed = tmp_path / "suites" / "open-v1" / "smoke.json"
+    changed.parent.mkdir(parents=True)
+    changed.write_text(text.replace('"correct":1', '"correct":2', 1), encoding="utf-8")
     monkeypatch.setattr(suites.resources, "files", lambda package: tmp_path)
     suites._fixed_suite.cache_clear()
     with pytest.raises(TaskError, match="does not match its hash"):
         load_suite("open-v1:smoke")
+
+
+# ---- open-v2:words: typed by people, never trained on
+
+
+def test_words_has_a_hundred_tasks_a_category_of_every_family_of_single_tasks() -> None:
+    tasks = tasks_of(load_suite(WORDS))
+    assert Counter(task.category for task in tasks) == dict.fromkeys(CATEGORIES, 100)
+    assert {task.family for task in tasks} == {*BASE_FAMILIES, *HARD_FAMILIES} - {"memory"}
+
+
+def test_words_are_short_printable_and_all_different() -> None:
+    words = [task.instruction for task in tasks_of(load_suite(WORDS))]
+    assert len({text.casefold() for text in words}) == len(words)
+    for text in words:
+        assert 1 <= len(text) <= 200
+        assert text.isprintable()
+        assert text == text.strip()
+
+
+def test_words_shows_only_what_training_shows() -> None:
+    known = {*TRAIN.fonts, *TRAIN.styles, *TRAIN.backgrounds, "color"}
+    for task in tasks_of(load_suite(WORDS)):
+        for reference in (*task.labels, task.board):
+            assert reference is None or reference.rpartition("@")[2] in known
+
+
+def test_words_repeats_no_sentence_of_a_generator_or_of_another_suite() -> None:
+    words = {plain(task.instruction) for task in tasks_of(load_suite(WORDS))}
+    for name in BUILT:
+        assert not words & {plain(task.instruction) for task in tasks_of(load_suite(name))}, name
+    assert not words & {plain(train_task(index).instruction) for index in range(20_000)}
+    families = [family for family in (*BASE_FAMILIES, *HARD_FAMILIES) if family != "memory"]
+    for index in range(6_000):
+        rng = np.random.default_rng([9, index])
+        pools = HELD_OUT if index % 2 else TRAIN
+        drawn = drawn_task(families[index // 2 % len(families)], rng, "?", pools)
+        assert plain(drawn.instruction) not in words
+
+
+def plain(text: str) -> str:
+    """A sentence without upper case and closing marks."""
+    return text.casefold().strip(" .!?")
+
+
+def test_a_suite_of_each_version_is_suggested() -> None:
+    with pytest.raises(TaskError, match="did you mean 'open-v2:words'"):
+        load_suite("open-v2:wrods")
+    assert set(AUTHORED) <= TEST_ONLY
 
 
 # ---- the user's own files

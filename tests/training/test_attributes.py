@@ -1,4 +1,4 @@
-"""Every panel, board and gate of the training suite has its facets, and they say what is drawn."""
+"""Every panel, board and gate of the training suite has its attributes, and they match what is drawn."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_whatever_the_suites_show_has_a_facet(suite: str) -> None:
             assert task.board is None or (board_attributes(task.board) >= 0).all()
 
 
-def test_different_things_have_different_facets() -> None:
+def test_different_things_have_different_attributes() -> None:
     tasks = [train_task(i, seed=2) for i in range(600)]
     things = [task for task in tasks if not task.labels[0].startswith("person/")]
     assert len(things) == 480
@@ -118,7 +118,7 @@ def test_different_things_have_different_facets() -> None:
         assert len({tuple(panel_attributes(label)) for label in task.labels}) == 3, task
 
 
-def test_facets_of_a_person_are_all_that_a_viewer_sees() -> None:
+def test_attributes_of_a_person_are_all_that_a_viewer_sees() -> None:
     for i in range(0, 1000, 10):  # every tenth task describes people
         for label in train_task(i, seed=3).labels:
             person = people.parse_person(label[len("person/") :].rpartition("@")[0])

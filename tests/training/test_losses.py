@@ -31,7 +31,7 @@ from cognitivedrone.training.small_vla.stream import RolloutStream
 DEBUG = RECIPES["debug"]
 VOCABULARY = Vocabulary.of(train_task(i, 0).instruction for i in range(500))
 VARIANTS = list(itertools.product(get_args(Head), (1, 3)))
-PARTS = ("heat", "place", "facets", "cards", "choice", "text", "action")
+PARTS = ("heat", "place", "attributes", "panel_crops", "choice", "text", "action")
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -1,4 +1,4 @@
-"""Cards show what they say, as a glimpse would, and all there is to read comes up."""
+"""Panel crops show their labels as a camera would, and every readable content appears."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def test_a_glimpse_shows_its_picture_and_none_is_like_another() -> None:
     assert len(panel_images) == 20
 
 
-def test_a_card_looks_like_the_label_that_its_facets_name(panel_crops: PanelCrops) -> None:
-    """The nearest of a few pictures is the one that is named, for most cards."""
+def test_a_crop_looks_like_the_label_that_its_attributes_name(panel_crops: PanelCrops) -> None:
+    """The nearest of a few pictures is the one that is named, for most crops."""
     panel_crops.forget()
     rng = np.random.default_rng(1)
     labels = {name: picture(f"letter/{name}@inter") for name in "OILXW"}
@@ -83,7 +83,7 @@ def test_everything_there_is_to_read_comes_up(panel_crops: PanelCrops) -> None:
     assert min(counts.values()) > 20
 
 
-def test_the_same_seed_draws_the_same_cards(panel_crops: PanelCrops) -> None:
+def test_the_same_seed_draws_the_same_crops(panel_crops: PanelCrops) -> None:
     drawn = []
     for seed in (3, 4, 3):
         panel_crops.forget()
@@ -93,5 +93,5 @@ def test_the_same_seed_draws_the_same_cards(panel_crops: PanelCrops) -> None:
     assert drawn[0] != drawn[1]
 
 
-def test_facets_are_those_of_the_label() -> None:
+def test_attributes_are_those_of_the_label() -> None:
     assert FACETS[panel_attributes("letter/W@inter")[0]].endswith("letter:W")

@@ -57,7 +57,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 @pytest.fixture(scope="module")
 def parts(tmp_path_factory: pytest.TempPathFactory, policy_checkpoint: Path) -> Path:
-    """A folder with a mind and eyes that have hardly been trained."""
+    """A folder with a barely trained gate selector and panel reader."""
     folder = tmp_path_factory.mktemp("reasoner")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(selector, "_SENTENCES", 400)
@@ -71,7 +71,7 @@ def parts(tmp_path_factory: pytest.TempPathFactory, policy_checkpoint: Path) -> 
 # ---- what is read
 
 
-def test_all_that_any_family_shows_has_facets() -> None:
+def test_all_that_any_family_shows_has_attributes() -> None:
     rng = np.random.default_rng(0)
     kinds = set()
     for _ in range(800):
@@ -156,7 +156,7 @@ def test_earlier_stages_that_say_nothing_come_later_in_the_training(monkeypatch:
     assert on_tracks[2] > 0.25
 
 
-def test_a_muddled_sentence_keeps_most_of_its_words_in_their_order() -> None:
+def test_token_noise_keeps_most_words_in_their_order() -> None:
     rng, length = np.random.default_rng(4), 48
     tokens = np.zeros(length, np.int64)
     tokens[:20] = np.arange(10, 30)
@@ -171,7 +171,7 @@ def test_a_muddled_sentence_keeps_most_of_its_words_in_their_order() -> None:
 
 
 @pytest.mark.parametrize("family", ["letters", *HARD_FAMILIES[:2]])
-def test_the_mind_learns_a_batch_by_heart(family: str) -> None:
+def test_the_gate_selector_learns_a_batch_by_heart(family: str) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(selector, "_SENTENCES", 300)
         training_task = SMALL_SELECTOR.training()
@@ -203,7 +203,7 @@ def test_the_reader_starts_from_the_policys_sight(policy_checkpoint: Path, tmp_p
         other.training(start=policy_checkpoint).network()
 
 
-def test_eyes_in_onnx_see_what_they_see_in_torch(parts: Path, policy_checkpoint: Path) -> None:
+def test_the_panel_reader_in_onnx_reads_as_in_torch(parts: Path, policy_checkpoint: Path) -> None:
     finder, _, _ = load_trained(policy_checkpoint)
     network, _ = load_reader(parts / "reader" / CHECKPOINT)
     reader = PanelReader(finder, network, {group: GROUPS[group] for group in GATE_GROUPS}).eval()
@@ -215,7 +215,7 @@ def test_eyes_in_onnx_see_what_they_see_in_torch(parts: Path, policy_checkpoint:
         np.testing.assert_allclose(mine, theirs, atol=0.02, rtol=0.02)
 
 
-def test_the_mind_in_onnx_answers_as_in_torch(parts: Path) -> None:
+def test_the_gate_selector_in_onnx_answers_as_in_torch(parts: Path) -> None:
     thinker, vocabulary, _ = load_selector(parts / "selector" / CHECKPOINT)
     model = GateSelectorModel.load(parts / "gate_selector.onnx")
     assert model.vocabulary == vocabulary

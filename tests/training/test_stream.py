@@ -255,7 +255,7 @@ def test_sentences_without_a_frame_are_training_tasks(made: list[dict[str, Any]]
     assert named > sums
 
 
-def test_facets_stand_in_the_columns_of_their_groups(made: list[dict[str, Any]]) -> None:
+def test_attributes_are_in_the_columns_of_their_groups(made: list[dict[str, Any]]) -> None:
     for batch in made:
         for column, group in enumerate(PANEL_GROUPS):
             for name in ("panel_facets", "text_panels"):
@@ -341,7 +341,7 @@ def test_a_racer_in_a_crowded_room_is_to_take_the_gate_straight_ahead(vocabulary
     assert chosen == {0, 1, 2}
 
 
-def test_muddled_sentences_hold_words_that_nobody_knows(vocabulary: Vocabulary) -> None:
+def test_token_noise_adds_unknown_words(vocabulary: Vocabulary) -> None:
     plain, token_noise = (batches(replace(RECIPE, token_noise=share), vocabulary, 2) for share in (0.0, 1.0))
     for name in ("tokens", "text_tokens"):
         unknown = [

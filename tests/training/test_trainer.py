@@ -125,7 +125,7 @@ def test_rows_have_the_measures_of_the_literature_and_the_baseline(runs: Runs) -
     wanted = {"step", "steps_per_s", "choice accuracy", "train loss", "train choice accuracy"}
     for measure in ("l1", "accuracy", "cross-entropy", "baseline accuracy", "baseline l1"):
         wanted |= {measure} | {f"{measure} {dimension}" for dimension in DIMENSIONS}
-    for part in ("heat", "place", "facets", "choice", "text", "action"):
+    for part in ("heat", "place", "attributes", "choice", "text", "action"):
         wanted |= {part, f"train {part}"}
     for row in rows:
         assert wanted <= row.keys()

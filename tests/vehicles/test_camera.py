@@ -104,7 +104,7 @@ def test_a_folder_is_shown_in_order_and_ends(tmp_path):
         reds.append(int(shot.image[0, 0, 0]))
         return ""
 
-    assert wait(ended) == f"the 3 images of {tmp_path} are over"
+    assert wait(ended) == f"the 3 images of {tmp_path} have all been shown"
     assert 0.5 < time.monotonic() - began < 3
     assert reds == sorted(reds)
     assert set(reds) == {60, 120, 180}
@@ -132,7 +132,7 @@ def test_a_video_is_shown_at_its_own_pace_and_ends(video):
     assert greys == sorted(greys)
     assert greys[0] < 60
     assert 60 < greys[-1] < 190
-    assert over(camera) == f"{video} is over"
+    assert over(camera) == f"{video} has ended"
     assert 0.4 < time.monotonic() - began < 2
     camera.close()
 
@@ -216,7 +216,7 @@ def test_what_cannot_be_opened(tmp_path):
             (str(tmp_path / "empty"), "has no image"),
             (str(broken), "cannot read the image"),
             (str(text), "cannot read .*notes.mp4"),
-            (str(sound), "there is no video in it"),
+            (str(sound), "it contains no video"),
             (f"tcp://127.0.0.1:{nobody.getsockname()[1]}", "cannot read tcp://"),
         ):
             with pytest.raises(CameraError, match=said):

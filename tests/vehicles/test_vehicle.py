@@ -404,7 +404,7 @@ def test_foreign_and_malformed_packets_change_nothing(client: Client) -> None:
     other.link.close()
 
 
-def test_a_flood_is_heeded_in_part_and_strangers_find_no_room(client: Client) -> None:
+def test_a_flood_is_processed_in_part_and_new_peers_find_no_room(client: Client) -> None:
     raw = client.link.port
     beat = m.MAVLink_param_request_read_message(1, 1, b"GUID_TIMEOUT", -1).pack(client.mav)
     for _ in range(40):

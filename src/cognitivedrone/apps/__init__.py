@@ -1,1 +1,1 @@
-"""Where a person sits: the commands that fly a drone, show and record the flight, and serve the simulator as one."""
+"""The commands `fly` and `sim`: fly a drone with a live view and a log, and serve the simulator as a vehicle."""

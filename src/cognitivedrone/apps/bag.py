@@ -1,12 +1,12 @@
-"""A flight as a ROS 2 bag in MCAP, for Foxglove and `ros2 bag`, written while it flies.
+"""Records a flight as a ROS 2 bag in MCAP, for Foxglove and `ros2 bag`, while it flies.
 
-The topics of `data/formats/bags.py`, stamped with the date: position and heading as the vehicle knows them (`/pose`,
-where it does), what was seen and sent, instruction and directive whenever they change; and beside them
+The topics of `data/formats/bags.py` with wall-clock stamps: the vehicle's estimated position and heading (`/pose`, if
+known), images and commands, instruction and directive whenever they change; and in addition
 
 | topic | type | |
 |---|---|---|
-| /event | std_msgs/String | legs, answers of the reasoner, missed deadlines, decisions of the guard: JSON |
-| /flight | std_msgs/String | how it was flown: JSON, at the start |
+| /event | std_msgs/String | segments, answers of the reasoner, missed deadlines, decisions of the guard: JSON |
+| /flight | std_msgs/String | the options of the flight: JSON, at the start |
 """
 
 from __future__ import annotations
@@ -49,15 +49,15 @@ _QUEUED = 5 * CONTROL_HZ
 
 
 class BagLog:
-    """Writes to a new folder; call `close` in any case, since a bag is whole only then.
+    """Writes to a new folder. Always call `close`: the bag is complete only then.
 
-    A thread of its own encodes and writes: a slow disk drops steps (`dropped`), it never delays a command. Raises
-    `RunError` where the folder cannot be made.
+    A thread encodes and writes: a slow disk drops steps (`dropped`) but never delays a command. Raises `RunError` if
+    the folder cannot be made.
     """
 
     def __init__(self, folder: Path, ros: Ros, about: Mapping[str, Any]) -> None:
         self.dropped = 0
-        """Steps and events that are not in the bag because the disk was too slow, or full."""
+        """Number of steps and events missing from the bag because the disk was too slow or full."""
         self._ros = ros
         self._start_ns = time.time_ns()
         self._said: dict[str, str] = {}
@@ -77,15 +77,15 @@ class BagLog:
         self._thread.start()
 
     def step(self, step: Step) -> None:
-        """Keep a control step."""
+        """Record a control step."""
         self._add(replace(step, observation=replace(step.observation, image=step.observation.image.copy())))
 
     def event(self, event: Event) -> None:
-        """Keep an event."""
+        """Record an event."""
         self._add(event)
 
     def close(self) -> None:
-        """Write what still waits, and end the bag."""
+        """Write what is pending, and finish the bag."""
         self._waiting.put(None)
         self._thread.join()
         with suppress(OSError):
@@ -104,7 +104,7 @@ class BagLog:
             self.dropped += self._broken
 
     def _write(self, item: Step | Event) -> None:
-        """Write all that one thing says; a disk that is full ends the bag, not the flight."""
+        """Write the messages of a step or event; a full disk ends the bag, not the flight."""
         stamp = self._start_ns + round(item.time * 1e9)
         try:
             for topic, message in self._messages(item, stamp):
@@ -113,7 +113,7 @@ class BagLog:
             self._broken = True
 
     def _messages(self, item: Step | Event, stamp: int) -> Iterator[tuple[str, Any]]:
-        """Topic and message of all that one thing says."""
+        """Topics and messages of a step or event."""
         ros = self._ros
         if isinstance(item, Event):
             yield EVENT, ros.text(json.dumps(asdict(item), ensure_ascii=False))

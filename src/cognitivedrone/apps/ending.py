@@ -1,4 +1,4 @@
-"""Why a flight is over, as far as vehicle and scene can tell."""
+"""Determines why a flight ended, from vehicle and scene."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from cognitivedrone.vehicles.contract import Vehicle
 
 
 def ending_of(vehicle: Vehicle, instruction: str) -> Ending | None:
-    """How the flight ended, once it has: by the vehicle, or with the last stage of its track.
+    """How the flight ended, or none while it continues: by the vehicle, or with the last stage of its track.
 
-    `instruction` is the user's own, "" where the scene's is flown. Where it asks for something else than the scene
-    does, nobody but the user knows which gate is right.
+    `instruction` is the user's own, "" for the scene's. If it asks for something else than the scene's instruction,
+    only the user knows which gate is right.
     """
     track = vehicle.track_runner
     if track is not None and track.finished:
@@ -33,7 +33,7 @@ def flown_by_estimate(gates: int, asked: int) -> Ending | None:
 
 
 def out_of_time(vehicle: Vehicle, seconds: float) -> Ending:
-    """What the time limit means: in a scene no gate was passed in time; nobody judges a real flight."""
+    """The ending at the time limit: a miss in a scene; a real flight is not judged."""
     return Ending("time" if vehicle.track_runner is None else "missed", f"the time limit of {seconds:g} s is over")
 
 

@@ -1,4 +1,4 @@
-"""One flight by one command: link, pilot, keyboard, view and log, from the checklist to the ground."""
+"""The command `fly`: one flight with vehicle, pilot, keyboard, view and log, from checklist to landing."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ STOP_S, HOVER_M_S = 3.0, 0.2
 
 
 def fly_mission(plan: FlyPlan, *, console: Console | None = None, keyboard: TextIO | None = None) -> Summary:
-    """Fly as the options say, and land; everything is recorded in `plan.out`.
+    """Fly according to the plan, and land; everything is recorded in `plan.out`.
 
-    `keyboard` is where confirmation and instructions are typed, standard input by default. Raises what cannot be
-    flown as one of the package's errors; a drone that is in the air then is landed first.
+    `keyboard` supplies the confirmation and instructions, standard input by default. Raises one of the package's errors
+    if it cannot fly; a drone in the air is landed first.
     """
     console, keyboard = console or terminal.console(), keyboard or sys.stdin
     out = plan.out or Path("flights") / datetime.now().strftime("%Y-%m-%d-%H%M%S")
@@ -77,7 +77,7 @@ def fly_mission(plan: FlyPlan, *, console: Console | None = None, keyboard: Text
 
 
 def _open(plan: FlyPlan, out: Path) -> Vehicle:
-    """The vehicle of a plan; no scene of it times out, since a person ends the flight."""
+    """The vehicle of a plan; its scene has no time limit, since a person ends the flight."""
     scenario = plan.scenario
     check_vehicle(plan.vehicle, scenario)
     return open_vehicle(
@@ -102,10 +102,10 @@ def _fly(
     console: Console,
     keyboard: TextIO,
 ) -> Summary:
-    """From the ground to the ground."""
+    """Take off, fly and land."""
     _check_truth(vehicle, pilot)
     if plan.vehicle.kind != "sim":
-        console.print("connected; waiting until the vehicle is ready, ctrl-C stops", highlight=False)
+        console.print("connected; waiting until the vehicle is ready (ctrl-C stops)", highlight=False)
     drone = vehicle.take_off(lambda checklist: _confirm(checklist, vehicle, console, keyboard))
     hold = Hold(HoldRule(below=plan.hold_below))
     passage = Passage() if vehicle.track_runner is None else None
@@ -150,7 +150,7 @@ def _stop(drone: ClockedDrone) -> None:
 
 
 class _Mission:
-    """The leg at hand: the newest of what was typed, asked for at the start, or written in the scene."""
+    """The current segment: the latest typed instruction, else the command's, else the scene's."""
 
     def __init__(
         self,
@@ -190,7 +190,7 @@ class _Mission:
 
 
 class _Recorder:
-    """Joins what the loop reports with the status of the vehicle, and passes it to the instruments."""
+    """Combines the loop's reports with the vehicle's status, and passes them to the instruments."""
 
     def __init__(
         self, instruments: Sequence[Instrument], mission: _Mission, vehicle: Vehicle, timed: TimedPolicy, hold: Hold
@@ -236,7 +236,7 @@ def _check_truth(vehicle: Vehicle, pilot: Pilot) -> None:
 
 
 def _confirm(checklist: Checklist, vehicle: Vehicle, console: Console, keyboard: TextIO) -> bool:
-    """Show the checklist; of what may be a real drone, a person must say yes to it."""
+    """Show the checklist; for what may be a real drone, a person must confirm it."""
     console.print(str(checklist), markup=False, highlight=False, soft_wrap=True)
     if vehicle.simulated:
         return True
@@ -245,12 +245,12 @@ def _confirm(checklist: Checklist, vehicle: Vehicle, console: Console, keyboard:
 
 
 def _doubt(hold: Hold) -> str:
-    """How sure the pilot is, in words."""
-    return f"{hold.sure:.0%} sure that what is asked is here"
+    """The pilot's certainty, as text."""
+    return f"{hold.sure:.0%} sure that the scene shows what is asked for"
 
 
 def _about(plan: FlyPlan, scene: ChosenScene | None) -> dict[str, object]:
-    """What the log says of how it was flown."""
+    """The log's description of how the flight was made."""
     about: dict[str, object] = {"config": plan.values()}
     if scene is not None:
         about["scene"] = {"suite": scene.suite.name, "episode": scene.episode, "told": scene.told}
@@ -258,7 +258,7 @@ def _about(plan: FlyPlan, scene: ChosenScene | None) -> dict[str, object]:
 
 
 def _spread_ms(samples_s: Sequence[float]) -> tuple[float, float]:
-    """Median and 95th percentile of some times, ms."""
+    """Median and 95th percentile, ms."""
     if not samples_s:
         return (float("nan"), float("nan"))
     return statistics.median(samples_s) * 1e3, float(np.percentile(samples_s, 95)) * 1e3

@@ -1,13 +1,13 @@
-"""The record of one flight: every control step and event, and a film of what was seen.
+"""The log of one flight: every control step and event, and a film of the camera.
 
 | file | |
 |---|---|
-| `steps.parquet` | one row a control step: what was seen, sent, thought and decided (`STEP_COLUMNS`) |
+| `steps.parquet` | one row per control step: state, command, latency, decision (`STEP_COLUMNS`) |
 | `events.parquet` | segments, answers of the reasoner, missed deadlines, decisions of the guard (`EVENT_COLUMNS`) |
-| `flight.mp4` | the frames at the times when they were flown by; readable also where it was cut short |
-| `flight.tlog` | of a MAVLink vehicle: everything received and sent, for ground stations |
-| `bag/` | where it is asked for: a ROS 2 bag (`apps/bag.py`) |
-| `flight.json` | how it was flown and how it ended |
+| `flight.mp4` | the frames at the times when they were used; readable even if it is incomplete |
+| `flight.tlog` | for a MAVLink vehicle: everything received and sent, for ground stations |
+| `bag/` | on request: a ROS 2 bag (`apps/bag.py`) |
+| `flight.json` | the options of the flight and how it ended |
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ STEP_COLUMNS = pa.schema(
         *((name, pa.string()) for name in ("instruction", "directive", "mode", "decision", "reason")),
     ]
 )
-"""Position ENU, m; velocities of the heading frame; null where it is not known."""
+"""Position ENU, m; velocities in the heading frame; null where unknown."""
 EVENT_COLUMNS = pa.schema(
     [("time_s", pa.float64()), ("kind", pa.string()), ("text", pa.string()), ("age_s", pa.float64())]
 )
@@ -58,16 +58,16 @@ _QUEUED = 5 * CONTROL_HZ
 
 
 class FlightLog:
-    """Writes to a new folder; call `close` in any case, since the tables are written then.
+    """Writes to a new folder. Always call `close`: the tables are written then.
 
-    The film is encoded by a thread of its own: a slow disk drops frames (`dropped`), it never delays a command. With
-    `ros`, a bag is written as well. Raises `RunError` where the folder cannot be written or holds a flight already.
+    A thread encodes the film: a slow disk drops frames (`dropped`) but never delays a command. With `ros`, a bag is
+    written as well. Raises `RunError` if the folder cannot be written or already contains a flight.
     """
 
     def __init__(self, out: Path, about: Mapping[str, Any], ros: Ros | None = None) -> None:
         self.out = out
         self.dropped = 0
-        """Frames that are not in the film because the disk was too slow, or full."""
+        """Number of frames missing from the film because the disk was too slow or full."""
         self._about = dict(about)
         self._steps: list[dict[str, Any]] = []
         self._events: list[dict[str, Any]] = []
@@ -79,20 +79,20 @@ class FlightLog:
             self._film = _Film(out / FILM_FILE)
 
     def step(self, step: Step) -> None:
-        """Keep a control step."""
+        """Record a control step."""
         self._steps.append(_row(step))
         self.dropped += not self._film.add(step.time, step.observation.image)
         if self._bag is not None:
             self._bag.step(step)
 
     def event(self, event: Event) -> None:
-        """Keep an event."""
+        """Record an event."""
         self._events.append({"time_s": event.time, "kind": event.kind, "text": event.text, "age_s": event.age_s})
         if self._bag is not None:
             self._bag.event(event)
 
     def close(self, summary: Summary | None = None, error: str = "") -> None:
-        """Write everything, and how the flight ended where that is known."""
+        """Write everything, and how the flight ended, if known."""
         self._film.close()
         if self._bag is not None:
             self._bag.close()
@@ -116,9 +116,9 @@ class FlightLog:
 
 
 def check_free(out: Path) -> None:
-    """Raise `RunError` where a folder holds a flight already."""
+    """Raise `RunError` if a folder already contains a flight."""
     if (out / ABOUT_FILE).exists():
-        raise RunError(f"{out} holds a flight already; give another folder with --out")
+        raise RunError(f"{out} already contains a flight; give another folder with --out")
 
 
 def _make(out: Path) -> None:
@@ -148,7 +148,7 @@ def _row(step: Step) -> dict[str, Any]:
 
 
 class _Film:
-    """An MP4 in fragments, so that what was written can be seen even where the end is missing."""
+    """A fragmented MP4, which is readable even if its end is missing."""
 
     def __init__(self, path: Path) -> None:
         options = {"movflags": "frag_keyframe+empty_moov+default_base_moof", "flush_packets": "1"}
@@ -165,7 +165,7 @@ class _Film:
         self._thread.start()
 
     def add(self, time_s: float, image: Image) -> bool:
-        """Whether the frame (256, 256, 3) will be in the film."""
+        """Queue a frame (256, 256, 3); false if it was dropped."""
         at = max(round(time_s * _TICKS_PER_S), self._last + 1)
         try:
             self._waiting.put_nowait((at, image.copy()))
@@ -175,7 +175,7 @@ class _Film:
         return not self._broken
 
     def close(self) -> None:
-        """Encode what still waits."""
+        """Encode the pending frames."""
         self._waiting.put(None)
         self._thread.join()
         with suppress(av.error.FFmpegError, OSError):
@@ -187,7 +187,7 @@ class _Film:
         self._encode(None)
 
     def _encode(self, item: tuple[int, Image] | None) -> None:
-        """Write a frame, or what the encoder still holds; a disk that is full ends the film, not the flight."""
+        """Write a frame, or flush the encoder; a full disk ends the film, not the flight."""
         if self._broken:
             return
         frame = None

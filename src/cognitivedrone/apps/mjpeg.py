@@ -1,7 +1,6 @@
-"""Frames to whoever asks, as motion JPEG over HTTP: how a simulated camera reaches another process.
+"""Motion JPEG over HTTP: serves a simulated camera to other processes.
 
-One response that never ends, a JPEG after the other between boundaries (multipart/x-mixed-replace), which browsers,
-FFmpeg and OpenCV read.
+An endless response of JPEGs between boundaries (multipart/x-mixed-replace), which browsers, FFmpeg and OpenCV can read.
 """
 
 from __future__ import annotations
@@ -16,18 +15,18 @@ from cognitivedrone.errors import CameraError
 from cognitivedrone.types import Image
 
 HOST = "127.0.0.1"
-"""Never another: there is no authentication."""
+"""Only the loopback interface: there is no authentication."""
 QUALITY = 90
 MOST_VIEWERS = 4
 PATIENCE_S = 5.0
-"""A viewer that sends no request, or takes nothing, for so long is hung up on."""
+"""A viewer that sends no request, or reads nothing, for this long is disconnected."""
 BOUNDARY = "frame"
 
 
 class FrameServer:
-    """Serves the newest frame at `http://127.0.0.1:PORT/`; port 0 takes any free one. Use it as a context manager.
+    """Serves the newest frame at `http://127.0.0.1:PORT/`; port 0 picks a free one. Use it as a context manager.
 
-    Raises `CameraError` where the port cannot be had.
+    Raises `CameraError` if the port cannot be opened.
     """
 
     def __init__(self, port: int) -> None:
@@ -51,16 +50,16 @@ class FrameServer:
 
     @property
     def url(self) -> str:
-        """Where the frames are."""
+        """Address of the stream."""
         return f"http://{HOST}:{self._server.server_address[1]}/"
 
     def wait_for_viewer(self, timeout_s: float) -> bool:
-        """Whether somebody looks, waiting at most so long: without, nothing needs to be rendered."""
+        """Wait for a viewer, at most `timeout_s`; false if there is none, so that nothing need be rendered."""
         with self._news:
             return self._news.wait_for(lambda: self._viewers > 0, timeout_s)
 
     def show(self, image: Image) -> None:
-        """Give this frame, (H, W, 3), to everybody who looks."""
+        """Send a frame, (H, W, 3), to all viewers."""
         buffer = io.BytesIO()
         PIL.Image.fromarray(image).save(buffer, "JPEG", quality=QUALITY)
         with self._news:
@@ -68,7 +67,7 @@ class FrameServer:
             self._news.notify_all()
 
     def close(self) -> None:
-        """Hang up on everybody and release the port."""
+        """Disconnect all viewers and release the port."""
         with self._news:
             self._closed = True
             self._news.notify_all()
@@ -77,7 +76,7 @@ class FrameServer:
         self._thread.join()
 
     def enter(self) -> bool:
-        """One viewer more, where there is room."""
+        """Add a viewer; false if there are too many."""
         with self._news:
             if self._viewers >= MOST_VIEWERS:
                 return False
@@ -86,12 +85,12 @@ class FrameServer:
             return True
 
     def leave(self) -> None:
-        """One viewer less."""
+        """Remove a viewer."""
         with self._news:
             self._viewers -= 1
 
     def after(self, count: int) -> tuple[int, bytes] | None:
-        """The newest JPEG and its number, once that is above `count`; none when the server closes."""
+        """Wait for a JPEG with a number above `count`; returns both, or none when the server closes."""
         with self._news:
             self._news.wait_for(lambda: self._newest[0] > count or self._closed)
             return None if self._closed else self._newest
@@ -102,7 +101,7 @@ class _Server(ThreadingHTTPServer):
     block_on_close = False
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A viewer that hangs up is no error worth a traceback."""
+        """Ignore viewers that disconnect."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -110,7 +109,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = PATIENCE_S
 
     def do_GET(self) -> None:
-        """The stream."""
+        """Send the stream."""
         if self.path != "/":
             self.send_error(404, "the frames are at /")
         elif not self.frames.enter():
@@ -133,4 +132,4 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(head.encode() + jpeg + b"\r\n")
 
     def log_message(self, *_: object) -> None:
-        """Requests are not worth a line in the terminal."""
+        """Do not log requests to the terminal."""

@@ -1,4 +1,4 @@
-"""What the person at the keyboard says during a flight: new instructions, and "land"."""
+"""Keyboard input during a flight: new instructions, and "land"."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from cognitivedrone.apps.values import Ending
 
 LAND = frozenset({"land", "stop"})
 LONGEST = 500
-"""Characters of an instruction that are taken."""
+"""Maximum length of an instruction in characters; the rest is dropped."""
 _BACKSPACE, _LINE_ENDS = ("\x7f", "\b"), ("\n", "\r")
 
 
 class Orders:
-    """The newest instruction and whether to land, set from any thread or signal handler, read by the control loop."""
+    """The latest instruction and whether to land; set by any thread or signal handler, read by the control loop."""
 
     def __init__(self) -> None:
-        # Each is replaced as a whole: no lock, which a signal handler could find taken by its own thread.
+        # Each is replaced as a whole, without a lock: a signal handler could find the lock taken by its own thread.
         self._given: tuple[int, str] = (0, "")
         self._ending: Ending | None = None
 
     @property
     def given(self) -> tuple[int, str]:
-        """How many instructions were given in flight, and the newest; "" where there was none."""
+        """Number of instructions given in flight, and the latest; "" if there was none."""
         return self._given
 
     @property
     def ending(self) -> Ending | None:
-        """Why to land, once that is asked for."""
+        """Why to land, if requested."""
         return self._ending
 
     def say(self, line: str) -> None:
-        """Take a line: "land" lands, anything else but blanks is a new instruction."""
+        """Process a line: "land" lands, any other non-blank line is a new instruction."""
         line = " ".join(line.split())[:LONGEST]
         if line.casefold() in LAND:
             self.land(Ending("told", f"{line!r} was typed"))
@@ -49,15 +49,15 @@ class Orders:
             self._given = (self._given[0] + 1, line)
 
     def land(self, ending: Ending) -> None:
-        """Land; the first reason stays."""
+        """Request a landing; the first reason is kept."""
         self._ending = self._ending or ending
 
 
 @contextmanager
 def landing_on_interrupt(orders: Orders) -> Iterator[None]:
-    """Inside, ctrl-C and a request to terminate ask to land; a second one raises `KeyboardInterrupt`.
+    """In the block, ctrl-C and SIGTERM request a landing; a second one raises `KeyboardInterrupt`.
 
-    Only the main thread can do that: in others nothing is changed.
+    Only possible in the main thread; elsewhere nothing is changed.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -79,8 +79,8 @@ def landing_on_interrupt(orders: Orders) -> Iterator[None]:
 class Keyboard:
     """Reads lines in a thread, from a terminal or a pipe. Use it as a context manager.
 
-    A terminal is read key by key, so that what is typed can be shown inside a live view (`typed`); it is put back as it
-    was at the end.
+    A terminal is read key by key, so that a live view can show the line being typed (`typed`); its settings are
+    restored at the end.
     """
 
     def __init__(self, stream: TextIO, update: Callable[[str], None]) -> None:
@@ -91,7 +91,7 @@ class Keyboard:
         self._before: list[object] | None = None
         try:
             self._file = stream.fileno()
-        except (OSError, ValueError):  # no file behind it, or closed
+        except (OSError, ValueError):  # no file descriptor, or closed
             self._file = -1
         self._thread = threading.Thread(target=self._run, name="keyboard", daemon=True)
 
@@ -120,7 +120,7 @@ class Keyboard:
                 break
             for character in decoder.decode(data):
                 self._press(character)
-        self._press("\n")  # a last line without an end
+        self._press("\n")  # the last line may lack its newline
 
     def _press(self, key: str) -> None:
         if key in _LINE_ENDS:

@@ -1,4 +1,4 @@
-"""Which scene a simulated flight shows: the one that is named, or one that holds what the user asks for."""
+"""Chooses the scene of a simulated flight: the given one, or one that shows what the user asks for."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from cognitivedrone.types import Task, Track
 
 DEFAULT = "open-v1:smoke"
 SEARCHED = "open-v1:test"
-"""The suite that is searched for what is asked, first."""
+"""The suite that is searched first."""
 TRAINED = 2000
-"""Tasks of the training suite that are searched after it."""
+"""Number of tasks of the training suite that are searched next."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,20 +27,20 @@ class ChosenScene:
     suite: Suite
     episode: int
     told: str
-    """Which one and why, in one line for the user."""
+    """Description and reason of the choice, one line for the user."""
 
     @property
     def track(self) -> Track:
-        """Its tasks; raises `TaskError` where there is no such episode."""
+        """Its tasks; raises `TaskError` if there is no such episode."""
         return track_at(self.suite, self.episode)
 
 
 def choose_scene(plan: FlyPlan) -> ChosenScene:
     """The scene of a simulated flight.
 
-    With --episode that one. Without, and with an instruction of the user's own, one that shows what it asks for: of
-    the suite or task file that is given, else of `SEARCHED`, else one that is made for it where it names a thing, else
-    of the training suite. Otherwise the first. Raises `TaskError`.
+    With --episode, that episode. Otherwise, for an instruction of the user's own, a scene that shows what it asks for:
+    from the given suite or task file; else from `SEARCHED`; else made for it, if it names a thing; else from the
+    training suite. Otherwise the first episode. Raises `TaskError`.
     """
     scenario, seed = plan.scenario, plan.scenario.seed
     named = scenario.suite != AUTO or scenario.tasks is not None
@@ -55,7 +55,7 @@ def choose_scene(plan: FlyPlan) -> ChosenScene:
         made = made_scene(wanted, seed)
         if made is not None:
             scene = _named(suite_of_tasks("a suite made for this flight", [replace(made, instruction=asked)]), 0)
-            return replace(scene, told=f"{scene.told}; made since no task of {SEARCHED} shows all of it")
+            return replace(scene, told=f"{scene.told}; made because no task of {SEARCHED} shows all of it")
         best = _better(best, _best(wanted, load_suite(TRAIN_NAME, size=TRAINED, seed=seed), seed))
     if best is None:
         scene = _named(suite, 0)
@@ -69,7 +69,7 @@ _Found: TypeAlias = tuple[Suite, int, Match]
 
 
 def _best(wanted: str, suite: Suite, seed: int) -> _Found | None:
-    """The episode of a suite whose first task fits best; none where none fits."""
+    """The episode of a suite whose first task fits best; none if none fits."""
     found = best_scene(wanted, [track[0] for track in suite.tracks], seed)
     return None if found is None else (suite, *found)
 
@@ -81,7 +81,7 @@ def _better(a: _Found | None, b: _Found | None) -> _Found | None:
 
 
 def _why(match: Match, task: Task) -> str:
-    """Why a scene was chosen, in words."""
+    """The reason for a choice, as text."""
     fit = f"{' and '.join(map(repr, match.words))} {'fits' if len(match.words) == 1 else 'fit'} gate {match.gate + 1}"
     if match.shown:
         fit = f"{fit}, {_shown(task.options[match.gate], task.labels[match.gate])}"

@@ -1,4 +1,4 @@
-"""The values of a flight that a person watches: frozen dataclasses."""
+"""The values of a flight of the command `fly`: frozen dataclasses."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from cognitivedrone.types import Action, Event, Guidance, Observation
 from cognitivedrone.vehicles.contract import Status
 
 EndKind = Literal["passed", "flown", "missed", "unsure", "told", "time", "vehicle", "interrupted"]
-"""Through the right gate; through a gate of which nobody but the user knows whether it was meant; the scene was ended
-otherwise; by the time limit while it hovered, unsure; landed by order; by the time limit; by the rules of safety, by
-the vehicle or its pilot; by ctrl-C or a request to terminate."""
+"""How a flight ended, in order: through the right gate; through a gate that is not judged; any other end of the scene;
+at the time limit while it hovered, unsure; landed by order; at the time limit; by the safety rules, the vehicle or its
+pilot; by ctrl-C or SIGTERM."""
 EXIT_CODES: dict[EndKind, int] = {
     "passed": 0, "flown": 0, "told": 0, "time": 0, "missed": 1, "unsure": 1, "vehicle": 1, "interrupted": 130
 }  # fmt: skip
@@ -24,7 +24,7 @@ class Ending:
 
     kind: EndKind
     reason: str
-    """In words."""
+    """As text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,43 +38,43 @@ class Step:
     instruction: str
     """The user's."""
     observation: Observation
-    """Its `instruction` is what the policy was told: the directive, where there is one."""
+    """Its `instruction` is the policy's input: the directive, if there is one."""
     sent: Action
     guidance: Guidance | None
     policy_s: float | None
-    """How long the policy thought; none where a step of an earlier chunk was flown."""
+    """Duration of the policy's inference; none for later steps of a chunk."""
     status: Status
 
 
 class Instrument(Protocol):
-    """What is told of a flight: the log, the view."""
+    """Receives the steps and events of a flight: the log, the view."""
 
     def step(self, step: Step) -> None:
-        """A control step was flown."""
+        """Process a control step."""
         ...
 
     def event(self, event: Event) -> None:
-        """Something happened."""
+        """Process an event."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What is left of a flight."""
+    """Summary of a flight."""
 
     ending: Ending
     steps: int
     seconds: float
     late: int
-    """Deadlines that were missed."""
+    """Number of missed deadlines."""
     policy_ms: tuple[float, float]
-    """Median and 95th percentile of the policy's thinking; NaN where it never did."""
+    """Median and 95th percentile of the policy's inference time; NaN if it never ran."""
     reasoner_ms: tuple[float, float]
-    """Of the age of the reasoner's answers at their arrival; NaN where there was none."""
+    """Median and 95th percentile of the age of the reasoner's answers at arrival; NaN if there was none."""
     out: Path
     """Folder of the log."""
 
     @property
     def exit_code(self) -> int:
-        """For the shell."""
+        """Exit code of the command."""
         return EXIT_CODES[self.ending.kind]

@@ -1,4 +1,4 @@
-"""The simulator as a vehicle that other programs fly: MAVLink to whoever connects, frames over HTTP."""
+"""The command `sim`: serves the simulator as a vehicle, with MAVLink and camera frames over HTTP."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ LOOK_FOR_VIEWERS_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """What is being served, for the person who starts it."""
+    """What is being served, for the user."""
 
     task: Task
     links: tuple[str, ...]
-    """As bound, in the form that they were given."""
+    """As bound, in the form of the option."""
     camera_url: str | None
 
     def __str__(self) -> str:
         """How to connect."""
-        lines = [f"a simulated copter stands before {self.task.id}: {self.task.instruction}"]
+        lines = [f"a simulated copter is ready in front of {self.task.id}: {self.task.instruction}"]
         for link in self.links:
             kind, _, address = link.partition(":")
             at = "udp" if kind == "udpout" else "udpout" if kind == "udpin" else "tcp"
@@ -48,7 +48,7 @@ class Served:
 
 @contextmanager
 def until_interrupted() -> Iterator[Callable[[], bool]]:
-    """Whether ctrl-C or a request to terminate has come, inside; only for the main thread."""
+    """Yields a function that is true after ctrl-C or SIGTERM; only in the main thread."""
     asked = threading.Event()
     before = {n: signal.signal(n, lambda *_: asked.set()) for n in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -61,11 +61,11 @@ def until_interrupted() -> Iterator[Callable[[], bool]]:
 def serve_vehicle(config: SimPlan, stop: Callable[[], bool], announce: Callable[[Served], None]) -> float:
     """Serve until `stop()` is true; returns the seconds that the vehicle fell behind the clock.
 
-    The vehicle stands on the floor under the start of the episode, before its first stage. Raises `RunError`,
+    The vehicle starts on the floor below the start of the episode, in front of its first stage. Raises `RunError`,
     `TaskError`, `LabelError`, `CameraError` or `MissingExtra`.
     """
     if not config.mavlink:
-        raise RunError("say how to serve the simulator: cognitivedrone sim --mavlink")
+        raise RunError("choose a protocol to serve: cognitivedrone sim --mavlink")
     if not 0 < config.camera_hz <= 60:
         raise RunError(f"--camera-hz is {config.camera_hz}; give more than 0, at most 60")
     scenario = config.scenario
@@ -84,14 +84,14 @@ def serve_vehicle(config: SimPlan, stop: Callable[[], bool], announce: Callable[
 
 
 def _as_bound(link: str, address: tuple[str, int]) -> str:
-    """A link with the port that it got, where it was left open; one that speaks first is reached where it speaks to."""
+    """A link with its bound port, if port 0 was given; a link that sends first keeps its target address."""
     kind = link.partition(":")[0]
     return link if kind == "udpout" else f"{kind}:{address[0]}:{address[1]}"
 
 
 @contextmanager
 def _camera(config: SimPlan, vehicle: SimulatedVehicle) -> Iterator[str | None]:
-    """Serve what the vehicle sees, rendered while somebody looks; gives the address."""
+    """Serve the vehicle's view, rendered only while there is a viewer; yields the address."""
     if config.camera_port is None:
         yield None
         return

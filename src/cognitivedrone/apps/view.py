@@ -1,7 +1,7 @@
-"""What a person sees of a flight in the terminal: the state of everything at a glance, and the last events.
+"""The live view of a flight in the terminal: current state and last events.
 
-`Instruments` collects and renders itself, so that rich's `Live` can show it; without a terminal `Printer` writes one
-line an event.
+`Instruments` collects the state and renders itself, for rich's `Live`; without a terminal, `Printer` writes one line
+per event.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from cognitivedrone.types import Event, FloatArray
 
 EVENTS_SHOWN = 6
 WINDOW = 50
-"""Control steps that rates and latencies are taken over."""
+"""Number of control steps over which rates and latencies are averaged."""
 GOOD_FRAME_S, GOOD_LINK_S = 0.5, 0.15
-"""Older ones are shown in yellow; the rules of safety hold the drone at the same ages."""
+"""Older data are shown in yellow; the safety rules hold the drone at the same ages."""
 SILENT: frozenset[EventKind] = frozenset({"asked", "agreed", "late"})
-"""Kinds of events that are logged and counted, but not worth a line."""
+"""Kinds of events that are logged and counted but not shown."""
 _STYLES: dict[DecisionKind, str] = {
     "fly": "green",
     "hold": "yellow",
@@ -38,7 +38,7 @@ _STYLES: dict[DecisionKind, str] = {
 
 
 class Instruments:
-    """The newest of everything. Written by the control loop, rendered by rich's thread."""
+    """The current state of a flight. Written by the control loop, rendered by rich's thread."""
 
     def __init__(self, title: str, typed: Callable[[], str] = lambda: "") -> None:
         self.title = title
@@ -49,7 +49,7 @@ class Instruments:
         self._reasoner_s: float | None = None
         self._late = 0
         self._hold = ""
-        """Why it hovers, while it does."""
+        """Why it hovers; empty otherwise."""
         self._events: deque[Event] = deque(maxlen=EVENTS_SHOWN)
 
     def step(self, step: Step) -> None:
@@ -88,7 +88,7 @@ class Instruments:
         lines.add_row("time", f"{step.time:.1f} s, {_rate(list(self._times))} Hz, {self._late} late")
         lines.add_row("instruction", _told(step.instruction))
         if guidance is not None:
-            told = f"{guidance.directive} ({guidance.confidence:.0%} sure, its frame is {guidance.age:.1f} s old)"
+            told = f"{guidance.directive} ({guidance.confidence:.0%} sure, frame {guidance.age:.1f} s old)"
             lines.add_row("directive", _told(told))
         if self._hold:
             lines.add_row("pilot", Text(visible(self._hold), style="bold yellow"))
@@ -104,7 +104,7 @@ class Instruments:
         lines.add_row("link age", _age(status.link_age_s, GOOD_LINK_S))
         thinking = _milliseconds(statistics.median(self._policy_s)) if self._policy_s else "-"
         answering = "-" if self._reasoner_s is None else _milliseconds(self._reasoner_s)
-        lines.add_row("thinking", f"policy {thinking}, reasoner {answering}")
+        lines.add_row("latency", f"policy {thinking}, reasoner {answering}")
         decision = Text(status.decision, style=_STYLES.get(status.decision, ""))
         lines.add_row("guard", decision.append(visible(f": {status.reason}") if status.reason else ""))
 
@@ -116,7 +116,7 @@ class Printer:
         self._console = console
 
     def step(self, step: Step) -> None:
-        """Nothing: ten lines a second help nobody."""
+        """Do nothing: ten lines a second are of no use."""
 
     def event(self, event: Event) -> None:
         """Write a line."""
@@ -125,7 +125,7 @@ class Printer:
 
 
 def summary_table(summary: Summary) -> Table:
-    """What a person is told at the end."""
+    """The table shown after the flight."""
     table = Table.grid(padding=(0, 2))
     table.add_column(style="dim", justify="right")
     table.add_column(overflow="fold")
@@ -146,20 +146,20 @@ def event_line(event: Event) -> str:
 
 
 def _rate(times: Sequence[float]) -> str:
-    """Of the steps at these times."""
+    """Rate of steps at these times."""
     if len(times) < 2 or times[-1] <= times[0]:
         return "-"
     return f"{(len(times) - 1) / (times[-1] - times[0]):.1f}"
 
 
 def _velocity(vector: FloatArray) -> str:
-    """Of (3,) in the heading frame, m/s."""
+    """A velocity (3,) in the heading frame, m/s, as text."""
     x, y, z = vector
     return f"forward {x:+.2f}, left {y:+.2f}, up {z:+.2f}"
 
 
 def _told(text: str) -> Text:
-    """What people, models and vehicles say, shown as it is: no markup, no control characters."""
+    """Text from people, models and vehicles, shown literally: no markup, no control characters."""
     return Text(visible(text))
 
 

@@ -1,7 +1,7 @@
 """The benchmark: fly a policy through a suite, score it, report it, compare two runs.
 
-`run(Plan.of(...))` does it all and returns `Results`; `compare(a, b)` pairs two run folders. What is named here is
-loaded when it is first used, so that the options of a command can be read without loading a simulator.
+`run(Plan.of(...))` does it all and returns `Results`; `compare(a, b)` pairs two run folders. Names are loaded on first
+use, so that a command's options can be read without loading a simulator.
 """
 
 from __future__ import annotations

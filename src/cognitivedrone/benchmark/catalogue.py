@@ -1,4 +1,4 @@
-"""What comes with the package, as a table: suites, task families, policies, reasoners."""
+"""Tables of what comes with the package: suites, task families, airframes, policies, reasoners."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cognitivedrone.tasks import FAMILIES, SUITES, load_suite
 
 
 def catalogue() -> RenderableType:
-    """Names to give to the other commands."""
+    """The names that other commands take."""
     suites = Table("suite", "tasks", "episodes", "hash", title="Suites", title_justify="left")
     for name in SUITES:
         suite = load_suite(name)
@@ -30,14 +30,14 @@ def catalogue() -> RenderableType:
     airframes = f"Airframes (--airframe): {', '.join(AIRFRAMES)}"
     policies = _plugins("Policies (--policy)", "policy", POLICIES)
     reasoners = _plugins("Reasoners (--reasoner)", "reasoner", REASONERS)
-    reasoners.add_row(_entry(NONE, "Flies by the instruction as it is."))
+    reasoners.add_row(_entry(NONE, "No reasoner: the policy gets the raw instruction."))
     own = "Your own: MODULE:ATTRIBUTE, or MODULE:ATTRIBUTE:VALUE,option=value with arguments."
     return Group(suites, families, policies, reasoners, own, airframes)
 
 
 def _plugins(title: str, kind: str, table: Mapping[str, str]) -> Table:
-    """Every plug-in as it is written, arguments in brackets where they may be left out, and what it does."""
-    rows = Table("written, and what it does", title=title, title_justify="left")
+    """The syntax of every plug-in, optional arguments in brackets, and what it does."""
+    rows = Table("syntax and description", title=title, title_justify="left")
     for name in table:
         try:
             factory = load(kind, name, table)

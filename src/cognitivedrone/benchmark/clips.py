@@ -1,4 +1,4 @@
-"""Films for the report: which episodes are worth watching, and their frames as small MP4 files."""
+"""Video clips for the report: selection of episodes, and their frames as small MP4 files."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from cognitivedrone.data.episode import encode_image
 from cognitivedrone.types import CONTROL_HZ, EpisodeResult, Image, Outcome, Track
 
 FAILURES: Final = 6
-"""At most so many of the clips show failures, as long as there are passes to show."""
+"""Maximum number of clips of failures, if there are passes to show."""
 ENCODER: Final = {"crf": "30", "preset": "veryfast", "threads": "1"}
-"""For x264: about 10 kB a second of what `film` draws. One thread, because the output depends on their number."""
+"""x264 settings: about 10 kB per second of film. One thread, because the output depends on the number of threads."""
 POSTER_STEP: Final = 5
-"""The still picture is that of this step: half a second into the flight, when the reasoner has answered."""
+"""Step of the poster image: half a second into the flight, when the reasoner has answered."""
 POSTER_QUALITY: Final = 60
-"""Of its JPEG."""
+"""JPEG quality of the poster."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,21 +31,21 @@ class Clip:
     """The film of one episode."""
 
     result: EpisodeResult
-    """Of the filmed flight."""
+    """Result of the filmed flight."""
     track: Track
     trace: Trace
     video: bytes
-    """MP4; empty where there was no frame."""
+    """MP4; empty if there was no frame."""
     poster: bytes
-    """JPEG of an early frame; empty where there was none."""
+    """JPEG of an early frame; empty if there was none."""
     repeats: bool
-    """Whether the filmed flight ended as the scored one did; a policy that is not deterministic may fly differently."""
+    """Whether the filmed flight ended like the scored one; a non-deterministic policy may fly differently."""
 
 
 def choose_clips(results: Sequence[EpisodeResult], limit: int) -> list[int]:
     """Episodes to film, in order: failures of every kind first, then a pass of every family, up to `limit`.
 
-    Depends on the results alone.
+    Depends only on the results.
     """
     results = sorted(results, key=lambda result: result.episode)
     failures = [result for result in results if _failure(result) is not None]
@@ -60,7 +60,7 @@ def choose_clips(results: Sequence[EpisodeResult], limit: int) -> list[int]:
 
 
 def make_clip(flown: Rollout, track: Track, scored: EpisodeResult) -> Clip:
-    """A clip of a filmed flight; `scored` is the result of the same episode that entered the score."""
+    """A clip of a filmed flight; `scored` is the scored result of the same episode."""
     same = [stage.outcome for stage in flown.result.stages] == [stage.outcome for stage in scored.stages]
     film = [compose(frame, len(track)) for frame in flown.film or []]
     poster = encode_image(film[min(POSTER_STEP, len(film) - 1)], "jpeg", POSTER_QUALITY) if film else b""
@@ -68,7 +68,7 @@ def make_clip(flown: Rollout, track: Track, scored: EpisodeResult) -> Clip:
 
 
 def encode_mp4(frames: Sequence[Image], fps: int = CONTROL_HZ) -> bytes:
-    """H.264 in MP4, as every browser plays it; empty for no frames. Frames are (H, W, 3) uint8 RGB, H and W even."""
+    """H.264 in MP4, playable in every browser; empty for no frames. Frames are (H, W, 3) uint8 RGB, H and W even."""
     if not frames:
         return b""
     buffer = io.BytesIO()
@@ -89,7 +89,7 @@ def _failure(result: EpisodeResult) -> tuple[Outcome, str] | None:
 
 
 def _varied(failures: Sequence[EpisodeResult], room: int) -> list[int]:
-    """Up to `room` episodes, each time one whose outcome and then family was shown least so far."""
+    """Up to `room` episodes; each has the outcome, then the family, shown least so far."""
     left = {result.episode: _failure(result) for result in failures}
     outcomes: Counter[str] = Counter()
     families: Counter[str] = Counter()

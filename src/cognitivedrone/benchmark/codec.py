@@ -1,8 +1,8 @@
 """Dataclasses to JSON and back, through cattrs; reading checks every field.
 
-`decode` takes its schema from the type hints, so a wrong file is refused with the path of the first wrong value.
-Numbers that are not finite are written as null, and null is read as NaN where a float is expected. A field with the
-metadata `{"json": "where set"}` is left out where it has its default.
+`decode` derives its schema from the type hints and rejects an invalid file with the path of the first invalid value.
+Non-finite numbers are written as null, and null is read as NaN where a float is expected. A field with the metadata
+`{"json": "where set"}` is omitted at its default.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ def encode(value: Any) -> Any:
 
 
 def dumps(value: Any, *, indent: int | None = None) -> str:
-    """JSON text of `encode(value)`, the same for the same value."""
+    """JSON text of `encode(value)`, identical for equal values."""
     separators = (",", ":") if indent is None else (",", ": ")
     return json.dumps(encode(value), ensure_ascii=False, allow_nan=False, indent=indent, separators=separators)
 
 
 def decode(kind: type[T], value: Any, where: str) -> T:
-    """`value` as a `kind`: a dataclass, or anything that its hints may hold. Raises `RunError` naming the place."""
+    """`value` as a `kind`: a dataclass, or any type that its hints may contain. Raises `RunError` with the place."""
     try:
         return _CONVERTER.structure(value, kind)
     except (cattrs.BaseValidationError, cattrs.ForbiddenExtraKeysError, _Unfit) as error:
@@ -48,7 +48,7 @@ class _Unfit(ValueError):
 
 
 def _problem(error: BaseException, _kind: type | None) -> str:
-    """One failed field in words; the place stands before them."""
+    """Message for one failed field; it follows the place."""
     if isinstance(error, cattrs.ForbiddenExtraKeysError):
         known = ", ".join(field.name for field in dataclasses.fields(error.cl))
         return f"has {min(error.extra_fields)!r}, which this version does not know; known: {known}"
@@ -141,12 +141,12 @@ def _dataclass_writer(kind: type[Any], converter: cattrs.Converter) -> Callable[
 
 
 def _write_float(value: float) -> float | None:
-    # A whole number in a float's field stays one, so that a file is the same however its value was computed.
+    # Write whole-numbered floats as integers, so that a file does not depend on how a value was computed.
     return value if isinstance(value, int) else float(value) if math.isfinite(value) else None
 
 
 def _is_array(hint: Any) -> bool:
-    """Whether a hint is an `NDArray[...]`, an alias that NumPy 2.5 defines in another way than those before."""
+    """Whether a hint is an `NDArray[...]`, an alias that NumPy 2.5 defines differently from earlier versions."""
     return np.ndarray in (hint, get_origin(hint)) or (get_origin(hint) or hint) is NDArray
 
 

@@ -23,7 +23,7 @@ from cognitivedrone.types import ALL_CATEGORIES, Category, StageResult
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """How much better b is than a over some tasks."""
+    """The difference between b and a over a set of tasks."""
 
     table: Paired
     rate_a: float | None
@@ -37,7 +37,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What two runs have to say about each other."""
+    """Paired comparison of two runs."""
 
     name_a: str
     name_b: str
@@ -48,13 +48,13 @@ class Comparison:
     left_out: int
     """Stages that are invalid in either run."""
     other_differences: tuple[str, ...]
-    """Options and versions in which the runs differ beside the pilot."""
+    """Options and versions in which the runs differ, besides the pilot."""
 
 
 def compare(a: Path, b: Path, *, rule: Rule = "through") -> Comparison:
     """Pair two finished runs, each given as its folder or its results.json.
 
-    Raises `RunError` where they did not fly the same tasks with the same seed.
+    Raises `RunError` if they did not fly the same tasks with the same seed.
     """
     return compare_results(read_results(a), read_results(b), rule=rule, names=(str(a), str(b)))
 
@@ -62,7 +62,7 @@ def compare(a: Path, b: Path, *, rule: Rule = "through") -> Comparison:
 def compare_results(
     a: Results, b: Results, *, rule: Rule = "through", names: tuple[str, str] = ("A", "B")
 ) -> Comparison:
-    """As `compare`, for results at hand; `names` are used in error messages."""
+    """As `compare`, for loaded results; `names` are used in error messages."""
     for what, in_a, in_b in (
         ("suite", f"{a.run.suite.name} ({a.run.suite.digest[:12]})", f"{b.run.suite.name} ({b.run.suite.digest[:12]})"),
         ("seed", a.run.option("seed"), b.run.option("seed")),

@@ -1,6 +1,6 @@
 """The plans of the commands `bench`, `reason` and `sweep`; the docstrings of the fields are their help.
 
-This module imports nothing heavy, so that help is quick.
+This module imports nothing heavy, so that `--help` is fast.
 """
 
 from __future__ import annotations
@@ -23,35 +23,34 @@ class Plan(Options):
     pilot: PilotSpec = PilotSpec()
     vehicle: VehicleSpec = VehicleSpec()
     episodes: int | None = field(default=None, metadata={"identity": "episodes", "written": "always"})
-    """Fly only so many episodes, from the first."""
+    """Number of episodes to fly, from the first; all by default."""
     latency: str = field(default="none", metadata={"identity": "latency", "written": "where set"})
-    """Inference latency that is charged to the simulated clock: none, measured, or policy=80ms,reasoner=450ms (a part
-    may also be measured, or a file with a number of ms a line)."""
+    """Inference latency charged to the simulated clock: none, measured, or policy=80ms,reasoner=450ms (each value may
+    also be measured, or a file with one number of ms per line)."""
     guard: bool = field(default=False, metadata={"identity": "guard", "written": "where set"})
-    """Apply the speed limits and the geofence that vehicles are flown with to every command, and count what they
-    change (docs/real-drone.md)."""
+    """Apply the speed and slew limits and the geofence of real flights to every command, and count what they change."""
     rule: Rule = "through"
-    """The rule that the table and the report show first; results.json always holds both."""
+    """Scoring rule that the table and the report show first; results.json always contains both."""
     workers: int | None = field(default=None, metadata=_NEVER)
-    """Processes that fly; as many as there are cores by default. Results do not depend on it. 0 flies in this process,
-    for debuggers: then nothing ends a policy that hangs."""
+    """Number of worker processes; the number of cores by default. Results do not depend on it. 0 flies in this process,
+    for debugging; a policy that hangs is then never ended."""
     out: Path | None = field(default=None, metadata=_NEVER)
     """Folder for the results; results/<suite>-<policy>-<reasoner> by default."""
     resume: bool = field(default=False, metadata=_NEVER)
-    """Go on with the run in that folder."""
+    """Continue the run in that folder."""
     overwrite: bool = field(default=False, metadata=_NEVER)
-    """Throw away the run in that folder and start anew."""
+    """Delete the run in that folder and start again."""
     clips: int = field(default=12, metadata=_NEVER)
-    """At most so many films in the report."""
+    """Maximum number of video clips in the report."""
     decision_timeout: float = field(default=60.0, metadata=_NEVER)
-    """Seconds that one call of policy or reasoner may take; then its process is ended, and the episode counts as
+    """Time limit of one call of policy or reasoner, s; beyond it the process is ended, and the episode counts as
     policy_error."""
     fail_fast: bool = field(default=False, metadata=_NEVER)
     """Stop at the first exception of policy or reasoner instead of counting it."""
 
 
 def RunConfig(**options: Any) -> Plan:  # noqa: N802
-    """The plan of a run from options by name; the former name of `Plan.of`."""
+    """The plan of a run from options by name; deprecated name of `Plan.of`."""
     warnings.warn("RunConfig(...) is now Plan.of(...)", FutureWarning, stacklevel=2)
     return Plan.of(**{{"look": "appearance"}.get(name, name): value for name, value in options.items()})
 
@@ -62,15 +61,15 @@ class ReasonPlan(Options):
 
     scenario: Scenario = Scenario()
     reasoner: str = field(default="oracle", metadata={"command": "always"})
-    """Name of a reasoner, with its argument where it takes one, or your own as module:attribute."""
+    """Reasoner: a name, with arguments if it takes any, or your own as module:attribute."""
     episodes: int | None = field(default=None, metadata={"identity": "episodes", "written": "always"})
-    """Ask only about so many episodes, from the first."""
+    """Number of episodes to ask about, from the first; all by default."""
     frames: int = field(default=1, metadata={"identity": "frames", "written": "always"})
-    """Frames to look at in each stage, half a second apart while the drone hovers; the last answer counts."""
+    """Number of frames per stage, half a second apart while the drone hovers; the last answer counts."""
     out: Path | None = field(default=None, metadata=_NEVER)
     """Folder for the answers; results/reason-<suite>-<reasoner> by default."""
     overwrite: bool = field(default=False, metadata=_NEVER)
-    """Throw away the answers in that folder."""
+    """Delete the answers in that folder."""
 
 
 Part = Literal["policy", "reasoner"]
@@ -78,20 +77,20 @@ Part = Literal["policy", "reasoner"]
 
 @dataclass(frozen=True, slots=True)
 class SweepPlan(Options):
-    """Fly a suite with growing latency and plot the success against it."""
+    """Fly a suite at increasing latencies and plot the success rate."""
 
     out: Path
-    """Folder of the runs and of the plot."""
+    """Folder for the runs and the plot."""
     scenario: Scenario = Scenario()
     pilot: PilotSpec = PilotSpec(reasoner="oracle")
     vehicle: VehicleSpec = VehicleSpec()
     part: Part = "reasoner"
-    """Whose latency grows."""
+    """Whose latency to vary."""
     ms: tuple[float, ...] = (0, 200, 500, 1000, 2000, 4000)
-    """The latencies, ms."""
+    """Latencies to fly, ms."""
     other_ms: float = 0
     """Latency of the other part, ms."""
     episodes: int | None = None
-    """Fly only so many episodes, from the first."""
+    """Number of episodes to fly, from the first; all by default."""
     workers: int | None = None
-    """Processes that fly; as many as there are cores by default."""
+    """Number of worker processes; the number of cores by default."""

@@ -1,6 +1,6 @@
-"""Flight paths from above, as coordinates for SVG: pure geometry, no markup.
+"""Top views of flight paths, as coordinates for SVG: pure geometry, no markup.
 
-A map is drawn in the frame of a stage, in metres: the drone starts at the bottom looking up the page, left is left.
+A map is drawn in the frame of a stage, in metres: the drone starts at the bottom, facing up the page.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from cognitivedrone.world import geometry
 
 Points = NDArray[np.floating[Any]]
 STEP_M: Final = 0.08
-"""Points of a path closer than this to the last one are left out of the drawing."""
+"""Points of a path closer than this to the previous one are omitted."""
 HEADING_M: Final = 0.5
-"""The arrow at a path's end points along the last part of it that is as long as this."""
+"""Length of the last part of a path that sets the direction of its arrow."""
 TEXT_SHARE: Final = 0.05
-"""Height of the text over the larger side of its map."""
+"""Text height over the larger side of its map."""
 MARGIN_M: Final = 0.8
-"""Around the gates and the path of a track's map, beside room for the numbers."""
+"""Margin around the gates and the path of a track's map, besides the space for numbers."""
 STAGE_BOX: Final = (-7.3, -8.0, 14.6, 11.2)
 """x, y, width and height of a map of one stage, m: start box, gates, their numbers and names."""
 NAME_LENGTH: Final = 12
-"""Longer names of options are left out of a map."""
+"""Longer option names are omitted from a map."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,23 +44,23 @@ class GateMark:
     y2: float
     label_x: float
     label_y: float
-    """Middle of its number, behind it."""
+    """Centre of its number, behind the gate."""
     name: str
-    """Of its option, over the number; may be empty."""
+    """Name of its option, above the number; may be empty."""
     color: Color
     is_target: bool
 
 
 @dataclass(frozen=True, slots=True)
 class PathMark:
-    """The way flown in one stage."""
+    """The path flown in one stage."""
 
     d: str
-    """Data of an SVG path."""
+    """SVG path data."""
     end_x: float
     end_y: float
     heading: float
-    """Of its last half metre, degrees clockwise from up the page."""
+    """Direction of its last half metre, degrees clockwise from up the page."""
     outcome: Outcome
 
 
@@ -70,14 +70,14 @@ class Map:
 
     view_box: str
     text: float
-    """Height of the text, m."""
+    """Text height, m."""
     gates: tuple[GateMark, ...]
     paths: tuple[PathMark, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class StageFlight:
-    """One stage as it was flown."""
+    """One flown stage."""
 
     result: StageResult
     stage: Stage
@@ -86,9 +86,7 @@ class StageFlight:
 
 
 def overlay(flights: Sequence[StageFlight]) -> Map:
-    """Many flights of one stage each, laid over each other in the frame of their stage, those not passed on top. The
-    gates are big ones.
-    """
+    """Many single-stage flights, superimposed in the frame of their stage, failures on top. All gates are drawn big."""
     big = Gate("big", "round", "red")
     nominal = Stage(gates=(big, big, big), labels=("", "", ""))
     paths = [_path_mark(_to_page(flight.points, flight.stage), flight.result.outcome) for flight in flights]
@@ -99,7 +97,7 @@ def overlay(flights: Sequence[StageFlight]) -> Map:
 
 
 def episode_map(result: EpisodeResult, trace: Trace, options: Sequence[str] = ()) -> Map:
-    """One episode with all its stages, in the frame of the first. `options` are names for the gates of a single one."""
+    """One episode with all its stages, in the frame of the first. `options` name the gates of a single stage."""
     base = trace.stages[0]
     flights = list(stage_flights(result, trace))
     marks = (_path_mark(_to_page(flight.points, base), flight.result.outcome) for flight in flights)
@@ -124,7 +122,7 @@ def episode_map(result: EpisodeResult, trace: Trace, options: Sequence[str] = ()
 
 
 def stage_flights(result: EpisodeResult, trace: Trace) -> Iterator[StageFlight]:
-    """The stages of an episode that were begun."""
+    """The stages of an episode that were started."""
     ends = (*trace.stage_start[1:], len(trace.path))
     for outcome, stage, start, end in zip(result.stages, trace.stages, trace.stage_start, ends, strict=False):
         yield StageFlight(outcome, stage, trace.path[start : end + 1])
@@ -139,7 +137,7 @@ def _to_page(points: Points, stage: Stage) -> FloatArray:
 def _gate_marks(
     stage: Stage, base: Stage, target: int | None, text: float, names: Sequence[str] = ()
 ) -> tuple[GateMark, ...]:
-    """The gates that stand on `stage` on the page of `base`, with numbers of height `text`, m, and short `names`."""
+    """The gates of `stage` on the page of `base`, with numbers of height `text`, m, and short `names`."""
     marks = []
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
     for index in geometry.standing(stage):
@@ -154,7 +152,7 @@ def _gate_marks(
 
 
 def _path_mark(page: FloatArray, outcome: Outcome) -> PathMark | None:
-    """None where nothing was flown, or nothing finite."""
+    """The mark of a path; none if it is empty or not finite."""
     page = page[np.isfinite(page).all(axis=1)]
     if len(page) < 2:
         return None

@@ -1,4 +1,4 @@
-"""Flies one episode of a suite with a pilot: the benchmark's inner step, the same in every worker process."""
+"""Flies single episodes of a suite with a pilot: what every worker process of the benchmark runs."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from cognitivedrone.vehicles.contract import Request, Vehicle
 class PilotRunner:
     """A vehicle, a policy and a reasoner, made once and used for any number of episodes in any order.
 
-    `watch` is told of every call of policy and reasoner. `pilot` gives objects to fly instead of the names in the plan;
-    whoever made them closes them. Raises `PolicyError` where one cannot be made, or reports that it could not fly.
+    `watch` is notified of every call of policy and reasoner. `pilot` supplies objects instead of the names in the plan;
+    the caller closes them. Raises `PolicyError` if policy or reasoner cannot be made or cannot fly.
     """
 
     def __init__(self, job: Job, watch: Watch = NO_WATCH, pilot: Pilot | None = None) -> None:
@@ -48,15 +48,15 @@ class PilotRunner:
 
     @property
     def renderer(self) -> str:
-        """Name of what draws the frames."""
+        """Name of the renderer."""
         return self.vehicle.renderer
 
     def fly(self, episode: int, *, film: bool) -> Rollout:
-        """Fly one track of the suite; the same flight every time."""
+        """Fly one track of the suite; repeatable."""
         before, suite, seed = self.vehicle.report, self.job.suite, self.job.plan.scenario.seed
         rng = episode_rng(suite.digest, episode, seed)
         self.vehicle.begin(suite.tracks[episode], rng)
-        # The reasoner first: what it draws must not depend on the policy that it flies with.
+        # The reasoner's seed first: it must not depend on the policy.
         reasoner_seed, policy_seed = (seed_of(part, rng) for part in (self.reasoner, self.policy))
         latency_rng = np.random.default_rng(int(rng.integers(2**31)))
         latency_model = self.job.delays.reasoner.latency_model(latency_rng)
@@ -97,7 +97,7 @@ class PilotRunner:
         return Rollout(result, path, log.frames if film else None, link if link.frames else None, trace)
 
     def close(self) -> None:
-        """Free the vehicle, and whatever policy and reasoner hold open, where they were made here."""
+        """Close the vehicle, and policy and reasoner if they were made here."""
         self._undo.close()
 
     def _mission(self) -> Segment | None:
@@ -120,5 +120,5 @@ def _open(job: Job) -> Vehicle:
 
 def _track_runner_of(vehicle: Vehicle) -> TrackRunner:
     if vehicle.track_runner is None:
-        raise RunError("nobody can score a flight of this vehicle: it has no ground truth")
+        raise RunError("flights of this vehicle cannot be scored: it has no ground truth")
     return vehicle.track_runner

@@ -1,4 +1,4 @@
-"""Score a policy from a script or a notebook, in one call."""
+"""`evaluate`: scores a policy from a script or notebook in one call."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from cognitivedrone.reasoners import NONE, make_reasoner
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """What `evaluate` found: printed, it is the table that the command prints."""
+    """The result of `evaluate`. Printed, it is the table of the command `bench`."""
 
     results: Results
-    """Every episode, and what identifies the run; the content of results.json."""
+    """All episodes and the run's identity; the content of results.json."""
 
     @property
     def summary(self) -> Summary:
@@ -77,13 +77,12 @@ def evaluate(
 
     `policy` and `reasoner` are a name as on the command line ("small", "my_module:MyPolicy:weights.pt,device=cpu"), an
     object, or a class or function that makes one. Names, and classes and functions that another process can import,
-    fly in `workers` processes, as many as there are cores by default; objects, and what is defined in a notebook or in
-    the script itself, fly in this process alone, and a message says so. `suite` is a name or a task file.
+    fly in `workers` processes (default: the number of cores). Objects, and anything defined in a notebook or in the
+    script itself, fly only in this process, with a message. `suite` is a name or a task file.
 
-    With `out` the folder keeps records, results.json and report.html, as docs/results.md describes; without it nothing
-    is kept. The other options are those of `bench`. Raises `PolicyError` where the pilot cannot be made, `RunError`
-    where the run cannot be started or went wrong; an exception of the policy's own counts as `policy_error` unless
-    `fail_fast` is true.
+    With `out`, records, results.json and report.html are written to that folder (docs/results.md); without it, nothing
+    is kept. The other options are those of `bench`. Raises `PolicyError` if the pilot cannot be made, `RunError` if the
+    run cannot start or fails; an exception of the policy's own counts as `policy_error` unless `fail_fast` is true.
     """
     names = {"policy": _name_of(policy), "reasoner": NONE if reasoner is None else _name_of(reasoner)}
     here = [kind for kind, name in names.items() if name is None]
@@ -122,7 +121,7 @@ def evaluate(
 
 
 def _name_of(part: object) -> str | None:
-    """The name by which another process can make `part`; none where it cannot."""
+    """The name by which another process can make `part`; none if there is none."""
     if isinstance(part, str):
         return part
     module, name = getattr(part, "__module__", None), getattr(part, "__qualname__", None)
@@ -136,13 +135,13 @@ def _name_of(part: object) -> str | None:
 
 
 def _description(part: object) -> str:
-    """What the results call an object of the user's."""
+    """Name of a user's object in the results."""
     kind = part if hasattr(part, "__qualname__") else type(part)
     return f"{kind.__module__}.{kind.__qualname__}"
 
 
 def _call_of(plan: Plan) -> str:
-    """The call that repeats a run of objects: without what does not change its results."""
+    """The call that repeats a run of objects, without options that do not affect the results."""
     named = ("policy", "reasoner", "suite", "tasks")
     options = [f"{name}={value!r}" for name, value in plan.changes().items() if name not in named]
     pilot, scenario = plan.pilot, plan.scenario
@@ -153,8 +152,8 @@ def _call_of(plan: Plan) -> str:
 
 def _one_process(what: str, workers: int | None, progress: bool) -> None:
     why = (
-        f"the {what} can be used in this process alone, because other processes cannot import it; for more workers"
-        " give a class or function of a module, or its name as module:attribute"
+        f"the {what} can only be used in this process, because other processes cannot import it; to use workers,"
+        " pass a class or function of a module, or its name as module:attribute"
     )
     if workers not in (None, 0, 1):
         raise RunError(f"workers={workers}, but {why}")
@@ -163,7 +162,7 @@ def _one_process(what: str, workers: int | None, progress: bool) -> None:
 
 
 def _pilot(policy: Any, reasoner: Any, undo: ExitStack) -> Pilot:
-    """What flies. `undo` closes what is made here; an object of the user's is closed by the user."""
+    """Policy and reasoner as a `Pilot`. `undo` closes what is made here; users close their own objects."""
     flown = _part("policy", policy, "act", make_policy, as_policy, undo)
     asked = None if reasoner is None else _part("reasoner", reasoner, "refine", make_reasoner, as_reasoner, undo)
     return Pilot(flown, asked)
@@ -172,7 +171,7 @@ def _pilot(policy: Any, reasoner: Any, undo: ExitStack) -> Pilot:
 def _part(
     kind: str, given: Any, method: str, make: Callable[[str], Any], adapt: Callable[[str, Any], Any], undo: ExitStack
 ) -> Any:
-    """A policy or reasoner from its name, from what makes it, or from the object itself. Raises `PolicyError`."""
+    """A policy or reasoner from its name, from a class or function, or from an object. Raises `PolicyError`."""
     is_factory = isinstance(given, type) or (not hasattr(given, method) and callable(given))
     if isinstance(given, str):
         part = make(given)

@@ -1,4 +1,4 @@
-"""The picture of a film: what the policy flies by and what it answers, over the first-person frame."""
+"""Frames of a film: the first-person view below a panel with the instruction and the policy's command."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from cognitivedrone.envs.captions import font, wrap
 from cognitivedrone.types import ACTION_LIMITS, Image
 
 WIDTH: Final = 512
-"""Of a film, and the height of the first-person frame in it, pixels."""
+"""Width of a film, and height of the first-person frame in it, pixels."""
 PANEL_HEIGHT: Final = 128
-"""Of what is over the frame, pixels: at the top, because players put their buttons at the bottom."""
+"""Height of the panel above the frame, pixels; at the top, because players put their controls at the bottom."""
 ACTIONS: Final = (("vx", "m/s", 98), ("vy", "m/s", 98), ("vz", "m/s", 98), ("yaw rate", "rad/s", 148))
 """Name, unit and width in pixels of the columns that show an action."""
 
@@ -24,11 +24,11 @@ _PANEL, _GROOVE, _INK, _SOFT = (18, 21, 32), (52, 58, 78), (240, 242, 248), (160
 _POSITIVE, _NEGATIVE, _CONFIDENCE = (96, 165, 250), (251, 146, 60), (52, 211, 153)
 _MARGIN, _GAP, _BAR_HEIGHT = 14, 14, 10
 _HEADING_TOP, _TEXT_TOP, _ACTION_TOP = 9, 29, 82
-"""Where the rows of the panel begin."""
+"""Top of each row of the panel, pixels."""
 
 
 def compose(frame: FilmFrame, stages: int) -> Image:
-    """One picture (128 + 512, 512, 3) of a film of an episode of `stages` stages."""
+    """One frame (128 + 512, 512, 3) of the film of an episode with `stages` stages."""
     picture = PillowImage.fromarray(_panel(frame.instruction, from_reasoner=frame.guidance is not None))
     view = PillowImage.fromarray(frame.image).resize((WIDTH, WIDTH), PillowImage.Resampling.BILINEAR)
     picture.paste(view, (0, PANEL_HEIGHT))
@@ -47,7 +47,7 @@ def compose(frame: FilmFrame, stages: int) -> Image:
 
 @lru_cache(maxsize=4)
 def _panel(instruction: str, *, from_reasoner: bool) -> Image:
-    """What stays the same while the policy flies by one sentence."""
+    """The part of the panel that does not change while the instruction is the same."""
     picture = PillowImage.new("RGB", (WIDTH, WIDTH + PANEL_HEIGHT), _PANEL)
     draw = ImageDraw.Draw(picture)
     kind = "DIRECTIVE OF THE REASONER" if from_reasoner else "INSTRUCTION"
@@ -70,7 +70,7 @@ def _clock(draw: ImageDraw.ImageDraw, frame: FilmFrame, stages: int) -> None:
 
 
 def _confidence(draw: ImageDraw.ImageDraw, confidence: float) -> None:
-    """Of the reasoner in its directive, at the right of the heading."""
+    """Draw the reasoner's confidence, to the right of the heading."""
     right = WIDTH - _MARGIN
     draw.text((right, _HEADING_TOP - 1), f"confidence {confidence:.2f}", _INK, font(14), anchor="ra")
     left, top = right - 228, _HEADING_TOP + 2
@@ -80,7 +80,7 @@ def _confidence(draw: ImageDraw.ImageDraw, confidence: float) -> None:
 
 
 def _signed_bar(draw: ImageDraw.ImageDraw, left: float, width: float, share: float) -> None:
-    """A bar from the middle, to the right where positive; `share` is -1 to 1 of the largest action."""
+    """Draw a bar from the middle, to the right if positive; `share` is -1 to 1 of the largest action."""
     top = _ACTION_TOP + 22
     bottom = top + _BAR_HEIGHT
     middle = left + width / 2

@@ -1,4 +1,4 @@
-"""What the benchmark writes down of one flight: its path and frames, and what the reasoner did in each stage."""
+"""The benchmark's record of one flight: path, frames, and what the reasoner did in each stage."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FAULTS: tuple[ReasonerFault, ...] = get_args(ReasonerFault)
 
 @dataclass
 class _Stage:
-    """What has been heard from the reasoner in one stage."""
+    """What the reasoner returned in one stage."""
 
     first_step: int
     directive: str | None = None
@@ -61,7 +61,7 @@ class FlightLog:
             self._stages[-1].ages_s.append(guidance.age)
 
     def note(self, event: Event) -> None:
-        """A new stage, or what came from the reasoner."""
+        """A new stage, or an event of the reasoner."""
         if event.kind == "leg":
             self._stages.append(_Stage(len(self.path)))
         elif event.kind in FAULTS:
@@ -71,7 +71,7 @@ class FlightLog:
             self._stages[-1].adopted += event.kind == "adopted"
 
     def results(self) -> tuple[StageResult, ...]:
-        """The stages' results, each with what its reasoner did."""
+        """The stages' results, each with its reasoner report."""
         told = []
         for index, (result, task) in enumerate(zip(self.track_runner.results, self.track_runner.track, strict=True)):
             stage = self._stages[index] if index < len(self._stages) else None
@@ -83,7 +83,7 @@ class FlightLog:
         return tuple(told)
 
     def trace(self, decision_s: float) -> Trace:
-        """Where the flight went, its last position included."""
+        """The flight path, including the last position."""
         path = np.array([*self.path, self.track_runner.world.state().position], dtype=np.float32)
         stages = tuple(self.track_runner.stages[: len(self._stages)])
         return Trace(path, stages, tuple(stage.first_step for stage in self._stages), decision_s)

@@ -1,4 +1,4 @@
-"""A checked run: the plan with everything that its names stand for, found once and sent to every worker as it is."""
+"""A checked run: the plan with all its names resolved, once, and sent unchanged to every worker."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from cognitivedrone.vehicles import autopilot_file, check_vehicle
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What a run flies."""
+    """A plan with everything that its names stand for."""
 
     plan: Plan
     suite: Suite
     facts: RunFacts
     """The identity of the run."""
     delays: Delays
-    """Inference latency that is charged."""
+    """Inference latency to charge."""
 
     @property
     def episodes(self) -> range:
@@ -38,10 +38,10 @@ class Job:
 
 
 def prepare(plan: Plan, *, named: bool = True) -> Job:
-    """Find and check everything that a plan names, before anything is started or written.
+    """Resolve and check everything that a plan names, before anything is started or written.
 
-    Where the pilot is not `named` but given as objects, its files are not known. Raises `RunError` for options that
-    cannot be, and the error of whatever is named and missing.
+    If the pilot is not `named` but passed as objects, its files are unknown. Raises `RunError` for invalid options, and
+    the specific error for anything that is missing.
     """
     suite = suite_of(plan.scenario, plan.episodes)
     _check(plan)
@@ -58,14 +58,14 @@ def prepare(plan: Plan, *, named: bool = True) -> Job:
         suite=SuiteFacts(suite.name, suite.digest, suite.n_tasks),
         policy=policy,
         reasoner=reasoner,
-        options={key: options[key] for key in (*REQUIRED, *options)},  # in the order that files always had
+        options={key: options[key] for key in (*REQUIRED, *options)},  # keeps the order of existing files
         versions=versions(),
     )
     return Job(plan, suite, facts, delays)
 
 
 def preflight(job: Job) -> None:
-    """Find what would stop a flight, before a process is started: raises the error of what is missing."""
+    """Check that the run can fly, before a process is started; raises the error for whatever is missing."""
     scenario = job.plan.scenario
     find_airframe(scenario.airframe)
     check_vehicle(job.plan.vehicle, scenario)
@@ -82,13 +82,13 @@ def _check(plan: Plan) -> None:
         if value is not None and value < least:
             raise RunError(f"--{name} is {value}; it must be at least {least}")
     if not 0 < plan.decision_timeout < math.inf:
-        raise RunError(f"--decision-timeout is {plan.decision_timeout}; it is a number of seconds above 0")
+        raise RunError(f"--decision-timeout is {plan.decision_timeout}; it must be above 0 seconds")
     labels, wind = plan.scenario.labels, plan.scenario.wind
     if labels is not None and not labels.is_dir():
         raise RunError(f"--labels {labels} is not a folder of images")
     if not 0 <= wind < math.inf:
-        raise RunError(f"--wind is {wind}; it is a speed in m/s, 0 or more")
+        raise RunError(f"--wind is {wind}; it must be 0 m/s or more")
     if plan.vehicle.kind == "mavlink":
-        raise RunError(f"--link {plan.vehicle.link}: nobody can score a real flight; fly it with cognitivedrone fly")
+        raise RunError(f"--link {plan.vehicle.link}: a real flight cannot be scored; fly it with cognitivedrone fly")
     if plan.vehicle.kind == "gazebo" and plan.workers not in (None, 0, 1):
-        raise RunError(f"one vehicle flies in Gazebo, so --workers {plan.workers} is too many; leave it out")
+        raise RunError(f"--link gazebo has a single vehicle, so --workers {plan.workers} is too many; leave it out")

@@ -1,4 +1,4 @@
-"""The result of a flight whose process was lost in a call of policy or reasoner: nothing else is left of it."""
+"""The result of a flight whose process died in a call of policy or reasoner."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cognitivedrone.types import EpisodeResult
 
 
 def lost_flight(job: Job, episode: int, message: str, trace: str) -> Rollout:
-    """A `policy_error` in the first stage of the episode; the stages behind it count as not reached."""
+    """A `policy_error` in the first stage of the episode; later stages count as not reached."""
     first, *others = job.suite.tracks[episode]
     stages = (unflown(first, "policy_error"), *(unflown(task, "not_reached") for task in others))
     nowhere = Trace(np.empty((0, 3), np.float32), (), (), math.nan)

@@ -1,4 +1,4 @@
-"""What a rerun needs to know besides the options of a run: machine, commit, the user's own modules, command line."""
+"""Provenance of a run besides its options: machine, commit, the user's own modules, command line."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from cognitivedrone.reasoners import REASONERS
 
 
 def platform_facts(command: str, policy: str = "", reasoner: str = "") -> dict[str, str]:
-    """The machine and the source in words, and the command that was run.
+    """The machine, the source and the command, as text.
 
-    A policy or reasoner of the user's own ("module:attribute") adds the file of its module with its SHA-256, and to the
-    command the PYTHONPATH that finds it.
+    For a user's own policy or reasoner ("module:attribute") this includes the file of its module with its SHA-256, and
+    the command includes the PYTHONPATH that finds it.
     """
     facts = {
         "command": command,
@@ -46,7 +46,7 @@ def platform_facts(command: str, policy: str = "", reasoner: str = "") -> dict[s
 
 
 def own_module(name: str, table: Mapping[str, str]) -> Path | None:
-    """The source file of a user's own plug-in "module:attribute"; none for those of `table`, or without a file."""
+    """The source file of a user's own plug-in "module:attribute"; none for names in `table`, or without a file."""
     module, colon, _ = name.partition(":")
     if not colon or module in table:
         return None
@@ -60,7 +60,7 @@ def own_module(name: str, table: Mapping[str, str]) -> Path | None:
 
 
 def _root(file: Path, module: str) -> Path:
-    """The folder on the module path from which `module` was found."""
+    """The folder on the module path that contains `module`."""
     levels = module.count(".") + (file.name == "__init__.py")
     return file.parents[levels]
 
@@ -71,14 +71,14 @@ def _installed() -> set[Path]:
 
 
 def _shown(path: Path) -> str:
-    """Relative to the current folder where it is in it."""
+    """The path, relative to the current folder if it is inside it."""
     here = Path.cwd().resolve()
     return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
 
 
 @lru_cache(maxsize=1)
 def _processor() -> str:
-    """The processor's name; Linux tells it only in /proc."""
+    """The processor's name; Linux has it only in /proc."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:

@@ -32,12 +32,12 @@ PUBLISHED: Final = (
 
 
 COMPARABLE: Final = ("open-v1:test", "open-v1:unseen", "open-v1:hard")
-"""Suites that are like the paper's: many single choices."""
+"""Suites comparable to the paper's: many single choices."""
 
 
 def comparable(results: Results) -> bool:
-    """Whether the paper's scores may stand beside a run: it flew such a suite, and all three categories of it.
+    """Whether a run can be compared with the paper's scores: such a suite, with all three categories.
 
-    Races, tracks, the user's own tasks and the few of `smoke` are not.
+    Races, tracks, a user's own tasks and the few tasks of `smoke` are not comparable.
     """
     return results.run.suite.name in COMPARABLE and results.summary().mean_of_categories.categories == len(CATEGORIES)

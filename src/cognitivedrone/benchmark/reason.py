@@ -1,7 +1,7 @@
-"""Scores a reasoner alone: it looks at the frames that a flight would begin with, and nothing flies.
+"""Scores a reasoner alone, on the first frames of each flight, without flying.
 
-Writes reason.jsonl, a line an answer, and reason.json, the scores. `--reasoner replay:FOLDER/reason.jsonl` gives the
-same answers again, in flight or here.
+Writes reason.jsonl, one line per answer, and reason.json, the scores. `--reasoner replay:FOLDER/reason.jsonl` repeats
+the same answers, in flight or here.
 """
 
 from __future__ import annotations
@@ -47,21 +47,21 @@ SCHEMA: Final = "cognitivedrone.reason/1"
 ANSWERS_FILE: Final = "reason.jsonl"
 SUMMARY_FILE: Final = "reason.json"
 LOOK_HZ: Final = 2
-"""How often a hovering drone's reasoner gets a new frame, as in flight."""
+"""Frame rate of the reasoner while the drone hovers, as in flight."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReasonResults:
-    """What a reasoner answered, and how well."""
+    """A reasoner's answers and scores."""
 
     suite: SuiteFacts
     plan: ReasonPlan
     renderer: str
-    """Name of what drew the frames."""
+    """Name of the renderer."""
     answers: tuple[Answer, ...]
     """In the order of the suite."""
     wall_s: float
-    """Duration of the whole, rendering included."""
+    """Total duration, including rendering."""
     out: Path
     """Folder with reason.jsonl and reason.json."""
 
@@ -73,32 +73,32 @@ class ReasonResults:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """One stage as its flight would begin, for as long as the next one has not been asked for."""
+    """One stage at the start of its flight; valid until the next one is requested."""
 
     episode: int
     index: int
-    """Of the stage on its track."""
+    """Index of the stage on its track."""
     truth: GroundTruth
     look: Callable[[], Image]
-    """A new frame, (256, 256, 3), of the drone hovering at the start; every call after the first one is
+    """Returns a new frame, (256, 256, 3), of the drone hovering at the start; each call after the first is
     1 / `LOOK_HZ` s later."""
 
 
 def score_reasoner(plan: ReasonPlan, *, progress: bool = True) -> ReasonResults:
-    """Ask, judge and write. Every answer is on the disk before the next task is asked.
+    """Ask, score and write. Every answer is on disk before the next task is asked.
 
-    Raises `RunError` for options that cannot be and for a folder that holds answers already, `PolicyError` for a
-    reasoner that cannot be made or gives what is no answer, and `Interrupted` on Ctrl-C; the answers are kept.
+    Raises `RunError` for invalid options and for a folder that already contains answers, `PolicyError` for a reasoner
+    that cannot be made or returns an invalid answer, and `Interrupted` on Ctrl-C; answers so far are kept.
     """
     began = time.perf_counter()
     if plan.frames < 1:
         raise RunError(f"--frames is {plan.frames}; it must be at least 1")
-    # The flights whose first frames the reasoner sees.
+    # The flights whose first frames are shown to the reasoner.
     job = prepare(Plan.of(scenario=plan.scenario, reasoner=plan.reasoner, episodes=plan.episodes))
     labels = load_pack(plan.scenario.labels)
     reasoner = make_reasoner(plan.reasoner)
     if reasoner is None:
-        raise PluginError(f"--reasoner {plan.reasoner} gives no answer to score; name one, such as oracle")
+        raise PluginError(f"--reasoner {plan.reasoner} gives no answers to score; name a reasoner, such as oracle")
     preflight(job)
     reasoner.check()
     out = out_of(plan)
@@ -121,7 +121,7 @@ def score_reasoner(plan: ReasonPlan, *, progress: bool = True) -> ReasonResults:
 
 
 def out_of(plan: ReasonPlan) -> Path:
-    """The folder of the answers: the one asked for, or one named after suite and reasoner."""
+    """The folder of the answers: the one given, or one named after suite and reasoner."""
     if plan.out is not None:
         return plan.out
     names = ["reason", plan.scenario.title, plan.reasoner]
@@ -129,11 +129,11 @@ def out_of(plan: ReasonPlan) -> Path:
 
 
 def views(track_runner: TrackRunner, suite: Suite, episode: int, rng: np.random.Generator) -> Iterator[View]:
-    """The stages of a track, one after the other, each from a start pose of its own.
+    """The stages of a track, one after the other, each from its own start pose.
 
-    The first is what a flight with this `rng` sees first. A later one stands where it would in a flight without
-    mistakes, and its start is drawn in its own start box. What the caller draws from `rng` before it asks for the
-    second view comes before the second start.
+    The first is the first view of a flight with this `rng`. A later stage is placed as in a flight without mistakes,
+    and its start is drawn in its own start box. Values that the caller draws from `rng` before requesting the second
+    view precede the second start.
     """
     world = track_runner.world
     track_runner.begin(suite.tracks[episode], rng)
@@ -148,7 +148,7 @@ def views(track_runner: TrackRunner, suite: Suite, episode: int, rng: np.random.
 
 
 def _looking(world: DroneWorld) -> Callable[[], Image]:
-    """A camera that lets time pass between two frames."""
+    """A camera that advances time between frames."""
     taken = 0
 
     def look() -> Image:
@@ -163,13 +163,13 @@ def _looking(world: DroneWorld) -> Callable[[], Image]:
 
 
 def _placed(start: Start, stage: Stage) -> Start:
-    """A start of the stage frame in the world."""
+    """A start pose, from the stage frame to the world frame."""
     x, y = rotate_yaw(np.array(start.position[:2]), stage.yaw) + np.array(stage.origin)
     return replace(start, position=(float(x), float(y), start.position[2]), yaw=start.yaw + stage.yaw)
 
 
 def _ask_all(reasoner: Reasoner, track_runner: TrackRunner, job: Job, frames: int, progress: bool) -> Iterator[Answer]:
-    """The answers to every stage, in order; the reasoner is told what a flight would tell it."""
+    """The answers to every stage, in order; the reasoner gets the same context as in flight."""
     for episode in counted(job.episodes, "reasoning", len(job.episodes), show=progress):
         rng = episode_rng(job.suite.digest, episode, job.plan.scenario.seed)
         for view in views(track_runner, job.suite, episode, rng):
@@ -180,7 +180,7 @@ def _ask_all(reasoner: Reasoner, track_runner: TrackRunner, job: Job, frames: in
 
 
 def _ask(reasoner: Reasoner, view: View, frames: int) -> Answer:
-    """The last answer to some frames, or the last fault where none of them got an answer."""
+    """The last answer to some frames, or the last fault if none of them got an answer."""
     task = view.truth.task
     guidance: Guidance | None = None
     fault: ReasonerError | None = None
@@ -195,7 +195,7 @@ def _ask(reasoner: Reasoner, view: View, frames: int) -> Answer:
             fault = error
         seconds = time.perf_counter() - begin
     if guidance is not None:
-        fault = None  # as in flight, what went wrong takes nothing back
+        fault = None  # as in flight, a later fault does not revoke an answer
     directive = None if guidance is None else guidance.directive
     return Answer(
         task=task.id,
@@ -219,15 +219,15 @@ def _ask(reasoner: Reasoner, view: View, frames: int) -> Answer:
 
 @contextmanager
 def _open_answers(out: Path, *, overwrite: bool) -> Iterator[Callable[[Answer], None]]:
-    """Begin the file of the answers, and give what puts an answer into it, whole or not at all.
+    """Create the file of answers; yields a function that appends an answer completely or not at all.
 
-    Raises `RunError` where there are some already and `overwrite` is not given, and where nothing can be written.
+    Raises `RunError` if it already exists and `overwrite` is false, or if it cannot be written.
     """
     path = out / ANSWERS_FILE
     if out.exists() and not out.is_dir():
         raise RunError(f"{out} is a file; give a folder as --out")
     if path.exists() and not overwrite:
-        raise RunError(f"{out} already holds answers; give --overwrite to throw them away, or another --out")
+        raise RunError(f"{out} already contains answers; give --overwrite to delete them, or another --out")
     with writing(path, RunError, "give another --out"):
         out.mkdir(parents=True, exist_ok=True)
         (out / SUMMARY_FILE).unlink(missing_ok=True)
@@ -236,7 +236,7 @@ def _open_answers(out: Path, *, overwrite: bool) -> Iterator[Callable[[Answer], 
     def keep(answer: Answer) -> None:
         line = (dumps(answer) + "\n").encode("utf-8", "backslashreplace")
         whole = file.tell()
-        with writing(path, RunError, "make room there and ask again; the answers before are kept"):
+        with writing(path, RunError, "free disk space and ask again; earlier answers are kept"):
             try:
                 while line:
                     line = line[file.write(line) :]

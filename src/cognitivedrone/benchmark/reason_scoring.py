@@ -1,4 +1,4 @@
-"""From a reasoner's answers to scores. Pure arithmetic; the counterpart of `scoring` for a reasoner without a drone."""
+"""Scores from a reasoner's answers. Pure arithmetic; the counterpart of `scoring` for a reasoner without a drone."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cognitivedrone.types import ALL_CATEGORIES, Category, Gate
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What of a directive is right. A part that it does not say is none: neither right nor wrong."""
+    """Which parts of a directive are right. A part that it does not name is none: neither right nor wrong."""
 
     gate: bool
     """Whether it fits the right gate and no other."""
@@ -26,26 +26,26 @@ class Judgement:
 
     @property
     def all(self) -> bool:
-        """Whether colour, shape and size are all said, and right."""
+        """Whether colour, shape and size are all named and right."""
         return bool(self.color and self.shape and self.size)
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a reasoner answered to one task, and what was expected; one line of reason.jsonl."""
+    """A reasoner's answer to one task, and what was expected; one line of reason.jsonl."""
 
     task: str
     """The task's id."""
     directive: str | None
-    """The answer; none where there was a fault."""
+    """The answer; none after a fault."""
     gate: int | None
-    """Index of the gate that the reasoner says it means, 0 to 2, where it says so."""
+    """Index of the gate that the reasoner reports, 0 to 2, if it does."""
     confidence: float | None
-    """0 to 1; none where there was a fault."""
+    """0 to 1; none after a fault."""
     fault: ReasonerFault | None
     """Why there is no answer."""
     message: str
-    """What the reasoner says about its fault, in one sentence."""
+    """The fault in one sentence."""
     episode: int
     """Index of the track in the suite."""
     stage: int
@@ -58,15 +58,15 @@ class Answer:
     target: int
     """Index of the right gate, 0 to 2."""
     right: Judgement
-    """What of the directive is right."""
+    """Which parts of the directive are right."""
     image_sha256: str
     """Of the frame's bytes, (256, 256, 3) uint8 RGB."""
     seconds: float
-    """Wall time of the answer that counts, s; the only field that differs between two equal runs."""
+    """Wall time of the scored answer, s; the only field that differs between two equal runs."""
 
 
 def judge(directive: str | None, gates: Sequence[Gate], target: int) -> Judgement:
-    """Compare a directive with the gates of its task, of which `target` is the right one."""
+    """Compare a directive with the gates of its task; `target` is the index of the right one."""
     size, color, shape = parse_directive(directive or "")
     right = gates[target]
     return Judgement(
@@ -79,7 +79,7 @@ def judge(directive: str | None, gates: Sequence[Gate], target: int) -> Judgemen
 
 @dataclass(frozen=True, slots=True)
 class ReasonScore:
-    """The score of a set of answers. What is not said is not right; rates and shares are none where n is 0."""
+    """The score of a set of answers. Omitted parts count as not right; rates and shares are none if n is 0."""
 
     n: int
     """Tasks asked."""
@@ -98,11 +98,11 @@ class ReasonScore:
     complete: float | None
     """Share that names colour, shape and size, all right."""
     index_given: int
-    """Answers that say which gate from left to right is meant."""
+    """Answers that report the index of the gate."""
     index_right: int
-    """Those of them that say the right one."""
+    """Those that report the right index."""
     faults: Mapping[ReasonerFault, int]
-    """Answers that did not come or could not be used, by kind; the kinds that occurred, the commonest first."""
+    """Missing or unusable answers by kind; only kinds that occurred, most frequent first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ class ReasonSummary:
     families: Mapping[str, ReasonScore]
     """In the order of the categories, then by name."""
     median_s: float | None
-    """Median wall time of an answer, faults included."""
+    """Median wall time of an answer, including faults."""
     p95_s: float | None
     """Its 95th percentile."""
 
@@ -140,7 +140,7 @@ def score_answers(answers: Sequence[Answer]) -> ReasonScore:
 
 
 def summarize_answers(answers: Sequence[Answer]) -> ReasonSummary:
-    """Overall, each category and each family, and how long the answers took."""
+    """Scores overall, by category and by family, and the answers' wall time."""
     by_category = {category: [a for a in answers if a.category == category] for category in ALL_CATEGORIES}
     families = sorted({(ALL_CATEGORIES.index(answer.category), answer.family) for answer in answers})
     seconds = [answer.seconds for answer in answers]

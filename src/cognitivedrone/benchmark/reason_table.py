@@ -15,9 +15,9 @@ COLUMNS = ("", "n", "gate", "95 % CI", "colour", "shape", "size", "all", "faults
 
 
 def reason_table(results: ReasonResults) -> RenderableType:
-    """Overall, by category and by family, in 80 columns; faults and times below.
+    """Scores overall, by category and by family, in 80 columns; faults and times below.
 
-    `gate` counts directives that fit the right gate and no other, the columns beside it the parts that they name.
+    `gate` counts directives that fit the right gate and no other; the other columns count the parts that they name.
     """
     summary = results.summary
     table = new_table(f"{results.suite.name}: reasoner {results.plan.reasoner}", *COLUMNS, gap=0)
@@ -49,7 +49,7 @@ def _notes(results: ReasonResults) -> Iterator[Text]:
         yield Text(f"faults, counted as not right: {kinds}; the first at {first.task}: {first.message}", style="yellow")
     if summary.overall.index_given:
         given, right = summary.overall.index_given, summary.overall.index_right
-        yield Text(f"answers that say which gate from the left: {given}, of them right: {right}")
+        yield Text(f"answers that report the gate's index: {given}, of them right: {right}")
     if summary.median_s is not None and summary.p95_s is not None:
         median, p95 = 1e3 * summary.median_s, 1e3 * summary.p95_s
         yield Text(f"an answer takes {median:.3g} ms (median), {p95:.3g} ms (95th percentile)")

@@ -1,7 +1,7 @@
-"""The folder of a run while it flies: run.json says which run it is, episodes.jsonl what has been flown so far.
+"""The folder of a run in progress: run.json identifies the run, episodes.jsonl records what has been flown.
 
-Every episode is one line, on the disk before the next one counts, with a checksum of its own. A line that a kill cut
-short is dropped when the run is resumed, and its episode is flown again.
+Every episode is one line with its own checksum, on disk before the next one counts. If the run is killed, an incomplete
+line is dropped on resume, and its episode is flown again.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from cognitivedrone.types import EpisodeResult
 RUN_FILE: Final = "run.json"
 EPISODES_FILE: Final = "episodes.jsonl"
 PRODUCTS: Final = ("results.json", "report.html", "error.txt")
-"""What else a run writes into its folder."""
+"""Other files that a run writes into its folder."""
 ERRORS_FOLDER: Final = "errors"
-"""Tracebacks of policies and reasoners, a file an episode."""
+"""Tracebacks of policies and reasoners, one file per episode."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +40,10 @@ class Record:
 
 
 class RunFolder:
-    """An open run folder; no other process can write to it until it is closed.
+    """An open run folder, locked against other processes until it is closed.
 
-    Raises `RunError`, and changes nothing, where the folder holds another run, or this one and neither `resume` nor
-    `overwrite` says what to do with it.
+    Raises `RunError`, without changes, if the folder contains another run, or this run and neither `resume` nor
+    `overwrite` is set.
     """
 
     def __init__(self, path: Path, facts: RunFacts, *, resume: bool = False, overwrite: bool = False) -> None:
@@ -75,22 +75,22 @@ class RunFolder:
         write_whole(self.path / RUN_FILE, dumps(facts, indent=1) + "\n")
 
     records: dict[int, Record]
-    """By episode, as they stand in the file."""
+    """By episode, as in the file."""
 
     def append(self, flown: Rollout, renderer: str) -> None:
-        """Put one episode on the disk."""
+        """Write one episode to disk."""
         line = _line(Record(flown.result, flown.trace, renderer))
-        kept = "make room there, then the same command with --resume goes on: what was flown before is kept"
+        kept = "free disk space, then continue with the same command and --resume; flown episodes are kept"
         with writing(self.path / EPISODES_FILE, RunError, kept):
             self._file.write(line)
             self._file.flush()
             os.fsync(self._file.fileno())
-        # What is kept is what a later resume would read, to the last digit.
+        # Keep exactly what a later resume would read, to the last digit.
         self.records[flown.result.episode] = _parse(line, "the record just written")
 
     def close(self) -> None:
-        """Let other processes write to the folder."""
-        # What a full disk did not take is offered to it once more here; `append` has told of it.
+        """Release the folder's lock."""
+        # Closing flushes again what a full disk did not take; `append` has already raised the error.
         with contextlib.suppress(OSError):
             self._file.close()
 
@@ -102,21 +102,21 @@ class RunFolder:
 
 
 def check_folder(path: Path, facts: RunFacts, *, resume: bool = False, overwrite: bool = False) -> frozenset[int]:
-    """The episodes that a `RunFolder` opened so would have on record. Changes nothing, and raises as that would."""
+    """The episodes that a `RunFolder` with these arguments would have on record. Same errors, no changes."""
     with writing(path, RunError, "give another --out"):
         exists = _check(path, facts, resume=resume, overwrite=overwrite)
     return frozenset(read_records(path)) if exists and resume and (path / EPISODES_FILE).exists() else frozenset()
 
 
 def _check(path: Path, facts: RunFacts, *, resume: bool, overwrite: bool) -> bool:
-    """Whether a run is in the folder; raises `RunError` where a run of these facts must not be written there."""
+    """Whether the folder contains a run; raises `RunError` if a run with these facts must not be written there."""
     if resume and overwrite:
         raise RunError("--resume and --overwrite contradict each other; give one of them")
     exists = _holds_run(path)
     if exists and not overwrite:
         if not resume:
             raise RunError(
-                f"{path} already holds a run; give --resume to go on with it, --overwrite to throw it away, "
+                f"{path} already contains a run; give --resume to continue it, --overwrite to delete it, "
                 "or another --out"
             )
         _same_run(path, facts)
@@ -124,7 +124,7 @@ def _check(path: Path, facts: RunFacts, *, resume: bool, overwrite: bool) -> boo
 
 
 def read_records(path: Path) -> dict[int, Record]:
-    """The records of a run folder, by episode, without opening it for writing; a line cut short is left out."""
+    """The records of a run folder by episode, read-only; an incomplete line is skipped."""
     file = path / EPISODES_FILE
     try:
         with file.open("rb") as stream:
@@ -134,7 +134,7 @@ def read_records(path: Path) -> dict[int, Record]:
 
 
 def _holds_run(path: Path) -> bool:
-    """Whether a run is in the folder. Raises `RunError` where something else is."""
+    """Whether the folder contains a run. Raises `RunError` if it contains anything else."""
     if not path.exists():
         return False
     if not path.is_dir():
@@ -142,15 +142,15 @@ def _holds_run(path: Path) -> bool:
     names = {entry.name for entry in path.iterdir()}
     if RUN_FILE in names:
         return True
-    # A kill in the first instants of a run leaves these.
+    # Left by a run that was killed right after its start.
     begun = {RUN_FILE + ".tmp"} | ({EPISODES_FILE} if (path / EPISODES_FILE).is_file() else set())
     if names - begun or (EPISODES_FILE in names and (path / EPISODES_FILE).stat().st_size):
-        raise RunError(f"{path} is not empty and holds no run ({RUN_FILE} is missing); give another --out")
+        raise RunError(f"{path} is not empty and contains no run ({RUN_FILE} is missing); give another --out")
     return False
 
 
 def _same_run(path: Path, facts: RunFacts) -> None:
-    """Raise `RunError` unless run.json tells of this very run."""
+    """Raise `RunError` unless run.json describes the same run."""
     file = path / RUN_FILE
     try:
         found = json.loads(file.read_text(encoding="utf-8"))
@@ -160,11 +160,11 @@ def _same_run(path: Path, facts: RunFacts) -> None:
     differing = [key for key in {**here, **there} if there.get(key) != here.get(key)]
     if differing:
         listed = ", ".join(f"{key} is {there.get(key)!r} there and {here.get(key)!r} here" for key in differing[:3])
-        raise RunError(f"{path} holds another run: {listed}; give another --out, or --overwrite")
+        raise RunError(f"{path} contains another run: {listed}; give another --out, or --overwrite")
 
 
 def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
-    """Nested objects as one, with dotted names."""
+    """Nested objects flattened, with dotted names."""
     if not isinstance(value, dict):
         return {prefix.rstrip("."): value}
     return {name: item for key, part in value.items() for name, item in _flat(part, f"{prefix}{key}.").items()}
@@ -184,7 +184,7 @@ def _line(record: Record) -> bytes:
 
 
 def _parse(line: bytes, where: str) -> Record:
-    """One line of the file. Raises `RunError` where its checksum or its content is wrong."""
+    """Parse one line of the file. Raises `RunError` if its checksum or content is wrong."""
     try:
         document = json.loads(line)
         body, stated = document["record"], document["crc32"]
@@ -196,7 +196,7 @@ def _parse(line: bytes, where: str) -> Record:
 
 
 def _read(file: BinaryIO, path: Path) -> tuple[dict[int, Record], int]:
-    """The records, and the length in bytes of the sound part of the file."""
+    """The records, and the length in bytes of the intact part of the file."""
     file.seek(0)
     lines = file.read().splitlines(keepends=True)
     records: dict[int, Record] = {}

@@ -1,7 +1,6 @@
-"""report.html: one self-contained page that shows a run. It loads nothing, and every text in it is escaped.
+"""report.html: a self-contained page about a run. It loads nothing, and all text in it is escaped.
 
-The page is the same for the same results, traces and clips. Everything shown is computed here; the template only
-lays it out.
+Equal results, traces and clips give an identical page. All values are computed here; the template only lays them out.
 """
 
 from __future__ import annotations
@@ -27,27 +26,27 @@ from cognitivedrone.types import Category, EpisodeResult, Outcome, StageResult, 
 
 REPORT_FILE: Final = "report.html"
 CLIP_BUDGET: Final = 3_500_000
-"""Bytes of film in one report; in base64 they take a third more."""
+"""Maximum size of the clips in one report, bytes; base64 adds a third."""
 PATHS_PER_MAP: Final = 60
 FAILURES_LISTED: Final = 200
 FAILURES_OPEN: Final = 12
-"""So many failures are shown at once; a longer list is opened by a click."""
+"""Number of failures shown at once; a longer list is collapsed."""
 CHANCE: Final = 1 / 3
-"""A guess among three gates; where single gates alone were flown, there is nothing to guess."""
+"""Success rate of a random choice among three gates; not shown for runs of single gates only."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A line of the table of scores."""
+    """A row of the table of scores."""
 
     name: str
     level: str
-    """`category` or `family`; `passed` for several families of a category in which nothing failed."""
+    """`category` or `family`; `passed` for a category's families without failures, which share a row."""
     families: str
-    """Of a category whose families have no rows: there is one, or nothing failed in any."""
+    """Families of a category that have no rows of their own: a single one, or all without failures."""
     score: Score
     failed: str
-    """How the stages ended that were not passed, such as "2 wrong gate, 1 timeout"."""
+    """Outcomes of the failed stages, such as "2 wrong gate, 1 timeout"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,11 +61,11 @@ class Segment:
 
 @dataclass(frozen=True, slots=True)
 class FilmView:
-    """A clip as the page shows it."""
+    """A clip as shown on the page."""
 
     clip: Clip
     video: str
-    """Base64, as the poster."""
+    """Base64, like the poster."""
     poster: str
     map: drawing.Map
     passed: bool
@@ -81,13 +80,13 @@ class Failure:
     episode: int
     stage: StageResult
     instruction: str
-    """Empty where the task is not known."""
+    """Empty if the task is unknown."""
 
 
 def render_report(
     results: Results, traces: Sequence[Trace], clips: Sequence[Clip], tracks: Sequence[Track] = ()
 ) -> str:
-    """The page. `traces` belong to `results.episodes`, one each, in the same order; `tracks` are those of the suite."""
+    """The page. `traces` correspond to `results.episodes`, in the same order; `tracks` are those of the suite."""
     summary = results.summary()
     films = [_film_view(clip) for clip in _within_budget(clips)]
     failures = list(_failures(results.episodes, tracks))
@@ -133,7 +132,7 @@ def render_report(
 
 
 def _rows(summary: Summary, episodes: Sequence[EpisodeResult], rule: Rule) -> Iterator[Row]:
-    """Every category with its families; those in which nothing failed share one row."""
+    """Every category with its families; families without failures share one row."""
     stages: dict[Category, dict[str, list[StageResult]]] = defaultdict(lambda: defaultdict(list))
     for episode in episodes:
         for stage in episode.stages:
@@ -175,13 +174,13 @@ def _segments(part: Score) -> list[Segment]:
 def _maps(
     episodes: Sequence[EpisodeResult], traces: Sequence[Trace], summary: Summary
 ) -> Iterator[tuple[str, str, drawing.Map]]:
-    """Name of every category that was flown, the outcomes drawn in words, and the map."""
+    """For every flown category: its name, the outcomes shown, and the map."""
     flights: dict[Category, list[drawing.StageFlight]] = defaultdict(list)
     for episode, trace in zip(episodes, traces, strict=True):
         for flight in drawing.stage_flights(episode, trace):
             flights[flight.result.category].append(flight)
     for category in summary.categories:
-        # Those that failed first: they are what one looks for where not all are drawn.
+        # Failures first: they matter most if not all flights are drawn.
         chosen = sorted(flights[category], key=lambda flight: flight.result.outcome == "passed")[:PATHS_PER_MAP]
         if chosen:
             tally = Counter(flight.result.outcome for flight in chosen)
@@ -190,7 +189,7 @@ def _maps(
 
 
 def _within_budget(clips: Sequence[Clip]) -> list[Clip]:
-    """The clips that have a film, from the first, for as long as they fit into the page."""
+    """The clips with a film, in order, as long as they fit into the page."""
     kept: list[Clip] = []
     size = 0
     for clip in clips:

@@ -1,4 +1,4 @@
-"""The results of a run and their file, results.json. The schema is told in docs/results.md."""
+"""The results of a run and their file, results.json. The schema is documented in docs/results.md."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from cognitivedrone.types import EpisodeResult
 from cognitivedrone.vehicles.external import LinkReport
 
 FILES: Final = ("labels", "model", "reasoner_model", "autopilot")
-"""Options that hold the SHA-256 of a file: label images, weights of the policy, weights or answers of the reasoner, the
-program that flies; null where there is none."""
+"""Options whose value is the SHA-256 of a file: label images, the policy's weights, the reasoner's weights or answers,
+the autopilot program; null if there is none."""
 _OPTIONS: Final = Plan.identity_options() | dict.fromkeys(FILES, (str | None, None))
 REQUIRED: Final = ("seed", "track", "episodes", "look", "airframe", "labels", "wind_m_s", "model")
-"""Options that every results file holds; later ones are left out at their defaults."""
+"""Options in every results file; options added later are omitted at their defaults."""
 SCHEMA: Final = "cognitivedrone.results/1"
 RESULTS_FILE: Final = "results.json"
 MAX_FILE_BYTES: Final = 2**30
@@ -50,35 +50,35 @@ class RunFacts:
     policy: str
     reasoner: str
     options: Mapping[str, Any]
-    """What else decides the outcome: the options of the plan that have an `identity` (`cognitivedrone.plan`), and the
-    SHA-256 of every file in `FILES`. Some are left out at their defaults."""
+    """Everything else that affects the outcome: the plan's options with an `identity` (`cognitivedrone.plan`), and the
+    SHA-256 of every file in `FILES`. Some are omitted at their defaults."""
     versions: Mapping[str, str]
 
     def option(self, key: str) -> Any:
-        """The value of an option, its default where it was left out."""
+        """The value of an option, or its default if it was omitted."""
         return self.options.get(key, _OPTIONS[key][1])
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """How long it took on this machine."""
+    """Duration of the run on this machine."""
 
     finished: str
-    """Time of training, ISO 8601, UTC."""
+    """End of the run, ISO 8601, UTC."""
     wall_s: float
-    """Of this session; a resumed run had others before."""
+    """Of this session; a resumed run had earlier sessions."""
     workers: int
     episodes_flown: int
     """In this session."""
     mean_decision_ms: float | None
     """Mean wall time of a policy's decision."""
     link: LinkReport | None = field(default=None, metadata={"json": "where set"})
-    """What happened on the link in this session, where an autopilot in another process flew."""
+    """Link statistics of this session, if an autopilot in another process flew."""
 
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """Everything a run found out."""
+    """The results of a run."""
 
     run: RunFacts
     renderer: str
@@ -90,18 +90,18 @@ class Results:
     timing: Timing
 
     def summary(self, rule: Rule | None = None) -> Summary:
-        """The scores by a rule; by the run's own where none is named."""
+        """The scores by a rule; the run's own by default."""
         return summarize(self.episodes, rule or self.rule)
 
 
 def versions() -> dict[str, str]:
-    """Versions of what decides a result."""
+    """Versions of the packages that affect a result."""
     packages = {name: importlib.metadata.version(name) for name in ("mujoco", "numpy", "onnxruntime")}
     return {"cognitivedrone": cognitivedrone.__version__, "python": platform.python_version(), **packages}
 
 
 def results_to_json(results: Results) -> dict[str, Any]:
-    """The content of results.json. All but `platform` and `timing` is the same on every repetition of the run."""
+    """The content of results.json. Everything but `platform` and `timing` is the same when the run is repeated."""
     return {
         "schema": SCHEMA,
         **encode(results.run),
@@ -115,9 +115,9 @@ def results_to_json(results: Results) -> dict[str, Any]:
 
 
 def results_from_json(document: Any, where: str) -> Results:
-    """Check and read the content of results.json. The scores in it must be those of its own rows.
+    """Check and read the content of results.json. Its scores must follow from its episodes.
 
-    Raises `RunError` naming the place of the first fault.
+    Raises `RunError` with the place of the first error.
     """
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         found = document.get("schema") if isinstance(document, dict) else None
@@ -145,12 +145,12 @@ def _check_options(options: Mapping[str, Any], where: str) -> None:
 
 
 def write_results(path: Path, results: Results) -> None:
-    """Write results.json whole or not at all."""
+    """Write results.json atomically."""
     write_whole(path, dumps(results_to_json(results), indent=1) + "\n")
 
 
 def read_results(path: Path) -> Results:
-    """Read results.json, given itself or its folder. Raises `RunError` for what is missing or malformed."""
+    """Read results.json, from its path or its folder. Raises `RunError` if it is missing or malformed."""
     path = path / RESULTS_FILE if path.is_dir() else path
     try:
         document = json.loads(read_regular(path, MAX_FILE_BYTES).decode("utf-8"))
@@ -164,10 +164,10 @@ def read_results(path: Path) -> Results:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a file so that a kill at any moment leaves the old one or the new one.
+    """Write a file atomically: a kill at any moment leaves the old version or the new one.
 
-    Raises `RunError` where it cannot be written; then the old one stays, and nothing is left beside it.
+    Raises `RunError` if it cannot be written; the old version stays, without temporary files.
     """
     with writing(path, RunError):
-        # What a policy says may hold lone surrogates, which no encoding has.
+        # A policy's messages may contain lone surrogates, which cannot be encoded.
         replace_file(path, text.encode("utf-8", "backslashreplace"))

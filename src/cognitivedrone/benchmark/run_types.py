@@ -1,4 +1,4 @@
-"""The values of a benchmark run: what to fly, and what one flight gives back."""
+"""The values of a benchmark run: rollouts, traces, film frames, and the runner's interface."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from cognitivedrone.vehicles.external import LinkReport
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """Where one flight went, for the report."""
+    """The path of one flight, for the report."""
 
     path: NDArray[np.float32]
     """(n, 3) world, m, at 10 Hz."""
     stages: tuple[Stage, ...]
-    """The stages that were flown, as they stood in the world."""
+    """The stages that were flown, as placed in the world."""
     stage_start: tuple[int, ...]
     """Index into `path` where each of `stages` begins."""
     decision_s: float
@@ -33,11 +33,11 @@ class FilmFrame:
     image: Image
     """First-person."""
     instruction: str
-    """What the policy was told: the instruction, or the directive of `guidance`."""
+    """The policy's input: the instruction, or the directive of `guidance`."""
     guidance: Guidance | None
-    """The reasoner's answer that was flown by, if there was one."""
+    """The reasoner's answer in effect, if any."""
     action: Action
-    """As it was flown."""
+    """As flown."""
     time: float
     """Since the start of the flight, s."""
     stage: int
@@ -51,23 +51,23 @@ class Rollout:
     result: EpisodeResult
     trace: Trace
     film: list[FilmFrame] | None = None
-    """Every control step, where a film was asked for."""
+    """Every control step, if a film was requested."""
     link: LinkReport | None = None
-    """What happened on the link meanwhile, where an autopilot in another process flew."""
+    """Link statistics of the episode, if an autopilot in another process flew."""
     error: str = ""
-    """Traceback of the policy's or the reasoner's first exception; empty where there was none."""
+    """Traceback of the policy's or the reasoner's first exception; empty if there was none."""
 
 
 class EpisodeRunner(Protocol):
-    """Flies single episodes of a suite; every worker process makes one and keeps it."""
+    """Flies single episodes of a suite; every worker process keeps one."""
 
     @property
     def renderer(self) -> str:
-        """Name of what draws the frames, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
+        """Name of the renderer, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
         ...
 
     def fly(self, episode: int, *, film: bool) -> Rollout:
-        """Fly the suite's track number `episode`; the same flight every time, in any order, in any process."""
+        """Fly the suite's track number `episode`; repeatable, in any order, in any process."""
         ...
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Flies a policy through a suite and writes what it found: records, results.json, report.html."""
+"""Runs a benchmark: flies a policy through a suite and writes records, results.json and report.html."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ ERROR_FILE = "error.txt"
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C in the middle of a run; the message says how to go on. A command line prints it and exits with 130."""
+    """Ctrl-C during a run; the message says how to continue. The CLI prints it and exits with 130."""
 
 
 def run(
     plan: Plan, *, progress: bool = True, runner: str = RUNNER, pilot: Pilot | None = None, command: str = ""
 ) -> Results:
-    """Fly, score and report; the folder's content is described in docs/results.md.
+    """Fly, score and report; docs/results.md describes the folder's content.
 
-    `runner` is the module:attribute of what makes an `EpisodeRunner` from (Job, Watch). `pilot` gives objects that
-    fly, in this process, instead of those that the plan names; `command` is then what repeats the run.
-    Raises `RunError` where the run cannot start, go on or be read, `PolicyError` where the pilot cannot be made, and
-    `Interrupted` on Ctrl-C; all finished episodes are kept in either case.
+    `runner` is the module:attribute of a factory of `EpisodeRunner`s from (Job, Watch). `pilot` supplies objects to fly
+    in this process, instead of the names in the plan; `command` is then the call that repeats the run.
+    Raises `RunError` if the run cannot start, continue or be read, `PolicyError` if the pilot cannot be made, and
+    `Interrupted` on Ctrl-C; all finished episodes are kept.
     """
     began = time.perf_counter()
     job = prepare(plan, named=pilot is None)
@@ -69,8 +69,8 @@ def run(
             return finished
     workers = min(_workers(plan), max(len(missing), 1))
     with ExitStack() as stack:
-        # Nothing is written before somebody can fly: a pilot that cannot be made changes no folder.
-        # A quiet console of older releases of rich ends a status with an empty line.
+        # Write nothing before the workers are ready: a pilot that cannot be made must not change the folder.
+        # In older releases of rich, a quiet console ends a status with an empty line.
         screen = console(stderr=True)
         with screen.status("starting the simulators") if progress else nullcontext():
             pool = _open_pool(job, workers, runner, pilot)
@@ -83,7 +83,7 @@ def run(
         except KeyboardInterrupt:
             raise Interrupted(
                 f"stopped after {len(folder.records)} of {len(job.episodes)} episodes, all kept in {path}; "
-                "the same command with --resume goes on from there"
+                "continue with the same command and --resume"
             ) from None
         except WorkerCrash as crash:
             write_whole(path / ERROR_FILE, crash.trace)
@@ -98,13 +98,13 @@ def run(
         )
         report = render_report(results, [record.trace for record in records], clips, job.suite.tracks)
         write_whole(path / REPORT_FILE, report)
-        # Last, because with it the run is complete.
+        # Written last: it marks the run as complete.
         write_results(path / RESULTS_FILE, results)
     return results
 
 
 def out_of(plan: Plan) -> Path:
-    """The run's folder: the one asked for, or one named after suite, policy and reasoner."""
+    """The run's folder: the one given, or one named after suite, policy and reasoner."""
     if plan.out is not None:
         return plan.out
     names = [plan.scenario.title, plan.pilot.policy, plan.pilot.reasoner]
@@ -112,12 +112,12 @@ def out_of(plan: Plan) -> Path:
 
 
 def results_folder(*names: str) -> Path:
-    """Where results go that no folder was asked for: named after what they are of."""
+    """The default folder of results, from the names of suite, policy and reasoner."""
     return Path("results", safe_name("-".join(re.sub(r"[^\w.]+", "-", name).strip("-") for name in names)))
 
 
 def command_of(plan: Plan) -> str:
-    """The command line that repeats the run anywhere: without what does not change its results."""
+    """The command line that repeats the run, without options that do not affect the results."""
     return shlex.join(["cognitivedrone", "bench", *plan.words()])
 
 
@@ -132,7 +132,7 @@ def _workers(plan: Plan) -> int:
 
 
 def _open_pool(job: Job, workers: int, runner: str, pilot: Pilot | None) -> InProcess | ProcessPool:
-    """Who flies, when at least one can."""
+    """The workers, once at least one is ready."""
     if pilot is not None:
         return InProcess(PilotRunner(job, pilot=pilot))
     if workers == 0:
@@ -149,7 +149,7 @@ def _open_pool(job: Job, workers: int, runner: str, pilot: Pilot | None) -> InPr
 def _fly_missing(
     pool: WorkerPool, folder: RunFolder, missing: Sequence[int], job: Job, *, show: bool
 ) -> LinkReport | None:
-    """Fly what is not on record yet, each episode onto the disk as it ends; what happened on the link, if any."""
+    """Fly the missing episodes and record each as it ends; returns the link statistics, if any."""
     plan, total = job.plan, len(job.episodes)
     link: LinkReport | None = None
     stages = [stage for record in folder.records.values() for stage in record.result.stages if counts(stage)]
@@ -174,7 +174,7 @@ def _fly_missing(
 
 
 def _keep_error(flown: Rollout, path: Path, *, stop: bool) -> None:
-    """Put the traceback of a policy or reasoner beside the results. Raises `RunError` where the run is to `stop`."""
+    """Write the traceback of a policy or reasoner next to the results. Raises `RunError` if `stop` is true."""
     if not flown.error:
         return
     file = path / ERRORS_FOLDER / f"episode-{flown.result.episode:04}.txt"
@@ -187,11 +187,11 @@ def _keep_error(flown: Rollout, path: Path, *, stop: bool) -> None:
 
 
 def _film(pool: WorkerPool, job: Job, records: Sequence[Record]) -> list[Clip]:
-    """Fly the most telling episodes once more, with a film: the same seed gives the same flight."""
+    """Fly the most informative episodes again and film them; the same seed gives the same flight."""
     if job.plan.vehicle.kind == "gazebo":
-        return []  # in real time no flight is flown twice alike
+        return []  # flights in real time are not repeatable
     results: dict[int, EpisodeResult] = {record.result.episode: record.result for record in records}
-    # Of a flight whose process was lost there is nothing to see, and it might be lost again.
+    # A flight whose process died has no film, and might kill the process again.
     lost = {record.result.episode for record in records if not record.trace.stages}
     chosen = choose_clips([result for episode, result in results.items() if episode not in lost], job.plan.clips)
     clips = {

@@ -1,7 +1,7 @@
-"""From episode results to scores. Pure arithmetic.
+"""Scores from episode results. Pure arithmetic.
 
-Every stage is worth one point. `invalid` stages (the physics diverged) are not counted and reported apart; every other
-stage counts, also those of a failed policy and the later stages of a track that ended early.
+Every stage is worth one point. `invalid` stages (the physics diverged) are not counted but reported separately; every
+other stage counts, including those of a failed policy and the later stages of a track that ended early.
 
 Sources: E. B. Wilson, Probable inference (1927), for intervals of rates; R. G. Newcombe, Interval estimation for the
 difference between independent / paired proportions (Statistics in Medicine 17, 1998), for means and differences of
@@ -31,7 +31,7 @@ from cognitivedrone.types import (
 OUTCOMES: Final[tuple[Outcome, ...]] = get_args(Outcome)
 RULES: Final[tuple[Rule, ...]] = get_args(Rule)
 PUBLISHED_REACH_M: Final = 1.0
-"""The published benchmark gives the point to a drone that comes this close to the right gate's centre, m."""
+"""Distance to the right gate's centre at which the published benchmark gives the point, m."""
 Z_95: Final = statistics.NormalDist().inv_cdf(0.975)
 
 Interval = tuple[float, float]
@@ -39,30 +39,30 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class ReasonerScore:
-    """How a reasoner thought in a set of stages, whatever the policy made of it."""
+    """A reasoner's score over a set of stages, independent of the flying."""
 
     n: int
     """Stages in which it was asked."""
     gate: float
-    """Share of them whose last directive fits the right gate and no other."""
+    """Share of stages whose last directive fits the right gate and no other."""
     gate_ci95: Interval | None
     size: float | None
-    """Share of the right sizes among the last directives that say one; colour and shape likewise."""
+    """Share of right sizes among the last directives that name one; colour and shape likewise."""
     color: float | None
     shape: float | None
     answers: int
     faults: Mapping[str, int]
-    """Answers that could not be used, by kind."""
+    """Unusable answers, by kind."""
     changes: int
     """Directives that replaced another one."""
     mean_age_s: float | None
-    """Of the frames behind the directives, when they were flown by."""
+    """Mean age of the directives' frames while the policy followed them."""
     mean_rate_hz: float | None
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """The score of a set of stages. Rates and means are none where nothing was there to count."""
+    """The score of a set of stages. Rates and means are none if nothing was counted."""
 
     n: int
     """Stages counted: all but the invalid ones."""
@@ -72,29 +72,29 @@ class Score:
     ci95: Interval | None
     """Wilson 95 % interval of the rate."""
     outcomes: Mapping[Outcome, int]
-    """How the stages ended, the invalid ones too; by the rule `through`, whatever rule gives the points."""
+    """Number of stages by outcome, including invalid ones; always by the rule `through`."""
     chosen_right: int
-    """Stages whose flight went for the right gate."""
+    """Stages whose flight headed for the right gate."""
     choice_accuracy: float | None
     """chosen_right / n"""
     pass_given_choice: float | None
-    """Share of the stages that went for the right gate which also passed it: flying apart from thinking. Where gates
-    stand alone, that gate is the only one that can be gone for."""
+    """Share of passed stages among those that headed for the right gate: flying success given choice. A single gate is
+    always the chosen one."""
     mean_time_s: float | None
-    """Of the passed stages, as all that follow."""
+    """Over passed stages, like the following means."""
     median_time_s: float | None
     mean_path_ratio: float | None
     mean_clearance_m: float | None
     reasoner: ReasonerScore | None = field(default=None, metadata={"json": "where set"})
-    """None where no reasoner flew along."""
+    """None without a reasoner."""
 
 
 @dataclass(frozen=True, slots=True)
 class CategoryMean:
-    """Unweighted mean of the rates of the paper's categories: `racing`, which asks for no choice, is not among them."""
+    """Unweighted mean of the rates of the paper's categories, without `racing`, which has no choice."""
 
     categories: int
-    """How many categories have counted stages and so enter the mean."""
+    """Number of categories with counted stages, which enter the mean."""
     rate: float | None
     ci95: Interval | None
     """95 % interval, from the Wilson limits of the categories."""
@@ -111,10 +111,10 @@ class Summary:
     """In the order of the categories, then by name."""
     episodes: int
     episodes_completed: int
-    """Episodes whose every stage was passed."""
+    """Episodes in which all stages were passed."""
     choices: tuple[tuple[int, int, int, int], ...]
-    """Stages by right gate, 1 to 3 as rows, and gate flown at, 1 to 3 and last none, as columns; those counted and
-    reached. Off its diagonal stand the mistakes, and what a policy prefers whatever it is told."""
+    """Confusion matrix of counted and reached stages: rows are the right gate, 1 to 3; columns the gate flown at, 1 to
+    3, then none. Off-diagonal entries show mistakes and any preference of the policy."""
 
 
 def passes(stage: StageResult, rule: Rule) -> bool:
@@ -127,7 +127,7 @@ def passes(stage: StageResult, rule: Rule) -> bool:
 
 
 def counts(stage: StageResult) -> bool:
-    """Whether a stage enters the score at all."""
+    """Whether a stage enters the score."""
     return stage.outcome != "invalid"
 
 
@@ -176,7 +176,7 @@ def _reasoner_score(reports: Sequence[ReasonerReport]) -> ReasonerScore | None:
 
 
 def summarize(episodes: Sequence[EpisodeResult], rule: Rule = "through") -> Summary:
-    """Overall, mean of the categories, each category and each family."""
+    """Scores overall, mean of categories, by category and by family."""
     stages = [stage for episode in episodes for stage in episode.stages]
     by_category = {category: [s for s in stages if s.category == category] for category in ALL_CATEGORIES}
     categories = {category: score(part, rule) for category, part in by_category.items() if part}
@@ -199,7 +199,7 @@ def choices_of(stages: Iterable[StageResult]) -> tuple[tuple[int, int, int, int]
 
 
 def mean_of(scores: Sequence[Score]) -> CategoryMean:
-    """Unweighted mean of the rates. Its interval adds the Wilson half widths in squares (Newcombe 1998)."""
+    """Unweighted mean of the rates. Its interval adds the Wilson half widths in quadrature (Newcombe 1998)."""
     parts = [(s.rate, s.ci95) for s in scores if s.rate is not None and s.ci95 is not None]
     if not parts:
         return CategoryMean(0, None, None)
@@ -210,13 +210,13 @@ def mean_of(scores: Sequence[Score]) -> CategoryMean:
 
 
 def wilson(passed: int, n: int) -> Interval | None:
-    """Wilson's 95 % interval of a rate; none where n is 0."""
+    """Wilson's 95 % interval of a rate; none if n is 0."""
     if n == 0:
         return None
     rate, z2 = passed / n, Z_95**2
     center = (rate + z2 / (2 * n)) / (1 + z2 / n)
     half = Z_95 / (1 + z2 / n) * math.sqrt(rate * (1 - rate) / n + z2 / (4 * n * n))
-    # At the ends the limit is exactly 0 or 1; rounding must not push it inside.
+    # At rates 0 and 1 the limit is exactly 0 or 1; rounding must not move it.
     return (0.0 if passed == 0 else center - half, 1.0 if passed == n else center + half)
 
 
@@ -236,7 +236,7 @@ class Paired:
 
     @property
     def difference(self) -> float | None:
-        """Rate of b less rate of a."""
+        """Rate of b minus rate of a."""
         return _ratio(self.only_b - self.only_a, self.n)
 
 
@@ -247,7 +247,7 @@ def pair(passed: Iterable[tuple[bool, bool]]) -> Paired:
 
 
 def mcnemar(a: int, b: int) -> float:
-    """Two-sided exact p that the two discordant counts of a paired table come from one coin: 1 where both are 0."""
+    """Two-sided exact McNemar p-value of the discordant counts of a paired table; 1 if both are 0."""
     from scipy.stats import binomtest  # takes half a second to import, and workers never need it
 
     return float(binomtest(a, a + b, 0.5).pvalue) if a + b else 1.0

@@ -1,4 +1,4 @@
-"""Success against latency: the same suite flown again and again, with more and more time charged for thinking."""
+"""Success against latency: flies the same suite with increasing inference latency."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 60, 20, 40, 50
 
 
 Points = Sequence[tuple[float, Results]]
-"""Latencies, ms, each with its run."""
+"""Latencies, ms, with their runs."""
 
 
 def sweep(config: SweepPlan, *, progress: bool = True) -> Points:
-    """Fly every latency, and write the plot after each; what was flown before is not flown again."""
+    """Fly the suite at every latency, and update the plot after each; finished episodes are not flown again."""
     if not config.ms or min(*config.ms, config.other_ms, 0.0) < 0:
         raise RunError("--ms needs at least one latency, and none below 0")
     points: list[tuple[float, Results]] = []
@@ -33,7 +33,7 @@ def sweep(config: SweepPlan, *, progress: bool = True) -> Points:
 
 
 def plan_of(config: SweepPlan, ms: float) -> Plan:
-    """The run of one latency."""
+    """The run at one latency."""
     times = {"policy": config.other_ms, "reasoner": config.other_ms, config.part: ms}
     return Plan(
         scenario=config.scenario,
@@ -49,7 +49,7 @@ def plan_of(config: SweepPlan, ms: float) -> Plan:
 
 
 def plot(points: Points, config: SweepPlan) -> str:
-    """An SVG: success with its 95 % interval, and the choice of the right gate, against latency."""
+    """An SVG of success rate with 95 % interval, and choice accuracy, against latency."""
     longest = max(ms for ms, _ in points) or 1.0
     scores = [results.summary().overall for _, results in points]
     xs = [_LEFT + ms / longest * (_WIDTH - _LEFT - _RIGHT) for ms, _ in points]

@@ -37,7 +37,7 @@ def as_text(table: RenderableType, width: int = 80) -> str:
 
 
 def results_table(results: Results, rule: Rule | None = None) -> RenderableType:
-    """The scores of a run, the outcomes below; by the run's own rule where none is named."""
+    """The scores of a run, with outcomes below; by the run's own rule by default."""
     rule = rule or results.rule
     summary = results.summary(rule)
     run = results.run
@@ -53,7 +53,7 @@ def results_table(results: Results, rule: Rule | None = None) -> RenderableType:
 
 
 def _reasoning(summary: Summary) -> Iterator[RenderableType]:
-    """How the reasoner did, apart from the flying."""
+    """The reasoner's scores, independent of the flying."""
     thought = summary.overall.reasoner
     if thought is None:
         return
@@ -77,13 +77,13 @@ def _reasoning(summary: Summary) -> Iterator[RenderableType]:
     if thought.mean_rate_hz is not None:
         said.insert(1, f"{thought.mean_rate_hz:.1f} a second")
     if thought.mean_age_s is not None:
-        said.insert(2, f"{1e3 * thought.mean_age_s:.0f} ms old when flown by")
+        said.insert(2, f"{1e3 * thought.mean_age_s:.0f} ms old when followed")
     yield Text(", ".join(said))
     yield ""
 
 
 def _confusions(summary: Summary) -> Iterator[RenderableType]:
-    """Where something failed: how the stages of each family ended, and which gates were flown at instead."""
+    """Outcomes of families with failures, and which gates were flown at."""
     seen = [outcome for outcome, count in summary.overall.outcomes.items() if count]
     if seen in ([], ["passed"]):
         return
@@ -127,7 +127,7 @@ def comparison_table(comparison: Comparison) -> RenderableType:
 
 
 def words(name: str) -> str:
-    """A name of the code as one reads it: `human_recognition` as "human recognition"."""
+    """A code name as text: `human_recognition` as "human recognition"."""
     return name.replace("_", " ")
 
 
@@ -142,7 +142,7 @@ def interval(limits: Interval | None) -> str:
 
 
 def new_table(title: str, *columns: str, gap: int = 1) -> Table:
-    """An empty table that fits into 80 columns, with `gap` blanks between its own; the first one holds names."""
+    """An empty table for 80 columns, with `gap` spaces between columns; the first column contains names."""
     table = Table(
         box=box.SIMPLE_HEAD,
         title=Text(title),

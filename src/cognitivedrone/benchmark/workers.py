@@ -1,8 +1,8 @@
-"""Who flies the episodes: this process, or several of its own making, each with a simulator of its own.
+"""Workers that fly episodes: this process, or a pool of processes, each with its own simulator.
 
-Episodes are given out one at a time to whoever is free, and come back in any order. A worker that is lost inside a
-call of policy or reasoner, because it hangs, crashes or ends the process, costs its episode and is replaced; one that
-is lost otherwise ends the run.
+Episodes are assigned one at a time to idle workers and finish in any order. A worker that dies inside a call of policy
+or reasoner, because the call hangs, crashes or exits, loses its episode and is replaced; a worker that dies otherwise
+ends the run.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from cognitivedrone.control.calls import NO_WATCH
 from cognitivedrone.errors import CognitiveDroneError, PolicyError, RunError, plain_warnings
 
 RUNNER = "cognitivedrone.benchmark.episode:PilotRunner"
-"""What makes an `EpisodeRunner` from (Job, Watch), as module:attribute for new processes."""
+"""Factory of `EpisodeRunner`s from (Job, Watch), as module:attribute for new processes."""
 JOIN_TIMEOUT_S = 5.0
-"""How long a worker may take to leave."""
+"""Time that a worker may take to exit, s."""
 POLL_S = 0.2
-"""How often calls are looked at."""
+"""Period of the check for hanging calls, s."""
 FROM_OUTSIDE = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-"""What ends a worker by somebody else's will: memory that ran out, a person, a batch system."""
+"""Signals sent from outside: by the out-of-memory killer, a person, or a batch system."""
 
 
 class WorkerCrash(RunError):
-    """A worker raised something that is not ours: a fault in this package."""
+    """A worker raised an unexpected exception: a bug in this package."""
 
     def __init__(self, message: str, trace: str) -> None:
         super().__init__(message)
@@ -55,7 +55,7 @@ class WorkerPool(Protocol):
     """Flies episodes."""
 
     def fly(self, episodes: Sequence[int], *, film: bool = False) -> Iterator[tuple[Rollout, str]]:
-        """Every episode once, as they finish, with the name of the renderer."""
+        """Fly every episode once; yields rollouts as they finish, with the name of the renderer."""
         ...
 
     def close(self) -> None:
@@ -64,7 +64,7 @@ class WorkerPool(Protocol):
 
 
 class InProcess:
-    """Flies in this process: no start-up cost, and a debugger sees everything."""
+    """Flies in this process: no start-up cost, and debuggers work."""
 
     def __init__(self, runner: EpisodeRunner) -> None:
         self._runner = runner
@@ -100,13 +100,13 @@ class _Ready:
 class _Failed:
     message: str
     trace: str | None
-    """None for errors raised on purpose, whose message says it all."""
+    """None for the package's own errors, whose message is enough."""
     of_policy: bool = False
     """Whether the error was a `PolicyError`."""
 
 
 class CallClock:
-    """When the call under way began, in memory that the worker and its parent share; 0 where none is."""
+    """Start time of the current call, in memory shared by worker and parent; 0 between calls."""
 
     def __init__(self, began: Any) -> None:
         self._began = began
@@ -116,7 +116,7 @@ class CallClock:
         self._began.value = time.monotonic()
 
     def end(self) -> None:
-        """It is over."""
+        """The call has ended."""
         self._began.value = 0.0
 
 
@@ -127,18 +127,18 @@ class _Worker:
     began: Any
     """Shared float: see `CallClock`."""
     crash_file: Path
-    """Where Python's fault handler writes where the process was."""
+    """File for the traceback of Python's fault handler."""
     renderer: str | None = None
     """None until its simulator is ready."""
     episode: int | None = None
-    """What it flies now."""
+    """The episode that it is flying."""
     call: float = 0.0
-    """The call that was under way at the last look."""
+    """Start time of the call observed at the last check."""
     waited_s: float = 0.0
-    """How long it has been seen under way: a suspended machine does not count."""
+    """Observed duration of that call; time while the machine is suspended does not count."""
 
     def look(self, passed_s: float) -> float:
-        """Seconds that the call under way has taken so far."""
+        """Duration of the current call so far, s."""
         call = self.began.value
         self.waited_s = self.waited_s + passed_s if call and call == self.call else 0.0
         self.call = call
@@ -167,9 +167,9 @@ class ProcessPool:
         began = self._context.RawValue(c_double, 0.0)
         file = Path(self._folder.name) / f"worker-{self._hired}.txt"
         ours, theirs = self._context.Pipe()
-        # Ctrl-C reaches the whole process group. Workers inherit this mask from their first instant, so that only
-        # this process receives it and ends them in good order. Starting the tracker would lift the mask, so it goes
-        # first.
+        # Ctrl-C reaches the whole process group. Workers inherit this signal mask from the start, so that only this
+        # process receives it and shuts them down in order. Starting the resource tracker would lift the mask, so it
+        # is started first.
         resource_tracker.ensure_running()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
@@ -178,19 +178,19 @@ class ProcessPool:
             process.start()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        # With our copy of its end closed, the death of a worker is the end of its stream.
+        # With our copy of the worker's end closed, its death closes the stream.
         theirs.close()
         return _Worker(process, ours, began, file)
 
     def ready(self) -> None:
-        """Wait until one worker can fly. Raises `RunError`, or `PolicyError`, where none ever will."""
+        """Wait until one worker is ready. Raises `RunError` or `PolicyError` if none can be."""
         while not any(worker.renderer is not None for worker in self._workers):
             for connection in wait([worker.connection for worker in self._workers]):
                 worker = next(worker for worker in self._workers if worker.connection is connection)
                 self._receive(worker)
 
     def fly(self, episodes: Sequence[int], *, film: bool = False) -> Iterator[tuple[Rollout, str]]:
-        """As `WorkerPool.fly`. Raises `RunError` naming the episode where a worker fails or is killed."""
+        """As `WorkerPool.fly`. Raises `RunError` with the episode if a worker fails or is killed."""
         todo = deque(episodes)
         left = len(todo)
         for worker in self._workers:
@@ -223,12 +223,12 @@ class ProcessPool:
         if not todo:
             return
         worker.episode = todo.popleft()
-        # Where it is gone, receiving from it says how.
+        # If the worker is gone, receiving from it reports how.
         with contextlib.suppress(OSError):
             worker.connection.send(_Wanted(worker.episode, film))
 
     def _receive(self, worker: _Worker) -> Rollout | None:
-        """What a worker sends: a flight, or none where it is ready for its first. Its death may be one too."""
+        """A worker's message: a rollout, or none when it becomes ready. Its death may also count as a rollout."""
         try:
             answer: _Ready | Rollout | _Failed = worker.connection.recv()
         except (EOFError, OSError):
@@ -243,7 +243,7 @@ class ProcessPool:
         raise WorkerCrash(f"{self._doing(worker)} failed: {answer.message}", answer.trace)
 
     def _after_death(self, worker: _Worker) -> Rollout:
-        """The flight of a worker that has died inside a call; raises `RunError` for every other death."""
+        """The rollout of a worker that died inside a call; raises `RunError` for any other death."""
         worker.process.join(JOIN_TIMEOUT_S)
         code = worker.process.exitcode
         how = f"ended with exit code {code}"
@@ -251,19 +251,19 @@ class ProcessPool:
             how = f"was killed by {signal.Signals(-code).name}"
         from_outside = code is not None and -code in FROM_OUTSIDE
         if worker.episode is not None and worker.began.value and not from_outside:
-            return self._lost_flight(worker, f"its process {how} in the middle of a call of policy or reasoner")
+            return self._lost_flight(worker, f"its process {how} during a call of policy or reasoner")
         if worker.episode is None:
             raise RunError(
-                f"a worker {how} before it was ready; --workers 0 flies without any, and a script that calls run() "
-                'or evaluate() with more must do so under if __name__ == "__main__":'
+                f"a worker {how} before it was ready; use --workers 0 to fly without workers, or, in a script, call "
+                'run() or evaluate() under if __name__ == "__main__":'
             )
         raise RunError(
-            f"the worker of {self._doing(worker)} {how}; give --resume to go on, perhaps with fewer --workers"
+            f"the worker of {self._doing(worker)} {how}; continue with --resume, perhaps with fewer --workers"
         )
 
     def _end_hanging(self, worker: _Worker) -> Rollout:
         """End a worker whose call takes too long."""
-        # The fault handler of the worker writes down where it is, whatever holds the interpreter.
+        # The worker's fault handler writes its traceback even if the interpreter is blocked.
         if worker.process.pid is not None:
             os.kill(worker.process.pid, signal.SIGUSR1)
         worker.process.join(POLL_S)
@@ -287,7 +287,7 @@ class ProcessPool:
         return f"episode {worker.episode} ({self._job.suite.tracks[worker.episode][0].id})"
 
     def close(self) -> None:
-        """Shut the workers down, each after it has freed its simulator."""
+        """Shut the workers down after they have freed their simulators."""
         for worker in self._workers:
             worker.connection.close()
         for worker in self._workers:
@@ -295,7 +295,7 @@ class ProcessPool:
         self.stop()
 
     def stop(self) -> None:
-        """End every worker now."""
+        """Terminate all workers immediately."""
         for worker in self._workers:
             worker.process.terminate()
         for worker in self._workers:
@@ -315,14 +315,14 @@ class ProcessPool:
 
 
 def make_runner(name: str, job: Job, watch: Any = NO_WATCH) -> EpisodeRunner:
-    """The episode runner of the class `name`, as module:attribute."""
+    """The episode runner made by `name`, a module:attribute."""
     made: EpisodeRunner = registry.load("episode runner", name, {})(job, watch)
     return made
 
 
 @plain_warnings()
 def _work(connection: Connection, began: Any, crash_file: Path, runner_name: str, job: Job) -> None:
-    """Life of a worker process: make an episode runner, fly what is asked, leave when the stream ends."""
+    """Main function of a worker process: make an episode runner, fly episodes, exit when the stream ends."""
     with crash_file.open("w") as crashes:
         faulthandler.enable(crashes)
         faulthandler.register(signal.SIGUSR1, crashes)
@@ -334,7 +334,7 @@ def _work(connection: Connection, began: Any, crash_file: Path, runner_name: str
                     wanted: _Wanted = connection.recv()
                     connection.send(runner.fly(wanted.episode, film=wanted.film))
             except (EOFError, BrokenPipeError, ConnectionResetError):
-                # The run is over, or its process is gone.
+                # The run is over, or the parent process is gone.
                 return
             finally:
                 runner.close()

@@ -16,14 +16,14 @@ from cognitivedrone.printable import visible
 def fly(plan: Annotated[Flat[FlyPlan], tyro.conf.arg(name="")]) -> None:
     """Fly a drone by an instruction, in real time: our simulator, ArduPilot SITL or a vehicle over MAVLink.
 
-    While it flies, a line that is typed is its new instruction, "land" lands it, and so does ctrl-C. Steps, events and
-    a film are recorded. Exit code 0: through a gate, or landed as asked; 1: ended otherwise; 130: ctrl-C. Examples:
+    During the flight, type a new instruction, or "land"; ctrl-C lands, too. Steps, events and a film are recorded. Exit
+    code 0: through a gate, or landed by order; 1: any other end; 130: ctrl-C. Examples:
 
       cognitivedrone fly --policy colour_seeker --reasoner oracle --suite open-v1:test --episode 3
       cognitivedrone fly --policy colour_seeker --reasoner none "Fly through the red gate"
       cognitivedrone fly --link mavlink:udp:127.0.0.1:14550 --camera http://127.0.0.1:8090/ "Fly through the red gate"
 
-    A real drone needs more than a command: read docs/real-drone.md.
+    Before you fly a real drone, read docs/real-drone.md.
     """
     from cognitivedrone.apps.fly import fly_mission
     from cognitivedrone.apps.view import summary_table
@@ -71,7 +71,7 @@ def export_world(
         tasks: Task file, or folder of them, instead of a suite.
         task: Id of one task.
         track: Number of a track, from 0, or the id of a task in it.
-        version: Release of Gazebo that the README of the folder tells to install: harmonic, ionic or jetty.
+        version: Gazebo release that the folder's README says to install: harmonic, ionic or jetty.
         labels: Label pack, or a folder of pictures.
     """
     from cognitivedrone.vehicles.gazebo.export import export as export_to
@@ -82,7 +82,7 @@ def export_world(
 
 
 def check_world(files: tyro.conf.Positional[tuple[Path, ...]]) -> None:
-    """Have SDF files checked by libsdformat, Gazebo's own parser.
+    """Check SDF files with libsdformat, Gazebo's own parser.
 
     Args:
         files: Worlds or models.
@@ -93,14 +93,14 @@ def check_world(files: tyro.conf.Positional[tuple[Path, ...]]) -> None:
 
 
 def import_models(source: tyro.conf.Positional[Path], out: Path) -> None:
-    """Take tasks and panels of the published Gazebo classic collector into a task file and a folder of labels.
+    """Convert tasks and panels of the published Gazebo classic collector to a task file and a folder of labels.
 
     For example:
 
       cognitivedrone gazebo import docker_CognitiveDrone_DataCollector/model_for_data_collection --out published
 
     Args:
-        source: Its folder of models: of every type a task file beside a folder of panels.
+        source: The collector's folder of models: a task file and a folder of panels for every type.
         out: New folder to write.
     """
     from cognitivedrone.vehicles.gazebo.classic import import_collector

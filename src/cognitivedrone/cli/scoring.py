@@ -17,7 +17,7 @@ from cognitivedrone.printable import visible
 def bench(plan: Annotated[Flat[Plan], tyro.conf.arg(name="")]) -> None:
     """Fly a policy through a suite of tasks and score it: without arguments, the small VLA through the test suite.
 
-    Writes results.json, one record per episode, and a self-contained report.html. A run that was stopped goes on with
+    Writes results.json, one record per episode, and a self-contained report.html. A stopped run continues with
     --resume. Examples:
 
       cognitivedrone bench
@@ -38,7 +38,7 @@ def bench(plan: Annotated[Flat[Plan], tyro.conf.arg(name="")]) -> None:
 
 
 def reason(plan: Annotated[Flat[ReasonPlan], tyro.conf.arg(name="")]) -> None:
-    """Score a reasoner alone: ask it about the frame that every flight begins with, and fly nothing.
+    """Score a reasoner alone, on the first frame of every flight, without flying.
 
     Writes reason.json and reason.jsonl, which `--reasoner replay:FOLDER/reason.jsonl` reads. Examples:
 
@@ -56,10 +56,10 @@ def reason(plan: Annotated[Flat[ReasonPlan], tyro.conf.arg(name="")]) -> None:
 
 
 def sweep(plan: Annotated[Flat[SweepPlan], tyro.conf.arg(name="")]) -> None:
-    """Fly a suite with growing latency of the reasoner, or of the policy, and plot the success against it.
+    """Fly a suite at increasing latency of the reasoner or the policy, and plot the success rate.
 
-    Latency is charged to the simulated clock, so the result does not depend on the machine. Stopped and started again,
-    it goes on. Example:
+    Latency is charged to the simulated clock, so the result does not depend on the machine. A stopped sweep continues
+    when it is started again. Example:
 
       cognitivedrone sweep --policy small --reasoner oracle --ms 0 500 2000 --out results/sweep
     """
@@ -96,13 +96,13 @@ class ViewPlan(Options):
 
     scenario: Scenario = Scenario(suite="open-v1:smoke")
     episode: int = 0
-    """Which of its tasks, from 0."""
+    """Task of the suite, from 0."""
     out: Path = Path("view.png")
     """Picture to write."""
 
 
 def view(plan: Annotated[Flat[ViewPlan], tyro.conf.arg(name="")]) -> None:
-    """Draw what the drone sees at the start of a task, with a chase and a top view beside it."""
+    """Draw what the drone sees at the start of a task, with a chase view and a top view."""
     from cognitivedrone.envs.snapshot import snapshot
     from cognitivedrone.tasks.scenario import suite_of
 
@@ -113,7 +113,7 @@ def view(plan: Annotated[Flat[ViewPlan], tyro.conf.arg(name="")]) -> None:
 
 
 def list_names() -> None:
-    """List suites, task families, airframes, and policies and reasoners with how their arguments are written."""
+    """List suites, task families, airframes, and policies and reasoners with their arguments."""
     from cognitivedrone.benchmark.catalogue import catalogue
     from cognitivedrone.terminal import console
 

@@ -27,7 +27,7 @@ def train(
       cognitivedrone train --recipe small --out runs/recorded --processes 2 --data flights
       cognitivedrone bench --policy small:runs/small/model.onnx
       cognitivedrone train --recipe language --start runs/small/checkpoint.safetensors --out runs/taught --processes 2
-      cognitivedrone train --recipe reader --start runs/small/checkpoint.safetensors --out runs/reasoner-eyes
+      cognitivedrone train --recipe reader --start runs/small/checkpoint.safetensors --out runs/reasoner-reader
 
     Args:
         out: Folder of the run: checkpoint, curves.png, TensorBoard logs and, at the end, model.onnx.

@@ -95,6 +95,8 @@ def open_suite(job: Job) -> Suite:
     The collection's seed draws the tasks of `open-v1:train`.
     """
     source = job.source
+    if source.tasks is None and source.suite in tasks.TEST_ONLY:
+        raise DataError(f"suite {source.suite!r} is only for testing; collect from 'open-v1:train' or your own --tasks")
     suite = tasks.open_suite(source.suite, source.tasks, size=job.episodes, seed=source.seed)
     if len(suite.tracks) < job.episodes:
         raise DataError(f"suite {source.title!r} has {len(suite.tracks)} tasks; ask for that many episodes or fewer")

@@ -1,8 +1,8 @@
-"""A reasoner beside the control loop: it thinks about the newest frame while the policy flies on.
+"""A reasoner that runs beside the control loop: it works on a frame while the policy flies on.
 
-On a simulated clock (`SimulatedReasoner`) the reasoner is computed at once and its answer arrives when its time is
-up; on the wall clock (`ThreadedReasoner`) it runs in a thread of its own. Either way there is one question at a time
-and no queue: while it thinks, nothing is asked, and then it is asked about the newest frame.
+On a simulated clock (`SimulatedReasoner`) the answer is computed at once and delivered after its latency; on the wall
+clock (`ThreadedReasoner`) it is computed in a thread. Either way there is one question at a time and no queue: once the
+reasoner is idle, it is asked about the newest frame.
 """
 
 from __future__ import annotations
@@ -28,43 +28,43 @@ LONGEST_DIRECTIVE = 1000
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What a reasoner is asked."""
+    """A question to a reasoner."""
 
     segment: int
-    """Index of the leg that it is about."""
+    """Index of the segment that it belongs to."""
     instruction: str
     image: Image
     time: float
-    """Of the frame, on the loop's clock, s."""
+    """Time of the frame on the loop's clock, s."""
     truth: GroundTruth | None = None
-    """In the simulator, for reasoners that need it."""
+    """Only in a simulator, for reasoners that need it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What came back: a guidance, or what went wrong."""
+    """A reasoner's answer: guidance, or a fault."""
 
     question: Question
     guidance: Guidance | None
     fault: ReasonerFault | None = None
     message: str = ""
     trace: str = ""
-    """Of an exception of the reasoner's own."""
+    """Traceback, if the reasoner raised an exception of its own."""
 
 
 class AsyncReasoner(Protocol):
-    """Asked and listened to by the control loop; `now` is the loop's clock, s."""
+    """Interface between the control loop and a reasoner; `now` is the time on the loop's clock, s."""
 
     def idle(self, now: float) -> bool:
         """Whether it can be asked."""
         ...
 
     def ask(self, question: Question) -> None:
-        """Begin to think; only while idle."""
+        """Start working on a question; only while idle."""
         ...
 
     def answer(self, now: float) -> Answer | None:
-        """The answer to the last question, once, when it is there."""
+        """The answer to the last question, once, when it has arrived."""
         ...
 
     def close(self) -> None:
@@ -73,7 +73,7 @@ class AsyncReasoner(Protocol):
 
 
 class SimulatedReasoner:
-    """Thinks in no time and answers after the time that is charged for it."""
+    """Computes the answer at once and delivers it after the charged latency."""
 
     def __init__(
         self, reasoner: Reasoner, latency_model: LatencyModel = lambda _: 0.0, watch: Watch = NO_WATCH, *, seed: int = 0
@@ -89,14 +89,14 @@ class SimulatedReasoner:
         return self._pending is None
 
     def ask(self, question: Question) -> None:
-        """Think."""
+        """Compute the answer."""
         begin = time.perf_counter()
         answer = self._thinker.think(question)
         self.trace = self.trace or answer.trace
         self._pending = question.time + self._charge(time.perf_counter() - begin), answer
 
     def answer(self, now: float) -> Answer | None:
-        """The answer, when its time has come."""
+        """The answer, once its latency has passed."""
         if self._pending is None or self._pending[0] > now + 1e-9:
             return None
         _, answer = self._pending
@@ -104,12 +104,12 @@ class SimulatedReasoner:
         return answer
 
     def close(self) -> None:
-        """Forget what was asked."""
+        """Discard the pending answer."""
         self._pending = None
 
 
 class ThreadedReasoner:
-    """Thinks in a thread beside the loop."""
+    """Computes answers in a thread beside the loop."""
 
     def __init__(self, reasoner: Reasoner) -> None:
         self._thinker = _Thinker(reasoner)
@@ -121,11 +121,11 @@ class ThreadedReasoner:
         return self._pending is None
 
     def ask(self, question: Question) -> None:
-        """Begin to think."""
+        """Start computing the answer."""
         self._pending = self._pool.submit(self._thinker.think, question)
 
     def answer(self, now: float) -> Answer | None:  # noqa: ARG002
-        """The answer, when the thread has it."""
+        """The answer, once the thread has it."""
         if self._pending is None or not self._pending.done():
             return None
         answer = self._pending.result()
@@ -133,12 +133,12 @@ class ThreadedReasoner:
         return answer
 
     def close(self) -> None:
-        """Do not wait for what is still thought about."""
+        """Shut down without waiting for a pending answer."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
 
 class _Thinker:
-    """Asks a reasoner, telling it of flights and stages, and turns its faults into answers."""
+    """Asks a reasoner, resets it at flights and stages, and turns its faults into answers."""
 
     def __init__(self, reasoner: Reasoner, watch: Watch = NO_WATCH, seed: int = 0) -> None:
         self._reasoner = reasoner
@@ -147,7 +147,7 @@ class _Thinker:
         self._segment: int | None = None
 
     def think(self, question: Question) -> Answer:
-        """An answer in any case: whatever the reasoner raises or returns is a fault, and the flight goes on."""
+        """An answer in any case: an exception or invalid result of the reasoner becomes a fault."""
         try:
             with asking(self._watch):
                 guidance = self._ask(question)
@@ -166,7 +166,7 @@ class _Thinker:
 
 @contextmanager
 def asking(watch: Watch = NO_WATCH) -> Iterator[None]:
-    """Call a reasoner in the block; an exception of its own becomes a `ReasonerError` of the kind `raised`."""
+    """Call a reasoner in the block; an exception of its own becomes a `ReasonerError` of kind `raised`."""
     try:
         with calling("the reasoner", watch):
             yield
@@ -175,7 +175,7 @@ def asking(watch: Watch = NO_WATCH) -> Iterator[None]:
 
 
 def check_guidance(guidance: object) -> Guidance:
-    """A reasoner's answer, as it was returned. Raises `ReasonerError` where it is none that can be flown by."""
+    """A reasoner's answer, unchanged. Raises `ReasonerError` if it is not usable."""
     if not isinstance(guidance, Guidance):
         found = type(guidance).__name__
         raise ReasonerError("schema", f"the reasoner returned {found!r}; expected cognitivedrone.types.Guidance")
@@ -185,7 +185,7 @@ def check_guidance(guidance: object) -> Guidance:
     if len(directive) > LONGEST_DIRECTIVE:
         raise ReasonerError("too_long", f"the directive has {len(directive)} characters; at most {LONGEST_DIRECTIVE}")
     if not directive.strip() or not directive.isprintable():
-        raise ReasonerError("garbage", f"the directive {directive[:60]!a} is no line of printable text")
+        raise ReasonerError("garbage", f"the directive {directive[:60]!a} is not one line of printable text")
     if gate is not None and gate not in range(3):
         raise ReasonerError("no_such_gate", f"the gate is {gate!r}; expected 0, 1, 2 or None")
     if not isinstance(confidence, (int, float, np.floating)) or not 0 <= confidence <= 1:

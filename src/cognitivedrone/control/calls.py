@@ -1,4 +1,4 @@
-"""Calls into policies and reasoners, which anybody may have written: every fault is named, every call can be timed."""
+"""Calls into policies and reasoners, which may be a user's own code: exceptions are wrapped, calls can be watched."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from cognitivedrone.types import EpisodeContext
 
 
 class Watch(Protocol):
-    """Is told when a call begins and ends, so that somebody else can see one that hangs."""
+    """Notified when a call begins and ends, so that a hanging call can be detected."""
 
     def begin(self) -> None:
         """A call begins."""
         ...
 
     def end(self) -> None:
-        """It has returned or raised."""
+        """The call has returned or raised."""
         ...
 
 
 class NoWatch:
-    """Nobody looks."""
+    """A watch that does nothing."""
 
     def begin(self) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def end(self) -> None:
-        """Nothing."""
+        """Do nothing."""
 
 
 NO_WATCH = NoWatch()
@@ -59,10 +59,10 @@ def calling(what: str, watch: Watch = NO_WATCH) -> Iterator[None]:
 
 
 def begin_stage(part: PlugIn, context: EpisodeContext) -> None:
-    """Reset a policy or reasoner for a stage; the ground truth goes to none that does not declare that it needs it."""
+    """Reset a policy or reasoner for a stage, with the ground truth only if it declares that it needs it."""
     part.reset(context if part.needs_ground_truth else replace(context, ground_truth=None))
 
 
 def seed_of(part: PlugIn | None, rng: np.random.Generator) -> int:
-    """The seed of a part's episode, drawn from the episode's generator only where the part draws random numbers."""
+    """The episode's seed for a policy or reasoner, drawn from the episode's generator only if it needs one; else 0."""
     return int(rng.integers(2**31)) if part is not None and part.needs_seed else 0

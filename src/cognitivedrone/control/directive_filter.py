@@ -1,4 +1,4 @@
-"""Which directive a policy flies by, while a reasoner keeps answering."""
+"""Decides which directive a policy follows while a reasoner keeps answering: hysteresis over directives."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ from cognitivedrone.tasks.directives import parse_directive
 from cognitivedrone.types import Guidance
 
 _Meaning: TypeAlias = tuple[str | None, ...] | str
-"""What a directive says of size, colour and shape; the sentence itself where it says nothing of them."""
+"""Size, colour and shape that a directive names; the sentence itself if it names none."""
 
 
 @dataclass(frozen=True, slots=True)
-class SteeringRule:
-    """When a new directive replaces the one that is flown by.
+class FilterRule:
+    """When a new directive replaces the current one.
 
-    Every answer leaves evidence, its confidence, which fades with each further answer. Another directive takes over
-    once the evidence for it is `ratio` times that for the present one. So a hesitant first answer is soon corrected,
-    while near the gate, after seconds of agreement, one different answer changes nothing. A ratio above 1 / `fading`
-    keeps answers that alternate from being followed to and fro.
+    Every answer adds its confidence as evidence, which fades with each further answer. Another directive takes over
+    once its evidence is `ratio` times that of the current one. A hesitant first answer is soon corrected, but near the
+    gate, after seconds of agreement, a single different answer changes nothing. A ratio above 1 / `fading` prevents
+    switching back and forth when answers alternate.
     """
 
     ratio: float = 1.5
     fading: float = 0.7
-    """Left of all evidence at each further answer."""
+    """Factor applied to all evidence at each further answer."""
 
 
 class DirectiveFilter:
-    """The directive at hand, for one leg."""
+    """The current directive of one segment."""
 
-    def __init__(self, rule: SteeringRule | None = None) -> None:
-        self.rule = rule or SteeringRule()
+    def __init__(self, rule: FilterRule | None = None) -> None:
+        self.rule = rule or FilterRule()
         self._evidence: dict[_Meaning, float] = {}
         self._current: Guidance | None = None
         self._seen_at = 0.0
 
     def update(self, guidance: Guidance, seen_at: float) -> AnswerKind:
-        """Take an answer about the frame of the time `seen_at`, s.
+        """Process an answer about the frame taken at `seen_at`, s.
 
-        Returns what became of it: `adopted` where it is flown by from now on, `agreed` where it says the same as the
-        present one, `kept` where the present one stays.
+        Returns `adopted` if it becomes the current directive, `agreed` if it means the same as the current one, `kept`
+        if the current one stays.
         """
         meaning = meaning_of(guidance.directive)
         self._evidence = {known: value * self.rule.fading for known, value in self._evidence.items()}
@@ -56,13 +56,13 @@ class DirectiveFilter:
         return "adopted"
 
     def guidance(self, now: float) -> Guidance | None:
-        """The directive at hand and its frame's age at `now`, s; none before the first."""
+        """The current directive with its frame's age at `now`, s; none before the first."""
         if self._current is None:
             return None
         return replace(self._current, age=now - self._seen_at)
 
 
 def meaning_of(directive: str) -> _Meaning:
-    """Two directives of equal meaning ask for the same gate."""
+    """The meaning of a directive; two directives with equal meaning ask for the same gate."""
     parts = parse_directive(directive)
     return parts if any(parts) else directive.strip().lower()

@@ -1,12 +1,12 @@
-"""Holding: while the reasoner is not sure that what is asked for is there, the drone hovers.
+"""Hovers while the reasoner is unsure that the scene shows what the instruction asks for.
 
-A `Hold` listens to a mind and stands between the control loop and the drone:
+A `Hold` receives the reasoner's answers and overrides the commands of the control loop:
 
     hold = Hold()
-    fly(HeldDrone(drone, hold), policy, clock, mission, mind=HoldAwareReasoner(mind, hold))
+    fly(HeldDrone(drone, hold), policy, clock, mission, reasoner=HoldAwareReasoner(reasoner, hold))
 
-The policy goes on thinking meanwhile, so that the flight goes on at once where an answer becomes sure. The benchmark
-flies without one.
+The policy keeps running meanwhile, so that the flight continues at once when an answer is sure. The benchmark does not
+use it.
 """
 
 from __future__ import annotations
@@ -24,42 +24,42 @@ from cognitivedrone.types import Action, Observation
 class HoldRule:
     """When the drone hovers, and when it flies on.
 
-    How sure an answer is: its confidence times how likely what is asked for is shown at all, 0 to 1. Answers are
-    averaged, newer ones weigh more. An answer that is missing since the view is too poor ("unsure") counts as 0 until
-    the first answer came: close to a gate, what was read before has left the view.
+    The certainty of an answer is its confidence times the probability that the scene shows what is asked for, 0 to 1.
+    Answers are averaged; newer ones weigh more. The fault "unsure" (the view is too poor) counts as 0 until the first
+    answer; not later, because close to a gate the panels have left the view.
     """
 
     below: float = 0.5
-    """Below this mean it hovers; 0 never."""
+    """It hovers below this mean; 0 means never."""
     margin: float = 0.15
-    """So much above `below` it flies on, so that it does not do both in turn."""
+    """It flies on at this much above `below` (hysteresis)."""
     newest: float = 0.5
     """Weight of the newest answer in the mean."""
     answers: int = 2
-    """It takes that many answers to hover, so that one hesitant glance from afar changes nothing."""
+    """Answers needed before it hovers, so that a single unsure answer from afar changes nothing."""
 
 
 class Hold:
-    """Whether to hover, of one leg at a time."""
+    """Whether to hover, for one segment at a time."""
 
     def __init__(self, rule: HoldRule | None = None) -> None:
         self.rule = rule or HoldRule()
         self.active = False
-        """Whether the drone is to hover now."""
+        """Whether the drone must hover now."""
         self.sure = 1.0
-        """Mean of the answers of this leg; 1 before the first."""
+        """Mean certainty of this segment's answers; 1 before the first."""
         self._segment: int | None = None
         self._heard = 0
         self._answered = False
 
     def begin(self, segment: int) -> None:
-        """Forget the last leg where this is another one, and fly."""
+        """Start a segment: if it is a new one, forget the last and fly."""
         if segment != self._segment:
             self._segment, self._heard, self._answered = segment, 0, False
             self.active, self.sure = False, 1.0
 
     def update(self, answer: Answer) -> None:
-        """Take an answer; those of other legs, and faults that tell nothing of the scene, say nothing."""
+        """Process an answer; those of other segments, and faults that say nothing about the scene, are ignored."""
         guidance = answer.guidance
         if answer.question.segment != self._segment:
             return
@@ -79,29 +79,29 @@ class Hold:
 
 
 class HoldAwareReasoner:
-    """A mind whose answers are heard by a `Hold` as well."""
+    """An `AsyncReasoner` whose answers also go to a `Hold`."""
 
     def __init__(self, async_reasoner: AsyncReasoner, hold: Hold) -> None:
         self._async_reasoner, self._hold = async_reasoner, hold
 
     def idle(self, now: float) -> bool:
-        """As the mind."""
+        """As `AsyncReasoner`."""
         return self._async_reasoner.idle(now)
 
     def ask(self, question: Question) -> None:
-        """A question of another leg begins anew."""
+        """Ask; a question of a new segment resets the hold."""
         self._hold.begin(question.segment)
         self._async_reasoner.ask(question)
 
     def answer(self, now: float) -> Answer | None:
-        """As the mind."""
+        """As `AsyncReasoner`."""
         answer = self._async_reasoner.answer(now)
         if answer is not None:
             self._hold.update(answer)
         return answer
 
     def close(self) -> None:
-        """As the mind."""
+        """As `AsyncReasoner`."""
         self._async_reasoner.close()
 
 
@@ -112,13 +112,13 @@ class HeldDrone:
         self._drone, self._hold = drone, hold
 
     def observe(self) -> Observation:
-        """As the drone."""
+        """As `Drone`."""
         return self._drone.observe()
 
     def send(self, action: Action) -> Action:
-        """The action, or no velocity at all."""
+        """Send the action, or zero velocity while the hold is active."""
         return self._drone.send(np.zeros_like(action) if self._hold.active else action)
 
     def close(self) -> None:
-        """As the drone."""
+        """As `Drone`."""
         self._drone.close()

@@ -1,7 +1,7 @@
-"""How long the parts of a pilot think: measured, and charged to the clock of a simulated flight.
+"""Inference latency: measured, and charged to the clock of a simulated flight.
 
-A simulated clock stands still while a policy or reasoner is computed. To fly as on a real drone the time that they take
-is charged to it: as measured on this machine, as a fixed number, or drawn from samples taken on another machine.
+A simulated clock stands still while a policy or reasoner computes. To fly as on a real drone, their latency is charged
+to the clock: as measured on this machine, as a fixed number, or drawn from samples taken on another machine.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from cognitivedrone.interfaces import Policy
 from cognitivedrone.types import ActionChunk, EpisodeContext, Observation
 
 LONGEST_S = 60.0
-"""No part may be told to think longer than this."""
+"""Longest delay that can be charged."""
 _LARGEST_FILE = 16_000_000
 _UNITS_S = {"ms": 1e-3, "s": 1.0}
 _HOW = "give none, measured, or parts as policy=80ms,reasoner=450ms; a part may also be measured, or a file of ms"
 
 LatencyModel = Callable[[float], float]
-"""From the seconds that were really needed to the seconds that are charged."""
+"""From the measured seconds to the seconds that are charged."""
 
 
 class TimedPolicy(Policy):
-    """A policy whose decisions are measured, and whose calls are watched.
+    """Wraps a policy, measures its decisions and reports its calls to a watch.
 
-    Each method raises `PolicyRaised` where the policy raises something that is not an error of this package.
+    Each method raises `PolicyRaised` if the policy raises an exception that is not one of this package.
     """
 
     def __init__(self, policy: Policy, watch: Watch = NO_WATCH) -> None:
@@ -42,15 +42,15 @@ class TimedPolicy(Policy):
         self.needs_ground_truth, self.needs_seed = policy.needs_ground_truth, policy.needs_seed
         self._watch = watch
         self.took_s: list[float] = []
-        """Of each decision, s on this machine's clock."""
+        """Duration of each decision, s of wall time."""
 
     def reset(self, context: EpisodeContext) -> None:
-        """Begin a stage."""
+        """Start a stage."""
         with calling("the policy", self._watch):
             self.policy.reset(context)
 
     def act(self, observation: Observation) -> ActionChunk:
-        """Decide, and measure it."""
+        """Decide, and measure the time."""
         begin = time.perf_counter()
         with calling("the policy", self._watch):
             chunk = self.policy.act(observation)
@@ -58,25 +58,25 @@ class TimedPolicy(Policy):
         return chunk
 
     def check(self) -> None:
-        """As the policy."""
+        """Call the policy's method."""
         self.policy.check()
 
     def close(self) -> None:
-        """As the policy."""
+        """Call the policy's method."""
         self.policy.close()
 
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """What is charged for the decisions of one part."""
+    """The latency charged for each decision of policy or reasoner."""
 
     samples_s: tuple[float, ...] = (0.0,)
-    """Drawn from, all equally likely; a single one is a fixed delay."""
+    """Samples to draw from, all equally likely; a single one is a fixed delay."""
     measured: bool = False
-    """Charge what was really needed instead."""
+    """Charge the measured time instead."""
 
     def latency_model(self, rng: np.random.Generator) -> LatencyModel:
-        """What to charge for one decision after another; draws depend on `rng` alone."""
+        """The latency model of one flight; draws depend only on `rng`."""
         if self.measured:
             return lambda needed_s: needed_s
         if len(self.samples_s) == 1:
@@ -86,18 +86,18 @@ class Delay:
 
 @dataclass(frozen=True, slots=True)
 class Delays:
-    """What is charged for the decisions of policy and reasoner."""
+    """The latencies charged for policy and reasoner."""
 
     policy: Delay = Delay()
     reasoner: Delay = Delay()
     identity: str = "none"
-    """As written, with the hash of every file in the place of its name: equal for equal delays."""
+    """The option's text with file names replaced by hashes: equal for equal delays."""
 
 
 def parse_delays(text: str) -> Delays:
     """Delays from "none", "measured", "policy=80ms,reasoner=0.45s", "reasoner=measured" or "reasoner=samples.txt".
 
-    A file holds one delay in ms a line; empty lines and what follows a # are skipped. Raises `SimulationError`.
+    A file contains one delay in ms per line; empty lines and text after a # are skipped. Raises `SimulationError`.
     """
     text = text.strip()
     if text == "none":
@@ -130,7 +130,7 @@ def _delay(value: str, text: str) -> tuple[Delay, str]:
     content = path.read_bytes()
     samples = tuple(_samples(content.decode("utf-8", errors="replace"), path))
     if not samples:
-        raise SimulationError(f"--latency {text}: {path} holds no number; write one delay in ms a line")
+        raise SimulationError(f"--latency {text}: {path} contains no number; write one delay in ms per line")
     return Delay(samples), f"sha256:{hashlib.sha256(content).hexdigest()}"
 
 
@@ -143,11 +143,11 @@ def _samples(content: str, path: Path) -> list[float]:
         try:
             samples.append(_checked(float(value) * 1e-3, f"{path}, line {number}"))
         except ValueError:
-            raise SimulationError(f"{path}, line {number}: {value!r} is no number of ms") from None
+            raise SimulationError(f"{path}, line {number}: {value!r} is not a number (of ms)") from None
     return samples
 
 
 def _checked(seconds: float, where: str) -> float:
     if not (math.isfinite(seconds) and 0 <= seconds <= LONGEST_S):
-        raise SimulationError(f"{where}: {seconds:g} s is no delay; it must be from 0 to {LONGEST_S:.0f} s")
+        raise SimulationError(f"{where}: the delay is {seconds:g} s; it must be from 0 to {LONGEST_S:.0f} s")
     return seconds

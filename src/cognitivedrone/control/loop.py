@@ -1,4 +1,4 @@
-"""The one control loop: policy at 10 Hz, reasoner at 2 Hz, on absolute deadlines of whatever clock is given."""
+"""The control loop: policy at 10 Hz, reasoner at 2 Hz, on absolute deadlines of the given clock."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ from cognitivedrone.types import (
 )
 
 LATE_S = 0.010
-"""A deadline that is missed by less than this, and a step of the clock, counts as kept."""
+"""A deadline missed by less than this, plus one step of the clock, counts as met."""
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """What is to be done now."""
+    """A part of a flight with one instruction."""
 
     index: int
-    """Counts the instructions given: a new index is a new leg even where the words are the same."""
+    """Number of the instruction: a new index starts a new segment even if the text is the same."""
     instruction: str
     truth: GroundTruth | None = None
-    """In the simulator, for policies and reasoners that need it."""
+    """Only in a simulator, for policies and reasoners that need it."""
 
 
 Mission = Callable[[], Segment | None]
-"""The leg at hand, asked before every control step; none ends the flight."""
+"""Returns the current segment; called before every control step. None ends the flight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,20 +58,20 @@ class Rates:
 
     @property
     def reason_every(self) -> int:
-        """Control steps between two answers of the reasoner."""
+        """Control steps between two questions to the reasoner."""
         return self.control_hz // self.reasoner_hz
 
 
 def check_chunk(chunk: object) -> ActionChunk:
     """The chunk as (k, 4) float32.
 
-    Raises `ActionError` where it has another shape, `NonFiniteAction` where a number is NaN or infinite.
+    Raises `ActionError` if it has another shape, `NonFiniteAction` if a number is NaN or infinite.
     """
     try:
         array = np.asarray(chunk, dtype=np.float32)
     except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor that is not on the host
         raise ActionError(
-            f"the policy returned {type(chunk).__name__!r}, which is no array of numbers; expected (k, 4) float32"
+            f"the policy returned {type(chunk).__name__!r}, not an array of numbers; expected (k, 4) float32"
         ) from None
     if array.ndim != 2 or array.shape[0] < 1 or array.shape[1] != 4:
         raise ActionError(
@@ -102,13 +102,13 @@ def fly(
 ) -> int:
     """Fly until the mission ends; returns the number of commands sent.
 
-    The policy decides on absolute deadlines; a deadline that has passed is skipped. Its commands are sent when its
-    inference is over: on a wall clock that takes its time, on a simulated one what `latency_model` makes of it. A chunk
-    of actions is flown to its end before the policy is asked again.
+    The policy decides on absolute deadlines; a deadline that has passed is skipped. Its commands are sent when
+    inference is done: on a wall clock after the time it takes, on a simulated clock after the time that `latency_model`
+    charges. A chunk of actions is flown to its end before the policy is asked again.
 
-    A new segment resets the policy, with `seed` in its context, and drops what is left of the chunk. The `reasoner` is
-    asked then, and `reasoner_hz` times a second, about the newest frame, as soon as it is idle. Its directive replaces
-    the instruction from when it arrives (`DirectiveFilter` says whether it replaces another directive).
+    A new segment resets the policy, with `seed` in its context, and drops the rest of the chunk. The `reasoner` is
+    asked about the newest frame at the start of a segment and then `reasoner_hz` times a second, if it is idle. Its
+    directive replaces the instruction when it arrives; `DirectiveFilter` decides whether it replaces another directive.
     """
     rates = rates or Rates()
     log = recorder or _NullRecorder()
@@ -161,7 +161,7 @@ def _poll(
     now: float,
     log: Recorder,
 ) -> None:
-    """Take the reasoner's answer, if it is there."""
+    """Take the reasoner's answer, if it has arrived."""
     answer = reasoner.answer(now)
     if answer is None:
         return
@@ -177,7 +177,7 @@ def _poll(
 
 
 class _NullRecorder:
-    """A recorder that keeps nothing."""
+    """A recorder that discards everything."""
 
     def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:
         pass

@@ -1,8 +1,8 @@
-"""The pilot's own estimate that it has flown through a gate, for vehicles of which nobody knows the ground truth.
+"""The pilot's own estimate that it flew through a gate, for vehicles without ground truth.
 
-A gate that is flown at surrounds the direction of flight, and its width in the image is in inverse proportion to its
-distance. So one over the width, over the distance flown, is a straight line, and where that reaches zero the gate is
-passed: neither the size of the gate nor its distance needs to be known. Which gate was the right one it cannot tell.
+A gate ahead surrounds the direction of flight, and its width in the image is inversely proportional to its distance.
+Plotted over the distance flown, 1 / width is therefore a straight line that reaches zero at the gate's plane; neither
+size nor distance of the gate need to be known. The estimate does not know which gate is right.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ class Conditions:
     """Seed of its collection."""
     airframe: str
     look: AppearanceName | Literal["published"]
-    """`published`: imported from a data set in the published layout, whose look is not told."""
+    """`published`: imported from a data set in the published layout, which does not record the appearance."""
     start_position: tuple[float, float, float]
     """World, m."""
     start_yaw: float

@@ -135,8 +135,8 @@ class GateSelectorModel:
     def choose(self, sentence: str, told: Mapping[str, NDArray[Any]]) -> Floats:
         """Probabilities (3,) of the gates, for a sentence and the other inputs, each without its batch axis."""
         tokens = self.vocabulary.encode(sentence, self.text_length)
-        prefetch = {"tokens": tokens[None], **{name: value[None] for name, value in told.items()}}
-        (logits,) = self._session.run(("logits",), prefetch)
+        inputs = {"tokens": tokens[None], **{name: value[None] for name, value in told.items()}}
+        (logits,) = self._session.run(("logits",), inputs)
         shares = np.exp(logits[0] - logits[0].max())
         probabilities: Floats = shares / shares.sum()
         return probabilities
@@ -145,5 +145,5 @@ class GateSelectorModel:
 def _attributes(table: Mapping[str, Any], where: str) -> AttributeSchema:
     names = field_of(table, "facets", list, where)
     if not names or not all(isinstance(name, str) and "/" in name for name in names):
-        raise ModelError(f"the facets in {where} are not names of the form group/value")
+        raise ModelError(f"the attributes (facets) in {where} must have the form group/value")
     return AttributeSchema(tuple(names))

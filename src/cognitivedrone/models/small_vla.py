@@ -100,7 +100,7 @@ class Block(nn.Module):
 
 
 def panel_encoder(channels: tuple[int, int, int, int], crop_size: int, embedding: int) -> nn.Sequential:
-    """The panel encoder: from (n, 3, glimpse, glimpse), about -2 to 2, to (n, embedding)."""
+    """The panel encoder: from crops (n, 3, crop_size, crop_size), about -2 to 2, to (n, embedding)."""
     c1, c2, c3, c4 = channels
     return nn.Sequential(
         nn.Conv2d(3, c1, 4, 2, 1, bias=False),

@@ -1,7 +1,7 @@
 """Policies: image and text in, velocity commands out.
 
-`POLICIES` names those that come with the package; `make_policy` also takes a user's own "module:attribute", and
-arguments for either, as `registry` says.
+`POLICIES` lists the package's own. `make_policy` also takes a user's "module:attribute"; both may have arguments, in
+the syntax of `registry`.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ POLICIES: dict[str, str] = {
 
 
 def model_file(name: str) -> Path | None:
-    """The model file that a policy of the package by this name flies; none where it flies none.
+    """The model file of the package's policy of this name; none if it has none.
 
-    Raises `PolicyError` where the file is missing.
+    Raises `PolicyError` if the file is missing.
     """
     return registry.file_of("policy", name, POLICIES)
 

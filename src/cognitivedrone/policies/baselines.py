@@ -1,4 +1,4 @@
-"""Policies that look at nothing: the floor of every score."""
+"""Baseline policies that ignore the image: the lower bound of every score."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Hover(Policy):
 
 
 class Random(Policy):
-    """Flies forward with smooth random turns: a new wish every second."""
+    """Flies forward with random turns: a new velocity every second."""
 
     needs_seed = True
 
@@ -26,12 +26,12 @@ class Random(Policy):
         self._wish = np.zeros(4)
 
     def reset(self, context: EpisodeContext) -> None:
-        """Start from rest; a new flight draws from its seed."""
+        """Start from rest; a new flight reseeds the generator."""
         if context.stage == 0:
             self._rng = np.random.default_rng(context.seed)
         self._wish = np.zeros(4)
 
     def act(self, observation: Observation) -> ActionChunk:
-        """The same wish for ten steps."""
+        """The same velocity for ten steps."""
         self._wish = self._rng.normal([0.8, 0.0, 0.0, 0.0], [0.4, 0.4, 0.15, 0.4])
         return np.repeat(self._wish[None], 10, axis=0).astype(np.float32)

@@ -1,8 +1,8 @@
-"""Flies at the gate that a directive names, by colour alone: segmentation and visual servoing, no privileged state.
+"""Colour segmentation and visual servoing to the gate that a directive names, without privileged state.
 
-With the gold directive it is the upper bound of flying; with a raw instruction, which names no gate, it picks a colour
-by chance. It knows what a pilot of the published stage may know: the sizes of the gates, that their centres are 0.9 m
-above ground, and the camera's field of view and place.
+With the gold directive it is the upper bound of flying without learning; for a raw instruction, which names no gate, it
+picks a random colour. It uses the known geometry of the published stage: the gate sizes, their centres 0.9 m above the
+ground, and the camera's field of view and mounting.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from cognitivedrone.types import (
 from cognitivedrone.world.geometry import BAR_WIDTH, GATE_HEIGHT
 
 CONTRASTS = (180, 40)
-"""A pixel has a gate's colour where that channel exceeds both others by this much. The first is asked for first: it
-parts a gate in good light from what shows a paler shade of its colour on the panel behind."""
+"""A pixel has a gate's colour if that channel exceeds both others by this much. The stricter value is tried first: it
+separates a well-lit gate from paler shades of its colour on the panel behind it."""
 RATIO_BETWEEN_SIZES = 1.31
-"""Height of a ring over its hole: below, the gate is big."""
+"""Height of a ring over that of its hole; below this ratio the gate is big."""
 PITCH_ALLOWANCE_PX = 20
-"""How far above the image's middle a gate's lower edge may come when the nose is down."""
+"""How far above the image's middle a gate's lower edge may be when the nose is down."""
 TILT_ALLOWANCE = 0.2
-"""Metres of height a metre of depth that a tilted camera may be wrong by."""
+"""Height error per metre of depth due to a tilted camera, m/m."""
 MIN_PIXELS = 12
 SMALLEST_HEIGHT_PX = 7
 SEARCH_RATE = 0.7
@@ -51,7 +51,7 @@ Mask: TypeAlias = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """The gate to look for, as far as the directive names it."""
+    """The gate to look for; none for parts that the directive does not name."""
 
     size: Size | None
     color: Color
@@ -63,9 +63,9 @@ class Sighting:
     """A gate's ring in the image."""
 
     bearing: float
-    """Of the opening's centre, left is positive, as a slope: metres aside a metre of depth."""
+    """Slope of the opening's centre, metres to the left per metre of depth."""
     depth_m: float | None
-    """Along the camera's axis; none where the ring is cut by the image's edge."""
+    """Along the camera's axis; none if the image's edge cuts the ring."""
 
 
 def segment(image: Image, color: Color, contrast: int) -> Mask:
@@ -77,7 +77,7 @@ def segment(image: Image, color: Color, contrast: int) -> Mask:
 
 
 def find_gate(image: Image, wanted: Wanted, camera_height_m: float) -> Sighting | None:
-    """The ring of one colour, hollow and at the height of a gate: the panels above may show that colour, too."""
+    """The hollow ring of the wanted colour at gate height; panels above may show the same colour."""
     best: Sighting | None = None
     for contrast in CONTRASTS:
         sighting = _lowest_ring(segment(image, wanted.color, contrast), wanted, camera_height_m)
@@ -88,7 +88,7 @@ def find_gate(image: Image, wanted: Wanted, camera_height_m: float) -> Sighting 
 
 
 def _lowest_ring(mask: Mask, wanted: Wanted, camera_height_m: float) -> Sighting | None:
-    """Of all patches of the mask that can be the wanted gate, the lowest in the image."""
+    """The lowest patch of the mask that can be the wanted gate."""
     labelled, _ = ndimage.label(mask, structure=np.ones((3, 3)))
     best: Sighting | None = None
     lowest = mask.shape[0] / 2 - PITCH_ALLOWANCE_PX
@@ -103,7 +103,7 @@ def _lowest_ring(mask: Mask, wanted: Wanted, camera_height_m: float) -> Sighting
 def _read_ring(
     ring: Mask, box: tuple[slice, slice], shape: tuple[int, int], wanted: Wanted, camera_height_m: float
 ) -> Sighting | None:
-    """What a connected patch of colour tells, if it can be the wanted gate."""
+    """A connected patch as a sighting; none if it cannot be the wanted gate."""
     if int(ring.sum()) < MIN_PIXELS:
         return None
     rows, columns = box
@@ -124,7 +124,7 @@ def _read_ring(
 
 
 def _hole_height(column: Mask, middle: int) -> int | None:
-    """Free pixels around `middle` of the ring's middle column; none where the ring is filled or open there."""
+    """Free pixels around `middle` in the ring's middle column; none if the ring is filled or open there."""
     if column[middle]:
         return None
     above, below = np.flatnonzero(column[:middle]), np.flatnonzero(column[middle:])
@@ -134,7 +134,7 @@ def _hole_height(column: Mask, middle: int) -> int | None:
 
 
 def ring_height(size: Size, shape: Shape) -> float:
-    """Height of a gate's frame from edge to edge, m."""
+    """Outer height of a gate's frame, m."""
     opening = 1.5 if size == "big" else 0.75
     if shape == "triangle":
         return opening * math.sqrt(3) / 2 + 3 * BAR_WIDTH
@@ -142,7 +142,7 @@ def ring_height(size: Size, shape: Shape) -> float:
 
 
 class ColourSeeker(Policy):
-    """Keeps an estimate of where the gate is, corrects it by every good sighting, and flies through it."""
+    """Estimates the gate's position, corrects it with every good sighting, and flies through it."""
 
     needs_seed = True
 
@@ -152,7 +152,7 @@ class ColourSeeker(Policy):
         self._forget("")
 
     def reset(self, context: EpisodeContext) -> None:
-        """Forget the last gate; a new flight draws the colours of uninformed choices from its seed."""
+        """Forget the last gate; a new flight reseeds the generator of random colours."""
         if context.stage == 0:
             self._rng = np.random.default_rng(context.seed)
         self._forget(context.instruction)
@@ -167,7 +167,7 @@ class ColourSeeker(Policy):
         self._direction = 1.0
 
     def act(self, observation: Observation) -> ActionChunk:
-        """Look, correct the estimate, steer."""
+        """Find the gate, correct the estimate, and command a velocity."""
         if self._choice is None or observation.instruction != self._text:
             self._choice = self._choose(observation.instruction)
         self._carry_on(observation)
@@ -181,13 +181,13 @@ class ColourSeeker(Policy):
         return command[None].astype(np.float32)
 
     def _choose(self, text: str) -> Wanted:
-        """The gate that the text names; a colour by chance where it names none."""
+        """The gate that the text names; a random colour if it names none."""
         self._text, self._gate = text, None
         size, color, shape = parse_directive(text)
         return Wanted(size, color or COLORS[int(self._rng.integers(3))], shape)
 
     def _carry_on(self, observation: Observation) -> None:
-        """Move the estimate by the drone's own motion since the last look."""
+        """Move the estimate by the drone's own motion since the last frame."""
         elapsed = 0.0 if self._time is None else observation.time - self._time
         self._time = observation.time
         turn = observation.yaw_rate * elapsed
@@ -198,7 +198,7 @@ class ColourSeeker(Policy):
         self._normal[:2] = back @ self._normal[:2]
 
     def _correct(self, slope: float, depth_m: float) -> None:
-        """Blend a sighting in: bearings are sharp, ranges are not."""
+        """Blend in a sighting: bearings are accurate, ranges are not."""
         seen = np.array([depth_m + MOUNT[0], slope * depth_m])
         if self._gate is None:
             self._gate = seen
@@ -213,7 +213,7 @@ class ColourSeeker(Policy):
         self._gate = reach * np.array([np.cos(bearing), np.sin(bearing)])
 
     def _search(self, observation: Observation, sighting: Sighting | None) -> ActionChunk:
-        """Turn toward what is half in sight, or sweep."""
+        """Turn toward a partly visible gate, or sweep."""
         if sighting is not None:
             self._direction = 1.0 if sighting.bearing > 0 else -1.0
         elif abs(self._turned) > 1.2 and self._turned * self._direction > 0:

@@ -1,4 +1,4 @@
-"""The oracle: told where the right gate is, it flies through it. Teacher of the data and upper bound of scores."""
+"""The oracle policy: flies through the right gate from privileged state. Teacher for data sets and upper bound."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ from cognitivedrone.world.geometry import gate_centers, gate_yaws
 
 _PERIOD_S = 1 / CONTROL_HZ
 _GRID = np.linspace(0.05, 1.0, 8)
-"""Where along the curved part of the path its curvature is looked at."""
+"""Points of the curved part of the path at which its curvature is evaluated."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExpertConfig:
-    """How the expert flies."""
+    """Parameters of the expert."""
 
     speed_m_s: float = 1.6
-    """On a straight way; 1 to 2.5."""
+    """On a straight path; 1 to 2.5."""
     slow_m_s: float = 0.6
     """In the tightest turn."""
     lateral_m_s2: float = 1.2
-    """Speed falls in turns so that they ask for no more than this."""
+    """Limit of the lateral acceleration; speed is reduced in turns to respect it."""
     lag_s: float = 0.45
-    """Effective delay between a velocity command and the velocity: the path starts where the drone will be by then."""
+    """Effective delay between a velocity command and the velocity; the path starts at the position after this time."""
     lookahead_m: float = 0.9
-    """The point of the path that is steered at lies this far ahead."""
+    """Distance to the target point on the path."""
     straight_m: float = 0.7
     """The path joins the gate's axis this far before its plane."""
     acceleration_m_s2: float = 4.0
     """Bound on the change of the commanded velocity, in world axes."""
     jerk_m_s3: float = 20.0
-    """Bound on the change of that change."""
+    """Bound on the change of the commanded acceleration."""
     yaw_gain: float = 1.6
     """1/s."""
     yaw_rate_max: float = 1.0
@@ -59,17 +59,17 @@ class ExpertConfig:
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """Ways onto gates' axes and along them, any number at once."""
+    """Paths onto gates' axes and along them, for any number at once."""
 
     curve: CubicHermiteSpline
-    """Of (..., 3), world, m: the curved part, from 0 to 1."""
+    """The curved part, parameter 0 to 1; values (..., 3), world, m."""
     length: FloatArray
-    """(...,) of the curved part, m."""
+    """(...,) length of the curved part, m."""
     normal: FloatArray
     """(..., 3) direction of the straight part."""
 
     def at(self, metres: float) -> Vectors:
-        """The points (..., 3) so far along the ways, world, m."""
+        """The points (..., 3) at a distance along the paths, world, m."""
         share = np.minimum(metres / self.length, 1.0)[..., None]
         beyond = np.maximum(metres - self.length, 0.0)[..., None]
         a, b, c, d = self.curve.c[:, 0]
@@ -78,10 +78,10 @@ class Way:
 
 
 def plan(start: Vectors, gate: Vectors, normal: Vectors, config: ExpertConfig) -> Way:
-    """The ways from `start` (..., 3) onto the axis of the gate at `gate` (..., 3) and along it, world, m.
+    """The paths from `start` (..., 3) onto the axis of the gate at `gate` (..., 3) and along it, world, m.
 
-    `normal` (..., 3) is the unit direction to cross the gate in. The curve leaves toward the axis, meets it with the
-    axis' direction, and is straight from there, through the gate's centre where the drone is still before it.
+    `normal` (..., 3) is the unit direction in which to cross the gate. The curve leaves toward the axis, meets it
+    tangentially, and continues straight, through the gate's centre if the drone has not passed it.
     """
     along = ((gate - start) * normal).sum(axis=-1, keepdims=True)
     join = gate - np.minimum(config.straight_m, along - config.lookahead_m) * normal
@@ -92,7 +92,7 @@ def plan(start: Vectors, gate: Vectors, normal: Vectors, config: ExpertConfig) -
 
 
 def wish(start: Vectors, gate: Vectors, normal: Vectors, config: ExpertConfig) -> Vectors:
-    """Velocities (..., 3) that follow the way of `plan` from its start, world, m/s."""
+    """Velocities (..., 3) that follow the path of `plan` from its start, world, m/s."""
     way = plan(start, gate, normal, config)
     first, second = way.curve(_GRID, 1), way.curve(_GRID, 2)
     bend = np.sqrt((second * second).sum(axis=-1)) / np.maximum((first * first).sum(axis=-1), 1e-6)
@@ -104,7 +104,7 @@ def wish(start: Vectors, gate: Vectors, normal: Vectors, config: ExpertConfig) -
 
 
 def turn_rate(wanted: Vectors, yaw: Scalars, config: ExpertConfig) -> Scalars:
-    """Yaw rates (...,), rad/s, that turn the nose from `yaw` (...,) to where `wanted` (..., 3), world, leads."""
+    """Yaw rates (...,), rad/s, that turn the nose from `yaw` (...,) to the direction of `wanted` (..., 3), world."""
     turn = wrap_angle(np.arctan2(wanted[..., 1], wanted[..., 0]) - yaw)
     rate: FloatArray = np.clip(config.yaw_gain * turn, -config.yaw_rate_max, config.yaw_rate_max)
     return rate
@@ -118,9 +118,9 @@ def intent(
     gate_yaw: Scalars,
     config: ExpertConfig,
 ) -> Commands:
-    """What the expert wants right now, before it is smoothed: (..., 4), heading frame, m/s and rad/s.
+    """The expert's command before smoothing: (..., 4), heading frame, m/s and rad/s.
 
-    It follows from the moment alone, so it is what a policy without memory learns: position, velocity and gate centre
+    It depends only on the current state, so a memoryless policy can learn it: position, velocity and gate centre
     (..., 3), world, m and m/s; yaw of the drone and of the gate's outward normal (...,), rad.
     """
     normal = np.stack([np.cos(gate_yaw), np.sin(gate_yaw), np.zeros_like(gate_yaw)], axis=-1)
@@ -129,17 +129,17 @@ def intent(
 
 
 def within(vector: FloatArray, limit: float) -> FloatArray:
-    """The vector, shortened to `limit` where it is longer."""
+    """The vector, shortened to `limit` if it is longer."""
     size = float(np.sqrt(vector @ vector))
     shortened: FloatArray = vector * min(1.0, limit / max(size, 1e-12))
     return shortened
 
 
 class Expert(Policy):
-    """Closed loop from the true state: a fresh spline to the gate every step, commanded smoothly.
+    """Closed-loop control from the true state: a new spline to the gate every step, commanded smoothly.
 
-    The commanded velocity changes within the acceleration and jerk of the configuration, in world axes, over the whole
-    of a flight: on a track also from the exit of one gate to the next stage.
+    The commanded velocity respects the configured acceleration and jerk, in world axes, throughout a flight, including
+    the transition from one stage of a track to the next.
     """
 
     needs_ground_truth = True
@@ -154,8 +154,7 @@ class Expert(Policy):
     def reset(self, context: EpisodeContext) -> None:
         """Take the ground truth of the stage.
 
-        At the start of a flight commands begin with the drone's own velocity; later stages carry on from the last
-        command.
+        At the start of a flight, commands start from the drone's velocity; later stages continue from the last command.
         """
         self._truth = context.ground_truth
         if self._truth is not None and context.stage == 0:
@@ -164,13 +163,13 @@ class Expert(Policy):
             self._yaw_rate = 0.0
 
     def act(self, observation: Observation) -> ActionChunk:
-        """One command; the truth is better than any picture."""
+        """One command, from privileged state; the observation is ignored."""
         return self.command()[None]
 
     def command(self) -> Action:
-        """The command for where the drone is now, (4,), heading frame, m/s and rad/s."""
+        """The command for the drone's current state, (4,), heading frame, m/s and rad/s."""
         if self._truth is None:
-            raise GroundTruthError("the oracle policy needs the simulator's truth, which this flight does not have")
+            raise GroundTruthError("the oracle policy needs the simulator's ground truth; this flight does not have it")
         config = self.config
         stage, target = self._truth.stage, self._truth.task.target
         state = self._truth.state()
@@ -186,11 +185,12 @@ class Expert(Policy):
         return np.array([*world_to_heading(velocity, yaw), self._yaw_rate], dtype=np.float32)
 
     def _shaped(self, wanted: FloatArray) -> FloatArray:
-        """The next commanded velocity on the way to `wanted`, within acceleration and jerk."""
+        """The next commanded velocity toward `wanted`, within the acceleration and jerk bounds."""
         config = self.config
         missing = wanted - self._velocity
         size = max(float(np.sqrt(missing @ missing)), 1e-9)
-        # Braking by the jerk bound each step, n steps cover n (n + 1) / 2 of these: so hard that it still ends in time.
+        # Reducing the acceleration by the jerk bound each step covers n (n + 1) / 2 of these in n steps: choose the
+        # largest acceleration that can still be brought to zero in time.
         least = config.jerk_m_s3 * _PERIOD_S**2
         steps = (np.sqrt(1 + 8 * size / least) - 1) / 2
         gentle = min(steps * config.jerk_m_s3 * _PERIOD_S, size / _PERIOD_S, config.acceleration_m_s2)

@@ -1,4 +1,4 @@
-"""The geometry of flying at a point through an axis, with the autopilot's lag in mind."""
+"""Pursuit of a point on a gate's axis, compensating for the autopilot's lag."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from cognitivedrone.types import Commands, Vector
 
 @dataclass(frozen=True, slots=True)
 class Pursuit:
-    """How a gate is approached."""
+    """Parameters of a gate approach."""
 
     speed_m_s: float = 1.6
-    """On a clear way."""
+    """On a straight approach."""
     slow_m_s: float = 0.7
-    """Where the drone is beside the gate's axis and close to its plane."""
+    """Off the gate's axis and close to its plane."""
     lag_s: float = 0.45
-    """Effective delay between a velocity command and the velocity: the drone steers from where it will be by then."""
+    """Effective delay between a velocity command and the velocity; the path starts at the position after this time."""
     lookahead_m: float = 0.9
-    """The point of the path that is steered at lies this far ahead."""
+    """Distance to the target point on the path."""
     straight_m: float = 0.7
     """The path joins the gate's axis this far before its plane."""
     yaw_gain: float = 1.6
@@ -32,8 +32,8 @@ class Pursuit:
 def pursue(gate: Vector, normal: Vector, velocity: Vector, config: Pursuit) -> Commands:
     """Velocity command (4,) toward and through a gate; all vectors in the heading frame.
 
-    `gate` (3,) is the gate's centre seen from the drone, m; `normal` (3,) the unit direction to cross it in, level;
-    `velocity` (3,) the drone's own, m/s.
+    `gate` (3,) is the gate's centre relative to the drone, m; `normal` (3,) the level unit direction in which to cross
+    it; `velocity` (3,) the drone's velocity, m/s.
     """
     seen = gate - velocity * config.lag_s
     along = float(seen @ normal)

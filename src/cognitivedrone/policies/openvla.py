@@ -1,4 +1,4 @@
-"""OpenVLA-7B as a policy: a checkpoint with an action of four numbers, flown on a GPU, or a small one on the host."""
+"""OpenVLA-7B as a policy: a checkpoint with four-number actions, run on a GPU, or on the CPU if it is small."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ if TYPE_CHECKING:
 
 _SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 SMALL = 2_000_000_000
-"""Bytes up to which a network is flown without a GPU unasked."""
+"""Largest network, in bytes, that runs on the CPU without an explicit device=cpu."""
 _USUAL_LENGTHS = (32, 64)
-"""Of prompts, in tokens: what a GPU records once for each length, it records before take-off."""
+"""Prompt lengths, in tokens, for which the GPU graphs are captured before take-off."""
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What "PATH,decoder=ar|parallel,quant=none|int8|int4,device=cuda|cpu,unnorm_key=NAME" says."""
+    """The arguments "PATH,decoder=ar|parallel,quant=none|int8|int4,device=cuda|cpu,unnorm_key=NAME"."""
 
     folder: Path
     decoder: DecoderName = "ar"
     quant: Quantisation = "none"
     device: str | None = None
-    """None: a GPU where there is one."""
+    """None: a GPU if there is one."""
     unnorm_key: str | None = None
 
 
 class OpenVla(Policy):
     """Flies the OpenVLA checkpoint in `folder`.
 
-    `device` is a GPU by default where there is one; `unnorm_key` names the action statistics where there are several.
+    `device` defaults to a GPU if there is one; `unnorm_key` selects the action statistics if there are several.
 
-    Every decision depends on its observation alone. Raises `PolicyError` for an argument or a checkpoint that does not
-    do, or a machine it does not fit on, before the weights are loaded, and `MissingExtra`.
+    Every decision depends only on its observation. Raises `PolicyError` for an invalid argument or checkpoint, or too
+    little memory, before the weights are loaded; `MissingExtra` if a package is missing.
     """
 
     def __init__(
@@ -72,14 +72,14 @@ class OpenVla(Policy):
         self._listen(context.instruction)
 
     def act(self, observation: Observation) -> ActionChunk:
-        """Commands (k, 4) by the observation's own instruction: one, or those of the parallel decoder's chunk.
+        """Commands (k, 4) for the observation's instruction: one, or the parallel decoder's chunk.
 
-        Raises `PolicyError` for an instruction as in `reset`, or an image that is not uint8 (256, 256, 3), and
-        `NonFiniteAction` where the network's answer is not finite.
+        Raises `PolicyError` for an invalid instruction, as `reset`, or an image that is not uint8 (256, 256, 3), and
+        `NonFiniteAction` if the network's output is not finite.
         """
         image = observation.image
         if image.dtype != np.uint8 or image.shape != _SHAPE:
-            raise PolicyError(f"OpenVLA is flown by images of uint8 {_SHAPE}; what came is {image.dtype} {image.shape}")
+            raise PolicyError(f"OpenVLA needs uint8 images of shape {_SHAPE}, got {image.dtype} {image.shape}")
         if observation.instruction != self._text:
             self._listen(observation.instruction)
         answer = self._decode(self.checkpoint.preparation.pixel_values(image), self._ids)
@@ -93,7 +93,7 @@ class OpenVla(Policy):
 
 
 def _decoder(options: Options, checkpoint: Checkpoint) -> Decoder:
-    """The loaded network behind its decoder, when it is known to fit."""
+    """The loaded network with its decoder; memory is checked first."""
     torch = import_extra("torch", "openvla")
     for package in ("transformers", "safetensors", "tokenizers"):
         import_extra(package, "openvla")
@@ -105,9 +105,9 @@ def _decoder(options: Options, checkpoint: Checkpoint) -> Decoder:
     needed = checkpoints.needed_bytes(checkpoint.config, options.quant, stored)
     if not has_gpu and (device == "cuda" or (options.device is None and needed > SMALL)):
         raise ModelError(
-            f"the network needs {needed / 1e9:.1f} GB of GPU memory, and this machine has no GPU that PyTorch can use,"
-            f" but {checkpoints.free_memory() / 1e9:.1f} GB of its own free; fly it on a machine with a GPU, or here"
-            " with device=cpu, at seconds an action"
+            f"the network needs {needed / 1e9:.1f} GB of GPU memory, but this machine has no GPU that PyTorch can use,"
+            f" and {checkpoints.free_memory() / 1e9:.1f} GB of free main memory; use a machine with a GPU, or"
+            " device=cpu, which takes seconds per action"
         )
     if options.quant != "none":
         whole = checkpoints.needed_bytes(checkpoint.config, "none", stored)
@@ -120,7 +120,7 @@ def _decoder(options: Options, checkpoint: Checkpoint) -> Decoder:
 
     dtype = torch.float32 if stored == 4 else torch.bfloat16
     network = load(checkpoint, device, dtype, options.quant)
-    # Small weights become quick only where they are unpacked inside the multiplication, which takes a compiler.
+    # Quantised weights are fast only if they are unpacked inside the multiplication, which takes a compiler.
     compiled = device == "cuda" and options.quant != "none"
     decoder = (Parallel if options.decoder == "parallel" else Autoregressive)(network, compiled=compiled)
     if device == "cuda":

@@ -1,4 +1,4 @@
-"""The small VLA: pixels, the drone's own motion and a sentence in, velocities out; ONNX Runtime runs it on one core."""
+"""The small VLA policy: image, drone motion and a sentence in, velocities out; ONNX Runtime runs it on one core."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, FloatA
 LONGEST_INSTRUCTION = 1000
 """Maximum length in characters."""
 TOLD = 5
-"""Sentences with unknown words that are warned of; whole suites are full of them."""
+"""Maximum number of warnings about unknown words; whole suites are full of them."""
 _SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 
 
 class Small(Policy):
     """Flies a small model: the packaged one, or the file at `path`.
 
-    Every decision depends on its observation alone. Raises `PolicyError` where the file cannot be flown.
+    Every decision depends only on its observation. Raises `PolicyError` if the file is missing or unusable.
     """
 
     weights = "small.onnx"
     """The packaged file, in `cognitivedrone/models/weights`."""
     warns = True
-    """Whether words that the model has never seen are told of."""
+    """Whether to warn about words that the model has never seen."""
 
     def __init__(self, path: Path | str | None = None) -> None:
         self.model = SmallModel.load(self.file_of(path))
         self.last: Output | None = None
-        """What the network said of the last frame, for viewers: n is 1; none before the first."""
+        """The network's output for the last frame, n = 1, for viewers; none before the first."""
         self._text = ""
         self._words_told: set[str] = set()
         self._sentences_told = 0
 
     @classmethod
     def file_of(cls, path: Path | str | None = None) -> Path:
-        """The file that a policy made with `path` flies; raises `PolicyError` where there is none."""
+        """The model file of a policy made with `path`; raises `PolicyError` if it does not exist."""
         packaged = Path(str(resources.files("cognitivedrone.models") / "weights" / cls.weights))
         if path is None and not packaged.is_file():
             raise ModelError(
@@ -57,17 +57,17 @@ class Small(Policy):
     def reset(self, context: EpisodeContext) -> None:
         """Take a new instruction.
 
-        Raises `PolicyError` for one that is empty or longer than `LONGEST_INSTRUCTION`; warns of words that the
-        model has never seen, of each once, and of the first few sentences alone.
+        Raises `PolicyError` if it is empty or longer than `LONGEST_INSTRUCTION`. Warns once about each word that the
+        model has never seen, for the first few sentences only.
         """
         self.last = None
         self._listen(context.instruction)
 
     def act(self, observation: Observation) -> ActionChunk:
-        """Commands (k, 4) for the next k control steps by the observation's own instruction.
+        """Commands (k, 4) for the next k control steps, for the observation's instruction.
 
-        Raises `PolicyError` for an instruction as in `reset`, or an image that is not uint8 (256, 256, 3), and
-        `NonFiniteAction` where the network's answer is not finite.
+        Raises `PolicyError` for an invalid instruction, as `reset`, or an image that is not uint8 (256, 256, 3), and
+        `NonFiniteAction` if the network's output is not finite.
         """
         if observation.instruction != self._text:
             self._listen(observation.instruction)
@@ -96,20 +96,20 @@ class Small(Policy):
             return
         self._words_told.update(words)
         self._sentences_told += 1
-        last = "; of further words nothing will be said" if self._sentences_told == TOLD else ""
+        last = "; no further warnings about words" if self._sentences_told == TOLD else ""
         named = ", ".join(map(repr, sorted(words)))
         warnings.warn(f"the small model has never seen {named}; it flies by the other words{last}", stacklevel=4)
 
 
 class Race(Small):
-    """The racing model: flies gates well, whichever they are. Its language is "Fly through the gates", no more."""
+    """The racing model, for single gates of any kind. The only instruction that it knows is "Fly through the gates"."""
 
     weights = "race.onnx"
     warns = False
 
 
 def state_of(observation: Observation) -> FloatArray:
-    """What the network is told of the drone's motion, (5,) float32.
+    """The network's motion input, (5,) float32.
 
     Velocity x, y, z in the heading frame, m/s, height, m, and yaw rate, rad/s.
     """
@@ -118,5 +118,5 @@ def state_of(observation: Observation) -> FloatArray:
 
 def _checked(image: Image) -> Image:
     if image.dtype != np.uint8 or image.shape != _SHAPE:
-        raise PolicyError(f"the small model needs an image of uint8 {_SHAPE}; what came is {image.dtype} {image.shape}")
+        raise PolicyError(f"the small model needs a uint8 image of shape {_SHAPE}, got {image.dtype} {image.shape}")
     return image

@@ -1,7 +1,7 @@
 """Reasoners: image and instruction in, a plain directive out.
 
-`REASONERS` names those that come with the package; `make_reasoner` also takes a user's own "module:attribute", and
-arguments for either, as `registry` says.
+`REASONERS` lists the package's own. `make_reasoner` also takes a user's "module:attribute"; both may have arguments, in
+the syntax of `registry`.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ REASONERS: dict[str, str] = {
     "vlm-local": "cognitivedrone.reasoners.vlm_local:LocalVlm",
 }
 NONE = "none"
-"""Name of flying by the raw instruction."""
+"""Name for no reasoner: the policy gets the raw instruction."""
 
 
 def reasoner_file(name: str) -> Path | None:
-    """The file of weights or answers that a reasoner of the package by this name uses; none where it uses none.
+    """The file of weights or answers of the package's reasoner of this name; none if it has none.
 
-    Raises `PolicyError` where the file is missing.
+    Raises `PolicyError` if the file is missing.
     """
     return None if name == NONE else registry.file_of("reasoner", name, REASONERS)
 

@@ -1,4 +1,4 @@
-"""The reasoner's calculator: what a sentence asks to be calculated, and sums of numbers that were read."""
+"""The reasoner's calculator: arithmetic in sentences, and expressions read from panels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Final
 from cognitivedrone.models.text import NUMBER_WORDS
 
 LARGEST: Final = 10**6
-"""Numbers beyond this are nobody's answer."""
+"""Largest magnitude of a result; anything larger counts as none."""
 _LONGEST = 60  # characters of an expression
 _SIGNS: dict[type[ast.operator], Callable[[int, int], int]] = {
     ast.Add: operator.add,
@@ -41,10 +41,10 @@ _THAN_BOARD = re.compile(r"\b(\d+) (more|less|greater|larger|smaller|fewer) than
 
 
 def calculate(sentence: str, board: int | None = None) -> int | None:
-    """What the sentence asks to be calculated; none where it asks for nothing that can be.
+    """The result of the calculation that the sentence asks for; none if it asks for none.
 
-    An expression ("3 * (2 + 1)", "seven times two"), two steps in words ("Add 3 and 4, then take away 2"), or so much
-    more or less than the sum on the board, whose value is `board`.
+    Understands an expression ("3 * (2 + 1)", "seven times two"), two steps in words ("Add 3 and 4, then take away 2"),
+    and "N more (or less) than the sum on the board", whose value is `board`.
     """
     text = _plain(sentence)
     than = _THAN_BOARD.search(text)
@@ -64,7 +64,7 @@ def calculate(sentence: str, board: int | None = None) -> int | None:
 
 
 def evaluate(expression: str) -> int | None:
-    """The value of whole numbers, +, - and * with brackets; none for anything else."""
+    """The value of an expression of integers, +, -, * and brackets; none for anything else."""
     if len(expression) > _LONGEST:
         return None
     try:
@@ -86,7 +86,7 @@ def _value(node: ast.expr) -> int:
 
 
 def _plain(sentence: str) -> str:
-    """In lower case, with numbers in figures and signs as signs."""
+    """The sentence in lower case, with number words as digits and operator words as signs."""
     text = re.sub(r"[a-z]+", lambda word: NUMBER_WORDS.get(word[0], word[0]), sentence.lower()[:1000])
     for pattern, sign in _SAID:
         text = re.sub(pattern, sign, text)
@@ -94,7 +94,7 @@ def _plain(sentence: str) -> str:
 
 
 def _begun(text: str) -> tuple[int, str] | None:
-    """The value of the first of two steps, and the text behind it."""
+    """The value of the first of two steps, and the text after it."""
     for pattern, apply in _STEPS:
         found = pattern.search(text)
         if found:

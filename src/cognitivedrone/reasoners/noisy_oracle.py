@@ -1,4 +1,4 @@
-"""The oracle that is wrong now and then: what a reasoner's accuracy is worth, measured without weights."""
+"""An oracle reasoner with a given error rate: shows how a reasoner's accuracy affects scores, without a model."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from cognitivedrone.types import CATEGORIES, EpisodeContext, Guidance, Image, Ta
 PUBLISHED_ACCURACY: Final = 153 / 218
 """How often the published reasoner (CognitiveDrone-R1, arXiv 2503.01378) is right, about 70 %.
 
-Source: its own published record of answers, which names the right gate's colour in 153 of 218 tasks. One number for
-all three categories.
+Source: its published record of answers, which names the right gate's colour in 153 of 218 tasks. One number for all
+three categories.
 """
 
 
 class NoisyOracle(Reasoner):
-    """Gives the gold directive with a given probability, else that of one of the other two gates.
+    """Gives the gold directive with a given probability, otherwise that of one of the other two gates.
 
-    The draw is made once a stage: who misunderstands keeps misunderstanding. With `each` it is made anew at every
-    answer. A gate that stands alone is never mistaken. Of two noisy oracles of one seed, the one that is right
-    more often is right wherever the other is: a sweep over accuracies compares like with like.
+    The draw is made once per stage, so a wrong answer stays wrong; with `each`, once per answer. A single gate is never
+    mistaken. Of two noisy oracles with the same seed, the more accurate one is right wherever the other is, so a sweep
+    over accuracies compares like with like.
     """
 
     needs_ground_truth = True
@@ -39,7 +39,7 @@ class NoisyOracle(Reasoner):
         symbol_understanding: float | None = None,
         reasoning: float | None = None,
     ) -> None:
-        """Probabilities of being right, 0 to 1: `accuracy`, and in single categories. Raises `PolicyError`."""
+        """Probabilities of being right, 0 to 1: `accuracy`, or one per category. Raises `PolicyError`."""
         special = (human_recognition, symbol_understanding, reasoning)
         self.accuracy: dict[str, float] = {
             category: accuracy if own is None else own for category, own in zip(CATEGORIES, special, strict=True)
@@ -47,7 +47,7 @@ class NoisyOracle(Reasoner):
         for value in (accuracy, *self.accuracy.values()):
             if not 0.0 <= value <= 1.0:
                 raise PluginError(
-                    f"noisy-oracle: {value:g} is no accuracy; give a number from 0 to 1, such as 0.8, or one a"
+                    f"noisy-oracle: accuracy is {value:g}; give a number from 0 to 1, such as 0.8, or one per"
                     " category, such as reasoning=0.6"
                 )
         self.each = each
@@ -56,7 +56,7 @@ class NoisyOracle(Reasoner):
         self._gate = 0
 
     def reset(self, context: EpisodeContext) -> None:
-        """Take the task at hand, and draw whether it is understood; a new flight draws from its seed."""
+        """Take the current task, and draw whether the answer is right; a new flight reseeds the generator."""
         if context.stage == 0:
             self._rng = np.random.default_rng(context.seed)
         self._task = context.ground_truth.task if context.ground_truth else None
@@ -64,11 +64,11 @@ class NoisyOracle(Reasoner):
             self._gate = self._draw(self._task)
 
     def refine(self, image: Image, instruction: str) -> Guidance:
-        """The directive of the gate that was drawn; always as if it were sure."""
+        """The directive of the drawn gate, always with confidence 1."""
         task = self._task
         if task is None:
             raise GroundTruthError(
-                "the noisy-oracle reasoner needs the simulator's truth, which this flight does not have"
+                "the noisy-oracle reasoner needs the simulator's ground truth; this flight does not have it"
             )
         if self.each:
             self._gate = self._draw(task)
@@ -76,8 +76,8 @@ class NoisyOracle(Reasoner):
         return Guidance(directive, self._gate, 1.0)
 
     def _draw(self, task: Task) -> int:
-        """Index of the gate to name. Takes the same numbers from the generator whatever comes out."""
+        """Index of the gate to name. Always draws the same number of random values."""
         luck, other = self._rng.uniform(), int(self._rng.integers(1, 3))
-        # Races, the one category without an accuracy, ask for no choice.
+        # Racing, the only category without an accuracy, has no choice to make.
         right = task.only is not None or luck < self.accuracy.get(task.category, 1.0)
         return task.target if right else (task.target + other) % 3

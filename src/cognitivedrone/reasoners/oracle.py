@@ -1,4 +1,4 @@
-"""The oracle reasoner: answers with the gold directive. The upper bound of thinking, to measure flying alone."""
+"""The oracle reasoner: answers with the gold directive. Upper bound of reasoning, to measure flying alone."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from cognitivedrone.types import EpisodeContext, Guidance, Image, Task
 
 
 class Oracle(Reasoner):
-    """Knows the right gate; looks at nothing."""
+    """Knows the right gate from privileged state; ignores the image."""
 
     needs_ground_truth = True
 
@@ -16,11 +16,13 @@ class Oracle(Reasoner):
         self._task: Task | None = None
 
     def reset(self, context: EpisodeContext) -> None:
-        """Take the task at hand."""
+        """Take the current task."""
         self._task = context.ground_truth.task if context.ground_truth else None
 
     def refine(self, image: Image, instruction: str) -> Guidance:
-        """The gold directive of the task at hand."""
+        """The gold directive of the current task."""
         if self._task is None:
-            raise GroundTruthError("the oracle reasoner needs the simulator's truth, which this flight does not have")
+            raise GroundTruthError(
+                "the oracle reasoner needs the simulator's ground truth; this flight does not have it"
+            )
         return Guidance(self._task.directive, self._task.target, 1.0)

@@ -1,4 +1,4 @@
-"""What both VLM reasoners share: the prompt, the schema of the answer, and how their argument is written."""
+"""The prompt and the answer schema of both VLM reasoners."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from cognitivedrone.errors import PluginError, ReasonerError
 from cognitivedrone.types import COLORS, SHAPES, SIZES
 
 PLACEHOLDER = "{instruction}"
-"""Where a prompt says the instruction. Nothing else in braces means anything, so examples of JSON need no escapes."""
+"""Placeholder of the instruction in a prompt. Other braces are plain text, so JSON examples need no escapes."""
 UNKNOWN = "unknown"
-"""The color of an answer that cannot tell."""
+"""The color of an answer that cannot tell the gate."""
 MAX_INSTRUCTION = 1000
-"""Characters; what a task file may have."""
+"""Maximum length in characters, as in task files."""
 MAX_PROMPT_BYTES = 20_000
 MAX_TOKENS = 40
-"""Most that a model may answer: the schema's answers have about 20 tokens."""
+"""Maximum length of an answer; those of the schema have about 20 tokens."""
 
 ANSWER_SCHEMA: dict[str, Any] = {
     "type": "object",
@@ -33,9 +33,9 @@ ANSWER_SCHEMA: dict[str, Any] = {
 
 
 def load_prompt(path: Path | None = None) -> str:
-    """The prompt's text: that of the package, or a file of the user's, which must hold `{instruction}`.
+    """The prompt's text: the package's, or a user's file, which must contain `{instruction}`.
 
-    Raises `PluginError` where the file cannot be read, is too long, or lacks the placeholder.
+    Raises `PluginError` if the file cannot be read, is too long, or lacks the placeholder.
     """
     if path is None:
         return (files("cognitivedrone.reasoners") / "prompts" / "gate.txt").read_text(encoding="utf-8")
@@ -50,14 +50,14 @@ def load_prompt(path: Path | None = None) -> str:
     if len(content) > MAX_PROMPT_BYTES:
         raise PluginError(f"prompt file {path} is over {MAX_PROMPT_BYTES} bytes; a prompt of that length is too slow")
     if PLACEHOLDER not in text:
-        raise PluginError(f"prompt file {path} does not say where the instruction goes; write {PLACEHOLDER} there")
+        raise PluginError(f"prompt file {path} lacks {PLACEHOLDER}; write it where the instruction belongs")
     return text
 
 
 def write_prompt(template: str, instruction: str) -> str:
-    """The template with the instruction, on one line, in place of every `{instruction}`.
+    """The template with every `{instruction}` replaced by the instruction, on one line.
 
-    Raises `ReasonerError` where the instruction is empty or too long.
+    Raises `ReasonerError` if the instruction is empty or too long.
     """
     line = " ".join(instruction.split())
     if not line:

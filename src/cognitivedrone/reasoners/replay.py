@@ -1,4 +1,4 @@
-"""Answers from a file: yesterday's, another machine's, or made up to see what a pilot does with them."""
+"""The replay reasoner: gives recorded answers from a file, such as those of another machine."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ MAX_FILE_BYTES: Final = 64 * 2**20
 FAULTS: Final[tuple[ReasonerFault, ...]] = get_args(ReasonerFault)
 
 Entry = Guidance | ReasonerFault
-"""One answer of the file: what was said, or why nothing was."""
+"""One answer of the file: guidance, or the fault that prevented it."""
 
 
 def read_answers(path: Path) -> dict[str, tuple[Entry, ...]]:
     """The answers of a JSON Lines file by task id, in the file's order.
 
     A line is `{"task": id, "directive": text, "gate": 0 to 2 or null, "confidence": 0 to 1, "fault": kind or null}`.
-    `gate`, `confidence` (1) and `fault` may be left out, a line with a fault needs no directive, keys that are not
-    listed here are ignored, and so are empty lines. Raises `PluginError` naming file and line.
+    `gate`, `confidence` (default 1) and `fault` are optional; a line with a fault needs no directive. Other keys and
+    empty lines are ignored. Raises `PluginError` with file and line.
     """
     answers: dict[str, list[Entry]] = {}
     for number, line in enumerate(_content(path).split(b"\n"), start=1):
@@ -79,10 +79,10 @@ def _entry(obj: Mapping[str, Any], where: str) -> Entry:
 
 
 class Replay(Reasoner):
-    """Gives the answers of a file, whatever is seen; several of one task one after the other, the last one stays.
+    """Gives the answers of a file and ignores the image. Several answers to a task follow in order; the last repeats.
 
-    The task at hand is told by the simulator. An answer that was a fault is raised as that fault, and a task that the
-    file does not have as `unsure`.
+    The simulator supplies the id of the current task. A recorded fault is raised as that fault; a task that is not in
+    the file, as `unsure`.
     """
 
     needs_ground_truth = True
@@ -95,18 +95,18 @@ class Replay(Reasoner):
 
     @classmethod
     def file_of(cls, path: Path | str) -> Path:
-        """The file of answers, which a run is identified by."""
+        """The file of answers, which is part of a run's identity."""
         return Path(path)
 
     def reset(self, context: EpisodeContext) -> None:
-        """Take the id of the task at hand, and begin with its first answer."""
+        """Take the id of the current task, and start with its first answer."""
         self._task = context.ground_truth.task.id if context.ground_truth else None
         self._given = 0
 
     def refine(self, image: Image, instruction: str) -> Guidance:
-        """The next answer of the task at hand; raises `ReasonerError` where that is a fault, or there is none."""
+        """The next answer to the current task; raises `ReasonerError` if it is a fault, or there is none."""
         if self._task is None:
-            raise GroundTruthError("the replay reasoner needs the id of the task, which only the simulator can tell")
+            raise GroundTruthError("the replay reasoner needs the id of the task, which only a simulator knows")
         entries = self.answers.get(self._task)
         if entries is None:
             raise ReasonerError("unsure", f"{self.path} has no answer for task {self._task!r}")

@@ -1,7 +1,7 @@
-"""Reading what a vision-language model replies: JSON, or something like it, or sentences about a gate.
+"""Parses a vision-language model's reply: JSON, something like JSON, or sentences about a gate.
 
-Everything is pure text work. A reply names a gate, or is one of the faults of `ReasonerError`: a reply is never guessed
-at, since the flight goes on well enough without it.
+Pure text processing. A reply names a gate, or is one of the faults of `ReasonerError`. Nothing is guessed: the flight
+continues well enough without an answer.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from cognitivedrone.reasoners.sentences import Description, describe, read_sente
 from cognitivedrone.types import Guidance
 
 MAX_REPLY = 4000
-"""Characters that are read; a reply of the schema has under 80, a long chain of thought some 2000."""
+"""Maximum length in characters; a reply of the schema has under 80, a long chain of thought some 2000."""
 CONFIDENCE = (0.0, 0.6, 0.8, 1.0)
-"""By the number of parts (size, color, shape) that a reply names and where it gives no confidence of its own."""
+"""Confidence by the number of parts (size, color, shape) named, for replies that give none of their own."""
 
 _PAIR = re.compile(
     r"""["']?(?P<key>[A-Za-z_]\w*)["']?\s*:\s*
@@ -35,8 +35,8 @@ _TEXT_CONFIDENCE = re.compile(r"confiden\w*\s*(?:is|of|level|score|:|=|\s)*\s*(\
 def read_reply(text: str) -> Guidance:
     """The gate that a reply names.
 
-    JSON wins over the sentences around it; of several statements the last clear one. The directive has the words of
-    `write_directive`, less what the reply leaves open. Raises `ReasonerError`.
+    JSON takes precedence over the sentences around it; of several statements, the last clear one counts. The directive
+    is worded as by `write_directive`, without the parts that the reply omits. Raises `ReasonerError`.
     """
     if len(text) > MAX_REPLY:
         raise ReasonerError("too_long", f"the reply has {len(text)} characters; {MAX_REPLY} are read")
@@ -59,17 +59,17 @@ def read_reply(text: str) -> Guidance:
 
 
 def quote(text: str) -> str:
-    """The beginning of a reply on one line, for messages."""
+    """The start of a reply on one line, for messages."""
     line = " ".join(text.split())
     return repr(line if len(line) <= 80 else line[:77] + "...")
 
 
 def _read_json(text: str) -> Guidance | None:
-    """The last object that has a color or a shape; none where no object has."""
+    """The gate in the last object that has a color or a shape; none if there is no such object."""
     found = [(match, fields) for match in _OBJECT.finditer(text) if (fields := _fields(match.group()))]
     if not found:
         bare = _fields(text + "\n") or {}
-        # "color: green, shape: round" needs no braces, but both of them: a line "Color: green" may be of a panel.
+        # "color: green, shape: round" needs no braces, but both keys: a line "Color: green" may describe a panel.
         return _read_fields(bare, text) if "{" not in text and {"color", "shape"} <= bare.keys() else None
     match, fields = found[-1]
     if len(found) > 1:
@@ -80,7 +80,7 @@ def _read_json(text: str) -> Guidance | None:
 
 
 def _fields(block: str) -> dict[str, str] | None:
-    """The complete pairs of an object by their keys in lower case; none where none is a color or a shape."""
+    """The complete pairs of an object, by key in lower case; none if there is no color and no shape."""
     fields: dict[str, str] = {}
     for match in _PAIR.finditer(block):
         key = match["key"].lower()
@@ -96,8 +96,8 @@ def _read_fields(fields: dict[str, str], text: str) -> Guidance:
         if value in _UNKNOWN:
             continue
         read = describe(value)
-        if read is not None and read.unknown_person is not None and name != "size":
-            raise ReasonerError("no_such_gate", f"no gate is {read.unknown_person!r}, the reply says so: {quote(text)}")
+        if read is not None and read.unknown_word is not None and name != "size":
+            raise ReasonerError("no_such_gate", f"no gate is {read.unknown_word!r}: {quote(text)}")
         part = getattr(read, name) if read is not None else None
         if part is None:
             raise ReasonerError("schema", f"the reply's {name} is {value!r}, which is none that gates have")
@@ -108,7 +108,7 @@ def _read_fields(fields: dict[str, str], text: str) -> Guidance:
 
 
 def _position(value: str) -> int | None:
-    """A gate's index, 0 to 2, of its number from the left, 1 to 3; none where the value is no position."""
+    """A gate's index, 0 to 2, from its number, 1 to 3 from the left; none if the value is not a position."""
     if re.fullmatch(r"[-+]?\d{1,9}", value):
         if value not in ("1", "2", "3"):
             raise ReasonerError("no_such_gate", f"the reply names gate {value}; there are gates 1 to 3")
@@ -117,7 +117,7 @@ def _position(value: str) -> int | None:
 
 
 def _fraction(value: str) -> float | None:
-    """A confidence of 0 to 1, also where it is written in percent; none where it is neither."""
+    """A confidence, 0 to 1, also from a percentage; none if it is neither."""
     match = re.fullmatch(r"(\d{1,9}(?:\.\d{0,9})?)\s*(%?)", value)
     if match is None:
         return None

@@ -1,8 +1,8 @@
-"""Which gate free sentences name: noun phrases of size, color and shape, and which of several statements counts.
+"""Finds the gate that free text names: noun phrases of size, color and shape, and which of several statements counts.
 
-A description is a run of words such as "the small blue square one" or "gate that is green and round". It is about a
-gate where it has a noun for one, or stands where a noun would ("Go to the green triangle"). "The red hat" is about a
-hat, and what follows "with", "shows" or "label" is about a panel.
+A description is a run of words such as "the small blue square one" or "gate that is green and round". It describes a
+gate if it contains a noun for one, or takes the place of a noun ("Go to the green triangle"). "The red hat" describes a
+hat, and what follows "with", "shows" or "label" describes a panel.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from cognitivedrone.types import Color, Shape, Size
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """What is said of a gate; none where it is not said."""
+    """The named parts of a gate; none for parts that are not named."""
 
     size: Size | None = None
     color: Color | None = None
     shape: Shape | None = None
-    unknown_person: str | None = None
+    unknown_word: str | None = None
     """A color or shape that no gate has."""
     hedged: bool = False
-    """Said with a doubt."""
+    """Stated with doubt."""
 
     def adds_to(self, other: Description) -> bool:
-        """Whether it contradicts nothing that the other says."""
+        """Whether it does not contradict the other."""
         mine, theirs = (self.size, self.color, self.shape), (other.size, other.color, other.shape)
         agree = all(a is None or b is None or a == b for a, b in zip(mine, theirs, strict=True))
-        return agree and (self.unknown_person is None or other.unknown_person in (None, self.unknown_person))
+        return agree and (self.unknown_word is None or other.unknown_word in (None, self.unknown_word))
 
     def merged(self, other: Description) -> Description:
-        """Both together, for descriptions that do not contradict each other."""
+        """Both descriptions combined; they must not contradict each other."""
         return Description(
             self.size or other.size,
             self.color or other.color,
             self.shape or other.shape,
-            self.unknown_person or other.unknown_person,
+            self.unknown_word or other.unknown_word,
             self.hedged or other.hedged,
         )
 
@@ -51,12 +51,12 @@ Kind = Literal["gate", "refusal", "unsure"]
 
 @dataclass(frozen=True, slots=True)
 class _Finding:
-    """What one sentence comes to."""
+    """The meaning of one sentence."""
 
     kind: Kind
     gates: tuple[Description, ...] = ()
     conclusive: bool = False
-    """Says what to do, and not only what is seen."""
+    """Says what to do, not only what is seen."""
     descriptive: bool = False
 
 
@@ -74,7 +74,7 @@ _MORE_WORDS: dict[str, Description] = {
     "greenish": Description(color="green"),
     "bluish": Description(color="blue"),
 }
-_STRANGERS = _words(
+_UNKNOWN_WORDS = _words(
     "yellow orange purple violet pink black white gray grey brown cyan magenta gold golden silver turquoise"
     " hexagon hexagonal pentagon pentagonal octagon octagonal oval ellipse elliptical star diamond heart rhombus"
     " trapezoid cross crescent"
@@ -129,7 +129,7 @@ _CLAUSE = re.compile(r",|\b(?:but|so|therefore|thus|hence|while|whereas|because|
 
 
 def describe(words: str) -> Description | None:
-    """What a few words alone, such as the value of a JSON field, say; none where it is nothing or contradictory."""
+    """The gate described by a few words, such as the value of a JSON field; none if they say nothing or contradict."""
     found = Description()
     for word in re.findall(r"[a-z]+", words.lower()):
         part = _describe_word(word)
@@ -144,14 +144,14 @@ def describe(words: str) -> Description | None:
 def read_sentences(text: str) -> Description:
     """The gate that sentences conclude with.
 
-    The last sentence that says what to do, or that it cannot be told, or refuses, counts; where there is none, what the
-    others say, as far as they agree. Raises `ReasonerError`.
+    The last sentence that says what to do, admits that the model cannot tell, or refuses, counts. Without one, the
+    other sentences count as far as they agree. Raises `ReasonerError`.
     """
     found = [finding for sentence in _sentences(text) if (finding := _read_sentence(sentence)) is not None]
     firm = [finding for finding in found if finding.conclusive or finding.kind != "gate"]
     plain = [finding for finding in found if not finding.descriptive]
     if not found:
-        raise ReasonerError("garbage", f"the reply says nothing of a gate: {_begin(text)}")
+        raise ReasonerError("garbage", f"the reply does not mention a gate: {_begin(text)}")
     last = firm[-1] if firm else plain[-1] if plain else found[-1]
     if firm and plain and plain[-1] is found[-1]:
         last = found[-1]
@@ -165,18 +165,18 @@ def read_sentences(text: str) -> Description:
     if len(gates) > 1:
         raise ReasonerError("unsure", f"the reply names several gates: {_begin(text)}")
     gate = gates[0]
-    if gate.unknown_person is not None:
-        raise ReasonerError("no_such_gate", f"no gate is {gate.unknown_person!r}, the reply says so: {_begin(text)}")
+    if gate.unknown_word is not None:
+        raise ReasonerError("no_such_gate", f"no gate is {gate.unknown_word!r}: {_begin(text)}")
     return _with_details(gate, found)
 
 
 def _with_details(gate: Description, found: list[_Finding]) -> Description:
-    """A gate named by its color with what other sentences say of the one of that color; colors differ in a task."""
+    """A gate named by color, completed by other sentences about that color; colors are unique within a task."""
     if gate.color is None:
         return gate
     for finding in found:
         for other in finding.gates:
-            if other.color == gate.color and other.unknown_person is None and other.adds_to(gate):
+            if other.color == gate.color and other.unknown_word is None and other.adds_to(gate):
                 gate = gate.merged(replace(other, hedged=False))
     return gate
 
@@ -207,20 +207,20 @@ def _read_sentence(sentence: str) -> _Finding | None:
 
 
 def _gates(sentence: str) -> tuple[Description, ...]:
-    """The distinct gates that a sentence names; where it concludes ("..., so the green one"), those after it."""
+    """The distinct gates that a sentence names; with a conclusion ("..., so the green one"), only those in it."""
     clauses = _clauses(sentence)
     for index in range(len(clauses) - 1, 0, -1):
         if clauses[index].lstrip().startswith(("so ", "therefore", "thus", "hence")):
             after = _distinct(_mentions(" ".join(clauses[index:])))
             if after:
                 return after
-    # "The green one because the red gate shows a cat": reasons tell of other gates.
+    # "The green one because the red gate shows a cat": reasons describe other gates.
     firm = [clause for clause in clauses if not clause.startswith(("because", "since", "while", "whereas"))]
     return _distinct(_mentions(" ".join(firm))) or _distinct(_mentions(" ".join(clauses)))
 
 
 def _clauses(sentence: str) -> list[str]:
-    """The clauses with the words that join them, without those that say what is not."""
+    """The clauses with their conjunctions, without negated ones."""
     starts = [0, *(match.start() for match in _CLAUSE.finditer(sentence)), len(sentence)]
     pieces = [sentence[a:b] for a, b in pairwise(starts)]
     kept = []
@@ -233,7 +233,7 @@ def _clauses(sentence: str) -> list[str]:
 
 
 def _distinct(mentions: list[Description]) -> tuple[Description, ...]:
-    """Mentions merged with earlier ones that they add to."""
+    """Mentions, each merged with the first that it does not contradict."""
     gates: list[Description] = []
     for mention in mentions:
         for index, gate in enumerate(gates):
@@ -274,7 +274,7 @@ def _belongs(word: str) -> bool:
 def _read_run(run: list[str], after: str | None, panel_of_gate: bool, panel: bool) -> list[Description]:
     """The descriptions in a run of words that may describe a gate.
 
-    `panel`: the run follows a word about panels; `panel_of_gate`: and a gate has been named before that.
+    `panel`: the run follows a word about panels; `panel_of_gate`: and a gate was named before that word.
     """
     has_noun = any(word in _GATE_NOUNS or word in _PART_NOUNS for word in run)
     if panel_of_gate and not any(word in _PART_NOUNS or word == "frame" for word in run):
@@ -284,7 +284,7 @@ def _read_run(run: list[str], after: str | None, panel_of_gate: bool, panel: boo
     split = next((i for i, word in enumerate(run) if word in ("with", "has") and i > 0), len(run))
     rest = run[split:]
     if rest and not any(word in _PART_NOUNS or word == "frame" for word in rest):
-        # "gate with the red" goes on with what is on the panel; "gate with a red frame" with the gate.
+        # "gate with the red" continues with the panel; "gate with a red frame" with the gate.
         run, after = run[:split], "with"
     found: list[Description] = []
     ends_in_noun = False
@@ -304,16 +304,16 @@ def _read_run(run: list[str], after: str | None, panel_of_gate: bool, panel: boo
         return []
     found.append(current)
     is_gate = ends_in_noun or closed or after is None or after in _NO_NOUN or after.isdigit()
-    # A word that is no noun of a gate and follows a shape may still be one of the panel: "the green triangle hat".
+    # A word after a shape that is not a noun for a gate may still belong to the panel: "the green triangle hat".
     if not ends_in_noun and after is not None and after not in _NO_NOUN and not after.isdigit():
         is_gate = closed and after in ("number", "labeled", "labelled")
     return found if is_gate else []
 
 
 def _describe_word(word: str) -> Description | None:
-    """What one word says of a gate; none where it says nothing."""
-    if word in _STRANGERS:
-        return Description(unknown_person=word)
+    """The part of a gate that a word names; none if it names none."""
+    if word in _UNKNOWN_WORDS:
+        return Description(unknown_word=word)
     if word in _MORE_WORDS:
         return _MORE_WORDS[word]
     size, color, shape = parse_directive(word)

@@ -1,8 +1,8 @@
-"""The small reasoner: reads the scene, remembers what it has read, calculates, and says which gate is meant.
+"""The small reasoner: a panel reader, memory, arithmetic and a gate selector.
 
-Nothing that it uses is privileged: frames, the instruction, and what it answered before. Of several frames it averages
-what it reads, gate by gate: gates of a task differ in colour, so their colour tells which is which. Of earlier stages
-it keeps what their panels showed and which gate it sent the drone to.
+It uses no privileged state: only frames, the instruction and its own earlier answers. Readings of several frames are
+averaged per gate; the gates of a task differ in colour, which identifies them. From earlier stages it remembers what
+the panels showed and which gate it chose.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from cognitivedrone.tasks.matching import asked_concepts, asked_kinds
 from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate, Guidance, Image
 
 LARGEST_VALUE = 20
-_SEEN = 0.3  # score from which a gate or board counts as there
-_UNSURE = 0.4  # a choice that is less likely than this is none
-_LEGIBLE_PX = 8.0  # panels lower than this tell nothing
+_SEEN = 0.3  # minimum score of a visible gate or board
+_UNSURE = 0.4  # a choice less likely than this is no answer
+_LEGIBLE_PX = 8.0  # panels lower than this are illegible
 _STAGES = REMEMBERED // 3
 
 Floats = NDArray[np.float32]
@@ -43,21 +43,21 @@ Floats = NDArray[np.float32]
 
 @dataclass
 class _Gate:
-    """What is known of one gate, from all frames so far; sums, weighted by how well each was seen."""
+    """Readings of one gate from all frames so far: sums, weighted by how well each was seen."""
 
     looks: Floats
     attributes: Floats
     weight: float = 0.0
     u: float = 0.0
-    """Where it was seen last, pixels from the left."""
+    """Its last position in the image, pixels from the left."""
 
 
 @dataclass
 class _Stage:
-    """What is known of a stage."""
+    """Readings of one stage."""
 
     board: Floats
-    """Facets, weighted as a gate's are."""
+    """Attributes of the board, weighted as a gate's."""
     board_weight: float = 0.0
     gates: dict[int, _Gate] = field(default_factory=dict)
     """By colour."""
@@ -69,7 +69,7 @@ class SmallReasoner(Reasoner):
     """The packaged reasoner, or the one in a folder with `panel_reader.onnx` and `gate_selector.onnx`."""
 
     def __init__(self, folder: Path | str | None = None) -> None:
-        """Raises `ModelError` where a file is missing, or the two do not belong together."""
+        """Raises `ModelError` if a file is missing, or the two files do not belong together."""
         place = _place_of(folder)
         self.reader = PanelReaderModel.load(_file(place, READER_FILE))
         self.selector = GateSelectorModel.load(_file(place, SELECTOR_FILE))
@@ -82,18 +82,17 @@ class SmallReasoner(Reasoner):
         self._stage = self._new()
         self._earlier: list[list[tuple[Floats, int]]] = []
         self._named: dict[str, NDArray[np.intp] | None] = {}
-        """Facets that the newest instruction names."""
+        """Attributes that the latest instruction names."""
 
     @classmethod
     def file_of(cls, folder: Path | str | None = None) -> Path:
-        """The panel reader's file, which identifies the reasoner in a run; raises `ModelError` where it is missing."""
+        """The panel reader's file, which identifies the reasoner in a run; raises `ModelError` if it is missing."""
         return _file(_place_of(folder), READER_FILE)
 
     def reset(self, context: EpisodeContext) -> None:
-        """Forget everything for a new flight.
+        """Forget everything at the start of a flight.
 
-        Of one that goes on, remember the stage that has ended: what its panels showed, and which gate was flown
-        through.
+        At a later stage, remember the previous one: what its panels showed, and which gate was flown through.
         """
         if context.stage == 0:
             self._stage, self._earlier = self._new(), []
@@ -104,11 +103,11 @@ class SmallReasoner(Reasoner):
         self._stage = self._new()
 
     def refine(self, image: Image, instruction: str) -> Guidance:
-        """The directive for the gate that is meant, by all that was seen of this stage so far.
+        """The directive for the selected gate, from all frames of this stage so far.
 
-        Raises `ReasonerError` where fewer than three gates were seen yet, or none is likely enough.
+        Raises `ReasonerError` if fewer than three gates have been seen, or none is likely enough.
         """
-        self._look(self.reader.see(image))
+        self._add(self.reader.see(image))
         gates = _by_place(self._stage)
         if len(gates) < 3:
             raise ReasonerError("unsure", f"only {len(gates)} of 3 gates have been in view")
@@ -137,14 +136,14 @@ class SmallReasoner(Reasoner):
         return Guidance(directive, best, float(chosen[best]), present=self._presence(instruction, panels))
 
     def _presence(self, instruction: str, panels: Floats) -> float | None:
-        """How likely one of the panels (n, F) shows what the instruction names; none where no word tells what."""
+        """Probability that one of the panels (n, F) shows what the instruction names; none if it names nothing."""
         if instruction not in self._named:
             self._named = {instruction: self._attributes_named(instruction)}
         named = self._named[instruction]
         return None if named is None else min(1.0, float(panels[:, named].sum(axis=1).max()))
 
     def _attributes_named(self, instruction: str) -> NDArray[np.intp] | None:
-        """Of the things, or else the kinds, that an instruction names, and of kinds that can show anything."""
+        """Attributes of the things, or else the kinds, that an instruction names, and of kinds that show anything."""
         if calculate(instruction) is not None:
             instruction = "the number"
         kinds, concepts = asked_kinds(instruction), asked_concepts(instruction)
@@ -163,31 +162,31 @@ class SmallReasoner(Reasoner):
     def _new(self) -> _Stage:
         return _Stage(np.zeros(len(self._names), np.float32))
 
-    def _look(self, panel_encoder: PanelReading) -> None:
-        """Add a frame to what is known."""
-        known = self._probabilities(panel_encoder.attributes)
+    def _add(self, reading: PanelReading) -> None:
+        """Add the readings of a frame."""
+        known = self._probabilities(reading.attributes)
         for slot in range(3):
-            u, _, height, score = panel_encoder.boxes[slot].tolist()
+            u, _, height, score = reading.boxes[slot].tolist()
             if score < _SEEN:
                 continue
-            color = int(panel_encoder.looks[slot, : len(COLORS)].argmax())
+            color = int(reading.looks[slot, : len(COLORS)].argmax())
             legible = height >= _LEGIBLE_PX
-            # Nearer is clearer; what was hardly read must not drown what was.
+            # Nearer is clearer; illegible readings must not outweigh legible ones.
             weight = score * (min(height, 60.0) if legible else 0.01)
             gate = self._stage.gates.setdefault(
                 color, _Gate(np.zeros(LOOKS, np.float32), np.zeros(len(self._names), np.float32))
             )
-            gate.looks += weight * panel_encoder.looks[slot]
+            gate.looks += weight * reading.looks[slot]
             gate.attributes += weight * known[slot]
             gate.weight += weight
             gate.u = u
-        if panel_encoder.boxes[3, 3] >= 0.5:
-            weight = float(panel_encoder.boxes[3, 3] * panel_encoder.boxes[3, 2])
+        if reading.boxes[3, 3] >= 0.5:
+            weight = float(reading.boxes[3, 3] * reading.boxes[3, 2])
             self._stage.board += weight * known[3]
             self._stage.board_weight += weight
 
     def _probabilities(self, logits: Floats) -> Floats:
-        """Probabilities (n, F) of facets, where only those groups count that tell something of a picture's kind."""
+        """Probabilities (n, F) of attributes; each group is weighted by the probability of the kinds it applies to."""
         shares = np.zeros_like(logits)
         for span in self._groups.values():
             part = np.exp(logits[:, span] - logits[:, span].max(axis=1, keepdims=True))
@@ -204,7 +203,7 @@ class SmallReasoner(Reasoner):
         return board
 
     def _sum_of(self, attributes: Floats) -> int | None:
-        """The value of the sum that a panel or board shows; none where it shows none."""
+        """The value of the sum that a panel or board shows; none if it shows none."""
         kind = self._names[self._best("kind", attributes)]
         if kind != "kind/sum" or attributes[self._groups["kind"]].max() < 0.3:
             return None
@@ -235,24 +234,24 @@ _KINDS_OF = {
     **dict.fromkeys(_SUM, ("sum",)),
     **dict.fromkeys(("thing_a", "count_a", "thing_b", "count_b"), ("several",)),
 }
-"""Kinds of picture of which a group tells something; the other groups tell of people."""
+"""Kinds of picture that a group of attributes applies to; the other groups apply to people."""
 
 
 def _attribute_of(label: str) -> str:
-    """The facet of a label `kind/concept`."""
+    """The attribute of a label `kind/concept`."""
     kind, _, concept = label.partition("/")
     return f"concept/{'thing' if kind in _THINGS else kind}:{concept}"
 
 
 def value_index(value: int | None) -> int:
-    """How the mind is told a number: itself from 0 to 20, else 21 for larger, 22 for none, 23 for negative ones."""
+    """A number's index in the gate selector's input: 0 to 20 as is, 21 for larger, 22 for none, 23 for negative."""
     if value is None:
         return LARGEST_VALUE + 2
     return LARGEST_VALUE + 3 if value < 0 else min(value, LARGEST_VALUE + 1)
 
 
 def gate_of(looks: Floats) -> Gate:
-    """The gate that probabilities (8,) of colours, shapes and sizes describe."""
+    """The most likely gate, from probabilities (8,) of colours, shapes and sizes."""
     color, shape, size = np.split(looks, [len(COLORS), len(COLORS) + len(SHAPES)])
     return Gate(SIZES[int(size.argmax())], SHAPES[int(shape.argmax())], COLORS[int(color.argmax())])
 
@@ -266,13 +265,13 @@ def _place_of(folder: Path | str | None) -> Path:
     place = Path(folder or str(resources.files("cognitivedrone.models") / "weights" / "reasoner"))
     if not all(_file(place, name).is_file() for name in (READER_FILE, SELECTOR_FILE)):
         raise ModelError(
-            f"there is no {READER_FILE} and {SELECTOR_FILE} in {place}; reinstall cognitivedrone, or train them with"
+            f"{READER_FILE} or {SELECTOR_FILE} is missing in {place}; reinstall cognitivedrone, or train them with"
             " `cognitivedrone train --recipe reader` and `--recipe selector`"
         )
     return place
 
 
 def _file(place: Path, name: str) -> Path:
-    """A file of the reasoner, by its name or by the one that it had before."""
+    """A file of the reasoner, by its name or its former name."""
     former = place / FORMER_FILES[name]
     return former if former.is_file() and not (place / name).is_file() else place / name

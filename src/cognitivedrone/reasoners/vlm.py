@@ -1,7 +1,7 @@
-"""The VLM reasoner: asks a vision-language model behind an OpenAI-compatible chat API.
+"""The VLM reasoner: asks a vision-language model through an OpenAI-compatible chat API.
 
-One request an answer: the frame as a PNG, the prompt, and the JSON schema that the server is to keep to. Whatever goes
-wrong on the way is a `ReasonerError` of its kind, and the flight goes on. Servers: see docs/vlm.md.
+One request per answer: the frame as PNG, the prompt, and the JSON schema of the answer. Any failure is a
+`ReasonerError` of its kind, and the flight continues. Servers: see docs/vlm.md.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from cognitivedrone.types import Guidance, Image
 DEFAULT_URL = "http://127.0.0.1:8000/v1"
 DEFAULT_TIMEOUT_S = 2.0
 MAX_RESPONSE_BYTES = 256 * 1024
-"""Most that is read of a response; one of this API with 40 tokens has about 1 kB."""
+"""Maximum size of a response; one with 40 tokens has about 1 kB."""
 CHECK_TIMEOUT_S = 10.0
 RETRIES = 2
 FIRST_WAIT_S = 0.1
-"""Before the first retry; doubled before the next."""
+"""Wait before the first retry; doubled before the next."""
 
 _BUSY = (429, 500, 502, 503, 504)
 _REFUSED_FORMAT = (400, 422)
@@ -47,12 +47,11 @@ _REFUSED_FORMAT = (400, 422)
 class Vlm(Reasoner):
     """Image and instruction to a vision-language model's answer.
 
-    `url` is the base URL of the server, `timeout` in s, `prompt` a file with a prompt of your own. The environment
-    fills in the rest: COGNITIVEDRONE_VLM_URL, COGNITIVEDRONE_VLM_MODEL and COGNITIVEDRONE_VLM_KEY; where no URL is
-    given by either, OPENAI_BASE_URL with OPENAI_API_KEY. The key comes from the environment alone, so that no result
-    tells it.
+    `url` is the base URL of the server, `timeout` in s, `prompt` a file with your own prompt. The environment supplies
+    the rest: COGNITIVEDRONE_VLM_URL, COGNITIVEDRONE_VLM_MODEL and COGNITIVEDRONE_VLM_KEY; without any URL,
+    OPENAI_BASE_URL with OPENAI_API_KEY. The key comes only from the environment, so that it never appears in results.
 
-    Raises `ServerError` for an argument that does not do, `MissingExtra` where httpx is not installed.
+    Raises `ServerError` for an invalid argument, `MissingExtra` if httpx is not installed.
     """
 
     def __init__(
@@ -67,7 +66,7 @@ class Vlm(Reasoner):
         self._model = model or os.environ.get("COGNITIVEDRONE_VLM_MODEL") or ""
         if not self._model:
             raise PluginError(
-                "reasoner 'vlm' needs a model's name: 'vlm:URL,model=NAME', or COGNITIVEDRONE_VLM_MODEL set"
+                "reasoner 'vlm' needs a model name: write vlm:URL,model=NAME, or set COGNITIVEDRONE_VLM_MODEL"
             )
         self._timeout = _checked(timeout)
         self._template = load_prompt(prompt)
@@ -77,7 +76,7 @@ class Vlm(Reasoner):
         headers = {"Accept-Encoding": "identity"}
         if self._key:
             headers["Authorization"] = f"Bearer {self._key}"
-        # A proxy of the environment has no business with a server on this machine.
+        # A proxy from the environment must not be used for a server on this machine.
         local = urlsplit(self._url).hostname in ("127.0.0.1", "localhost", "::1")
         self._client = self._httpx.Client(headers=headers, follow_redirects=False, trust_env=not local)
 
@@ -87,8 +86,8 @@ class Vlm(Reasoner):
     def refine(self, image: Image, instruction: str) -> Guidance:
         """The gate that the model names for `image`, (H, W, 3) uint8 RGB; raises `ReasonerError`.
 
-        Retries included it takes no longer than the timeout, save that a server which has begun to answer and falls
-        silent is waited for once more. The first failure of each kind is warned of.
+        Takes at most the timeout, retries included, except that a server that stalls in the middle of a response may
+        take that long again. Warns about the first failure of each kind.
         """
         try:
             return read_reply(self._ask(image, instruction))
@@ -96,7 +95,7 @@ class Vlm(Reasoner):
             if error.kind not in self._warned:
                 self._warned.add(error.kind)
                 warnings.warn(
-                    f"reasoner vlm, {error.kind}: {error} (the flight goes on; this kind is said once)",
+                    f"reasoner vlm, {error.kind}: {error} (the flight continues; this kind is shown once)",
                     RuntimeWarning,
                     stacklevel=2,
                 )
@@ -105,8 +104,7 @@ class Vlm(Reasoner):
     def check(self) -> None:
         """Ask the server for its models, before take-off.
 
-        Raises `ServerError` where it is down, does not take the key, or does not have the model. A server without such
-        a list passes.
+        Raises `ServerError` if it is down, rejects the key, or lacks the model. A server without such a list passes.
         """
         try:
             status, body = self._exchange("GET", "/models", None, time.monotonic() + CHECK_TIMEOUT_S)
@@ -137,8 +135,8 @@ class Vlm(Reasoner):
         request = self._request(image, instruction)
         status, body = self._post(request, deadline)
         if status in _REFUSED_FORMAT and self._constrain:
-            # Some servers do not know response_format. What they say of it differs, so it is tried without, and
-            # remembered where that helps.
+            # Some servers do not support response_format, and their errors differ. Retry without it, and remember if
+            # that helps.
             del request["response_format"]
             status, body = self._post(request, deadline)
             self._constrain = status != 200
@@ -167,7 +165,7 @@ class Vlm(Reasoner):
         return request
 
     def _post(self, request: dict[str, Any], deadline: float) -> tuple[int, bytes]:
-        """Status and body, after retries where the server is away or busy and time is left."""
+        """Status and body; retries while the server is unreachable or busy and time is left."""
         wait = FIRST_WAIT_S
         for attempt in range(RETRIES + 1):
             last = attempt == RETRIES or time.monotonic() + wait >= deadline
@@ -184,7 +182,7 @@ class Vlm(Reasoner):
         return status, body
 
     def _exchange(self, method: str, path: str, request: dict[str, Any] | None, deadline: float) -> tuple[int, bytes]:
-        """Status and body of one request; raises `ReasonerError` where they do not come in time or in reason."""
+        """Status and body of one request; raises `ReasonerError` if the response is late, too large or missing."""
         left = deadline - time.monotonic()
         if left <= 0:
             raise self._too_late()
@@ -208,7 +206,7 @@ class Vlm(Reasoner):
             ) from None
 
     def _too_late(self) -> ReasonerError:
-        return ReasonerError("timeout", f"{self._url} gave no whole answer in time; raise it with timeout=SECONDS")
+        return ReasonerError("timeout", f"{self._url} did not answer in time; allow more with timeout=SECONDS")
 
     def _http_fault(self, status: int, body: bytes) -> ReasonerError:
         if status in (401, 403):
@@ -221,19 +219,19 @@ class Vlm(Reasoner):
 
     def _key_advice(self, status: int) -> str:
         if self._key:
-            return f"does not take the key ({status}); is COGNITIVEDRONE_VLM_KEY the one for it?"
-        return f"asks for a key ({status}); set COGNITIVEDRONE_VLM_KEY in the environment"
+            return f"rejects the key ({status}); check COGNITIVEDRONE_VLM_KEY"
+        return f"requires a key ({status}); set COGNITIVEDRONE_VLM_KEY in the environment"
 
     def _quote(self, body: bytes) -> str:
         return quote(self._hide(body[:2000].decode("utf-8", "replace")))
 
     def _hide(self, text: str) -> str:
-        """A server's words without the key, which some repeat."""
+        """A server's text without the key, which some servers echo."""
         return text.replace(self._key, "***") if self._key else text
 
 
 def _server(url: str | None) -> tuple[str, str]:
-    """Base URL and key. The key of OPENAI_API_KEY goes nowhere but to OPENAI_BASE_URL."""
+    """Base URL and key. The key in OPENAI_API_KEY is only sent to OPENAI_BASE_URL."""
     key = os.environ.get("COGNITIVEDRONE_VLM_KEY", "")
     url = url or os.environ.get("COGNITIVEDRONE_VLM_URL")
     if not url and (url := os.environ.get("OPENAI_BASE_URL")):
@@ -245,19 +243,19 @@ def _server(url: str | None) -> tuple[str, str]:
     except ValueError:
         valid = False
     if not valid:
-        raise PluginError(f"reasoner 'vlm': {url!r} is no base URL of a server; it looks like {DEFAULT_URL}")
+        raise PluginError(f"reasoner 'vlm': {url!r} is not a base URL; expected one such as {DEFAULT_URL}")
     if parts.username or parts.password:
         raise PluginError(
-            "reasoner 'vlm': a password in the URL would land in results; set COGNITIVEDRONE_VLM_KEY instead"
+            "reasoner 'vlm': a password in the URL would appear in results; set COGNITIVEDRONE_VLM_KEY instead"
         )
     if not key.isascii() or not key.isprintable():
-        raise PluginError("COGNITIVEDRONE_VLM_KEY holds characters that no key has; was a line break copied with it?")
+        raise PluginError("COGNITIVEDRONE_VLM_KEY contains invalid characters; was a line break copied with it?")
     return url, key
 
 
 def _checked(timeout: float) -> float:
     if not 0 < timeout <= 600:
-        raise PluginError(f"reasoner 'vlm': timeout={timeout:g} is no number of seconds from 0 to 600")
+        raise PluginError(f"reasoner 'vlm': timeout={timeout:g}; it must be above 0 and at most 600 seconds")
     return timeout
 
 
@@ -270,7 +268,7 @@ def _model_names(body: bytes) -> list[str]:
 
 
 def _answer_text(body: bytes) -> str:
-    """The model's words in a response of the chat API; raises `ReasonerError`."""
+    """The model's text in a response of the chat API; raises `ReasonerError`."""
     text = body.decode("utf-8", "replace")
     try:
         response = json.loads(text)

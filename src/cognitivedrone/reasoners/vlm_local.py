@@ -1,7 +1,7 @@
 """The local VLM reasoner: Qwen2.5-VL or Qwen3-VL in this process, through Transformers.
 
-The inputs are put together here from the image processor and the tokenizer: the combined processor of Transformers 5
-also loads one for videos, which asks for torchvision even where there is no video.
+The inputs are assembled here from the image processor and the tokenizer: the combined processor of Transformers 5 also
+loads a video processor, which requires torchvision even without any video.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ FAMILIES: dict[str, str] = {
     "qwen3_vl": "",
     "qwen3_vl_moe": "",
 }
-"""What a conversation begins with in each family, by the `model_type` of its configuration; from its chat template."""
+"""Start of a conversation in each family, by the configuration's `model_type`; from its chat template."""
 IMAGE_TOKEN = "<|image_pad|>"  # noqa: S105 - a word of the model's vocabulary
 _OPENING = "<|im_start|>user\n<|vision_start|>"
 _AFTER_IMAGE = "<|vision_end|>"
@@ -31,10 +31,10 @@ _CLOSING = "<|im_end|>\n<|im_start|>assistant\n"
 class LocalVlm(Reasoner):
     """Image and instruction to the answer of a model in this process.
 
-    `model` is a folder, or a name on the hub. Nothing is downloaded unless `download` is true; weights are read from
-    safetensors, and no code that comes with a model is run.
+    `model` is a folder, or a name on the hub. Nothing is downloaded unless `download` is true. Weights are read from
+    safetensors, and code shipped with a model is never run.
 
-    Raises `ModelError` for an argument that does not do or a model that cannot be loaded, `MissingExtra`.
+    Raises `ModelError` for an invalid argument or a model that cannot be loaded, `MissingExtra` for a missing package.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class LocalVlm(Reasoner):
         return read_reply(self.answer(image, instruction))
 
     def answer(self, image: Image, instruction: str) -> str:
-        """The model's words: greedy decoding of at most 40 tokens; raises `ReasonerError` for the instruction."""
+        """The model's text, greedily decoded, at most 40 tokens; raises `ReasonerError` for an invalid instruction."""
         inputs = self.inputs(image, instruction)
         with self._torch.inference_mode():
             tokens = self._model.generate(**inputs, generation_config=self._decoding)
@@ -78,14 +78,14 @@ class LocalVlm(Reasoner):
         return str(self._tokenizer.decode(answered, skip_special_tokens=True))
 
     def inputs(self, image: Image, instruction: str) -> dict[str, Any]:
-        """What the model gets, as tensors of one row.
+        """The model's inputs, as tensors with one row.
 
-        Raises `ReasonerError` where the instruction is empty or too long.
+        Raises `ReasonerError` if the instruction is empty or too long.
         """
         seen = self._image_processor(images=[image], return_tensors="pt", input_data_format="channels_last")
         merged = self._image_processor.merge_size**2
         patches = int(seen["image_grid_thw"][0].prod()) // merged
-        # The user's words are words: a "<|im_end|>" among them must not end the conversation.
+        # The instruction is plain text: a "<|im_end|>" in it must not end the conversation.
         words = self._encode(write_prompt(self._template, instruction), special=False)
         before = self._encode(self._beginning + _OPENING)
         after = self._encode(_AFTER_IMAGE) + words + self._encode(_CLOSING)
@@ -120,7 +120,7 @@ class LocalVlm(Reasoner):
             name, config=config, dtype=getattr(self._torch, dtype), use_safetensors=True, **extra, **loading
         )
         self._model = (model if bits else model.to(device)).eval()
-        # A configuration of its own: those that come with models ask for sampling.
+        # Our own configuration: those shipped with models enable sampling.
         self._decoding = library.GenerationConfig(
             max_new_tokens=MAX_TOKENS,
             do_sample=False,
@@ -130,7 +130,7 @@ class LocalVlm(Reasoner):
 
 
 def _quantised(library: Any, torch: Any, bits: int, device: Any) -> dict[str, Any]:
-    """What loading in 8 or 4 bits takes; raises `MissingExtra`."""
+    """Loading arguments for 8 or 4 bits; raises `MissingExtra`."""
     for package in ("bitsandbytes", "accelerate"):
         if importlib.util.find_spec(package) is None:
             raise MissingExtra(package, "vlm-local")

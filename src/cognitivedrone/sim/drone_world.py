@@ -1,4 +1,4 @@
-"""What a track is flown in: one simulated world with one drone, a camera and a gate monitor, whoever simulates it."""
+"""`DroneWorld`: the interface of a simulated world with one drone, a camera and a gate monitor."""
 
 from __future__ import annotations
 
@@ -48,17 +48,17 @@ class DroneWorld(Protocol):
 
     @property
     def hull_radius(self) -> float:
-        """Of the drone's bounding sphere, m."""
+        """Radius of the drone's bounding sphere, m."""
         ...
 
     @property
     def gate_monitor(self) -> GateMonitor:
-        """Of the stage at hand; raises `ValueError` before the first `begin`."""
+        """The gate monitor of the current stage; raises `ValueError` before the first `begin`."""
         ...
 
     @property
     def diverged(self) -> bool:
-        """Whether the flight can no longer be judged; the world then stands still until it is begun anew."""
+        """Whether the flight can no longer be judged; the world then stands still until the next `begin`."""
         ...
 
     def begin(self, stage: Stage, scenery: Scenery, start: Start) -> None:
@@ -74,7 +74,7 @@ class DroneWorld(Protocol):
         ...
 
     def advance(self, ticks: int = TICKS_PER_CONTROL) -> GateEvent | None:
-        """Fly on by ticks of `Flight.TICK_S`; what happened at the gates."""
+        """Advance by ticks of `Flight.TICK_S`; returns what happened at the gates."""
         ...
 
     def frame(self) -> Image:

@@ -6,6 +6,7 @@ from cognitivedrone.tasks.format import read_tasks, task_from_json, task_to_json
 from cognitivedrone.tasks.racing import race_task
 from cognitivedrone.tasks.suites import (
     SUITES,
+    TEST_ONLY,
     UNLIMITED,
     Suite,
     load_suite,
@@ -22,6 +23,7 @@ __all__ = [
     "HARD_FAMILIES",
     "SUITES",
     "TASKS",
+    "TEST_ONLY",
     "UNLIMITED",
     "Suite",
     "load_suite",

@@ -1,5 +1,7 @@
 """Generates the fixed suites: `python -m cognitivedrone.tasks.build [FOLDER]` writes the same files every time.
 
+Suites written by hand (`AUTHORED`) are not among them; `suite_text` gives their files the same form.
+
 Positions of the right answer and looks of the gates are dealt from shuffled cycles, not drawn independently: over a
 suite, and over every family in it, positions, colours, shapes and sizes are as equally frequent as possible.
 """
@@ -9,7 +11,7 @@ from __future__ import annotations
 import itertools
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
@@ -21,7 +23,7 @@ from cognitivedrone.tasks.format import task_to_json
 from cognitivedrone.tasks.generate import HELD_OUT, TRAIN, Draw, Pools, Puzzle
 from cognitivedrone.tasks.memory import memory_track
 from cognitivedrone.tasks.racing import INSTRUCTIONS, single_gate
-from cognitivedrone.tasks.suites import FIXED, VERSION, digest_of, finish
+from cognitivedrone.tasks.suites import BUILT, digest_of, file_of, finish
 from cognitivedrone.types import CATEGORIES, COLORS, SHAPES, SIZES, Gate, Task, Track
 
 T = TypeVar("T")
@@ -90,12 +92,13 @@ class Dealer:
 
 
 def build_suite(name: str) -> list[Track]:
-    """The tracks of a fixed suite."""
-    rng = np.random.default_rng([2, FIXED.index(name)])
+    """The tracks of a suite of `BUILT`."""
+    rng = np.random.default_rng([2, BUILT.index(name)])
     dealer = Dealer(rng)
-    tracks = _races(dealer) if name == "race" else _choices(name, rng, dealer)
+    bare = name.partition(":")[2]
+    tracks = _races(dealer) if bare == "race" else _choices(bare, rng, dealer)
     ids = iter(range(sum(map(len, tracks))))
-    return [tuple(replace(task, id=f"{VERSION}:{name}/{next(ids):04d}") for task in track) for track in tracks]
+    return [tuple(replace(task, id=f"{name}/{next(ids):04d}") for task in track) for track in tracks]
 
 
 def _choices(name: str, rng: np.random.Generator, dealer: Dealer) -> list[list[Task]]:
@@ -167,18 +170,19 @@ def _shuffled(rng: np.random.Generator, items: list[T]) -> list[T]:
     return [items[i] for i in rng.permutation(len(items))]
 
 
-def suite_text(name: str) -> str:
+def suite_text(name: str, tracks: Iterable[Track]) -> str:
     """The file of a fixed suite: its digest, and one task per line."""
-    tracks = [[task_to_json(task) for task in track] for track in build_suite(name)]
-    lines = ",\n".join("[" + ",\n".join(json.dumps(task, separators=(",", ":")) for task in t) + "]" for t in tracks)
-    return f'{{"name":"{VERSION}:{name}","digest":"{digest_of(tracks)}","tracks":[\n{lines}\n]}}\n'
+    content = [[task_to_json(task) for task in track] for track in tracks]
+    lines = ",\n".join("[" + ",\n".join(json.dumps(task, separators=(",", ":")) for task in t) + "]" for t in content)
+    return f'{{"name":"{name}","digest":"{digest_of(content)}","tracks":[\n{lines}\n]}}\n'
 
 
 def main(folder: Path) -> None:
-    """Write every fixed suite into a folder."""
-    for name in FIXED:
-        path = folder / f"{name}.json"
-        path.write_text(suite_text(name), encoding="utf-8")
+    """Write every suite of `BUILT` into a folder."""
+    for name in BUILT:
+        path = folder / file_of(name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(suite_text(name, build_suite(name)), encoding="utf-8")
         sys.stdout.write(f"{path}\n")
 
 

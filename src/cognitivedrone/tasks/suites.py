@@ -1,4 +1,4 @@
-"""Suites: named, hashed lists of tracks. `train` is generated on demand, the others are committed files."""
+"""Suites: named, hashed lists of tracks. `open-v1:train` is generated on demand, the others are committed files."""
 
 from __future__ import annotations
 
@@ -24,8 +24,14 @@ from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task, Track
 
 VERSION = "open-v1"
 TRAIN_NAME = f"{VERSION}:train"
-FIXED: tuple[str, ...] = ("test", "unseen", "smoke", "track", "hard", "race")
-SUITES: tuple[str, ...] = tuple(f"{VERSION}:{name}" for name in ("train", *FIXED))
+BUILT: tuple[str, ...] = tuple(f"{VERSION}:{name}" for name in ("test", "unseen", "smoke", "track", "hard", "race"))
+"""Fixed suites that `tasks.build` generates."""
+AUTHORED: tuple[str, ...] = ("open-v2:words",)
+"""Fixed suites written by hand: their files are the source."""
+FIXED: tuple[str, ...] = BUILT + AUTHORED
+SUITES: tuple[str, ...] = (TRAIN_NAME, *FIXED)
+TEST_ONLY: frozenset[str] = frozenset(AUTHORED)
+"""Suites that no training data may be collected from."""
 DEFAULT_TRAIN_SIZE = 300
 UNLIMITED = 10**9
 """A size beyond any suite file or training run: requests all available tasks."""
@@ -170,7 +176,10 @@ def track_at(suite: Suite, episode: int) -> Track:
 
 def _unknown(name: str) -> TaskError:
     """The error for an unknown suite name."""
-    bare = {suite.partition(":")[2]: suite for suite in SUITES}
+    # Where versions share a bare name, the typed version is meant, or else the earliest.
+    version = name.partition(":")[0]
+    order = sorted(SUITES, key=lambda suite: suite.startswith(f"{version}:"), reverse=True)
+    bare = {suite.partition(":")[2]: suite for suite in reversed(order)}
     near = difflib.get_close_matches(name.rpartition(":")[2].lower(), bare, n=1, cutoff=0.6)
     if name in FAMILIES:
         where = {"race": "race"}.get(name, "hard" if name in HARD_FAMILIES else "test")
@@ -182,9 +191,15 @@ def _unknown(name: str) -> TaskError:
     return TaskError(f"unknown suite {name!r}; {did_you_mean(name, SUITES)}")
 
 
+def file_of(name: str) -> str:
+    """The file of a fixed suite below `suites/`: "open-v1/test.json" of "open-v1:test"."""
+    version, _, bare = name.partition(":")
+    return f"{version}/{bare}.json"
+
+
 @functools.cache
 def _fixed_suite(name: str) -> Suite:
-    file_name = f"{name.partition(':')[2]}.json"
+    file_name = file_of(name)
     text = resources.files("cognitivedrone.tasks").joinpath("suites", file_name).read_text(encoding="utf-8")
     content = json.loads(text)
     digest = digest_of(content["tracks"])

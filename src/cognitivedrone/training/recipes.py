@@ -71,7 +71,7 @@ training path in seconds, for tests. `ablation-*`: a ninth of `small`, all but t
 ALL_RECIPES: dict[str, Recipe] = {**RECIPES, "language": LANGUAGE, "selector": SELECTOR, "reader": READER}
 """`language`: teaches a trained policy more language. `selector`: the small reasoner's gate selector. `reader`: its
 network for reading panels, which starts from a policy's panel encoder."""
-FORMER_RECIPES = {"selector": "selector"}
+FORMER_RECIPES = {"mind": "selector"}
 
 
 def find_recipe(name: str) -> Recipe:

@@ -1,6 +1,6 @@
-"""Vehicles: what a pilot flies, all behind the contract of `vehicles.contract`.
+"""Vehicles: everything that a pilot can fly, all with the interface of `vehicles.contract`.
 
-`VEHICLES` names them; `--link` takes the name, with what follows its colon for those that need an address.
+`VEHICLES` lists them; `--link` takes the name, followed by a colon and an address for those that need one.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ VEHICLES: dict[str, str] = {
 
 
 def open_vehicle(request: Request) -> Vehicle:
-    """The vehicle that is asked for, on the ground, nothing armed; its `close` ends it.
+    """Open the requested vehicle, on the ground and disarmed; close it with `close`.
 
-    Raises `LinkError`, `GazeboError`, `CameraError` or `MissingExtra` where it cannot be had or must not be flown.
+    Raises `LinkError`, `GazeboError`, `CameraError` or `MissingExtra` if it cannot be opened or must not be flown.
     """
     vehicle: Vehicle = registry.load("link", request.spec.kind, VEHICLES)(request)
     return vehicle
 
 
 def check_vehicle(spec: VehicleSpec, scenario: Scenario) -> None:
-    """Raise `RunError` for a scenario that a vehicle cannot fly, `LinkError` for a program that is missing."""
+    """Raise `RunError` for a scenario that a vehicle cannot fly, `LinkError` for a missing program."""
     autopilot_file(spec)
     if spec.kind != "gazebo":
         return
     if scenario.airframe != "iris":
-        raise RunError("--link gazebo flies the Iris, which is modelled there; add --airframe iris")
+        raise RunError("--link gazebo flies the Iris, the only airframe modelled there; add --airframe iris")
     if scenario.wind:
-        raise RunError("no wind blows in the world that Gazebo runs; leave --wind out")
+        raise RunError("the exported Gazebo worlds have no wind; leave --wind out")
 
 
 def autopilot_file(spec: VehicleSpec) -> Path | None:
-    """The program that is started to fly, if there is one; raises `LinkError` where it cannot be found."""
+    """The autopilot program that the vehicle starts, if any; raises `LinkError` if it cannot be found."""
     if spec.kind != "sitl":
         return None
     from cognitivedrone.vehicles.sitl.arducopter import BINARY_VARIABLE, find_binary

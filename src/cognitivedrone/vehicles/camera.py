@@ -1,4 +1,4 @@
-"""Cameras of drones: always the newest frame, with its age, as the first-person view that policies know.
+"""Cameras: the newest frame with its age, cropped and resized to the policies' first-person view.
 
 `open_camera` takes
 
@@ -9,12 +9,12 @@
 | `/dev/videoN` | a camera of this machine (Video4Linux) |
 | `rtsp://`, `rtsps://`, `http://`, `https://`, `udp://`, `tcp://`, `srt://` | a stream |
 
-All of it is read by PyAV, which is part of the base install; OpenCV is not needed. A thread reads what a source gives
-and keeps the last frame alone, so that a slow policy sees what is, not what was.
+All sources are read with PyAV, which is part of the base install; OpenCV is not needed. A thread reads the source and
+keeps only the last frame, so that a slow policy never gets an old one.
 
-Field of view: frames are cropped to their middle square and resized to 256x256. The simulated camera sees 1.85 rad
-(106 degrees) in both directions; `cropped_fov` tells what is left of a camera's own. One that sees much less shows
-gates larger and nearer than a policy has learned: choose a wide lens.
+Field of view: frames are cropped to their central square and resized to 256x256. The simulated camera sees 1.85 rad
+(106 degrees) in both directions; `cropped_fov` computes what a camera has left after cropping. With a much narrower
+view, gates look larger and nearer than in training: use a wide lens.
 """
 
 from __future__ import annotations
@@ -42,44 +42,44 @@ AtEnd = Literal["loop", "end"]
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """A frame and how old it is."""
+    """A frame with its age."""
 
     image: Image
     """(256, 256, 3) uint8 RGB."""
     time: float
-    """When it was received, of `time.monotonic`, s; what the camera and the network took before is not known."""
+    """Time of reception, `time.monotonic`, s; latency of camera and network is unknown."""
     age_s: float
-    """At the moment of reading."""
+    """Age when it was read, s."""
 
 
 class Camera(Protocol):
-    """Something that sees."""
+    """A camera."""
 
     def read(self) -> Shot:
-        """The newest frame; raises `CameraError` where there is none, or none will come any more."""
+        """The newest frame; raises `CameraError` if there is none, or no more will arrive."""
         ...
 
     def close(self) -> None:
-        """Let go of the source."""
+        """Close the source."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class CameraConfig:
-    """How a source is read."""
+    """Options for reading a source."""
 
     rate_hz: float = 10.0
-    """Of the images of a folder."""
+    """Frame rate of a folder of images."""
     at_end: AtEnd = "end"
-    """What folders and files do when they are over: begin again, or raise `CameraError`."""
+    """At the end of a folder or file: start again, or raise `CameraError`."""
     silence_s: float = 3.0
-    """A stream or device that gives no frame for as long as this is taken for broken."""
+    """A stream or device without a frame for this long counts as broken."""
     open_s: float = 10.0
-    """To open a source and get its first frame."""
+    """Time limit to open a source and get its first frame."""
 
 
 def open_camera(source: str, config: CameraConfig | None = None) -> Camera:
-    """The camera for a source as in this module's table; raises `CameraError`."""
+    """Open a source listed in this module's table; raises `CameraError`."""
     config = config or CameraConfig()
     if source.startswith(STREAMS):
         return VideoCamera(source, config, live=True)
@@ -100,7 +100,7 @@ def open_camera(source: str, config: CameraConfig | None = None) -> Camera:
 
 
 def fit(image: Image) -> Image:
-    """The middle square of an (H, W, 3) image, resized to (256, 256, 3)."""
+    """The central square of an (H, W, 3) image, resized to (256, 256, 3)."""
     height, width = image.shape[:2]
     side = min(height, width)
     top, left = (height - side) // 2, (width - side) // 2
@@ -112,12 +112,12 @@ def fit(image: Image) -> Image:
 
 
 def cropped_fov(horizontal_fov: float, width: int, height: int) -> float:
-    """Field of view, rad, of the middle square of an undistorted image of `horizontal_fov` over its width."""
+    """Field of view, rad, of the central square of an undistorted image with `horizontal_fov` over its width."""
     return 2 * math.atan(math.tan(horizontal_fov / 2) * min(width, height) / width)
 
 
 class FolderCamera:
-    """The images of a folder in the order of their names; the first one at the first reading, the rest on time."""
+    """The images of a folder in order of name; the first on the first read, the rest on schedule."""
 
     def __init__(self, folder: Path, config: CameraConfig) -> None:
         self._files = sorted(file for file in folder.iterdir() if file.suffix.lower() in PICTURES)
@@ -128,12 +128,12 @@ class FolderCamera:
         self._shown: tuple[int, Image] = (0, _picture(self._files[0]))
 
     def read(self) -> Shot:
-        """The image whose turn it is."""
+        """The image that is due."""
         now = time.monotonic()
         self._start = now if self._start is None else self._start
         turn = int((now - self._start) * self._config.rate_hz)
         if turn >= len(self._files) and self._config.at_end == "end":
-            raise CameraError(f"the {len(self._files)} images of {self._files[0].parent} are over")
+            raise CameraError(f"the {len(self._files)} images of {self._files[0].parent} have all been shown")
         index = turn % len(self._files)
         if index != self._shown[0]:
             self._shown = (index, _picture(self._files[index]))
@@ -141,13 +141,13 @@ class FolderCamera:
         return Shot(self._shown[1], since, now - since)
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: no file is open."""
 
 
 class VideoCamera:
     """A video file, a stream or a device, read by a thread that keeps the newest frame.
 
-    `live` sources give frames when they have them, and may fall silent; files are paced by their time stamps and end.
+    `live` sources deliver frames as they arrive, and may stop; files are paced by their time stamps and end.
     """
 
     def __init__(self, source: str, config: CameraConfig, *, live: bool, container: str | None = None) -> None:
@@ -178,7 +178,7 @@ class VideoCamera:
         return Shot(image, received, age)
 
     def close(self) -> None:
-        """Let go of the source; a read that blocks meanwhile ends by its own time limit."""
+        """Close the source; a blocking read ends at its own time limit."""
         self._stopping.set()
         self._thread.join(timeout=1.0)
 
@@ -189,7 +189,7 @@ class VideoCamera:
                 with self._news:
                     self._newest = (image, time.monotonic())
                     self._news.notify_all()
-            why = f"{self._source} is over" if not self._live else f"{self._source} was closed by the other side"
+            why = f"{self._source} has ended" if not self._live else f"{self._source} was closed by the other side"
         except (av.error.FFmpegError, OSError, ValueError) as error:
             why = f"cannot read {self._source}: {error}"
         with self._news:
@@ -197,12 +197,12 @@ class VideoCamera:
             self._news.notify_all()
 
     def _frames(self) -> Iterator[Image]:
-        """Frames when they are due, until the end or until closed."""
+        """Yield frames when they are due, until the end or until closed."""
         while True:
             begin: float | None = None
             with self._open() as container:
                 if not container.streams.video:
-                    raise ValueError("there is no video in it")
+                    raise ValueError("it contains no video")
                 for frame in container.decode(video=0):
                     if not self._live:
                         now, due = time.monotonic(), float(frame.time or 0.0)
@@ -216,7 +216,7 @@ class VideoCamera:
                 return
 
     def _open(self) -> Any:
-        # The options of FFmpeg's demuxers: no queue of old frames, and TCP, over which no half frames come.
+        # Options of FFmpeg's demuxers: no queue of old frames, and TCP, which never delivers partial frames.
         options = {"fflags": "nobuffer", "rtsp_transport": "tcp"} if self._source.startswith("rtsp") else {}
         timeout = (self._config.open_s, self._config.silence_s) if self._live else None
         return av.open(self._source, format=self._container, options=options, timeout=timeout)

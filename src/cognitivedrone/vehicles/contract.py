@@ -1,4 +1,4 @@
-"""The one contract of everything that flies: from the ground to the ground, for the benchmark and for a person."""
+"""The interface of all vehicles, from take-off to landing, for the benchmark and for the command `fly`."""
 
 from __future__ import annotations
 
@@ -20,41 +20,41 @@ from cognitivedrone.vehicles.external import LinkReport
 from cognitivedrone.vehicles.mavlink.client.preflight import Checklist
 
 Confirm = Callable[[Checklist], bool]
-"""Shows the checklist; true where the take-off is confirmed."""
+"""Shows the checklist and returns whether the take-off is confirmed."""
 Pace = Literal["lockstep", "wall"]
-"""`lockstep`: time stands still while the pilot thinks, so that scores do not depend on the machine. `wall`: real time,
-and the rules of safety between the pilot and an autopilot."""
+"""`lockstep`: time stands still during inference, so that scores do not depend on the machine. `wall`: real time, with
+the safety rules between the pilot and an autopilot."""
 
 
 class ClockedDrone(Drone, Clock, Protocol):
-    """A drone with the clock that it is flown by."""
+    """A drone that is also its own clock."""
 
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """How everything around the drone is doing; none and NaN where that is not known."""
+    """Status of a vehicle; none and NaN for unknown values."""
 
     position: FloatArray | None = None
-    """(3,) world or, of a vehicle, from the origin of its estimator; ENU, m."""
+    """(3,) in the world, or relative to the origin of the vehicle's estimator; ENU, m."""
     yaw: float = math.nan
-    """From east to the left, rad."""
+    """Counter-clockwise from east, rad."""
     mode: str = ""
     armed: bool = True
     battery: float | None = None
     """0 to 1."""
     frame_age_s: float = 0.0
-    """Of the frame that was flown by, now."""
+    """Current age of the last frame used."""
     link_age_s: float = 0.0
-    """Of the last message from the vehicle."""
+    """Age of the last message from the vehicle."""
     decision: DecisionKind = "fly"
-    """Of the guard: fly, hold, brake, land or hands_off."""
+    """The guard's decision: fly, hold, brake, land or hands_off."""
     reason: str = ""
-    """Of the decision, in words."""
+    """Reason for the decision, as text."""
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What a vehicle is opened for."""
+    """What to open a vehicle with."""
 
     spec: VehicleSpec
     labels: LabelPack
@@ -62,60 +62,60 @@ class Request:
     conditions: TrackConfig = TrackConfig()
     pace: Pace = "lockstep"
     safety: SafetySpec = SafetySpec()
-    """For vehicles over MAVLink that are flown on the wall clock."""
+    """For MAVLink vehicles on the wall clock."""
     folder: Path | None = None
-    """Where logs of the vehicle are written; none are where it is not given."""
+    """Folder for the vehicle's logs; without it, none are written."""
 
 
 class Vehicle(Protocol):
-    """Something to fly. One flight is `begin`, where there is a track, `take_off`, and `land`."""
+    """A vehicle. One flight is `begin` (if there is a track), `take_off` and `land`."""
 
     @property
     def simulated(self) -> bool:
-        """Whether it is certain that nobody can be hurt."""
+        """Whether it is certainly a simulation, which cannot hurt anybody."""
         ...
 
     @property
     def track_runner(self) -> TrackRunner | None:
-        """Ground truth: the track, the stage at hand and how it went; none where nobody knows."""
+        """Ground truth: the track, the current stage and the results; none for vehicles without ground truth."""
         ...
 
     @property
     def over(self) -> str | None:
-        """Why the flight is over, in words, where the vehicle, its guard or its pilot ended it."""
+        """Why the vehicle, its guard or its pilot ended the flight, as text; none if they did not."""
         ...
 
     @property
     def trouble(self) -> str:
-        """Why the last vehicle was lost, in words; empty where none was."""
+        """Why the last vehicle was lost, as text; empty if none was."""
         ...
 
     @property
     def report(self) -> LinkReport:
-        """What has happened on the link so far; all zeros where there is none."""
+        """Link statistics so far; all zeros without a link."""
         ...
 
     @property
     def renderer(self) -> str:
-        """Name of what draws the frames; empty where a camera does."""
+        """Name of the renderer; empty if frames come from a camera."""
         ...
 
     def begin(self, track: Track, rng: np.random.Generator) -> None:
-        """Prepare a flight through a track, all random conditions drawn from `rng`; only with a `track_runner`."""
+        """Prepare a flight through a track; `rng` draws all random conditions. Only with a `track_runner`."""
         ...
 
     def take_off(self, confirm: Confirm) -> ClockedDrone:
-        """Get into the air; its clock starts. Raises `LinkError` where it does not fly or `confirm` says no."""
+        """Take off and start the clock. Raises `LinkError` if it does not fly or `confirm` returns false."""
         ...
 
     def status(self) -> Status:
-        """How it is doing now."""
+        """Current status."""
         ...
 
     def land(self) -> bool:
-        """Bring it down, wherever it is, if it is ours; whether it is on the ground then."""
+        """Land where it is, if we control it; returns whether it is on the ground."""
         ...
 
     def close(self) -> None:
-        """Land, and let go of everything."""
+        """Land and release all resources."""
         ...

@@ -1,7 +1,7 @@
-"""Worlds whose drone another program flies: what they have in common, whatever the program.
+"""Common parts of worlds whose drone is flown by another program.
 
-The vehicle flies over ground of its own. Where a flight begins, the benchmark's world is turned and shifted over that
-ground, so that the drone hovers where the start was drawn; heights are always true.
+The vehicle flies in its own coordinates. At the start of a flight, the benchmark's world is rotated and shifted so that
+the drone hovers at the drawn start; heights are never changed.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from cognitivedrone.types import DroneState, FloatArray, Image, Stage
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """From the ground that the vehicle flies over to the benchmark's world: a turn and a shift, heights stay."""
+    """Transform from the vehicle's coordinates to the benchmark's world: rotation about the vertical, and a shift."""
 
     turn: float = 0.0
-    """To the left, rad."""
+    """Rotation, counter-clockwise, rad."""
     shift: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """(3,) after the turn, m; the last is 0."""
+    """(3,) translation after the rotation, m; z is 0."""
 
     def apply(self, state: DroneState) -> DroneState:
-        """The same motion, in the benchmark's world."""
+        """The state in the benchmark's world."""
         w, x, y, z = state.quaternion
         c, s = np.cos(self.turn / 2), np.sin(self.turn / 2)
         return DroneState(
@@ -51,17 +51,16 @@ def placed(state: DroneState, position: FloatArray, yaw: float) -> Placement:
 
 @dataclass(frozen=True, slots=True)
 class LinkReport:
-    """What happened between us and an autopilot in another process."""
+    """Link statistics of an autopilot in another process."""
 
     frames: int = 0
-    """Steps of physics that it asked for; in Gazebo, stretches of flight between two commands."""
+    """Physics steps that it requested; in Gazebo, commands."""
     lost: int = 0
-    """Steps that it counted and we never saw, 0 in strict lock-step; in Gazebo, stretches that were over when the next
-    command came."""
+    """Physics steps that it counted and we did not receive, 0 in strict lock-step; in Gazebo, late commands."""
     restarts: int = 0
-    """How often it had to be started anew, after a crash or a failsafe of its own."""
+    """Number of restarts after a crash or a failsafe."""
     reasons: tuple[str, ...] = field(default=(), metadata={"json": "where set"})
-    """Why each of them was given up, in words, oldest first."""
+    """The reason of each restart, oldest first."""
 
     def __add__(self, other: LinkReport) -> LinkReport:
         """Both together, the other one later."""
@@ -83,11 +82,11 @@ class LinkReport:
 
 
 class ExternalFlight(ABC):
-    """One drone that another program moves. A vehicle that is lost makes the flight diverge: it does not count."""
+    """One drone flown by another program. If the vehicle is lost, the flight counts as diverged and is not scored."""
 
     def __init__(self) -> None:
         self.trouble = ""
-        """Why the last vehicle was given up, in words."""
+        """Why the last vehicle was given up, as text."""
         self.diverged = False
         """Whether the vehicle was given up in this flight."""
         self._placement = Placement()
@@ -96,32 +95,32 @@ class ExternalFlight(ABC):
     @property
     @abstractmethod
     def report(self) -> LinkReport:
-        """Of all vehicles so far."""
+        """Link statistics of all vehicles so far."""
 
     @abstractmethod
     def begin(self, start: Start) -> None:
-        """Hover at `start`; raises `RunError` where no vehicle gets there."""
+        """Hover at `start`; raises `RunError` if no vehicle gets there."""
 
     @abstractmethod
     def advance(self, ticks: int) -> FloatArray:
-        """Fly on by ticks of `Flight.TICK_S`; true positions (samples, 3) on the way, world, m."""
+        """Advance by ticks of `Flight.TICK_S`; returns the true positions (samples, 3) on the way, world, m."""
 
     @abstractmethod
     def _send(self, action: FloatArray) -> None:
-        """Ask the vehicle, if there is one, for a velocity (4,); raises `LinkError` where it is lost."""
+        """Command a velocity (4,), if there is a vehicle; raises `LinkError` if it is lost."""
 
     @abstractmethod
     def _let_go(self) -> None:
-        """Let go of the vehicle, and count that it was given up."""
+        """Release the vehicle, and count that it was given up."""
 
     def command(self, action: FloatArray) -> None:
-        """Ask for a velocity (4,), heading frame, m/s and rad/s; the autopilot turns it to world axes on arrival.
+        """Command a velocity (4,), heading frame, m/s and rad/s; the autopilot rotates it to world axes on arrival.
 
         Raises `ActionError` for anything but four finite numbers.
         """
         action = np.asarray(action, dtype=np.float64)
         if action.shape != (4,) or not np.isfinite(action).all():
-            raise ActionError(f"the action {action.tolist()} cannot be flown; send four real numbers")
+            raise ActionError(f"the action {action.tolist()} cannot be flown; send four finite numbers")
         try:
             self._send(action)
         except LinkError as error:
@@ -132,7 +131,7 @@ class ExternalFlight(ABC):
         return self._state
 
     def _give_up(self, error: LinkError) -> None:
-        """Let go of a vehicle that does not fly; the flight diverges."""
+        """Release a vehicle that does not fly; the flight counts as diverged."""
         self.trouble, self.diverged = str(error), True
         self._let_go()
 
@@ -141,7 +140,7 @@ class StageView(Protocol):
     """Shows the stages of one world to its drone."""
 
     def show(self, stage: Stage, scenery: Scenery) -> None:
-        """Put up a stage with its pictures."""
+        """Show a stage with its pictures."""
         ...
 
     def frame(self, state: DroneState) -> Image:
@@ -162,7 +161,7 @@ class ExternalWorld:
 
     @property
     def gate_monitor(self) -> GateMonitor:
-        """Of the stage at hand."""
+        """The gate monitor of the current stage."""
         if self._gate_monitor is None:
             raise ValueError("this world has no stage yet; call begin() first")
         return self._gate_monitor
@@ -188,7 +187,7 @@ class ExternalWorld:
         self.flight.command(action)
 
     def advance(self, ticks: int = TICKS_PER_CONTROL) -> GateEvent | None:
-        """Fly on by ticks of `Flight.TICK_S`; what happened at the gates."""
+        """Advance by ticks of `Flight.TICK_S`; returns what happened at the gates."""
         path = self.flight.advance(ticks)
         self._ticks += ticks
         return None if self.diverged else self.gate_monitor.follow(path)

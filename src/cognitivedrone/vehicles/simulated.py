@@ -1,4 +1,4 @@
-"""Vehicles in a simulated world: our own simulator, and external autopilots that fly in lock-step with it."""
+"""Vehicles in a simulated world: our own simulator, and external autopilots."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cognitivedrone.vehicles.external import ExternalFlight, LinkReport
 
 
 class SimulatedFlight:
-    """The drone of a simulated world as a `Vehicle`; it hovers at the start of its track. `close` frees the world."""
+    """The drone of a simulated world as a `Vehicle`; it starts hovering. `close` releases the world."""
 
     simulated = True
     over: str | None = None
@@ -46,12 +46,12 @@ class SimulatedFlight:
 
     @property
     def report(self) -> LinkReport:
-        """Of the link to an external autopilot."""
+        """Statistics of the link to an external autopilot."""
         return self._flight.report if self._flight else LinkReport()
 
     @property
     def renderer(self) -> str:
-        """Name of what draws the frames."""
+        """Name of the renderer."""
         return self._renderer()
 
     def begin(self, track: Track, rng: np.random.Generator) -> None:
@@ -59,21 +59,21 @@ class SimulatedFlight:
         self.track_runner.begin(track, rng)
 
     def take_off(self, confirm: Confirm) -> ClockedDrone:  # noqa: ARG002
-        """It is in the air; nobody needs to confirm that."""
+        """Return the drone, which is already in the air; no confirmation is needed."""
         drone = SimulatedDrone(self.track_runner)
         return PacedDrone(drone) if self._pace == "wall" else drone
 
     def status(self) -> Status:
-        """Where it is; everything else is well in a simulation."""
+        """Position and heading; everything else is nominal in a simulation."""
         state = self.track_runner.world.state()
         return Status(position=state.position.copy(), yaw=float(yaw_of(state.quaternion)), mode="simulated")
 
     def land(self) -> bool:
-        """A simulation ends in the air."""
+        """Do nothing: a simulation ends in the air."""
         return False
 
 
 def open_sim(request: Request) -> SimulatedFlight:
-    """Our own simulator, one world."""
+    """Open our own simulator with one world."""
     simulator = Simulator(1, airframe=request.airframe)
     return SimulatedFlight(simulator.world(0), request, simulator.close, pace=request.pace)

@@ -1,4 +1,4 @@
-"""A Gazebo in which something flies: the stand-in, with our own simulator as its ArduPilot behind a real socket."""
+"""A Gazebo in which something flies: the fake, with our own simulator as its ArduPilot behind a real socket."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Moving:
 
 @contextmanager
 def moving(gazebo: FakeGazebo) -> Iterator[Moving]:
-    """Fly the stand-in's vehicle by MAVLink; its poses and frames are published.
+    """Fly the fake's vehicle by MAVLink; its poses and frames are published.
 
     Every frame shows how many entities stand, as its grey value.
     """

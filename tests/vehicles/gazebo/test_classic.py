@@ -155,7 +155,7 @@ def test_other_folders_are_no_collectors(collector, tmp_path):
     (collector / "Copy").mkdir()
     panel(collector / "Copy" / "animals", "fox", "fox.png")
     (collector / "Copy" / "animals.json").write_text("[]")
-    with pytest.raises(CognitiveDroneError, match="are of one type"):
+    with pytest.raises(CognitiveDroneError, match="have the same type"):
         import_collector(collector, tmp_path / "out")
 
 
@@ -188,6 +188,6 @@ def test_no_option_leads_out_of_its_folder(collector, tmp_path, option):
 def test_a_type_is_called_after_a_file_that_could_be_a_folder(collector, tmp_path):
     evil = collector / "Reasoning" / "Animals" / "...json"
     evil.write_text(json.dumps([task(["fox.dae", "owl.dae", "cheetah.dae"])]))
-    with pytest.raises(CognitiveDroneError, match="a type is called after its file"):
+    with pytest.raises(CognitiveDroneError, match="a type has the name of its file"):
         import_collector(collector, tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -1,4 +1,4 @@
-"""Tasks flown and scored in a running Gazebo: our simulator behind MAVLink flies the stand-in's vehicle."""
+"""Tasks flown and scored in a running Gazebo: our simulator behind MAVLink flies the fake's vehicle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The link to a running Gazebo, against a stand-in that speaks gz-transport's Python interface."""
+"""The link to a running Gazebo, against a fake that speaks gz-transport's Python interface."""
 
 from __future__ import annotations
 
@@ -351,7 +351,7 @@ def test_a_paused_gazebo_is_told_of(tmp_path):
     ):
         world.show(stages()[0], PACK)
     gazebo.silent = {"info"}
-    with pytest.raises(GazeboError, match="does not tell of its scene"):
+    with pytest.raises(GazeboError, match="did not report its scene"):
         connect(gazebo, tmp_path)
 
 

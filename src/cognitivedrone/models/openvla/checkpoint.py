@@ -113,7 +113,7 @@ def check_memory(needed: int, free: int, device: str) -> None:
 
 
 def check_reading(whole: int, free: int, quantisation: Quantisation) -> None:
-    """Raises `ModelError` where the host cannot hold a network that is read whole, to be quantised."""
+    """Raise `ModelError` if the host's memory cannot hold the whole network, which is read before it is quantised."""
     if whole > free:
         raise ModelError(
             f"quant={quantisation}: the whole network is read before it is quantised, and that needs"
@@ -134,7 +134,7 @@ def free_memory() -> int:
 
 
 def read_header(path: Path) -> dict[str, Any]:
-    """What a safetensors file tells of its tensors, without them; raises `ModelError` for a file that is none.
+    """The header of a safetensors file, which describes its tensors; raises `ModelError` for an invalid file.
 
     The format: eight bytes of length (little endian), then JSON with `dtype`, `shape` and `data_offsets` by name.
     """
@@ -156,7 +156,7 @@ def read_header(path: Path) -> dict[str, Any]:
 
 
 def _own_statistics(folder: Path, told: Mapping[str, Any]) -> dict[str, Any]:
-    """Statistics of the configuration `told`, and of fine-tuning."""
+    """Action statistics from the configuration `told`, and from fine-tuning."""
     fine_tuned = _read_json(folder / STATISTICS) if (folder / STATISTICS).is_file() else {}
     return {**told.get("norm_stats", {}), **fine_tuned}
 
@@ -185,7 +185,7 @@ def _tensors(folder: Path) -> tuple[Shapes, dict[str, Path], int]:
     for name in names:
         for tensor, entry in read_header(folder / name).items():
             if tensor in shapes:
-                raise ModelError(f"{folder}: {tensor} lies in both {files[tensor].name} and {name}")
+                raise ModelError(f"{folder}: {tensor} is in both {files[tensor].name} and {name}")
             if entry.get("dtype") not in sizes:
                 raise ModelError(
                     f"{folder / name}: {tensor} is {entry.get('dtype')}; it should be one of {list(sizes)}"

@@ -92,7 +92,7 @@ def tiny_config(chunk: int | None = None) -> Config:
 
 
 def read_config(told: Mapping[str, Any]) -> Config:
-    """The sizes that a `config.json` tells; raises `ModelError` for another architecture."""
+    """The sizes in a `config.json`; raises `ModelError` for another architecture."""
     expected = {
         "model_type": "openvla",
         "arch_specifier": "no-align+fused-gelu-mlp",

@@ -49,7 +49,7 @@ class ImagePreparation:
 
 
 def read_preparation(told: Mapping[str, Any]) -> ImagePreparation:
-    """What a published `preprocessor_config.json` tells; raises `ModelError` where it is of another model."""
+    """The settings in a published `preprocessor_config.json`; raises `ModelError` if it belongs to another model."""
     try:
         means, deviations = (
             tuple(tuple(float(value) for value in tower) for tower in told[name]) for name in ("means", "stds")

@@ -77,7 +77,7 @@ def draw_curves(rows: Sequence[Row], path: Path) -> None:
         axis.set_xlabel("step")
         axis.grid(alpha=0.3)
         if name == "losses":
-            for part in ("heat", "place", "facets", "cards", "choice", "text"):
+            for part in ("heat", "place", "attributes", "panel_crops", "choice", "text"):
                 _line(axis, rows, part, part)
             axis.set_yscale("log")
         elif name == "success":
@@ -89,7 +89,7 @@ def draw_curves(rows: Sequence[Row], path: Path) -> None:
             for dimension in DIMENSIONS:
                 _line(axis, rows, f"{name} {dimension}", dimension)
         if name == "choice accuracy":
-            _line(axis, rows, "text accuracy", "told instead of seen")
+            _line(axis, rows, "text accuracy", "from ground-truth panels")
         if baseline:
             _line(axis, rows, baseline, "majority token", style="k--")
         if axis.lines:

@@ -89,7 +89,7 @@ class Watched(Protocol):
     """Batches with a slow start that report their progress."""
 
     def watch(self, told: Filling) -> None:
-        """Call `told` with the progress from now on."""
+        """Register a callback for the progress."""
         ...
 
 

@@ -45,7 +45,7 @@ class ReaderRecipe(Recipe):
     needs_start: ClassVar[bool] = True
 
     def training(self, *, start: Path | None = None, data: Path | None = None) -> ReaderTraining:
-        """A reader as large as the facets ask for."""
+        """Make the training, with a network sized for the attributes."""
         del data
         return ReaderTraining(replace(self, network=replace(self.network, attributes=len(SEEN))), start)
 
@@ -72,7 +72,7 @@ class ReaderTraining:
         reader = Reader(self.recipe.network)
         if self.start is not None:
             tensors, _ = read_checkpoint(self.start)
-            prefix = "network.sight."
+            prefix = "network.panel_encoder."
             own = {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
             try:
                 reader.panel_encoder.load_state_dict(own)
@@ -133,7 +133,7 @@ class ReaderTraining:
         return {}
 
     def export(self, checkpoint: Path, folder: Path) -> None:
-        """The eyes, which find gates by the policy that the reader started from."""
+        """The panel reader, which finds gates with the policy that it started from."""
         from cognitivedrone.training.reasoner.export import (
             export_panel_reader,  # a training does without ONNX until its end
         )
@@ -161,7 +161,7 @@ class ReaderLoss(nn.Module):
             losses.append(share * (loss * there).sum() / there.sum().clamp(min=1))
         total = torch.stack(losses).sum()
         whole = named(logits, attributes).all(dim=1).float().mean()
-        return total, {"cards": total.detach(), "accuracy": whole.detach()}
+        return total, {"panel_crops": total.detach(), "accuracy": whole.detach()}
 
     def logits(self, batch: dict[str, Tensor]) -> Tensor:
         """Logits (B, F)."""

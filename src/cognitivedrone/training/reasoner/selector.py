@@ -74,7 +74,7 @@ class SelectorRecipe(Recipe):
     model_file: ClassVar[str] = SELECTOR_FILE
 
     def training(self, *, start: Path | None = None, data: Path | None = None) -> SelectorTraining:
-        """A new mind, with the vocabulary of all families."""
+        """A new gate selector, with the vocabulary of all families."""
         del start, data
         rng, problems = np.random.default_rng((0, _VALIDATION + 1)), Problems(self)
         sentences = [problem.sentence for _ in range(_SENTENCES) for problem in problems.draw(rng)]
@@ -360,7 +360,7 @@ class SelectorTraining:
         return {}
 
     def export(self, checkpoint: Path, folder: Path) -> None:
-        """The mind's file."""
+        """The gate selector's file."""
         from cognitivedrone.training.reasoner.export import export_selector
 
         export_selector(checkpoint, folder)

@@ -14,7 +14,7 @@ def load_reader(path: Path) -> tuple[Reader, dict[str, Any]]:
     """The reader of a checkpoint, and the checkpoint's facts."""
     tensors, facts = read_checkpoint(path)
     told = facts["recipe"]["network"]
-    reader = Reader(ReaderConfig(**{**told, "sight": tuple(told["sight"])}))
+    reader = Reader(ReaderConfig(**{**told, "panel_encoder": tuple(told["panel_encoder"])}))
     restore(tensors, reader, None)
     reader.eval()
     return reader, facts

@@ -71,8 +71,8 @@ class LossModule(nn.Module):
         parts = {
             "heat": _heat_loss(scene, batch, slots, board_cell_known),
             "place": self._place_loss(seen, batch, slots, board_cell_known),
-            "facets": self._attribute_loss(read, network.gate_embedding(seen.cell), batch),
-            "cards": self._crop_loss(batch),
+            "attributes": self._attribute_loss(read, network.gate_embedding(seen.cell), batch),
+            "panel_crops": self._crop_loss(batch),
             "choice": F.cross_entropy(logits.flatten(0, 1), batch["choice"].flatten()),
             "text": text,
             "action": self._action_loss(raw, batch),
@@ -127,7 +127,7 @@ class LossModule(nn.Module):
         return self._named(read, panels, known, PANEL_GROUPS) + self._named(read, boards, known, BOARD_GROUPS)
 
     def _named(self, embeddings: Tensor, attributes: Tensor, known: Tensor, groups: tuple[str, ...]) -> Tensor:
-        """Cross-entropies of classifying facets (n, m, groups) from embeddings (n, m, E), summed over the groups."""
+        """Cross-entropies of classifying attributes (n, m, groups) from embeddings (n, m, E), summed over groups."""
         logits = embeddings.float() @ self.network.prototypes.float().T
         losses = []
         for column, group in enumerate(groups):
@@ -175,7 +175,7 @@ def told_query(text: nn.Module, batch: dict[str, Tensor], board: Tensor) -> Tens
 
 
 def told_embedding(network: SmallVLA, attributes: Tensor) -> Tensor:
-    """Sums of prototypes (..., E) of facets (..., groups); those that are -1 do not count."""
+    """Sums of prototypes (..., E) of attributes (..., groups); those that are -1 do not count."""
     rows = F.embedding(attributes.clamp(0), network.prototypes)
     return (rows * (attributes >= 0).to(rows.dtype)[..., None]).sum(-2)
 

@@ -1,6 +1,6 @@
-"""gz-transport's Python bindings, whichever release of Gazebo they come from.
+"""gz-transport's Python bindings, for every supported release of Gazebo.
 
-    bindings = load_bindings()             # the newest that are installed
+    bindings = load_bindings()             # the newest installed ones
     node = bindings.new_node()
     Pose = bindings.message("Pose")
 
@@ -31,7 +31,7 @@ MODULES = {
     "Scene": "scene_pb2",
     "StringMsg_V": "stringmsg_v_pb2",
 }
-"""The messages that are used, and the modules that they are in."""
+"""The messages used, with their modules."""
 _VERSIONS_S = 10.0
 
 
@@ -50,16 +50,16 @@ class Bindings:
 
 
 def load_bindings(release: str | None = None, load: Callable[[str], Any] = importlib.import_module) -> Bindings:
-    """The bindings of that release, or the newest that are installed.
+    """The bindings of a release, or the newest installed ones.
 
-    `load` imports a module by its name. Raises `GazeboError` that says what to install.
+    `load` imports a module by name. Raises `GazeboError` that says what to install.
     """
     asked = list(RELEASES.values()) if release is None else [release_named(release)]
     for candidate in asked:
         try:
             transport = load(candidate.transport)
             load(f"{candidate.messages}.{MODULES['Empty']}")
-        except (ImportError, TypeError) as error:  # protobuf raises TypeError for code that it is too new for
+        except (ImportError, TypeError) as error:  # protobuf raises TypeError for generated code that is too old
             if isinstance(error, ModuleNotFoundError) and (error.name or "gz").startswith("gz"):
                 continue
             raise GazeboError(
@@ -70,12 +70,12 @@ def load_bindings(release: str | None = None, load: Callable[[str], Any] = impor
     wanted = "; ".join(f"{r.name.capitalize()}: apt-get install {r.bindings}" for r in asked)
     raise GazeboError(
         f"gz-transport's Python bindings are not installed; they come with Gazebo's own packages ({wanted}), and a"
-        " virtual environment sees them where it was made with --system-site-packages"
+        " virtual environment can use them if it was made with --system-site-packages"
     )
 
 
 def installed_releases() -> frozenset[str]:
-    """Names of the releases whose simulator is installed here, as `gz sim --versions` tells; empty without Gazebo."""
+    """Names of the installed simulator releases, from `gz sim --versions`; empty without Gazebo."""
     command = shutil.which("gz")
     if command is None:
         return frozenset()

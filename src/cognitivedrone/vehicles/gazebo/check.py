@@ -1,7 +1,7 @@
-"""Whether an SDF file is sound: asked of libsdformat, Gazebo's own parser, where there is one.
+"""Checks SDF files with libsdformat, Gazebo's own parser.
 
-The library itself, in a process of its own, which Debian and Ubuntu have without Gazebo (`apt-get install
-libsdformat12-12` on Debian 12); else `gz sdf --check` or `ign sdf --check`.
+It uses the library itself, in a separate process; Debian and Ubuntu package it without Gazebo (`apt-get install
+libsdformat12-12` on Debian 12). Otherwise it uses `gz sdf --check` or `ign sdf --check`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from cognitivedrone.errors import GazeboError
 
 COMMANDS = ("gz", "ign")
 LIBRARIES = tuple(f"sdformat{major}" for major in range(16, 11, -1))
-"""From Jetty's to Debian 12's. Each exports the `cmdCheck` that the command line calls."""
+"""Library versions, from Jetty's to Debian 12's. Each exports `cmdCheck`, which the command line calls."""
 PACKAGE = "libsdformat12-12"
 _CALL = "import ctypes, sys; sys.exit(ctypes.CDLL(sys.argv[1]).cmdCheck(sys.argv[2].encode()) != 0)"
 _UNKNOWN = "not defined in SDF"
@@ -29,15 +29,15 @@ _LIMIT_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Checker:
-    """A way to ask libsdformat."""
+    """A way to run libsdformat."""
 
     name: str
     command: tuple[str, ...]
-    """The file is its last argument."""
+    """Command line, without the file, which is the last argument."""
 
 
 def find_checker() -> Checker | None:
-    """The first that there is on this machine; none where there is none."""
+    """The first checker available on this machine; none if there is none."""
     for library in LIBRARIES:
         found = ctypes.util.find_library(library)
         if found is not None:
@@ -50,9 +50,9 @@ def find_checker() -> Checker | None:
 
 
 def check(files: Sequence[Path]) -> str:
-    """Have every file checked; the name of the checker.
+    """Check every file; returns the name of the checker.
 
-    Raises `GazeboError` with what is wrong with the first that does not pass, or where there is no checker.
+    Raises `GazeboError` with the problem of the first file that does not pass, or if there is no checker.
     """
     checker = find_checker()
     if checker is None:
@@ -67,10 +67,10 @@ def check(files: Sequence[Path]) -> str:
 
 
 def _problem(checker: Checker, file: Path) -> str:
-    """What the parser holds against a file; empty where it passes.
+    """The parser's complaint about a file; empty if it passes.
 
-    It goes on without elements that it does not know, and tells of them only in the log that it writes into the home
-    folder: here they are mistakes, too.
+    The parser skips unknown elements and mentions them only in the log that it writes into the home folder; here they
+    are errors, too.
     """
     with tempfile.TemporaryDirectory() as home:
         done = _ran((*checker.command, str(file)), home)
@@ -84,8 +84,8 @@ def _problem(checker: Checker, file: Path) -> str:
 
 def _ran(command: Sequence[str], home: str) -> subprocess.CompletedProcess[str]:
     try:
-        return subprocess.run(  # noqa: S603 - the command is one of ours, the file a single argument
+        return subprocess.run(  # noqa: S603 - a fixed command, with the file as a single argument
             command, check=False, capture_output=True, text=True, timeout=_LIMIT_S, env={**os.environ, "HOME": home}
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise GazeboError(f"cannot run {command[0]}: {error}; is libsdformat whole?") from None
+        raise GazeboError(f"cannot run {command[0]}: {error}; is libsdformat installed completely?") from None

@@ -1,4 +1,4 @@
-"""The tasks and panels of the published collector, which flies in Gazebo classic, as a task file and a label pack.
+"""Imports tasks and panels of the published collector, which uses Gazebo classic, as a task file and a label pack.
 
     DIR/Reasoning/Animals.json          tasks; their options are panels of the folder of the same name
     DIR/Reasoning/Animals/fox.dae       a panel: a COLLADA model that names the picture on it
@@ -7,10 +7,10 @@
 becomes
 
     OUT/tasks.json                      all tasks, their labels named
-    OUT/labels/Animals/fox.jpeg         the pictures, by what tasks call them: a folder pack
+    OUT/labels/Animals/fox.jpeg         the pictures, named as in the tasks: a folder pack
 
-Layout: `doc/1_data_sctructure.md` of the collector of arXiv 2503.01378. What its models say is believed before what
-their files are called: some show a picture of another name, and some name one that is spelled a little differently.
+Layout: `doc/1_data_sctructure.md` of the collector of arXiv 2503.01378. A model's content takes precedence over its
+file name: some models show a picture with another name, and some misspell the name of their picture slightly.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _COLLADA = "{http://www.collada.org/2005/11/COLLADASchema}"
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """What was written."""
+    """The files written."""
 
     tasks: Path
     labels: Path
@@ -45,10 +45,10 @@ class Imported:
 
 
 def import_collector(source: Path, out: Path) -> Imported:
-    """Read every type below a folder of the collector, and write tasks and labels into `out`, new or empty.
+    """Read every type in a folder of the collector, and write tasks and labels into `out`, new or empty.
 
-    Nothing is written where anything is wrong. Raises `TaskError` naming file and index, `LabelError` for a picture
-    that cannot be read, `GazeboError` for the rest.
+    On any error nothing is written. Raises `TaskError` with file and index, `LabelError` for a picture that cannot be
+    read, `GazeboError` for anything else.
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise GazeboError(f"{out} is not an empty folder; give --out a new one, nothing is overwritten")
@@ -76,9 +76,9 @@ def import_collector(source: Path, out: Path) -> Imported:
 
 
 def picture_of(model: Path) -> str:
-    """The picture that a COLLADA panel shows, as it names it, relative to its own folder.
+    """The path of the picture that a COLLADA panel shows, as written there, relative to its folder.
 
-    Raises `GazeboError` where it is no COLLADA, or shows none.
+    Raises `GazeboError` if it is not COLLADA, or shows no picture.
     """
     try:
         root = ET.fromstring(read_regular(model, MAX_MODEL_BYTES))  # noqa: S314 - expat bounds what entities expand to
@@ -108,14 +108,14 @@ def _task_files(source: Path) -> list[Path]:
     by_type: dict[str, Path] = {}
     for file in files:
         if safe_name(file.stem) != file.stem:
-            raise GazeboError(f"{file}: a type is called after its file, and no folder can be called that; rename it")
+            raise GazeboError(f"{file}: a type has the name of its file, and no folder can have this name; rename it")
         if (other := by_type.setdefault(file.stem.casefold(), file)) != file:
-            raise GazeboError(f"{other} and {file} are of one type; labels go by type, so rename one of them")
+            raise GazeboError(f"{other} and {file} have the same type; labels go by type, so rename one of them")
     return files
 
 
 def _tasks_of(file: Path) -> Iterator[Task]:
-    """The tasks of a type; one that is not published belongs to the category that its folder is called after."""
+    """The tasks of a type; an unpublished type belongs to the category named by its folder."""
     content = read_json(file)
     if not isinstance(content, list) or not content:
         raise GazeboError(f"{file}: holds no tasks; a task file is a JSON list of them")
@@ -127,7 +127,7 @@ def _tasks_of(file: Path) -> Iterator[Task]:
 
 
 def _pictures_of(file: Path, tasks: Iterable[Task]) -> dict[PurePosixPath, Path]:
-    """Where the picture of every option of a type is to go in the pack, and where it is now."""
+    """For every option of a type: the path of its picture in the pack, and its current path."""
     folder = file.with_suffix("")
     found: dict[PurePosixPath, Path] = {}
     seen: set[str] = set()
@@ -142,7 +142,7 @@ def _pictures_of(file: Path, tasks: Iterable[Task]) -> dict[PurePosixPath, Path]
 
 
 def _picture(folder: Path, option: str, where: str) -> Path:
-    """The file that shows an option; names a little different from what they should be are forgiven."""
+    """The picture of an option; slightly misspelled names are tolerated."""
     path = PurePosixPath(option)
     if path.is_absolute() or ".." in path.parts or not path.name:
         raise GazeboError(f"{where}: option {option!r} leads out of {folder}; name a panel in it")

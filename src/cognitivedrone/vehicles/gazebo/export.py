@@ -1,9 +1,9 @@
-"""A task or track as a folder that Gazebo runs: worlds, meshes, textures, ArduPilot's parameters and a README.
+"""Exports a task or track as a folder for Gazebo: worlds, meshes, textures, ArduPilot's parameters and a README.
 
     export("open-v1:test", task="open-v1:test/0007", out=Path("gazebo/0007"))
 
-Every world is made from a `Stage` by `world_of`. The stages of a track stand where a flight through the right gates
-leads; each is a world of its own, and the live link turns one into the next.
+`world_of` makes every world from a `Stage`. The stages of a track are placed along a flight through the right gates;
+each is a separate world, and the live link turns one into the next.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ README_FILE = "README.md"
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What was written."""
+    """The files written."""
 
     out: Path
     worlds: tuple[Path, ...]
@@ -59,11 +59,11 @@ def export(
     labels: str = "open-v1",
     appearance: Appearance = PLAIN,
 ) -> Exported:
-    """Write the task of that id, or the track of that number or with a task of that id, into a new folder.
+    """Write a task by id, or a track by number or by the id of one of its tasks, into a new folder.
 
-    They are of the suite of that name or, where given, of the file or folder `tasks`; `labels` is a label pack or a
-    folder of pictures. Raises `TaskError` or `LabelError` with near names, `GazeboError` for a release that is none or
-    a folder that cannot be written.
+    The tasks come from the suite or, if given, from the file or folder `tasks`; `labels` is a label pack or a folder of
+    pictures. Raises `TaskError` or `LabelError` with similar names, `GazeboError` for an unknown release or a folder
+    that cannot be written.
     """
     release = release_named(version)
     found = find_track(open_suite(suite, tasks), task=task, track=track)
@@ -71,9 +71,9 @@ def export(
 
 
 def find_track(suite: Suite, *, task: str | None = None, track: str | None = None) -> Track:
-    """The one task of that id, or the whole track of that number (from 0) or with a task of that id.
+    """A task by id as a track of one, or a whole track by number (from 0) or by the id of one of its tasks.
 
-    Raises `TaskError` with near ids.
+    Raises `TaskError` with similar ids.
     """
     asked = task if track is None else track
     if asked is None or (task is not None and track is not None):
@@ -91,7 +91,7 @@ def find_track(suite: Suite, *, task: str | None = None, track: str | None = Non
 
 
 def stages_of(track: Track) -> tuple[Stage, ...]:
-    """The stages of a track, each behind the right gate of the one before; the first at the world's origin."""
+    """The stages of a track, each behind the right gate of the previous one; the first at the world's origin."""
     stages: list[Stage] = []
     origin, yaw = (0.0, 0.0), 0.0
     for task in track:
@@ -102,7 +102,7 @@ def stages_of(track: Track) -> tuple[Stage, ...]:
 
 
 def write(track: Track, out: Path, labels: LabelPack, release: Release, appearance: Appearance = PLAIN) -> Exported:
-    """Write a track into `out`, which must be new or empty; raises `GazeboError` where it cannot be written."""
+    """Write a track into `out`, which must be new or empty; raises `GazeboError` if it cannot be written."""
     stages = stages_of(track)
     names = ["world.sdf"] if len(track) == 1 else [f"stage_{number}.sdf" for number in range(1, len(track) + 1)]
     try:
@@ -123,7 +123,7 @@ def write(track: Track, out: Path, labels: LabelPack, release: Release, appearan
 
 
 def world_of(stage: Stage, props: Sequence[Prop], appearance: Appearance = PLAIN) -> ET.Element:
-    """The `<world>` of a stage, the vehicle on the ground under the middle of its start box."""
+    """The `<world>` of a stage, with the vehicle on the ground below the centre of its start box."""
     x, y = rotate_yaw(geometry.START[:2], stage.yaw) + np.array(stage.origin)
     return world(stage, props, appearance, iris((float(x), float(y)), stage.yaw, appearance))
 
@@ -137,7 +137,7 @@ def write_meshes(out: Path) -> None:
 
 
 def write_pictures(stage: Stage, labels: LabelPack, appearance: Appearance, out: Path) -> tuple[Prop, ...]:
-    """Write what the panels of a stage show, and the patterns of floor and room, into `out`/textures; its props."""
+    """Write the pictures of a stage's panels, floor and room to `out`/textures; returns its props."""
     folder = out / "textures"
     folder.mkdir(parents=True, exist_ok=True)
     pictures = [_write_label(reference, labels.image(reference), folder) for reference in stage.labels]
@@ -150,7 +150,7 @@ def write_pictures(stage: Stage, labels: LabelPack, appearance: Appearance, out:
 
 
 def _write_label(reference: str, image: Image, folder: Path) -> Picture:
-    """Write a label as PNG, under a name that says what it is and is unique to its pixels."""
+    """Write a label as PNG, with a descriptive name that is unique to its pixels."""
     name = re.sub(r"[^a-z0-9]+", "_", reference.lower()).strip("_")[:40]
     digest = hashlib.sha256(repr(image.shape).encode() + image.tobytes()).hexdigest()[:8]
     file = f"{name}_{digest}.png"

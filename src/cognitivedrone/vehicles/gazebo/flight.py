@@ -1,11 +1,11 @@
-"""ArduPilot in a running Gazebo as an external flight, and Gazebo's camera as the view of its stages.
+"""ArduPilot in a running Gazebo as an external flight, with Gazebo's camera as the view.
 
     with open_gazebo() as flight:
         world = ExternalWorld(flight, flight, IRIS.hull_radius)
 
-The vehicle takes off once and flies one task after the other. To begin at another place it flies to the height of the
-start and brakes; then the gates are put where they belong as seen from it. What is scored is the true path, as Gazebo
-tells it. Time is Gazebo's: it goes on while anybody thinks.
+The vehicle takes off once and flies one task after the other. At the start of a flight it climbs or descends to the
+start's height and brakes; then the gates are placed relative to it. The true path reported by Gazebo is scored. Time is
+Gazebo's: it continues during inference.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ from cognitivedrone.vehicles.gazebo.sensing import TruePath
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 
 STILL_M_S: Final = 0.1
-"""Slower than this is a hover; also, within the same of the height in m and of turning in rad/s."""
+"""Maximum speed of a hover; also the maximum height error in m and yaw rate in rad/s."""
 STILL_STEPS: Final = 5
-"""Control steps that it must last."""
+"""Control steps that a hover must last."""
 HOVER_S: Final = 30.0
-"""Of Gazebo's time, after which a hover has failed."""
+"""Time limit to reach a hover, s of Gazebo's time."""
 CLIMB_M_S: Final = 1.0
-"""On the way to the next start."""
+"""Vertical speed on the way to the next start."""
 STARTS: Final = 2
-"""Attempts to have the vehicle hover at the start of a flight."""
+"""Attempts to hover at the start of a flight."""
 FRESH_FRAMES: Final = 2
-"""After a stage has been put up; the first one may have been drawn before."""
+"""Frames to wait for after a stage is placed; the first may have been rendered before."""
 LATE_S: Final = 0.05
-"""A control step that has been over for longer when the world is to go on counts as late."""
+"""A command that arrives this long after the end of the previous control step counts as late."""
 _LOOK_AGAIN_S = 0.002
 
 
 class GazeboFlight(ExternalFlight):
-    """One drone, flown by the ArduPilot of a running Gazebo, and what `camera` sees of it. `close` lands the vehicle.
+    """One drone, flown by the ArduPilot of a running Gazebo, with its `camera`. `close` lands the vehicle.
 
-    `path` is where the vehicle truly is. `connect` gives a drone in the air; it is called at the first `begin`, and
-    again where a vehicle was given up. Where Gazebo itself falls silent, everything raises `GazeboError` or
+    `path` supplies the vehicle's true states. `connect` returns a drone in the air; it is called at the first `begin`,
+    and again after a vehicle was given up. If Gazebo stops responding, all methods raise `GazeboError` or
     `CameraError`.
     """
 
@@ -72,10 +72,10 @@ class GazeboFlight(ExternalFlight):
     def begin(self, start: Start) -> None:
         """Hover at `start`, within 10 cm of its height.
 
-        Raises `RunError` for a wind, and where no vehicle gets there.
+        Raises `RunError` for wind, and if no vehicle gets there.
         """
         if any(start.wind):
-            raise RunError("no wind blows in the world that Gazebo runs; leave --wind out")
+            raise RunError("the exported Gazebo worlds have no wind; leave --wind out")
         for _ in range(STARTS):
             try:
                 self._drone = self._drone or self._connect()
@@ -88,14 +88,14 @@ class GazeboFlight(ExternalFlight):
             self._resume()
             return
         raise RunError(
-            f"the vehicle in Gazebo does not fly ({self.trouble}); start Gazebo and ArduPilot anew, then go on with"
+            f"the vehicle in Gazebo does not fly ({self.trouble}); restart Gazebo and ArduPilot, then continue with"
             " --resume"
         )
 
     def advance(self, ticks: int) -> FloatArray:
-        """Fly on until ticks of `Flight.TICK_S` have passed in Gazebo; true positions (samples, 3) on the way.
+        """Advance until ticks of `Flight.TICK_S` have passed in Gazebo; returns the true positions (samples, 3).
 
-        What somebody thought beyond that is not caught up with: the flight is as much longer.
+        Inference that takes longer is not compensated for: the flight becomes longer by that time.
         """
         if self._showing is not None and self._showing.done():
             self._await_stage()
@@ -114,18 +114,18 @@ class GazeboFlight(ExternalFlight):
 
     @property
     def report(self) -> LinkReport:
-        """Stretches of flight, those that were over before the next command came, and vehicles that were given up."""
+        """Numbers of commands, late commands, and vehicles that were given up."""
         return self._report
 
     def show(self, stage: Stage, scenery: Scenery) -> None:
-        """Put up a stage in Gazebo, where it stands as seen from the vehicle.
+        """Place a stage in Gazebo, relative to the vehicle.
 
-        The first one of a flight is there, and the camera has seen it, when this returns. Later ones appear while the
-        vehicle flies on, within tenths of a second. Raises `GazeboError` where Gazebo does not do it; of a later
-        one, the next call that has to do with stages or with time does.
+        The first stage of a flight is in place and in the camera's frames when this returns. Later stages appear within
+        tenths of a second while the vehicle flies on. Raises `GazeboError` if Gazebo fails; for a later stage, the next
+        call that concerns stages or time raises it.
         """
         if self._drone is None:
-            return  # nobody is there to see it, and the flight is void
+            return  # without a vehicle the flight is void
         board = {stage.board: scenery.board} if stage.board else {}
         shown = dict(zip(stage.labels, scenery.panels, strict=True)) | board
         there = on_the_ground(self._placement, stage)
@@ -137,15 +137,15 @@ class GazeboFlight(ExternalFlight):
             self._resume()
 
     def frame(self, state: DroneState) -> Image:  # noqa: ARG002
-        """The newest frame of Gazebo's camera, wherever the drone is said to be.
+        """The newest frame of Gazebo's camera, whatever `state` is.
 
-        Raises `CameraError` where the camera is silent.
+        Raises `CameraError` if the camera sends no frames.
         """
         return self._camera.read().image
 
     @property
     def renderer(self) -> str:
-        """Name of what draws."""
+        """Name of the renderer."""
         return f"Gazebo {self._world.bindings.release.name.capitalize()}"
 
     def close(self) -> None:
@@ -154,12 +154,12 @@ class GazeboFlight(ExternalFlight):
         self._land()
 
     def _hover(self, drone: MavlinkDrone, height: float) -> None:
-        """Come to a hover at a height, m."""
+        """Reach a hover at a height, m."""
         still, deadline = 0, self._path.newest().time + HOVER_S
         while still < STILL_STEPS:
             sample = self._path.newest()
             if sample.time > deadline:
-                raise LinkError(f"it did not come to hover {height:.2f} m above the ground in {HOVER_S:g} s")
+                raise LinkError(f"it did not reach a hover {height:.2f} m above the ground in {HOVER_S:g} s")
             state, lacking = sample.state, height - float(sample.state.position[2])
             drone.send(np.array([0.0, 0.0, np.clip(lacking, -CLIMB_M_S, CLIMB_M_S), 0.0], dtype=np.float32))
             if drone.over is not None:
@@ -170,13 +170,13 @@ class GazeboFlight(ExternalFlight):
         drone.send(np.zeros(4, dtype=np.float32))
 
     def _await_stage(self) -> None:
-        """Wait until what was ordered last stands."""
+        """Wait until the last ordered stage is in place."""
         showing, self._showing = self._showing, None
         if showing is not None:
             showing.result()
 
     def _await_frames(self) -> None:
-        """Wait until the camera has seen what stands now."""
+        """Wait for frames of the current stage."""
         since, seen = time.monotonic(), set[float]()
         while len(seen) < FRESH_FRAMES:
             shot = self._camera.read()
@@ -185,7 +185,7 @@ class GazeboFlight(ExternalFlight):
             time.sleep(_LOOK_AGAIN_S)
 
     def _resume(self) -> None:
-        """Go on from this moment: what happened meanwhile is no part of the flight."""
+        """Continue from this moment: the time in between is not part of the flight."""
         now = self._path.until(0.0)[-1]
         self._state = self._placement.apply(now.state)
         self._began = now.time - self._ticks * Flight.TICK_S
@@ -200,24 +200,24 @@ class GazeboFlight(ExternalFlight):
             self._land()
 
     def _land(self) -> None:
-        """Land a vehicle that is still ours, and hang up."""
+        """Land the vehicle if we still control it, and disconnect."""
         drone, self._drone = self._drone, None
         if drone is not None:
             drone.close()
 
 
 class Pictures:
-    """A label pack of a few pictures at hand."""
+    """A label pack of pictures in memory."""
 
     def __init__(self, pictures: Mapping[str, Image | None]) -> None:
         self._pictures = {reference: image for reference, image in pictures.items() if image is not None}
 
     def image(self, reference: str) -> Image:
-        """The picture of a reference that is here."""
+        """The picture of a reference."""
         return self._pictures[reference]
 
 
 def on_the_ground(placement: Placement, stage: Stage) -> Stage:
-    """A stage of the benchmark's world, where it stands over the ground that the vehicle flies over."""
+    """A stage of the benchmark's world, in the vehicle's coordinates."""
     x, y = rotate_yaw(np.array(stage.origin) - placement.shift[:2], -placement.turn)
     return replace(stage, origin=(float(x), float(y)), yaw=stage.yaw - placement.turn)

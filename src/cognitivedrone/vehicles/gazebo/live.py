@@ -1,12 +1,12 @@
-"""A running Gazebo: the gates, panels and light of the next stage, the vehicle's camera and its true state.
+"""Controls a running Gazebo: places stages (gates, panels, light), and gives the vehicle's camera and true state.
 
     with GazeboWorld(Path("gazebo/assets")) as world:
         world.show(stage, load_pack())
         drone = MavlinkDrone("tcp:127.0.0.1:5760", world.camera(), Guard(), MavlinkConfig(clock="vehicle"))
         world.state()
 
-Commands go to ArduPilot, by `MavlinkDrone`; here is only what Gazebo knows. Services are those of gz-sim's UserCommands
-and SceneBroadcaster systems. They answer once a command is queued, so the poses of everything are watched until it has
+Flight commands go to ArduPilot, through `MavlinkDrone`. The services are those of gz-sim's UserCommands and
+SceneBroadcaster systems. They answer once a command is queued, so this module watches the poses until the command has
 been carried out.
 """
 
@@ -38,7 +38,7 @@ from cognitivedrone.world.appearance import PLAIN, Appearance
 LIGHT, MODEL = 1, 2
 """gz.msgs.Entity.Type."""
 PLACE_M, PLACE_RAD = 1e-3, math.radians(0.1)
-"""How far from where it should be a thing may stand."""
+"""Tolerances of an entity's pose."""
 _OURS = re.compile(r"(gate_[123]|panel_[123]|board|floor|room)(_\d+)?")
 _SUN = re.compile(rf"{SUN}(_\d+)?")
 _LOOK_AGAIN_S = 0.02
@@ -47,36 +47,36 @@ _TOLD = 3
 
 @dataclass(frozen=True, slots=True)
 class LiveConfig:
-    """Which Gazebo, and how long it may take."""
+    """Names in the Gazebo world, and time limits."""
 
     world: str = WORLD
     vehicle: str = NAME
     camera_topic: str = CAMERA_TOPIC
     release: str | None = None
-    """Whose bindings to use; the newest that are installed otherwise."""
+    """Release of the bindings; the newest installed ones by default."""
     answer_s: float = 5.0
-    """For a service to answer, and for what was ordered to stand."""
+    """Time limit for a service to answer, and for a stage to be in place."""
     first_s: float = 10.0
-    """For the first message of a topic."""
+    """Time limit for the first message of a topic."""
     silence_s: float = 3.0
-    """A topic that brings nothing for as long as this is taken for broken."""
+    """A topic without messages for this long counts as broken."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How one set of props becomes another."""
+    """The changes from one set of props to another."""
 
     moves: tuple[tuple[str, Prop], ...]
-    """Entities that stay, and the prop that each becomes."""
+    """Entities to move, with the prop that each becomes."""
     spawns: tuple[Prop, ...]
     removals: tuple[str, ...]
-    """Entities."""
+    """Entities to remove."""
 
 
 def plan(standing: Mapping[str, Prop | None], wanted: Sequence[Prop]) -> Plan:
-    """What to do so that only `wanted` stands: what is the same gate, panel or room is moved, the rest replaced.
+    """The changes after which only `wanted` is in the world: equal props are moved, the rest replaced.
 
-    `standing` maps the entities that stand to their props; none where what they look like is not known.
+    `standing` maps current entities to their props; none for unknown props.
     """
     left = dict(standing)
     moves: list[tuple[str, Prop]] = []
@@ -92,9 +92,9 @@ def plan(standing: Mapping[str, Prop | None], wanted: Sequence[Prop]) -> Plan:
 
 
 def differences(places: Mapping[str, tuple[FloatArray, FloatArray]], wanted: Mapping[str, Prop | None]) -> str:
-    """How what stands differs from what should, in words; empty where it does not.
+    """Differences between current and wanted entities, as text; empty if there are none.
 
-    `places` are positions and quaternions of everything by name; what is not ours in it does not matter.
+    `places` are the positions and quaternions of all entities by name; those that are not ours are ignored.
     """
     ours = {name for name in places if _OURS.fullmatch(name)}
     told = [f"{name} is missing" for name in sorted(wanted.keys() - ours)]
@@ -112,10 +112,10 @@ def differences(places: Mapping[str, tuple[FloatArray, FloatArray]], wanted: Map
 
 
 class GazeboWorld:
-    """A running world that was exported from here. Use it as a context manager, or call `close`.
+    """A running world exported by this package. Use it as a context manager, or call `close`.
 
-    Meshes and pictures of what it spawns are written into `folder`, which Gazebo reads: both run on one machine. Raises
-    `GazeboError` without bindings, without a Gazebo that answers, or with another world than ours in it.
+    Meshes and pictures of spawned models are written to `folder`, which Gazebo reads: both run on the same machine.
+    Raises `GazeboError` if the bindings are missing, no Gazebo answers, or it runs another world.
     """
 
     def __init__(self, folder: Path, config: LiveConfig | None = None, bindings: Bindings | None = None) -> None:
@@ -131,7 +131,7 @@ class GazeboWorld:
         self._sun: str | None = None
         self._light = ""
         self._sure = False
-        """Whether all of that is still so: not after a stage that came to nothing."""
+        """Whether this record is still valid; false after a stage that failed."""
         self._meet()
         self._look_around()
         try:
@@ -146,10 +146,10 @@ class GazeboWorld:
         self.close()
 
     def show(self, stage: Stage, labels: LabelPack, appearance: Appearance = PLAIN) -> None:
-        """Make a stage stand in place of what stands, its light included; returns once it stands.
+        """Replace the current stage, including its light; returns once the new one is in place.
 
-        Of the look, the ambient light stays that of the world. Raises `LabelError`, or `GazeboError` where Gazebo
-        refuses or does not do it in time.
+        The ambient light remains that of the world, whatever the appearance. Raises `LabelError`, or `GazeboError` if
+        Gazebo refuses or takes too long.
         """
         try:
             wanted = write_pictures(stage, labels, appearance, self._folder)
@@ -174,31 +174,31 @@ class GazeboWorld:
         self._sure = True
 
     def state(self) -> DroneState:
-        """The vehicle's true state; rates are differences over a tenth of a second."""
+        """The vehicle's true state; rates are finite differences over 0.1 s."""
         self._path = self._path or self.path()
         return self._path.newest().state
 
     def path(self) -> TruePath:
-        """The vehicle's true states from now on; who asks for it closes it."""
+        """The vehicle's true states from now on; the caller closes it."""
         config = self.config
         topic = f"/world/{config.world}/dynamic_pose/info"
         return TruePath(self.bindings, topic, config.vehicle, first_s=config.first_s, silence_s=config.silence_s)
 
     def camera(self) -> GazeboCamera:
-        """The vehicle's camera, for a `MavlinkDrone`, which closes it; raises `CameraError` where it stays silent."""
+        """The vehicle's camera, for a `MavlinkDrone`, which closes it; raises `CameraError` if it sends no frames."""
         return GazeboCamera(
             self.bindings, self.config.camera_topic, first_s=self.config.first_s, silence_s=self.config.silence_s
         )
 
     def close(self) -> None:
-        """Listen no longer; what stands stays."""
+        """Unsubscribe; the stage remains in Gazebo."""
         for topic in (self._path, self._poses):
             if topic is not None:
                 topic.close()
         self._path = self._poses = None
 
     def _meet(self) -> None:
-        """See that our world is the one that runs."""
+        """Check that Gazebo runs our world."""
         delivered, reply = self._request("/gazebo/worlds", "Empty", "StringMsg_V")
         if not delivered:
             raise GazeboError(f"no Gazebo answers within {self.config.answer_s:g} s; {self._advice()}")
@@ -211,7 +211,7 @@ class GazeboWorld:
             )
 
     def _look_around(self) -> None:
-        """See what stands: at the start, and after a stage that came to nothing."""
+        """Read the current entities: at the start, and after a stage that failed."""
         self._known = self._entities()
         if self.config.vehicle not in self._known:
             raise GazeboError(
@@ -224,7 +224,7 @@ class GazeboWorld:
         self._sure = True
 
     def _advice(self) -> str:
-        """What to do where nobody answers."""
+        """What to do if no Gazebo answers."""
         ours, installed = self.bindings.release.name, installed_releases()
         if installed and ours not in installed:
             others = " and ".join(name.capitalize() for name in sorted(installed))
@@ -236,7 +236,7 @@ class GazeboWorld:
         return "start it with: gz sim -r world.sdf, on this machine and with the same GZ_PARTITION"
 
     def _shine(self, light: ET.Element) -> None:
-        """Put up a light in place of the one before, unless it is the same: gz-sim moves models only."""
+        """Replace the light unless it is the same: gz-sim can only move models."""
         text = document(light)
         if text != self._light:
             name = self._new_name(SUN)
@@ -267,7 +267,7 @@ class GazeboWorld:
         self._command("set_pose", request, f"move {name}")
 
     def _command(self, service: str, request: Any, what: str) -> None:
-        """Ask for a change of the world."""
+        """Request a change of the world."""
         delivered, reply = self._request(f"/world/{self.config.world}/{service}", request, "Boolean")
         if not delivered:
             raise GazeboError(f"Gazebo did not answer when asked to {what}; is it still running?")
@@ -275,7 +275,7 @@ class GazeboWorld:
             raise GazeboError(f"Gazebo refuses to {what}; its own output says why (gz sim -v 4)")
 
     def _request(self, service: str, request: Any, answer: str) -> tuple[bool, Any]:
-        """Whether a service answered in time, and what; `request` is a message, or the name of an empty one."""
+        """Call a service: whether it answered in time, and the answer. `request` is a message, or its type if empty."""
         message = self.bindings.message(request)() if isinstance(request, str) else request
         timeout_ms = round(1000 * self.config.answer_s)
         delivered, reply = self._node.request(
@@ -288,13 +288,13 @@ class GazeboWorld:
         delivered, scene = self._request(f"/world/{self.config.world}/scene/info", "Empty", "Scene")
         if not delivered:
             raise GazeboError(
-                f"Gazebo does not tell of its scene within {self.config.answer_s:g} s; does the world load the system"
+                f"Gazebo did not report its scene within {self.config.answer_s:g} s; does the world load the system"
                 " gz-sim-scene-broadcaster-system?"
             )
         return frozenset(entity.name for entity in (*scene.model, *scene.light))
 
     def _await_places(self) -> None:
-        """Wait until of ours stands what should, where it should, and no more."""
+        """Wait until exactly the wanted entities of ours are in place."""
         if self._poses is None:
             topic = f"/world/{self.config.world}/pose/info"
             self._poses = Topic(self.bindings, topic, "Pose_V", places_of, self.config.first_s)
@@ -308,7 +308,7 @@ class GazeboWorld:
             time.sleep(_LOOK_AGAIN_S)
 
     def _new_name(self, kind: str) -> str:
-        """A name that no entity has: one that was just removed may still be there."""
+        """An unused entity name: a removed entity may still be there for a while."""
         while True:
             self._serial += 1
             name = f"{kind}_{self._serial}"

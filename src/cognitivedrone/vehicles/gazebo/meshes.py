@@ -1,7 +1,7 @@
-"""The meshes of our world as OBJ files: read back from the compiled MuJoCo model, so that there is one source of them.
+"""The meshes of our world as OBJ files, read from the compiled MuJoCo model, the single source of meshes.
 
-Metres, z up. Faces are flat: every corner carries the normal of its face. Texture coordinates in our world run
-downwards, in OBJ upwards.
+Metres, z up. Flat shading: every corner has the normal of its face. Texture v runs downwards in our world, upwards in
+OBJ.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ ROOM: Final = "room"
 
 @dataclass(frozen=True, slots=True)
 class Mesh:
-    """Triangles in the frame that they were written in: of gates the gate frame, of others that of the stage."""
+    """Triangles in their original frame: the gate frame for gates, the stage frame for others."""
 
     vertices: FloatArray
     """(n, 3) m."""
@@ -40,8 +40,8 @@ def gate_mesh(size: Size, shape: Shape) -> str:
 
 
 def world_meshes() -> dict[str, Mesh]:
-    """Every mesh of our world by the name of its file: six gates, the unit panel, floor and room."""
-    assets = build_assets(slots=1, image_size=16)  # nothing is rendered; the model is only read
+    """Every mesh of our world by file name: six gates, the unit panel, floor and room."""
+    assets = build_assets(slots=1, image_size=16)  # the model is only read, not rendered
     placed = {gate_mesh(size, shape): assets.gates[size, shape] for size in SIZES for shape in SHAPES}
     placed |= {PANEL: assets.panel, FLOOR: assets.floor, ROOM: assets.room}
     return {name: _read(assets, where) for name, where in placed.items()}
@@ -63,7 +63,7 @@ def obj_text(name: str, mesh: Mesh) -> str:
 
 
 def _read(assets: Assets, placed: Placed) -> Mesh:
-    """A mesh of the compiled model, moved back to where it was written."""
+    """A mesh of the compiled model, transformed back to its original frame."""
     model, mesh = assets.model, placed.mesh
 
     def part(values: FloatArray, first: NDArray[np.int32], count: NDArray[np.int32]) -> FloatArray:

@@ -1,4 +1,4 @@
-"""From a running Gazebo and its ArduPilot to a `GazeboFlight`: connect, see that nothing real is flown, take off."""
+"""Opens a `GazeboFlight` on a running Gazebo: connect, verify that the vehicle is simulated, take off."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.simulated import SimulatedFlight
 
 URL: Final = "tcp:127.0.0.1:5760"
-"""Where the first ArduPilot of this machine waits for a ground station."""
+"""Address at which the first ArduPilot on this machine accepts a ground station."""
 VEHICLE: Final = MavlinkConfig(
     takeoff_height_m=1.5, clock="vehicle", set_parameters=True, ready_timeout_s=180.0, takeoff_timeout_s=90.0
 )
 SIMULATION_PARAMETER: Final = "SIM_SPEEDUP"
-"""Only an ArduPilot that runs as software in the loop has it."""
+"""Parameter that only software-in-the-loop builds of ArduPilot have."""
 
 
 @contextmanager
 def open_gazebo(
     url: str = URL, config: LiveConfig | None = None, bindings: Bindings | None = None
 ) -> Iterator[GazeboFlight]:
-    """The vehicle of the Gazebo that runs; it takes off at the first `begin`, and lands at the end.
+    """The vehicle of the running Gazebo; it takes off at the first `begin`, and lands on exit.
 
-    Raises `GazeboError` without bindings, without a Gazebo that answers or with another world in it, and `CameraError`
-    for a silent camera.
+    Raises `GazeboError` if the bindings are missing, no Gazebo answers or it runs another world, and `CameraError` if
+    the camera sends no frames.
     """
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cognitivedrone-gazebo-")))
@@ -54,7 +54,7 @@ def open_gazebo(
 
 
 def open_gazebo_vehicle(request: Request) -> SimulatedFlight:
-    """The vehicle of the Gazebo that runs. Time is Gazebo's, whatever the pace."""
+    """The vehicle of the running Gazebo. Time is Gazebo's, whatever the pace."""
     with ExitStack() as undo:
         flight = undo.enter_context(open_gazebo())
         world = ExternalWorld(flight, flight, request.airframe.hull_radius)
@@ -62,14 +62,14 @@ def open_gazebo_vehicle(request: Request) -> SimulatedFlight:
 
 
 def take_off(url: str, world: GazeboWorld) -> MavlinkDrone:
-    """The world's vehicle, in the air; raises `LinkError` where it does not fly, or is not known to be simulated."""
+    """Take off with the world's vehicle; raises `LinkError` if it does not fly, or is not known to be simulated."""
     drone = _Drone(url, world.camera(), PassThroughGuard(), VEHICLE)
     with ExitStack() as undo:
         undo.callback(drone.close)
         if not drone.is_software:
             raise LinkError(
-                f"the vehicle at {url} does not say that it is simulated, so it may be a real drone; start ArduPilot as"
-                " docs/gazebo.md says, and end what else listens there"
+                f"the vehicle at {url} does not report that it is simulated, so it may be a real drone; start ArduPilot"
+                " as described in docs/gazebo.md, and stop any other program that listens there"
             )
         drone.take_off(lambda _: True)
         undo.pop_all()
@@ -77,9 +77,9 @@ def take_off(url: str, world: GazeboWorld) -> MavlinkDrone:
 
 
 class PassThroughGuard:
-    """Lets every command pass until it is told to land: where a gate monitor judges, no rule is to hold back.
+    """Passes every command until it must land: no safety rule may interfere with a scored flight.
 
-    Hands off, for good, where the motors stop or a mode shows that nobody here ordered.
+    Decides `hands_off`, permanently, if the motors stop or a mode appears that we did not order.
     """
 
     def __init__(self) -> None:
@@ -97,7 +97,7 @@ class PassThroughGuard:
         return _Word("land", self._landing) if self._landing else _Word("fly", "")
 
     def shape(self, health: Health) -> Action:
-        """The command as it is."""
+        """The command, unchanged."""
         return np.zeros(4, dtype=np.float32) if health.command is None else health.command.astype(np.float32)
 
     def land(self, reason: str) -> None:
@@ -112,9 +112,9 @@ class _Word:
 
 
 class _Drone(MavlinkDrone):
-    """A drone that knows whether it is one."""
+    """A drone that knows whether it is simulated."""
 
     @property
     def is_software(self) -> bool:
-        """Whether it says so: software in the loop, or this project's own."""
+        """Whether it reports to be simulated: software in the loop, or this project's own."""
         return self.simulated or self._link.parameters([SIMULATION_PARAMETER])[SIMULATION_PARAMETER] is not None

@@ -1,4 +1,4 @@
-"""The releases of Gazebo that are supported, and what their parts are called.
+"""The supported releases of Gazebo, and the names of their parts.
 
 Sources: the release notes of Gazebo Harmonic, Ionic and Jetty (https://gazebosim.org/docs/latest/releases). From
 Jetty on, the modules of the Python bindings have no number in their names; the packages keep theirs.
@@ -19,7 +19,7 @@ class Release:
     sim: int
     """Major version of gz-sim, as `gz sim --versions` prints it."""
     package: str
-    """Debian package of the whole of it."""
+    """Debian package of the complete release."""
     bindings: str
     """Debian packages of the Python bindings."""
     transport: str
@@ -38,11 +38,11 @@ RELEASES: dict[str, Release] = {
         ),
     )
 }
-"""By name, the newest first. Worlds are written for all of them alike; Harmonic and Jetty are supported the longest."""
+"""By name, newest first. The same worlds work with all of them; Harmonic and Jetty have long-term support."""
 
 
 def release_named(name: str) -> Release:
-    """The release of that name; raises `GazeboError` with near names."""
+    """The release with this name; raises `GazeboError` with similar names."""
     if name not in RELEASES:
         raise GazeboError(f"unknown Gazebo release {name!r}; {did_you_mean(name, RELEASES)}")
     return RELEASES[name]

@@ -1,7 +1,7 @@
-"""A stage as SDF: where each gate, panel and light stands, and the XML of it. Pure; `export.py` and `live.py` use it.
+"""A stage as SDF: poses of gates, panels and light, and their XML. Pure; used by `export.py` and `live.py`.
 
-SDF 1.9 (http://sdformat.org/spec?ver=1.9), which Harmonic, Ionic and Jetty all read, and Debian 12's libsdformat too.
-Gazebo's world frame is ENU in metres like ours, its model frames FLU, and its cameras look along x: nothing is turned.
+SDF 1.9 (http://sdformat.org/spec?ver=1.9), which Harmonic, Ionic, Jetty and Debian 12's libsdformat read. Like ours,
+Gazebo's world frame is ENU in metres, its model frames are FLU, and its cameras look along x: no rotation is needed.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ WORLD: Final = "cognitivedrone"
 """Name of every exported world."""
 SUN: Final = "sun"
 STEP_S: Final = 0.001
-"""Of physics; ArduPilot needs 800 Hz or more to pass its gyro check."""
-_GATE_GLOW: Final = 0.4  # as in our world: keeps the faces that light misses nameable
+"""Physics step; ArduPilot needs 800 Hz or more to pass its gyro check."""
+_GATE_GLOW: Final = 0.4  # as in our world: keeps the colour of unlit faces recognisable
 _SYSTEMS: Final = (
     ("gz-sim-physics-system", "gz::sim::systems::Physics"),
     ("gz-sim-user-commands-system", "gz::sim::systems::UserCommands"),
@@ -38,44 +38,44 @@ _HOME: Final = (-35.363262, 149.165237, 584.0)  # ArduPilot's default place: lat
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """What a panel or the board shows."""
+    """The picture on a panel or board."""
 
     file: str
-    """Name in the folder of textures."""
+    """File name in the folder of textures."""
     aspect: float
     """Width over height."""
 
 
 @dataclass(frozen=True, slots=True)
 class Prop:
-    """One mesh that stands in the world, static and, like the gates of our world, without collision."""
+    """A static mesh in the world, without collision, like the gates of our world."""
 
     name: str
     mesh: str
-    """Name in the folder of meshes, without ".obj"."""
+    """File name in the folder of meshes, without ".obj"."""
     position: tuple[float, float, float]
     """World, m."""
     yaw: float
     """rad."""
     color: RGB
     glow: float
-    """0 to 1: the share of the colour that shows whatever the light."""
+    """Emissive share of the colour, 0 to 1."""
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     texture: str | None = None
-    """Name in the folder of textures; multiplied with the colour."""
+    """File name in the folder of textures; multiplied by the colour."""
 
     def alike(self, other: Prop) -> bool:
-        """Whether the two differ in nothing but where they stand."""
+        """Whether the two differ only in position and heading."""
         return replace(self, position=other.position, yaw=other.yaw) == other
 
 
 def props_of(
     stage: Stage, labels: Sequence[Picture], board: Picture | None, appearance: Appearance
 ) -> tuple[Prop, ...]:
-    """Gates, panels, board, floor and room of a stage, where our world has them.
+    """Gates, panels, board, floor and room of a stage, placed as in our world.
 
-    `labels` are the pictures of gates 1 to 3. A gate that stands alone has no panel. Floor and room belong to the
-    stage: they move and turn with it.
+    `labels` are the pictures of gates 1 to 3. A single gate has no panel. Floor and room belong to the stage: they move
+    and turn with it.
     """
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
     home = (float(stage.origin[0]), float(stage.origin[1]), 0.0)
@@ -112,7 +112,7 @@ def pattern_file(pattern: Pattern) -> str | None:
 
 
 def document(element: ET.Element) -> str:
-    """The text of an SDF file with one world or model in it."""
+    """The text of an SDF file with one world or model."""
     root = ET.Element("sdf", version=VERSION)
     root.append(element)
     ET.indent(root)
@@ -122,8 +122,8 @@ def document(element: ET.Element) -> str:
 def prop_model(prop: Prop, folder: str = "") -> ET.Element:
     """The `<model>` of a prop.
 
-    `folder` is put before the names of meshes and textures: empty for files beside the world's, and
-    "file:///a/folder/" for a model that is sent to a running Gazebo.
+    `folder` is the prefix of mesh and texture names: empty for files next to the world's, and "file:///a/folder/" for a
+    model that is sent to a running Gazebo.
     """
     model = ET.Element("model", name=prop.name)
     add(model, "static", "true")
@@ -138,7 +138,7 @@ def prop_model(prop: Prop, folder: str = "") -> ET.Element:
 
 
 def material(color: RGB, glow: float, texture: str | None = None) -> ET.Element:
-    """A matt `<material>` that shows `glow` (0 to 1) of its colour whatever the light, and the rest of it as lit."""
+    """A matt `<material>`: `glow` (0 to 1) of its colour is emissive, the rest is lit."""
     element = ET.Element("material")
     lit = numbers(*((1.0 - glow) * part for part in color), 1.0)
     add(element, "ambient", lit)
@@ -186,7 +186,7 @@ def world(stage: Stage, props: Sequence[Prop], appearance: Appearance, vehicle: 
 
 
 def sun(stage: Stage, appearance: Appearance) -> ET.Element:
-    """The one `<light>`: directional, without shadows, turned with the stage."""
+    """The only `<light>`: directional, without shadows, rotated with the stage."""
     light = ET.Element("light", name=SUN, type="directional")
     add(light, "pose", numbers(*stage.origin, 10.0, 0.0, 0.0, stage.yaw))
     add(light, "cast_shadows", "false")
@@ -200,14 +200,14 @@ def sun(stage: Stage, appearance: Appearance) -> ET.Element:
 
 
 def add(parent: ET.Element, tag: str, text: str | None = None, **attributes: str) -> ET.Element:
-    """A new child."""
+    """Append a child element; returns it."""
     child = ET.SubElement(parent, tag, attributes)
     child.text = text
     return child
 
 
 def numbers(*values: float) -> str:
-    """Numbers as SDF writes them, to nine digits; 0 without a sign."""
+    """Numbers formatted for SDF, with nine digits; 0 without a sign."""
     return " ".join(format(float(value) + 0.0, ".9g") for value in values)
 
 
@@ -219,7 +219,7 @@ def _panel(
 
 
 def _ground() -> ET.Element:
-    """What the vehicle stands on: endless and unseen, so that it need not move with the stage."""
+    """The ground under the vehicle: infinite and invisible, so that it need not move with the stage."""
     model = ET.Element("model", name="ground")
     add(model, "static", "true")
     collision = add(add(model, "link", name="link"), "collision", name="collision")

@@ -1,6 +1,6 @@
-"""What a running Gazebo shows: the vehicle's camera, as `MavlinkDrone` takes one, and its true path.
+"""Sensing in a running Gazebo: the vehicle's camera, for `MavlinkDrone`, and its true path.
 
-Both listen to a topic from another thread, and raise `GazeboError` or `CameraError` once it falls silent.
+Both subscribe to a topic, which another thread receives, and raise `GazeboError` or `CameraError` if it stops.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ T = TypeVar("T")
 RGB_INT8: Final = 3
 """gz.msgs.PixelFormatType."""
 VELOCITY_WINDOW_S: Final = 0.1
-"""Velocity and body rates are differences of poses this far apart, of simulated time, or somewhat more."""
+"""Velocity and body rates are finite differences of poses at least this far apart in simulated time."""
 
 PATH_KEPT: Final = 10_000
-"""Samples of a path that nobody asks for: almost three minutes of them."""
+"""Maximum number of unread samples of a path: almost three minutes."""
 _LOOK_AGAIN_S = 0.002
 
 
 class Topic(Generic[T]):
-    """The newest of what a topic brings, and when it came; `take` makes it of a message, or none where it is of no use.
+    """The newest value of a topic and its time; `take` converts a message, or returns none to ignore it.
 
-    Waits for the first. Raises `GazeboError` where there is no topic of that name and type, or it stays silent.
+    Waits for the first. Raises `GazeboError` if there is no topic with this name and type, or it stays silent.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Topic(Generic[T]):
         self._newest: tuple[T | GazeboError, float] | None = None
         self._node = bindings.new_node()
         if not self._node.subscribe(bindings.message(message), name, self._receive):
-            raise GazeboError(f"cannot listen at topic {name}: gz-transport refuses it; is its name well formed?")
+            raise GazeboError(f"cannot subscribe to topic {name}: gz-transport refuses it; is the name well formed?")
         with self._news:
             self._news.wait_for(lambda: self._newest is not None, first_s)
         try:
@@ -64,7 +64,7 @@ class Topic(Generic[T]):
             ) from None
 
     def newest(self, silence_s: float) -> tuple[T, float]:
-        """The newest and when it came, of `time.monotonic`, s; `GazeboError` where that was over `silence_s` ago."""
+        """The newest value and its arrival, `time.monotonic`, s; raises `GazeboError` if older than `silence_s`."""
         with self._news:
             newest = self._newest
         if newest is None:
@@ -78,7 +78,7 @@ class Topic(Generic[T]):
         return what, received
 
     def close(self) -> None:
-        """Listen no longer."""
+        """Unsubscribe."""
         self._node.unsubscribe(self.name)
 
     def _receive(self, message: Any) -> None:
@@ -86,7 +86,7 @@ class Topic(Generic[T]):
         try:
             taken = self._take(message)
         except GazeboError as error:
-            taken = error  # for who reads: nobody would catch it in the thread of gz-transport
+            taken = error  # raised to the reader: nothing would catch it in the thread of gz-transport
         if taken is not None:
             with self._news:
                 self._newest = (taken, time.monotonic())
@@ -94,7 +94,7 @@ class Topic(Generic[T]):
 
 
 class GazeboCamera:
-    """The vehicle's camera, a `cognitivedrone.vehicles.camera.Camera`; raises `CameraError` where it is silent."""
+    """The vehicle's camera, a `cognitivedrone.vehicles.camera.Camera`; raises `CameraError` if it sends no frames."""
 
     def __init__(self, bindings: Bindings, topic: str, *, first_s: float = 10.0, silence_s: float = 3.0) -> None:
         self._silence_s = silence_s
@@ -112,21 +112,21 @@ class GazeboCamera:
         return Shot(image, received, time.monotonic() - received)
 
     def close(self) -> None:
-        """Listen no longer."""
+        """Unsubscribe."""
         self._topic.close()
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """Where a model truly was."""
+    """A true state of a model."""
 
     time: float
-    """Of Gazebo, s."""
+    """Gazebo's time, s."""
     state: DroneState
 
 
 class TruePath:
-    """Every true state of a model, from the world's topic of moving things, and Gazebo's time with them."""
+    """All true states of a model with Gazebo's time, from the world's topic of dynamic poses."""
 
     def __init__(
         self, bindings: Bindings, topic: str, model: str, *, first_s: float = 10.0, silence_s: float = 3.0
@@ -137,11 +137,11 @@ class TruePath:
         self._topic: Topic[Sample] = Topic(bindings, topic, "Pose_V", self._take, first_s)
 
     def newest(self) -> Sample:
-        """The last one; raises `GazeboError` where the topic has fallen silent."""
+        """The latest state; raises `GazeboError` if the topic has stopped."""
         return self._topic.newest(self._silence_s)[0]
 
     def until(self, time_s: float) -> list[Sample]:
-        """Wait until Gazebo's time is `time_s`; all samples since the last call, in order, or the newest."""
+        """Wait until Gazebo's time is `time_s`; returns all samples since the last call, in order, or the newest."""
         while (newest := self.newest()).time < time_s:
             time.sleep(_LOOK_AGAIN_S)
         samples: list[Sample] = []
@@ -150,7 +150,7 @@ class TruePath:
         return samples or [newest]
 
     def close(self) -> None:
-        """Listen no longer."""
+        """Unsubscribe."""
         self._topic.close()
 
     def _take(self, message: Any) -> Sample | None:
@@ -163,14 +163,14 @@ class TruePath:
 
 
 class PoseTrack:
-    """Makes states of poses: rates are differences over `VELOCITY_WINDOW_S` of simulated time."""
+    """Computes states from poses: rates are finite differences over `VELOCITY_WINDOW_S` of simulated time."""
 
     def __init__(self, model: str) -> None:
         self._model = model
         self._past: deque[tuple[float, FloatArray, FloatArray]] = deque()
 
     def take(self, message: Any) -> DroneState | None:
-        """The state after a `Pose_V`; none before there are two poses, or where the model is not in it."""
+        """The state after a `Pose_V`; none before the second pose, or if the model is not in it."""
         pose = next((pose for pose in message.pose if pose.name == self._model), None)
         if pose is None:
             return None
@@ -201,7 +201,7 @@ def stamp_of(message: Any) -> float:
 
 
 def places_of(message: Any) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Position (3,) in m and quaternion (4,) w, x, y, z of everything in a `Pose_V`, by name."""
+    """Position (3,) in m and quaternion (4,) w, x, y, z of all entities in a `Pose_V`, by name."""
     return {pose.name: _place(pose) for pose in message.pose}
 
 
@@ -211,7 +211,7 @@ def _place(pose: Any) -> tuple[FloatArray, FloatArray]:
 
 
 def picture(message: Any) -> Image:
-    """(256, 256, 3) uint8 of an image message; raises `GazeboError` for one that is not 8-bit RGB, or cut short."""
+    """An image message as (256, 256, 3) uint8; raises `GazeboError` if it is not 8-bit RGB, or incomplete."""
     width, height, step = message.width, message.height, message.step or 3 * message.width
     if message.pixel_format_type != RGB_INT8 or step < 3 * width:
         raise GazeboError(

@@ -1,11 +1,11 @@
-"""The Iris of `sim/airframe.py` for Gazebo: body, four rotors, camera, IMU, and ArduPilot at the controls.
+"""The Iris of `sim/airframe.py` as an SDF model: body, four rotors, camera, IMU, and the ArduPilot plugin.
 
 Rotor thrust is the lift of two blades, as gz-sim's LiftDrag system computes it: rho v^2 / 2 times area times lift
-coefficient, v the speed of the blade's centre of pressure. Area and drag coefficient are chosen such that a rotor at
-full speed gives the airframe's largest thrust and its reaction torque.
+coefficient, with v the speed of the blade's centre of pressure. Area and drag coefficient are chosen such that a rotor
+at full speed gives the airframe's maximum thrust and reaction torque.
 
-ArduPilotPlugin: parameters as in https://github.com/ArduPilot/ardupilot_gazebo. It answers ArduPilot in lock-step, and
-passes the IMU on as it is, which is why the IMU is turned to forward-right-down.
+ArduPilotPlugin: parameters as in https://github.com/ArduPilot/ardupilot_gazebo. It answers ArduPilot in lock-step and
+forwards the IMU's data unchanged, so the IMU is rotated to forward-right-down.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from cognitivedrone.world.appearance import RGB, Appearance
 NAME: Final = "iris"
 CAMERA_TOPIC: Final = "/cognitivedrone/camera"
 CAMERA_HZ: Final = 20
-"""Twice the rate of control: the newest frame is never older than half a control step."""
+"""Twice the control rate: the newest frame is never older than half a control step."""
 IMU_HZ: Final = 1000
 PORT: Final = 9002
-"""UDP port at which the first ArduPilot looks for its physics."""
+"""UDP port on which the first ArduPilot instance expects its physics."""
 PWM_RANGE_US: Final = (1000, 2000)
-"""A disarmed ArduPilot sends 1000: a larger minimum would turn the rotors backwards."""
+"""A disarmed ArduPilot sends 1000; with a larger minimum the rotors would turn backwards."""
 FULL_SPEED: Final = 838.0
-"""Of a rotor, rad/s."""
+"""Maximum rotor speed, rad/s."""
 
 _AIR_DENSITY = 1.2041  # kg/m3
 _PRESSURE_CENTER = 0.084  # m from the hub
@@ -44,9 +44,9 @@ _REAR: RGB = (0.35, 0.35, 0.4)
 
 
 def iris(position: tuple[float, float], yaw: float, appearance: Appearance, airframe: Airframe = IRIS) -> ET.Element:
-    """The `<model>` of the vehicle, standing on the ground at world x, y (m), its nose at `yaw` (rad).
+    """The `<model>` of the vehicle, on the ground at world x, y (m), with heading `yaw` (rad).
 
-    Of the look only the camera's pixel noise is taken; its response curve and gain have no place in SDF.
+    From the appearance only the camera's pixel noise is used; SDF cannot express its response curve and gain.
     """
     model = ET.Element("model", name=NAME)
     add(model, "pose", numbers(*position, ground_clearance(airframe), 0.0, 0.0, yaw))
@@ -73,10 +73,10 @@ def iris(position: tuple[float, float], yaw: float, appearance: Appearance, airf
 
 
 def parameters(airframe: Airframe = IRIS) -> str:
-    """The parameter file that fits ArduCopter's defaults to this vehicle.
+    """The parameter file that adapts ArduCopter's defaults to this vehicle.
 
-    Gazebo's rotors have thrust in proportion to the square of the command (MOT_THST_EXPO 1), over all of the PWM range.
-    The last two are those without which `MavlinkDrone` does not fly.
+    The thrust of Gazebo's rotors is proportional to the square of the command (MOT_THST_EXPO 1), over the whole PWM
+    range. `MavlinkDrone` requires the last two parameters.
     """
     hover = airframe.mass * GRAVITY / (4 * airframe.max_thrust)
     values = {
@@ -97,12 +97,12 @@ def parameters(airframe: Airframe = IRIS) -> str:
 
 
 def ground_clearance(airframe: Airframe = IRIS) -> float:
-    """Height of the vehicle's origin above the floor it stands on, m: as of the hull in `sim/airframe.py`."""
+    """Height of the vehicle's origin above the floor when landed, m, from the hull in `sim/airframe.py`."""
     return 0.3 * airframe.rotor_offset
 
 
 def _body(airframe: Airframe) -> tuple[float, tuple[float, float, float]]:
-    """Mass and principal moments of what is not a rotor, such that the whole is the airframe."""
+    """Mass and principal moments of the body without rotors, such that the total matches the airframe."""
     side = airframe.rotor_offset
     lever = (side**2, side**2, 2 * side**2)
     own = ((_ROTOR_INERTIA[0] + _ROTOR_INERTIA[1]) / 2,) * 2 + (_ROTOR_INERTIA[2],)  # averaged over a turn
@@ -121,7 +121,7 @@ def _inertial(link: ET.Element, mass: float, moments: tuple[float, float, float]
 
 
 def _imu() -> ET.Element:
-    # No topic of its own: ArduPilotPlugin listens at the one that Gazebo makes up.
+    # No explicit topic: ArduPilotPlugin subscribes to the one that Gazebo generates.
     sensor = ET.Element("sensor", name="imu_sensor", type="imu")
     add(sensor, "pose", numbers(0.0, 0.0, 0.0, math.pi, 0.0, 0.0))
     add(sensor, "always_on", "true")
@@ -153,7 +153,7 @@ def _camera(appearance: Appearance) -> ET.Element:
 
 
 def _add_rotor(model: ET.Element, index: int, forward: float, left: float) -> None:
-    """A link with a disc, and the joint that it turns on."""
+    """Add a link with a disc, and its revolute joint."""
     link = add(model, "link", name=f"rotor_{index}")
     add(link, "pose", numbers(forward, left, 0.0, 0.0, 0.0, 0.0))
     _inertial(link, _ROTOR_MASS, _ROTOR_INERTIA)
@@ -173,7 +173,7 @@ def _add_rotor(model: ET.Element, index: int, forward: float, left: float) -> No
 
 
 def _blade(airframe: Airframe, index: int, turning: int, blade: int) -> ET.Element:
-    """Lift and drag of one blade, `blade` 1 or -1, of a rotor that turns to the left (`turning` 1) or right (-1)."""
+    """Lift and drag of one blade, `blade` 1 or -1; `turning` is 1 for counter-clockwise rotors, -1 for clockwise."""
     plugin = ET.Element("plugin", filename="gz-sim-lift-drag-system", name="gz::sim::systems::LiftDrag")
     pressure = _AIR_DENSITY * (FULL_SPEED * _PRESSURE_CENTER) ** 2 / 2
     area = airframe.max_thrust / (2 * pressure * _LIFT_SLOPE * _ATTACK_ANGLE)
@@ -199,7 +199,7 @@ def _blade(airframe: Airframe, index: int, turning: int, blade: int) -> ET.Eleme
 
 
 def _ardupilot() -> ET.Element:
-    """In lock-step and with synchronised time: `no_time_sync` would let ArduPilot run on without physics."""
+    """The ArduPilot plugin, in lock-step: with `no_time_sync`, ArduPilot would run on without physics."""
     plugin = ET.Element("plugin", filename="ArduPilotPlugin", name="ArduPilotPlugin")
     add(plugin, "fdm_addr", "127.0.0.1")
     add(plugin, "fdm_port_in", numbers(PORT))

@@ -1,4 +1,4 @@
-"""How the simulated vehicle heeds each MAVLink message: commands, modes, parameters, setpoints, streams, missions.
+"""MAVLink message handlers of the simulated vehicle: commands, modes, parameters, setpoints, streams, missions.
 
 Results and refusals follow ArduCopter: https://ardupilot.org/dev/docs/mavlink-commands.html.
 """
@@ -26,12 +26,12 @@ from cognitivedrone.vehicles.mavlink.server.targets import (
 )
 
 MAX_RATE_HZ = 100.0
-"""Of a stream: one a step."""
+"""Maximum rate of a stream: one message per step."""
 _POSITION_ONLY = 0x0FF8
 
 
 class Peer(Protocol):
-    """Who sent a message: what an answer needs."""
+    """Sender of a message: what an answer needs."""
 
     mav: Any
     rates: dict[str, float]
@@ -40,7 +40,7 @@ class Peer(Protocol):
 
 
 class Vehicle(Protocol):
-    """What commands act on."""
+    """The vehicle that commands act on."""
 
     time: float
     parameters: Parameters
@@ -51,15 +51,15 @@ class Vehicle(Protocol):
         ...
 
     def say(self, severity: Severity, text: str) -> None:
-        """STATUSTEXT to everybody."""
+        """Send a STATUSTEXT to all peers."""
         ...
 
     def snapshot(self) -> Snapshot:
-        """What reports tell of now."""
+        """The current state, for reports."""
         ...
 
     def send_parameter(self, peer: Any, name: str) -> None:
-        """PARAM_VALUE."""
+        """Send PARAM_VALUE."""
         ...
 
 
@@ -101,7 +101,7 @@ class Commands:
         }
 
     def heed(self, peer: Any, message: Any) -> None:
-        """Act on one message and answer it; what is not known is left alone."""
+        """Process one message and answer it; unknown messages are ignored."""
         handler = self._messages.get(message.get_type())
         if handler is not None:
             handler(peer, message)
@@ -140,7 +140,7 @@ class Commands:
         )
 
     def _done(self, refusal: str | None) -> int:
-        """The result of something that may have been refused; the reason is told to all."""
+        """The MAVLink result for a refusal or none; a refusal is announced to all peers."""
         if refusal is None:
             return int(self._m.MAV_RESULT_ACCEPTED)
         self._vehicle.say(Severity.CRITICAL, refusal)
@@ -168,7 +168,7 @@ class Commands:
         self._acknowledge(peer, message, result, self._m.MAVLINK_MSG_ID_SET_MODE)
 
     def _reposition(self, message: Any) -> int:
-        """DO_REPOSITION: fly to a place, changing to GUIDED where the first bit of the options asks for it."""
+        """DO_REPOSITION: fly to a position; switch to GUIDED if the first bit of the options is set."""
         m, vehicle = self._m, self._vehicle
         if message.frame not in GLOBAL_FRAMES:
             return int(m.MAV_RESULT_DENIED)
@@ -196,7 +196,7 @@ class Commands:
         self._aim(t, GLOBAL_FRAMES, np.array([t.lat_int / 1e7, t.lon_int / 1e7, t.alt]))
 
     def _aim(self, t: Any, frames: tuple[int, ...], position: Any) -> None:
-        """Follow a setpoint in GUIDED; one that is not supported stops the vehicle."""
+        """Follow a setpoint in GUIDED; an unsupported one stops the vehicle."""
         if self._modes.mode != Mode.GUIDED:
             return
         velocity = np.array([t.vx, t.vy, t.vz], dtype=np.float64)
@@ -208,7 +208,7 @@ class Commands:
             self._modes.aim(target)
             return
         self._modes.stop()
-        if vehicle.time - self._told_refusal >= 1.0:  # setpoints may come at 50 Hz; words need not
+        if vehicle.time - self._told_refusal >= 1.0:  # setpoints may arrive at 50 Hz; limit the messages
             self._told_refusal = vehicle.time
             vehicle.say(Severity.WARNING, f"Target refused: {target or f'frame {t.coordinate_frame} is unknown'}")
 
@@ -225,7 +225,7 @@ class Commands:
             self._vehicle.send_parameter(peer, str(name))
 
     def _set_parameter(self, peer: Peer, message: Any) -> None:
-        """Change a parameter; the answer is the value that holds now, whether or not it was taken."""
+        """Change a parameter; the answer is the current value, whether or not the change was accepted."""
         table = self._vehicle.parameters
         if message.param_id not in table:
             return
@@ -244,7 +244,7 @@ class Commands:
         m, name = self._m, self._ids.get(_whole(p[0]))
         if name is None or not math.isfinite(p[1]):
             return int(m.MAV_RESULT_DENIED)
-        interval = p[1]  # us; -1 stops, 0 is the usual rate
+        interval = p[1]  # us; -1 stops, 0 is the default rate
         self._rate(peer, name, 0.0 if interval < 0 else REPORTS[name][1] if interval == 0 else 1e6 / interval)
         return int(m.MAV_RESULT_ACCEPTED)
 
@@ -266,7 +266,7 @@ class Commands:
         return int(self._m.MAV_RESULT_ACCEPTED)
 
     def _data_stream(self, peer: Peer, message: Any) -> None:
-        """The older way to ask: all streams at once, whichever group is named."""
+        """The older request: sets all streams at once, whichever group is named."""
         rate = float(message.req_message_rate) if message.start_stop else 0.0
         for name, (_, usual) in REPORTS.items():
             if usual > 0 and name != "HEARTBEAT":
@@ -293,5 +293,5 @@ class Commands:
 
 
 def _whole(value: float) -> int:
-    """A whole number from the wire; -1 where it is none."""
+    """An integer from a float parameter; -1 if it is not an integer."""
     return int(value) if math.isfinite(value) and value == int(value) else -1

@@ -1,7 +1,7 @@
-"""What the simulated vehicle does in each flight mode: arming, take-off, targets, return, landing, failsafes.
+"""Flight modes of the simulated vehicle: arming, take-off, targets, return, landing, failsafes.
 
-From true state to velocity command, in world axes and without MAVLink. The behaviour is that of ArduCopter's modes
-(https://ardupilot.org/copter/docs/flight-modes.html) as far as a velocity autopilot can show it.
+Computes velocity commands from the true state, in world axes and without MAVLink. The behaviour follows ArduCopter's
+modes (https://ardupilot.org/copter/docs/flight-modes.html) as far as a velocity autopilot allows.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from cognitivedrone.vehicles.mavlink.server.targets import Heading, Home, Positi
 
 
 class Mode(IntEnum):
-    """ArduCopter's numbers of the modes that there are here."""
+    """The supported modes, with ArduCopter's numbers."""
 
     STABILIZE = 0
     ALT_HOLD = 2
@@ -44,39 +44,39 @@ class Severity(IntEnum):
 _GAINS = AutopilotGains()
 _PILOTED = (Mode.STABILIZE, Mode.ALT_HOLD, Mode.LOITER)
 _ARMABLE = (*_PILOTED, Mode.GUIDED)
-_PRESS_M_S = 0.5  # downwards, to stand firmly
-_LIFTED_M = 0.05  # above standing: it flies
-_TOUCHED_M, _TOUCHED_M_S, _TOUCHED_S = 0.03, 0.15, 0.5  # so near, so slow, for so long: it stands
+_PRESS_M_S = 0.5  # downwards, to stay on the ground
+_LIFTED_M = 0.05  # above the ground: it flies
+_TOUCHED_M, _TOUCHED_M_S, _TOUCHED_S = 0.03, 0.15, 0.5  # height, speed and duration that count as landed
 _THERE_M = 0.2
 _TAKEN_OFF_M = 0.1
-_SLOW_LANDING_M = 10.0  # below this a landing goes at LAND_SPEED
+_SLOW_LANDING_M = 10.0  # below this height a landing uses LAND_SPEED
 _YAW_P = 2.0  # 1/s
 _TURN_LIMIT = 1.0  # rad/s, towards a heading
 _LOWEST_TAKE_OFF_M = 0.2
 
 
 class FlightModes:
-    """The flight logic of one vehicle. Methods that can refuse return the reason in words, or none."""
+    """The flight logic of one vehicle. Methods that can refuse return the reason as text, or none."""
 
     def __init__(self, parameters: Parameters, home: Home, say: Callable[[Severity, str], None]) -> None:
         self.parameters = parameters
         self.home = home
-        """Where the vehicle stood at the start; its height is that of standing."""
+        """The vehicle's initial position on the ground."""
         self.mode = Mode.STABILIZE
         self.armed = False
         self.landed = True
         self.ready = True
-        """Whether the checks before arming pass; `not_ready` says why not."""
+        """Whether the pre-arm checks pass; `not_ready` says why not."""
         self.not_ready = ""
         self.breaches = 0
-        """FENCE_TYPE bits of the fences that are crossed now."""
+        """FENCE_TYPE bits of the fences that are breached now."""
         self.breach_count = 0
         self.sticks = np.zeros(4)
-        """(4,) what a pilot's sticks ask for in the piloted modes, heading frame, m/s and rad/s."""
+        """(4,) velocity commanded by the pilot's sticks in the piloted modes, heading frame, m/s and rad/s."""
         self._say = say
         self._target: Target | None = None
-        self._hold: FloatArray | None = None  # where to stay, once slow enough
-        self._climb_to: float | None = None  # world height of a take-off under way
+        self._hold: FloatArray | None = None  # position to hold, once slow enough
+        self._climb_to: float | None = None  # target height of the current take-off, world
         self._time = 0.0
         self._standing_since: float | None = 0.0
         self._idle_since = 0.0
@@ -87,7 +87,7 @@ class FlightModes:
 
     @property
     def taking_off(self) -> bool:
-        """Whether a take-off is under way."""
+        """Whether it is taking off."""
         return self._climb_to is not None
 
     @property
@@ -96,7 +96,7 @@ class FlightModes:
         return self._target
 
     def set_mode(self, mode: int, reason: str = "") -> str | None:
-        """Change mode; `reason` is announced where the vehicle itself decided."""
+        """Change mode; `reason` is announced if the vehicle itself decided."""
         if mode not in Mode.__members__.values():
             return f"there is no mode {mode} here"
         if mode != self.mode:
@@ -121,7 +121,7 @@ class FlightModes:
         return None
 
     def disarm(self) -> str | None:
-        """Stop the motors: only on the ground."""
+        """Stop the motors, only on the ground."""
         if self.armed and not self.landed:
             return "Disarm: not landed, motors do not stop in flight"
         if self.armed:
@@ -144,21 +144,21 @@ class FlightModes:
         return None
 
     def aim(self, target: Target) -> None:
-        """Follow a target; a take-off under way is over. Only the GUIDED mode listens."""
+        """Follow a target and end a take-off; only in the GUIDED mode."""
         if self.mode == Mode.GUIDED and self.armed:
             self._climb_to, self._hold, self._target = None, None, target
 
     def stop(self) -> None:
-        """As after a target that is not supported: stand still, in the GUIDED mode."""
+        """Hold the position in the GUIDED mode, as after an unsupported target."""
         if self.mode == Mode.GUIDED:
             self._climb_to = self._target = None
 
     def heard_ground_station(self) -> None:
-        """Its heartbeat came."""
+        """Note a heartbeat of the ground station."""
         self._ground_station, self._silent = self._time, False
 
     def update(self, state: DroneState, time: float) -> FloatArray:
-        """The command of now: (4,) heading-frame velocity in m/s and yaw rate in rad/s."""
+        """The current command: (4,) heading-frame velocity in m/s and yaw rate in rad/s."""
         self._time = time
         self._feel_ground(state)
         self._watch(state)
@@ -171,7 +171,7 @@ class FlightModes:
         return np.append(world_to_heading(self._limited(velocity), heading), self._turn_rate(turn, heading))
 
     def _fly(self, state: DroneState) -> tuple[FloatArray, Heading]:
-        """World velocity and where to look, by the mode."""
+        """World velocity and heading target, according to the mode."""
         still = np.zeros(3), Heading()
         match self.mode:
             case Mode.GUIDED:
@@ -205,7 +205,7 @@ class FlightModes:
         return np.zeros(3), Heading()
 
     def _return(self, state: DroneState) -> FloatArray:
-        """Climb, fly home, wait, land."""
+        """Velocity of a return: climb, fly home, wait, land."""
         home, floor = self.home.position, float(self.home.position[2])
         height = floor + self.parameters["RTL_ALT"] / 100
         if self._return_phase == "climb":
@@ -227,21 +227,21 @@ class FlightModes:
         self._return_phase, self._return_since = phase, self._time
 
     def _land(self, state: DroneState, spot: FloatArray) -> FloatArray:
-        """Down, over a spot."""
+        """Velocity of a landing at a spot."""
         offset = spot - state.position
         high = state.position[2] - self.home.position[2] > _SLOW_LANDING_M
         down = self.parameters["WPNAV_SPEED_DN" if high else "LAND_SPEED"] / 100
         return np.array([*self._towards(np.array([offset[0], offset[1], 0.0]))[:2], -down])
 
     def _stay(self, state: DroneState) -> FloatArray:
-        """The place to hold: where the vehicle was when this was first asked, and where it would come to rest."""
+        """The position to hold: where the vehicle stops after the first call."""
         if self._hold is None:
             run_out = state.velocity * (np.linalg.norm(state.velocity) / (2 * _GAINS.acceleration[0]))
             self._hold = state.position + run_out
         return self._hold
 
     def _towards(self, offset: FloatArray) -> FloatArray:
-        """World velocity that covers an offset (3,), m, and ends in rest."""
+        """World velocity that covers an offset (3,), m, and ends at rest."""
         distance = float(np.linalg.norm(offset[:2]))
         speed = _closing_speed(distance, _GAINS.acceleration[0])
         flat = offset[:2] * (speed / max(distance, 1e-9))
@@ -265,7 +265,7 @@ class FlightModes:
         return min(max(rate, -_TURN_LIMIT), _TURN_LIMIT)
 
     def _feel_ground(self, state: DroneState) -> None:
-        """Whether the vehicle stands."""
+        """Detect whether the vehicle is on the ground."""
         height = float(state.position[2] - self.home.position[2])
         if height > _LIFTED_M and self.landed:
             self.landed, self._standing_since = False, None
@@ -277,14 +277,14 @@ class FlightModes:
             self.landed, self._idle_since = True, self._time
 
     def _finish(self) -> None:
-        """On the ground: a landing is over, and nobody leaves motors running."""
+        """On the ground: end a landing, and disarm idle motors."""
         delay = self.parameters["DISARM_DELAY"]
         idle = self._time - self._idle_since
         if self.mode in (Mode.LAND, Mode.RTL) or (delay and idle > delay):
             self.disarm()
 
     def _watch(self, state: DroneState) -> None:
-        """Fences, and the silence of the ground station."""
+        """Check the fences and the ground station's heartbeat."""
         self._watch_fences(state)
         action = self.parameters["FS_GCS_ENABLE"]
         if not action or self._silent or self._ground_station is None or not self.armed:
@@ -312,7 +312,7 @@ class FlightModes:
 
 
 def _closing_speed(distance: float, acceleration: float) -> float:
-    """Speed at a distance from the goal, m/s: in proportion when near, as braking allows when far."""
-    p, acceleration = _GAINS.position_p, acceleration / 2  # half is left for the lag of the velocity loops
+    """Speed at a distance from the goal, m/s: proportional when near, limited by braking when far."""
+    p, acceleration = _GAINS.position_p, acceleration / 2  # half is reserved for the velocity loops' lag
     bend = acceleration / p**2
     return p * distance if distance < bend else math.sqrt(2 * acceleration * (distance - bend / 2))

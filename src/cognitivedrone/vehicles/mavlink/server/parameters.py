@@ -1,4 +1,4 @@
-"""The parameters of the simulated vehicle: few, and each either acts on the simulation or says what is so.
+"""Parameters of the simulated vehicle: a small set, each of which affects the simulation or describes it.
 
 Names, units and meanings are ArduCopter's (https://ardupilot.org/copter/docs/parameters.html).
 """
@@ -22,9 +22,9 @@ class Parameter:
     default: float
     low: float
     high: float
-    """Least and largest value that is taken; equal for what cannot be changed."""
+    """Smallest and largest accepted value; equal for read-only parameters."""
     kind: Kind
-    """ArduCopter's type of storage."""
+    """ArduCopter's storage type."""
     about: str
 
 
@@ -61,7 +61,7 @@ TABLE: dict[str, Parameter] = {
     "WPNAV_SPEED_DN": Parameter(_GAINS.max_descent * 100, 10, _GAINS.max_descent * 100, "float", "cm/s"),
     "WPNAV_SPEED_UP": Parameter(_GAINS.max_climb * 100, 10, _GAINS.max_climb * 100, "float", "cm/s"),
 }
-"""What the autopilot is built with is told and cannot be set: its limits on acceleration, jerk and tilt."""
+"""Built-in limits of the autopilot on acceleration, jerk and tilt are read-only."""
 _NAMES = tuple(sorted(TABLE))
 
 
@@ -85,15 +85,15 @@ class Parameters:
         return self._values[name]
 
     def name(self, index: int) -> str | None:
-        """The name at a place of the list."""
+        """The name at an index of the list."""
         return _NAMES[index] if 0 <= index < len(_NAMES) else None
 
     def index(self, name: str) -> int:
-        """The place of a name in the list."""
+        """The index of a name in the list."""
         return _NAMES.index(name)
 
     def set(self, name: str, value: float) -> str | None:
-        """Change a value; the reason in words where it is refused."""
+        """Change a value; returns the reason as text if it is refused."""
         entry = TABLE[name]
         if name == "SYSID_THISMAV" or entry.low == entry.high:
             return None if value == self._values[name] else f"{name} cannot be changed here"

@@ -1,6 +1,6 @@
-"""Where a simulated vehicle listens and speaks: UDP and TCP ports, non-blocking, and the peers behind them.
+"""UDP and TCP ports of a simulated vehicle, non-blocking, and their peers.
 
-Written without MAVLink: bytes in, bytes out. Nothing here ever waits.
+Independent of MAVLink: bytes in, bytes out. Nothing here ever waits.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from cognitivedrone.errors import RunError, did_you_mean
 
 Address: TypeAlias = tuple[str, int]
 MAX_PEERS = 8
-"""On one listening port; a ninth is not heard until another one leaves."""
+"""Maximum number of peers of a listening port; a ninth is ignored until another one leaves."""
 MAX_READS = 64
-"""Datagrams or blocks taken from one socket at a time, so that a flood cannot stop the simulation."""
+"""Datagrams or blocks read from one socket at a time, so that a flood cannot stop the simulation."""
 BLOCK = 2048
-"""Bytes of a read; the largest MAVLink packet has 280."""
+"""Size of a read, bytes; the largest MAVLink packet has 280."""
 _KINDS = ("udpout", "udpin", "tcpin")
 
 
@@ -28,46 +28,46 @@ class Endpoint:
     """One end of a link."""
 
     kind: Literal["udpout", "udpin", "tcpin"]
-    """`udpout` speaks first to one address, `udpin` answers whoever speaks to it, `tcpin` accepts connections."""
+    """`udpout` sends first to one address, `udpin` answers senders, `tcpin` accepts connections."""
     host: str
     port: int
-    """For `udpin` and `tcpin`, 0 takes a free one."""
+    """For `udpin` and `tcpin`, 0 picks a free one."""
 
 
 def endpoint(text: str) -> Endpoint:
-    """Read "udpout:127.0.0.1:14550", "udpin:...", "tcpin:..."; raises `RunError` where it is none."""
+    """Parse "udpout:127.0.0.1:14550", "udpin:..." or "tcpin:..."; raises `RunError` for anything else."""
     kind, _, address = text.partition(":")
     host, _, port = address.rpartition(":")
     if kind not in _KINDS:
         raise RunError(f"unknown link {text!r} of the simulated vehicle; {did_you_mean(kind, _KINDS)}")
     if not host or not port.isdecimal() or int(port) > 65535 or (kind == "udpout" and int(port) == 0):
         raise RunError(f"the link {text!r} has no host and port; write it as {kind}:127.0.0.1:14550")
-    # mypy does not narrow by membership.
+    # mypy does not narrow types by membership.
     return Endpoint("udpout" if kind == "udpout" else "udpin" if kind == "udpin" else "tcpin", host, int(port))
 
 
 class Port(Protocol):
-    """An open end. Peers are told apart by address."""
+    """An open endpoint. Peers are identified by address."""
 
     address: Address
-    """Where it is bound."""
+    """Bound address."""
     datagrams: bool
-    """Whether a received block is whole: a packet never continues in the next one."""
+    """Whether received blocks are complete: a packet never continues in the next one."""
 
     def receive(self) -> Iterator[tuple[Address, bytes]]:
-        """What has come since the last call."""
+        """Data received since the last call, with senders."""
         ...
 
     def peers(self) -> tuple[Address, ...]:
-        """Who is to be spoken to before saying anything."""
+        """Peers to send to before they have sent anything."""
         ...
 
     def send(self, peer: Address, data: bytes) -> None:
-        """Send, or drop what the peer does not take in time."""
+        """Send, or drop the data if the peer does not accept it in time."""
         ...
 
     def sockets(self) -> list[socket.socket]:
-        """To wait on until something comes."""
+        """Sockets to wait on for incoming data."""
         ...
 
     def close(self) -> None:
@@ -76,18 +76,18 @@ class Port(Protocol):
 
 
 def open_port(end: Endpoint) -> Port:
-    """Bind or connect; raises `RunError` where the address cannot be had."""
+    """Bind or connect; raises `RunError` if the address cannot be used."""
     try:
         return TcpPort(end) if end.kind == "tcpin" else UdpPort(end)
     except OSError as error:
         raise RunError(
             f"the simulated vehicle cannot open {end.kind}:{end.host}:{end.port} ({error.strerror}); "
-            "another program may hold the port: stop it or give another one"
+            "another program may use the port: stop it, or give another port"
         ) from None
 
 
 class UdpPort:
-    """Datagrams, either to one peer or from anybody."""
+    """UDP, either to one peer or from any sender."""
 
     datagrams = True
 
@@ -100,7 +100,7 @@ class UdpPort:
             if end.kind == "udpin":
                 self._socket.bind(target)
             else:
-                self._socket.connect(target)  # also drops datagrams of anybody else
+                self._socket.connect(target)  # also drops datagrams from other senders
                 self.only = _address(target)
         except OSError:
             self._socket.close()
@@ -108,14 +108,14 @@ class UdpPort:
         self.address = _address(self._socket.getsockname())
 
     def receive(self) -> Iterator[tuple[Address, bytes]]:
-        """Datagrams; a longer one than any MAVLink packet is cut and fails its checksum."""
+        """Datagrams; one longer than any MAVLink packet is truncated and fails its checksum."""
         for _ in range(MAX_READS):
             try:
                 data, sender = self._socket.recvfrom(BLOCK)
             except BlockingIOError:
                 return
             except ConnectionError:
-                continue  # nobody listens there yet
+                continue  # nothing listens there yet
             if data:
                 yield self.only or _address(sender), data
 
@@ -128,7 +128,7 @@ class UdpPort:
                 self._socket.sendto(data, peer)
 
     def peers(self) -> tuple[Address, ...]:
-        """The one peer of a port that speaks first."""
+        """The single peer of a port that sends first."""
         return (self.only,) if self.only else ()
 
     def sockets(self) -> list[socket.socket]:
@@ -141,7 +141,7 @@ class UdpPort:
 
 
 class TcpPort:
-    """A listening socket and the connections that it took."""
+    """A listening TCP socket and its connections."""
 
     datagrams = False
 
@@ -160,7 +160,7 @@ class TcpPort:
         self._connections: dict[Address, socket.socket] = {}
 
     def receive(self) -> Iterator[tuple[Address, bytes]]:
-        """Blocks of every connection; connections beyond `MAX_PEERS` are closed at once."""
+        """Blocks from every connection; connections beyond `MAX_PEERS` are closed at once."""
         self._accept()
         for peer, connection in list(self._connections.items()):
             for _ in range(MAX_READS):
@@ -176,7 +176,7 @@ class TcpPort:
                 yield peer, data
 
     def send(self, peer: Address, data: bytes) -> None:
-        """Send to one connection; one that does not read is closed, as half a packet would spoil all that follow."""
+        """Send to one connection; one that does not read is closed: a partial packet would corrupt the stream."""
         connection = self._connections.get(peer)
         if connection is None:
             return
@@ -191,7 +191,7 @@ class TcpPort:
         return [self._listener, *self._connections.values()]
 
     def peers(self) -> tuple[Address, ...]:
-        """Who is connected."""
+        """The connected peers."""
         return tuple(self._connections)
 
     def close(self) -> None:
@@ -204,7 +204,7 @@ class TcpPort:
         while True:
             try:
                 connection, sender = self._listener.accept()
-            except OSError:  # nobody waits, or who waited has gone
+            except OSError:  # no pending connection, or it was closed
                 return
             if len(self._connections) >= MAX_PEERS:
                 connection.close()

@@ -1,4 +1,4 @@
-"""What the simulated vehicle tells: its state as MAVLink messages, NED and FRD, in the units of the protocol."""
+"""Telemetry of the simulated vehicle: its state as MAVLink messages, NED and FRD, in the protocol's units."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from cognitivedrone.vehicles.mavlink.server.targets import Home, PositionTarget,
 from cognitivedrone.vehicles.mavlink.telemetry import SIMULATED
 
 CELLS, EMPTY_V, FULL_V, HOVER_A = 3, 3.5, 4.2, 12.0
-"""The battery that is told of: cells, V a cell when empty and when full, A in flight."""
+"""The reported battery: cells, V per cell when empty and when full, A in flight."""
 _UNKNOWN_U16 = 0xFFFF
 _EKF_HEALTHY = 0x33F  # attitude, velocities, positions, predictions: as a healthy ArduCopter reports
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """All that reports are made of."""
+    """The state that reports are made from."""
 
     time: float
     """Since the vehicle started, s."""
@@ -39,13 +39,13 @@ class Snapshot:
     """0 to 1."""
     target: Target | None
     fence: bool
-    """Whether fences are watched."""
+    """Whether fences are enabled."""
     breaches: int
     breach_count: int
 
     @property
     def boot_ms(self) -> int:
-        """Time as most messages have it."""
+        """Time since boot in ms, as in most messages."""
         return round(self.time * 1000) & 0xFFFFFFFF
 
     @property
@@ -55,7 +55,7 @@ class Snapshot:
 
     @property
     def euler(self) -> tuple[float, float, float]:
-        """Roll, pitch and yaw, rad, in aerospace signs."""
+        """Roll, pitch and yaw, rad, with aerospace signs."""
         return ned_euler(self.state.quaternion)
 
     @property
@@ -70,7 +70,7 @@ class Snapshot:
 
     @property
     def flying(self) -> bool:
-        """Off the ground."""
+        """Whether it is off the ground."""
         return not self.landed
 
 
@@ -133,7 +133,7 @@ def _vfr_hud(m: Any, s: Snapshot) -> Any:
 
 
 def _volts(s: Snapshot) -> float:
-    """Of one cell."""
+    """Voltage of one cell."""
     return EMPTY_V + (FULL_V - EMPTY_V) * s.battery
 
 
@@ -154,7 +154,7 @@ def _sys_status(m: Any, s: Snapshot) -> Any:
     fence = m.MAV_SYS_STATUS_GEOFENCE
     present |= fence if s.fence else 0
     healthy = present if s.ready else present & ~(m.MAV_SYS_STATUS_PREARM_CHECK | m.MAV_SYS_STATUS_AHRS)
-    # A fence that is not there counts as kept: ground stations take the bare bit for a breach.
+    # Report a disabled fence as healthy: ground stations take the missing bit for a breach.
     healthy = healthy & ~fence if s.breaches else healthy | fence
     return m.MAVLink_sys_status_message(
         present, present, healthy, 200, round(_volts(s) * CELLS * 1000), round(_amperes(s) * 100),
@@ -210,7 +210,7 @@ def _fence(m: Any, s: Snapshot) -> Any:
 def _target(m: Any, s: Snapshot) -> Any:
     position: FloatArray = np.zeros(3)
     velocity: FloatArray = np.zeros(3)
-    mask = 0x0FFF  # nothing is asked for
+    mask = 0x0FFF  # no target
     if isinstance(s.target, PositionTarget):
         position, velocity, mask = s.home.to_local(s.target.position), enu_to_ned(s.target.velocity), 0x0DC0
     elif isinstance(s.target, VelocityTarget):
@@ -260,4 +260,4 @@ REPORTS: dict[str, tuple[Report, float]] = {
     "GPS_GLOBAL_ORIGIN": (_origin, 0.0),
     "AUTOPILOT_VERSION": (_version, 0.0),
 }
-"""What can be streamed or asked for, and how often it is sent unasked, Hz."""
+"""Messages that can be streamed or requested, with their default rates, Hz."""

@@ -1,7 +1,7 @@
-"""Setpoints of the GUIDED mode: what SET_POSITION_TARGET_* messages ask for, as velocity and position targets.
+"""Setpoints of the GUIDED mode: converts SET_POSITION_TARGET_* messages to velocity and position targets.
 
-Which parts of a message count is said by its type mask, as ArduCopter reads it
-(https://ardupilot.org/dev/docs/copter-commands-in-guided-mode.html). Written without MAVLink: plain numbers in.
+The type mask selects the parts of a message, as in ArduCopter
+(https://ardupilot.org/dev/docs/copter-commands-in-guided-mode.html). Independent of MAVLink: plain numbers in.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ GLOBAL_FRAMES = (GLOBAL, GLOBAL_RELATIVE, GLOBAL_INT, GLOBAL_RELATIVE_INT)
 _BODY = (BODY_NED, BODY_OFFSET_NED)
 _POSITION, _VELOCITY, _ACCELERATION, _FORCE, _YAW, _YAW_RATE = 0x007, 0x038, 0x1C0, 0x200, 0x400, 0x800
 METRES_PER_DEGREE = 111_319.5
-"""Of latitude, and of longitude at the equator: ArduPilot's flat earth around home."""
+"""Metres per degree of latitude, and of longitude at the equator: ArduPilot's flat earth around home."""
 FARTHEST_M = 5000.0
-"""A position further from the start than this is refused."""
+"""Positions farther than this from the start are rejected."""
 
 
 @dataclass(frozen=True, slots=True)
 class Heading:
-    """Where to look: at a heading in the world, rad, or turning at a rate, rad/s; neither holds the heading."""
+    """Heading target: a world heading, rad, or a yaw rate, rad/s; the defaults hold the heading."""
 
     yaw: float | None = None
     rate: float = 0.0
@@ -37,23 +37,23 @@ class Heading:
 
 @dataclass(frozen=True, slots=True)
 class VelocityTarget:
-    """Fly at a velocity; it lapses after GUID_TIMEOUT."""
+    """Fly at a velocity; expires after GUID_TIMEOUT."""
 
     velocity: FloatArray
     """(3,) world, m/s."""
     heading: Heading
     time: float
-    """When it came, s."""
+    """Time of arrival, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class PositionTarget:
-    """Fly to a place and stay there."""
+    """Fly to a position and stay there."""
 
     position: FloatArray
     """(3,) world, m."""
     velocity: FloatArray
-    """(3,) world, m/s: fed forward, lapses after GUID_TIMEOUT."""
+    """(3,) world, m/s: feed-forward; expires after GUID_TIMEOUT."""
     heading: Heading
     time: float
 
@@ -63,7 +63,7 @@ Target = VelocityTarget | PositionTarget
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """The origin of what the vehicle reports."""
+    """The origin of reported positions."""
 
     position: FloatArray
     """(3,) world, m."""
@@ -71,10 +71,10 @@ class Home:
     """degrees."""
     longitude: float
     altitude: float
-    """m above the sea."""
+    """m above sea level."""
 
     def to_local(self, world: FloatArray) -> FloatArray:
-        """A world position (3,) in m, north, east, down of here."""
+        """A world position (3,) as north, east, down relative to here, m."""
         return enu_to_ned(world - self.position)
 
     def to_world(self, local: FloatArray) -> FloatArray:
@@ -82,7 +82,7 @@ class Home:
         return self.position + enu_to_ned(local)
 
     def to_global(self, world: FloatArray) -> tuple[float, float, float]:
-        """Latitude and longitude in degrees, altitude in m above the sea, of a world position (3,)."""
+        """Latitude and longitude in degrees, altitude in m above sea level, of a world position (3,)."""
         north, east, down = (float(v) for v in self.to_local(world))
         return (
             self.latitude + north / METRES_PER_DEGREE,
@@ -91,7 +91,7 @@ class Home:
         )
 
     def from_global(self, latitude: float, longitude: float, above_home: float) -> FloatArray:
-        """World position (3,), m, of a place in degrees, and m above here."""
+        """World position (3,), m, from latitude and longitude in degrees, and height above here in m."""
         north = (latitude - self.latitude) * METRES_PER_DEGREE
         east = (longitude - self.longitude) * METRES_PER_DEGREE * math.cos(math.radians(self.latitude))
         return self.to_world(np.array([north, east, -above_home]))
@@ -99,14 +99,14 @@ class Home:
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """The numbers of a message, as they came."""
+    """The numbers of a message, unconverted."""
 
     frame: int
     """MAV_FRAME."""
     mask: int
     """POSITION_TARGET_TYPEMASK."""
     position: FloatArray
-    """(3,): m of north, east, down in a local frame; in a global one degrees, degrees, m up."""
+    """(3,): north, east, down in m in a local frame; latitude, longitude in degrees and height in m in a global one."""
     velocity: FloatArray
     """(3,) m/s: north, east, down; forward, right, down in a body frame."""
     yaw: float
@@ -116,10 +116,10 @@ class Setpoint:
 
 
 def decode(setpoint: Setpoint, state: DroneState, home: Home, time: float) -> Target | str:
-    """The target that a message stands for, or why it is none, in words.
+    """The target of a message, or the reason for its rejection as text.
 
-    Of position, velocity and acceleration one group counts as ignored when any of its three bits is set. Acceleration
-    alone, force, and frames that are not known are refused; beside a velocity, acceleration is left out.
+    Position, velocity and acceleration are each ignored if any of their three mask bits is set. Acceleration alone,
+    force, and unknown frames are rejected; acceleration next to a velocity is ignored.
     """
     with_position, with_velocity = not setpoint.mask & _POSITION, not setpoint.mask & _VELOCITY
     if setpoint.frame not in LOCAL_FRAMES + GLOBAL_FRAMES:
@@ -145,7 +145,7 @@ def decode(setpoint: Setpoint, state: DroneState, home: Home, time: float) -> Ta
 
 
 def _heading(setpoint: Setpoint, now: float) -> Heading | None:
-    """Where to look; none where the message gives no number."""
+    """The heading target; none if the message contains a value that is not a number."""
     rate = 0.0 if setpoint.mask & _YAW_RATE else setpoint.yaw_rate
     if not math.isfinite(rate):
         return None
@@ -158,20 +158,20 @@ def _heading(setpoint: Setpoint, now: float) -> Heading | None:
 
 
 def compass_to_world(yaw: float) -> float:
-    """A heading clockwise from north, rad, as one to the left from east; its own inverse."""
+    """Convert a heading clockwise from north, rad, to one counter-clockwise from east; its own inverse."""
     east, north, _ = enu_to_ned(np.array([math.cos(yaw), math.sin(yaw), 0.0]))
     return math.atan2(north, east)
 
 
 def _velocity(setpoint: Setpoint, heading: float) -> FloatArray:
-    """(3,) world, m/s. A body-frame velocity is turned by the heading of now, once."""
+    """(3,) world, m/s. A body-frame velocity is rotated once, by the current heading."""
     if setpoint.frame in _BODY:
         return rotate_yaw(flu_to_frd(setpoint.velocity), heading)
     return enu_to_ned(setpoint.velocity)
 
 
 def _position(setpoint: Setpoint, here: FloatArray, heading: float, home: Home) -> FloatArray | None:
-    """(3,) world, m; none for a latitude or longitude that there is not."""
+    """(3,) world, m; none for an invalid latitude or longitude."""
     if setpoint.frame in _BODY:
         return here + rotate_yaw(flu_to_frd(setpoint.position), heading)
     if setpoint.frame == LOCAL_OFFSET_NED:

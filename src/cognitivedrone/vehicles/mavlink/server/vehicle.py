@@ -1,7 +1,7 @@
-"""The simulator as a MAVLink vehicle: it answers like an ArduCopter 4.6, so that ground stations can fly it.
+"""The simulator as a MAVLink vehicle: it behaves like ArduCopter 4.6, so that ground stations can fly it.
 
-One `SimulatedVehicle` is one world of a `Simulator`, the flight modes that steer it, and the ports it is reached by.
-Time is the vehicle's own: `step` lets it go on, `serve` does so at the pace of the wall clock.
+One `SimulatedVehicle` is one world of a `Simulator`, the flight modes that control it, and its ports. The vehicle has
+its own time: `step` advances it, `serve` does so at the pace of the wall clock.
 The protocol: https://mavlink.io/en/messages/common.html.
 """
 
@@ -36,10 +36,10 @@ STEP_S = STEP_TICKS * Flight.TICK_S
 COMPONENT = 1
 """MAV_COMP_ID_AUTOPILOT1."""
 MAX_MESSAGES = 200
-"""Heeded of a port each time it is looked at; the rest of a flood is dropped."""
+"""Maximum number of messages processed per port and step; the rest of a flood is dropped."""
 MAX_PEERS = 8
 FORGET_S = 30.0
-"""A UDP peer that is silent for so long is forgotten."""
+"""A UDP peer that is silent for this long is forgotten."""
 _PARAMETERS_PER_STEP = 4
 _SETTLE_S = 2.0
 _MOST_BEHIND_S = 0.25
@@ -47,56 +47,56 @@ _MOST_BEHIND_S = 0.25
 
 @dataclass(frozen=True, slots=True)
 class VehicleConfig:
-    """How a simulated vehicle presents itself."""
+    """Configuration of a simulated vehicle."""
 
     links: tuple[str, ...] = ("udpout:127.0.0.1:14550", "tcpin:127.0.0.1:5760")
-    """`udpout:host:port` speaks first, as a ground station that listens wants it; `udpin` and `tcpin` wait. There is
-    no authentication: leave the loopback only on purpose."""
+    """`udpout:host:port` sends first, as a listening ground station expects; `udpin` and `tcpin` listen. There is no
+    authentication: use addresses other than the loopback only on purpose."""
     system_id: int = 1
     latitude: float = -35.363262
-    """Degrees, of the place where the vehicle stands; the default is ArduPilot's airfield."""
+    """Degrees, of the vehicle's initial position; the default is ArduPilot's airfield."""
     longitude: float = 149.165237
     altitude: float = 584.0
-    """m above the sea."""
+    """m above sea level."""
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Steady, world, m/s."""
     battery_minutes: float = 15.0
-    """Of flight, from a full battery."""
+    """Flight time of a full battery."""
     ready_after_s: float = 0.0
-    """Until then arming is refused, as while a real estimator settles."""
+    """Arming is refused until then, as while a real estimator settles."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.system_id <= 254:
-            raise RunError(f"system id {self.system_id} is none; give 1 to 254 (255 is the ground station's)")
+            raise RunError(f"system id {self.system_id} is not valid; give 1 to 254 (255 is the ground station's)")
         if not self.links:
             raise RunError("a simulated vehicle needs a link, such as udpout:127.0.0.1:14550")
 
 
 @dataclass(eq=False)
 class _Peer:
-    """Somebody at the other end."""
+    """A peer at the other end of a link."""
 
     port: Port
     address: Address
     mav: Any
     """pymavlink's encoder and parser."""
     heard: float
-    """When it last spoke, s."""
+    """Time of its last message, s."""
     rates: dict[str, float] = field(default_factory=lambda: {name: rate for name, (_, rate) in REPORTS.items()})
     due: dict[str, float] = field(default_factory=dict)
     parameters: deque[str] = field(default_factory=deque)
-    """To be sent yet."""
+    """Parameters still to be sent."""
 
     def write(self, data: bytes) -> None:
-        """Where `mav` sends to."""
+        """Called by `mav` to send bytes."""
         self.port.send(self.address, data)
 
 
 class SimulatedVehicle:
-    """A quadrotor that stands on the floor under where the simulator's drone was, and waits for a ground station.
+    """A quadrotor on the floor, below the initial position of the simulator's drone, that waits for a ground station.
 
-    Use it as a context manager, or call `close`. All methods may be called from any thread. Raises `MissingExtra`
-    without pymavlink, `RunError` where a port cannot be had. The simulator has one world and stays the caller's.
+    Use it as a context manager, or call `close`. All methods are thread-safe. Raises `MissingExtra` without pymavlink,
+    `RunError` if a port cannot be opened. The simulator must have one world; the caller keeps ownership.
     """
 
     def __init__(self, simulator: Simulator, config: VehicleConfig | None = None) -> None:
@@ -107,7 +107,7 @@ class SimulatedVehicle:
         self.time = 0.0
         """Since the vehicle started, s."""
         self.battery = 1.0
-        """What is left, 0 to 1; may be set."""
+        """Remaining charge, 0 to 1; may be set."""
         self._m = dialect()
         self._lock = threading.RLock()
         self._steps = 0
@@ -136,7 +136,7 @@ class SimulatedVehicle:
         return tuple(port.address for port in self._ports)
 
     def step(self, count: int = 1) -> None:
-        """Hear, decide, fly and tell, `count` times `STEP_S`; takes no longer than it must."""
+        """Receive, decide, fly and report, `count` times `STEP_S`; does not wait."""
         for _ in range(count):
             with self._lock:
                 self.listen()
@@ -151,13 +151,13 @@ class SimulatedVehicle:
                 self._tell()
 
     def listen(self) -> None:
-        """Take what has come and answer it; no time passes."""
+        """Process and answer received messages; no simulated time passes."""
         with self._lock:
             for port in self._ports:
                 self._listen_at(port)
 
     def pilot(self, mode: Mode, sticks: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)) -> None:
-        """As the pilot at the remote control: switch mode, and hold sticks that ask for a velocity.
+        """Act as the pilot with the remote control: switch mode, and hold sticks that command a velocity.
 
         sticks: heading frame, m/s and rad/s; flown in STABILIZE, ALT_HOLD and LOITER.
         """
@@ -166,7 +166,7 @@ class SimulatedVehicle:
             self.modes.sticks = np.array(sticks)
 
     def frame(self) -> Image:
-        """(size, size, 3) first-person view of now; needs a simulator with cameras and a stage."""
+        """Current first-person view (size, size, 3); needs a simulator with cameras and a stage."""
         with self._lock:
             frame: Image = self.simulator.frames()[0]
             return frame
@@ -177,19 +177,19 @@ class SimulatedVehicle:
             return self.simulator.state(0)
 
     def say(self, severity: Severity, text: str) -> None:
-        """STATUSTEXT to everybody, cut to the 50 characters of the protocol."""
+        """Send a STATUSTEXT to all peers, truncated to the protocol's 50 characters."""
         payload = text.encode("ascii", "replace")[:50]
         with self._lock:
             for peer in list(self._peers):
                 peer.mav.statustext_send(int(severity), payload)
 
     def sockets(self) -> list[Any]:
-        """To wait on until something comes."""
+        """Sockets to wait on for incoming data."""
         with self._lock:
             return [each for port in self._ports for each in port.sockets()]
 
     def snapshot(self) -> Snapshot:
-        """What reports tell of now."""
+        """The current state, for reports."""
         modes = self.modes
         return Snapshot(
             self.time,
@@ -237,7 +237,7 @@ class SimulatedVehicle:
         for address in port.peers():
             self._peer(port, address)
         for address, data in port.receive():
-            # Unknown senders get a parser for this datagram alone, and become peers by a packet that can be read.
+            # An unknown sender gets a parser for this datagram only, and becomes a peer with its first valid packet.
             peer = self._find(port, address) or self._new_peer(port, address)
             if port.datagrams or len(peer.mav.buf) > 65536:
                 peer.mav.buf, peer.mav.buf_index = bytearray(), 0
@@ -274,12 +274,12 @@ class SimulatedVehicle:
         return peer
 
     def _peer(self, port: Port, address: Address) -> None:
-        """Meet somebody who is spoken to unasked."""
+        """Add a peer that receives messages before it has sent any."""
         if self._find(port, address) is None:
             self._keep(self._new_peer(port, address))
 
     def _keep(self, peer: _Peer) -> bool:
-        """Whether `peer` is one of those that are spoken to; makes it one where there is room."""
+        """Whether `peer` is known; adds it if there is room."""
         if peer not in self._peers:
             if sum(other.port is peer.port for other in self._peers) >= MAX_PEERS:
                 return False
@@ -296,13 +296,13 @@ class SimulatedVehicle:
             for name, rate in peer.rates.items():
                 if rate <= 0 or self.time < peer.due.get(name, 0.0) - 1e-9:
                     continue
-                # The next one a period after the last was due, but never in arrears.
+                # The next is due one period after the last, without catching up on missed ones.
                 peer.due[name] = max(peer.due.get(name, self.time) + 1 / rate, self.time)
                 snapshot = snapshot or self.snapshot()
                 peer.mav.send(REPORTS[name][0](self._m, snapshot))
 
     def send_parameter(self, peer: _Peer, name: str) -> None:
-        """PARAM_VALUE."""
+        """Send PARAM_VALUE."""
         m = self._m
         kind = {"int8": m.MAV_PARAM_TYPE_INT8, "int16": m.MAV_PARAM_TYPE_INT16, "float": m.MAV_PARAM_TYPE_REAL32}
         p = self.parameters
@@ -315,12 +315,12 @@ def serve(
     *,
     speed: float = 1.0,
 ) -> float:
-    """Fly until `stop()` is true, `speed` times as fast as the wall clock; returns the seconds that it fell behind.
+    """Fly until `stop()` is true, at `speed` times the wall clock; returns the seconds that it fell behind.
 
-    Messages are answered as they come. A machine that is too slow makes the vehicle's time go slower, never jump.
+    Messages are answered as they arrive. On a slow machine the vehicle's time runs slower, but never jumps.
     """
     if not 0 < speed <= 100:
-        raise RunError(f"a speed of {speed:g} cannot be flown; give more than 0, at most 100")
+        raise RunError(f"--speed is {speed:g}; give more than 0, at most 100")
     period, lost = STEP_S / speed, 0.0
     due = time.monotonic()
     while not stop():
