@@ -93,7 +93,11 @@ class Drone(Protocol):
 
 
 class Clock(Protocol):
-    """The loop's time source: wall clock or simulation."""
+    """The loop's time source: wall clock or simulation.
+
+    A clock that advances in steps, such as a vehicle's time by its telemetry, may have `resolution_s`, the length of a
+    step; a deadline missed by less than that is met.
+    """
 
     def now(self) -> float: ...
 

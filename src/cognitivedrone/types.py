@@ -282,6 +282,20 @@ class StageResult:
 
 
 @dataclass(frozen=True, slots=True)
+class GuardReport:
+    """How many commands of a flight the guard changed, in all and by cause."""
+
+    touched: int = 0
+    """Commands that were changed; one may have several causes."""
+    speed: int = 0
+    """Speed limits."""
+    slew: int = 0
+    """Slew limits: a jump from the previous command."""
+    fence: int = 0
+    """The geofence, including its floor and ceiling."""
+
+
+@dataclass(frozen=True, slots=True)
 class EpisodeResult:
     """One flight: a stage, or the stages of a track in order."""
 
@@ -293,3 +307,5 @@ class EpisodeResult:
     """Control steps flown."""
     message: str = ""
     """One sentence: why the episode is invalid, or why the policy failed."""
+    guard: GuardReport | None = field(default=None, metadata={"json": "where set"})
+    """What the guard changed, if it was on."""

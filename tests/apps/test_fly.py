@@ -172,9 +172,10 @@ def served(config: SimPlan) -> Iterator[Served]:
         thread.join()
 
 
-def test_another_process_flies_the_served_vehicle_through_a_gate_and_ctrl_c_lands_it(tmp_path, monkeypatch):
-    """The camera over HTTP, MAVLink over TCP, `fly` with the standard options, and a signal."""
-    through: list[GateEvent] = []
+@pytest.fixture
+def through(monkeypatch: pytest.MonkeyPatch) -> list[GateEvent]:
+    """What happens at the gates of every simulator in this process."""
+    found: list[GateEvent] = []
     advance = Simulator.advance
 
     def watched(self: Simulator, *ticks: int) -> list[GateEvent | None]:
@@ -184,21 +185,50 @@ def test_another_process_flies_the_served_vehicle_through_a_gate_and_ctrl_c_land
         path = np.stack([before, self.flight.position[0]])
         gate_event = judge(gate_monitor.stage, path, gate_monitor.hull_radius, gate_monitor.aspects)
         if gate_event is not None and gate_event.gate is not None:
-            through.append(gate_event)
+            found.append(gate_event)
         return gate_events
 
     monkeypatch.setattr(Simulator, "advance", watched)
-    config = SimPlan.of(
-        mavlink=True, links=("tcpin:127.0.0.1:0",), camera_port=0, camera_hz=30, episode=EPISODE, speed=3
-    )
+    return found
+
+
+SERVED = SimPlan.of(
+    mavlink=True, links=("tcpin:127.0.0.1:0",), camera_port=0, camera_hz=30, episode=EPISODE, speed=3
+)  # fmt: skip
+
+
+def test_on_a_vehicle_the_pilot_sees_by_itself_that_the_gate_is_passed(tmp_path, through):
+    with served(SERVED) as vehicle:
+        config = FlyPlan.of(
+            instruction=vehicle.task.directive, link="mavlink:tcp:" + vehicle.links[0].partition(":")[2],
+            camera=vehicle.camera_url, policy="colour_seeker", reasoner="none", clock="vehicle", set_parameters=True,
+            out=tmp_path / "f",
+        )  # fmt: skip
+        summary = fly_mission(config, console=quiet(), keyboard=nobody())
+    assert (summary.ending.kind, summary.exit_code) == ("flown", 0)
+    assert summary.ending.reason == "flew through a gate by its own estimate (not judged)"
+    assert [event.gate for event in through if event.kind == "gate"][:1] == [vehicle.task.target]
+    events = pq.read_table(tmp_path / "f" / "events.parquet").to_pylist()
+    assert [event["kind"] for event in events][-2:] == ["over", "landed"]
+    log, setpoints = mavutil.mavlogfile(str(tmp_path / "f" / "flight.tlog")), []
+    while (message := log.recv_match(type="SET_POSITION_TARGET_LOCAL_NED")) is not None:
+        setpoints.append((message.vx, message.vy, message.vz, message.yaw_rate))
+    log.close()
+    assert setpoints[-1] == pytest.approx((0.0, 0.0, 0.0, 0.0))
+    assert max(setpoints)[0] > 0.5
+
+
+def test_another_process_flies_the_served_vehicle_through_a_gate_and_ctrl_c_lands_it(tmp_path, through):
+    """The camera over HTTP, MAVLink over TCP, `fly` with the standard options, and a signal."""
     out = tmp_path / "f"
-    with served(config) as vehicle:
+    with served(SERVED) as vehicle:
         host, port = vehicle.links[0].split(":")[1:]
         assert f"--link mavlink:tcp:{host}:{port}" in str(vehicle)
         command = [
             *(sys.executable, "-m", "cognitivedrone", "fly", vehicle.task.directive),
             *("--link", f"mavlink:tcp:{host}:{port}", "--camera", vehicle.camera_url, "--out", out),
             *("--policy", "colour_seeker", "--reasoner", "none", "--clock", "vehicle", "--set-parameters"),
+            *("--gates", "0"),
         ]
         flight = subprocess.Popen(list(map(str, command)), stdout=subprocess.PIPE, text=True, stdin=subprocess.DEVNULL)
         began = time.monotonic()
@@ -365,6 +395,20 @@ def test_arducopter_is_started_on_our_physics_and_flown(tmp_path):
         assert np.ptp(next(film.decode(video=0)).to_ndarray(format="rgb24")) > 100
 
 
+def test_the_right_gate_ends_a_flight_of_arducopter_and_lands_it(tmp_path):
+    config = FlyPlan.of(
+        link="sitl", policy="oracle", reasoner="none", sitl=played_arducopter(tmp_path), airframe="iris",
+        sitl_instance=free_instance(), suite="open-v1:smoke", episode=EPISODE, takeoff_height=0.8, out=tmp_path / "f",
+    )  # fmt: skip
+    summary = fly_mission(config, console=quiet(), keyboard=nobody())
+    target = load_suite("open-v1:smoke").tracks[EPISODE][0].target
+    assert (summary.ending.kind, summary.exit_code) == ("passed", 0)
+    assert summary.ending.reason.startswith(f"through gate {target + 1}, after ")
+    events = pq.read_table(tmp_path / "f" / "events.parquet").to_pylist()
+    assert [event["kind"] for event in events][-2:] == ["over", "landed"]
+    assert events[-2]["time_s"] < 30
+
+
 def free_instance() -> int:
     """An instance whose ports nobody uses."""
     for instance in range(40, 200):
@@ -387,6 +431,7 @@ def free_instance() -> int:
         ({"link": "mavlink:udp:127.0.0.1:1", "instruction": "go"}, "needs --camera"),
         ({"camera": "/dev/video0"}, "has its own camera"),
         ({"time_limit": 0}, "--time-limit is 0"),
+        ({"gates": -1}, "--gates is -1"),
         ({"takeoff_height": 12}, "below --ceiling"),
         ({"policy_patience": 60}, "--policy-patience is 60"),
         ({"episode": 999}, "has episodes 0 to 29, not 999"),

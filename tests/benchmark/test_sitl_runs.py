@@ -11,7 +11,7 @@ from arducopters import REAL, needs_arducopter, played_arducopter
 from rich.console import Group
 
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.results import read_results, results_from_json
+from cognitivedrone.benchmark.results import read_results, results_from_json, results_to_json
 from cognitivedrone.benchmark.runner import command_of, run
 from cognitivedrone.benchmark.tables import results_table
 from cognitivedrone.errors import CognitiveDroneError
@@ -57,6 +57,17 @@ def test_files_without_a_link_are_of_our_own_autopilot(config):
     assert "ArduCopter: 1200 frames of physics, 3 lost; started anew 2 times" in [
         str(row) for row in cast(Group, table).renderables
     ]
+
+
+def test_the_reason_of_every_restart_is_in_the_results_and_the_table(config):
+    link = LinkReport(1200, 0, 3, ("fell silent", "the mode became LAND", "fell silent"))
+    results = run(config, progress=False, runner="benchmark_fakes:FakeRunner")
+    timing = replace(results.timing, link=link)
+    again = results_from_json(json.loads(json.dumps(results_to_json(replace(results, timing=timing)))), "here")
+    assert again.timing.link == link
+    table = [str(row) for row in cast(Group, results_table(again)).renderables]
+    started = "started anew 3 times: fell silent (2 times); the mode became LAND"
+    assert f"ArduCopter: 1200 frames of physics, 0 lost; {started}" in table
 
 
 @pytest.mark.parametrize(

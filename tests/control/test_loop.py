@@ -191,6 +191,27 @@ def test_a_missed_deadline_is_noted():
     assert [round(time, 3) for time, _ in ground.sent] == [0.0, 0.1, 0.23, 0.3]
 
 
+def test_a_clock_that_goes_in_steps_is_not_late_by_one_of_them():
+    class Steps(Ground):
+        """Goes in steps of 50 ms, as a vehicle's telemetry does."""
+
+        resolution_s = 0.05
+        held_until = 0.0
+
+        def sleep_until(self, time_s):
+            self.time = 0.03 + 0.05 * np.ceil((max(time_s, self.held_until) - 0.03) / 0.05)
+
+    ground, notes = Steps(), Notes()
+    fly(ground, Counting(), ground, for_steps(ground, 20), recorder=notes)
+    assert len(ground.sent) == 20
+    assert notes.of("late") == []
+
+    ground, notes = Steps(), Notes()
+    ground.held_until = 0.45
+    fly(ground, Counting(), ground, for_steps(ground, 20), recorder=notes)
+    assert len(notes.of("late")) == 1
+
+
 def test_a_new_segment_resets_the_policy_and_drops_the_rest_of_the_chunk():
     ground, policy, reasoner = Ground(), Counting(k=4), Saying(RED)
 

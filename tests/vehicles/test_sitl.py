@@ -17,7 +17,7 @@ from cognitivedrone.errors import RunError
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.sim.airframe import GRAVITY, IRIS, ROTORS
 from cognitivedrone.types import DroneState
-from cognitivedrone.vehicles.sitl.json_interface import SitlServer, read_packet, require_estimator
+from cognitivedrone.vehicles.sitl.json_interface import SitlServer, read_packet, require_estimator, timestamp
 from cognitivedrone.vehicles.sitl.physics import Plant, thrust_share
 
 HOVER = (1500,) * 4
@@ -78,7 +78,7 @@ def autopilot(server: SitlServer) -> Iterator[Autopilot]:
 
 def test_standing_still(autopilot: Autopilot) -> None:
     answer = autopilot.fly(OFF, 0.5)
-    assert answer["timestamp"] == pytest.approx(0.5)
+    assert answer["timestamp"] == pytest.approx(0.5, abs=1e-6)
     assert answer["imu"]["accel_body"] == pytest.approx([0, 0, -GRAVITY], abs=0.01)
     assert answer["imu"]["gyro"] == pytest.approx([0, 0, 0], abs=1e-4)
     assert answer["position"] == pytest.approx([0, 0, 0], abs=1e-4)
@@ -120,9 +120,38 @@ def test_a_smaller_count_starts_again(autopilot: Autopilot) -> None:
     up = autopilot.fly((1900,) * 4, 0.5)
     assert up["position"][2] < -0.5
     again = autopilot.ask(packet(0))
-    assert again["timestamp"] == pytest.approx(1 / RATE)
+    assert again["timestamp"] == pytest.approx(1 / RATE, abs=1e-6)
     assert again["position"] == pytest.approx([0, 0, 0], abs=1e-4)
     assert autopilot.server.frames == 1
+
+
+class Timekeeper:
+    """The clock of ArduCopter 4.6.3 (libraries/SITL/SIM_JSON.cpp): of every difference it keeps whole microseconds."""
+
+    def __init__(self) -> None:
+        self.clock_us, self.last = 0, 0.0
+
+    def take(self, timestamp: float) -> None:
+        self.clock_us = int(self.clock_us + (timestamp - self.last) * 1e6)
+        self.last = timestamp
+
+
+@pytest.mark.parametrize("rate", [1200, 800, 700, 4000])
+@pytest.mark.parametrize("began_s", [0, 3600, 100_000])
+def test_the_autopilots_clock_never_drifts(rate: int, began_s: int) -> None:
+    keeper, began = Timekeeper(), began_s * rate
+    keeper.last = timestamp(began / rate, began)
+    for step in range(began + 1, began + 60 * rate + 1):
+        keeper.take(timestamp(step / rate, step))
+        assert abs(keeper.clock_us + (began_s - step / rate) * 1e6) < 1.5
+    assert keeper.clock_us == 60_000_000
+
+
+def test_what_is_sent_keeps_the_autopilots_clock(autopilot: Autopilot) -> None:
+    keeper = Timekeeper()
+    for _ in range(RATE):
+        keeper.take(autopilot.fly(OFF, 1 / RATE)["timestamp"])
+    assert keeper.clock_us == 1_000_000
 
 
 def test_the_same_commands_give_the_same_bits(autopilot: Autopilot) -> None:
@@ -140,7 +169,7 @@ def test_after_a_stall_only_the_newest_is_answered(autopilot: Autopilot) -> None
         autopilot.socket.sendto(packet(frame), autopilot.server.address)
     time = autopilot.server.plant.time
     assert autopilot.server.poll(1.0)
-    assert autopilot.answer()["timestamp"] == pytest.approx(time + 1 / RATE)
+    assert autopilot.answer()["timestamp"] == pytest.approx(time + 1 / RATE, abs=1e-6)
     with pytest.raises(BlockingIOError):
         autopilot.socket.recv(2048)
     assert not autopilot.server.poll(0.0)
@@ -159,7 +188,7 @@ def test_a_held_answer_stops_the_autopilot_and_is_given_once(autopilot: Autopilo
     for _ in range(3):  # it waits, and asks again
         autopilot.socket.sendto(asked, server.address)
     server.answer()
-    assert autopilot.answer()["timestamp"] == pytest.approx(time)
+    assert autopilot.answer()["timestamp"] == pytest.approx(time, abs=1e-6)
     server.answer()
     assert not server.poll(0.0)
     with pytest.raises(BlockingIOError):
@@ -168,9 +197,9 @@ def test_a_held_answer_stops_the_autopilot_and_is_given_once(autopilot: Autopilo
 
 def test_the_packet_decides_the_rate_and_may_have_32_channels(autopilot: Autopilot) -> None:
     answer = autopilot.fly(OFF, 0.1, rate=800)
-    assert answer["timestamp"] == pytest.approx(0.1)
+    assert answer["timestamp"] == pytest.approx(0.1, abs=1e-6)
     more = autopilot.ask(packet(autopilot.frame + 1, OFF, 800, magic=29569, channels=32))
-    assert more["timestamp"] == pytest.approx(0.1 + 1 / 800)
+    assert more["timestamp"] == pytest.approx(0.1 + 1 / 800, abs=1e-6)
 
 
 @pytest.mark.parametrize(

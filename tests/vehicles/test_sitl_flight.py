@@ -146,14 +146,16 @@ def test_a_vehicle_that_is_lost_ends_the_flight_and_the_next_has_another(flight,
     assert flight.trouble == "the mode became LAND"
     flight.command(np.zeros(4))
     assert flight.advance(40).shape == (0, 3)
-    assert flight.report == LinkReport(frames, 0, 1)
+    assert flight.report == LinkReport(frames, 0, 1, ("the mode became LAND",))
     flight.begin(Start((0.0, 0.0, 1.0)))
     assert not flight.diverged
     assert len(vehicles) == 2
-    assert flight.report == LinkReport(frames + vehicles[1].frames, 0, 1)
+    before = flight.report
+    assert before == LinkReport(frames + vehicles[1].frames, 0, 1, ("the mode became LAND",))
     vehicles[1].trouble = "crashed"
     flight.command(np.zeros(4))
     assert flight.diverged
+    assert flight.report - before == LinkReport(0, 0, 1, ("crashed",))
 
 
 def test_what_never_hovers_is_told(vehicles, monkeypatch):

@@ -32,6 +32,8 @@ class FlyPlan(Options):
     hold_below: float = 0.5
     """Hover while the reasoner's certainty that the scene shows what is asked for is below this, 0 to 1; 0 never
     hovers."""
+    gates: int = 1
+    """With mavlink: land after this many gates, by the pilot's own estimate; 0 flies on until the time limit."""
     time_limit: float = 60.0
     """Land after this many seconds of flight."""
     out: Path | None = None
@@ -44,6 +46,8 @@ class FlyPlan(Options):
     def __post_init__(self) -> None:
         if not 0 < self.time_limit < float("inf"):
             raise LinkError(f"--time-limit is {self.time_limit}; it must be above 0 seconds")
+        if self.gates < 0:
+            raise LinkError(f"--gates is {self.gates}; it must be at least 1, or 0 to fly on until the time limit")
         if not 0 <= self.hold_below <= 1:
             raise LinkError(f"--hold-below is {self.hold_below}; it must be from 0 to 1")
         if problem := unprintable(self.instruction):

@@ -21,6 +21,17 @@ def ending_of(vehicle: Vehicle, instruction: str) -> Ending | None:
     return None if vehicle.over is None else Ending("vehicle", vehicle.over)
 
 
+def flown_by_estimate(gates: int, asked: int) -> Ending | None:
+    """How the flight of a vehicle without ground truth ended, once it has flown through as many gates as were asked.
+
+    `gates` is the pilot's own estimate; nobody but the user knows whether they were the right ones.
+    """
+    if not 0 < asked <= gates:
+        return None
+    what = "a gate" if gates == 1 else f"{gates} gates"
+    return Ending("flown", f"flew through {what} by its own estimate (not judged)")
+
+
 def out_of_time(vehicle: Vehicle, seconds: float) -> Ending:
     """The ending at the time limit: a miss in a scene; a real flight is not judged."""
     return Ending("time" if vehicle.track_runner is None else "missed", f"the time limit of {seconds:g} s is over")

@@ -18,7 +18,7 @@ from rich.live import Live
 
 from cognitivedrone import terminal
 from cognitivedrone.apps.config import FlyPlan
-from cognitivedrone.apps.ending import ending_of, out_of_time
+from cognitivedrone.apps.ending import ending_of, flown_by_estimate, out_of_time
 from cognitivedrone.apps.log import FlightLog, check_free
 from cognitivedrone.apps.orders import Keyboard, Orders, ending_on_signals, landing_on_interrupt
 from cognitivedrone.apps.scene import ChosenScene, choose_scene
@@ -29,19 +29,22 @@ from cognitivedrone.control.async_reasoner import ThreadedReasoner
 from cognitivedrone.control.hold import HeldDrone, Hold, HoldAwareReasoner, HoldRule
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
+from cognitivedrone.control.passage import Passage, WatchedDrone
 from cognitivedrone.data.formats.bags import Ros
 from cognitivedrone.envs.track_runner import TrackConfig, episode_rng
 from cognitivedrone.errors import GroundTruthError
 from cognitivedrone.labels import load_pack
 from cognitivedrone.pilot import Pilot, open_pilot
 from cognitivedrone.sim.airframe import find_airframe
-from cognitivedrone.types import Action, Event, Guidance, Observation
+from cognitivedrone.types import CONTROL_HZ, Action, Event, Guidance, Observation
 from cognitivedrone.vehicles import check_vehicle, open_vehicle
-from cognitivedrone.vehicles.contract import Request, Vehicle
+from cognitivedrone.vehicles.contract import ClockedDrone, Request, Vehicle
 from cognitivedrone.vehicles.mavlink.client.preflight import Checklist
 
 CONFIRMATION = "arm"
 REDRAWN_HZ = 5
+STOP_S, HOVER_M_S = 3.0, 0.2
+"""After the last gate it has so long to stop; slower than this is a hover."""
 
 
 def fly_mission(plan: FlyPlan, *, console: Console | None = None, keyboard: TextIO | None = None) -> Summary:
@@ -111,7 +114,8 @@ def _fly(
         console.print("connected; waiting until the vehicle is ready (ctrl-C stops)", highlight=False)
     drone = vehicle.take_off(lambda checklist: _confirm(checklist, vehicle, console, keyboard))
     hold = Hold(HoldRule(below=plan.hold_below))
-    mission = _Mission(plan, vehicle, orders, drone.now, hold)
+    passage = Passage() if vehicle.track_runner is None else None
+    mission = _Mission(plan, vehicle, orders, drone.now, hold, passage)
     timed = TimedPolicy(pilot.policy)
     with ExitStack() as stack:
         stack.enter_context(landing_on_interrupt(orders))
@@ -127,8 +131,11 @@ def _fly(
             HoldAwareReasoner(ThreadedReasoner(pilot.reasoner), hold) if pilot.reasoner is not None else None
         )
         try:
-            steps = fly(HeldDrone(drone, hold), timed, drone, mission, reasoner=async_reasoner, recorder=recorder)
+            flown = HeldDrone(drone if passage is None else WatchedDrone(drone, passage), hold)
+            steps = fly(flown, timed, drone, mission, reasoner=async_reasoner, recorder=recorder)
             ending, seconds = mission.ending or Ending("told", ""), drone.now()
+            if ending.kind in ("passed", "flown") and plan.vehicle.kind != "sim":
+                _stop(drone)
             recorder.note(Event(seconds, "over", ending.reason))
             if vehicle.land():
                 recorder.note(Event(drone.now(), "landed"))
@@ -140,18 +147,40 @@ def _fly(
     )
 
 
+def _stop(drone: ClockedDrone) -> None:
+    """Hover: command no velocity until there is none left, or the time for it is over."""
+    deadline = drone.now() + STOP_S
+    while drone.now() < deadline and np.linalg.norm(drone.observe().velocity) > HOVER_M_S:
+        drone.send(np.zeros(4, dtype=np.float32))
+        drone.sleep_until(drone.now() + 1 / CONTROL_HZ)
+
+
 class _Mission:
     """The current segment: the latest typed instruction, else the command's, else the scene's."""
 
-    def __init__(self, plan: FlyPlan, vehicle: Vehicle, orders: Orders, now: Callable[[], float], hold: Hold) -> None:
+    def __init__(
+        self,
+        plan: FlyPlan,
+        vehicle: Vehicle,
+        orders: Orders,
+        now: Callable[[], float],
+        hold: Hold,
+        passage: Passage | None,
+    ) -> None:
         self.segment: Segment | None = None
         self.ending: Ending | None = None
         self._plan, self._vehicle, self._orders, self._now, self._hold = plan, vehicle, orders, now, hold
+        self._passage = passage
 
     def __call__(self) -> Segment | None:
         count, typed = self._orders.given
         instruction = typed or self._plan.instruction
-        self.ending = self._orders.ending or ending_of(self._vehicle, instruction.strip())
+        gates = self._passage.gates if self._passage is not None else 0
+        self.ending = (
+            self._orders.ending
+            or ending_of(self._vehicle, instruction.strip())
+            or flown_by_estimate(gates, self._plan.gates)
+        )
         if self.ending is None and self._now() >= self._plan.time_limit:
             self.ending = out_of_time(self._vehicle, self._plan.time_limit)
             if self._hold.active:
@@ -159,7 +188,7 @@ class _Mission:
         if self.ending is not None:
             return None
         track = self._vehicle.track_runner
-        index, truth = (track.index, track.truth()) if track is not None else (0, None)
+        index, truth = (track.index, track.truth()) if track is not None else (gates, None)
         of_scene = truth.task.instruction if truth is not None else ""
         self._hold.begin(index + count)
         self.segment = Segment(index + count, instruction or of_scene, truth)

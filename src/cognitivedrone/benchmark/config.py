@@ -27,6 +27,8 @@ class Plan(Options):
     latency: str = field(default="none", metadata={"identity": "latency", "written": "where set"})
     """Inference latency charged to the simulated clock: none, measured, or policy=80ms,reasoner=450ms (each value may
     also be measured, or a file with one number of ms per line)."""
+    guard: bool = field(default=False, metadata={"identity": "guard", "written": "where set"})
+    """Apply the speed and slew limits and the geofence of real flights to every command, and count what they change."""
     rule: Rule = "through"
     """Scoring rule that the table and the report show first; results.json always contains both."""
     workers: int | None = field(default=None, metadata=_NEVER)

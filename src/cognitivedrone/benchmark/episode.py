@@ -12,6 +12,7 @@ from cognitivedrone.benchmark.job import Job
 from cognitivedrone.benchmark.run_types import Rollout
 from cognitivedrone.control.async_reasoner import SimulatedReasoner
 from cognitivedrone.control.calls import NO_WATCH, Watch, seed_of
+from cognitivedrone.control.guarded import GuardedDrone
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
@@ -66,10 +67,13 @@ class PilotRunner:
         timed = TimedPolicy(self.policy, self._watch)
         latency_model = self.job.delays.policy.latency_model(latency_rng)
         message = trace = ""
+        guarded: GuardedDrone | None = None
         try:
             drone = self.vehicle.take_off(lambda _: True)
+            if self.job.plan.guard:
+                guarded = GuardedDrone(drone, drone, self.track_runner.world.state)
             fly(
-                drone,
+                guarded or drone,
                 timed,
                 drone,
                 self._mission,
@@ -84,7 +88,9 @@ class PilotRunner:
             trace = error.trace if isinstance(error, PolicyRaised) else traceback.format_exc()
         if any(result.outcome == "invalid" for result in self.track_runner.results):
             message = self.vehicle.trouble or "the physics diverged"
-        result = EpisodeResult(episode, seed, log.results(), len(log.path), message)
+        result = EpisodeResult(
+            episode, seed, log.results(), len(log.path), message, guarded.report if guarded else None
+        )
         path = log.trace(sum(timed.took_s) / max(len(timed.took_s), 1))
         link = self.vehicle.report - before
         trace = trace or (async_reasoner.trace if async_reasoner else "")

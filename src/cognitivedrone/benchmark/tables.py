@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TypeVar
 
@@ -20,6 +21,10 @@ from cognitivedrone.terminal import console
 from cognitivedrone.types import Category
 
 DASH = "–"
+GUARDED = ("speed", "slew", "fence")
+"""Causes in a `GuardReport`."""
+REASONS = 3
+"""At most so many different reasons are shown."""
 Part = TypeVar("Part")
 
 
@@ -213,8 +218,20 @@ def _notes(results: Results, rule: Rule) -> list[Text]:
         what = f"ArduCopter: {link.frames} frames of physics, {link.lost} lost"
         if results.run.option("link") == "gazebo":
             what = f"Gazebo: {link.frames} commands, {link.lost} of them late"
-        text = f"{what}; started anew {link.restarts} times"
+        text = f"{what}; started anew {link.restarts} times{_reasons(link.reasons)}"
         notes.append(Text(text, style="yellow" if link.lost or link.restarts else ""))
+    if guards := [episode.guard for episode in results.episodes if episode.guard is not None]:
+        commands, flights = sum(guard.touched for guard in guards), sum(guard.touched > 0 for guard in guards)
+        causes = ", ".join(f"{name} {sum(getattr(guard, name) for guard in guards)}" for name in GUARDED)
+        notes.append(Text(f"guard: changed {commands} commands in {flights} of {len(guards)} episodes ({causes})"))
     flown, wall = results.timing.episodes_flown, results.timing.wall_s
     notes.append(Text(f"{flown} episodes in {wall:.1f} s, {results.timing.workers} workers", style="dim"))
     return notes
+
+
+def _reasons(reasons: Sequence[str]) -> str:
+    """Why vehicles were replaced, the most frequent reasons first, as a clause to end a sentence with."""
+    counts = Counter(reasons)
+    shown = [f"{reason} ({count} times)" if count > 1 else reason for reason, count in counts.most_common(REASONS)]
+    more = [f"{len(counts) - REASONS} other reasons"] if len(counts) > REASONS else []
+    return f": {'; '.join(shown + more)}" if shown else ""

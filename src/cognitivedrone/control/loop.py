@@ -27,7 +27,7 @@ from cognitivedrone.types import (
 )
 
 LATE_S = 0.010
-"""A deadline missed by less than this counts as met."""
+"""A deadline missed by less than this, plus one step of the clock, counts as met."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +83,11 @@ def check_chunk(chunk: object) -> ActionChunk:
     return array
 
 
+def resolution_of(clock: Clock) -> float:
+    """The steps in which a clock goes on, s: `resolution_s`, where it has one."""
+    return float(getattr(clock, "resolution_s", 0.0))
+
+
 def fly(
     drone: Drone,
     policy: Policy,
@@ -108,6 +113,7 @@ def fly(
     rates = rates or Rates()
     log = recorder or _NullRecorder()
     start = clock.now()
+    tolerance_s = LATE_S + resolution_of(clock)
     segment_index: int | None = None
     directive_filter = DirectiveFilter()
     pending: list[Action] = []
@@ -115,7 +121,7 @@ def fly(
     next_question = 0
     while (segment := mission()) is not None:
         late = clock.now() - (start + slot / rates.control_hz)
-        if late > LATE_S:
+        if late > tolerance_s:
             log.note(Event(clock.now() - start, "late", age_s=late))
         if segment.index != segment_index:
             stage = 0 if segment_index is None else segment.index

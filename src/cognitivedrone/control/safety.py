@@ -31,7 +31,7 @@ import numpy as np
 from cognitivedrone.choices import DecisionKind
 from cognitivedrone.control.fence import Fence, keep_inside, outside_by
 from cognitivedrone.control.health import Health
-from cognitivedrone.types import ACTION_LIMITS, Action, Commands, FloatArray
+from cognitivedrone.types import ACTION_LIMITS, Action, Commands, FloatArray, Vector
 
 Kind = DecisionKind
 SEVERITY: tuple[Kind, ...] = ("fly", "hold", "brake", "land", "hands_off")
@@ -269,10 +269,25 @@ def shape(health: Health, previous: Commands, step_s: float, config: SafetyConfi
     if health.command is None or not (np.isfinite(health.command).all() and health.state_known):
         return np.zeros(4, dtype=np.float32)
     command = limit(health.command, previous, step_s, config.limits)
-    allowed = keep_inside(command[:3], health.position, health.velocity, health.yaw, config.fence)
+    return fence_in(command, health.position, health.velocity, health.yaw, config, health.speed_limit_m_s)
+
+
+def fence_in(
+    command: Action,
+    position: Vector,
+    velocity: Vector,
+    yaw: float,
+    config: SafetyConfig,
+    speed_limit_m_s: float = np.inf,
+) -> Action:
+    """`command` (4,), less what would lead out of the fence from a place (3,) ENU m, at a velocity (3,) ENU m/s.
+
+    No faster than `speed_limit_m_s` either.
+    """
+    allowed = keep_inside(command[:3], position, velocity, yaw, config.fence)
     # Turned away from the fence, a component may have grown beyond its limit; shortening all keeps the direction.
     over = float((np.abs(allowed) / np.array(config.limits.speed[:3])).max(initial=1.0))
-    over = max(over, float(np.linalg.norm(allowed)) / health.speed_limit_m_s)
+    over = max(over, float(np.linalg.norm(allowed)) / speed_limit_m_s)
     return np.append(allowed / over, command[3]).astype(np.float32)
 
 

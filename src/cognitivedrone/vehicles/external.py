@@ -59,12 +59,26 @@ class LinkReport:
     """Physics steps that it counted and we did not receive, 0 in strict lock-step; in Gazebo, late commands."""
     restarts: int = 0
     """Number of restarts after a crash or a failsafe."""
+    reasons: tuple[str, ...] = field(default=(), metadata={"json": "where set"})
+    """The reason of each restart, oldest first."""
 
     def __add__(self, other: LinkReport) -> LinkReport:
-        return LinkReport(self.frames + other.frames, self.lost + other.lost, self.restarts + other.restarts)
+        """Both together, the other one later."""
+        return LinkReport(
+            self.frames + other.frames,
+            self.lost + other.lost,
+            self.restarts + other.restarts,
+            self.reasons + other.reasons,
+        )
 
-    def __sub__(self, other: LinkReport) -> LinkReport:
-        return LinkReport(self.frames - other.frames, self.lost - other.lost, self.restarts - other.restarts)
+    def __sub__(self, before: LinkReport) -> LinkReport:
+        """What has happened since `before`, an earlier report of the same link."""
+        return LinkReport(
+            self.frames - before.frames,
+            self.lost - before.lost,
+            self.restarts - before.restarts,
+            self.reasons[len(before.reasons) :],
+        )
 
 
 class ExternalFlight(ABC):

@@ -195,7 +195,7 @@ class GazeboFlight(ExternalFlight):
             self._drone.send(action.astype(np.float32))
 
     def _let_go(self) -> None:
-        self._report += LinkReport(restarts=1)
+        self._report += LinkReport(restarts=1, reasons=(self.trouble,))
         with suppress(LinkError):
             self._land()
 

@@ -161,4 +161,4 @@ class SitlFlight(ExternalFlight):
 
     def _let_go(self) -> None:
         self.close()
-        self._ended += LinkReport(restarts=1)
+        self._ended += LinkReport(restarts=1, reasons=(self.trouble,))

@@ -27,6 +27,8 @@ RATES_HZ = (200, 5000)
 REPEATS_OVERHEARD = 1
 """ArduPilot asks again after a second of silence, and does so even where our answer came in that very moment. A second
 answer would be taken for that to its next step, whose own would be lost. If it is truly waiting, it asks once more."""
+NUDGE_S = 1e-10
+"""By so much every timestamp is longer than whole microseconds: see `timestamp`."""
 _PACKETS = {18458: struct.Struct("<HHI16H"), 29569: struct.Struct("<HHI32H")}
 _MOTORS = 4
 _FULL_ESTIMATOR = 3
@@ -58,10 +60,22 @@ def read_packet(data: bytes) -> ServoPacket | None:
     return ServoPacket(rate, frame, tuple(pwm))
 
 
-def write_state(sensed: Sensed) -> bytes:
-    """One line of JSON as ArduPilot parses it: between line ends, without spaces."""
+def timestamp(time_s: float, steps: int) -> float:
+    """The time to tell ArduPilot after `steps` steps, s, so that its clock never drifts from `time_s`.
+
+    ArduPilot adds the difference of two timestamps to its clock and cuts the sum to whole us (libraries/SITL/
+    SIM_JSON.cpp, `time_now_us += deltat * 1.0e6`): of a step of 833.33 us it would lose a third of a us every time,
+    0.4 ms a second. So timestamps are the true time in whole us. The difference of two such floating-point numbers may
+    still be a hair below a whole us, and lose all of it. `NUDGE_S` for each step prevents that for three days of
+    flight; ArduPilot cuts it off again.
+    """
+    return round(time_s * 1e6) / 1e6 + steps * NUDGE_S
+
+
+def write_state(sensed: Sensed, steps: int) -> bytes:
+    """One line of JSON as ArduPilot parses it: between line ends, without spaces; after so many `steps`."""
     state = {
-        "timestamp": round(sensed.time, 9),
+        "timestamp": timestamp(sensed.time, steps),
         "imu": {"gyro": sensed.gyro.tolist(), "accel_body": sensed.accelerometer.tolist()},
         "position": sensed.position.tolist(),
         "velocity": sensed.velocity.tolist(),
@@ -216,7 +230,7 @@ class SitlServer:
         if self._control is not None and tick > self._shown:
             self._shown = tick
             self._control(sensed.time)
-        self._answer = write_state(sensed)
+        self._answer = write_state(sensed, self.frames)
 
 
 @contextlib.contextmanager

@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from cognitivedrone.control.loop import resolution_of
 from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.errors import CameraError, LinkError
 from cognitivedrone.sim.airframe import Airframe
@@ -267,6 +268,7 @@ class _JudgedDrone:
         self._drone = drone
         self._flight = flight
         self._track_runner = track_runner
+        self.resolution_s = resolution_of(drone)
 
     def observe(self) -> Observation:
         """As the drone."""

@@ -107,6 +107,11 @@ class MavlinkDrone:
         """Seconds since the end of the take-off."""
         return self._core.clock() - self._core.start
 
+    @property
+    def resolution_s(self) -> float:
+        """Steps of the clock: on vehicle time it goes on with the telemetry."""
+        return 0.0 if self.config.clock == "wall" else 1 / self.config.stream_hz
+
     def sleep_until(self, time: float) -> None:
         """Wait; on vehicle time, raises `LinkError` where that stands still."""
         if self.config.clock == "wall":
