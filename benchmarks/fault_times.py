@@ -206,15 +206,23 @@ _FLOOD = (
     "                except OSError: pass"
 )
 _NONSENSE = "fault()\n            for _ in range(20): drone._socket.send(os.urandom(80))\n            time.sleep(30)"
+DYING_S = 1.0
+"""A process that is killed needs its turn on a core to end; in flight its silence is noticed before."""
 FAULTS: dict[str, Fault] = {
-    "pilot process killed (-9)": Fault(to_pilot(signal.SIGKILL)),
-    "pilot process killed (-9) in the climb": Fault(to_pilot(signal.SIGKILL), vehicle={"climbs": False}),
+    "pilot process killed (-9)": Fault(to_pilot(signal.SIGKILL), land_s=DYING_S),
+    "pilot process killed (-9) in the climb": Fault(
+        to_pilot(signal.SIGKILL), DYING_S, DYING_S, vehicle={"climbs": False}
+    ),
     "pilot process holds the interpreter in C": Fault(hold_the_interpreter, land_s=6.0, does=_SPIN),
     "pilot process stopped (SIGSTOP)": Fault(stop_pilot, land_s=6.0),
-    "SIGHUP to the pilot process": Fault(to_pilot(signal.SIGHUP)),
-    "SIGTERM to the pilot process": Fault(to_pilot(signal.SIGTERM)),
-    "SIGHUP to the pilot process in the climb": Fault(to_pilot(signal.SIGHUP), vehicle={"climbs": False}),
-    "SIGTERM to the pilot process in the climb": Fault(to_pilot(signal.SIGTERM), vehicle={"climbs": False}),
+    "SIGHUP to the pilot process": Fault(to_pilot(signal.SIGHUP), land_s=DYING_S),
+    "SIGTERM to the pilot process": Fault(to_pilot(signal.SIGTERM), land_s=DYING_S),
+    "SIGHUP to the pilot process in the climb": Fault(
+        to_pilot(signal.SIGHUP), DYING_S, DYING_S, vehicle={"climbs": False}
+    ),
+    "SIGTERM to the pilot process in the climb": Fault(
+        to_pilot(signal.SIGTERM), DYING_S, DYING_S, vehicle={"climbs": False}
+    ),
     "SIGHUP to the guard": Fault(to_guard(signal.SIGHUP)),
     "SIGTERM to the guard": Fault(to_guard(signal.SIGTERM)),
     "SIGTERM to the guard in the climb": Fault(to_guard(signal.SIGTERM), vehicle={"climbs": False}),
@@ -274,7 +282,7 @@ def wait(found: Callable[[], float | bool | None]) -> float | None:
     while time.monotonic() < end:
         if (result := found()) is not None:
             return result
-        time.sleep(0.001)
+        time.sleep(0.02)  # what counts is when the vehicle noted it, and looking costs it time
     return None
 
 
