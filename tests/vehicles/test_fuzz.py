@@ -13,11 +13,32 @@ import pytest
 pytest.importorskip("pymavlink")
 sys.path.insert(0, str(Path(__file__).parent))
 
-from fuzz import BEAT, VEHICLE, connected, packed, random_packet, strangers
+from fuzz import BEAT, STRANGER, VEHICLE, connected, packed, random_packet, strangers
+from pymavlink.dialects.v20 import ardupilotmega as m
 
 from cognitivedrone.control.safety import Memory, SafetyConfig, decide, order, shape
+from cognitivedrone.vehicles.mavlink.client import connection
 from cognitivedrone.vehicles.mavlink.client.connection import Connection
 from cognitivedrone.vehicles.mavlink.client.health import Asked, Baseline, health_of
+
+LOITER = m.MAVLink_heartbeat_message(2, 3, 0x81, 5, 4, 3)
+
+
+def test_a_vehicle_may_move_but_what_queued_up_during_a_stop_of_ours_is_no_move(monkeypatch):
+    link, transport = connected()
+
+    def hear(message: m.MAVLink_message, peer: int) -> str:
+        transport.feed(packed(message), peer)
+        link.step(0.0)
+        return link.telemetry.mode
+
+    monkeypatch.setattr(connection, "MOVED_S", 0.0)
+    assert hear(LOITER, STRANGER) == "GUIDED"
+    assert hear(BEAT, VEHICLE) == "GUIDED"
+    assert hear(LOITER, STRANGER) == "GUIDED"
+    monkeypatch.setattr(connection, "ALONE_S", 0.0)
+    assert hear(LOITER, STRANGER) == "LOITER"
+    link.close()
 
 
 def held_true(link: Connection) -> tuple[object, ...]:

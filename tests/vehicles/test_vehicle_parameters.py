@@ -152,3 +152,19 @@ def test_a_vehicle_is_known_again(tmp_path, monkeypatch):
     assert vehicle_key(7, [0] * 18, 1, "udp:a") == vehicle_key(7, [0] * 18, 1, "udp:b")
     assert vehicle_key(7, [1] * 18, 1, "udp:a") == vehicle_key(8, [1] * 18, 1, "udp:b")
     assert journal_of("../x").parent == tmp_path / "cognitivedrone" / "parameters"
+
+
+def test_who_waits_and_who_listens_do_not_get_in_each_others_way(changed):
+    """The listening thread puts back too, while somebody waits for the vehicle's answer."""
+    changes, table = changed
+
+    class Listening(Table):
+        def parameters(self, names):
+            changes.put_back_meanwhile(table, 50.0, flying=False)
+            changes._open.pop("FS_GCS_ENABLE", None)
+            return super().parameters(names)
+
+    both = Listening()
+    both.values = table.values
+    assert changes.put_back(both) == ()
+    assert table.values == BEFORE

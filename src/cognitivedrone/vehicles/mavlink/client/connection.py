@@ -28,8 +28,9 @@ T = TypeVar("T")
 
 HEARTBEAT_S, WATCH_S, PING_S = 1.0, 0.02, 0.2
 """Periods of our heartbeat, of the watch, and of a request that the vehicle answers at once (TIMESYNC)."""
-MOVED_S = 0.5
-"""A vehicle that was silent for so long may go on from another address; before, who sends as it there is another."""
+MOVED_S, ALONE_S = 0.5, 0.2
+"""A vehicle that was silent for so long may go on from another address; before, who sends as it there is another. So
+long must that address be the only one: after a stop of our own, what has queued up says who was silent."""
 READ_AT_ONCE = 64
 """Pieces or datagrams that are taken before the next watch."""
 ACK_S, TRIES = 1.0, 3
@@ -91,6 +92,8 @@ class Connection:
         """Who else is on the link, and whether the vehicle hears us."""
         self._peer: tuple[Hashable, float] = (None, -math.inf)
         """Where the vehicle last sent from, and when."""
+        self._mover: tuple[Hashable, float] = (None, -math.inf)
+        """Where it may have moved to, and since when."""
         self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True) if threaded else None
         if self._thread is not None:
             self._thread.start()
@@ -308,10 +311,15 @@ class Connection:
             self.traffic = noticed(self.traffic, message, known, now)
             return
         where, last = self._peer
-        if peer != where and now - last < MOVED_S:
-            self.traffic = replace(self.traffic, impostor_at=now)
-            return
-        self._peer = peer, now
+        if where is not None and peer != where:
+            if now - last < MOVED_S:
+                self.traffic = replace(self.traffic, impostor_at=now)
+                return
+            if self._mover[0] != peer:
+                self._mover = peer, now
+            if now - self._mover[1] < ALONE_S:
+                return
+        self._peer, self._mover = (peer, now), (None, -math.inf)
         if kind == "HEARTBEAT":
             self._transport.answer_to(peer)  # wherever the vehicle has moved to
         self.telemetry = heard(self.telemetry, message, now)

@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 import os
+import threading
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,6 +83,9 @@ class ParameterChanges:
         self._journal = journal
         self._open = {} if journal is None else _read(journal)
         self._said_at = -math.inf
+        self._waiting = False
+        """Somebody waits in `put_back`: whoever listens leaves it to them. Both may still meet once."""
+        self._keeping = threading.Lock()
 
     @property
     def open(self) -> Mapping[str, Change]:
@@ -102,28 +106,32 @@ class ParameterChanges:
         """Put back what may go now, waiting for it; the names of those that stay as we set them."""
         if self._journal is None or not self._open:
             return ()
-        changes = dict(self._open)  # `put_back_meanwhile` may go on beside this
-        failed = [name for name in changes if flying and name not in ACTS_IN_FLIGHT]
-        for name, value in link.parameters([name for name in changes if name not in failed]).items():
-            if value is None:
-                failed.append(name)
-                continue
-            if math.isclose(value, changes[name].now, rel_tol=1e-5):
-                try:
-                    link.set_parameter(name, changes[name].was)
-                except LinkError:
+        self._waiting = True
+        try:
+            changes = dict(self._open)
+            failed = [name for name in changes if flying and name not in ACTS_IN_FLIGHT]
+            for name, value in link.parameters([name for name in changes if name not in failed]).items():
+                if value is None:
                     failed.append(name)
                     continue
-            self._open.pop(name, None)
-        self._keep()
+                if math.isclose(value, changes[name].now, rel_tol=1e-5):
+                    try:
+                        link.set_parameter(name, changes[name].was)
+                    except LinkError:
+                        failed.append(name)
+                        continue
+                self._open.pop(name, None)
+            self._keep()
+        finally:
+            self._waiting = False
         return tuple(failed)
 
     def put_back_meanwhile(self, link: Parameters, now: float, *, flying: bool) -> None:
         """Put back, without waiting, what may go now: called again and again, from where the link is listened to."""
-        if self._journal is None or not self._open:
+        if self._journal is None or not self._open or self._waiting:
             return
-        names = [name for name in list(self._open) if not flying or name in ACTS_IN_FLIGHT]
-        back = [name for name in names if link.told_parameter(name) == _float32(self._open[name].was)]
+        changes = {name: change for name, change in dict(self._open).items() if not flying or name in ACTS_IN_FLIGHT}
+        back = [name for name, change in changes.items() if link.told_parameter(name) == _float32(change.was)]
         for name in back:
             self._open.pop(name, None)
         if back:
@@ -131,8 +139,8 @@ class ParameterChanges:
                 self._keep()
         if now - self._said_at >= REPEAT_S:
             self._said_at = now
-            for name in names:
-                if (change := self._open.get(name)) is not None:
+            for name, change in changes.items():
+                if name not in back:
                     link.tell_parameter(name, change.was)
 
     def _keep(self) -> None:
@@ -140,12 +148,13 @@ class ParameterChanges:
         if self._journal is None:
             return
         try:
-            if not self._open:
-                self._journal.unlink(missing_ok=True)
-                return
-            self._journal.parent.mkdir(parents=True, exist_ok=True)
-            content = {name: [change.was, change.now] for name, change in dict(self._open).items()}
-            replace_file(self._journal, json.dumps(content, indent=1).encode())
+            with self._keeping:
+                content = {name: [change.was, change.now] for name, change in dict(self._open).items()}
+                if not content:
+                    self._journal.unlink(missing_ok=True)
+                    return
+                self._journal.parent.mkdir(parents=True, exist_ok=True)
+                replace_file(self._journal, json.dumps(content, indent=1).encode())
         except OSError as error:
             raise LinkError(
                 f"cannot write {self._journal}, which tells how the vehicle's parameters were: {reason_of(error)}"
