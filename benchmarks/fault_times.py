@@ -19,6 +19,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "vehicles"))
 
 from peer import MODES, Peer, StillCamera, playing
+from test_hazards import FAULTS as VEHICLE_FAULTS
+from test_hazards import NAMES
 
 from cognitivedrone.control.safety import Guard
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
@@ -78,15 +80,40 @@ def mode_change(peer: Peer, drone: MavlinkDrone) -> float:
 FAULTS: tuple[Callable[[Peer, MavlinkDrone], float], ...] = (not_a_number, silent_policy, link_cut, mode_change)
 
 
+def of_the_vehicle(
+    inject: Callable[[Peer], None],
+) -> Callable[[Peer, MavlinkDrone], float]:
+    """From a fault of the vehicle to the decision not to fly on, under the rules as they come."""
+
+    def fault(peer: Peer, drone: MavlinkDrone) -> float:
+        began = time.monotonic()
+        inject(peer)
+        while drone.decision is not None and drone.decision.kind == "fly":
+            drone.observe()
+            drone.send(FORWARD)
+            time.sleep(0.005)
+        return time.monotonic() - began
+
+    return fault
+
+
+def timed(name: str, fault: Callable[[Peer, MavlinkDrone], float], flights: int) -> None:
+    """Print how long it takes until something safe is done."""
+    times = []
+    for _ in range(flights):
+        with playing() as peer, MavlinkDrone(f"udpout:127.0.0.1:{peer.port}", StillCamera(), Guard()) as drone:
+            drone.take_off(lambda _: True)
+            fly_on(drone, 0.4)
+            times.append(1000 * fault(peer, drone))
+    print(f"{name:<16} median {statistics.median(times):4.0f} ms, worst {max(times):4.0f} ms", flush=True)
+
+
 def main() -> None:
+    flights = int(sys.argv[1]) if len(sys.argv) > 1 else FLIGHTS
     for fault in FAULTS:
-        times = []
-        for _ in range(FLIGHTS):
-            with playing() as peer, MavlinkDrone(f"udpout:127.0.0.1:{peer.port}", StillCamera(), Guard()) as drone:
-                drone.take_off(lambda _: True)
-                fly_on(drone, 0.4)
-                times.append(1000 * fault(peer, drone))
-        print(f"{fault.__name__:<14} median {statistics.median(times):4.0f} ms, worst {max(times):4.0f} ms")
+        timed(fault.__name__, fault, flights)
+    for name, (inject, *_) in zip(NAMES, VEHICLE_FAULTS, strict=True):
+        timed(name, of_the_vehicle(inject), flights)
 
 
 if __name__ == "__main__":

@@ -28,6 +28,12 @@ OPTIONAL += ("serial", "tensorboard", "tokenizers", "torch", "torchao", "transfo
 ABSENT = {name for name in OPTIONAL if importlib.util.find_spec(name) is None}
 
 
+@pytest.fixture(autouse=True)
+def state_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the program keeps from one run to the next is none of the tests' business, nor theirs of the user's."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
 def absent(error: BaseException | None) -> str | None:
     """Why a test cannot run here, where the reason is a package of an extra that is not installed; else none."""
     if isinstance(error, ModuleNotFoundError) and str(error.name).partition(".")[0] in ABSENT:

@@ -2,13 +2,11 @@
 
 `Policy` and `Reasoner` are base classes with defaults for rarely needed methods. A user's class may inherit them, or
 define only the methods of `PolicyLike` or `ReasonerLike`. The others are Protocols: a class fits by its methods.
-`Health` is here because vehicles fill it in and the safety rules read it, and neither package may import the other.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from typing import Protocol
 
 from cognitivedrone.types import (
@@ -16,11 +14,9 @@ from cognitivedrone.types import (
     ActionChunk,
     EpisodeContext,
     Event,
-    FloatArray,
     Guidance,
     Image,
     Observation,
-    Vector,
 )
 
 
@@ -118,40 +114,6 @@ class Recorder(Protocol):
     def note(self, event: Event) -> None:
         """Any other event, as it happens."""
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class Health:
-    """Health of a drone and its links at one moment. Ages are seconds since a source last delivered good data."""
-
-    time: float
-    """Of a steady clock, s."""
-    command: FloatArray | None
-    """(4,) the policy's last command, heading frame, m/s and rad/s, NaN included; none before the first."""
-    command_age_s: float
-    """Of the last finite command; before the first one, time since the policy took over."""
-    frame_age_s: float
-    """Of the newest camera frame."""
-    link_age_s: float
-    """Of the last message of any type from the vehicle."""
-    state_age_s: float
-    """Of attitude or position, whichever is older."""
-    battery: float | None
-    """Remaining charge, 0 to 1; none if the vehicle does not report it."""
-    position: Vector
-    """(3,) relative to the take-off point, ENU, m."""
-    velocity: Vector
-    """(3,) ENU, m/s."""
-    yaw: float
-    """Heading, counter-clockwise from east, rad."""
-    mode: str
-    """The flight mode that the vehicle reports."""
-    ordered_modes: frozenset[str]
-    """The mode that we ordered and, until the vehicle reports it, the previous one."""
-    armed: bool
-    """Whether the motors are armed."""
-    stick_moved: bool
-    """Whether a stick of the remote control has moved since we took over."""
 
 
 class LabelPack(Protocol):

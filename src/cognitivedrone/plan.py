@@ -221,7 +221,7 @@ class SafetySpec(Options):
     policy_patience: float = _option(0.2)
     """Seconds without a command before the vehicle is stopped; raise it for slower policies."""
     set_parameters: bool = _option(False)
-    """Allow GUID_TIMEOUT and FS_GCS_ENABLE of the vehicle to be set if their values are not safe to fly."""
+    """Allow parameters of the vehicle that are not safe to fly to be set for the flight, and restored after it."""
     clock: Literal["wall", "vehicle"] = _option("wall")
     """With mavlink: fly by the vehicle's own time, for simulators that run faster or slower than real time."""
     sitl_defaults: tuple[Path, ...] = _option(())

@@ -65,6 +65,36 @@ class Broken:
         return np.full((1, 4), 0.0 if self.left >= 0 else np.nan, dtype=np.float32)
 
 
+class Hangs(Hover):
+    """Decides a few times, and then never again, in Python."""
+
+    def __init__(self) -> None:
+        self.left = 3
+
+    def act(self, observation: Observation) -> ActionChunk:
+        self.left -= 1
+        if self.left < 0:
+            threading.Event().wait()
+        return super().act(observation)
+
+
+class NeverCloses(Hover):
+    """A good policy that leaves a thread behind, and does not close."""
+
+    def __init__(self) -> None:
+        threading.Thread(target=threading.Event().wait, name="left behind").start()
+
+    def close(self) -> None:
+        threading.Event().wait()
+
+
+class LeavesThread(NeverCloses):
+    """As that, but closes."""
+
+    def close(self) -> None:
+        pass
+
+
 GREY = np.full((256, 256, 3), 128, np.uint8)
 
 

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -283,18 +283,98 @@ def test_a_vehicle_that_may_be_real_is_refused_without_the_flag_and_without_the_
     assert "propellers clear" in console.file.getvalue()
 
 
+def take_over(peer: Peer) -> None:
+    """As soon as it flies."""
+    while not peer.setpoints_since(0):
+        time.sleep(0.01)
+    peer.part.mode = MODES["LOITER"]
+
+
 def test_the_pilot_ends_the_flight(tmp_path):
     with playing() as peer, camera() as url:
         config = vehicle(peer, url, tmp_path / "f", i_understand_this_flies_a_real_drone=True)
-        pilot = threading.Timer(0.6, lambda: setattr(peer.part, "mode", MODES["LOITER"]))
+        pilot = threading.Thread(target=take_over, args=(peer,))
         pilot.start()
         summary = fly_mission(config, console=quiet(), keyboard=io.StringIO("arm\n"))
         pilot.join()
+        peer.part.armed = False  # the guard heartbeats until it sees that
         assert commands(peer, 400) == [400]
     assert (summary.ending.kind, summary.exit_code) == ("vehicle", 1)
     assert "LOITER" in summary.ending.reason
     about = json.loads((tmp_path / "f" / "flight.json").read_text())
     assert about["end"]["reason"] == summary.ending.reason
+
+
+def flight(peer: Peer, url: str, out: Path, policy: str = "hover", **options: object) -> subprocess.Popen[bytes]:
+    """`fly` in a process and a session of its own, as at a terminal; confirmed."""
+    link = f"mavlink:udpout:127.0.0.1:{peer.port}"
+    command = [
+        *(sys.executable, "-m", "cognitivedrone", "fly", "go", "--link", link, "--camera", url, "--out", out),
+        *("--policy", policy, "--reasoner", "none", "--i-understand-this-flies-a-real-drone"),
+        *(word for name, value in options.items() for word in (f"--{name}", value)),
+    ]
+    fakes = Path(__file__).parent
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(fakes), os.environ.get("PYTHONPATH", "")])}
+    reading, writing = os.pipe()
+    os.write(writing, b"arm\n")
+    with (out.parent / "said").open("wb") as said:
+        process = subprocess.Popen(
+            list(map(str, command)), stdin=reading, stdout=said, stderr=said, env=environment, start_new_session=True
+        )
+    os.close(reading)
+    os.close(writing)
+    return process
+
+
+def soon(holds: Callable[[], object], timeout_s: float = 30.0) -> None:
+    began = time.monotonic()
+    while not holds():
+        assert time.monotonic() - began < timeout_s
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM])
+@pytest.mark.parametrize("climbing", [True, False])
+def test_a_terminal_that_goes_away_and_a_request_to_terminate_land_and_leave_a_log(tmp_path, number, climbing):
+    with playing(climbs=not climbing) as peer, camera() as url:
+        process = flight(peer, url, tmp_path / "f")
+        try:
+            if climbing:
+                soon(lambda: any(c.command == 22 for c in peer.of("COMMAND_LONG")))
+            else:
+                soon(lambda: len(peer.setpoints_since(0)) > 5)
+            os.killpg(process.pid, number)
+            soon(lambda: peer.part.mode == MODES["LAND"], 2.0)
+            assert process.wait(30) == 130
+        finally:
+            process.kill()
+            process.wait()
+    about = json.loads((tmp_path / "f" / "flight.json").read_text())
+    reason = about["end"]["error"] if climbing else about["end"]["reason"]
+    assert reason == ("the terminal has gone" if number == signal.SIGHUP else "asked to terminate")
+
+
+@pytest.mark.parametrize(
+    ("policy", "code", "says"),
+    [
+        ("Hangs", 1, "the policy hangs; the flight had ended: still braking because no new command from the policy"),
+        ("NeverCloses", 0, "the policy or the reasoner does not close"),
+        ("LeavesThread", 0, "still running: left behind"),
+    ],
+)
+def test_a_policy_that_hangs_does_not_keep_the_process_after_the_landing(tmp_path, policy, code, says):
+    with playing() as peer, camera() as url:
+        process = flight(peer, url, tmp_path / "f", f"cockpit_fakes:{policy}", **{"time-limit": 1})
+        try:
+            assert process.wait(40) == code
+        finally:
+            process.kill()
+            process.wait()
+    assert peer.part.mode == MODES["LAND"]
+    assert says in (tmp_path / "said").read_text()
+    about = json.loads((tmp_path / "f" / "flight.json").read_text())
+    assert "end" in about
+    assert pq.read_table(tmp_path / "f" / "steps.parquet").num_rows >= 3
 
 
 def test_arducopter_is_started_on_our_physics_and_flown(tmp_path):

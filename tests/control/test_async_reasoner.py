@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 import threading
 from typing import cast
 
@@ -150,3 +152,23 @@ def test_an_exception_in_the_thread_is_a_fault_too():
     async_reasoner.ask(question())
     assert wait(async_reasoner).fault == "raised"
     async_reasoner.close()
+
+
+def test_a_reasoner_that_never_answers_does_not_keep_the_process():
+    code = """
+import sys, threading
+sys.path.insert(0, "tests/control")
+from test_async_reasoner import Reasoner, ThreadedReasoner, question
+
+class Hangs(Reasoner):
+    def refine(self, image, instruction):
+        started.set()
+        threading.Event().wait()
+
+started = threading.Event()
+reasoner = ThreadedReasoner(Hangs())
+reasoner.ask(question())
+started.wait()
+reasoner.close()
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

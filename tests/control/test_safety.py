@@ -10,19 +10,22 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from cognitivedrone.control.fence import Fence, keep_inside, outside_by
+from cognitivedrone.control.health import Health
 from cognitivedrone.control.safety import (
     SEVERITY,
+    Decision,
     Guard,
     Limits,
     Memory,
+    Order,
     SafetyConfig,
     Timeouts,
     decide,
     limit,
+    order,
     shape,
 )
 from cognitivedrone.frames import rotate_yaw
-from cognitivedrone.interfaces import Health
 
 CONFIG = SafetyConfig()
 GOOD = Health(
@@ -88,7 +91,28 @@ def after(health: Health, seconds: float, memory: Memory | None = None, config: 
         (at(30.5, 0, 1.5), "fly", "0.5 m outside"),
         (at(0, -32.5, 1.5), "hold", "2.5 m outside"),
         (at(0, 0, 12.5), "hold", "2.5 m outside"),
-        (at(np.nan, 0, 1.5), "hold", "outside"),
+        (at(np.nan, 0, 1.5), "hold", "not a number"),
+        (replace(GOOD, yaw=np.nan), "hold", "not a number"),
+        (replace(GOOD, velocity=np.array([np.nan, 0, 0])), "hold", "not a number"),
+        (replace(GOOD, velocity=np.array([0, np.inf, 0])), "hold", "not a number"),
+        (replace(GOOD, heartbeat_age_s=0.5), "fly", ""),
+        (replace(GOOD, heartbeat_age_s=0.51), "hold", "mode is unknown"),
+        (replace(GOOD, heartbeat_age_s=1.01), "brake", "mode is unknown"),
+        (replace(GOOD, uplink_age_s=1.0), "fly", ""),
+        (replace(GOOD, uplink_age_s=1.1), "hold", "commands may not arrive"),
+        (replace(GOOD, uplink_age_s=2.1), "brake", "commands may not arrive"),
+        (replace(GOOD, battery_age_s=3.1), "hold", "battery"),
+        (replace(GOOD, battery_age_s=10.1), "brake", "battery"),
+        (replace(GOOD, estimator_age_s=1.1), "hold", "no report of the state estimator"),
+        (replace(GOOD, estimator_age_s=3.1), "brake", "no report of the state estimator"),
+        (replace(GOOD, remote_age_s=0.6), "hold", "remote control is lost"),
+        (replace(GOOD, remote_age_s=2.1), "brake", "remote control is lost"),
+        (replace(GOOD, remote_appeared=True), "brake", "switched on"),
+        (replace(GOOD, jump_m=1.0), "fly", ""),
+        (replace(GOOD, jump_m=1.1), "brake", "jumped by 1.1 m"),
+        (replace(GOOD, jump_m=np.nan), "brake", "jumped"),
+        (replace(GOOD, restarted=True), "brake", "clock went back"),
+        (replace(GOOD, intruder="system 9 commands too"), "brake", "system 9"),
     ],
 )
 def test_first_decision(health, kind, words):
@@ -110,6 +134,21 @@ def test_first_decision(health, kind, words):
         (replace(GOOD, command_age_s=1.1), 3.9, "brake"),
         (replace(GOOD, command_age_s=1.1), 4.1, "land"),
         (replace(GOOD, stick_moved=True), 60, "brake"),
+        (replace(GOOD, remote_appeared=True), 60, "brake"),
+        (replace(GOOD, yaw=np.nan), 0.9, "hold"),
+        (replace(GOOD, yaw=np.nan), 1.1, "brake"),
+        (replace(GOOD, velocity=np.full(3, np.nan)), 5.2, "land"),
+        (replace(GOOD, estimator="it diverges"), 0.2, "fly"),
+        (replace(GOOD, estimator="it diverges"), 0.9, "hold"),
+        (replace(GOOD, estimator="it diverges"), 1.1, "land"),
+        (replace(GOOD, tilt_rad=1.0), 5, "fly"),
+        (replace(GOOD, tilt_rad=1.1), 0.05, "fly"),
+        (replace(GOOD, tilt_rad=1.1), 0.2, "hold"),
+        (replace(GOOD, tilt_rad=1.1), 0.4, "brake"),
+        (replace(GOOD, tilt_rad=np.nan), 0.4, "brake"),
+        (replace(GOOD, intruder="system 9 commands too"), 4.1, "land"),
+        (replace(GOOD, jump_m=5.0), 4.1, "land"),
+        (replace(GOOD, heartbeat_age_s=1.1), 4.1, "land"),
     ],
 )
 def test_decision_after_a_while(health, seconds, kind):
@@ -152,10 +191,46 @@ def test_the_pilots_brake_does_not_land_but_an_empty_battery_does():
     assert after(empty, 3, memory)[0].kind == "land"
 
 
+def ordered(kind, health=GOOD, landing="LAND"):
+    return order(Decision(kind, ""), health, CONFIG, landing)
+
+
+@pytest.mark.parametrize("kind", ["hold", "brake"])
+def test_what_stops_is_a_velocity_that_only_guided_obeys(kind):
+    # To ArduCopter its own BRAKE is a mode that a pilot flies, in which no failsafe acts when we fall silent.
+    assert ordered(kind).mode is None
+    assert ordered(kind).setpoint == pytest.approx(np.zeros(4))
+    assert ordered(kind, replace(GOOD, heartbeat_age_s=9)).mode is None
+    assert ordered(kind, replace(GOOD, mode="LAND")) == Order()
+
+
+def test_landing_is_ordered_until_it_shows():
+    assert ordered("land") == Order(mode="LAND")
+    assert ordered("land", landing="RTL") == Order(mode="RTL")
+    assert ordered("land", replace(GOOD, mode="LAND")) == Order()
+    assert ordered("hands_off") == Order()
+
+
+@pytest.mark.parametrize("age", [0.51, 3.0, np.inf, np.nan])
+def test_without_a_fresh_heartbeat_no_mode_is_ordered(age):
+    sent = ordered("land", replace(GOOD, heartbeat_age_s=age))
+    assert sent.mode is None
+    assert sent.setpoint == pytest.approx([0, 0, -0.5, 0])
+
+
+def test_the_speed_limit_of_the_vehicle_keeps_the_direction():
+    fast = replace(GOOD, command=np.array([2.0, 2.0, -1.0, 0.5]), speed_limit_m_s=1.0)
+    sent = shape(fast, np.array([2.0, 2.0, -1.0, 0.5]), 1.0, CONFIG)
+    assert np.linalg.norm(sent[:3]) == pytest.approx(1.0)
+    assert sent[:2] / sent[2] == pytest.approx([-2, -2])
+    assert sent[3] == pytest.approx(0.5)
+
+
 numbers = st.floats(-1e6, 1e6)
 wild = st.floats(allow_nan=True, allow_infinity=True)
 ages = st.floats(0, 20)
 vectors = st.tuples(*[st.floats(-60, 60)] * 3).map(np.array)
+wild_vectors = vectors | st.tuples(wild, wild, wild).map(np.array)
 healths = st.builds(
     Health,
     time=st.just(0.0),
@@ -165,13 +240,19 @@ healths = st.builds(
     link_age_s=ages,
     state_age_s=ages,
     battery=st.none() | st.floats(0, 1),
-    position=vectors,
-    velocity=vectors,
-    yaw=st.floats(-7, 7),
+    position=wild_vectors,
+    velocity=wild_vectors,
+    yaw=wild,
     mode=st.sampled_from(["GUIDED", "BRAKE", "LAND", "LOITER"]),
     ordered_modes=st.frozensets(st.sampled_from(["GUIDED", "BRAKE", "LAND"])),
     armed=st.booleans(),
     stick_moved=st.booleans(),
+    heartbeat_age_s=ages | wild,
+    uplink_age_s=ages | wild,
+    estimator=st.sampled_from(["", "it diverges"]),
+    tilt_rad=wild,
+    jump_m=wild,
+    intruder=st.sampled_from(["", "system 9"]),
 )
 steps = st.lists(st.tuples(st.floats(0.01, 3), healths | st.just(GOOD)), min_size=1, max_size=12)
 
@@ -189,6 +270,9 @@ def test_braking_landing_and_hands_off_are_never_taken_back(sequence):
             worst = severity
         if health.mode not in health.ordered_modes or not health.armed:
             assert decision.kind == "hands_off"
+        sent = order(decision, health, CONFIG)
+        assert sent.mode in (None, "LAND")
+        assert sent.mode is None or health.heartbeat_age_s <= CONFIG.heartbeat.hold_s
 
 
 @given(steps)
@@ -203,6 +287,7 @@ def test_what_a_guard_sends_is_finite_and_within_limits(sequence):
             assert sent.shape == (4,)
             assert np.isfinite(sent).all()
             assert (np.abs(sent) <= np.array(CONFIG.limits.speed) * (1 + 1e-6)).all()
+        assert np.isfinite(shape(health, np.zeros(4), 0.1, CONFIG)).all()
 
 
 commands = st.tuples(numbers, numbers, numbers, numbers).map(np.array)

@@ -13,17 +13,43 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as m
 
+from cognitivedrone.control.safety import SafetyConfig, Timeouts
 from cognitivedrone.vehicles.camera import Shot
 
-MODES = {"STABILIZE": 0, "GUIDED": 4, "LOITER": 5, "LAND": 9, "BRAKE": 17}
+MODES = {"STABILIZE": 0, "GUIDED": 4, "LOITER": 5, "RTL": 6, "LAND": 9, "BRAKE": 17}
+REMOTE_BIT = m.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 PARAMETERS = {
-    "GUID_TIMEOUT": 3.0,
+    "SYSID_MYGCS": 255.0,
     "FS_GCS_ENABLE": 5.0,
+    "FS_GCS_TIMEOUT": 5.0,
+    "FS_OPTIONS": 16.0,
+    "GUID_TIMEOUT": 0.3,
+    "ARMING_CHECK": 1.0,
     "FENCE_ENABLE": 1.0,
-    "FS_THR_ENABLE": 1.0,
+    "FENCE_ACTION": 2.0,
     "BATT_FS_LOW_ACT": 1.0,
+    "BATT_LOW_VOLT": 10.5,
+    "RTL_ALT": 500.0,
+    "RTL_CLIMB_MIN": 0.0,
+    "FS_THR_ENABLE": 1.0,
     "FS_EKF_ACTION": 1.0,
+    "FS_EKF_THRESH": 0.8,
+    "FS_CRASH_CHECK": 1.0,
 }
+
+
+CALM = SafetyConfig(
+    policy=Timeouts(2, 4),
+    camera=Timeouts(2, 4),
+    link=Timeouts(2, 4),
+    state=Timeouts(2, 4),
+    heartbeat=Timeouts(2, 4),
+    uplink=Timeouts(2, 4),
+    estimator_report=Timeouts(2, 4),
+    remote=Timeouts(2, 4),
+    most_jump_m=np.inf,
+)
+"""For tests of something else, on machines that are busy."""
 
 
 class StillCamera:
@@ -61,6 +87,21 @@ class Part:
     also: tuple[bytes, ...] = ()
     """Packets sent with every heartbeat."""
     mute: bool = False
+    quiet: frozenset[str] = frozenset()
+    """Messages that it does not send, by their names."""
+    clock_rate: float = 1.0
+    """Of the times in its messages: 0 repeats one, less than 1 is a link on which they are later and later."""
+    behind_s: float = 0.0
+    """How far its clock has gone back."""
+    tilt: float = 0.0
+    yaw: float = 0.0
+    variance: float = 0.0
+    """Of its estimator."""
+    remote: bool | None = None
+    """Whether its receiver hears the remote control; none where it does not tell."""
+    home: bool = True
+    target: tuple[int, float] | None = None
+    """Type mask and speed of what it says it flies to; none where it is what it was sent."""
     sticks: tuple[int, int, int, int] | None = None
 
 
@@ -78,6 +119,8 @@ class Peer:
         self._mav.robust_parsing = True
         self._to: Any = None
         self._stop = threading.Event()
+        self._clock, self._looked = 5.0, time.monotonic()
+        self._sent_speed = 0.0
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -89,6 +132,11 @@ class Peer:
         self._stop.set()
         self._thread.join()
         self._socket.close()
+
+    def address(self) -> tuple[str, int]:
+        """Of whom it talks to."""
+        host, port = self._to
+        return host, port
 
     def of(self, kind: str) -> list[Any]:
         return [message for _, message in self.heard if message.get_type() == kind]
@@ -119,17 +167,40 @@ class Peer:
         part, mav = self.part, self._mav
         for packet in part.also:
             self.write(packet)
-        mav.heartbeat_send(part.kind, part.autopilot, 0x81 if part.armed else 1, part.mode, 3)
-        mav.attitude_send(5000, 0, 0, 0.0, 0, 0, 0.25)
-        mav.local_position_ned_send(5000, *part.position, 1.0, 0.5, 0.25)
+        boot_ms = self.boot_ms()
         bit = m.MAV_SYS_STATUS_PREARM_CHECK
-        mav.sys_status_send(bit, bit, bit if part.prearm else 0, 0, 12000, -1, part.battery, 0, 0, 0, 0, 0, 0)
-        mav.ekf_status_report_send(part.ekf, 0, 0, 0, 0, 0)
+        present = bit | (REMOTE_BIT if part.remote is not None else 0)
+        health = (bit if part.prearm else 0) | (REMOTE_BIT if part.remote else 0)
+        messages = [
+            m.MAVLink_heartbeat_message(part.kind, part.autopilot, 0x81 if part.armed else 1, part.mode, 3, 3),
+            m.MAVLink_attitude_message(boot_ms, part.tilt, 0, part.yaw, 0, 0, 0.25),
+            m.MAVLink_local_position_ned_message(boot_ms, *part.position, 1.0, 0.5, 0.25),
+            m.MAVLink_sys_status_message(present, present, health, 0, 12000, -1, part.battery, 0, 0, 0, 0, 0, 0),
+            m.MAVLink_ekf_status_report_message(part.ekf, *[part.variance] * 5),
+        ]
         if part.sticks:
-            mav.rc_channels_send(5000, 4, *part.sticks, *[0] * 14, 255)
+            messages.append(m.MAVLink_rc_channels_message(boot_ms, 4, *part.sticks, *[0] * 14, 255))
+        if part.mode == MODES["GUIDED"] and part.armed:
+            mask, speed = part.target or (0xC07, self._sent_speed)
+            messages.append(
+                m.MAVLink_position_target_local_ned_message(boot_ms, 1, mask, 0, 0, 0, speed, 0, 0, 0, 0, 0, 0, 0)
+            )
+        for message in messages:
+            if message.get_type() not in part.quiet:
+                mav.send(message)
+
+    def boot_ms(self) -> int:
+        """Its clock."""
+        now = time.monotonic()
+        self._clock, self._looked = self._clock + (now - self._looked) * self.part.clock_rate, now
+        return round(1000 * (self._clock - self.part.behind_s))
 
     def _answer(self, message: Any) -> None:
         part, kind = self.part, message.get_type()
+        if kind == "TIMESYNC" and message.tc1 == 0 and "TIMESYNC" not in part.quiet:
+            self._mav.timesync_send(self.boot_ms() * 1_000_000 + 1, message.ts1)
+        elif kind == "SET_POSITION_TARGET_LOCAL_NED":
+            self._sent_speed = (message.vx**2 + message.vy**2 + message.vz**2) ** 0.5
         if kind == "PARAM_REQUEST_READ" and message.param_id in part.parameters:
             self._parameter(message.param_id)
         elif kind == "PARAM_SET" and message.param_id in part.parameters:
@@ -140,7 +211,8 @@ class Peer:
                 self._mav.command_ack_send(message.command, m.MAV_RESULT_FAILED)
                 self._mav.statustext_send(3, part.refuse[message.command].encode())
                 return
-            if message.command == m.MAV_CMD_REQUEST_MESSAGE and message.param1 == 65 and not part.sticks:
+            lacks = (65, not part.sticks), (m.MAVLINK_MSG_ID_HOME_POSITION, not part.home)
+            if message.command == m.MAV_CMD_REQUEST_MESSAGE and (message.param1, True) in lacks:
                 self._mav.command_ack_send(message.command, m.MAV_RESULT_UNSUPPORTED)
                 return
             self._mav.command_ack_send(message.command, m.MAV_RESULT_ACCEPTED)
@@ -163,6 +235,8 @@ class Peer:
             case m.MAV_CMD_REQUEST_MESSAGE if message.param1 == m.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
                 number = part.version[0] << 24 | part.version[1] << 16
                 self._mav.autopilot_version_send(0, number, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
+            case m.MAV_CMD_REQUEST_MESSAGE if message.param1 == m.MAVLINK_MSG_ID_HOME_POSITION and part.home:
+                self._mav.home_position_send(0, 0, 0, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
             case m.MAV_CMD_REQUEST_MESSAGE:
                 self._tell()
 

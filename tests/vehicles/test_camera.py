@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from PIL import Image as Pictures
 
 from cognitivedrone.errors import CameraError
-from cognitivedrone.vehicles.camera import CameraConfig, cropped_fov, fit, open_camera
+from cognitivedrone.vehicles.camera import CameraConfig, ChangingCamera, Shot, cropped_fov, fit, open_camera
 
 
 def write_video(path: Path, *, frames: int = 10, rate: int = 20, size: tuple[int, int] = (320, 240)) -> Path:
@@ -221,3 +221,26 @@ def test_what_cannot_be_opened(tmp_path):
         ):
             with pytest.raises(CameraError, match=said):
                 open_camera(source)
+
+
+class Pictured:
+    """Frames at given times; it is read a twentieth of a second after each."""
+
+    def __init__(self, *frames: tuple[float, int]) -> None:
+        self._frames = list(frames)
+
+    def read(self) -> Shot:
+        at, brightness = self._frames.pop(0)
+        return Shot(np.full((256, 256, 3), brightness, np.uint8), at, 0.05)
+
+    def close(self) -> None:
+        self._frames = []
+
+
+def test_a_camera_that_repeats_one_frame_grows_old():
+    camera = ChangingCamera(Pictured((1.0, 7), (1.1, 7), (1.6, 7), (1.7, 8), (1.8, 8), (2.0, 8), (2.1, 8)))
+    assert [camera.read().age_s for _ in range(2)] == pytest.approx([0.05, 0.05])  # on the ground
+    camera.active = True
+    assert [camera.read().age_s for _ in range(4)] == pytest.approx([0.55, 0.05, 0.15, 0.35])
+    camera.active = False
+    assert camera.read().age_s == pytest.approx(0.05)

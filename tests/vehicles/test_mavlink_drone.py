@@ -19,7 +19,7 @@ import pytest
 pytest.importorskip("pymavlink")
 sys.path.insert(0, str(Path(__file__).parent))
 
-from peer import MODES, PARAMETERS, Peer, StillCamera, playing
+from peer import CALM, MODES, PARAMETERS, Peer, StillCamera, playing
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as m
 
@@ -34,8 +34,6 @@ from cognitivedrone.vehicles.mavlink.server.modes import Mode
 from cognitivedrone.vehicles.mavlink.server.vehicle import STEP_S, SimulatedVehicle, VehicleConfig
 
 FAST = MavlinkConfig(heartbeat_timeout_s=0.5, ready_timeout_s=0.3, takeoff_timeout_s=0.5, landing_timeout_s=5)
-CALM = SafetyConfig(link=Timeouts(2, 4), state=Timeouts(2, 4), policy=Timeouts(2, 4), camera=Timeouts(2, 4))
-"""For tests of something else, on machines that are busy."""
 FORWARD = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
 
 
@@ -146,12 +144,13 @@ def test_a_silent_policy_is_held_braked_and_landed():
         due = time.monotonic() + 0.1
         soon(lambda: (0, 0, 0, 0) in peer.setpoints_since(due - 0.1))
         assert time.monotonic() - due < SOON_S
-        soon(lambda: peer.part.mode == MODES["BRAKE"])
+        soon(lambda: drone.decision.kind == "brake")
         # A policy that comes back then is not trusted any more.
         assert not drone.send(FORWARD).any()
         assert drone.over is None
         soon(lambda: peer.part.mode == MODES["LAND"])
         assert "no new command from the policy" in drone.over
+        assert MODES["BRAKE"] not in [c.param2 for c in peer.of("COMMAND_LONG") if c.command == 176]
 
 
 @pytest.mark.parametrize("mode", ["LOITER", "STABILIZE"])
@@ -197,8 +196,13 @@ def test_a_stick_that_moves_brakes():
         drone.send(FORWARD)
         assert drone.decision.kind == "fly"
         peer.part.sticks = (1500, 1700, 1200, 1500)
-        soon(lambda: peer.part.mode == MODES["BRAKE"])
+        moved = time.monotonic()
+        soon(lambda: drone.decision.kind == "brake")
         assert "stick" in drone.decision.reason
+        soon(lambda: len(peer.setpoints_since(moved)) > 3)
+        assert not np.any(peer.setpoints_since(moved)[1:])
+        # Still GUIDED, in which ArduCopter lands when we fall silent.
+        assert peer.part.mode == MODES["GUIDED"]
         peer.part.mode = MODES["LOITER"]
         soon(lambda: drone.over)
 
@@ -212,7 +216,8 @@ def test_a_vehicle_that_falls_silent_is_told_to_stop():
         soon(lambda: drone.decision.kind == "hold")
         assert time.monotonic() - cut < SOON_S
         assert "no message from the vehicle" in drone.decision.reason
-        soon(lambda: peer.part.mode == MODES["BRAKE"])
+        soon(lambda: drone.decision.kind == "brake")
+        assert peer.part.mode == MODES["GUIDED"]
         peer.part.mute = False
 
 
@@ -298,7 +303,7 @@ def test_a_vehicle_that_cannot_be_flown(part, said):
         ({"refuse": {22: "no"}}, "refused take-off"),
         ({"battery": 20}, r"not fit to fly.*\[bad \] battery"),
         ({"parameters": {**PARAMETERS, "GUID_TIMEOUT": 5.0}}, r"\[bad \] GUID_TIMEOUT +5"),
-        ({"position": [np.nan] * 3, "climbs": False}, "not at 1.5 m"),
+        ({"position": [np.nan] * 3, "climbs": False}, "does not say that it knows where it is"),
     ],
 )
 def test_a_vehicle_that_is_not_ready(part, said):
@@ -309,13 +314,14 @@ def test_a_vehicle_that_is_not_ready(part, said):
 def test_parameters_are_set_with_consent_alone():
     with playing(parameters={**PARAMETERS, "FS_GCS_ENABLE": 0.0, "FENCE_ENABLE": 0.0}) as peer:
         with connect(peer) as drone:
-            assert [finding.what for finding in drone.checklist().bad] == ["FS_GCS_ENABLE"]
+            assert [finding.what for finding in drone.checklist().bad] == ["FS_GCS_ENABLE", "FENCE_ENABLE"]
             assert peer.of("PARAM_SET") == []
         with connect(peer, replace(FAST, set_parameters=True)) as drone:
             checklist = drone.checklist()
             assert not checklist.bad
             assert "FS_GCS_ENABLE    5, set by this program" in str(checklist)
-        assert peer.part.parameters == {**PARAMETERS, "FENCE_ENABLE": 0.0}
+            assert peer.part.parameters == PARAMETERS
+        assert peer.part.parameters == {**PARAMETERS, "FS_GCS_ENABLE": 0.0, "FENCE_ENABLE": 0.0}
 
 
 def test_without_a_yes_nothing_is_armed():
@@ -467,6 +473,43 @@ def test_the_loop_flies_the_simulator_over_mavlink_and_lands_it():
         assert up[2] - start[2] == pytest.approx(1.0, abs=0.2)
         assert 1.5 < np.linalg.norm(there.position[:2] - start[:2]) < 3.5
         assert sky.vehicle.state().position[2] == pytest.approx(start[2], abs=0.1)
+
+
+def braked_then_killed(sky: Sky) -> MavlinkDrone:
+    """Stopped for good by the rules, and then as after `kill -9`."""
+    config = MavlinkConfig(clock="vehicle", set_parameters=True, takeoff_height_m=1.0)
+    drone = MavlinkDrone(sky.url, StillCamera(), Guard(replace(CALM, land_after_brake_s=1e6)), config)
+    drone.take_off(lambda _: True)
+    drone.send(FORWARD)
+    soon(lambda: drone.decision.kind == "brake", 20)
+    drone.link.close()
+    return drone
+
+
+def test_killed_after_we_have_stopped_it_the_vehicle_still_lands():
+    with Sky(speed=8) as sky:
+        braked_then_killed(sky)
+        assert sky.vehicle.parameters["FS_OPTIONS"] == 16  # as ArduCopter comes
+        assert sky.vehicle.modes.mode == Mode.GUIDED
+        soon(lambda: sky.vehicle.modes.mode == Mode.LAND, 20)
+        soon(lambda: not sky.vehicle.modes.armed, 20)
+
+
+@pytest.mark.parametrize("mode", [Mode.RTL, Mode.LOITER])
+def test_after_a_take_over_nothing_we_configured_acts_when_we_end(mode):
+    with Sky(speed=8) as sky:
+        config = MavlinkConfig(clock="vehicle", set_parameters=True, takeoff_height_m=1.0)
+        sky.vehicle.parameters.set("RTL_LOIT_TIME", 60000)
+        with MavlinkDrone(sky.url, StillCamera(), Guard(CALM), config) as drone:
+            drone.take_off(lambda _: True)
+            drone.send(FORWARD)
+            assert sky.vehicle.parameters["FS_GCS_ENABLE"] == 5
+            sky.vehicle.pilot(mode)
+            soon(lambda: drone.over)
+            soon(lambda: sky.vehicle.parameters["FS_GCS_ENABLE"] == 0)
+        ended = sky.vehicle.time
+        soon(lambda: sky.vehicle.time > ended + 8, 20)
+        assert sky.vehicle.modes.mode == mode
 
 
 def test_the_simulators_pilot_takes_over():

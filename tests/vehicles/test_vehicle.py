@@ -345,6 +345,41 @@ def test_the_silence_of_the_ground_station_counts_where_asked(client: Client) ->
     assert client.vehicle.modes.mode == Mode.LAND
 
 
+@pytest.mark.parametrize(
+    ("mode", "options", "after"),
+    [
+        (Mode.LOITER, 16.0, Mode.LOITER),
+        (Mode.BRAKE, 16.0, Mode.BRAKE),
+        (Mode.GUIDED, 16.0, Mode.LAND),
+        (Mode.RTL, 16.0, Mode.LAND),
+        (Mode.LOITER, 0.0, Mode.LAND),
+        (Mode.BRAKE, 0.0, Mode.LAND),
+    ],
+)
+def test_what_a_pilot_flies_goes_on_where_asked(client: Client, mode: Mode, options: float, after: Mode) -> None:
+    client.airborne()
+    for name, value in (("FS_GCS_ENABLE", 5.0), ("FS_OPTIONS", options)):
+        client.mav.param_set_send(1, 1, name.encode(), value, m.MAV_PARAM_TYPE_REAL32)
+    client.heartbeat()
+    client.run(0.1)
+    client.vehicle.pilot(mode)
+    client.run(5.5)
+    assert client.vehicle.modes.mode == after
+
+
+def test_a_low_battery_acts_where_asked(client: Client) -> None:
+    client.airborne()
+    client.mav.param_set_send(1, 1, b"BATT_FS_LOW_ACT", 1.0, m.MAV_PARAM_TYPE_REAL32)
+    client.vehicle.battery = 0.1
+    client.run(9.5)
+    assert client.vehicle.modes.mode == Mode.GUIDED
+    client.run(1.0)
+    assert client.vehicle.modes.mode == Mode.LAND
+    client.vehicle.pilot(Mode.LOITER)  # once: then the pilot decides
+    client.run(2.0)
+    assert client.vehicle.modes.mode == Mode.LOITER
+
+
 def test_arming_waits_for_the_checks(simulator: Simulator) -> None:
     for vehicle in made(simulator, ready_after_s=1.0):
         client = Client(vehicle)

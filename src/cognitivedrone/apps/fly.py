@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TextIO
 
@@ -19,10 +20,11 @@ from cognitivedrone import terminal
 from cognitivedrone.apps.config import FlyPlan
 from cognitivedrone.apps.ending import ending_of, flown_by_estimate, out_of_time
 from cognitivedrone.apps.log import FlightLog, check_free
-from cognitivedrone.apps.orders import Keyboard, Orders, landing_on_interrupt
+from cognitivedrone.apps.orders import Keyboard, Orders, ending_on_signals, landing_on_interrupt
 from cognitivedrone.apps.scene import ChosenScene, choose_scene
 from cognitivedrone.apps.values import Ending, Instrument, Step, Summary
 from cognitivedrone.apps.view import Instruments, Printer
+from cognitivedrone.apps.watchdog import HUNG, Watchdog
 from cognitivedrone.control.async_reasoner import ThreadedReasoner
 from cognitivedrone.control.hold import HeldDrone, Hold, HoldAwareReasoner, HoldRule
 from cognitivedrone.control.latency import TimedPolicy
@@ -55,6 +57,8 @@ def fly_mission(plan: FlyPlan, *, console: Console | None = None, keyboard: Text
     out = plan.out or Path("flights") / datetime.now().strftime("%Y-%m-%d-%H%M%S")
     orders = Orders()
     with ExitStack() as stack:
+        stack.enter_context(ending_on_signals())
+        watchdog = stack.enter_context(Watchdog())
         pilot = stack.enter_context(open_pilot(plan.pilot))
         ros = Ros() if plan.record == "mcap" else None
         check_free(out)
@@ -66,13 +70,15 @@ def fly_mission(plan: FlyPlan, *, console: Console | None = None, keyboard: Text
                     vehicle.begin(scene.track, episode_rng(scene.suite.digest, scene.episode, plan.scenario.seed))
                     console.print(scene.told, markup=False, highlight=False, soft_wrap=True)
                 log = FlightLog(out, _about(plan, scene), ros)
-                summary = _fly(plan, vehicle, pilot, log, orders, console, keyboard)
+                with watchdog.over(vehicle, partial(log.close, None)):
+                    summary = _fly(plan, vehicle, pilot, log, orders, console, keyboard)
         except BaseException as stop:
             error = str(stop) or type(stop).__name__
             raise
         finally:
             if log is not None:
                 log.close(summary, error)
+            watchdog.leaving(HUNG if summary is None else summary.exit_code)
     return summary
 
 

@@ -6,17 +6,21 @@ import codecs
 import os
 import select
 import signal
+import stat
 import termios
 import threading
 import tty
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import TextIO
 
 from cognitivedrone.apps.values import Ending
 
 LAND = frozenset({"land", "stop"})
+ENDED: dict[int, str] = {
+    signal.SIGINT: "ctrl-C", signal.SIGTERM: "asked to terminate", signal.SIGHUP: "the terminal has gone"
+}  # fmt: skip
 LONGEST = 500
 """Maximum length of an instruction in characters; the rest is dropped."""
 _BACKSPACE, _LINE_ENDS = ("\x7f", "\b"), ("\n", "\r")
@@ -54,26 +58,66 @@ class Orders:
 
 
 @contextmanager
+def ending_on_signals() -> Iterator[None]:
+    """In the block, SIGTERM and a terminal that hangs up (SIGHUP) raise `KeyboardInterrupt` as ctrl-C does, once.
+
+    So what is open is closed, and a drone in the climb is landed. Only possible in the main thread; elsewhere nothing
+    is changed. A signal that is ignored already, as SIGHUP by nohup, stays ignored.
+    """
+    raised = False
+
+    def handler(number: int, _: FrameType | None) -> None:
+        nonlocal raised
+        _leave_terminal(number)
+        if not raised:
+            raised = True
+            raise KeyboardInterrupt(ENDED[number])
+
+    with _handling((signal.SIGTERM, signal.SIGHUP), handler):
+        yield
+
+
+@contextmanager
 def landing_on_interrupt(orders: Orders) -> Iterator[None]:
-    """In the block, ctrl-C and SIGTERM request a landing; a second one raises `KeyboardInterrupt`.
+    """In the block, ctrl-C, SIGTERM and SIGHUP request a landing; a second ctrl-C raises `KeyboardInterrupt`.
 
     Only possible in the main thread; elsewhere nothing is changed.
     """
+
+    def handler(number: int, _: FrameType | None) -> None:
+        _leave_terminal(number)
+        if orders.ending is not None and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        orders.land(Ending("interrupted", ENDED[number]))
+
+    with _handling((signal.SIGINT, signal.SIGTERM, signal.SIGHUP), handler):
+        yield
+
+
+@contextmanager
+def _handling(numbers: Iterable[int], handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-
-    def handler(number: int, _: FrameType | None) -> None:
-        if orders.ending is not None:
-            raise KeyboardInterrupt
-        orders.land(Ending("interrupted", "ctrl-C" if number == signal.SIGINT else "asked to terminate"))
-
-    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
+    before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
         for number, old in before.items():
             signal.signal(number, old)
+
+
+def _leave_terminal(number: int) -> None:
+    """After a hang-up, write to nowhere what went to the terminal: every write there would be an error."""
+    if number != signal.SIGHUP:
+        return
+    with suppress(OSError):
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for file in (0, 1, 2):
+            if stat.S_ISCHR(os.fstat(file).st_mode):
+                os.dup2(nowhere, file)
+        os.close(nowhere)
 
 
 class Keyboard:
@@ -108,14 +152,18 @@ class Keyboard:
         if self._thread.is_alive():
             self._thread.join()
         if self._before is not None:
-            termios.tcsetattr(self._file, termios.TCSADRAIN, self._before)  # type: ignore[arg-type]
+            with suppress(termios.error):  # a terminal that has gone
+                termios.tcsetattr(self._file, termios.TCSADRAIN, self._before)  # type: ignore[arg-type]
 
     def _run(self) -> None:
         decoder = codecs.getincrementaldecoder("utf-8")(errors="replace")
         while not self._stopping.is_set():
             if not select.select([self._file], [], [], 0.1)[0]:
                 continue
-            data = os.read(self._file, 4096)
+            try:
+                data = os.read(self._file, 4096)
+            except OSError:  # a terminal that has gone
+                break
             if not data:
                 break
             for character in decoder.decode(data):

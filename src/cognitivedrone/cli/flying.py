@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 from pathlib import Path
 from typing import Annotated
 
@@ -27,12 +28,17 @@ def fly(plan: Annotated[Flat[FlyPlan], tyro.conf.arg(name="")]) -> None:
     """
     from cognitivedrone.apps.fly import fly_mission
     from cognitivedrone.apps.view import summary_table
+    from cognitivedrone.apps.watchdog import end_lingering
     from cognitivedrone.terminal import console
 
-    screen = console()
-    summary = fly_mission(plan, console=screen)
-    screen.print(summary_table(summary))
-    sys.exit(summary.exit_code)
+    screen, threads, code = console(), frozenset(threading.enumerate()), 2
+    try:
+        summary = fly_mission(plan, console=screen)
+        code = summary.exit_code
+        screen.print(summary_table(summary))
+        sys.exit(code)
+    finally:
+        end_lingering(threads, code)
 
 
 def sim(plan: Annotated[Flat[SimPlan], tyro.conf.arg(name="")]) -> None:

@@ -7,11 +7,12 @@ reasoner is idle, it is asked about the newest frame.
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from queue import Empty, SimpleQueue
 from typing import Protocol
 
 import numpy as np
@@ -109,32 +110,46 @@ class SimulatedReasoner:
 
 
 class ThreadedReasoner:
-    """Computes answers in a thread beside the loop."""
+    """Computes answers in a thread beside the loop; one that never comes keeps neither the flight nor the process."""
 
     def __init__(self, reasoner: Reasoner) -> None:
         self._thinker = _Thinker(reasoner)
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="reasoner")
-        self._pending: Future[Answer] | None = None
+        self._questions: SimpleQueue[Question | None] = SimpleQueue()
+        self._answers: SimpleQueue[Answer | BaseException] = SimpleQueue()
+        self._asked = False
+        # A daemon: the process may end while it thinks, which no pool of concurrent.futures allows.
+        threading.Thread(target=self._think, name="reasoner", daemon=True).start()
 
     def idle(self, now: float) -> bool:  # noqa: ARG002
         """Whether the last answer was taken."""
-        return self._pending is None
+        return not self._asked
 
     def ask(self, question: Question) -> None:
         """Start computing the answer."""
-        self._pending = self._pool.submit(self._thinker.think, question)
+        self._asked = True
+        self._questions.put(question)
 
     def answer(self, now: float) -> Answer | None:  # noqa: ARG002
         """The answer, once the thread has it."""
-        if self._pending is None or not self._pending.done():
+        try:
+            answer = self._answers.get_nowait()
+        except Empty:
             return None
-        answer = self._pending.result()
-        self._pending = None
+        self._asked = False
+        if isinstance(answer, BaseException):
+            raise answer
         return answer
 
     def close(self) -> None:
         """Shut down without waiting for a pending answer."""
-        self._pool.shutdown(wait=False, cancel_futures=True)
+        self._questions.put(None)
+
+    def _think(self) -> None:
+        while (question := self._questions.get()) is not None:
+            try:
+                self._answers.put(self._thinker.think(question))
+            except BaseException as error:  # the loop raises it
+                self._answers.put(error)
 
 
 class _Thinker:

@@ -39,12 +39,18 @@ class Fence:
             raise ValueError(f"the fence floor {self.floor_m} m must be below its ceiling {self.ceiling_m} m")
 
 
+_FARTHEST_M = 1e6
 _ON_THE_EDGE_M = 1e-9
 """Nearer to a side than this, the direction to it is rounding: there the drone is not outside yet."""
 
 
 def outside_by(position: Vector, fence: Fence) -> float:
-    """How far outside the fence a position (3,) ENU is, m: the worst of sides, floor and ceiling; negative inside."""
+    """How far outside the fence a position (3,) ENU is, m: the worst of sides, floor and ceiling; negative inside.
+
+    Infinite where the position is no number that a drone can have.
+    """
+    if not all(-_FARTHEST_M < value < _FARTHEST_M for value in position):
+        return np.inf
     sides, _ = _sides(position[:2], fence)
     return max(sides, float(fence.floor_m - position[2]), float(position[2] - fence.ceiling_m))
 

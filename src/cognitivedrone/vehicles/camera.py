@@ -78,6 +78,31 @@ class CameraConfig:
     """Time limit to open a source and get its first frame."""
 
 
+class ChangingCamera:
+    """A camera whose frames count as new only where they differ from the last one.
+
+    In flight a real camera never sees the same twice, to the bit: one that seems to has hung, and its frame grows old.
+    Not so on the ground, through a codec, nor from a renderer without noise: until `active`, every frame counts as new.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self.active = False
+        self._camera = camera
+        self._changed: Shot | None = None
+
+    def read(self) -> Shot:
+        """The newest frame, as old as the first of those like it."""
+        shot, changed = self._camera.read(), self._changed
+        if not self.active or changed is None or not np.array_equal(shot.image, changed.image):
+            self._changed = shot
+            return shot
+        return Shot(shot.image, changed.time, shot.age_s + shot.time - changed.time)
+
+    def close(self) -> None:
+        """Let go of the source."""
+        self._camera.close()
+
+
 def open_camera(source: str, config: CameraConfig | None = None) -> Camera:
     """Open a source listed in this module's table; raises `CameraError`."""
     config = config or CameraConfig()

@@ -5,14 +5,14 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
+from cognitivedrone.control.health import Health
+from cognitivedrone.control.safety import Decision, Order, SafetyConfig, order
 from cognitivedrone.errors import LinkError
-from cognitivedrone.interfaces import Health
 from cognitivedrone.types import Action
 from cognitivedrone.vehicles.contract import Request
 from cognitivedrone.vehicles.external import ExternalWorld
@@ -26,7 +26,13 @@ from cognitivedrone.vehicles.simulated import SimulatedFlight
 URL: Final = "tcp:127.0.0.1:5760"
 """Address at which the first ArduPilot on this machine accepts a ground station."""
 VEHICLE: Final = MavlinkConfig(
-    takeoff_height_m=1.5, clock="vehicle", set_parameters=True, ready_timeout_s=180.0, takeoff_timeout_s=90.0
+    takeoff_height_m=1.5,
+    clock="vehicle",
+    set_parameters=True,
+    ready_timeout_s=180.0,
+    takeoff_timeout_s=90.0,
+    only=frozenset({"FS_GCS_ENABLE", "battery", "camera"}),
+    put_back=False,
 )
 SIMULATION_PARAMETER: Final = "SIM_SPEEDUP"
 """Parameter that only software-in-the-loop builds of ArduPilot have."""
@@ -86,29 +92,27 @@ class PassThroughGuard:
         self._landing = ""
         self._over = ""
 
-    def judge(self, health: Health) -> _Word:
+    def judge(self, health: Health) -> Decision:
         """Fly, land, or hands off."""
         if not self._over and not health.armed:
             self._over = "the motors were stopped"
         if not self._over and health.mode not in health.ordered_modes:
             self._over = f"the mode became {health.mode}"
         if self._over:
-            return _Word("hands_off", self._over)
-        return _Word("land", self._landing) if self._landing else _Word("fly", "")
+            return Decision("hands_off", self._over)
+        return Decision("land", self._landing) if self._landing else Decision("fly", "")
 
     def shape(self, health: Health) -> Action:
         """The command, unchanged."""
         return np.zeros(4, dtype=np.float32) if health.command is None else health.command.astype(np.float32)
 
+    def order(self, decision: Decision, health: Health, landing: str) -> Order:
+        """To land, as the rules do."""
+        return order(decision, health, SafetyConfig(), landing)
+
     def land(self, reason: str) -> None:
         """Land from now on."""
         self._landing = self._landing or reason
-
-
-@dataclass(frozen=True, slots=True)
-class _Word:
-    kind: Literal["fly", "land", "hands_off"]
-    reason: str
 
 
 class _Drone(MavlinkDrone):
@@ -117,4 +121,4 @@ class _Drone(MavlinkDrone):
     @property
     def is_software(self) -> bool:
         """Whether it reports to be simulated: software in the loop, or this project's own."""
-        return self.simulated or self._link.parameters([SIMULATION_PARAMETER])[SIMULATION_PARAMETER] is not None
+        return self.simulated or self.link.parameters([SIMULATION_PARAMETER])[SIMULATION_PARAMETER] is not None

@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from cognitivedrone.control.fence import Fence
-from cognitivedrone.control.safety import Guard, SafetyConfig, Timeouts
+from cognitivedrone.control.safety import SafetyConfig, Timeouts
 from cognitivedrone.errors import CameraError, LinkError
 from cognitivedrone.plan import SafetySpec, VehicleSpec
 from cognitivedrone.types import Track
-from cognitivedrone.vehicles.camera import Camera, Shot, open_camera
+from cognitivedrone.vehicles.camera import Camera, ChangingCamera, Shot, open_camera
 from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, Request, Status
 from cognitivedrone.vehicles.external import LinkReport
 from cognitivedrone.vehicles.gazebo.bindings import load_bindings
 from cognitivedrone.vehicles.gazebo.sensing import GazeboCamera
 from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
+from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
 
 FLAG = "--i-understand-this-flies-a-real-drone"
 TLOG_FILE = "flight.tlog"
@@ -52,8 +52,16 @@ class MavlinkVehicle:
     trouble = ""
     renderer = ""
 
-    def __init__(self, drone: MavlinkDrone, camera: TimestampedCamera, *, simulated: bool) -> None:
+    def __init__(
+        self,
+        drone: GuardedDrone,
+        camera: TimestampedCamera,
+        *,
+        simulated: bool,
+        changing: ChangingCamera | None = None,
+    ) -> None:
         self.simulated = simulated
+        self._changing = changing
         self.report = LinkReport()
         self._drone = drone
         self._camera = camera
@@ -70,6 +78,8 @@ class MavlinkVehicle:
     def take_off(self, confirm: Confirm) -> ClockedDrone:
         """Check, have it confirmed, arm and climb."""
         self._drone.take_off(confirm)
+        if self._changing is not None:
+            self._changing.active = True
         return self._drone
 
     def status(self) -> Status:
@@ -108,13 +118,15 @@ def open_mavlink(request: Request) -> MavlinkVehicle:
     consent = safety.i_understand_this_flies_a_real_drone
     if not (consent or spec.on_loopback):
         raise LinkError(f"{spec.link} may be a real drone: read docs/real-drone.md, then add {FLAG}")
-    camera = TimestampedCamera(open_source(safety.camera))
-    drone = MavlinkDrone(spec.url, camera, guard_of(safety), mavlink_config(safety, request.folder))
+    changing = ChangingCamera(open_source(safety.camera))
+    camera = TimestampedCamera(changing)
+    drone = GuardedDrone(spec.url, camera, safety_rules(safety), mavlink_config(safety, request.folder))
     simulated = spec.on_loopback and drone.simulated
     if not simulated and (not consent or safety.clock == "vehicle"):
         drone.close()
         raise LinkError(_refusal(spec, consent=consent))
-    return MavlinkVehicle(drone, camera, simulated=simulated)
+    judged = None if simulated or safety.camera.startswith(GAZEBO) else changing
+    return MavlinkVehicle(drone, camera, simulated=simulated, changing=judged)
 
 
 def open_source(source: str) -> Camera:
@@ -130,16 +142,17 @@ def open_source(source: str) -> Camera:
     return GazeboCamera(load_bindings(), topic)
 
 
-def guard_of(safety: SafetySpec) -> Guard:
+def safety_rules(safety: SafetySpec) -> SafetyConfig:
     """The rules of safety as the options have them."""
     patience = Timeouts(safety.policy_patience, max(1.0, 2 * safety.policy_patience))
-    return Guard(SafetyConfig(fence=Fence(radius_m=safety.fence_radius, ceiling_m=safety.ceiling), policy=patience))
+    return SafetyConfig(fence=Fence(radius_m=safety.fence_radius, ceiling_m=safety.ceiling), policy=patience)
 
 
 def mavlink_config(safety: SafetySpec, folder: Path | None) -> MavlinkConfig:
     """How the options talk to a vehicle; the log of its messages goes into `folder`."""
     return MavlinkConfig(
         takeoff_height_m=safety.takeoff_height,
+        ceiling_m=safety.ceiling,
         clock=safety.clock,
         set_parameters=safety.set_parameters,
         tlog=None if folder is None else folder / TLOG_FILE,

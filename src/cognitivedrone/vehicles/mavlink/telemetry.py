@@ -28,11 +28,22 @@ COPTER_TYPES = frozenset({2, 3, 4, 13, 14, 15, 29})
 """MAV_TYPE: quadrotor, coaxial, helicopter, hexarotor, octorotor, tricopter, dodecarotor."""
 ARDUPILOT, GROUND_STATION = 3, 6
 """MAV_AUTOPILOT_ARDUPILOTMEGA, MAV_TYPE_GCS."""
-ARMED_FLAG, PREARM_BIT = 0x80, 0x1000_0000
+ARMED_FLAG, PREARM_BIT, REMOTE_BIT = 0x80, 0x1000_0000, 0x1_0000
+"""Of base_mode; of SYS_STATUS: the checks before arming, the receiver of the remote control."""
 EKF_NEEDED, EKF_CONST_POSITION = 0x07, 0x80
 """Flags of EKF_STATUS_REPORT: attitude, horizontal and vertical velocity; and "does not know where it is"."""
 EKF_POSITION = 0x18
 """Relative or absolute horizontal position: one of the two."""
+EKF_MOST = 0.8
+"""Of its variances (test ratios): ArduCopter's `FS_EKF_THRESH`."""
+POSITION_IGNORED = 0x07
+"""In the type mask of POSITION_TARGET_LOCAL_NED: it flies by velocity."""
+CLOCK_BACK_S = 1.0
+"""A vehicle's clock that goes back by more than this has started again; less is a message that was overtaken."""
+CLOCK_DRIFT = 0.001
+"""So much slower than ours may a vehicle's clock run without its messages counting as late."""
+JUMP_M_S = 2.0
+"""Speed that a position may have beyond what the vehicle reports of its velocity."""
 SIMULATED = b"CogDrone"
 """What this project's simulated vehicle tells as its `flight_custom_version`."""
 STICKS = (1, 2, 3, 4)
@@ -44,6 +55,9 @@ TEXTS_KEPT = 20
 def dialect() -> Any:
     """The module of ArduPilot's messages in pymavlink; raises `MissingExtra` where it is not installed."""
     return import_extra("pymavlink.dialects.v20.ardupilotmega", "mavlink", "pymavlink")
+
+
+_VARIANCES = ("velocity", "position", "height", "compass")
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +78,7 @@ class Telemetry:
     armed: bool = False
     heard_at: float = -math.inf
     """Any message."""
+    heartbeat_at: float = -math.inf
     position: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     """(3,) ENU from the origin of its estimator, m."""
     velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
@@ -73,15 +88,44 @@ class Telemetry:
     """From east to the left, rad."""
     yaw_rate: float = 0.0
     """Positive to the left, rad/s."""
+    tilt: float = 0.0
+    """Between its up and the world's, rad."""
     attitude_at: float = -math.inf
     vehicle_time: float = 0.0
     """Since its start, s."""
+    attitude_time: float = -math.inf
+    position_time: float = -math.inf
+    """Vehicle time of attitude and position."""
+    clock_offset: float = math.inf
+    """Our time less the vehicle's, with the message that came fastest; a little more as time passes (CLOCK_DRIFT)."""
+    offset_at: float = -math.inf
+    clock_restarts: int = 0
+    """How many times its time went back."""
+    jump_m: float = 0.0
+    """The last step of the position beyond what its speed explains, m."""
+    jumped_at: float = -math.inf
     battery: float | None = None
     """What is left, 0 to 1."""
+    battery_at: float = -math.inf
+    """When it last told what is left."""
+    status_at: float = -math.inf
+    """SYS_STATUS."""
     prearm: bool | None = None
     """Whether its own checks before arming pass; none where it does not say."""
     ekf: int | None = None
     """Flags of its state estimator; none where it does not say."""
+    ekf_variances: tuple[float, ...] = ()
+    """Of velocity, horizontal position, height and compass: 1 is the limit of what it trusts."""
+    ekf_at: float = -math.inf
+    remote_at: float = -math.inf
+    """When the remote control was last known to be received."""
+    receiver: bool = False
+    """Whether it tells of its receiver: then the channels alone prove nothing, which keep their last values."""
+    target_mask: int | None = None
+    """Type mask of what the vehicle flies to, by its own account; none where it does not say."""
+    target_speed: float = 0.0
+    """Of what it flies to, m/s."""
+    target_at: float = -math.inf
     sticks: tuple[int, ...] = ()
     """Channels 1 to 4 of the remote control, us; empty where there is none."""
     texts: tuple[Text, ...] = ()
@@ -91,6 +135,28 @@ class Telemetry:
     def state_at(self) -> float:
         """When the older of attitude and position came."""
         return min(self.attitude_at, self.position_at)
+
+    @property
+    def late_s(self) -> float:
+        """How much later than the fastest message the older of attitude and position came."""
+        late = (self.attitude_at - self.attitude_time, self.position_at - self.position_time)
+        return max(0.0, max(late) - self.clock_offset) if math.isfinite(self.state_at) else 0.0
+
+    @property
+    def estimator(self) -> str:
+        """What is wrong with its state estimator, in words; empty where it is healthy or not reported."""
+        if self.ekf is None:
+            return ""
+        if not self.estimating:
+            return f"it does not know where it is (flags {self.ekf:#x})"
+        high = [
+            f"{name} {variance:.1f}"
+            for name, variance in zip(_VARIANCES, self.ekf_variances, strict=False)
+            if not variance < EKF_MOST
+        ]
+        velocity = self.ekf_variances[0] if self.ekf_variances else 0.0
+        # As ArduCopter's own check: two of them, or the velocity at twice the limit. NaN is high.
+        return f"it diverges ({', '.join(high)})" if len(high) >= 2 or not velocity < 2 * EKF_MOST else ""
 
     @property
     def heading_velocity(self) -> FloatArray:
@@ -115,26 +181,34 @@ def heard(before: Telemetry, message: Any, now: float) -> Telemetry:
     match message.get_type():
         case "HEARTBEAT":
             mode = MODES.get(message.custom_mode, f"mode {message.custom_mode}")
-            return replace(t, mode=mode, armed=bool(message.base_mode & ARMED_FLAG))
+            return replace(t, mode=mode, armed=bool(message.base_mode & ARMED_FLAG), heartbeat_at=now)
         case "LOCAL_POSITION_NED":
-            position = enu_to_ned(np.array([message.x, message.y, message.z]))
-            velocity = enu_to_ned(np.array([message.vx, message.vy, message.vz]))
-            return _timed(replace(t, position=position, velocity=velocity, position_at=now), message)
+            return _with_position(t, message, now)
         case "ATTITUDE":
-            nose = enu_to_ned(np.array([math.cos(message.yaw), math.sin(message.yaw), 0.0]))
-            rates = flu_to_frd(np.array([message.rollspeed, message.pitchspeed, message.yawspeed]))
-            yaw = math.atan2(nose[1], nose[0])
-            return _timed(replace(t, yaw=yaw, yaw_rate=float(rates[2]), attitude_at=now), message)
+            return _with_attitude(t, message, now)
+        case "POSITION_TARGET_LOCAL_NED":
+            speed = math.sqrt(message.vx**2 + message.vy**2 + message.vz**2)
+            return replace(t, target_mask=message.type_mask, target_speed=speed, target_at=now)
         case "SYS_STATUS":
+            present, healthy = message.onboard_control_sensors_present, message.onboard_control_sensors_health
             left = message.battery_remaining
-            checks = message.onboard_control_sensors_present & PREARM_BIT
-            prearm = bool(message.onboard_control_sensors_health & PREARM_BIT) if checks else None
-            return replace(t, battery=left / 100 if left >= 0 else None, prearm=prearm)
+            return replace(
+                t,
+                status_at=now,
+                battery=left / 100 if left >= 0 else None,
+                battery_at=now if left >= 0 else t.battery_at,
+                prearm=bool(healthy & PREARM_BIT) if present & PREARM_BIT else None,
+                receiver=t.receiver or bool(present & REMOTE_BIT),
+                remote_at=now if present & healthy & REMOTE_BIT else t.remote_at,
+            )
         case "EKF_STATUS_REPORT":
-            return replace(t, ekf=message.flags)
+            m = message
+            variances = (m.velocity_variance, m.pos_horiz_variance, m.pos_vert_variance, m.compass_variance)
+            return replace(t, ekf=m.flags, ekf_variances=variances, ekf_at=now)
         case "RC_CHANNELS":
             sticks = tuple(getattr(message, f"chan{channel}_raw") for channel in STICKS)
-            return replace(t, sticks=sticks if all(0 < pulse < 0xFFFF for pulse in sticks) else ())
+            sticks = sticks if all(0 < pulse < 0xFFFF for pulse in sticks) else ()
+            return replace(t, sticks=sticks, remote_at=now if sticks and not t.receiver else t.remote_at)
         case "STATUSTEXT":
             said = Text(now, message.severity, message.text.rstrip("\0"))
             return replace(t, texts=(*t.texts, said)[-TEXTS_KEPT:])
@@ -157,5 +231,55 @@ def is_vehicle(message: Any) -> bool:
     return bool(message.autopilot != 8 and message.get_srcComponent() == 1)  # 8: MAV_AUTOPILOT_INVALID
 
 
-def _timed(telemetry: Telemetry, message: Any) -> Telemetry:
-    return replace(telemetry, vehicle_time=message.time_boot_ms / 1000)
+def _with_position(t: Telemetry, message: Any, now: float) -> Telemetry:
+    """Numbers that are none are no position: the last one grows old."""
+    position = enu_to_ned(np.array([message.x, message.y, message.z], dtype=np.float64))
+    velocity = enu_to_ned(np.array([message.vx, message.vy, message.vz], dtype=np.float64))
+    if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
+        return t
+    t, time = _timed(t, message, now), message.time_boot_ms / 1000
+    passed = max(0.0, time - t.position_time)
+    if math.isfinite(passed):
+        speed = max(float(np.linalg.norm(velocity)), float(np.linalg.norm(t.velocity))) + JUMP_M_S
+        beyond = float(np.linalg.norm(position - t.position)) - speed * passed
+        if beyond > JUMP_LEAST_M:
+            t = replace(t, jump_m=beyond, jumped_at=now)
+    return replace(t, position=position, velocity=velocity, position_at=now, position_time=time)
+
+
+JUMP_LEAST_M = 0.5
+"""Smaller steps of the position are an estimator's corrections."""
+
+
+def _with_attitude(t: Telemetry, message: Any, now: float) -> Telemetry:
+    angles = (message.roll, message.pitch, message.yaw, message.rollspeed, message.pitchspeed, message.yawspeed)
+    if not all(map(math.isfinite, angles)):
+        return t
+    nose = enu_to_ned(np.array([math.cos(message.yaw), math.sin(message.yaw), 0.0]))
+    rates = flu_to_frd(np.array(angles[3:], dtype=np.float64))
+    return replace(
+        _timed(t, message, now),
+        yaw=math.atan2(nose[1], nose[0]),
+        yaw_rate=float(rates[2]),
+        tilt=math.acos(max(-1.0, min(1.0, math.cos(message.roll) * math.cos(message.pitch)))),
+        attitude_at=now,
+        attitude_time=message.time_boot_ms / 1000,
+    )
+
+
+def _timed(t: Telemetry, message: Any, now: float) -> Telemetry:
+    """With the vehicle's clock: how it runs against ours, and whether it went back."""
+    time = message.time_boot_ms / 1000
+    if time < t.vehicle_time - CLOCK_BACK_S:
+        return replace(
+            t,
+            vehicle_time=time,
+            clock_restarts=t.clock_restarts + 1,
+            clock_offset=now - time,
+            offset_at=now,
+            attitude_time=-math.inf,
+            position_time=-math.inf,
+        )
+    drifted = t.clock_offset + CLOCK_DRIFT * (now - t.offset_at) if math.isfinite(t.offset_at) else math.inf
+    time = max(time, t.vehicle_time)  # messages of one moment come in either order
+    return replace(t, vehicle_time=time, clock_offset=min(drifted, now - time), offset_at=now)

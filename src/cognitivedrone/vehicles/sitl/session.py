@@ -25,8 +25,8 @@ from cognitivedrone.vehicles import autopilot_file
 from cognitivedrone.vehicles.camera import Shot
 from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, Request, Status, Vehicle
 from cognitivedrone.vehicles.external import ExternalFlight, ExternalWorld, LinkReport
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
-from cognitivedrone.vehicles.mavlink.session import MavlinkVehicle, TimestampedCamera, guard_of, mavlink_config
+from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
+from cognitivedrone.vehicles.mavlink.session import MavlinkVehicle, TimestampedCamera, mavlink_config, safety_rules
 from cognitivedrone.vehicles.simulated import SimulatedFlight
 from cognitivedrone.vehicles.sitl.arducopter import ArduCopter
 from cognitivedrone.vehicles.sitl.flight import SitlFlight
@@ -149,9 +149,15 @@ class GuardedSitl:
                 defaults=safety.sitl_defaults,
             )
         )
-        config = replace(mavlink_config(safety, folder), clock="vehicle", set_parameters=True, ready_timeout_s=READY_S)
+        config = replace(
+            mavlink_config(safety, folder),
+            clock="vehicle",
+            set_parameters=True,
+            put_back=False,
+            ready_timeout_s=READY_S,
+        )
         camera = TimestampedCamera(source)
-        drone = autopilot.connect(lambda url: MavlinkDrone(url, camera, guard_of(safety), config))
+        drone = autopilot.connect(lambda url: GuardedDrone(url, camera, safety_rules(safety), config))
         self._vehicle = MavlinkVehicle(drone, camera, simulated=True)
         self._drone = _JudgedDrone(self._vehicle.take_off(self._confirm), self._flight, self.track_runner)
 

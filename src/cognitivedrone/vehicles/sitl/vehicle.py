@@ -9,14 +9,13 @@ from __future__ import annotations
 import tempfile
 import time
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
+from cognitivedrone.control.health import Health
+from cognitivedrone.control.safety import Decision, Order
 from cognitivedrone.errors import LinkError, RunError
-from cognitivedrone.interfaces import Health
 from cognitivedrone.sim.airframe import IRIS, Airframe
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.camera import Shot
@@ -32,18 +31,14 @@ SPEED = 100.0
 """Times real time, more than any machine gives: the physics are the brake, not a clock."""
 LOCK_STEP_PARAMETERS = "LOG_BACKEND_TYPE 0\n"
 """No log of its own on the disk: of a long run it would be gigabytes."""
+LOCK_STEP_ROWS = frozenset({"FS_GCS_ENABLE", "battery"})
+"""Of the checklist, what blocks a vehicle that flies for thousands of tasks: its own fence would stop it one day."""
 TAKEOFF_M = 1.5
 PATIENCE_S = 20.0
 """Of the wall clock, for the next step of physics or for what the vehicle tells."""
 LAG_S = 0.4
 """So far the listener may lag behind the vehicle: its heartbeat, once a second of the vehicle's time, is never late."""
 _HALF_STEP_S = 0.0004  # half of a step at 1200 Hz: a time is reached by the step that ends nearest to it
-
-
-@dataclass(frozen=True, slots=True)
-class _Word:
-    kind: Literal["fly", "hands_off"]
-    reason: str
 
 
 class PassThroughGuard:
@@ -55,17 +50,21 @@ class PassThroughGuard:
     def __init__(self) -> None:
         self._over = ""
 
-    def judge(self, health: Health) -> _Word:
+    def judge(self, health: Health) -> Decision:
         """Fly, or hands off for good: where it stopped its motors or chose a mode by itself, and at the end."""
         if not self._over and not health.armed:
             self._over = "the motors were stopped"
         if not self._over and health.mode not in health.ordered_modes:
             self._over = f"the mode became {health.mode}"
-        return _Word("hands_off", self._over) if self._over else _Word("fly", "")
+        return Decision("hands_off", self._over) if self._over else Decision("fly", "")
 
     def shape(self, health: Health) -> Action:
         """The command as it is."""
         return np.zeros(4, dtype=np.float32) if health.command is None else health.command.astype(np.float32)
+
+    def order(self, decision: Decision, health: Health, landing: str) -> Order:  # noqa: ARG002
+        """Nothing: it only ever flies, or is let go."""
+        return Order()
 
     def land(self, reason: str) -> None:
         """It is not landed: its process ends in the air."""
@@ -166,6 +165,8 @@ def connected(url: str) -> MavlinkDrone:
         takeoff_height_m=TAKEOFF_M,
         clock="vehicle",
         set_parameters=True,
+        only=LOCK_STEP_ROWS,
+        put_back=False,
         ready_timeout_s=900.0,
         takeoff_timeout_s=600.0,
     )

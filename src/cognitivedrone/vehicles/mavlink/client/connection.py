@@ -1,31 +1,35 @@
-"""A MAVLink conversation with one vehicle: a thread that listens, heartbeats, and a caller that asks and waits.
-
-Everything received and sent can be written to a tlog, the format that ground stations replay: 8 bytes of big-endian
-microseconds since 1970 before each packet.
-"""
+"""A MAVLink conversation with one vehicle: somebody who listens and heartbeats, and a caller that asks and waits."""
 
 from __future__ import annotations
 
 import contextlib
 import math
-import struct
+import secrets
+import select
 import threading
 import time
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from cognitivedrone.errors import LinkError
+from cognitivedrone.vehicles.mavlink.client.traffic import (
+    OUR_COMPONENT,
+    OUR_SYSTEM,
+    Traffic,
+    answered,
+    noticed,
+    request_time,
+)
 from cognitivedrone.vehicles.mavlink.client.transport import Transport
 from cognitivedrone.vehicles.mavlink.telemetry import GROUND_STATION, Telemetry, dialect, heard, is_vehicle, last_words
 
 T = TypeVar("T")
 
-OUR_SYSTEM, OUR_COMPONENT = 255, 191
-"""A ground station's system, so that the vehicle's ground-station failsafe watches our heartbeat; the component of an
-onboard computer, to be told from a ground station of the same system."""
-HEARTBEAT_S, WATCH_S = 1.0, 0.02
+HEARTBEAT_S, WATCH_S, PING_S = 1.0, 0.02, 0.2
+"""Periods of our heartbeat, of the watch, and of a request that the vehicle answers at once (TIMESYNC)."""
+MOVED_S = 0.5
+"""A vehicle that was silent for so long may go on from another address; before, who sends as it there is another."""
 ACK_S, TRIES = 1.0, 3
 RESULTS = {1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed", 6: "cancelled"}
 """MAV_RESULT; 0 is accepted and 5 in progress."""
@@ -51,8 +55,9 @@ class Vehicle:
 class Connection:
     """Talks to the first vehicle that is heard, or to the one with system id `system`.
 
-    `watch` is called some fifty times a second from the listening thread, which it must not block. Once the link is
-    cut, every method raises `LinkError`.
+    A thread listens and heartbeats, or, without `threaded`, whoever calls `step` again and again. `watch` is called
+    from there some fifty times a second, and `log` for every packet received and sent; neither may wait. Once the link
+    is cut, every method raises `LinkError`.
     """
 
     def __init__(
@@ -60,29 +65,33 @@ class Connection:
         transport: Transport,
         *,
         system: int | None = None,
-        tlog: Path | None = None,
+        log: Callable[[bytes], None] = lambda _: None,
         watch: Callable[[], None] = lambda: None,
+        threaded: bool = True,
     ) -> None:
         self._dialect = dialect()
         self._transport = transport
         self._system = system
+        self._log = log
         self._watch = watch
+        self._beat = self._vehicle_beat = self._watched = self._pinged = -math.inf
         self._encoder = self._dialect.MAVLink(_Outlet(self._put), OUR_SYSTEM, OUR_COMPONENT)
         self._decoder = self._new_decoder()
         self._sending = threading.Lock()
         self._asking = threading.RLock()
         self._news = threading.Condition()
-        self._logging = threading.Lock()
         self._stopping = threading.Event()
         self._failure: LinkError | None = None
         self._replies: dict[Hashable, Any] = {}
         self.vehicle: Vehicle | None = None
         self.telemetry = Telemetry()
-        self.ground_stations: frozenset[tuple[int, int]] = frozenset()
-        """System and component of others that heartbeat as ground stations."""
-        self._tlog = _open_log(tlog) if tlog is not None else None
-        self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True)
-        self._thread.start()
+        self.traffic = Traffic(nonce=secrets.randbelow(1000))
+        """Who else is on the link, and whether the vehicle hears us."""
+        self._peer: tuple[Hashable, float] = (None, -math.inf)
+        """Where the vehicle last sent from, and when."""
+        self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True) if threaded else None
+        if self._thread is not None:
+            self._thread.start()
 
     def check(self) -> None:
         """Raise what cut the link, if it is cut."""
@@ -92,11 +101,9 @@ class Connection:
     def close(self) -> None:
         """Stop listening and heartbeating."""
         self._stopping.set()
-        if threading.current_thread() is not self._thread:
+        if self._thread is not None and threading.current_thread() is not self._thread:
             self._thread.join()
         self._transport.close()
-        if self._tlog is not None:
-            self._tlog.close()
 
     def send(self, message: str, *fields: Any) -> None:
         """Encode and send a message by its name in lower case and its fields in the order of the definition."""
@@ -192,6 +199,17 @@ class Connection:
                     return
         raise LinkError(f"the vehicle did not take {name} = {value:g}; set it with a ground station")
 
+    def tell_parameter(self, name: str, value: float) -> None:
+        """Set a parameter without waiting; `told_parameter` gives the vehicle's answer."""
+        vehicle = self._target()
+        self._replies.pop(("parameter", name), None)
+        self.send("param_set", vehicle.system, vehicle.component, name.encode(), value, REAL32)
+
+    def told_parameter(self, name: str) -> float | None:
+        """What the vehicle last said of a parameter since it was asked for or told one."""
+        value: float | None = self._replies.get(("parameter", name))
+        return value
+
     def _target(self) -> Vehicle:
         if self.vehicle is None:
             raise LinkError("no vehicle has been heard on this link yet")
@@ -200,42 +218,64 @@ class Connection:
     def _result(self, number: int, timeout_s: float) -> int | None:
         return self.wait(lambda: self._replies.get(("ack", number)), timeout_s)
 
-    # The listening thread.
+    # Listening.
 
-    def _run(self) -> None:
-        beat = vehicle_beat = watched = -math.inf
-        try:
-            while not self._stopping.is_set():
-                data, peer = self._transport.read(WATCH_S)
-                if data:
-                    self._take(data, peer)
-                now = time.monotonic()
-                # Once a second of the vehicle's time as well: a simulator that runs fast would think us gone.
-                vehicle_time = self.telemetry.vehicle_time
-                if now - beat >= HEARTBEAT_S or vehicle_time - vehicle_beat >= HEARTBEAT_S:
-                    beat, vehicle_beat = now, vehicle_time
-                    self.send("heartbeat", GROUND_STATION, 8, 0, 0, 4)  # no autopilot, active
-                if now - watched >= WATCH_S:
-                    watched = now
-                    self._watch()
-        except LinkError as error:
-            self._fail(error)
-        except Exception as error:
-            # A thread that ends in silence would leave a drone in the air that nobody watches: the caller must hear.
-            self._fail(LinkError(f"listening to the vehicle failed: {error!r}"))
+    def step(self, wait_s: float = WATCH_S, *others: int) -> None:
+        """Heartbeat and watch where that is due; then take what comes.
 
-    def _fail(self, error: LinkError) -> None:
+        Waits at most so long for it, or for one of the `others` (files) to become readable. Raises `LinkError` where
+        the link is cut.
+        """
+        now = time.monotonic()
+        # Once a second of the vehicle's time as well: a simulator that runs fast would think us gone.
+        vehicle_time = self.telemetry.vehicle_time
+        if now - self._beat >= HEARTBEAT_S or vehicle_time - self._vehicle_beat >= HEARTBEAT_S:
+            self._beat, self._vehicle_beat = now, vehicle_time
+            self.send("heartbeat", GROUND_STATION, 8, 0, 0, 4)  # no autopilot, active
+        if self.vehicle is not None and now - self._pinged >= PING_S:
+            self._pinged = now
+            self.send("timesync", 0, request_time(self.traffic, now))
+        if now - self._watched >= WATCH_S:
+            self._watched = now
+            self._watch()
+        # Last: what cannot be taken must not keep the heartbeat back.
+        link = self._transport.fileno()
+        if link in select.select([link, *others], [], [], wait_s)[0]:
+            data, peer = self._transport.read(0.0)
+            if data:
+                self._take(data, peer)
+
+    def go_on_with(self, transport: Transport) -> None:
+        """Talk over another transport from now on, after the last one was cut."""
+        with self._sending:
+            self._transport.close()
+            self._transport, self._decoder, self._failure = transport, self._new_decoder(), None
+            self._peer = None, -math.inf
+
+    def fail(self, error: LinkError) -> None:
+        """Have every method raise this."""
         with self._news:
             self._failure = error
             self._news.notify_all()
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping.is_set():
+                self.step()
+        except LinkError as error:
+            self.fail(error)
+        except Exception as error:
+            # A thread that ends in silence would leave a drone in the air that nobody watches: the caller must hear.
+            self.fail(LinkError(f"listening to the vehicle failed: {error!r}"))
 
     def _take(self, data: bytes, peer: Hashable) -> None:
         # A datagram is whole: what a broken one leaves in a decoder must not swallow the next.
         decoder = self._new_decoder() if self._transport.datagrams else self._decoder
         now = time.monotonic()
         with self._news:
-            for message in decoder.parse_buffer(data) or ():
+            for message in self._messages(decoder, data):
                 if message.get_type().startswith(("BAD_DATA", "UNKNOWN")):
+                    self.traffic = replace(self.traffic, broken=self.traffic.broken + 1)
                     continue
                 self._log(bytes(message.get_msgbuf()))
                 # A message with an impossible number must not end the listening: what it did not tell grows old.
@@ -243,21 +283,37 @@ class Connection:
                     self._hear(message, peer, now)
             self._news.notify_all()
 
+    def _messages(self, decoder: Any, data: bytes) -> Sequence[Any]:
+        try:
+            return decoder.parse_buffer(data) or ()
+        except Exception:
+            # pymavlink raises several of them for bytes that are no message: none may end the listening.
+            self._decoder = self._new_decoder()
+            self.traffic = replace(self.traffic, broken=self.traffic.broken + 1)
+            return ()
+
     def _hear(self, message: Any, peer: Hashable, now: float) -> None:
         kind, sender = message.get_type(), (message.get_srcSystem(), message.get_srcComponent())
         if kind == "HEARTBEAT":
-            if message.type == GROUND_STATION and sender != (OUR_SYSTEM, OUR_COMPONENT):
-                self.ground_stations |= {sender}
             wanted = self._system in (None, sender[0])
             if self.vehicle is None and wanted and is_vehicle(message):
                 self.vehicle = Vehicle(*sender, message.type, message.autopilot)
-        if self.vehicle is None or sender != (self.vehicle.system, self.vehicle.component):
+        known = (self.vehicle.system, self.vehicle.component) if self.vehicle is not None else None
+        if sender != known:
+            self.traffic = noticed(self.traffic, message, known, now)
             return
+        where, last = self._peer
+        if peer != where and now - last < MOVED_S:
+            self.traffic = replace(self.traffic, impostor_at=now)
+            return
+        self._peer = peer, now
         if kind == "HEARTBEAT":
             self._transport.answer_to(peer)  # wherever the vehicle has moved to
         self.telemetry = heard(self.telemetry, message, now)
         if kind == "COMMAND_ACK" and message.target_system in (0, OUR_SYSTEM):
             self._replies["ack", message.command] = message.result
+        elif kind == "TIMESYNC":
+            self.traffic = answered(self.traffic, message, now)
         elif kind == "PARAM_VALUE":
             self._replies["parameter", message.param_id] = message.param_value
         else:
@@ -272,22 +328,9 @@ class Connection:
         self._log(data)
         self._transport.write(data)
 
-    def _log(self, packet: bytes) -> None:
-        if self._tlog is not None:
-            with self._logging:
-                self._tlog.write(struct.pack(">Q", time.time_ns() // 1000) + packet)
-
 
 class _Outlet:
     """What pymavlink's encoder writes to."""
 
     def __init__(self, write: Callable[[bytes], None]) -> None:
         self.write = write
-
-
-def _open_log(path: Path) -> Any:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return path.open("wb")
-    except OSError as error:
-        raise LinkError(f"cannot write the log {path}: {error.strerror}") from None

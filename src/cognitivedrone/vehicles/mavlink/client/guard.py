@@ -1,26 +1,14 @@
-"""What a link asks of whoever decides about safety, so that it need not know the rules."""
+"""What a link asks of whoever decides about safety: the rules, or what stands in for them in simulations."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
-from cognitivedrone.choices import DecisionKind
-from cognitivedrone.interfaces import Health
+from cognitivedrone.control.health import Health
+from cognitivedrone.control.safety import Decision, Order
 from cognitivedrone.types import Action
 
-
-class Decision(Protocol):
-    """What a guard says."""
-
-    @property
-    def kind(self) -> DecisionKind:
-        """What to do."""
-        ...
-
-    @property
-    def reason(self) -> str:
-        """Why, in words."""
-        ...
+__all__ = ["Decision", "Guard"]
 
 
 class Guard(Protocol):
@@ -32,6 +20,10 @@ class Guard(Protocol):
 
     def shape(self, health: Health) -> Action:
         """The command (4,) to send now, after a decision to fly."""
+        ...
+
+    def order(self, decision: Decision, health: Health, landing: str) -> Order:
+        """What to send for a decision but to fly; `landing` is the mode that lands."""
         ...
 
     def land(self, reason: str) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.mavlink.client.connection import Connection, Vehicle
+from cognitivedrone.vehicles.mavlink.client.parameters import vehicle_key
 from cognitivedrone.vehicles.mavlink.client.preflight import check_vehicle
 from cognitivedrone.vehicles.mavlink.telemetry import SIMULATED
 
@@ -16,7 +17,8 @@ SET_MESSAGE_INTERVAL = 511
 AUTOPILOT_VERSION = 148
 STATE_MESSAGES = {"ATTITUDE": 30, "LOCAL_POSITION_NED": 32}
 """What cannot be flown without, at `stream_hz`."""
-SLOW_MESSAGES = {"SYS_STATUS": 1, "EKF_STATUS_REPORT": 193, "RC_CHANNELS": 65}
+SLOW_MESSAGES = {"SYS_STATUS": 1, "EKF_STATUS_REPORT": 193, "RC_CHANNELS": 65, "POSITION_TARGET_LOCAL_NED": 85}
+HOME_POSITION = 242
 SLOW_HZ, HEARTBEAT_HZ = 5, 10
 
 
@@ -32,8 +34,14 @@ class MavlinkConfig:
     """System id of the vehicle where several are on the link; the first one heard otherwise."""
     stream_hz: int = 20
     """Rate of attitude and position."""
+    ceiling_m: float = 10.0
+    """Of our fence, above where it stands: no failsafe of the vehicle's may climb higher."""
     set_parameters: bool = False
     """Consent to change those parameters of the vehicle without which it is not flown, where they will not do."""
+    only: frozenset[str] | None = None
+    """Of a vehicle that is known to be simulated, the rows of the checklist that may block it; none for all."""
+    put_back: bool = True
+    """Whether parameters are put back after the flight; not of a vehicle that ends with the program."""
     tlog: Path | None = None
     """Where everything received and sent is written."""
     heartbeat_timeout_s: float = 10.0
@@ -43,7 +51,8 @@ class MavlinkConfig:
     landing_timeout_s: float = 60.0
 
 
-class Met(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Met:
     """A vehicle that can be flown."""
 
     vehicle: Vehicle
@@ -51,6 +60,8 @@ class Met(NamedTuple):
     """Of its firmware; none where it does not say."""
     simulated: bool
     """Whether the vehicle says that it is this project's simulator."""
+    key: str
+    """A name for this vehicle that stays the same."""
 
 
 def meet(link: Connection, url: str, config: MavlinkConfig) -> Met:
@@ -71,5 +82,8 @@ def meet(link: Connection, url: str, config: MavlinkConfig) -> Met:
     link.order(SET_MESSAGE_INTERVAL, 0, 1e6 / HEARTBEAT_HZ)
     for name, number in SLOW_MESSAGES.items():
         link.order(SET_MESSAGE_INTERVAL, number, 1e6 / SLOW_HZ)
-        link.message(name, number, 1.0)  # the first one now: before arming it must not be missed
-    return Met(vehicle, version, told is not None and bytes(told.flight_custom_version) == SIMULATED)
+        if name != "POSITION_TARGET_LOCAL_NED":  # which there is only in flight
+            link.message(name, number, 1.0)  # the first one now: before arming it must not be missed
+    simulated = told is not None and bytes(told.flight_custom_version) == SIMULATED
+    uid, uid2 = (told.uid, told.uid2) if told is not None else (0, ())
+    return Met(vehicle, version, simulated, vehicle_key(uid, uid2, vehicle.system, url))

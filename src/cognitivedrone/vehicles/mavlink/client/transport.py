@@ -6,13 +6,17 @@
 | `udpout:HOST:PORT` | send there first, as to a router that listens |
 | `tcp:HOST:PORT` | connect |
 | `serial:DEVICE[:BAUD]` | a serial port or USB cable, 57600 baud unless said |
+
+Nothing here waits for the other end: a stream whose reader has stopped drops whole packets (`dropped`).
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
 import select
 import socket
+from abc import ABC, abstractmethod
 from collections.abc import Hashable
 from typing import Any, Protocol
 
@@ -20,6 +24,8 @@ from cognitivedrone.errors import LinkError, did_you_mean, import_extra
 
 KINDS = ("udp", "udpin", "udpout", "tcp", "serial")
 LARGEST_READ = 65_536
+LARGEST_BACKLOG = 2_048
+"""Bytes that may wait for a stream whose reader is slow; what comes then is dropped, since it would arrive too late."""
 
 
 class Transport(Protocol):
@@ -28,12 +34,16 @@ class Transport(Protocol):
     datagrams: bool
     """Whether each read is one datagram, whole in itself, or a piece of a stream."""
 
+    def fileno(self) -> int:
+        """What becomes readable when something has come."""
+        ...
+
     def read(self, timeout_s: float) -> tuple[bytes, Hashable]:
         """What has come, waiting at most so long (b"" if nothing), and whom it is from; `LinkError` if it is cut."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Send, or drop it where there is nobody yet; raises `LinkError` where the link is cut."""
+        """Send, or drop it where there is nobody yet, or who reads too slowly; raises `LinkError` where it is cut."""
         ...
 
     def answer_to(self, peer: Hashable) -> None:
@@ -86,6 +96,9 @@ class _Udp:
             raise
         self._socket.setblocking(False)
 
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
     def read(self, timeout_s: float) -> tuple[bytes, Hashable]:
         try:
             if select.select([self._socket], [], [], timeout_s)[0]:
@@ -108,48 +121,84 @@ class _Udp:
         self._socket.close()
 
 
-class _Tcp:
+class _Stream(ABC):
+    """Whole packets, in order, to something that takes bytes when it can."""
+
     datagrams = False
 
+    def __init__(self) -> None:
+        self.dropped = 0
+        """Packets that were not sent because those before them had not been taken."""
+        self._backlog = b""
+
+    def write(self, data: bytes) -> None:
+        self._flush()
+        if len(self._backlog) + len(data) > LARGEST_BACKLOG:
+            self.dropped += 1
+            return
+        self._backlog += data
+        self._flush()
+
+    def answer_to(self, peer: Hashable) -> None:  # noqa: B027
+        pass
+
+    def _flush(self) -> None:
+        while self._backlog and (taken := self._take(self._backlog)):
+            self._backlog = self._backlog[taken:]
+
+    @abstractmethod
+    def _take(self, data: bytes) -> int:
+        """How many bytes are taken now, without waiting; raises `LinkError` where the link is cut."""
+
+
+class _Tcp(_Stream):
     def __init__(self, address: tuple[str, int], timeout_s: float) -> None:
+        super().__init__()
         self._socket = socket.create_connection(address, timeout=timeout_s)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.setblocking(False)
         self._where = f"tcp:{address[0]}:{address[1]}"
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
 
     def read(self, timeout_s: float) -> tuple[bytes, Hashable]:
         if not select.select([self._socket], [], [], timeout_s)[0]:
             return b"", None
         try:
             data = self._socket.recv(LARGEST_READ)
+        except BlockingIOError:
+            return b"", None
         except OSError as error:
             raise LinkError(f"the link {self._where} was cut: {error.strerror or error}") from None
         if not data:
             raise LinkError(f"the link {self._where} was closed by the other side")
         return data, None
 
-    def write(self, data: bytes) -> None:
-        try:
-            self._socket.sendall(data)
-        except OSError as error:
-            raise LinkError(f"the link {self._where} was cut: {error.strerror or error}") from None
-
-    def answer_to(self, peer: Hashable) -> None:
-        pass
-
     def close(self) -> None:
         self._socket.close()
 
+    def _take(self, data: bytes) -> int:
+        try:
+            return self._socket.send(data)
+        except BlockingIOError:
+            return 0
+        except OSError as error:
+            raise LinkError(f"the link {self._where} was cut: {error.strerror or error}") from None
 
-class _Serial:
-    datagrams = False
 
+class _Serial(_Stream):
     def __init__(self, device: str, baud: int) -> None:
+        super().__init__()
         serial = import_extra("serial", "mavlink", "pyserial")
         self._device = device
         try:
-            self._port = serial.Serial(device, baud, timeout=0, write_timeout=1.0)
+            self._port = serial.Serial(device, baud, timeout=0)
         except (OSError, ValueError) as error:
             raise LinkError(f"cannot open the serial port {device}: {error}") from None
+
+    def fileno(self) -> int:
+        return int(self._port.fileno())
 
     def read(self, timeout_s: float) -> tuple[bytes, Hashable]:
         try:
@@ -161,14 +210,13 @@ class _Serial:
             raise LinkError(f"the serial port {self._device} has gone: {error}") from None
         return data, None
 
-    def write(self, data: bytes) -> None:
-        try:
-            self._port.write(data)
-        except (OSError, TypeError, ValueError) as error:
-            raise LinkError(f"the serial port {self._device} has gone: {error}") from None
-
-    def answer_to(self, peer: Hashable) -> None:
-        pass
-
     def close(self) -> None:
         self._port.close()
+
+    def _take(self, data: bytes) -> int:
+        try:
+            return os.write(self._port.fileno(), data)  # pyserial opens it non-blocking, but its own write would wait
+        except BlockingIOError:
+            return 0
+        except (OSError, TypeError, ValueError) as error:
+            raise LinkError(f"the serial port {self._device} has gone: {error}") from None

@@ -43,6 +43,8 @@ class Severity(IntEnum):
 
 _GAINS = AutopilotGains()
 _PILOTED = (Mode.STABILIZE, Mode.ALT_HOLD, Mode.LOITER)
+_CONTINUE_PILOT = 16  # of FS_OPTIONS; to ArduCopter BRAKE is a mode that a pilot flies
+_LOW_S = 10.0
 _ARMABLE = (*_PILOTED, Mode.GUIDED)
 _PRESS_M_S = 0.5  # downwards, to stay on the ground
 _LIFTED_M = 0.05  # above the ground: it flies
@@ -71,6 +73,8 @@ class FlightModes:
         self.breaches = 0
         """FENCE_TYPE bits of the fences that are breached now."""
         self.breach_count = 0
+        self.voltage = math.inf
+        """Of the battery, V."""
         self.sticks = np.zeros(4)
         """(4,) velocity commanded by the pilot's sticks in the piloted modes, heading frame, m/s and rad/s."""
         self._say = say
@@ -82,6 +86,8 @@ class FlightModes:
         self._idle_since = 0.0
         self._ground_station: float | None = None
         self._silent = False
+        self._low_since: float | None = None
+        self._low = False
         self._return_phase = "climb"
         self._return_since = 0.0
 
@@ -284,14 +290,30 @@ class FlightModes:
             self.disarm()
 
     def _watch(self, state: DroneState) -> None:
-        """Check the fences and the ground station's heartbeat."""
+        """Check the fences, the battery and the ground station's heartbeat."""
         self._watch_fences(state)
+        self._watch_battery()
         action = self.parameters["FS_GCS_ENABLE"]
         if not action or self._silent or self._ground_station is None or not self.armed:
             return
         if self._time - self._ground_station > self.parameters["FS_GCS_TIMEOUT"]:
             self._silent = True
+            spared = int(self.parameters["FS_OPTIONS"]) & _CONTINUE_PILOT and self.mode in (*_PILOTED, Mode.BRAKE)
+            if spared:
+                self._say(Severity.WARNING, "GCS Failsafe - Continuing Pilot Control")
+                return
             self.set_mode(Mode.LAND if action == 5 else Mode.RTL, "GCS Failsafe")
+
+    def _watch_battery(self) -> None:
+        action, low = self.parameters["BATT_FS_LOW_ACT"], self.voltage < self.parameters["BATT_LOW_VOLT"]
+        if not low:
+            self._low_since, self._low = None, False
+        elif self._low_since is None:
+            self._low_since = self._time
+        if not (low and action and self.armed) or self._low or self._time - (self._low_since or 0.0) < _LOW_S:
+            return
+        self._low = True
+        self.set_mode(Mode.LAND if action == 1 else Mode.RTL, "Battery Failsafe")
 
     def _watch_fences(self, state: DroneState) -> None:
         p, offset = self.parameters, state.position - self.home.position

@@ -36,6 +36,8 @@ _GAINS = AutopilotGains()
 
 TABLE: dict[str, Parameter] = {
     "ARMING_CHECK": Parameter(1, 0, 1, "int8", "0 arms whatever the checks say"),
+    "BATT_FS_LOW_ACT": Parameter(0, 0, 2, "int8", "when the battery is low: 0 nothing, 1 land, 2 return"),
+    "BATT_LOW_VOLT": Parameter(10.8, 0, 12.6, "float", "V of the battery below which it is low; 0 never"),
     "DISARM_DELAY": Parameter(10, 0, 127, "int8", "s on the ground until an armed vehicle disarms itself; 0 never"),
     "FENCE_ACTION": Parameter(1, 0, 4, "int8", "0 report, 1 return or land, 2 land, 4 brake or land"),
     "FENCE_ALT_MAX": Parameter(100, 1, 1000, "float", "m above home"),
@@ -46,6 +48,7 @@ TABLE: dict[str, Parameter] = {
     "FRAME_TYPE": _fixed(1, "int8", "in X"),
     "FS_GCS_ENABLE": Parameter(0, 0, 5, "int8", "when the ground station is silent: 0 nothing, 1 return, 5 land"),
     "FS_GCS_TIMEOUT": Parameter(5, 2, 120, "float", "s of silence of the ground station"),
+    "FS_OPTIONS": Parameter(16, 0, 31, "int8", "16: modes that a pilot flies go on when the ground station is silent"),
     "GUID_TIMEOUT": Parameter(_GAINS.timeout, 0.1, 5, "float", "s after a velocity target until the vehicle stops"),
     "LAND_SPEED": Parameter(50, 30, 200, "int16", "cm/s"),
     "PSC_JERK_XY": _fixed(_GAINS.jerk[0], "float", "m/s3"),

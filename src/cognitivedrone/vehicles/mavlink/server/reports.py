@@ -132,9 +132,14 @@ def _vfr_hud(m: Any, s: Snapshot) -> Any:
     return m.MAVLink_vfr_hud_message(ground, ground, s.course_cdeg // 100, throttle, altitude, -down)
 
 
+def battery_volts(left: float) -> float:
+    """Of the whole battery, V, with so much of it left, 0 to 1."""
+    return CELLS * (EMPTY_V + (FULL_V - EMPTY_V) * left)
+
+
 def _volts(s: Snapshot) -> float:
     """Voltage of one cell."""
-    return EMPTY_V + (FULL_V - EMPTY_V) * s.battery
+    return battery_volts(s.battery) / CELLS
 
 
 def _amperes(s: Snapshot) -> float:

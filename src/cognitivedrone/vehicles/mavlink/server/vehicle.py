@@ -26,7 +26,7 @@ from cognitivedrone.vehicles.mavlink.server.commands import Commands
 from cognitivedrone.vehicles.mavlink.server.modes import FlightModes, Mode, Severity
 from cognitivedrone.vehicles.mavlink.server.parameters import TABLE, Parameters
 from cognitivedrone.vehicles.mavlink.server.ports import Address, Port, endpoint, open_port
-from cognitivedrone.vehicles.mavlink.server.reports import REPORTS, Snapshot
+from cognitivedrone.vehicles.mavlink.server.reports import REPORTS, Snapshot, battery_volts
 from cognitivedrone.vehicles.mavlink.server.targets import Home
 from cognitivedrone.vehicles.mavlink.telemetry import dialect
 
@@ -142,6 +142,7 @@ class SimulatedVehicle:
                 self.listen()
                 self._check_ready()
                 state = self.simulator.state(0)
+                self.modes.voltage = battery_volts(self.battery)
                 self.simulator.command(0, self.modes.update(state, self.time))
                 self.simulator.advance(STEP_TICKS)
                 self._steps += 1

@@ -1,0 +1,157 @@
+"""From what a vehicle reports and what goes on around it to the `Health` that the rules of safety judge."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cognitivedrone.control.health import Health
+from cognitivedrone.types import FloatArray
+from cognitivedrone.vehicles.mavlink.client.traffic import Traffic
+from cognitivedrone.vehicles.mavlink.telemetry import POSITION_IGNORED, Telemetry, stick_moved
+
+BLIND_M = 1.0
+"""So far it may fly without a command: that divided by `GUID_TIMEOUT` is the most speed that is asked for."""
+OWN_TARGETS_S = 1.5
+"""For so long a velocity that we sent may be what the vehicle says it flies to."""
+TARGET_M_S = 0.5
+"""A target this much faster than all that we sent is somebody else's."""
+IMPOSTOR_S = 2.0
+"""For so long after it was heard, somebody who sends as the vehicle counts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """What was so at the end of the take-off, which changes are measured by."""
+
+    home: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """(3,) where it stood, ENU from the origin of its estimator, m."""
+    taken_at: float = -math.inf
+    """By our steady clock, s."""
+    sticks: tuple[int, ...] = ()
+    remote: bool = False
+    """Whether a remote control was received."""
+    battery: bool = False
+    """Whether the vehicle told of its battery."""
+    estimator: bool = False
+    """Whether it told of its state estimator."""
+    clock_restarts: int = 0
+    speed_limit_m_s: float = math.inf
+
+    @classmethod
+    def taken(
+        cls, telemetry: Telemetry, home: FloatArray, now: float, guided_timeout_s: float | None = None
+    ) -> Baseline:
+        """The baseline of now; `guided_timeout_s` is the vehicle's `GUID_TIMEOUT`."""
+        return cls(
+            home=home,
+            taken_at=now,
+            sticks=telemetry.sticks,
+            remote=math.isfinite(telemetry.remote_at) and now - telemetry.remote_at < REMOTE_S,
+            battery=telemetry.battery is not None,
+            estimator=telemetry.ekf is not None,
+            clock_restarts=telemetry.clock_restarts,
+            speed_limit_m_s=BLIND_M / guided_timeout_s if guided_timeout_s else math.inf,
+        )
+
+
+REMOTE_S = 2.0
+"""A remote control that was not received for so long is off."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What the pilot asks for and sees, and what was sent, by the clock that the flight goes by."""
+
+    now: float
+    command: FloatArray | None
+    command_at: float
+    frame_at: float
+    ordered_modes: frozenset[str]
+    sent: tuple[tuple[float, float], ...] = ()
+    """Times by our steady clock and speeds, m/s, of the velocities sent last."""
+
+
+def health_of(
+    telemetry: Telemetry,
+    traffic: Traffic,
+    baseline: Baseline,
+    asked: Asked,
+    now: float,
+    *,
+    patience_s: float = 0.0,
+    judges_time: bool = True,
+) -> Health:
+    """How everything is at `now`, by our steady clock.
+
+    `patience_s` above 0 is for simulators whose time may stand still: so much silence of theirs is forgiven. Without
+    `judges_time` it says nothing how their clock runs against ours: a machine that is busy slows it.
+    """
+    t, b = telemetry, baseline
+    lateness = t.late_s if judges_time else 0.0
+
+    def age(since: float) -> float:
+        return max(0.0, now - since - patience_s)
+
+    return Health(
+        time=asked.now,
+        command=asked.command,
+        command_age_s=asked.now - asked.command_at,
+        frame_age_s=asked.now - asked.frame_at,
+        link_age_s=age(t.heard_at),
+        state_age_s=age(t.state_at) + lateness,
+        heartbeat_age_s=age(t.heartbeat_at),
+        uplink_age_s=age(traffic.answered_at),
+        battery=t.battery,
+        battery_age_s=age(t.battery_at) if b.battery else 0.0,
+        estimator=t.estimator,
+        estimator_age_s=age(t.ekf_at) if b.estimator else 0.0,
+        remote_age_s=age(t.remote_at) if b.remote else 0.0,
+        remote_appeared=not b.remote and t.remote_at > b.taken_at,
+        position=t.position - b.home,
+        velocity=t.velocity,
+        yaw=t.yaw,
+        tilt_rad=t.tilt,
+        jump_m=t.jump_m if t.jumped_at > b.taken_at else 0.0,
+        restarted=t.clock_restarts > b.clock_restarts,
+        mode=t.mode,
+        ordered_modes=asked.ordered_modes,
+        armed=t.armed,
+        stick_moved=stick_moved(b.sticks, t.sticks),
+        intruder=intruder(t, traffic, b.taken_at, asked.sent, now),
+        speed_limit_m_s=b.speed_limit_m_s,
+    )
+
+
+def intruder(
+    telemetry: Telemetry, traffic: Traffic, since: float, sent: Iterable[tuple[float, float]], now: float
+) -> str:
+    """Who else commands the vehicle or passes for somebody, in words; empty where nobody does."""
+    if traffic.commander_at > since:
+        return traffic.commander
+    if traffic.impostor_at > max(since, now - IMPOSTOR_S):
+        return "somebody else sends as the vehicle: what it reports cannot be trusted"
+    if traffic.masks:
+        return f"another ground station has our system id ({traffic.masks[0][0]}): it hides our silence"
+    if foreign_target(telemetry, since, sent):
+        return f"the vehicle flies to a target that we did not send ({telemetry.target_speed:.1f} m/s)"
+    return ""
+
+
+def foreign_target(telemetry: Telemetry, since: float, sent: Iterable[tuple[float, float]]) -> bool:
+    """Whether the vehicle flies in GUIDED to what nobody here has asked for.
+
+    Only what it tells a while after the take-off counts: until the first velocity arrives, it keeps the take-off's own.
+    """
+    t = telemetry
+    if t.mode != "GUIDED" or t.target_mask is None or t.target_at < since + OWN_TARGETS_S:
+        return False
+    if t.target_mask & POSITION_IGNORED != POSITION_IGNORED:
+        return True
+    # It flies to zero by itself when our commands are late, so that slower is no sign.
+    return (
+        t.target_speed > max((speed for at, speed in sent if at >= t.target_at - OWN_TARGETS_S), default=0) + TARGET_M_S
+    )

@@ -1,0 +1,170 @@
+"""Parameters of a vehicle that are changed for a flight, and put back after it, whatever ends it.
+
+A journal on disk tells what was, written before anything is changed: a program that is killed leaves it, and the next
+one that meets the vehicle puts the values back first. A value that somebody else has changed meanwhile stays theirs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+import os
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol
+
+import numpy as np
+
+from cognitivedrone.errors import LinkError
+from cognitivedrone.files import read_regular, reason_of, replace_file, safe_name
+
+ACTS_IN_FLIGHT: Final = frozenset(
+    {"FS_GCS_ENABLE", "FS_GCS_TIMEOUT", "FENCE_ENABLE", "FENCE_ACTION", "BATT_FS_LOW_ACT"}
+)
+"""What makes a vehicle change its mode by itself: put back as soon as a pilot has taken over. The rest waits for the
+ground: `FS_OPTIONS` spares a pilot, and the failsafe must not begin to watch another ground station in the air."""
+REPEAT_S = 0.5
+LARGEST = 100_000
+
+
+class Parameters(Protocol):
+    """A vehicle that is asked for parameters: `Connection`."""
+
+    def parameters(self, names: Sequence[str]) -> dict[str, float | None]:
+        """The values; none where it does not answer."""
+        ...
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Set one and see that it took."""
+        ...
+
+    def tell_parameter(self, name: str, value: float) -> None:
+        """Set one, without waiting."""
+        ...
+
+    def told_parameter(self, name: str) -> float | None:
+        """What the vehicle last said of one."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One parameter."""
+
+    was: float
+    now: float
+    """As we set it."""
+
+
+def journal_of(vehicle: str) -> Path:
+    """Where changes to a vehicle are kept from one run of the program to the next."""
+    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(state) / "cognitivedrone" / "parameters" / f"{safe_name(vehicle)}.json"
+
+
+def vehicle_key(uid: int, uid2: Collection[int], system: int, url: str) -> str:
+    """A name for a vehicle that stays the same: its own number where it has one."""
+    if any(uid2):
+        return bytes(uid2).hex()
+    return f"{uid:016x}" if uid else f"system {system} {hashlib.sha256(url.encode()).hexdigest()[:8]}"
+
+
+class ParameterChanges:
+    """What was changed on one vehicle and not put back yet.
+
+    Without a `journal` (a vehicle that ends with the program) nothing is kept, and nothing put back.
+    """
+
+    def __init__(self, journal: Path | None) -> None:
+        self._journal = journal
+        self._open = {} if journal is None else _read(journal)
+        self._said_at = -math.inf
+
+    @property
+    def open(self) -> Mapping[str, Change]:
+        """By name."""
+        return self._open
+
+    def make(self, link: Parameters, values: Mapping[str, float | None], wanted: Mapping[str, float]) -> None:
+        """Set what is wanted. Raises `LinkError` where a value does not take, or what was cannot be kept."""
+        for name, value in wanted.items():
+            was = self._open[name].was if name in self._open else values[name]
+            if was is not None:
+                self._open[name] = Change(was, value)
+        self._keep()
+        for name, value in wanted.items():
+            link.set_parameter(name, value)
+
+    def put_back(self, link: Parameters, *, flying: bool = False) -> tuple[str, ...]:
+        """Put back what may go now, waiting for it; the names of those that stay as we set them."""
+        if self._journal is None or not self._open:
+            return ()
+        failed = [name for name in self._open if flying and name not in ACTS_IN_FLIGHT]
+        for name, value in link.parameters([name for name in self._open if name not in failed]).items():
+            if value is None:
+                failed.append(name)
+                continue
+            if math.isclose(value, self._open[name].now, rel_tol=1e-5):
+                try:
+                    link.set_parameter(name, self._open[name].was)
+                except LinkError:
+                    failed.append(name)
+                    continue
+            del self._open[name]
+        self._keep()
+        return tuple(failed)
+
+    def put_back_meanwhile(self, link: Parameters, now: float, *, flying: bool) -> None:
+        """Put back, without waiting, what may go now: called again and again, from where the link is listened to."""
+        if self._journal is None or not self._open:
+            return
+        names = [name for name in self._open if not flying or name in ACTS_IN_FLIGHT]
+        back = [name for name in names if link.told_parameter(name) == _float32(self._open[name].was)]
+        for name in back:
+            del self._open[name]
+        if back:
+            with contextlib.suppress(LinkError):  # a full disk: the next start finds them as they were
+                self._keep()
+        if now - self._said_at >= REPEAT_S:
+            self._said_at = now
+            for name in names:
+                if name in self._open:
+                    link.tell_parameter(name, self._open[name].was)
+
+    def _keep(self) -> None:
+        """Write the journal whole, or remove it with the last change."""
+        if self._journal is None:
+            return
+        try:
+            if not self._open:
+                self._journal.unlink(missing_ok=True)
+                return
+            self._journal.parent.mkdir(parents=True, exist_ok=True)
+            content = {name: [change.was, change.now] for name, change in self._open.items()}
+            replace_file(self._journal, json.dumps(content, indent=1).encode())
+        except OSError as error:
+            raise LinkError(
+                f"cannot write {self._journal}, which tells how the vehicle's parameters were: {reason_of(error)}"
+            ) from None
+
+
+def _read(journal: Path) -> dict[str, Change]:
+    """What an earlier run left behind."""
+    try:
+        content = json.loads(read_regular(journal, LARGEST))
+        return {str(name): Change(float(was), float(now)) for name, (was, now) in content.items()}
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise LinkError(
+            f"cannot read {journal}, which tells how the vehicle's parameters were before an earlier flight: {error};"
+            " check them with a ground station, then remove it"
+        ) from None
+
+
+def _float32(value: float) -> float:
+    """As it comes back over MAVLink."""
+    return float(np.float32(value))

@@ -1,0 +1,87 @@
+"""Who else is on the link, and whether the vehicle hears us: pure functions of immutable values, as `telemetry.py`.
+
+A request for the vehicle's time (TIMESYNC) carries ours; its answer gives that back. So an answer proves that the
+way there is open, and since when.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from cognitivedrone.vehicles.mavlink.telemetry import GROUND_STATION
+
+OUR_SYSTEM, OUR_COMPONENT = 255, 191
+"""A ground station's system, so that the vehicle's ground-station failsafe watches our heartbeat; the component of an
+onboard computer, to be told from a ground station of the same system."""
+COMMANDING: Final = frozenset(
+    {
+        "SET_MODE",
+        "SET_POSITION_TARGET_LOCAL_NED",
+        "SET_POSITION_TARGET_GLOBAL_INT",
+        "SET_ATTITUDE_TARGET",
+        "MANUAL_CONTROL",
+        "RC_CHANNELS_OVERRIDE",
+    }
+)
+"""Messages that move a vehicle."""
+MOVING_COMMANDS: Final = frozenset({16, 20, 21, 22, 176, 192, 252, 300, 400})
+"""MAV_CMD that do: waypoint, return, land, take off, set mode, reposition, pause, start a mission, arm."""
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """What has been heard besides the vehicle's telemetry."""
+
+    nonce: int = 0
+    """0 to 999, of this connection: programs of one machine share a clock, and hear each other's answers."""
+    answered_at: float = -math.inf
+    """When we sent the newest request that the vehicle has answered, by our steady clock, s."""
+    ground_stations: frozenset[tuple[int, int]] = frozenset()
+    """System and component of others that heartbeat as ground stations."""
+    commander: str = ""
+    """Who else was heard to command the vehicle, in words."""
+    commander_at: float = -math.inf
+    impostor_at: float = -math.inf
+    """When somebody else last sent as the vehicle."""
+    ignored: int = 0
+    """Messages of neither the vehicle nor anybody who matters."""
+    broken: int = 0
+    """Pieces of bytes that are no message."""
+
+    @property
+    def masks(self) -> tuple[tuple[int, int], ...]:
+        """Ground stations with our system id: while they heartbeat, our own silence is not noticed."""
+        return tuple(sorted(sender for sender in self.ground_stations if sender[0] == OUR_SYSTEM))
+
+
+def noticed(before: Traffic, message: Any, vehicle: tuple[int, int] | None, now: float) -> Traffic:
+    """What is known after a message of anybody but the vehicle with this system and component."""
+    kind, sender = message.get_type(), (message.get_srcSystem(), message.get_srcComponent())
+    if sender == (OUR_SYSTEM, OUR_COMPONENT):
+        return before
+    if kind == "HEARTBEAT" and message.type == GROUND_STATION:
+        return replace(before, ground_stations=before.ground_stations | {sender})
+    for_vehicle = vehicle is not None and getattr(message, "target_system", getattr(message, "target", -1)) in (
+        0,
+        vehicle[0],
+    )
+    moves = kind in COMMANDING or (kind in ("COMMAND_LONG", "COMMAND_INT") and message.command in MOVING_COMMANDS)
+    if for_vehicle and moves:
+        who = f"system {sender[0]}, component {sender[1]}, commands the vehicle too ({kind})"
+        return replace(before, commander=who, commander_at=now)
+    return replace(before, ignored=before.ignored + 1)
+
+
+def request_time(traffic: Traffic, now: float) -> int:
+    """What a request at `now`, by our steady clock, carries: ns, the last three digits ours."""
+    return int(now * 1e6) * 1000 + traffic.nonce
+
+
+def answered(before: Traffic, message: Any, now: float) -> Traffic:
+    """What is known after a TIMESYNC of the vehicle; only the answer to one that we sent counts."""
+    ours, sent = message.ts1 % 1000 == before.nonce, message.ts1 / 1e9
+    if message.tc1 == 0 or not ours or not before.answered_at < sent <= now + 1e-6:
+        return before
+    return replace(before, answered_at=sent)

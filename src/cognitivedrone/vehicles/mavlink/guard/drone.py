@@ -1,0 +1,367 @@
+"""An ArduCopter over MAVLink as a `Drone` with its `Clock`, flown through a guard process.
+
+    with GuardedDrone("udp:127.0.0.1:14550", camera, SafetyConfig()) as drone:
+        drone.take_off(confirm)
+        fly(drone, policy, drone, mission)
+
+The link is the guard's. This side sends it velocities with a deadline, and is told how the flight is. Leaving the
+block lands a drone that is still ours; so does the guard when this process ends, hangs, or sends what cannot be flown.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from pathlib import Path
+from time import monotonic, monotonic_ns, sleep
+from typing import Any, TypeVar
+
+import numpy as np
+
+from cognitivedrone.control.safety import Decision, SafetyConfig
+from cognitivedrone.errors import LinkError, import_extra
+from cognitivedrone.types import Action, FloatArray, Observation
+from cognitivedrone.vehicles.camera import Camera
+from cognitivedrone.vehicles.mavlink.client.core import PAUSE_S, LandingMode
+from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, Met
+from cognitivedrone.vehicles.mavlink.client.preflight import Checklist
+from cognitivedrone.vehicles.mavlink.client.tlog import TlogWriter, leave
+from cognitivedrone.vehicles.mavlink.guard.messages import Kind, Reply, Snapshot, from_json, pack, to_json, unpack
+from cognitivedrone.vehicles.mavlink.telemetry import TEXTS_KEPT, Telemetry, Text, dialect, last_words
+
+T = TypeVar("T")
+
+ANSWER_S = 0.1
+"""So long a command waits for what was made of it."""
+TOLD_S = 0.1
+"""How often the guard is told of the camera while it climbs."""
+START_S = 20.0
+"""For the guard to be running, on a machine that is busy."""
+LEAVING_S = 5.0
+"""For the guard to end once there is nothing left to guard."""
+STOPPED_S = 2.0
+"""A guard that has said nothing for so long has been stopped."""
+
+
+class GuardedDrone:
+    """Starts the guard and connects when it is made, which checks that the vehicle is a copter on ArduPilot.
+
+    The camera is its own from then on, and closed with it, also where it cannot be made. Raises `LinkError` for what
+    cannot be reached or flown and for a guard that has ended, `MissingExtra` without pymavlink.
+    """
+
+    def __init__(
+        self, url: str, camera: Camera, safety: SafetyConfig | None = None, config: MavlinkConfig | None = None
+    ) -> None:
+        self.config = config or MavlinkConfig()
+        self.camera = camera
+        self.log_trouble = ""
+        """What of the log could not be written, in words, once it is closed."""
+        self._safety = safety or SafetyConfig()
+        self._snapshot = Snapshot()
+        self._heard_at = math.inf
+        self._frame_at = 0.0
+        self._texts: deque[Text] = deque(maxlen=TEXTS_KEPT)
+        self._replies: deque[Reply] = deque()
+        self._words = self._cut = ""
+        self._gone = self._closed = False
+        self._news = threading.Condition()
+        self._sending = threading.Lock()
+        self._sequence = 0
+        self._opened = monotonic()
+        with ExitStack() as undo:
+            undo.callback(camera.close)
+            dialect()
+            if url.startswith("serial:"):
+                import_extra("serial", "mavlink", "pyserial")
+            writer = None if self.config.tlog is None else TlogWriter(self.config.tlog)
+            if writer is not None:
+                undo.callback(self._close_log, writer)
+            self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            self._reader = threading.Thread(target=self._read, name="guard", daemon=True)
+            self._reader.start()
+            undo.callback(self._close_socket)
+            with theirs:
+                self._process = _start(url, self._safety, self.config, theirs, writer)
+            undo.callback(self._wait_for_the_guard)
+            undo.callback(self._post, Kind.HANG_UP)
+            met = self._reply("met", START_S + self.config.heartbeat_timeout_s)
+            self.met = from_json(Met, met.content)
+            self._undo = undo.pop_all()
+
+    def __enter__(self) -> GuardedDrone:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    @property
+    def process(self) -> int:
+        """Id of the guard process."""
+        return self._process.pid
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the vehicle says that it is this project's simulator."""
+        return self.met.simulated
+
+    @property
+    def telemetry(self) -> Telemetry:
+        """The newest of what the vehicle has said that this side needs: state, mode, battery and texts."""
+        return replace(self._snapshot.telemetry, texts=tuple(self._texts))
+
+    @property
+    def decision(self) -> Decision | None:
+        """The guard's last one; none before take-off."""
+        snapshot = self._snapshot
+        return Decision(snapshot.decision, snapshot.reason) if snapshot.decision else None
+
+    @property
+    def over(self) -> str | None:
+        """Why the flight is over, in words, once it lands or is somebody else's; a mission ends then."""
+        snapshot = self._snapshot
+        if snapshot.phase == "released" and snapshot.telemetry.armed:
+            return f"{snapshot.reason}; process {self.process} heartbeats until it is disarmed, or killed"
+        return snapshot.reason if snapshot.phase == "released" or snapshot.decision in ("land", "hands_off") else None
+
+    # Before the flight.
+
+    def take_off(self, confirm: Callable[[Checklist], bool]) -> None:
+        """Wait until it is ready, have a person confirm the checklist, arm, and climb: `FlightCore.take_off`."""
+        self._replies.clear()
+        self._tell_of_the_camera()
+        self._post(Kind.TAKE_OFF)
+        checklist = self._reply("checklist")
+        answer = confirm(from_json(Checklist, checklist.content))
+        self._tell_of_the_camera()
+        self._post(Kind.CONFIRM if answer else Kind.REFUSE)
+        self._reply("flying")
+
+    # In flight: `Drone` and `Clock`.
+
+    def observe(self) -> Observation:
+        """Newest frame and state; the height is above the place of take-off."""
+        self._check()
+        shot = self.camera.read()
+        self._frame_at = monotonic() - shot.age_s
+        self._post(Kind.FRAME)
+        snapshot = self._snapshot
+        state = snapshot.telemetry
+        return Observation(
+            image=shot.image,
+            instruction="",
+            velocity=state.heading_velocity,
+            height=float(state.position[2] - snapshot.home[2]),
+            yaw_rate=state.yaw_rate,
+            time=self.now(),
+        )
+
+    def send(self, action: Action) -> Action:
+        """Ask for a velocity; returns what was sent, zeros where the guard holds, brakes, lands or has let go.
+
+        Where the guard does not answer at once, what it sent last.
+        """
+        self._check()
+        if self._snapshot.phase in ("ground", "climbing"):
+            raise LinkError("the drone is not flying yet: call take_off first")
+        number = self._post(Kind.SETPOINT, np.asarray(action, dtype=np.float64))
+        self._wait(lambda: self._snapshot.sequence >= number or None, ANSWER_S)
+        return self._snapshot.sent.copy()
+
+    def now(self) -> float:
+        """Seconds since the end of the take-off."""
+        snapshot = self._snapshot
+        clock = monotonic() if self.config.clock == "wall" else snapshot.telemetry.vehicle_time
+        return clock - snapshot.start
+
+    def sleep_until(self, time: float) -> None:
+        """Wait; on vehicle time, raises `LinkError` where that stands still."""
+        if self.config.clock == "wall":
+            sleep(max(0.0, time - self.now()))
+            return
+        while (before := self.now()) < time:
+            if not self._wait(lambda: self.now() > before or None, PAUSE_S):
+                raise LinkError(f"the vehicle's time has stood still for {PAUSE_S:g} s; is its simulation paused?")
+
+    # The end.
+
+    def land(self, mode: LandingMode = "LAND") -> None:
+        """Land where it is, or fly back first, and wait for the motors to stop; nothing where it is not ours.
+
+        Raises `LinkError` where it has not landed in time; the guard goes on ordering it.
+        """
+        if self._snapshot.phase in ("ground", "released"):
+            return
+        self._check()
+        self._post(Kind.LAND if mode == "LAND" else Kind.RETURN)
+        if not self._wait(lambda: self._snapshot.phase == "released" or None, self.config.landing_timeout_s):
+            raise LinkError(
+                f"not landed {self.config.landing_timeout_s:g} s after {mode} was ordered: the vehicle is in"
+                f" {self.telemetry.mode}{last_words(self.telemetry, monotonic() - 5)}; take over by hand"
+            )
+
+    def dismiss(self) -> None:
+        """End the heartbeats to a vehicle that somebody has taken over; its own failsafes may then act."""
+        self._post(Kind.DISMISS)
+
+    def close(self) -> None:
+        """Land a drone that is still ours, then hang up.
+
+        A guard that is still needed, for heartbeats to a vehicle that was taken over and is armed, stays.
+        """
+        with self._undo:
+            if not self._closed:
+                self._closed = True
+                self.land()
+
+    # The guard process.
+
+    def _read(self) -> None:
+        """Take in what the guard says, until it ends; in a thread."""
+        while True:
+            try:
+                data = self._socket.recv(1 << 18)
+            except OSError:
+                data = b""
+            with self._news:
+                self._heard_at = monotonic()
+                self._news.notify_all()
+                if not data:
+                    self._gone = True
+                    return
+                self._take(unpack(data))
+
+    def _take(self, said: Snapshot | Reply) -> None:
+        if isinstance(said, Snapshot):
+            self._snapshot = said
+        elif said.kind == "text":
+            self._texts.append(from_json(Text, said.content))
+        elif said.kind == "words":
+            self._words = said.content
+        elif said.kind == "cut":
+            self._cut = said.content
+        else:
+            self._replies.append(said)
+
+    def _post(self, kind: Kind, command: FloatArray | None = None) -> int:
+        """Send a message to the guard, or drop it where it does not read; returns its number."""
+        with self._sending:
+            self._sequence += 1
+            now = monotonic_ns()
+            message = pack(
+                kind,
+                self._sequence,
+                now,
+                deadline_ns=now + int(self._safety.policy.hold_s * 1e9),
+                frame_age_s=max(0.0, now / 1e9 - self._frame_at),
+                command=command,
+            )
+            try:
+                self._socket.send(message, socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                pass
+            except OSError:
+                self._gone = True
+            return self._sequence
+
+    def _tell_of_the_camera(self) -> None:
+        self._frame_at = monotonic() - self.camera.read().age_s
+        self._post(Kind.FRAME)
+
+    def _reply(self, kind: str, timeout_s: float | None = None) -> Reply:
+        """Wait for a reply, telling of the camera meanwhile; raises `LinkError` where it is that something failed."""
+        deadline = monotonic() + (timeout_s or math.inf)
+        while monotonic() < deadline:
+            reply = self._wait(lambda: self._replies.popleft() if self._replies else None, TOLD_S)
+            if reply is not None and reply.kind == "failed":
+                raise LinkError(reply.content)
+            if reply is not None and reply.kind == kind:
+                # What is told once comes before the snapshot that shows it.
+                self._wait(lambda: (kind != "flying" or self._snapshot.phase != "climbing") or None, START_S)
+                return reply
+            if kind == "flying":
+                self._tell_of_the_camera()
+        raise LinkError(f"the guard process has not answered in {timeout_s:g} s")
+
+    def _wait(self, found: Callable[[], T | None], timeout_s: float) -> T | None:
+        """What `found` gives, asked again at everything that the guard says, or none after `timeout_s`."""
+        deadline = monotonic() + timeout_s
+        with self._news:
+            while True:
+                if (result := found()) is not None:
+                    return result
+                self._check()
+                if (left := deadline - monotonic()) <= 0:
+                    return None
+                self._news.wait(left)
+
+    def _check(self) -> None:
+        """Raise what keeps the guard from guarding, if anything does."""
+        if self._cut:
+            raise LinkError(self._cut)
+        if self._gone:
+            raise LinkError(
+                f"the guard process has ended ({self._how()}); the vehicle now does what its FS_GCS_ENABLE says"
+            )
+        if monotonic() - self._heard_at > STOPPED_S:
+            raise LinkError(f"the guard process {self.process} has said nothing for {STOPPED_S:g} s; is it stopped?")
+
+    def _how(self) -> str:
+        try:
+            code = self._process.wait(1.0)
+        except subprocess.TimeoutExpired:
+            code = None
+        return f"exit code {code}" + (f": {self._words}" if self._words else "")
+
+    def _wait_for_the_guard(self) -> None:
+        """Until it ends, where it is going to."""
+        snapshot = self._snapshot
+        needed = snapshot.phase != "ground" and snapshot.telemetry.armed
+        try:
+            self._process.wait(0.0 if needed else LEAVING_S)
+        except subprocess.TimeoutExpired:
+            leave(self._process)
+
+    def _close_socket(self) -> None:
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)  # wakes the reader
+        self._reader.join()
+        self._socket.close()
+
+    def _close_log(self, writer: TlogWriter) -> None:
+        self.log_trouble = writer.close()
+
+
+def _start(
+    url: str, safety: SafetyConfig, config: MavlinkConfig, theirs: socket.socket, writer: TlogWriter | None
+) -> subprocess.Popen[bytes]:
+    """Start the guard: a new program, since a copy of this one would have its threads and its locks."""
+    log = -1 if writer is None else writer.sink.fileno()
+    settings: dict[str, Any] = {
+        "url": url, "safety": to_json(safety), "config": to_json(replace(config, tlog=None)),
+        "pilot": theirs.fileno(), "log": log, "process": os.getpid(),
+    }  # fmt: skip
+    root = str(Path(__file__).parents[4])
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH")))),
+        "PYTHONSAFEPATH": "1",  # nothing that lies in the working directory is imported
+        "OPENBLAS_NUM_THREADS": "1",
+    }
+    return subprocess.Popen(  # noqa: S603
+        [sys.executable, "-m", "cognitivedrone.vehicles.mavlink.guard", json.dumps(settings)],
+        stdin=subprocess.DEVNULL,
+        pass_fds=[file for file in (theirs.fileno(), log) if file >= 0],
+        env=environment,
+        # Its own session: ctrl-C and a terminal that goes away end the pilot process, which the guard notices.
+        start_new_session=True,
+    )

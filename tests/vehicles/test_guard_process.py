@@ -1,0 +1,565 @@
+"""The guard as a process of its own: against a vehicle that plays a part, over real sockets and with real signals."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("pymavlink")
+sys.path.insert(0, str(Path(__file__).parent))
+
+from peer import MODES, Peer, StillCamera, playing
+from pymavlink import mavutil
+
+from cognitivedrone.control.safety import SafetyConfig, Timeouts
+from cognitivedrone.errors import LinkError
+from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
+from cognitivedrone.vehicles.mavlink.client.transport import LARGEST_BACKLOG, open_transport
+from cognitivedrone.vehicles.mavlink.guard import process
+from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
+from cognitivedrone.vehicles.mavlink.guard.messages import (
+    LARGEST_RATE,
+    MESSAGE_BYTES,
+    Fault,
+    Inbox,
+    Kind,
+    Message,
+    pack,
+)
+
+FAST = MavlinkConfig(ready_timeout_s=0.3, takeoff_timeout_s=0.5, landing_timeout_s=5)
+CALM = SafetyConfig(link=Timeouts(2, 4), state=Timeouts(2, 4), policy=Timeouts(2, 4), camera=Timeouts(2, 4))
+"""For tests of something else, on machines that are busy."""
+FORWARD = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
+
+
+def soon(holds: Callable[[], object], timeout_s: float = 10.0) -> float:
+    """Seconds until it holds."""
+    began = time.monotonic()
+    while not holds():
+        assert time.monotonic() - began < timeout_s
+        time.sleep(0.002)
+    return time.monotonic() - began
+
+
+@contextmanager
+def connected(peer: Peer, safety: SafetyConfig = CALM, config: MavlinkConfig = FAST) -> Iterator[GuardedDrone]:
+    """A drone on the ground, and no guard that outlives the test."""
+    drone = GuardedDrone(f"udpout:127.0.0.1:{peer.port}", StillCamera(), safety, config)
+    try:
+        yield drone
+        drone.close()
+    finally:
+        with suppress(LinkError):
+            drone.close()
+        end(drone)
+
+
+@contextmanager
+def flying(peer: Peer, safety: SafetyConfig = CALM, config: MavlinkConfig = FAST) -> Iterator[GuardedDrone]:
+    with connected(peer, safety, config) as drone:
+        drone.take_off(lambda _: True)
+        drone.observe()
+        drone.send(FORWARD)
+        yield drone
+
+
+def end(drone: GuardedDrone) -> None:
+    drone._process.kill()
+    drone._process.wait()
+
+
+def landing(peer: Peer) -> bool:
+    return peer.part.mode == MODES["LAND"]
+
+
+PILOT = """
+import sys, time
+sys.path.insert(0, {folder!r})
+import numpy as np
+from peer import StillCamera
+from cognitivedrone.control.safety import SafetyConfig
+from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
+from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
+safety, config = SafetyConfig(land_after_brake_s=0.2), MavlinkConfig(takeoff_timeout_s=20)
+drone = GuardedDrone("udpout:127.0.0.1:{port}", StillCamera(), safety, config)
+print(drone.process, flush=True)
+drone.take_off(lambda _: True)
+print("flying", flush=True)
+began = time.monotonic()
+while True:
+    drone.observe()
+    drone.send(np.array([1, 0, 0, 0], np.float32))
+    time.sleep(0.05)
+    if time.monotonic() > began + 0.3:
+        {after}
+"""
+
+
+@contextmanager
+def pilot(peer: Peer, after: str = "pass") -> Iterator[subprocess.Popen[str]]:
+    """A pilot process of its own, in a session of its own; `after` is what it does in flight. It is reaped."""
+    code = PILOT.format(folder=str(Path(__file__).parent), port=peer.port, after=after)
+    # A guard that lands after the end of its pilot keeps standard error open: a pipe would never close.
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+        start_new_session=True,
+    )  # fmt: skip
+    guard = int(process.stdout.readline())
+    try:
+        yield process
+        process.kill()
+        soon(lambda: not Path(f"/proc/{guard}").exists())
+    finally:
+        for number in (process.pid, guard):
+            with suppress(ProcessLookupError):
+                os.kill(number, signal.SIGKILL)
+        process.communicate()
+
+
+# A flight.
+
+
+def test_a_flight_from_arming_to_landing(tmp_path):
+    log = tmp_path / "new" / "flight.tlog"
+    with playing() as peer:
+        with connected(peer, config=replace(FAST, tlog=log)) as drone:
+            lists = []
+            drone.take_off(lambda checklist: lists.append(str(checklist)) or True)  # type: ignore[func-returns-value]
+            before = time.monotonic()
+            seen = drone.observe()
+            assert drone.send(FORWARD) == pytest.approx(FORWARD)
+            soon(lambda: peer.setpoints_since(before))
+            assert drone.decision.kind == "fly"
+            assert drone.over is None
+        assert "ArduCopter 4.6" in lists[0]
+        modes = [c.param2 for c in peer.of("COMMAND_LONG") if c.command == 176]
+        assert modes == [MODES["GUIDED"], MODES["LAND"]]
+        assert (drone.over, drone.log_trouble) == ("the flight is over", "")
+        assert drone._process.returncode == process.LANDED
+        assert drone.camera.closed
+    assert seen.velocity == pytest.approx([1.0, -0.5, -0.25])
+    assert seen.height == pytest.approx(1.5)
+    assert seen.yaw_rate == pytest.approx(-0.25)
+    reader, kinds = mavutil.mavlogfile(str(log)), set()
+    while (message := reader.recv_match()) is not None:
+        kinds.add((message.get_srcSystem(), message.get_type()))
+        assert abs(message._timestamp - time.time()) < 60
+    reader.close()
+    assert {(1, "ATTITUDE"), (255, "SET_POSITION_TARGET_LOCAL_NED"), (255, "COMMAND_LONG"), (1, "COMMAND_ACK")} <= kinds
+
+
+def test_what_is_not_fit_to_fly_is_said_as_it_is_in_this_process():
+    with playing(battery=20) as peer, connected(peer) as drone:
+        with pytest.raises(LinkError, match=r"(?s)not fit to fly.*\[bad \] battery"):
+            drone.take_off(lambda _: True)
+        peer.part.battery = 80
+        soon(lambda: drone.telemetry.battery == 0.8)
+        with pytest.raises(LinkError, match="not confirmed"):
+            drone.take_off(lambda _: False)
+        assert not peer.part.armed
+
+
+def test_a_link_that_cannot_be_opened():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        with pytest.raises(LinkError, match="is the port right, and free"):
+            GuardedDrone(f"udp:127.0.0.1:{taken.getsockname()[1]}", StillCamera())
+
+
+def test_the_guard_loads_nothing_heavy():
+    code = "import sys, cognitivedrone.vehicles.mavlink.guard.__main__; print('\\n'.join(sys.modules))"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not set(loaded) & {"av", "PIL", "mujoco", "scipy", "gymnasium", "pyarrow", "onnxruntime", "torch", "rich"}
+
+
+# The pilot process.
+
+
+def test_a_pilot_process_that_is_killed_is_landed_at_once():
+    with playing() as peer, pilot(peer) as process:
+        soon(lambda: peer.setpoints_since(0))
+        process.kill()
+        assert soon(lambda: landing(peer)) < 0.5
+        beats = len(peer.of("HEARTBEAT"))
+        assert beats
+
+
+def test_a_pilot_process_that_holds_the_interpreter_is_stopped_braked_and_landed():
+    holds = "import re; re.match('(a+)+$', 'a' * 60 + 'b')"  # one call into C that takes years
+    with playing() as peer, pilot(peer, holds):
+        soon(lambda: len(peer.setpoints_since(0)) >= 3)
+        soon(lambda: (0, 0, 0, 0) in [tuple(map(abs, s)) for s in peer.setpoints_since(0)])
+        last, stop = last_forward_and_first_stop(peer)
+        assert stop - last < 0.2 + 0.3
+        soon(lambda: landing(peer))
+
+
+def last_forward_and_first_stop(peer: Peer) -> tuple[float, float]:
+    packets = [(at, s) for at, s in list(peer.heard) if s.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+    stop = next(at for at, s in packets if s.vx == 0)
+    return max(at for at, s in packets if at < stop), stop
+
+
+def test_a_pilot_process_that_is_stopped_is_landed():
+    with playing() as peer, pilot(peer) as process:
+        soon(lambda: peer.setpoints_since(0))
+        process.send_signal(signal.SIGSTOP)
+        soon(lambda: landing(peer))
+
+
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("climbing", [True, False])
+def test_a_signal_to_the_pilot_process_lands_in_climb_and_flight(number, climbing):
+    with playing(climbs=not climbing) as peer, pilot(peer) as process:
+        if climbing:
+            soon(lambda: any(c.command == 22 for c in peer.of("COMMAND_LONG")))
+        else:
+            soon(lambda: peer.setpoints_since(0))
+        os.killpg(process.pid, number)
+        assert soon(lambda: landing(peer)) < 1.0
+        process.wait(10)
+
+
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("climbing", [True, False])
+def test_a_signal_to_the_guard_lands_in_climb_and_flight(number, climbing):
+    with playing(climbs=not climbing) as peer, pilot(peer) as process:
+        guard = children(process.pid)[0]
+        if climbing:
+            soon(lambda: any(c.command == 22 for c in peer.of("COMMAND_LONG")))
+        else:
+            soon(lambda: peer.setpoints_since(0))
+        os.kill(guard, number)
+        assert soon(lambda: landing(peer)) < 1.0
+        process.kill()
+
+
+def children(process: int) -> list[int]:
+    return list(map(int, Path(f"/proc/{process}/task/{process}/children").read_text().split()))
+
+
+def raw(drone: GuardedDrone, data: bytes) -> None:
+    drone._socket.send(data)
+
+
+NONSENSE: dict[str, Callable[[int], bytes]] = {
+    "too short": lambda _: b"\x01",
+    "too long": lambda _: bytes(3000),
+    "no message": lambda _: bytes(MESSAGE_BYTES),
+    "an old number": lambda _: pack(Kind.SETPOINT, 1, time.monotonic_ns(), deadline_ns=2**62),
+    "a time of the future": lambda n: pack(Kind.SETPOINT, n, time.monotonic_ns() + 10**9, deadline_ns=2**62),
+    "not a number": lambda n: pack(
+        Kind.SETPOINT, n, time.monotonic_ns(), deadline_ns=2**62, command=np.array([np.nan, 0, 0, 0])
+    ),
+    "an infinite yaw rate": lambda n: pack(
+        Kind.SETPOINT, n, time.monotonic_ns(), deadline_ns=2**62, command=np.array([0, 0, 0, np.inf])
+    ),
+}
+
+
+@pytest.mark.parametrize("nonsense", NONSENSE)
+def test_nonsense_stops_once_and_lands_when_it_goes_on(nonsense):
+    with playing() as peer, flying(peer) as drone:
+        soon(lambda: peer.setpoints_since(0))
+        before = time.monotonic()
+        raw(drone, NONSENSE[nonsense](10_000))
+        soon(lambda: peer.setpoints_since(before))
+        assert not np.any(peer.setpoints_since(before))
+        if nonsense not in ("not a number", "an infinite yaw rate"):  # those have used up the number
+            assert drone.send(FORWARD)[0] > 0
+            assert drone.over is None
+        for n in range(process.MOST_FAULTS + 1):
+            raw(drone, NONSENSE[nonsense](10_001 + n))
+        drone._sequence = 20_000  # whose numbers count again
+        soon(lambda: landing(peer))
+        soon(lambda: drone.over)
+        assert "sends what cannot be flown by" in drone.over
+
+
+def test_a_flood_lands_and_the_guard_goes_on_heartbeating():
+    with playing() as peer, flying(peer) as drone:
+        stop = threading.Event()
+
+        def flood() -> None:
+            while not stop.is_set():
+                with suppress(BlockingIOError):
+                    drone._post(Kind.SETPOINT, FORWARD)
+
+        thread = threading.Thread(target=flood)
+        thread.start()
+        try:
+            soon(lambda: landing(peer))
+            beats = len(peer.of("HEARTBEAT"))
+            soon(lambda: len(peer.of("HEARTBEAT")) > beats)
+        finally:
+            stop.set()
+            thread.join()
+        soon(lambda: drone.over)
+        assert "messages a second" in drone.over
+
+
+# The guard itself.
+
+
+def test_a_guard_that_was_stopped_lands():
+    with playing() as peer, flying(peer) as drone:
+        os.kill(drone.process, signal.SIGSTOP)
+        time.sleep(process.LOST_S + 0.2)
+        os.kill(drone.process, signal.SIGCONT)
+        assert soon(lambda: landing(peer)) < 0.5
+        soon(lambda: drone.over)
+        assert "stood still" in drone.over
+
+
+def test_a_guard_that_dies_is_reported():
+    with playing() as peer, flying(peer) as drone:
+        os.kill(drone.process, signal.SIGKILL)
+        soon(lambda: drone._gone)
+        with pytest.raises(LinkError, match=r"guard process has ended \(exit code -9\).*FS_GCS_ENABLE"):
+            drone.send(FORWARD)
+        with pytest.raises(LinkError, match="has ended"):
+            drone.close()
+        assert drone.camera.closed
+
+
+def test_after_a_take_over_it_heartbeats_orders_nothing_and_outlives_the_pilot_process():
+    with playing() as peer:
+        with connected(peer) as drone:
+            drone.take_off(lambda _: True)
+            drone.send(FORWARD)
+            peer.part.mode = MODES["LOITER"]
+            soon(lambda: drone.over)
+            assert "LOITER" in drone.over
+            assert f"process {drone.process} heartbeats until it is disarmed" in drone.over
+            released = time.monotonic()
+            assert not drone.send(FORWARD).any()
+            drone.close()
+            beats = len(peer.of("HEARTBEAT"))
+            soon(lambda: len(peer.of("HEARTBEAT")) >= beats + 2)
+            assert drone._process.poll() is None
+            os.kill(drone.process, signal.SIGHUP)  # a terminal that goes away is no dismissal
+            soon(lambda: len(peer.of("HEARTBEAT")) >= beats + 3)
+            peer.part.armed = False
+            assert drone._process.wait(10) == process.LANDED
+        assert peer.setpoints_since(released) == []
+        assert [c for at, c in peer.heard if at > released and c.get_type() == "COMMAND_LONG"] == []
+
+
+@pytest.mark.parametrize("by_signal", [True, False])
+def test_after_a_take_over_the_operator_dismisses_it(by_signal):
+    with playing() as peer, flying(peer) as drone:
+        assert drone._process.poll() is None
+        peer.part.mode = MODES["LOITER"]
+        soon(lambda: drone.over)
+        if by_signal:
+            os.kill(drone.process, signal.SIGTERM)
+        else:
+            drone.dismiss()
+        assert drone._process.wait(10) == process.LEFT
+
+
+def test_it_is_not_dismissed_while_the_drone_is_ours():
+    with playing() as peer, flying(peer) as drone:
+        drone.dismiss()
+        before = time.monotonic()
+        drone.send(FORWARD)
+        soon(lambda: peer.setpoints_since(before))
+        assert drone._process.poll() is None
+
+
+def test_a_link_that_is_cut_is_opened_again_to_land():
+    with socket.create_server(("127.0.0.1", 0)) as server, playing() as peer, Router(server, peer) as router:
+        drone = GuardedDrone(f"tcp:127.0.0.1:{server.getsockname()[1]}", StillCamera(), CALM, FAST)
+        try:
+            drone.take_off(lambda _: True)
+            drone.send(FORWARD)
+            router.cut()
+            soon(lambda: landing(peer))
+            with pytest.raises(LinkError, match=r"closed by the other side|was cut"):
+                drone.close()
+        finally:
+            end(drone)
+
+
+class Router:
+    """One TCP client and one vehicle over UDP."""
+
+    def __init__(self, server: socket.socket, peer: Peer) -> None:
+        self._server = server
+        self._vehicle = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._vehicle.connect(("127.0.0.1", peer.port))
+        self._vehicle.settimeout(0.01)
+        self._client: socket.socket | None = None
+        self._stop = threading.Event()
+        self._threads = [threading.Thread(target=each) for each in (self._up, self._down)]
+
+    def __enter__(self) -> Router:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._stop.set()
+        for thread in self._threads:
+            thread.join()
+        self.cut()
+        self._vehicle.close()
+
+    def cut(self) -> None:
+        client, self._client = self._client, None
+        if client is not None:
+            with suppress(OSError):
+                client.shutdown(socket.SHUT_RDWR)
+
+    def _up(self) -> None:
+        self._server.settimeout(0.05)
+        while not self._stop.is_set():
+            with suppress(OSError), self._server.accept()[0] as client:
+                client.settimeout(0.05)
+                self._client = client
+                while not self._stop.is_set():
+                    with suppress(TimeoutError):
+                        if not (data := client.recv(4096)):
+                            break
+                        self._vehicle.send(data)
+
+    def _down(self) -> None:
+        while not self._stop.is_set():
+            with suppress(OSError):
+                data = self._vehicle.recv(4096)
+                if self._client is not None:
+                    self._client.sendall(data)
+
+
+# Logs.
+
+
+def test_a_full_disk_costs_the_log_and_nothing_else(tmp_path):
+    log = tmp_path / "flight.tlog"
+    log.symlink_to("/dev/full")
+    with playing() as peer:
+        with flying(peer, config=replace(FAST, tlog=log)) as drone:
+            before = time.monotonic()
+            for _ in range(10):
+                drone.observe()
+                assert drone.send(FORWARD)[0] > 0
+            soon(lambda: len(peer.setpoints_since(before)) >= 10)
+            assert drone.over is None
+            beats = len(peer.of("HEARTBEAT"))
+            soon(lambda: len(peer.of("HEARTBEAT")) > beats)
+        assert landing(peer)
+    assert "packets are not in the log: No space left on device" in drone.log_trouble
+
+
+def test_a_log_writer_that_is_stopped_or_dead_costs_the_log_and_nothing_else(tmp_path):
+    with playing() as peer, flying(peer, config=replace(FAST, tlog=tmp_path / "flight.tlog")) as drone:
+        writer = next(child for child in children(os.getpid()) if "tlog_writer" in cmdline(child))
+        os.kill(writer, signal.SIGSTOP)
+        before = time.monotonic()
+        while time.monotonic() < before + 1.0:
+            drone.observe()
+            assert drone.send(FORWARD)[0] > 0
+            time.sleep(0.02)
+        os.kill(writer, signal.SIGKILL)
+        os.kill(writer, signal.SIGCONT)
+        for _ in range(20):
+            drone.observe()
+            assert drone.send(FORWARD)[0] > 0
+        assert drone.over is None
+
+
+def cmdline(process: int) -> str:
+    with suppress(OSError):
+        return Path(f"/proc/{process}/cmdline").read_text()
+    return ""
+
+
+def test_a_stream_whose_reader_has_stopped_drops_whole_packets():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        transport = open_transport(f"tcp:127.0.0.1:{server.getsockname()[1]}")
+        with server.accept()[0] as reader:
+            packet = bytes(range(250))
+            began = time.monotonic()
+            while transport.dropped < 10:
+                transport.write(packet)
+            assert time.monotonic() - began < 5
+            got = b""
+            reader.settimeout(0.2)
+            with suppress(TimeoutError):
+                while data := reader.recv(1 << 20):
+                    got += data
+            assert len(transport._backlog) <= LARGEST_BACKLOG
+            assert got.startswith(packet * (len(got) // len(packet)))
+        transport.close()
+
+
+# Messages.
+
+NOW = 10**12
+
+
+def setpoint(sequence: int, **changes: object) -> bytes:
+    values: dict[str, object] = {"deadline_ns": NOW + 10**8, "frame_age_s": 0.1, "command": FORWARD} | changes
+    return pack(Kind.SETPOINT, sequence, values.pop("sent_ns", NOW), **values)  # type: ignore[arg-type]
+
+
+def test_a_message_is_read_as_it_was_written():
+    message = Inbox().read(setpoint(7), NOW)
+    assert isinstance(message, Message)
+    assert (message.kind, message.sequence, message.sent_s) == (Kind.SETPOINT, 7, 1000.0)
+    assert message.deadline_s == pytest.approx(1000.1)
+    assert message.command == pytest.approx(FORWARD)
+
+
+@pytest.mark.parametrize(
+    ("data", "kind"),
+    [
+        (setpoint(7)[:-1], "size"),
+        (setpoint(7) + b"\0", "size"),
+        (b"\0" * MESSAGE_BYTES, "format"),
+        (setpoint(5), "sequence"),
+        (setpoint(7, sent_ns=NOW + 10**9), "time"),
+        (setpoint(7, deadline_ns=NOW - 1), "late"),
+        (setpoint(7, frame_age_s=-1.0), "number"),
+        (setpoint(7, command=np.array([0, 0, np.inf, 0])), "number"),
+    ],
+)
+def test_what_is_wrong_with_a_message_is_counted(data, kind):
+    inbox = Inbox()
+    assert isinstance(inbox.read(setpoint(5), NOW), Message)
+    found = inbox.read(data, NOW)
+    assert isinstance(found, Fault)
+    assert (found.kind, dict(inbox.faults)) == (kind, {kind: 1})
+
+
+def test_more_messages_than_any_pilot_sends_are_a_flood_until_it_ends():
+    inbox = Inbox()
+    found = [inbox.read(setpoint(n + 1), NOW) for n in range(LARGEST_RATE + 5)]
+    assert [isinstance(each, Message) for each in found] == [True] * LARGEST_RATE + [False] * 5
+    later = NOW + 2 * 10**9
+    assert isinstance(inbox.read(setpoint(10_000, deadline_ns=later), later), Message)
+
+
+@given(st.lists(st.binary(max_size=2 * MESSAGE_BYTES) | st.binary(min_size=MESSAGE_BYTES, max_size=MESSAGE_BYTES)))
+def test_nothing_that_arrives_raises(packets):
+    inbox = Inbox()
+    for packet in packets:
+        inbox.read(packet, NOW)
+        # The same behind a good head, so that the numbers are reached.
+        head = setpoint(inbox.sequence + 1)[:20]
+        inbox.read((head + packet.ljust(MESSAGE_BYTES, b"\xff"))[:MESSAGE_BYTES], NOW)

@@ -1,0 +1,287 @@
+"""What can go wrong in flight, each fault injected over a real socket: noticed, and something safe done, in time.
+
+Rows of the hazard table in docs/real-drone.md. The limits are those of `SafetyConfig`, with leeway for a busy machine.
+"""
+
+from __future__ import annotations
+
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink")
+sys.path.insert(0, str(Path(__file__).parent))
+
+from peer import CALM, MODES, PARAMETERS, Peer, StillCamera, playing
+from pymavlink.dialects.v20 import ardupilotmega as m
+
+from cognitivedrone.control.safety import Guard, SafetyConfig, Timeouts
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
+from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
+
+CONFIG = MavlinkConfig(heartbeat_timeout_s=2, ready_timeout_s=2, takeoff_timeout_s=2, landing_timeout_s=5)
+LEEWAY_S = 0.5
+RULES = SafetyConfig()
+FORWARD = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
+STICKS = (1500, 1500, 1200, 1500)
+
+
+def watching(**rules: Any) -> SafetyConfig:
+    """Calm about all but these rules."""
+    return replace(CALM, land_after_brake_s=0.5, **rules)
+
+
+@contextmanager
+def flying(peer: Peer, safety: SafetyConfig, config: MavlinkConfig = CONFIG) -> Iterator[MavlinkDrone]:
+    with MavlinkDrone(f"udpout:127.0.0.1:{peer.port}", StillCamera(), Guard(safety), config) as drone:
+        drone.take_off(lambda _: True)
+        yield drone
+
+
+def until(drone: MavlinkDrone, holds: Callable[[], object], timeout_s: float) -> float:
+    """Fly on with a good policy; seconds until it holds."""
+    began = time.monotonic()
+    while not holds():
+        drone.send(FORWARD)
+        assert time.monotonic() - began < timeout_s + LEEWAY_S, drone.decision
+        time.sleep(0.005)
+    return time.monotonic() - began
+
+
+def flies(drone: MavlinkDrone) -> bool:
+    return drone.decision is not None and drone.decision.kind == "fly"
+
+
+def mode_orders(peer: Peer, since: float) -> list[int]:
+    return [
+        int(c.param2)
+        for at, c in list(peer.heard)
+        if at >= since and c.get_type() == "COMMAND_LONG" and c.command == 176
+    ]
+
+
+def lands(peer: Peer, drone: MavlinkDrone, words: str, within_s: float) -> None:
+    """It is held or braked in time for the right reason, and lands after that; BRAKE is never ordered."""
+    fault = time.monotonic()
+    until(drone, lambda: drone.decision.kind != "fly", within_s)
+    assert words in drone.decision.reason
+    assert not drone.send(FORWARD).any()
+    until(drone, lambda: peer.part.mode == MODES["LAND"], 2 * within_s + 4)
+    assert words in drone.over
+    assert set(mode_orders(peer, fault)) == {MODES["LAND"]}
+
+
+def change(**part: Any) -> Callable[[Peer], None]:
+    def apply(peer: Peer) -> None:
+        for name, value in part.items():
+            setattr(peer.part, name, value)
+
+    return apply
+
+
+def jump(peer: Peer) -> None:
+    peer.part.position = [peer.part.position[0] + 5.0, *peer.part.position[1:]]
+
+
+def restart(peer: Peer) -> None:
+    peer.part.behind_s = 4.0
+
+
+FAULTS = [
+    # What happens, which rule is looked at, what it says, within what time.
+    (change(yaw=float("nan")), {"state": RULES.state}, "attitude or position", 0.3),
+    (change(clock_rate=0.0), {"state": RULES.state}, "attitude or position", 0.3),
+    (change(clock_rate=0.5), {"state": RULES.state}, "attitude or position", 0.6),
+    (change(quiet=frozenset({"TIMESYNC"})), {"uplink": RULES.uplink}, "commands may not arrive", 1.2),
+    (change(ekf=0xA7), {}, "does not know where it is", 0.3),
+    (change(variance=1.0), {}, "diverges", 0.3),
+    (change(quiet=frozenset({"EKF_STATUS_REPORT"})), {"estimator_report": RULES.estimator_report}, "estimator", 1.0),
+    (change(quiet=frozenset({"SYS_STATUS"})), {"battery_report": Timeouts(0.3, 0.6)}, "report of the battery", 0.3),
+    (change(battery=-1), {"battery_report": Timeouts(0.3, 0.6)}, "report of the battery", 0.3),
+    (change(tilt=1.3), {}, "tilt", 0.1),
+    (jump, {"most_jump_m": RULES.most_jump_m}, "position jumped by", 0.1),
+    (restart, {"state": Timeouts(20, 20)}, "clock went back", 0.1),
+    (change(target=(0xDF8, 0.0)), {}, "did not send", 2.0),
+    (change(target=(0xC07, 4.0)), {}, "did not send", 2.0),
+]
+NAMES = [
+    *("nan_yaw", "frozen", "late", "dead_uplink", "lost_position", "diverging", "silent_estimator", "silent_status"),
+    *("silent_battery", "tilt", "jump", "restart", "foreign_place", "foreign_speed"),
+]
+
+
+@pytest.mark.parametrize(("fault", "rules", "words", "within_s"), FAULTS, ids=NAMES)
+def test_a_fault_of_the_vehicle_lands(fault, rules, words, within_s):
+    with playing() as peer, flying(peer, watching(**rules)) as drone:
+        until(drone, lambda: flies(drone), 1.0)
+        fault(peer)
+        lands(peer, drone, words, within_s)
+
+
+@pytest.mark.parametrize("mode", ["RTL", "LOITER"])
+def test_without_heartbeats_nothing_is_ordered_over_a_pilot(mode):
+    """Heartbeats are lost while other telemetry lives, and the pilot takes over unseen."""
+    with playing() as peer:
+        with flying(peer, watching(heartbeat=Timeouts(0.3, 0.6))) as drone:
+            until(drone, lambda: flies(drone), 1.0)
+            peer.part.quiet, fault = frozenset({"HEARTBEAT"}), time.monotonic()
+            peer.part.mode = MODES[mode]
+            until(drone, lambda: drone.decision.kind == "hold", 0.3)
+            assert "its mode is unknown" in drone.decision.reason
+            until(drone, lambda: drone.decision.kind == "land", 1.2)
+            time.sleep(0.3)
+            assert mode_orders(peer, fault) == []
+            # It is brought down by velocities, which only GUIDED obeys.
+            assert peer.setpoints_since(fault)[-1] == pytest.approx((0, 0, 0.5, 0))
+            peer.part.quiet = frozenset()
+            until(drone, lambda: drone.decision.kind == "hands_off", 0.2)
+            assert mode in drone.over
+        assert mode_orders(peer, fault) == []
+        assert peer.part.mode == MODES[mode]
+
+
+def test_heartbeats_that_come_back_in_guided_let_it_land():
+    with playing() as peer, flying(peer, watching(heartbeat=Timeouts(0.3, 0.6))) as drone:
+        until(drone, lambda: flies(drone), 1.0)
+        peer.part.quiet, fault = frozenset({"HEARTBEAT"}), time.monotonic()
+        until(drone, lambda: drone.decision.kind == "land", 2.0)
+        assert mode_orders(peer, fault) == []
+        peer.part.quiet = frozenset()
+        until(drone, lambda: peer.part.mode == MODES["LAND"], 1.0)
+
+
+def test_a_silent_downlink_leaves_the_vehicle_in_guided():
+    """Whose failsafe lands when we fall silent, whatever FS_OPTIONS says of modes that a pilot flies."""
+    with playing() as peer, flying(peer, watching(link=RULES.link, heartbeat=RULES.heartbeat)) as drone:
+        until(drone, lambda: flies(drone), 1.0)
+        peer.part.mute, fault = True, time.monotonic()
+        until(drone, lambda: drone.decision.kind == "land", 3.0)
+        time.sleep(0.2)
+        assert mode_orders(peer, fault) == []
+        assert peer.part.mode == MODES["GUIDED"]
+        assert not np.any([s[:2] for s in peer.setpoints_since(fault + 0.4)])
+        peer.part.mute = False
+
+
+def test_a_stick_that_moves_leaves_the_vehicle_in_guided():
+    with playing(sticks=STICKS) as peer, flying(peer, watching()) as drone:
+        until(drone, lambda: flies(drone), 1.0)
+        moved = time.monotonic()
+        peer.part.sticks = (1500, 1700, 1200, 1500)
+        until(drone, lambda: drone.decision.kind == "brake", 0.2)
+        time.sleep(1.0)
+        assert drone.decision.kind == "brake"
+        assert mode_orders(peer, moved) == []
+
+
+def test_a_lost_remote_control_lands():
+    with playing(sticks=STICKS, remote=True) as peer, flying(peer, watching(remote=RULES.remote)) as drone:
+        until(drone, lambda: flies(drone), 1.0)
+        peer.part.remote = False
+        lands(peer, drone, "remote control is lost", 0.6)
+
+
+@pytest.mark.parametrize("on", [{"remote": True}, {"sticks": STICKS}])
+def test_a_remote_control_that_is_switched_on_brakes(on):
+    with playing(**({"remote": False} if "remote" in on else {})) as peer, flying(peer, watching()) as drone:
+        until(drone, lambda: flies(drone), 1.0)
+        change(**on)(peer)
+        until(drone, lambda: drone.decision.kind == "brake", 0.3)
+        assert "switched on" in drone.decision.reason
+        time.sleep(0.7)
+        assert peer.part.mode == MODES["GUIDED"]
+
+
+def packet(system: int, component: int, message: m.MAVLink_message) -> bytes:
+    return message.pack(m.MAVLink(None, srcSystem=system, srcComponent=component))
+
+
+@pytest.mark.parametrize(
+    ("system", "message", "words"),
+    [
+        (
+            9,
+            m.MAVLink_set_position_target_local_ned_message(0, 1, 1, 8, 0x5C7, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0),
+            "system 9, component 190, commands the vehicle too",
+        ),
+        (255, m.MAVLink_heartbeat_message(m.MAV_TYPE_GCS, 8, 0, 0, 4, 3), "hides our silence"),
+    ],
+)
+def test_who_else_commands_or_hides_us_lands_it(system, message, words):
+    with playing() as peer, flying(peer, watching()) as drone:
+        until(drone, lambda: flies(drone), 1.0)
+        peer.part.also = (packet(system, 190, message),)
+        lands(peer, drone, words, 0.2)
+
+
+def test_somebody_who_sends_as_the_vehicle_is_not_believed_and_lands_it():
+    with playing() as peer, flying(peer, watching()) as drone:
+        until(drone, lambda: flies(drone), 1.0)
+        ours = peer.address()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as impostor:
+            fault = time.monotonic()
+            while drone.decision.kind == "fly":
+                assert time.monotonic() - fault < LEEWAY_S
+                drone.send(FORWARD)
+                impostor.sendto(packet(1, 1, m.MAVLink_heartbeat_message(2, 3, 0x81, MODES["LOITER"], 4, 3)), ours)
+                time.sleep(0.005)
+        assert "sends as the vehicle" in drone.decision.reason
+        # Had it been believed, this would be a pilot who took over.
+        assert drone.decision.kind == "brake"
+        assert peer.setpoints_since(fault)
+        until(drone, lambda: peer.part.mode == MODES["LAND"], 2.0)
+
+
+CHANGED = {"FS_GCS_ENABLE": 0.0, "FS_OPTIONS": 0.0, "GUID_TIMEOUT": 3.0, "FENCE_ENABLE": 0.0}
+
+
+def test_nothing_that_was_set_acts_against_a_pilot_who_took_over():
+    with playing(parameters={**PARAMETERS, **CHANGED}) as peer:
+        with flying(peer, watching(), replace(CONFIG, set_parameters=True)) as drone:
+            until(drone, lambda: flies(drone), 1.0)
+            assert peer.part.parameters == pytest.approx(PARAMETERS)
+            peer.part.mode = MODES["RTL"]
+            until(drone, lambda: peer.part.parameters["FS_GCS_ENABLE"] == 0.0, 0.3)
+            until(drone, lambda: peer.part.parameters["FENCE_ENABLE"] == 0.0, 0.3)
+            assert peer.part.parameters["FS_OPTIONS"] == 16.0
+            peer.part.armed = False
+            until(drone, lambda: peer.part.parameters == {**PARAMETERS, **CHANGED}, 1.0)
+        assert peer.part.mode == MODES["RTL"]
+
+
+def test_a_landed_flight_and_a_killed_one_are_put_back():
+    with playing(parameters={**PARAMETERS, **CHANGED}) as peer:
+        with flying(peer, watching(), replace(CONFIG, set_parameters=True)):
+            assert peer.part.parameters["FS_GCS_ENABLE"] == 5.0
+        assert peer.part.parameters == {**PARAMETERS, **CHANGED}
+        # As after `kill -9`: nothing of the first program is ever called again.
+        drone = MavlinkDrone(
+            f"udpout:127.0.0.1:{peer.port}", StillCamera(), Guard(watching()), replace(CONFIG, set_parameters=True)
+        )
+        drone.take_off(lambda _: True)
+        drone.link.close()
+        assert peer.part.parameters["FS_GCS_ENABLE"] == 5.0
+        peer.part.armed, peer.part.mode = False, MODES["STABILIZE"]
+        with MavlinkDrone(f"udpout:127.0.0.1:{peer.port}", StillCamera(), Guard(watching()), CONFIG) as again:
+            found = {finding.what: finding.found for finding in again.checklist().findings}
+        assert found["FS_GCS_ENABLE"] == "0"
+        assert peer.part.parameters == {**PARAMETERS, **CHANGED}
+
+
+@pytest.mark.parametrize(("timeout", "most"), [(0.3, 1.0), (1.0, 1.0), (0.8, 1.25)])
+def test_the_vehicles_own_time_limit_for_commands_limits_the_speed(timeout, most):
+    with playing(parameters={**PARAMETERS, "GUID_TIMEOUT": timeout}) as peer, flying(peer, watching()) as drone:
+        fast = FORWARD * (2.0 if timeout > 0.3 else 1.0)
+        began = time.monotonic()
+        while time.monotonic() - began < 1.0:
+            sent = drone.send(fast)
+            time.sleep(0.02)
+        assert float(np.linalg.norm(sent[:3])) == pytest.approx(most, abs=0.01)

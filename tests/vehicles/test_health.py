@@ -1,0 +1,272 @@
+"""From messages to `Health`: what a vehicle's reports, and who else is on the link, mean for the rules."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink")
+sys.path.insert(0, str(Path(__file__).parent))
+
+from pymavlink.dialects.v20 import ardupilotmega as m
+
+from cognitivedrone.vehicles.mavlink.client.health import Asked, Baseline, health_of
+from cognitivedrone.vehicles.mavlink.client.traffic import Traffic, answered, noticed, request_time
+from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, heard
+
+REMOTE = m.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+START = 1000.0
+"""Our clock when the vehicle's shows 5 s."""
+
+
+def attitude(at: float, roll: float = 0.0, yaw: float = 0.0):
+    return m.MAVLink_attitude_message(round(1000 * (at - START + 5)), roll, 0, yaw, 0, 0, 0)
+
+
+def position(at: float, north: float = 0.0, speed: float = 0.0):
+    return m.MAVLink_local_position_ned_message(round(1000 * (at - START + 5)), north, 0, -1.5, speed, 0, 0)
+
+
+def status(battery: int = 80, present: int = 0, healthy: int = 0):
+    return m.MAVLink_sys_status_message(present, present, healthy, 0, 12000, -1, battery, 0, 0, 0, 0, 0, 0)
+
+
+def estimator(flags: int = 0x33F, **variances: float):
+    names = ("velocity", "pos_horiz", "pos_vert", "compass", "terrain_alt")
+    return m.MAVLink_ekf_status_report_message(flags, *[variances.get(name, 0.0) for name in names])
+
+
+def heartbeat(mode: int = 4):
+    return m.MAVLink_heartbeat_message(2, 3, 0x81, mode, 4, 3)
+
+
+def told(*messages, since: Telemetry | None = None) -> Telemetry:
+    """The telemetry after messages, each with the time when it came."""
+    telemetry = since or Telemetry()
+    for at, message in messages:
+        telemetry = heard(telemetry, message, at)
+    return telemetry
+
+
+GOOD = told(
+    (START, heartbeat()), (START, attitude(START)), (START, position(START)), (START, status()), (START, estimator())
+)
+
+
+def health(telemetry: Telemetry, now: float, traffic: Traffic | None = None, sent=((START, 1.0),), **options):
+    baseline = Baseline.taken(GOOD, np.zeros(3), START, 0.5)
+    asked = Asked(now, None, now, now, frozenset({"GUIDED"}), sent)
+    return health_of(telemetry, traffic or Traffic(answered_at=now), baseline, asked, now, **options)
+
+
+def test_a_good_vehicle_is_good():
+    now = health(GOOD, START + 0.1)
+    assert now.state_age_s == pytest.approx(0.1)
+    assert (now.heartbeat_age_s, now.battery_age_s, now.estimator_age_s) == pytest.approx((0.1, 0.1, 0.1))
+    assert (now.estimator, now.intruder, now.restarted, now.jump_m, now.remote_age_s) == ("", "", False, 0.0, 0.0)
+    assert now.state_known
+    assert now.speed_limit_m_s == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        m.MAVLink_attitude_message(6000, 0, 0, math.nan, 0, 0, 0),
+        m.MAVLink_attitude_message(6000, math.inf, 0, 0, 0, 0, 0),
+        m.MAVLink_local_position_ned_message(6000, 0, 0, 0, math.nan, 0, 0),
+        m.MAVLink_local_position_ned_message(6000, math.inf, 0, 0, 0, 0, 0),
+    ],
+)
+def test_numbers_that_are_none_are_no_news(bad):
+    telemetry = told((START + 1, bad), since=GOOD)
+    now = health(telemetry, START + 1)
+    assert now.state_known
+    assert now.state_age_s >= 1.0
+    assert now.link_age_s == 0.0
+
+
+def test_frozen_telemetry_grows_old_although_it_keeps_coming():
+    telemetry = GOOD
+    for step in range(1, 21):
+        at = START + step * 0.05
+        telemetry = told((at, attitude(START)), (at, position(START)), since=telemetry)
+    assert health(telemetry, START + 1).state_age_s == pytest.approx(1.0, abs=0.05)
+    # On vehicle time, a simulation may pause.
+    assert health(telemetry, START + 1, judges_time=False).state_age_s < 0.1
+
+
+def test_one_frozen_message_of_two_is_enough():
+    telemetry = GOOD
+    for step in range(1, 21):
+        at = START + step * 0.05
+        telemetry = told((at, attitude(at)), (at, position(START)), since=telemetry)
+    assert health(telemetry, START + 1).state_age_s == pytest.approx(1.0, abs=0.05)
+
+
+def test_late_telemetry_is_as_old_as_it_is():
+    at = START + 2.0
+    telemetry = told((at, attitude(at - 0.8)), (at, position(at - 0.8)), since=GOOD)
+    assert health(telemetry, at).state_age_s == pytest.approx(0.8, abs=0.05)
+
+
+def test_a_clock_that_runs_a_little_slow_is_forgiven():
+    telemetry = GOOD
+    for step in range(600):
+        at = START + step * 0.1
+        theirs = START + step * 0.1 * 0.9995
+        telemetry = told((at, attitude(theirs)), (at, position(theirs)), since=telemetry)
+    assert health(telemetry, START + 60).state_age_s < 0.15
+
+
+def test_lateness_is_not_forgiven_in_a_flight():
+    telemetry = GOOD
+    for step in range(600):
+        at = START + step * 0.1
+        telemetry = told((at, attitude(at - 0.8)), (at, position(at - 0.8)), since=telemetry)
+    assert health(telemetry, START + 60).state_age_s > 0.7
+
+
+def test_a_restart_is_a_clock_that_goes_back():
+    before = told((START + 1, attitude(START + 1)), since=GOOD)
+    assert not health(told((START + 1, attitude(START + 0.5)), since=before), START + 1).restarted
+    assert health(told((START + 1, attitude(START - 4)), since=before), START + 1).restarted
+
+
+@pytest.mark.parametrize(
+    ("north", "speed", "jump"), [(0.1, 2.0, 0.0), (0.3, 2.0, 0.0), (3.0, 0.0, 2.9), (0.4, 0.0, 0.0)]
+)
+def test_a_jump_is_farther_than_speed_explains(north, speed, jump):
+    at = START + 0.05
+    telemetry = told((at, position(at, north, speed)), since=GOOD)
+    assert health(telemetry, at).jump_m == pytest.approx(jump, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("report", "words"),
+    [
+        (estimator(0x33F), ""),
+        (estimator(0x33F, velocity=0.9), ""),
+        (estimator(0x33F, velocity=0.9, pos_horiz=0.9), "velocity 0.9, position 0.9"),
+        (estimator(0x33F, velocity=1.7), "velocity 1.7"),
+        (estimator(0x33F, velocity=math.nan), "velocity nan"),
+        (estimator(0xA7), "does not know where it is"),
+        (estimator(0x33F & ~0x2), "does not know where it is"),
+        (estimator(0), "does not know where it is"),
+    ],
+)
+def test_a_bad_estimator_is_told_in_words(report, words):
+    said = health(told((START + 1, report), since=GOOD), START + 1).estimator
+    assert words in said
+    assert bool(said) == bool(words)
+
+
+def test_a_battery_and_an_estimator_that_fall_silent_grow_old():
+    now = health(told((START + 9, heartbeat()), (START + 9, status(-1)), since=GOOD), START + 9)
+    assert now.battery is None
+    assert now.battery_age_s == pytest.approx(9)
+    assert now.estimator_age_s == pytest.approx(9)
+    never = told((START, heartbeat()), (START, attitude(START)), (START, position(START)))
+    asked = Asked(START + 9, None, START, START, frozenset())
+    late = health_of(never, Traffic(), Baseline.taken(never, np.zeros(3), START), asked, START + 9)
+    assert (late.battery_age_s, late.estimator_age_s) == (0.0, 0.0)
+
+
+def remote_control(at: float, *, on: bool):
+    return at, status(present=REMOTE, healthy=REMOTE if on else 0)
+
+
+def test_a_remote_control_is_lost_or_appears():
+    on = told(remote_control(START, on=True), since=GOOD)
+    baseline = Baseline.taken(on, np.zeros(3), START)
+    asked = Asked(START + 3, None, START, START, frozenset())
+    off = told(remote_control(START + 3, on=False), since=on)
+    assert health_of(off, Traffic(), baseline, asked, START + 3).remote_age_s == pytest.approx(3)
+    # The channels keep their last values when the receiver hears nothing: they prove nothing.
+    channels = m.MAVLink_rc_channels_message(0, 4, 1500, 1500, 1000, 1500, *[0] * 14, 255)
+    still = told((START + 3, channels), since=off)
+    assert health_of(still, Traffic(), baseline, asked, START + 3).remote_age_s == pytest.approx(3)
+    # None at take-off, and then one.
+    assert not health(told(remote_control(START + 1, on=False), since=GOOD), START + 1).remote_appeared
+    assert health(told(remote_control(START + 1, on=True), since=GOOD), START + 1).remote_appeared
+    assert health(told((START + 1, channels), since=GOOD), START + 1).remote_appeared
+
+
+def test_a_tilt_is_that_of_both_axes():
+    assert health(told((START, attitude(START, roll=1.2)), since=GOOD), START).tilt_rad == pytest.approx(1.2)
+
+
+def target(mask: int, speed: float):
+    return m.MAVLink_position_target_local_ned_message(0, 1, mask, 0, 0, 0, speed, 0, 0, 0, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("mask", "speed", "after", "foreign"),
+    [
+        (0xC07, 1.2, 2.0, False),
+        (0xC07, 0.0, 2.0, False),  # our commands were late: it stopped by itself
+        (0xC07, 1.8, 2.0, True),
+        (0xDF8, 0.0, 2.0, True),  # a place, which we never ask for
+        (0xDF8, 0.0, 1.0, False),  # that of the take-off, before our first velocity arrived
+    ],
+)
+def test_a_target_that_we_did_not_send_is_somebody_elses(mask, speed, after, foreign):
+    now = START + after
+    telemetry = told((now, heartbeat()), (now, target(mask, speed)), since=GOOD)
+    said = health(telemetry, now, sent=((START, 3.0), (now - 0.5, 1.2))).intruder
+    assert ("did not send" in said) == foreign
+
+
+def sent_by(system: int, component: int, message):
+    message.pack(m.MAVLink(None, srcSystem=system, srcComponent=component))
+    return message
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (
+            m.MAVLink_set_position_target_local_ned_message(0, 1, 1, 8, 0x5C7, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0),
+            "system 9",
+        ),
+        (m.MAVLink_command_long_message(1, 1, 176, 0, 1, 5, 0, 0, 0, 0, 0), "system 9"),
+        (m.MAVLink_set_mode_message(1, 1, 5), "system 9"),
+        (m.MAVLink_command_long_message(1, 1, 512, 0, 1, 0, 0, 0, 0, 0, 0), ""),  # asks, and moves nothing
+        (m.MAVLink_command_long_message(2, 1, 176, 0, 1, 5, 0, 0, 0, 0, 0), ""),  # for another vehicle
+        (m.MAVLink_param_request_list_message(1, 1), ""),
+    ],
+)
+def test_who_else_commands_is_named(message, words):
+    traffic = noticed(Traffic(answered_at=START), sent_by(9, 190, message), (1, 1), START + 1)
+    said = health(GOOD, START + 1, traffic).intruder
+    assert words in said
+    assert bool(said) == bool(words)
+
+
+def test_a_ground_station_may_watch_but_not_with_our_id():
+    beat = m.MAVLink_heartbeat_message(m.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
+    watches = noticed(Traffic(answered_at=START), sent_by(250, 190, beat), (1, 1), START)
+    assert health(GOOD, START, watches).intruder == ""
+    masks = noticed(watches, sent_by(255, 190, beat), (1, 1), START)
+    assert "hides our silence" in health(GOOD, START, masks).intruder
+    assert noticed(watches, sent_by(255, 191, beat), (1, 1), START) == watches  # that is us
+
+
+def test_an_impostor_counts_for_a_while():
+    traffic = Traffic(answered_at=START, impostor_at=START + 1)
+    assert "sends as the vehicle" in health(GOOD, START + 2, traffic).intruder
+    assert health(GOOD, START + 4, traffic).intruder == ""
+
+
+def test_only_the_answer_to_our_own_request_counts():
+    traffic = Traffic(nonce=123)
+    asked = request_time(traffic, 50.0)
+    assert answered(traffic, m.MAVLink_timesync_message(7, asked), 50.2).answered_at == pytest.approx(50.0)
+    for tc1, ts1 in ((0, asked), (7, asked + 1), (7, request_time(traffic, 51.0)), (7, -asked)):
+        assert answered(traffic, m.MAVLink_timesync_message(tc1, ts1), 50.2) == traffic
+    newer = replace(traffic, answered_at=50.1)
+    assert answered(newer, m.MAVLink_timesync_message(7, asked), 50.2) == newer

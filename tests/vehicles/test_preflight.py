@@ -1,0 +1,187 @@
+"""The checklist: every row, and what blocks arming."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink")
+sys.path.insert(0, str(Path(__file__).parent))
+
+from peer import PARAMETERS
+
+from cognitivedrone.vehicles.mavlink.client.preflight import NAMES, Facts, build_checklist, corrections
+from cognitivedrone.vehicles.mavlink.client.traffic import Traffic
+from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
+
+NOW = 100.0
+TELEMETRY = Telemetry(
+    mode="STABILIZE",
+    heard_at=NOW,
+    heartbeat_at=NOW,
+    position=np.zeros(3),
+    position_at=NOW,
+    attitude_at=NOW,
+    vehicle_time=30.0,
+    position_time=30.0,
+    attitude_time=30.0,
+    clock_offset=70.0,
+    battery=0.8,
+    battery_at=NOW,
+    status_at=NOW,
+    ekf=0x33F,
+    ekf_at=NOW,
+    sticks=(1500, 1500, 1000, 1500),
+    remote_at=NOW,
+)
+FACTS = Facts(
+    now=NOW,
+    version=(4, 6),
+    values=PARAMETERS,
+    changed=(),
+    telemetry=TELEMETRY,
+    traffic=Traffic(answered_at=NOW - 0.1),
+    home=True,
+    frame_age_s=0.1,
+    takeoff_height_m=1.0,
+    ceiling_m=10.0,
+)
+
+
+def states(**changes: Any) -> dict[str, str]:
+    """State by row, with other values of parameters or other facts."""
+    values = {name: changes.pop(name) for name in list(changes) if name in NAMES}
+    telemetry = replace(TELEMETRY, **{name: changes.pop(name) for name in list(changes) if hasattr(TELEMETRY, name)})
+    facts = replace(FACTS, values={**PARAMETERS, **values}, telemetry=telemetry, **changes)
+    return {finding.what: finding.state for finding in build_checklist(facts).findings}
+
+
+def test_a_good_vehicle_passes_and_only_the_person_is_asked():
+    assert {what for what, state in states().items() if state != "ok"} == {"you"}
+    assert set(NAMES) <= set(states())
+
+
+@pytest.mark.parametrize(
+    ("name", "good", "look", "bad"),
+    [
+        ("SYSID_MYGCS", [255], [], [250, 0, 1]),
+        ("FS_GCS_ENABLE", [5, 4], [], [0, 2, 6, 7, 99]),
+        ("FS_GCS_TIMEOUT", [2, 5], [], [0, 30, 120]),
+        ("FS_OPTIONS", [16, 16 + 8, 16 + 3], [], [0, 8, 4, 20]),
+        ("GUID_TIMEOUT", [0.1, 0.3, 1.0], [], [0, 1.1, 3, 5]),
+        ("ARMING_CHECK", [1], [72], [0]),
+        ("FENCE_ENABLE", [1], [], [0]),
+        ("FENCE_ACTION", [1, 2, 3, 5], [], [0, 4]),
+        ("BATT_FS_LOW_ACT", [1, 2], [], [0, 5, 7]),
+        ("BATT_LOW_VOLT", [10.5], [0], []),
+        ("RTL_ALT", [0, 1000], [1001, 1500], []),
+        ("RTL_CLIMB_MIN", [0], [100], []),
+        ("FS_THR_ENABLE", [1, 3], [0, 7], []),
+        ("FS_EKF_ACTION", [1, 3], [2], []),
+        ("FS_EKF_THRESH", [0.8], [0], []),
+        ("FS_CRASH_CHECK", [1], [0], []),
+    ],
+)
+def test_each_parameter(name, good, look, bad):
+    for state, values in (("ok", good), ("look", look), ("bad", bad)):
+        for value in values:
+            assert states(**{name: float(value)})[name] == state, value
+
+
+def test_each_parameter_is_tested():
+    rows = test_each_parameter.pytestmark[0].args[1]
+    assert tuple(row[0] for row in rows) == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_vehicle_without_a_required_parameter_is_not_flown(name):
+    required = ("SYSID_MYGCS", "FS_", "GUID_TIMEOUT", "ARMING", "FENCE", "BATT_FS")
+    advisory = {"FS_THR_ENABLE", "FS_EKF_ACTION", "FS_EKF_THRESH", "FS_CRASH_CHECK"}
+    expected = "bad" if name.startswith(required) and name not in advisory else "look"
+    assert states(**{name: None})[name] == expected
+
+
+@pytest.mark.parametrize(
+    ("rtl", "climb", "state"), [(900.0, 0.0, "ok"), (1500.0, 0.0, "bad"), (900.0, 500.0, "bad"), (None, 0.0, "bad")]
+)
+@pytest.mark.parametrize("action", [1.0, 3.0])
+def test_a_failsafe_that_returns_must_not_climb_above_our_ceiling(action, rtl, climb, state):
+    assert states(FS_GCS_ENABLE=action, RTL_ALT=rtl, RTL_CLIMB_MIN=climb)["FS_GCS_ENABLE"] == state
+
+
+@pytest.mark.parametrize(
+    ("changes", "row", "state"),
+    [
+        ({"version": None}, "firmware", "look"),
+        ({"vehicle_time": 0.0}, "clock", "bad"),
+        ({"position_at": NOW + 2.0}, "clock", "bad"),  # 2 s later than its own time says
+        ({"heartbeat_at": NOW - 2}, "heartbeat", "bad"),
+        ({"traffic": Traffic()}, "answers", "bad"),
+        ({"traffic": Traffic(answered_at=NOW - 2)}, "answers", "bad"),
+        ({"ekf": None}, "state estimator", "bad"),
+        ({"ekf_at": NOW - 5}, "state estimator", "bad"),
+        ({"ekf": 0xA7}, "state estimator", "bad"),
+        ({"ekf_variances": (1.0, 1.0, 0.0, 0.0)}, "state estimator", "bad"),
+        ({"ekf": 0xA7}, "position", "bad"),
+        ({"position_at": -np.inf}, "position", "bad"),
+        ({"home": False}, "home", "bad"),
+        ({"battery": None, "status_at": -np.inf}, "battery", "bad"),
+        ({"battery": None}, "battery", "look"),
+        ({"battery": 0.29}, "battery", "bad"),
+        ({"sticks": ()}, "remote control", "look"),
+        ({"remote_at": NOW - 5}, "remote control", "look"),
+        ({"frame_age_s": 1.5}, "camera", "bad"),
+        ({"traffic": Traffic(answered_at=NOW, ground_stations=frozenset({(250, 190)}))}, "ground station", "look"),
+        ({"traffic": Traffic(answered_at=NOW, ground_stations=frozenset({(255, 190)}))}, "ground station", "bad"),
+        ({"traffic": Traffic(answered_at=NOW, commander="system 9", commander_at=NOW)}, "commander", "bad"),
+        ({"traffic": Traffic(answered_at=NOW, impostor_at=NOW)}, "sender", "bad"),
+    ],
+)
+def test_each_state(changes, row, state):
+    assert states(**changes)[row] == state
+
+
+def test_a_simulation_that_runs_slowly_is_not_late():
+    assert states(position_at=NOW + 2.0, judges_time=False)["clock"] == "ok"
+
+
+def test_the_table_tells_found_needed_and_why():
+    text = str(build_checklist(replace(FACTS, values={**PARAMETERS, "FS_GCS_ENABLE": 7.0})))
+    head, *rows = text.splitlines()
+    assert head.split() == ["what", "found", "needed", "why"]
+    row = next(row for row in rows if "FS_GCS_ENABLE" in row)
+    assert row.startswith("[bad ] FS_GCS_ENABLE")
+    assert "7 brakes and stays" in row
+    assert "5 or 4" in row
+    assert len(rows) == len(build_checklist(FACTS).findings)
+
+
+def test_what_is_set_with_consent_is_what_is_bad_and_makes_it_good():
+    wrong = {
+        "SYSID_MYGCS": 250.0,
+        "FS_GCS_ENABLE": 7.0,
+        "FS_GCS_TIMEOUT": 120.0,
+        "FS_OPTIONS": 12.0,
+        "GUID_TIMEOUT": 3.0,
+        "ARMING_CHECK": 0.0,
+        "FENCE_ENABLE": 0.0,
+        "FENCE_ACTION": 0.0,
+        "BATT_FS_LOW_ACT": 0.0,
+    }
+    values = {**PARAMETERS, **wrong, "RTL_ALT": 1500.0, "FS_THR_ENABLE": 0.0}
+    fixed = corrections(values, 10.0)
+    assert set(fixed) == set(wrong)
+    assert fixed["FS_OPTIONS"] == 8 + 16  # the user's other bits stay
+    assert not build_checklist(replace(FACTS, values={**values, **fixed})).bad
+    assert corrections(PARAMETERS, 10.0) == {}
+    assert corrections(values, 10.0, only=("FS_GCS_ENABLE",)) == {"FS_GCS_ENABLE": 5}
+
+
+def test_of_a_simulation_only_the_named_rows_block():
+    facts = replace(FACTS, values={**PARAMETERS, "FS_GCS_ENABLE": 0.0, "FENCE_ENABLE": 0.0}, home=False)
+    assert [f.what for f in build_checklist(facts, only=("FS_GCS_ENABLE",)).bad] == ["FS_GCS_ENABLE"]

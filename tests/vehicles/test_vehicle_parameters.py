@@ -1,0 +1,154 @@
+"""Parameters are put back after the flight, whatever ends it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pymavlink")
+sys.path.insert(0, str(Path(__file__).parent))
+
+from cognitivedrone.errors import LinkError
+from cognitivedrone.vehicles.mavlink.client.parameters import ParameterChanges, journal_of, vehicle_key
+
+
+class Table:
+    """A vehicle's parameters."""
+
+    def __init__(self, **values: float) -> None:
+        self.values: dict[str, float | None] = dict(values)
+        self.set: list[tuple[str, float]] = []
+        self.deaf = False
+
+    def parameters(self, names):
+        return {name: None if self.deaf else self.values.get(name) for name in names}
+
+    def set_parameter(self, name, value):
+        self.tell_parameter(name, value)
+        if self.deaf:
+            raise LinkError("no answer")
+
+    def tell_parameter(self, name, value):
+        self.set.append((name, value))
+        if not self.deaf:
+            self.values[name] = value
+
+    def told_parameter(self, name):
+        return self.values.get(name)
+
+
+BEFORE = {"FS_GCS_ENABLE": 0.0, "FS_OPTIONS": 0.0, "GUID_TIMEOUT": 3.0}
+WANTED = {"FS_GCS_ENABLE": 5.0, "FS_OPTIONS": 16.0, "GUID_TIMEOUT": 0.3}
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Path:
+    return tmp_path / "new" / "vehicle.json"
+
+
+@pytest.fixture
+def changed(journal: Path) -> tuple[ParameterChanges, Table]:
+    table, changes = Table(**BEFORE), ParameterChanges(journal)
+    changes.make(table, dict(BEFORE), WANTED)
+    assert table.values == WANTED
+    return changes, table
+
+
+def test_all_is_put_back(changed, journal):
+    changes, table = changed
+    assert changes.put_back(table) == ()
+    assert table.values == BEFORE
+    assert not journal.exists()
+    assert changes.put_back(table) == ()
+
+
+def test_a_killed_flight_is_put_back_at_the_next_start(changed, journal):
+    _, table = changed
+    again = ParameterChanges(journal)
+    assert set(again.open) == set(WANTED)
+    again.put_back(table)
+    assert table.values == BEFORE
+
+
+def test_the_journal_is_written_before_anything_is_set(journal):
+    class Dying(Table):
+        def set_parameter(self, name, value):
+            assert json.loads(journal.read_text())[name] == [BEFORE[name], WANTED[name]]
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        ParameterChanges(journal).make(Dying(**BEFORE), dict(BEFORE), WANTED)
+
+
+def test_what_somebody_changed_meanwhile_stays_theirs(changed):
+    changes, table = changed
+    table.values["FS_GCS_ENABLE"] = 1.0
+    changes.put_back(table)
+    assert table.values == {**BEFORE, "FS_GCS_ENABLE": 1.0}
+
+
+def test_a_second_flight_keeps_what_was_before_the_first(changed, journal):
+    _, table = changed
+    again = ParameterChanges(journal)
+    again.make(table, dict(WANTED), {"GUID_TIMEOUT": 0.2})
+    again.put_back(table)
+    assert table.values == BEFORE
+
+
+def test_while_the_pilot_flies_only_what_acts_by_itself_goes(changed, journal):
+    changes, table = changed
+    changes.put_back_meanwhile(table, 10.0, flying=True)
+    assert table.values == {**WANTED, "FS_GCS_ENABLE": 0.0}
+    changes.put_back_meanwhile(table, 10.1, flying=True)
+    assert set(changes.open) == {"FS_OPTIONS", "GUID_TIMEOUT"}
+    assert set(json.loads(journal.read_text())) == {"FS_OPTIONS", "GUID_TIMEOUT"}
+    # The program ends in the air: the rest is left for the next start.
+    assert set(changes.put_back(table, flying=True)) == {"FS_OPTIONS", "GUID_TIMEOUT"}
+    changes.put_back_meanwhile(table, 20.0, flying=False)
+    changes.put_back_meanwhile(table, 20.1, flying=False)
+    assert table.values == BEFORE
+    assert not journal.exists()
+
+
+def test_it_is_said_again_but_not_without_end(changed):
+    changes, table = changed
+    table.deaf, table.set = True, []
+    for step in range(60):
+        changes.put_back_meanwhile(table, 10.0 + step * 0.02, flying=True)
+    assert table.set == [("FS_GCS_ENABLE", 0.0)] * 3
+    assert set(changes.put_back(table)) == set(WANTED)
+    assert set(changes.open) == set(WANTED)
+
+
+def test_a_vehicle_that_ends_with_the_program_keeps_nothing():
+    changes, table = ParameterChanges(None), Table(**BEFORE)
+    changes.make(table, dict(BEFORE), WANTED)
+    assert changes.put_back(table) == ()
+    assert table.values == WANTED
+
+
+@pytest.mark.parametrize("content", ["", "[1]", '{"A": 1}', '{"A": [1, "x"]}', '"', "\x00"])
+def test_a_journal_that_cannot_be_read_is_told(journal, content):
+    journal.parent.mkdir()
+    journal.write_text(content)
+    with pytest.raises(LinkError, match=r"cannot read .*vehicle\.json.*then remove it"):
+        ParameterChanges(journal)
+
+
+def test_a_journal_that_cannot_be_written_changes_nothing(tmp_path):
+    table, changes = Table(**BEFORE), ParameterChanges(tmp_path / "folder" / "vehicle.json")
+    (tmp_path / "folder").write_text("a file")
+    with pytest.raises(LinkError, match="cannot write"):
+        changes.make(table, dict(BEFORE), WANTED)
+    assert table.values == BEFORE
+
+
+def test_a_vehicle_is_known_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    assert vehicle_key(0, [0] * 18, 1, "udp:a") != vehicle_key(0, [0] * 18, 1, "udp:b")
+    assert vehicle_key(7, [0] * 18, 1, "udp:a") == vehicle_key(7, [0] * 18, 1, "udp:b")
+    assert vehicle_key(7, [1] * 18, 1, "udp:a") == vehicle_key(8, [1] * 18, 1, "udp:b")
+    assert journal_of("../x").parent == tmp_path / "cognitivedrone" / "parameters"
