@@ -364,7 +364,7 @@ def test_a_terminal_that_goes_away_and_a_request_to_terminate_land_and_leave_a_l
 )
 def test_a_policy_that_hangs_does_not_keep_the_process_after_the_landing(tmp_path, policy, code, says):
     with playing() as peer, camera() as url:
-        process = flight(peer, url, tmp_path / "f", f"cockpit_fakes:{policy}", **{"time-limit": 1})
+        process = flight(peer, url, tmp_path / "f", f"app_fakes:{policy}", **{"time-limit": 1})
         try:
             assert process.wait(40) == code
         finally:
