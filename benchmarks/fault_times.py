@@ -215,16 +215,19 @@ _FLOOD = (
 )
 _NONSENSE = "fault()\n            for _ in range(20): drone._socket.send(os.urandom(80))\n            time.sleep(30)"
 DYING_S = 1.0
-"""A process that is killed needs its turn on a core to end; in flight its silence is noticed before."""
+"""A process that is killed needs its turn on a core to end."""
+SILENT_S = 0.35
+"""In flight its silence is noticed before: it may have sent a command just then, the next one is due after 0.1 s, and is
+waited for as long again."""
 FAULTS: dict[str, Fault] = {
-    "pilot process killed (-9)": Fault(to_pilot(signal.SIGKILL), land_s=DYING_S),
+    "pilot process killed (-9)": Fault(to_pilot(signal.SIGKILL), SILENT_S, DYING_S),
     "pilot process killed (-9) in the climb": Fault(
         to_pilot(signal.SIGKILL), DYING_S, DYING_S, vehicle={"climbs": False}
     ),
     "pilot process holds the interpreter in C": Fault(hold_the_interpreter, land_s=6.0, does=_SPIN),
     "pilot process stopped (SIGSTOP)": Fault(stop_pilot, land_s=6.0),
-    "SIGHUP to the pilot process": Fault(to_pilot(signal.SIGHUP), land_s=DYING_S),
-    "SIGTERM to the pilot process": Fault(to_pilot(signal.SIGTERM), land_s=DYING_S),
+    "SIGHUP to the pilot process": Fault(to_pilot(signal.SIGHUP), SILENT_S, DYING_S),
+    "SIGTERM to the pilot process": Fault(to_pilot(signal.SIGTERM), SILENT_S, DYING_S),
     "SIGHUP to the pilot process in the climb": Fault(
         to_pilot(signal.SIGHUP), DYING_S, DYING_S, vehicle={"climbs": False}
     ),
