@@ -184,7 +184,7 @@ def test_software_in_the_loop_is_told_by_its_parameters(running, tmp_path):
         assert drone.is_software
         drone.simulated = False
         assert not drone.is_software  # our own vehicle has no parameter of ArduPilot's simulation
-        drone._link.parameters = lambda names: dict.fromkeys(names, 1.0)
+        drone.link.parameters = lambda names: dict.fromkeys(names, 1.0)
         assert drone.is_software
 
 

@@ -30,6 +30,8 @@ HEARTBEAT_S, WATCH_S, PING_S = 1.0, 0.02, 0.2
 """Periods of our heartbeat, of the watch, and of a request that the vehicle answers at once (TIMESYNC)."""
 MOVED_S = 0.5
 """A vehicle that was silent for so long may go on from another address; before, who sends as it there is another."""
+READ_AT_ONCE = 64
+"""Pieces or datagrams that are taken before the next watch."""
 ACK_S, TRIES = 1.0, 3
 RESULTS = {1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed", 6: "cancelled"}
 """MAV_RESULT; 0 is accepted and 5 in progress."""
@@ -241,8 +243,11 @@ class Connection:
         # Last: what cannot be taken must not keep the heartbeat back.
         link = self._transport.fileno()
         if link in select.select([link, *others], [], [], wait_s)[0]:
-            data, peer = self._transport.read(0.0)
-            if data:
+            # All of it, since what waits has grown old where this process stood still; but not for ever.
+            for _ in range(READ_AT_ONCE):
+                data, peer = self._transport.read(0.0)
+                if not data:
+                    break
                 self._take(data, peer)
 
     def go_on_with(self, transport: Transport) -> None:

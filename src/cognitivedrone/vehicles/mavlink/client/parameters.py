@@ -102,18 +102,19 @@ class ParameterChanges:
         """Put back what may go now, waiting for it; the names of those that stay as we set them."""
         if self._journal is None or not self._open:
             return ()
-        failed = [name for name in self._open if flying and name not in ACTS_IN_FLIGHT]
-        for name, value in link.parameters([name for name in self._open if name not in failed]).items():
+        changes = dict(self._open)  # `put_back_meanwhile` may go on beside this
+        failed = [name for name in changes if flying and name not in ACTS_IN_FLIGHT]
+        for name, value in link.parameters([name for name in changes if name not in failed]).items():
             if value is None:
                 failed.append(name)
                 continue
-            if math.isclose(value, self._open[name].now, rel_tol=1e-5):
+            if math.isclose(value, changes[name].now, rel_tol=1e-5):
                 try:
-                    link.set_parameter(name, self._open[name].was)
+                    link.set_parameter(name, changes[name].was)
                 except LinkError:
                     failed.append(name)
                     continue
-            del self._open[name]
+            self._open.pop(name, None)
         self._keep()
         return tuple(failed)
 
@@ -121,18 +122,18 @@ class ParameterChanges:
         """Put back, without waiting, what may go now: called again and again, from where the link is listened to."""
         if self._journal is None or not self._open:
             return
-        names = [name for name in self._open if not flying or name in ACTS_IN_FLIGHT]
+        names = [name for name in list(self._open) if not flying or name in ACTS_IN_FLIGHT]
         back = [name for name in names if link.told_parameter(name) == _float32(self._open[name].was)]
         for name in back:
-            del self._open[name]
+            self._open.pop(name, None)
         if back:
             with contextlib.suppress(LinkError):  # a full disk: the next start finds them as they were
                 self._keep()
         if now - self._said_at >= REPEAT_S:
             self._said_at = now
             for name in names:
-                if name in self._open:
-                    link.tell_parameter(name, self._open[name].was)
+                if (change := self._open.get(name)) is not None:
+                    link.tell_parameter(name, change.was)
 
     def _keep(self) -> None:
         """Write the journal whole, or remove it with the last change."""
@@ -143,7 +144,7 @@ class ParameterChanges:
                 self._journal.unlink(missing_ok=True)
                 return
             self._journal.parent.mkdir(parents=True, exist_ok=True)
-            content = {name: [change.was, change.now] for name, change in self._open.items()}
+            content = {name: [change.was, change.now] for name, change in dict(self._open).items()}
             replace_file(self._journal, json.dumps(content, indent=1).encode())
         except OSError as error:
             raise LinkError(

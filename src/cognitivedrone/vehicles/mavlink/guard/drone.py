@@ -46,8 +46,8 @@ TOLD_S = 0.1
 """How often the guard is told of the camera while it climbs."""
 START_S = 20.0
 """For the guard to be running, on a machine that is busy."""
-LEAVING_S = 5.0
-"""For the guard to end once there is nothing left to guard."""
+LEAVING_S = 15.0
+"""For the guard to end once there is nothing left to guard: it puts the vehicle's parameters back first."""
 STOPPED_S = 2.0
 """A guard that has said nothing for so long has been stopped."""
 
@@ -326,9 +326,12 @@ class GuardedDrone:
         """Until it ends, where it is going to."""
         snapshot = self._snapshot
         needed = snapshot.phase != "ground" and snapshot.telemetry.armed
-        try:
-            self._process.wait(0.0 if needed else LEAVING_S)
-        except subprocess.TimeoutExpired:
+        until = monotonic() + (0.0 if needed else LEAVING_S)
+        while self._process.poll() is None and monotonic() < until:
+            self._post(Kind.HANG_UP)  # again: the first one may have met a full socket
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(TOLD_S)
+        if self._process.poll() is None:
             leave(self._process)
 
     def _close_socket(self) -> None:

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, Literal, TypeVar
 
-import cattrs
 import numpy as np
+from cattrs.preconf.json import make_converter
 
 from cognitivedrone.choices import DecisionKind
 from cognitivedrone.types import Action, FloatArray
@@ -211,7 +211,7 @@ def _text(data: bytes) -> str:
     return data.rstrip(b"\0").decode(errors="replace")
 
 
-_CONVERTER = cattrs.Converter()
+_CONVERTER = make_converter()
 
 
 def to_json(value: Any) -> Any:

@@ -99,16 +99,20 @@ class GuardProcess:
             signal.signal(number, lambda number, _: self._signals.append(number))
         self._begin(self._meet)
         while (code := self._code()) is None:
-            try:
-                self._step()
-            except LinkError as error:
-                self._cut(error)
-            except Exception as error:  # a fault of the guard's own must not leave a drone in the air alone
-                self._land(f"the guard failed: {error!r}")
-                time.sleep(WATCH_S / 4)  # what fails again and again must not take the machine
+            self._go_on()
         self._say(Reply("words", _LAST_WORDS[code]))
         self._tell()
         return code
+
+    def _go_on(self) -> None:
+        """One round of the loop, whatever goes wrong in it."""
+        try:
+            self._step()
+        except LinkError as error:
+            self._cut(error)
+        except Exception as error:  # a fault of the guard's own must not leave a drone in the air alone
+            self._land(f"the guard failed: {error!r}")
+            time.sleep(WATCH_S / 4)  # what fails again and again must not take the machine
 
     def _step(self) -> None:
         self._look_at_the_time()
@@ -252,7 +256,7 @@ class GuardProcess:
             self._stopped, self._sent = True, self._core.command(np.full(4, np.nan))
         if fault.kind == "flood":
             self._deaf_until = now + WATCH_S
-        if len(self._faults) > MOST_FAULTS:
+        if fault.kind == "flood" or len(self._faults) > MOST_FAULTS:
             self._faults.clear()
             self._land(f"the pilot process sends what cannot be flown by: {fault.reason}")
 
