@@ -65,8 +65,9 @@ class Camera(StillCamera):
 
 camera = Camera()
 config = MavlinkConfig(takeoff_timeout_s=30, tlog={log})
+began = time.monotonic()
 with GuardedDrone("udpout:127.0.0.1:{port}", camera, SafetyConfig(), config) as drone:
-    print(drone.process, flush=True)
+    print(drone.process, time.monotonic() - began, flush=True)
     drone.take_off(lambda _: True)
     due = began = time.monotonic()
     while True:
@@ -87,6 +88,8 @@ class Flight:
     pilot: subprocess.Popen[str]
     guard: int
     """Process id."""
+    start_s: float
+    """Until the guard had met the vehicle."""
 
     def told(self) -> float:
         """When the pilot process began to do wrong, as it says itself."""
@@ -261,8 +264,9 @@ def flying(fault: Fault) -> Iterator[Flight]:
         )
         guard = -1
         try:
-            guard = int(pilot.stdout.readline()) if pilot.stdout is not None else -1
-            flight = Flight(peer, pilot, guard)
+            words = pilot.stdout.readline().split() if pilot.stdout is not None else []
+            guard = int(words[0])
+            flight = Flight(peer, pilot, guard, float(words[1]))
             if fault.vehicle.get("climbs", True):
                 wait(lambda: len(flight.commands()) >= 4 or None)
             else:
@@ -326,6 +330,9 @@ def main() -> int:
     print(f"{'fault':<44} {'safe: median worst limit':>26}   {'down: median worst limit':>26}")
     failed = 0
     with busy(options.load):
+        with flying(Fault(go_on)) as flight:
+            status = Path(f"/proc/{flight.guard}/status").read_text()
+            print(f"the guard met the vehicle after {flight.start_s:.1f} s, and holds {_resident_mb(status):.0f} MB")
         for name, fault in rows.items():
             times = [once(fault) for _ in range(options.flights)]
             safe, land = ([1000 * column for column in columns] for columns in zip(*times, strict=True))
@@ -335,6 +342,10 @@ def main() -> int:
             shown = "flies on" if limit_s is None else _row(land, limit_s)
             print(f"{name:<44} {_row(safe, fault.safe_s):>26}   {shown:>26}  {'ok' if good else 'FAILED'}", flush=True)
     return 1 if failed else 0
+
+
+def _resident_mb(status: str) -> float:
+    return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")) / 1024
 
 
 def _row(times: list[float], limit_s: float) -> str:
