@@ -114,8 +114,8 @@ class Flight:
         return next((at for at, zero in self.commands() if at >= since and zero), None)
 
     def due(self) -> float:
-        """When the next command is due, after the last one so far."""
-        return max(at for at, _ in self.commands()) + PERIOD_S
+        """When the pilot's next command is due, after the last one so far."""
+        return max(at for at, zero in self.commands() if not zero) + PERIOD_S
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,10 @@ def to_guard(number: int) -> Callable[[Flight], float]:
 
 def stop_pilot(flight: Flight) -> float:
     flight.pilot.send_signal(signal.SIGSTOP)
-    time.sleep(0.02)
+    state = Path(f"/proc/{flight.pilot.pid}/stat")
+    while state.read_text().rpartition(")")[2].split()[0] != "T":  # it must have its turn on a core to stop
+        time.sleep(0.001)
+    time.sleep(0.01)
     return flight.due()
 
 
