@@ -41,7 +41,7 @@ PERIOD_S = 0.1
 LATEST_S = 25.0
 """What has not happened by then is not counted as having happened."""
 PILOT = """
-import os, re, sys, threading, time
+import os, re, signal, sys, threading, time
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 import numpy as np
@@ -51,6 +51,8 @@ from cognitivedrone.errors import CameraError
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
 from cognitivedrone.vehicles.mavlink.guard.messages import Kind, pack
+
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also under nohup
 
 def fault():
     print(time.monotonic(), flush=True)
