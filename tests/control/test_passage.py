@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cognitivedrone.control.passage import Passage, WatchedDrone, plane_at
+from cognitivedrone.control.passage import Passage, WatchedDrone, approach
 from cognitivedrone.sim.views import FOCAL_PX
 from cognitivedrone.types import IMAGE_SIZE, Image, Observation
 
@@ -84,10 +84,18 @@ def test_gates_of_every_colour_one_after_the_other_are_counted():
 
 def test_the_plane_is_where_one_over_the_width_reaches_zero():
     flown = np.linspace(0, 3, 10)
-    assert plane_at(np.column_stack([flown, 100 / (4.5 - flown)])) == pytest.approx(4.5)
-    assert plane_at(np.column_stack([flown, 100 / (4.5 + flown)])) is None
-    assert plane_at(np.column_stack([np.ones(5), np.full(5, 80.0)])) is None
-    assert plane_at(np.array([[0.0, 10.0], [1.0, 20.0]])) is None
+    assert approach(np.column_stack([flown, 100 / (4.5 - flown)])) == pytest.approx((4.5, 100.0))
+    assert approach(np.column_stack([flown, 100 / (4.5 + flown)])) is None
+    assert approach(np.column_stack([np.ones(5), np.full(5, 80.0)])) is None
+    assert approach(np.array([[0.0, 10.0], [1.0, 20.0]])) is None
+
+
+def test_a_gate_that_leaves_the_view_sideways_before_it_is_reached_is_not_passed():
+    passage = Passage()
+    for step, place in enumerate(np.arange(0, 9, 0.15)):
+        aside = 0.0 if place < 3.6 else 1.4  # it veers off 1.4 m before the gate
+        passage.update(observation(ring(5.0 - place, 0.75, aside_m=aside), step / 10, 1.5))
+    assert passage.gates == 0
 
 
 def test_a_watched_drone_shows_what_it_observes():

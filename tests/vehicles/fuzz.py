@@ -33,7 +33,10 @@ class Fed:
         return self._near.fileno()
 
     def read(self, timeout_s: float) -> tuple[bytes, Hashable]:
-        data = self._near.recv(65_536)
+        try:
+            data = self._near.recv(65_536, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return b"", None
         return data[1:], data[0]
 
     def write(self, data: bytes) -> None:

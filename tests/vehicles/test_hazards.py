@@ -73,6 +73,7 @@ def lands(peer: Peer, drone: MavlinkDrone, words: str, within_s: float) -> None:
     fault = time.monotonic()
     until(drone, lambda: drone.decision.kind != "fly", within_s)
     assert words in drone.decision.reason
+    until(drone, lambda: drone.decision.kind in ("brake", "land"), 2 * within_s + 2)
     assert not drone.send(FORWARD).any()
     until(drone, lambda: peer.part.mode == MODES["LAND"], 2 * within_s + 4)
     assert words in drone.over

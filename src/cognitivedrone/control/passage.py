@@ -40,23 +40,25 @@ class PassageConfig:
     """When a gate counts as passed."""
 
     narrowest_px: int = 10
-    """Narrower patches of colour are no gates yet."""
+    """Minimum width of a patch of colour."""
     near_px: int = 60
-    """At least so wide the gate was seen last: 106 degrees are 256 pixels, so a small gate is 1.7 m away then."""
+    """Minimum width of the last sighting: a small gate is 1.7 m away then (106 degrees are 256 pixels)."""
     growth: float = 1.5
-    """So much wider it was then than when it was seen first."""
+    """Minimum ratio of the last width to the first."""
     shrink: float = 0.75
-    """A patch that is narrower than this times the one before it is another one."""
+    """A patch narrower than this times the previous one is another gate."""
     fitted: int = 12
-    """Sightings that the line is drawn through: the last ones."""
+    """Number of sightings, the last ones, that the line is fitted to."""
     beyond_m: float = 0.35
-    """So far behind the gate's plane it is passed."""
+    """Distance behind the gate's plane at which the gate counts as passed."""
+    lost_px: float = 128.0
+    """Minimum width by the line where the gate is lost: it outgrew the image. A narrower one left it sideways."""
     forget_m: float = 3.0
-    """So far after the last sighting the gate is forgotten: the way led elsewhere."""
+    """The gate is forgotten this far after its last sighting,"""
     retreat_m: float = 0.3
-    """So far back from the last sighting, too."""
+    """or this far back from there,"""
     turn_rad: float = 0.6
-    """Turned so far since the last sighting, too."""
+    """or after turning by this since then."""
 
 
 class Passage:
@@ -96,6 +98,8 @@ class Passage:
     def _follow(self, seen: list[Sighting], width: float | None) -> bool:
         """Take a sighting, or that there is none, of the gate of one colour; whether it has been passed."""
         if width is None:
+            if seen and not self._outgrows(seen):
+                seen.clear()
             return self._is_passed(seen)
         passed = False
         if seen and width < self.config.shrink * seen[-1].width_px:
@@ -128,24 +132,39 @@ class Passage:
 
     def _is_passed(self, seen: list[Sighting]) -> bool:
         """Whether the plane of the gate that was seen like that is behind the drone."""
+        line = self._approach(seen)
+        return line is not None and self._flown_m >= line.plane_m + self.config.beyond_m
+
+    def _outgrows(self, seen: list[Sighting]) -> bool:
+        """Whether the gate that was seen like that is too close by now to be in the image as a whole."""
+        line = self._approach(seen)
+        left_m = 0.0 if line is None else line.plane_m - self._flown_m
+        return line is not None and (left_m <= 0 or line.width_at_1m_px / left_m >= self.config.lost_px)
+
+    def _approach(self, seen: list[Sighting]) -> Approach | None:
+        """The line through the last sightings, if they came as close as a gate does that is flown at."""
         if not seen or seen[-1].width_px < max(self.config.near_px, self.config.growth * seen[0].width_px):
-            return False
-        last = seen[-self.config.fitted :]
-        plane = plane_at(np.array([(one.flown_m, one.width_px) for one in last]))
-        return plane is not None and self._flown_m >= plane + self.config.beyond_m
+            return None
+        return approach(np.array([(one.flown_m, one.width_px) for one in seen[-self.config.fitted :]]))
 
 
-def plane_at(sightings: FloatArray) -> float | None:
-    """Distance flown, m, at which the camera reaches the plane of what was seen; none where it does not come closer.
+class Approach(NamedTuple):
+    """The line of 1 / width over the distance flown."""
 
-    `sightings` (n, 2) are distances flown, m, and widths, pixels.
-    """
+    plane_m: float
+    """Distance flown at which the camera reaches the gate's plane."""
+    width_at_1m_px: float
+    """Width, pixels, 1 m before."""
+
+
+def approach(sightings: FloatArray) -> Approach | None:
+    """The line through sightings (n, 2), distances flown in m and widths in pixels; none where they do not grow."""
     flown, inverse = sightings[:, 0], 1.0 / sightings[:, 1]
     spread = flown - flown.mean()
     if len(sightings) < 3 or not spread @ spread > 0:
         return None
     slope = float(spread @ inverse / (spread @ spread))
-    return float(flown.mean() - inverse.mean() / slope) if slope < 0 else None
+    return Approach(float(flown.mean() - inverse.mean() / slope), -1 / slope) if slope < 0 else None
 
 
 def colour_contrasts(image: Image) -> tuple[NDArray[np.int16], ...]:
