@@ -69,8 +69,8 @@ def test_a_policy_of_the_former_contract_flies_the_same_with_a_warning():
 
 def test_objects_stay_in_one_process_and_that_is_said(capsys):
     evaluate(user_pilots.Straight(), episodes=1)
-    assert "the policy can be used in this process alone" in capsys.readouterr().err
-    with pytest.raises(RunError, match="workers=2, but the policy can be used in this process alone"):
+    assert "the policy can only be used in this process" in capsys.readouterr().err
+    with pytest.raises(RunError, match="workers=2, but the policy can only be used in this process"):
         score(user_pilots.Straight(), workers=2)
 
 
