@@ -14,7 +14,7 @@ from typing import Any, TypeVar, cast
 from cognitivedrone.errors import ModelError, import_extra
 from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.models.checksum import BLANK, check, seal
-from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.models.text import Lexicon, Vocabulary
 
 KEY = "cognitivedrone"
 """Key of the metadata."""
@@ -186,6 +186,24 @@ def vocabulary_of(words: list[Any], where: str) -> Vocabulary:
         return Vocabulary(tuple(words))
     except ModelError as error:
         raise ModelError(f"{where}: {error}") from None
+
+
+def words_of_table(table: Mapping[str, Any], where: str) -> Vocabulary | Lexicon:
+    """The words in a description: a lexicon, or the closed vocabulary of earlier files; raises `ModelError`."""
+    words = field_of(table, "vocabulary", list, where)
+    if "trained_words" not in table:
+        return vocabulary_of(words, where)
+    if not all(isinstance(word, str) for word in words):
+        raise ModelError(f"the vocabulary in {where} contains an entry that is not a word")
+    try:
+        return Lexicon(tuple(words), field_of(table, "trained_words", int, where))
+    except ModelError as error:
+        raise ModelError(f"{where}: {error}") from None
+
+
+def lexicon_table(words: Vocabulary | Lexicon) -> dict[str, Any]:
+    """The words as they stand in a description."""
+    return {"vocabulary": words.words} | ({"trained_words": words.trained} if isinstance(words, Lexicon) else {})
 
 
 def provenance_of(table: Mapping[str, Any], where: str) -> Provenance:

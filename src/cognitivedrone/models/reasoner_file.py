@@ -6,14 +6,14 @@ Contracts; the batch is a dynamic axis, F the number of attribute values, L the 
   attribute values of three panels and the board; `looks` float32 (batch, 3, 8), probabilities of a gate's colours,
   shapes and sizes; `boxes` float32 (batch, 4, 4) of panels and board: centre u, v and height in pixels, and the
   detection score, 0 to 1;
-- gate selector: inputs as documented in `small_reasoner.GateSelector.forward`, `tokens` int64 (batch, L), with any
-  number of remembered panels up to `REMEMBERED`; output `logits` float32 (batch, 3) of the gates.
+- gate selector: inputs as documented in `gate_selector.GateSelector.forward`, with any number of remembered panels up
+  to `REMEMBERED`; output `logits` float32 (batch, 4) of the gates and of none of them. In files with a closed
+  `Vocabulary`, `tokens` is (batch, L) and `logits` (batch, 3).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, PolicyError
+from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.onnx_file import (
     Provenance,
     check_graph,
@@ -28,9 +29,9 @@ from cognitivedrone.models.onnx_file import (
     field_of,
     open_model,
     provenance_of,
-    vocabulary_of,
+    words_of_table,
 )
-from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.models.text import TOKEN, Lexicon, Vocabulary
 from cognitivedrone.types import IMAGE_SIZE, Image
 
 READER_KIND, SELECTOR = "small-reasoner-eyes", "small-reasoner-mind"
@@ -53,24 +54,6 @@ class PanelReading(NamedTuple):
     """(3, 8)."""
     boxes: Floats
     """(4, 4)."""
-
-
-@dataclass(frozen=True, slots=True)
-class AttributeSchema:
-    """Names of all attribute values that can be read."""
-
-    names: tuple[str, ...]
-    """As "group/value"."""
-
-    @property
-    def groups(self) -> dict[str, slice]:
-        """Slices of the attribute values of each group; the groups follow each other without gaps."""
-        found: dict[str, slice] = {}
-        for index, name in enumerate(self.names):
-            group = name.partition("/")[0]
-            start = found[group].start if group in found else index
-            found[group] = slice(start, index + 1)
-        return found
 
 
 class PanelReaderModel:
@@ -107,7 +90,9 @@ class PanelReaderModel:
 class GateSelectorModel:
     """Gate selector, run by ONNX Runtime on the CPU."""
 
-    def __init__(self, session: Any, attributes: AttributeSchema, vocabulary: Vocabulary, text_length: int) -> None:
+    def __init__(
+        self, session: Any, attributes: AttributeSchema, vocabulary: Vocabulary | Lexicon, text_length: int
+    ) -> None:
         self._session = session
         self.attributes = attributes
         self.vocabulary = vocabulary
@@ -119,9 +104,10 @@ class GateSelectorModel:
         session, table = open_model(path, SELECTOR, threads=threads, optimise=True)
         where = str(path)
         attributes, length = _attributes(table, where), count_of(table, "text_length", where)
-        count = len(attributes.names)
+        count, words = len(attributes.names), words_of_table(table, where)
+        lexicon = isinstance(words, Lexicon)
         inputs = {
-            "tokens": ("tensor(int64)", (length,)),
+            "tokens": ("tensor(int64)", (length, TOKEN) if lexicon else (length,)),
             "panels": ("tensor(float)", (3, count)),
             "looks": ("tensor(float)", (3, LOOKS)),
             "board": ("tensor(float)", (count,)),
@@ -129,11 +115,14 @@ class GateSelectorModel:
             "remembered": ("tensor(float)", (REMEMBERED, count)),
             "stages": ("tensor(int64)", (REMEMBERED, 3)),
         }
-        check_graph(session, inputs, {"logits": ("tensor(float)", (3,))}, where)
-        return cls(session, attributes, vocabulary_of(field_of(table, "vocabulary", list, where), where), length)
+        check_graph(session, inputs, {"logits": ("tensor(float)", (4 if lexicon else 3,))}, where)
+        return cls(session, attributes, words, length)
 
     def choose(self, sentence: str, told: Mapping[str, NDArray[Any]]) -> Floats:
-        """Probabilities (3,) of the gates, for a sentence and the other inputs, each without its batch axis."""
+        """Probabilities (4,) of the gates and of none of them, or (3,) where the model cannot tell the latter.
+
+        For a sentence and the other inputs, each without its batch axis.
+        """
         tokens = self.vocabulary.encode(sentence, self.text_length)
         inputs = {"tokens": tokens[None], **{name: value[None] for name, value in told.items()}}
         (logits,) = self._session.run(("logits",), inputs)

@@ -3,10 +3,12 @@
 Contract of the graph; the batch is a dynamic axis, L the description's `text_length`, k its `chunk`:
 
 - inputs `image` uint8 (batch, 256, 256, 3); `state` float32 (batch, 5): velocity x, y, z in the heading frame, m/s,
-  height above ground, m, and yaw rate, rad/s; `tokens` int64 (batch, L), as `Vocabulary.encode` returns them;
+  height above ground, m, and yaw rate, rad/s; `tokens` int64 (batch, L, TOKEN), as `Lexicon.encode` returns them, or
+  (batch, L) in files with a closed `Vocabulary`;
 - outputs `action` float32 (batch, k, 4): velocity x, y, z in the heading frame, m/s, and yaw rate, rad/s; `choice`
   float32 (batch, 4): probability of each detected gate, and last of none of those in view; `gates` float32
-  (batch, 3, 4): each one's centre u, v in pixels, detection score 0 to 1, and distance in m.
+  (batch, 3, 4): each one's centre u, v in pixels, detection score 0 to 1, and distance in m; and, in files with a
+  `Lexicon`, `present` float32 (batch,): probability that one of them is what the sentence asks for.
 
 The description is JSON, see `onnx_file`.
 """
@@ -29,12 +31,13 @@ from cognitivedrone.models.onnx_file import (
     check_graph,
     count_of,
     field_of,
+    lexicon_table,
     open_model,
     provenance_of,
-    vocabulary_of,
+    words_of_table,
     write_table,
 )
-from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.models.text import TOKEN, Lexicon, Vocabulary
 from cognitivedrone.types import IMAGE_SIZE, Float32Array
 
 KIND = "small-vla"
@@ -64,25 +67,28 @@ class Description:
     """The description stored in a model file."""
 
     name: str
-    vocabulary: Vocabulary
+    vocabulary: Vocabulary | Lexicon
     text_length: int
     """Number of words of a sentence that are read."""
     chunk: int
     """Control steps per inference."""
     action: ActionStatistics
-    config: Mapping[str, Any]
+    network: Mapping[str, Any]
     """Configuration of the network."""
     provenance: Provenance
+    attributes: tuple[str, ...] = ()
+    """Names of the attribute values that it reads of panels; empty in files with a closed vocabulary."""
     image_size: int = IMAGE_SIZE
     """Height and width of the input image, pixels."""
 
     def table(self) -> dict[str, Any]:
         """The JSON table that is written into the file."""
         return {
-            **_table(self),
-            "vocabulary": self.vocabulary.words,
+            **{name: value for name, value in _table(self).items() if name != "attributes"},
+            "facets": self.attributes,
             "action": _table(self.action),
-            "config": dict(self.config),
+            "network": dict(self.network),
+            **lexicon_table(self.vocabulary),
             "provenance": {**_table(self.provenance), "scores": dict(self.provenance.scores)},
         }
 
@@ -91,12 +97,13 @@ class Description:
         """Read back what `table` gave; raises `ModelError` that says where what is wrong."""
         described = cls(
             name=field_of(table, "name", str, where),
-            vocabulary=vocabulary_of(field_of(table, "vocabulary", list, where), where),
+            vocabulary=words_of_table(table, where),
             text_length=count_of(table, "text_length", where),
             image_size=count_of(table, "image_size", where),
             chunk=count_of(table, "chunk", where),
             action=_statistics(field_of(table, "action", dict, where), where),
-            config=field_of(table, "config", dict, where),
+            network=field_of(table, "network" if "network" in table else "config", dict, where),
+            attributes=tuple(field_of(table, "facets", list, where)) if "facets" in table else (),
             provenance=provenance_of(table, where),
         )
         if described.image_size != IMAGE_SIZE:
@@ -114,6 +121,8 @@ class Output:
     """(n, 4) probability that each detected gate is the right one; last, that none of them is."""
     gates: Float32[Float32Array, "images 3 4"]
     """(n, 3, 4) for each detected gate: centre u, v in pixels, detection score 0 to 1, distance in m."""
+    present: Float32[Float32Array, images] | None = None
+    """(n,) probability that one of them is what the sentence asks for; None of models that cannot tell."""
 
 
 def describe(path: str | Path, description: Description) -> None:
@@ -159,9 +168,8 @@ class SmallModel:
         _check_input("states", states, np.float32, (len(texts), 5))
         encode, length = self.description.vocabulary.encode, self.description.text_length
         tokens = np.stack([encode(text, length) for text in texts])
-        return Output(
-            *self._session.run(("action", "choice", "gates"), {"image": images, "state": states, "tokens": tokens})
-        )
+        inputs = {"image": images, "state": states, "tokens": tokens}
+        return Output(*self._session.run(_outputs(self.description), inputs))
 
 
 def _check_input(name: str, array: NDArray[Any], kind: type, shape: tuple[int, ...]) -> None:
@@ -171,17 +179,25 @@ def _check_input(name: str, array: NDArray[Any], kind: type, shape: tuple[int, .
 
 def _check_graph(session: Any, description: Description, where: str) -> None:
     size = description.image_size
+    length = description.text_length
     inputs = {
         "image": ("tensor(uint8)", (size, size, 3)),
         "state": ("tensor(float)", (5,)),
-        "tokens": ("tensor(int64)", (description.text_length,)),
+        "tokens": ("tensor(int64)", (length, TOKEN) if isinstance(description.vocabulary, Lexicon) else (length,)),
     }
-    outputs = {
-        "action": ("tensor(float)", (description.chunk, 4)),
-        "choice": ("tensor(float)", (4,)),
-        "gates": ("tensor(float)", (3, 4)),
+    shapes: dict[str, tuple[int, ...]] = {
+        "action": (description.chunk, 4),
+        "choice": (4,),
+        "gates": (3, 4),
+        "present": (),
     }
+    outputs = {name: ("tensor(float)", shapes[name]) for name in _outputs(description)}
     check_graph(session, inputs, outputs, where)
+
+
+def _outputs(description: Description) -> tuple[str, ...]:
+    named = ("action", "choice", "gates")
+    return (*named, "present") if isinstance(description.vocabulary, Lexicon) else named
 
 
 def _table(value: Any) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, ReasonerError
 from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.models.attributes import SUM_GROUPS
 from cognitivedrone.models.reasoner_file import (
     FORMER_FILES,
     LOOKS,
@@ -164,7 +165,7 @@ class SmallReasoner(Reasoner):
 
     def _add(self, reading: PanelReading) -> None:
         """Add the readings of a frame."""
-        known = self._probabilities(reading.attributes)
+        known = self.reader.attributes.probabilities(reading.attributes)
         for slot in range(3):
             u, _, height, score = reading.boxes[slot].tolist()
             if score < _SEEN:
@@ -185,19 +186,6 @@ class SmallReasoner(Reasoner):
             self._stage.board += weight * known[3]
             self._stage.board_weight += weight
 
-    def _probabilities(self, logits: Floats) -> Floats:
-        """Probabilities (n, F) of attributes; each group is weighted by the probability of the kinds it applies to."""
-        shares = np.zeros_like(logits)
-        for span in self._groups.values():
-            part = np.exp(logits[:, span] - logits[:, span].max(axis=1, keepdims=True))
-            shares[:, span] = part / part.sum(axis=1, keepdims=True)
-        kinds = self._groups["kind"]
-        of_kind = {name.partition("/")[2]: shares[:, i] for i, name in enumerate(self._names) if name[:5] == "kind/"}
-        for group, span in self._groups.items():
-            if span != kinds:
-                shares[:, span] *= np.sum([of_kind[kind] for kind in _KINDS_OF.get(group, _PERSON)], axis=0)[:, None]
-        return shares
-
     def _board(self) -> Floats:
         board: Floats = self._stage.board / max(self._stage.board_weight, 1e-6)
         return board
@@ -207,7 +195,7 @@ class SmallReasoner(Reasoner):
         kind = self._names[self._best("kind", attributes)]
         if kind != "kind/sum" or attributes[self._groups["kind"]].max() < 0.3:
             return None
-        first, sign, second = (self._names[self._best(group, attributes)].partition("/")[2] for group in _SUM)
+        first, sign, second = (self._names[self._best(group, attributes)].partition("/")[2] for group in SUM_GROUPS)
         return calculate(f"{first} {sign} {second}")
 
     def _best(self, group: str, attributes: Floats) -> int:
@@ -227,14 +215,6 @@ class SmallReasoner(Reasoner):
 
 
 _THINGS = frozenset(KIND_OF.values())
-_SUM = ("first", "sign", "second")
-_PERSON = ("person",)
-_KINDS_OF = {
-    "concept": ("thing", "logo", "letter", "number"),
-    **dict.fromkeys(_SUM, ("sum",)),
-    **dict.fromkeys(("thing_a", "count_a", "thing_b", "count_b"), ("several",)),
-}
-"""Kinds of picture that a group of attributes applies to; the other groups apply to people."""
 
 
 def _attribute_of(label: str) -> str:

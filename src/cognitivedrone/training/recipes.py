@@ -14,12 +14,12 @@ from cognitivedrone.training.reasoner.selector import SELECTOR
 from cognitivedrone.training.small_vla.language import LANGUAGE
 from cognitivedrone.training.small_vla.policy import TrainRecipe
 
-SMALL = TrainRecipe(name="small", steps=9_000, decay_share=1 / 3, stream=StreamRecipe(spoken=0.5, token_noise=0.1))
+SMALL = TrainRecipe(name="small", steps=4_000, decay_share=1 / 3, stream=StreamRecipe(spoken=0.5, token_noise=0.1))
 
-_SHORT = replace(SMALL, name="ablation-tokens", steps=1_000)
+_SHORT = replace(SMALL, name="ablation-regression", steps=1_000)
 _ABLATION = (
     _SHORT,
-    replace(_SHORT, name="ablation-regression", network=replace(_SHORT.network, head="regression")),
+    replace(_SHORT, name="ablation-tokens", network=replace(_SHORT.network, head="tokens")),
     replace(_SHORT, name="ablation-chunk2", stream=replace(_SHORT.stream, chunk=2)),
     replace(_SHORT, name="ablation-chunk4", stream=replace(_SHORT.stream, chunk=4)),
     replace(_SHORT, name="ablation-128px", network=replace(_SHORT.network, image_size=128)),
@@ -31,30 +31,28 @@ RECIPES: dict[str, TrainRecipe] = {
     "race": replace(
         SMALL,
         name="race",
-        steps=3_000,
-        stream=StreamRecipe(suite="race", crowded=0.5, token_noise=0.7, sentences=2, texts=1, panel_crops=0),
-        losses=replace(SMALL.losses, text=0.0),
+        steps=2_000,
+        stream=StreamRecipe(suite="race", crowded=0.5, token_noise=0.7, sentences=2, texts=0),
+        network=replace(SMALL.network, reader=None),
     ),
     "base": replace(
         SMALL,
         name="base",
         steps=30_000,
-        stream=replace(SMALL.stream, batch=128, worlds=32, panel_crops=512),
-        network=replace(SMALL.network, backbone=(48, 96, 160), panel_encoder=(48, 96, 160, 256), text_layers=4),
+        stream=replace(SMALL.stream, batch=128, worlds=32),
+        network=replace(SMALL.network, backbone=(48, 96, 160), text_layers=4),
     ),
     "debug": replace(
         SMALL,
         name="debug",
         steps=6,
-        stream=StreamRecipe(batch=4, sentences=2, texts=4, panel_crops=4, worlds=4, sampled=0.5, pool=2, learner=0.5),
+        stream=StreamRecipe(batch=4, sentences=2, texts=4, worlds=4, sampled=0.5, pool=2, learner=0.5),
         network=SmallVLAConfig(
             backbone=(8, 8, 16),
             blocks=1,
-            panel_encoder=(8, 8, 8, 8),
             embedding=16,
             text_width=16,
             text_layers=1,
-            crop_size=32,
         ),
         warmup_steps=1,
         round_steps=2,

@@ -1,22 +1,25 @@
-"""Attribute values of a scene as one flat list: everything that a panel, a board or a gate can show.
+"""Attribute values of a scene as one flat list: everything that a panel or a board can show.
 
 The list is divided into groups, in which at most one value is true at a time ("hair/curly" or "hair/long"), so a
-network with one prototype vector per value can classify group by group. A trained network knows the values by index:
-additions at the end of a group require new training.
+network can classify group by group. A trained network knows the values by index: its checkpoint and its file hold the
+list that it was trained with.
 """
 
 from __future__ import annotations
 
 import functools
 import re
-from itertools import accumulate
+from collections.abc import Iterable
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cognitivedrone.labels.images import parse_several
+from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.references import PERSON_ATTRIBUTES, parse_reference
 from cognitivedrone.tasks.facts import KIND_OF
+from cognitivedrone.tasks.hard import COUNTABLE
 from cognitivedrone.tasks.people import Person, parse_person, seen
 from cognitivedrone.tasks.reasoning import LARGEST_ANSWER, OPERATORS
 from cognitivedrone.tasks.vocabulary import LETTERS, LOGOS
@@ -26,12 +29,17 @@ Indices: TypeAlias = NDArray[np.int64]
 
 ABSENT = -1
 """Index for a group that does not apply, or whose value is not in the list."""
+KINDS = ("thing", "logo", "letter", "number", "person", "sum", "several", "unknown")
+"""Kinds of picture; `unknown` is everything that was never taught, and what cannot be read."""
+MOST = 6
+"""Maximum number of things of one kind on a panel."""
 
 _NUMBERS = tuple(str(number) for number in range(LARGEST_ANSWER + 1))
 # No question is ever about skin, so no network needs to see it.
 _ATTRIBUTES = tuple(name for name in PERSON_ATTRIBUTES if name != "skin")
 
 _VALUES: dict[str, tuple[str, ...]] = {
+    "kind": KINDS,
     "concept": (
         *(f"thing:{name}" for name in KIND_OF),
         *(f"logo:{name}" for name in LOGOS),
@@ -43,27 +51,56 @@ _VALUES: dict[str, tuple[str, ...]] = {
     "first": _NUMBERS,
     "sign": tuple(OPERATORS),
     "second": _NUMBERS,
-    "color": COLORS,
-    "shape": SHAPES,
-    "size": SIZES,
+    "thing_a": COUNTABLE,
+    "count_a": tuple(map(str, range(1, MOST + 1))),
+    "thing_b": ("none", *COUNTABLE),
+    "count_b": tuple(map(str, range(1, MOST + 1))),
 }
 
-FACETS: tuple[str, ...] = tuple(f"{group}/{value}" for group, values in _VALUES.items() for value in values)
-"""Names of all attribute values, "group/value"; animals, foods and objects share one namespace, as in "thing:cat"."""
-_ENDS = tuple(accumulate(len(values) for values in _VALUES.values()))
-GROUPS: dict[str, slice] = {
-    group: slice(end - len(_VALUES[group]), end) for group, end in zip(_VALUES, _ENDS, strict=True)
-}
-"""Slices of the groups in `FACETS`; the groups follow each other without gaps."""
-PANEL_GROUPS: tuple[str, ...] = ("concept", *_ATTRIBUTES)
-"""Groups of a panel: its concept and, for a person, every attribute except skin."""
-BOARD_GROUPS: tuple[str, ...] = ("first", "sign", "second")
-BOARD_BOUNDS = (*(GROUPS[group].start for group in BOARD_GROUPS), GROUPS[BOARD_GROUPS[-1]].stop)
-"""Start indices of those groups in `FACETS`, and the end index of the last one; they are contiguous."""
-GATE_GROUPS: tuple[str, ...] = ("color", "shape", "size")
+ATTRIBUTES: tuple[str, ...] = tuple(f"{group}/{value}" for group, values in _VALUES.items() for value in values)
+"""Names of all attribute values that are trained from nothing, "group/value"; animals, foods and objects share one
+namespace, as in "thing:cat"."""
+PERSON_GROUPS: tuple[str, ...] = _ATTRIBUTES
+"""Groups of a person's attributes, all except skin."""
 
-_INDEX = {attribute: index for index, attribute in enumerate(FACETS)}
 _SUM = re.compile(r"(\d+)([-+*])(\d+)")
+
+
+class AttributeIndex:
+    """From labels to the attribute values of a list: the trained one, or one with taught concepts besides."""
+
+    def __init__(self, names: Iterable[str] = ATTRIBUTES) -> None:
+        self.schema = AttributeSchema(tuple(names))
+        self.groups = self.schema.groups
+        self._index = {name: index for index, name in enumerate(self.schema.names)}
+        self._columns = {group: column for column, group in enumerate(self.groups)}
+        self._of = functools.lru_cache(maxsize=32768)(self._indices)
+
+    def __reduce__(self) -> tuple[type[AttributeIndex], tuple[tuple[str, ...]]]:
+        return AttributeIndex, (self.schema.names,)
+
+    def of(self, label: str) -> Indices:
+        """The attribute values of a panel or board: read-only int64 (groups,), indices into the list, -1 for none.
+
+        A label with a concept that is not in the list is of kind unknown. Raises `LabelError` if it is malformed.
+        """
+        return self._of(label)
+
+    def column(self, group: str) -> int:
+        """A group's column in what `of` returns."""
+        return self._columns[group]
+
+    def known(self, label: str) -> bool:
+        """Whether the list has a name for what a label shows."""
+        return bool(self.of(label)[0] != self._index["kind/unknown"])
+
+    def _indices(self, label: str) -> Indices:
+        row = np.full(len(self._columns), ABSENT, dtype=np.int64)
+        names = [name for name in label_names(label) if name in self._index]
+        for name in names if len(names) > 1 else ["kind/unknown"]:
+            row[self._columns[name.partition("/")[0]]] = self._index[name]
+        row.flags.writeable = False
+        return row
 
 
 def known_person(concept: str) -> Person | None:
@@ -81,44 +118,50 @@ def parse_sum(label: str) -> tuple[int, str, int] | None:
     return (int(match[1]), match[2], int(match[3])) if match else None
 
 
-@functools.lru_cache(maxsize=8192)
-def panel_attributes(label: str) -> Indices:
-    """The attribute values of a panel, by group.
+def concept_name(kind: str, concept: str) -> str:
+    """The attribute value of a concept; animals, foods, objects and pictures of users are things."""
+    return f"concept/{kind if kind in KINDS else 'thing'}:{concept}"
 
-    Returns read-only int64 (len(PANEL_GROUPS),): indices into `FACETS`, -1 if there is no value: concepts that are
-    not in the list, attributes of non-persons, and attributes covered by a hat or a headscarf.
+
+def label_names(label: str) -> tuple[str, ...]:
+    """Names of a label's attribute values, its kind first; attributes covered by a hat or a headscarf are left out.
+
     Raises `LabelError` unless the label has the form kind/concept@style.
     """
     reference = parse_reference(label)
-    if reference.kind == "person":
-        person = known_person(reference.concept)
-        look = {} if person is None else seen(person)
-        return _indices("concept/person", *(f"{name}/{look.get(name)}" for name in _ATTRIBUTES))
-    kind = "thing" if KIND_OF.get(reference.concept) == reference.kind else reference.kind
-    return _indices(f"concept/{kind}:{reference.concept}", *("" for _ in _ATTRIBUTES))
+    kind, concept = reference.kind, reference.concept
+    if kind == "unknown":
+        return ("kind/unknown",)
+    if kind == "person" and (person := known_person(concept)) is not None:
+        look = seen(person)
+        return "kind/person", "concept/person", *(f"{name}/{look[name]}" for name in _ATTRIBUTES if name in look)
+    if kind == "sum":
+        parsed = parse_sum(label)
+        if parsed is None:
+            return ("kind/sum",)
+        return "kind/sum", f"first/{parsed[0]}", f"sign/{parsed[1]}", f"second/{parsed[2]}"
+    if kind == "several":
+        return "kind/several", *_several(concept)
+    return f"kind/{kind if kind in KINDS and kind != 'person' else 'thing'}", concept_name(kind, concept)
 
 
-@functools.lru_cache(maxsize=2048)
-def board_attributes(label: str) -> Indices:
-    """The attribute values of a board: read-only int64 (3,), operand, operator, operand as indices into `FACETS`.
-
-    -1 for a number that is not in the list, and throughout if the label is not a sum of two numbers. Raises
-    `LabelError` unless it has the form kind/concept@style.
-    """
-    parsed = parse_sum(label)
-    if parsed is None:
-        return _indices("", "", "")
-    return _indices(*(f"{group}/{value}" for group, value in zip(BOARD_GROUPS, parsed, strict=True)))
+def _several(concept: str) -> list[str]:
+    """Things and their counts, in alphabetical order."""
+    counts = sorted((thing.rpartition("/")[2], count) for thing, count in parse_several(concept))
+    names = [
+        name
+        for side, (thing, count) in zip("ab", counts, strict=False)
+        for name in (f"thing_{side}/{thing}", f"count_{side}/{count}")
+    ]
+    return names if len(counts) > 1 else [*names, "thing_b/none"]
 
 
 @functools.cache
-def gate_attributes(gate: Gate) -> Indices:
-    """The attribute values of a gate: read-only int64 (3,), colour, shape and size as indices into `FACETS`."""
-    return _indices(*(f"{group}/{getattr(gate, group)}" for group in GATE_GROUPS))
-
-
-def _indices(*names: str) -> Indices:
-    """Indices of attribute values by name, -1 for unknown names."""
-    indices = np.array([_INDEX.get(name, ABSENT) for name in names], dtype=np.int64)
-    indices.flags.writeable = False
-    return indices
+def gate_looks(gate: Gate) -> Indices:
+    """A gate's look: read-only int64 (3,), indices of its colour, shape and size among `finder.LOOKS` values."""
+    colors, shapes = len(COLORS), len(SHAPES)
+    looks = np.array(
+        [COLORS.index(gate.color), colors + SHAPES.index(gate.shape), colors + shapes + SIZES.index(gate.size)]
+    )
+    looks.flags.writeable = False
+    return looks

@@ -13,16 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
-from cognitivedrone.interfaces import LabelPack
-from cognitivedrone.models.small_vla import REACH
-from cognitivedrone.tasks import BASE_FAMILIES, train_task
-from cognitivedrone.training.common.attributes import BOARD_GROUPS, PANEL_GROUPS, board_attributes, panel_attributes
+from cognitivedrone.labels import load_pack
+from cognitivedrone.models.finder import REACH
+from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.training.common.restyle import restyled
 from cognitivedrone.types import FloatArray, Image
 
 SHARES = {
-    "attributes": 0.2, "people": 0.1, "animals": 0.13, "food": 0.12, "association": 0.15, "math_board": 0.12,
-    "letters": 0.05, "digits": 0.05, "logos": 0.05, "math": 0.03,
+    "attributes": 0.14, "people": 0.07, "animals": 0.1, "food": 0.08, "association": 0.1, "math_board": 0.08,
+    "letters": 0.04, "digits": 0.04, "logos": 0.05, "math": 0.02, "counting": 0.16, "comparison": 0.12,
 }  # fmt: skip
 """Frequency of the panels of each family: higher if there are more things to tell apart."""
 HEIGHTS = (24.0, 90.0)
@@ -42,20 +41,14 @@ FacetsOf = Callable[[str], NDArray[np.int64]]
 
 
 class PanelCrops:
-    """Draws panel crops; by default of the panels and boards of the training tasks."""
+    """Draws panel crops; by default of the panels and boards of all families, with training ingredients."""
 
-    def __init__(
-        self, labels: LabelPack, crop_size: int, draw_label: DrawLabel | None = None, facets_of: FacetsOf | None = None
-    ) -> None:
-        self._labels = labels
+    def __init__(self, crop_size: int, facets_of: FacetsOf, draw_label: DrawLabel | None = None) -> None:
+        self._labels = load_pack()
         self._glimpse = crop_size
-        self._draw_label = draw_label or draw_training_label
-        self._attributes_of = facets_of or panel_and_board_attributes
+        self._draw_label = draw_label or draw_any_label
+        self._attributes_of = facets_of
         self._kept: list[tuple[PillowImage.Image, NDArray[np.int64]]] = []
-
-    def forget(self) -> None:
-        """Reset: the following crops do not depend on earlier ones."""
-        self._kept.clear()
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Image, NDArray[np.int64]]:
         """Crops (count, g, g, 3), and the attribute values of their content (count, columns), from `facets_of`."""
@@ -81,27 +74,16 @@ class PanelCrops:
             self._kept[int(rng.integers(_KEPT))] = kept
 
 
-_PLACES = np.cumsum([SHARES[family] for family in BASE_FAMILIES]) / sum(SHARES.values())
-_NO_PANEL = np.full(len(PANEL_GROUPS), -1)
-_NO_BOARD = np.full(len(BOARD_GROUPS), -1)
+_FAMILIES = tuple(SHARES)
+_PLACES = np.cumsum(list(SHARES.values())) / sum(SHARES.values())
 
 
-def draw_training_label(rng: np.random.Generator) -> str:
-    """A panel or board of a random training task."""
-    family = int(np.searchsorted(_PLACES, rng.random()))
-    # Families take turns in the training suite, so a task's number determines its family.
-    task = train_task(int(rng.integers(2**27)) * len(BASE_FAMILIES) + family, 0)
+def draw_any_label(rng: np.random.Generator) -> str:
+    """A panel or board with content of its own, from a random task of any family."""
+    task = drawn_task(_FAMILIES[int(np.searchsorted(_PLACES, rng.random()))], rng, "crop")
     if task.board is not None and rng.random() < 0.7:
         return task.board
     return task.labels[int(rng.integers(3))]
-
-
-def panel_and_board_attributes(label: str) -> NDArray[np.int64]:
-    """(13,): the attribute values of a panel, then those of a board."""
-    board = board_attributes(label)
-    if (board >= 0).any():
-        return np.concatenate([_NO_PANEL, board])
-    return np.concatenate([panel_attributes(label), _NO_BOARD])
 
 
 def panel_image_of(picture: PillowImage.Image, size: int, rng: np.random.Generator) -> Image:

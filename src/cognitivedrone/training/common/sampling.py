@@ -12,28 +12,24 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.interfaces import LabelPack
-from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.models.text import TOKEN, Lexicon
 from cognitivedrone.policies.expert import ExpertConfig
-from cognitivedrone.tasks import BASE_FAMILIES, train_task
 from cognitivedrone.tasks.generate import TRAIN, Pools
-from cognitivedrone.tasks.suites import drawn_task
-from cognitivedrone.training.common.attributes import PANEL_GROUPS, board_attributes, gate_attributes, panel_attributes
+from cognitivedrone.training.common.attributes import AttributeIndex, gate_looks
 from cognitivedrone.training.common.ground_truth import Poses, Truths, truths
-from cognitivedrone.training.common.panel_crops import PanelCrops
 from cognitivedrone.training.common.phrasing import SPOKEN
+from cognitivedrone.training.common.problems import ABSENT, ALONE, Mix, Problem, Problems
 from cognitivedrone.training.common.questions import ask, families
+from cognitivedrone.training.common.readings import Readings, readings_of
+from cognitivedrone.training.common.start import Start
 from cognitivedrone.types import IMAGE_SIZE, Image, Stage, Task
 
 Batch: TypeAlias = dict[str, NDArray[np.generic]]
 """Named arrays whose first axis is the sample, except for the `text_` ones:
 
-image (B, 256, 256, 3) uint8; state (B, 5); the fields of `Truths`; panel_facets (B, 3, 10), gate_facets (B, 3, 3),
-board_facets (B, 3), indices into `FACETS` or -1; flown (B,) the gate flown at; tokens (B, K, L), asked (B, K) the gate
-asked for, choice (B, K) the same, or 3 if it is not in view. And text_tokens (T, L), text_panels (T, 3, 10),
-text_gates (T, 3, 3), text_board (T, 3), text_asked (T,), text_named (T,) the concept that the sentence alone means, an
-index into `FACETS`, or -1. And card_image (C, g, g, 3) uint8, card_facets (C, 13), see
-`PanelCrops`; absent if C is 0.
+image (B, 256, 256, 3) uint8; state (B, 5); the fields of `Truths`; looks (B, 3, 3), see `gate_looks`; flown (B,) the
+gate flown at; tokens (B, K, L, TOKEN), asked (B, K) the gate asked for, choice (B, K) the same, or 3 if it is not in
+view. And the fields of `described`, of sentences without a frame.
 """
 
 NONE_IN_VIEW = 3
@@ -42,11 +38,21 @@ NONE_IN_VIEW = 3
 _LEFT_OUT, _LOST, _ADDED = 0.12, 0.12, 0.15
 """Shares of words that are left out, lost or added in a sentence with token noise."""
 
-_TEXT_SHARES = {"math": 0.3, "association": 0.2, "food": 0.06, "math_board": 0.12}
-"""Frequency of families in training without a frame; the others share the rest."""
-
 _NAMING = frozenset({"letters", "digits", "logos", "animals", "math", "math_board", "distraction", "two_step"})
 """Families whose sentences mean one concept, regardless of the other options."""
+
+
+@dataclass(frozen=True, slots=True)
+class TextMix:
+    """Distribution of sentences that are trained without a frame."""
+
+    problems: Mix = field(default_factory=lambda: Mix(families=dict(ALONE)))
+    token_noise: float = 0.1
+    """Share of sentences with token noise: words lost, left out and added."""
+    doubt: float = 0.5
+    """Share of attributes that are read with the reader's own doubts."""
+    hidden: float = 0.2
+    """Share of sentences about a board while no board is in view, so that the right gate is unknowable."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +65,7 @@ class StreamRecipe:
     """Sentences per frame."""
     texts: int = 256
     """Sentences per batch that are trained without a frame."""
-    panel_crops: int = 160
-    """Panel crops per batch that are trained without a frame."""
+    text_mix: TextMix = field(default_factory=TextMix)
     chunk: int = 1
     suite: str = "train"
     """`train`, or `race`: single gates without panels, and "Fly through the gates"."""
@@ -69,7 +74,7 @@ class StreamRecipe:
     spoken: float = 0.0
     """Share of sentences about panels with more wordings than the training tasks."""
     token_noise: float = 0.0
-    """Share of sentences with token noise: words lost, left out and added."""
+    """Share of sentences about frames with token noise."""
     directives: bool = True
     """Whether some sentences are directives."""
     varied: float = 0.5
@@ -95,36 +100,49 @@ class StreamRecipe:
 
 
 class Setting:
-    """The known facts about a flight: its task and stage, the gate flown at, and the visible attributes."""
+    """The known facts about a flight: its task and stage, the gate flown at, and the gates' looks."""
 
     def __init__(self, task: Task, stage: Stage, flown: int) -> None:
         self.task = task
         self.stage = stage
         self.flown = flown
-        self.panels = np.stack([panel_attributes(label) for label in stage.labels])
-        self.gates = np.stack([gate_attributes(gate) for gate in stage.gates])
-        self.board = board_attributes(stage.board) if stage.board else np.full(3, -1)
+        self.looks = np.stack([gate_looks(gate) for gate in stage.gates])
+
+
+@dataclass(frozen=True, slots=True)
+class SampleSource:
+    """What samples are made with, beside a recipe. Generating processes get a copy."""
+
+    lexicon: Lexicon
+    text_length: int
+    attributes: tuple[str, ...]
+    """Names of the attribute values."""
+    start: Start | None = None
+    """A trained panel reader, whose doubts described scenes have; without one there are no such scenes."""
+
+    def readings(self) -> Readings | None:
+        """The reader's answers; takes a few seconds."""
+        return None if self.start is None else readings_of(self.start, AttributeIndex(self.attributes))
 
 
 class Sampler:
     """Makes samples by a recipe."""
 
-    def __init__(
-        self, recipe: StreamRecipe, vocabulary: Vocabulary, text_length: int, crop_size: int, labels: LabelPack
-    ) -> None:
+    def __init__(self, recipe: StreamRecipe, source: SampleSource) -> None:
         self.recipe = recipe
-        self.vocabulary = vocabulary
-        self.text_length = text_length
-        self._cards = PanelCrops(labels, crop_size)
+        self.lexicon = source.lexicon
+        self.text_length = source.text_length
+        self._readings = source.readings() if recipe.texts else None
+        self._problems = Problems(recipe.text_mix.problems)
 
     def begin(self) -> None:
         """Reset: the following samples do not depend on earlier ones."""
-        self._cards.forget()
+        self._problems = Problems(self.recipe.text_mix.problems)
 
     def sample(self, rng: np.random.Generator, poses: Poses, flights: Sequence[Setting], frames: Image) -> Batch:
         """The samples of n frames (n, 256, 256, 3), one flight each: the fields of `Batch` except those of `beside`."""
         known = truths(poses, [each.stage for each in flights], self.recipe.chunk, self.recipe.expert)
-        tokens = np.zeros((len(flights), self.recipe.sentences, self.text_length), dtype=np.int64)
+        tokens = np.zeros((len(flights), self.recipe.sentences, self.text_length, TOKEN), dtype=np.int64)
         asked = np.zeros((len(flights), self.recipe.sentences), dtype=np.int64)
         for row, each in enumerate(flights):
             for column, (text, gate) in enumerate(self._questions(rng, row, each, known)):
@@ -135,9 +153,7 @@ class Sampler:
             "image": frames,
             "state": poses.state(),
             **known._asdict(),
-            "panel_facets": np.stack([each.panels for each in flights]),
-            "gate_facets": np.stack([each.gates for each in flights]),
-            "board_facets": np.stack([each.board for each in flights]),
+            "looks": np.stack([each.looks for each in flights]),
             "flown": np.array([each.flown for each in flights]),
             "tokens": tokens,
             "asked": asked,
@@ -145,7 +161,7 @@ class Sampler:
         }
 
     def _tokens(self, rng: np.random.Generator, text: str) -> NDArray[np.int64]:
-        tokens = self.vocabulary.encode(text, self.text_length)
+        tokens = self.lexicon.encode(text, self.text_length)
         return token_noise(rng, tokens) if rng.random() < self.recipe.token_noise else tokens
 
     def _questions(self, rng: np.random.Generator, row: int, each: Setting, known: Truths) -> Iterator[tuple[str, int]]:
@@ -184,49 +200,57 @@ class Sampler:
         return tuple(gate for gate in gates if families(task.labels, None, task.gates, gate))
 
     def beside(self, rng: np.random.Generator) -> Batch:
-        """The parts of a batch beside its frames: the `text_` and `card_` fields."""
-        if not self.recipe.panel_crops:
-            return self._texts(rng)
-        images, attributes = self._cards.draw(rng, self.recipe.panel_crops)
-        return self._texts(rng) | {"card_image": images, "card_facets": attributes}
-
-    def _texts(self, rng: np.random.Generator) -> Batch:
-        """Sentences with the attributes of panels and gates as ground truth instead of pixels."""
-        count = self.recipe.texts
-        rest = (1 - sum(_TEXT_SHARES.values())) / (len(BASE_FAMILIES) - len(_TEXT_SHARES))
-        shares = np.array([_TEXT_SHARES.get(family, rest) for family in BASE_FAMILIES])
-        drawn = rng.choice(len(BASE_FAMILIES), count, p=shares / shares.sum())
-        numbers = rng.integers(2**27, size=count) * len(BASE_FAMILIES) + drawn
-        tasks = [self._task(rng, int(number)) for number in numbers]
-        plain = rng.random(count) < (0.1 if self.recipe.directives else 0.0)
-        texts = [task.directive if p else task.instruction for task, p in zip(tasks, plain, strict=True)]
-        return told(tasks, np.stack([self._tokens(rng, text) for text in texts]), plain)
-
-    def _task(self, rng: np.random.Generator, number: int) -> Task:
-        """A training task by its number, or one of its family with additional wordings."""
-        pools = self._pools(rng)
-        if pools is TRAIN:
-            return train_task(number, 0)
-        return drawn_task(BASE_FAMILIES[number % len(BASE_FAMILIES)], rng, f"spoken-{number}", pools)
+        """The parts of a batch beside its frames: the `text_` fields; empty without readings."""
+        if self._readings is None:
+            return {}
+        problems: list[Problem] = []
+        while len(problems) < self.recipe.texts:
+            problems += self._problems.draw(rng)
+        return described(
+            rng, problems[: self.recipe.texts], self.lexicon, self.text_length, self._readings, self.recipe.text_mix
+        )
 
 
-def told(tasks: Sequence[Task], tokens: NDArray[np.int64], plain: NDArray[np.bool_]) -> Batch:
-    """The `text_` fields of a batch: sentences (T, L) about tasks, with attributes as ground truth instead of pixels.
+def described(
+    rng: np.random.Generator,
+    problems: Sequence[Problem],
+    lexicon: Lexicon,
+    text_length: int,
+    readings: Readings,
+    mix: TextMix,
+) -> Batch:
+    """Sentences with described scenes instead of frames, T of them.
 
-    `plain` (T,) says which of the sentences are directives.
+    text_tokens (T, L, TOKEN); text_panels (T, 3, F) and text_board (T, F), probabilities of attribute values;
+    text_looks (T, 3, 3); text_board_seen (T,) whether a board is in view; text_target (T,) the right gate, or `ABSENT`;
+    text_open (T,) whether it cannot be known; text_named (T,) the attribute value that the sentence alone means, or -1.
     """
-    panels = np.stack([[panel_attributes(label) for label in task.labels] for task in tasks])
-    target = np.array([task.target for task in tasks])
-    named = np.array([task.family in _NAMING for task in tasks]) & ~plain
-    concept = panels[np.arange(len(tasks)), target, PANEL_GROUPS.index("concept")]
-    return {
-        "text_tokens": tokens,
-        "text_panels": panels,
-        "text_gates": np.stack([[gate_attributes(gate) for gate in task.gates] for task in tasks]),
-        "text_board": np.stack([board_attributes(task.board) if task.board else np.full(3, -1) for task in tasks]),
-        "text_asked": target,
-        "text_named": np.where(named, concept, -1),
+    count, size = len(problems), len(readings.index.schema.names)
+    batch: dict[str, NDArray[np.generic]] = {
+        "text_tokens": np.zeros((count, text_length, TOKEN), np.int64),
+        "text_panels": np.zeros((count, 3, size), np.float32),
+        "text_board": np.zeros((count, size), np.float32),
+        "text_looks": np.stack([[gate_looks(gate) for gate in problem.gates] for problem in problems]),
+        "text_board_seen": np.zeros(count, np.float32),
+        "text_target": np.array([problem.target for problem in problems]),
+        "text_open": np.zeros(count, np.bool_),
+        "text_named": np.full(count, -1),
     }
+    concept = readings.index.column("concept")
+    for row, problem in enumerate(problems):
+        tokens = lexicon.encode(problem.sentence, text_length)
+        batch["text_tokens"][row] = token_noise(rng, tokens) if rng.random() < mix.token_noise else tokens
+        for place, label in enumerate(problem.labels):
+            batch["text_panels"][row, place] = readings.draw(rng, label, mix.doubt)
+        if problem.board is not None:
+            if rng.random() < mix.hidden:
+                batch["text_open"][row] = problem.family != "directive"
+            else:
+                batch["text_board"][row] = readings.draw(rng, problem.board, mix.doubt)
+                batch["text_board_seen"][row] = 1.0
+        if problem.family in _NAMING and problem.target != ABSENT and not batch["text_open"][row]:
+            batch["text_named"][row] = readings.index.of(problem.labels[problem.target])[concept]
+    return batch
 
 
 def _straight_ahead(row: int, each: Setting, known: Truths) -> int:
@@ -237,14 +261,18 @@ def _straight_ahead(row: int, each: Setting, known: Truths) -> int:
 
 
 def token_noise(rng: np.random.Generator, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
-    """A sentence (L,) with token noise: words are randomly left out, replaced by unknown or added (as unknown)."""
-    kept: list[int] = []
-    for token, chance in zip(tokens[tokens > 0].tolist(), rng.random(len(tokens)).tolist(), strict=False):
+    """A sentence (L, TOKEN) with token noise: some words are left out, some replaced by unknown, some unknown ones added."""
+    unknown = np.zeros(TOKEN, np.int64)
+    unknown[0] = 1
+    kept: list[NDArray[np.int64]] = []
+    words = tokens[tokens[:, 0] > 0]
+    for token, chance in zip(words, rng.random(len(words)).tolist(), strict=True):
         if chance < _LEFT_OUT:
             continue
         if chance > 1 - _ADDED:
-            kept.append(1)
-        kept.append(1 if chance < _LEFT_OUT + _LOST else token)
+            kept.append(unknown)
+        kept.append(unknown if chance < _LEFT_OUT + _LOST else token)
     row = np.zeros_like(tokens)
-    row[: len(kept)] = kept[: len(row)]
+    if kept:
+        row[: len(kept)] = kept[: len(row)]
     return row

@@ -10,10 +10,12 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import replacing
+from cognitivedrone.models.finder import LOOKS
 from cognitivedrone.models.onnx_file import Provenance, write_table
+from cognitivedrone.models.panel_reader import PanelReader
 from cognitivedrone.models.reasoner_file import (
-    LOOKS,
     READER_FILE,
     READER_KIND,
     REMEMBERED,
@@ -22,36 +24,35 @@ from cognitivedrone.models.reasoner_file import (
     GateSelectorModel,
     PanelReaderModel,
 )
-from cognitivedrone.models.small_reasoner import PanelReader
-from cognitivedrone.training.common.attributes import GATE_GROUPS, GROUPS
-from cognitivedrone.training.reasoner.reading import SEEN
-from cognitivedrone.training.reasoner.trained import load_reader, load_selector
+from cognitivedrone.models.text import TOKEN
+from cognitivedrone.training.common.start import Start, read_start
+from cognitivedrone.training.reasoner.trained import trained_selector
 from cognitivedrone.training.small_vla.export import provenance_of, write_onnx
-from cognitivedrone.training.small_vla.trained import load_trained
+from cognitivedrone.training.small_vla.trained import trained
 
 
-def export_panel_reader(policy: Path, reader: Path, folder: Path) -> Path:
-    """Export the panel reader, with the gate detector of a policy's checkpoint and the network of a reader's.
-
-    Returns the file in `folder`. Raises `TrainingError` for a bad checkpoint.
-    """
-    finder, _, _ = load_trained(policy)
-    network, facts = load_reader(reader)
-    model = PanelReader(finder, network, {group: GROUPS[group] for group in GATE_GROUPS})
+def export_panel_reader(policy: Start, folder: Path) -> Path:
+    """Export the panel reader of a policy; returns the file in `folder`. Raises `TrainingError` if it has none."""
+    network, _ = trained(policy)
+    if network.reader is None:
+        raise TrainingError(f"{policy.path}: the policy has no panel reader")
     example = {"image": torch.zeros(2, 256, 256, 3, dtype=torch.uint8)}
-    table = {"facets": list(SEEN), "config": network.config.facts()}
+    table = {"facets": list(network.schema.names), "network": network.reader.config.facts()}
     path = folder / READER_FILE
-    _export(model, example, ("facets", "looks", "boxes"), path, READER_KIND, table, provenance_of(facts))
+    model = PanelReader(network.finder, network.reader)
+    _export(model, example, ("facets", "looks", "boxes"), path, READER_KIND, table, provenance_of(policy.facts))
     PanelReaderModel.load(path)
     return path
 
 
 def export_selector(checkpoint: Path, folder: Path) -> Path:
     """Export the gate selector; returns the file in `folder`. Raises `TrainingError` for a bad checkpoint."""
-    selector, vocabulary, facts = load_selector(checkpoint)
-    count, length = len(SEEN), selector.config.text_length
+    start = read_start(checkpoint, "selector")
+    selector, lexicon = trained_selector(start)
+    names, length = start.facts["attributes"], selector.config.text_length
+    count = len(names)
     example = {
-        "tokens": torch.ones(2, length, dtype=torch.int64),
+        "tokens": torch.ones(2, length, TOKEN, dtype=torch.int64),
         "panels": torch.zeros(2, 3, count),
         "looks": torch.zeros(2, 3, LOOKS),
         "board": torch.zeros(2, count),
@@ -60,13 +61,14 @@ def export_selector(checkpoint: Path, folder: Path) -> Path:
         "stages": torch.zeros(2, REMEMBERED, 3, dtype=torch.int64),
     }
     table = {
-        "facets": list(SEEN),
-        "vocabulary": vocabulary.words,
+        "facets": names,
+        "vocabulary": lexicon.words,
+        "trained_words": lexicon.trained,
         "text_length": length,
-        "config": selector.config.facts(),
+        "network": selector.config.facts(),
     }
     path = folder / SELECTOR_FILE
-    _export(selector, example, ("logits",), path, SELECTOR, table, provenance_of(facts))
+    _export(selector, example, ("logits",), path, SELECTOR, table, provenance_of(start.facts))
     GateSelectorModel.load(path)
     return path
 

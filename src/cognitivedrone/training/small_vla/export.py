@@ -23,10 +23,11 @@ from cognitivedrone.files import replacing
 from cognitivedrone.models.onnx_file import Provenance
 from cognitivedrone.models.small_file import ActionStatistics, Description, SmallModel, describe
 from cognitivedrone.models.small_vla import STATE, SmallVLA
-from cognitivedrone.models.text import Vocabulary
-from cognitivedrone.training.common.sampling import StreamRecipe
+from cognitivedrone.models.text import TOKEN, Lexicon
+from cognitivedrone.policies.expert import ExpertConfig
+from cognitivedrone.training.common.sampling import SampleSource, StreamRecipe
 from cognitivedrone.training.small_vla.recorded import training_batches
-from cognitivedrone.training.small_vla.trained import load_trained, stream_of
+from cognitivedrone.training.small_vla.trained import load_trained
 
 _STATISTICS_FRAMES = 2_000
 _HALVED_FROM = 256  # elements; smaller tensors are biases, scales and shapes
@@ -41,17 +42,17 @@ def export(
     `data` is the training data set, if there was one; `scores` go into the file as they are. Raises
     `TrainingError` for a bad checkpoint.
     """
-    network, vocabulary, facts = load_trained(checkpoint)
-    recipe = facts["recipe"]
-    stream = stream_of(facts)
+    network, lexicon, start = load_trained(checkpoint)
+    facts = start.facts
     out.parent.mkdir(parents=True, exist_ok=True)
     description = Description(
-        name=recipe["name"],
-        vocabulary=vocabulary,
+        name=facts["recipe"]["name"],
+        vocabulary=lexicon,
         text_length=network.config.text_length,
         chunk=network.config.chunk,
-        action=action_statistics(network, vocabulary, stream, data),
-        config=network.config.facts(),
+        action=action_statistics(network, stream_of(facts), data),
+        network=network.config.facts(),
+        attributes=network.schema.names,
         provenance=provenance_of(facts, scores),
     )
     with replacing(out, out.with_suffix(".part.onnx")) as beside:
@@ -75,14 +76,23 @@ def provenance_of(facts: Mapping[str, Any], scores: Mapping[str, Any] | None = N
     )
 
 
+def stream_of(facts: Mapping[str, Any]) -> StreamRecipe:
+    """The rollout stream that a policy was trained from."""
+    told = facts["recipe"]["stream"]
+    return StreamRecipe(
+        **{name: value for name, value in told.items() if name not in ("expert", "text_mix")},
+        expert=ExpertConfig(**told["expert"]),
+    )
+
+
 def write_graph(network: SmallVLA, path: Path) -> None:
     """The policy's network as an ONNX graph."""
     example = {
         "image": torch.zeros(2, 256, 256, 3, dtype=torch.uint8),
         "state": torch.zeros(2, STATE),
-        "tokens": torch.zeros(2, network.config.text_length, dtype=torch.int64),
+        "tokens": torch.ones(2, network.config.text_length, TOKEN, dtype=torch.int64),
     }
-    write_onnx(network, example, ("action", "choice", "gates"), path)
+    write_onnx(network, example, ("action", "choice", "gates", "present"), path)
 
 
 def write_onnx(network: nn.Module, example: Mapping[str, Tensor], outputs: Sequence[str], path: Path) -> None:
@@ -102,6 +112,7 @@ def write_onnx(network: nn.Module, example: Mapping[str, Tensor], outputs: Seque
             input_names=list(example),
             output_names=list(outputs),
             verbose=False,
+            optimize=False,  # keeps every weight under its own name, so that a training can start from the file
         )
     model = onnx.load(str(path))
     _halve(model)
@@ -109,12 +120,11 @@ def write_onnx(network: nn.Module, example: Mapping[str, Tensor], outputs: Seque
     onnx.save(model, str(path))
 
 
-def action_statistics(
-    network: SmallVLA, vocabulary: Vocabulary, stream: StreamRecipe, data: Path | None = None
-) -> ActionStatistics:
+def action_statistics(network: SmallVLA, stream: StreamRecipe, data: Path | None = None) -> ActionStatistics:
     """The distribution of the actions in a stream or a data set, and the network's output range."""
-    recipe = replace(stream, batch=100, texts=1, panel_crops=0, sentences=1, learner=0.0)
-    made = training_batches(recipe, vocabulary, network.config, data)(_STATISTICS_SEED)
+    recipe = replace(stream, batch=100, texts=0, sentences=1, learner=0.0)
+    source = SampleSource(Lexicon.of(()), network.config.text_length, network.schema.names)
+    made = training_batches(recipe, source, data)(_STATISTICS_SEED)
     taken = list(islice(made, _STATISTICS_FRAMES // recipe.batch))
     actions = np.concatenate([batch["action"][batch["valid"]][:, 0] for batch in taken]).astype(np.float64)
 
@@ -123,8 +133,8 @@ def action_statistics(
         return a, b, c, d
 
     return ActionStatistics(
-        low=four(network.low),
-        high=four(network.high),
+        low=four(network.flight.low),
+        high=four(network.flight.high),
         mean=four(actions.mean(axis=0)),
         std=four(actions.std(axis=0)),
         q01=four(np.quantile(actions, 0.01, axis=0)),

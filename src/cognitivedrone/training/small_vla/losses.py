@@ -1,7 +1,8 @@
 """Losses of the small VLA: one for each part of it, all from one batch of a `RolloutStream`.
 
 Each part learns from the simulator's ground truth, not from the errors of the parts before it: gates are read at their
-true cells and panels in their true boxes, with noise as large as the network's errors in flight.
+true cells and panels in their true boxes, with noise as large as the network's errors in flight. The panel reader is
+not among them: it was trained before, and stays as it is.
 """
 
 from __future__ import annotations
@@ -12,8 +13,17 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-from cognitivedrone.models.small_vla import SLOTS, STRIDE, Scene, Seen, Slots, SmallVLA
-from cognitivedrone.training.common.attributes import BOARD_GROUPS, GATE_GROUPS, GROUPS, PANEL_GROUPS
+from cognitivedrone.models.finder import (
+    CELLS,
+    LOOK_GROUPS,
+    SLOTS,
+    STRIDE,
+    Scene,
+    Seen,
+    Slots,
+    look_probabilities,
+)
+from cognitivedrone.models.small_vla import Flight, SmallVLA
 
 _BLUR_BINS = 2.0  # width of the smoothed labels, so that a neighbouring bin is nearly right
 _BOX_SHIFT, _BOX_SCALE = 0.06, 0.08  # noise of the boxes in which panels are read, in heights
@@ -27,8 +37,7 @@ class LossWeights:
 
     heat: float = 1.0
     place: float = 2.0
-    attributes: float = 1.0
-    panel_crops: float = 1.0
+    looks: float = 0.5
     choice: float = 1.0
     text: float = 2.0
     action: float = 1.0
@@ -51,133 +60,65 @@ class LossModule(nn.Module):
         device = batch["image"].device.type
         dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else torch.float32
         image = batch["image"].permute(0, 3, 1, 2).to(dtype) / 255
-        scene = network.look(image)
-        slots, board_cell_known = true_slots(batch, network.cells, jitter=self.training)
-        seen = network.attend(scene, slots)
-        read = network.read(image, _jittered(batch["panel"], self.training))
+        scene = network.finder.look(image)
+        slots, board_cell_known = true_slots(batch, jitter=self.training)
+        seen = network.finder.attend(scene, slots)
+        with torch.no_grad():  # the reader was trained before, from panels alone
+            read = network.read(image, _jittered(batch["panel"], self.training))
         n, sentences = batch["tokens"].shape[:2]
-        board_seen = batch["legible"][:, SLOTS].float()
-        query = network.text(
+        query, _ = network.language(
             _trimmed(batch["tokens"].flatten(0, 1)),
-            network.spell(read[:, SLOTS]).repeat_interleave(sentences, 0),
-            board_seen.repeat_interleave(sentences, 0),
-        ).view(n, sentences, -1)
-        gates = network.describe(seen, read[:, :SLOTS])
-        logits = network.choose(query, gates, seen, batch["state"])
+            read[:, SLOTS].repeat_interleave(sentences, 0),
+            batch["legible"][:, SLOTS].float().repeat_interleave(sentences, 0),
+        )
+        gates = network.language.describe(read[:, :SLOTS], look_probabilities(seen.looks))
+        match = network.language.match(query.view(n, sentences, -1), gates)
+        logits = network.flight.choose(match, seen, batch["state"])
         present = torch.cat([batch["in_view"], torch.ones_like(batch["in_view"][:, :1])], dim=1)
         logits = logits + (present.float()[:, None] - 1) * 1e4
-        raw = network.act(seen, batch["state"])
-        text, text_right = text_loss(network, batch)
+        raw = network.flight.act(seen, batch["state"])
         parts = {
             "heat": _heat_loss(scene, batch, slots, board_cell_known),
-            "place": self._place_loss(seen, batch, slots, board_cell_known),
-            "attributes": self._attribute_loss(read, network.gate_embedding(seen.cell), batch),
-            "panel_crops": self._crop_loss(batch),
+            "place": _place_loss(seen, batch, slots, board_cell_known),
+            "looks": _looks_loss(seen, batch),
             "choice": F.cross_entropy(logits.flatten(0, 1), batch["choice"].flatten()),
-            "text": text,
             "action": self._action_loss(raw, batch),
         }
+        measures = {}
+        if "text_tokens" in batch:
+            parts["text"], right = text_loss(network, batch)
+            measures["text accuracy"] = right.float().mean()
         total = torch.stack([getattr(weights, name) * loss for name, loss in parts.items()]).sum()
-        measures = {name: loss.detach() for name, loss in parts.items()} | {"text accuracy": text_right.float().mean()}
+        measures |= {name: loss.detach() for name, loss in parts.items()}
         with torch.no_grad():
             right = logits.argmax(-1) == batch["choice"]
             clear = (batch["in_view"] & batch["legible"][:, :SLOTS]).all(dim=1)
             measures["choice accuracy"] = known_mean(right.float(), clear[:, None].expand_as(right))
         return total, measures
 
-    def _place_loss(self, seen: Seen, batch: dict[str, Tensor], slots: Slots, board_known: Tensor) -> Tensor:
-        cells = self.network.cells
-        target = torch.cat(
-            [
-                _offset(batch["gate"], slots.cells, cells),
-                batch["place"][..., :1].clamp(0.1, 30).log(),
-                batch["place"][..., 1:],
-                _offset(batch["panel"][:, :SLOTS, :2], slots.cells, cells),
-                (batch["panel"][:, :SLOTS, 2:] / STRIDE).clamp(0.1, 30).log(),
-            ],
-            dim=-1,
-        )
-        # A panel far outside the image need not be located exactly.
-        gates = F.smooth_l1_loss(seen.geometry.float(), target.clamp(-8, 8), beta=0.1, reduction="none").mean(-1)
-        board = torch.cat(
-            [
-                _offset(batch["panel"][:, SLOTS:, :2], slots.board_cell[:, None], cells)[:, 0],
-                (batch["panel"][:, SLOTS, 2:] / STRIDE).clamp(0.1, 30).log(),
-            ],
-            dim=-1,
-        )
-        boards = F.smooth_l1_loss(seen.board_geometry.float(), board.clamp(-8, 8), beta=0.1, reduction="none").mean(-1)
-        return known_mean(gates, batch["in_view"]) + known_mean(boards, board_known)
-
-    def _attribute_loss(self, read: Tensor, gates: Tensor, batch: dict[str, Tensor]) -> Tensor:
-        legible = batch["legible"] & torch.cat([batch["in_view"], batch["legible"][:, SLOTS:]], dim=1)
-        panels = self._named(read[:, :SLOTS], batch["panel_facets"], legible[:, :SLOTS], PANEL_GROUPS)
-        board = self._named(read[:, SLOTS:], batch["board_facets"][:, None], legible[:, SLOTS:], BOARD_GROUPS)
-        return panels + board + 0.5 * self._named(gates, batch["gate_facets"], batch["in_view"], GATE_GROUPS)
-
-    def _crop_loss(self, batch: dict[str, Tensor]) -> Tensor:
-        """Loss of panel crops, without a frame."""
-        if "card_image" not in batch:
-            return batch["state"].new_zeros(())
-        pixels = batch["card_image"].permute(0, 3, 1, 2).float() / 255  # channels last in memory, as `read` has it
-        read = self.network.panel_encoder((pixels - 0.5) * 4)[:, None]
-        attributes = batch["card_facets"][:, None]
-        known = torch.ones_like(attributes[..., 0], dtype=torch.bool)
-        panels, boards = attributes[..., : len(PANEL_GROUPS)], attributes[..., len(PANEL_GROUPS) :]
-        return self._named(read, panels, known, PANEL_GROUPS) + self._named(read, boards, known, BOARD_GROUPS)
-
-    def _named(self, embeddings: Tensor, attributes: Tensor, known: Tensor, groups: tuple[str, ...]) -> Tensor:
-        """Cross-entropies of classifying attributes (n, m, groups) from embeddings (n, m, E), summed over groups."""
-        logits = embeddings.float() @ self.network.prototypes.float().T
-        losses = []
-        for column, group in enumerate(groups):
-            span = GROUPS[group]
-            there = known & (attributes[..., column] >= 0)
-            target = (attributes[..., column] - span.start).clamp(0)
-            loss = F.cross_entropy(logits[..., span].flatten(0, 1), target.flatten(), reduction="none")
-            # An average over all samples that could have had it: rare values count as often as they occur.
-            share = 1.0 if group in ("concept", *GATE_GROUPS) else 0.3
-            losses.append(share * known_mean(loss.view_as(target), there))
-        return torch.stack(losses).sum()
-
     def _action_loss(self, raw: Tensor, batch: dict[str, Tensor]) -> Tensor:
         target, taught = action_targets(batch)
-        return known_mean(action_loss(self.network, raw, target).mean(dim=(-1, -2)), taught)
+        return known_mean(action_loss(self.network.flight, raw, target).mean(dim=(-1, -2)), taught)
 
 
-def text_loss(network: SmallVLA, batch: dict[str, Tensor], query: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """Loss of sentences against ground-truth panels, gates and board; and which of them (T,) were right.
+def text_loss(network: SmallVLA, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+    """Loss of sentences about described scenes, and which of them (T,) were right; fields as in `sampling.described`.
 
-    `query` (T, E) is the network's encoding of the sentences, if already computed. Sentences that are `text_open` (T,),
-    if the batch has it, have no knowable right gate: the target prefers no gate.
+    Sentences that are open have no knowable right gate: the target prefers no gate.
     """
-    asked, named = batch["text_asked"], batch["text_named"]
-    if query is None:
-        query = told_query(network.text, batch, told_embedding(network, batch["text_board"]))
-    gates = told_embedding(network, batch["text_panels"]) + told_embedding(network, batch["text_gates"])
-    logits = (query[:, None] * gates.float()).sum(-1) * network.scale
+    language, target, named = network.language, batch["text_target"], batch["text_named"]
+    query, absent = language(_trimmed(batch["text_tokens"]), batch["text_board"].float(), batch["text_board_seen"])
+    looks = F.one_hot(batch["text_looks"], 8).sum(-2).float()
+    gates = language.describe(batch["text_panels"].float(), looks)
+    logits = torch.cat([language.match(query[:, None], gates)[:, 0], absent[:, None]], dim=1)
     # Three panels are too few to separate a wrong sum from a right one: a single concept is classified among all.
-    concepts = GROUPS["concept"]
-    among_all = query @ network.prototypes[concepts].float().T * network.scale
+    concepts = network.schema.groups["concept"]
+    among_all = query @ language.prototypes[concepts].float().T * language.scale
     meant = (named - concepts.start).clamp(0)
     naming = known_mean(F.cross_entropy(among_all, meant, reduction="none"), named >= 0)
-    choice = F.cross_entropy(logits, asked)
-    if "text_open" in batch:
-        evenly = -logits.log_softmax(-1).mean(-1)
-        choice = torch.where(batch["text_open"], evenly, F.cross_entropy(logits, asked, reduction="none")).mean()
-    return choice + _NAMING_SHARE * naming, logits.detach().argmax(-1) == asked
-
-
-def told_query(text: nn.Module, batch: dict[str, Tensor], board: Tensor) -> Tensor:
-    """The text encoder's queries for a batch's sentences (T, E), given ground truth of the board (T, E)."""
-    query: Tensor = text(_trimmed(batch["text_tokens"]), board, (batch["text_board"][:, 0] >= 0).float())
-    return query.float()
-
-
-def told_embedding(network: SmallVLA, attributes: Tensor) -> Tensor:
-    """Sums of prototypes (..., E) of attributes (..., groups); those that are -1 do not count."""
-    rows = F.embedding(attributes.clamp(0), network.prototypes)
-    return (rows * (attributes >= 0).to(rows.dtype)[..., None]).sum(-2)
+    evenly = -logits[:, :SLOTS].log_softmax(-1).mean(-1)
+    choice = torch.where(batch["text_open"], evenly, F.cross_entropy(logits, target, reduction="none")).mean()
+    return choice + _NAMING_SHARE * naming, logits.detach().argmax(-1) == target
 
 
 def action_targets(batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
@@ -189,10 +130,10 @@ def action_targets(batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
     return target, torch.cat([batch["valid"] & batch["in_view"], unseen[:, None]], dim=1)
 
 
-def action_loss(network: SmallVLA, raw: Tensor, target: Tensor) -> Tensor:
+def action_loss(flight: Flight, raw: Tensor, target: Tensor) -> Tensor:
     """Loss (..., 4) of raw actions (..., 4, bins or 1) against actions (..., 4) in m/s and rad/s."""
-    config = network.config
-    share = ((target - network.low) / (network.high - network.low)).clamp(0, 1)
+    config = flight.config
+    share = ((target - flight.low) / (flight.high - flight.low)).clamp(0, 1)
     if config.head == "regression":
         return 20 * (raw[..., 0].float() - (2 * share - 1)).abs()
     bins = torch.arange(config.bins, device=raw.device)
@@ -200,7 +141,7 @@ def action_loss(network: SmallVLA, raw: Tensor, target: Tensor) -> Tensor:
     return -(bell / bell.sum(-1, keepdim=True) * raw.float().log_softmax(-1)).sum(-1)
 
 
-def true_slots(batch: dict[str, Tensor], cells: int, *, jitter: bool) -> tuple[Slots, Tensor]:
+def true_slots(batch: dict[str, Tensor], *, jitter: bool) -> tuple[Slots, Tensor]:
     """The cells of gates and board, gates in order; some are one cell off with `jitter`. And whether a board shows."""
     column, row = (torch.div(batch["gate"][..., axis], STRIDE, rounding_mode="floor").long() for axis in (0, 1))
     if jitter:
@@ -210,30 +151,62 @@ def true_slots(batch: dict[str, Tensor], cells: int, *, jitter: bool) -> tuple[S
     board = batch["panel"][:, SLOTS]
     board_column, board_row = (torch.div(board[:, axis], STRIDE, rounding_mode="floor").long() for axis in (0, 1))
     known = batch["legible"][:, SLOTS]
-    last = cells - 1
+    last = CELLS - 1
     return (
         Slots(
-            row.clamp(0, last) * cells + column.clamp(0, last),
-            board_row.clamp(0, last) * cells + board_column.clamp(0, last),
+            row.clamp(0, last) * CELLS + column.clamp(0, last),
+            board_row.clamp(0, last) * CELLS + board_column.clamp(0, last),
         ),
         known,
     )
 
 
+def _place_loss(seen: Seen, batch: dict[str, Tensor], slots: Slots, board_known: Tensor) -> Tensor:
+    target = torch.cat(
+        [
+            _offset(batch["gate"], slots.cells),
+            batch["place"][..., :1].clamp(0.1, 30).log(),
+            batch["place"][..., 1:],
+            _offset(batch["panel"][:, :SLOTS, :2], slots.cells),
+            (batch["panel"][:, :SLOTS, 2:] / STRIDE).clamp(0.1, 30).log(),
+        ],
+        dim=-1,
+    )
+    # A panel far outside the image need not be located exactly.
+    gates = F.smooth_l1_loss(seen.geometry.float(), target.clamp(-8, 8), beta=0.1, reduction="none").mean(-1)
+    board = torch.cat(
+        [
+            _offset(batch["panel"][:, SLOTS:, :2], slots.board_cell[:, None])[:, 0],
+            (batch["panel"][:, SLOTS, 2:] / STRIDE).clamp(0.1, 30).log(),
+        ],
+        dim=-1,
+    )
+    boards = F.smooth_l1_loss(seen.board_geometry.float(), board.clamp(-8, 8), beta=0.1, reduction="none").mean(-1)
+    return known_mean(gates, batch["in_view"]) + known_mean(boards, board_known)
+
+
+def _looks_loss(seen: Seen, batch: dict[str, Tensor]) -> Tensor:
+    losses = []
+    for column, span in enumerate(LOOK_GROUPS):
+        target = batch["looks"][..., column] - span.start
+        loss = F.cross_entropy(seen.looks[..., span].float().flatten(0, 1), target.flatten(), reduction="none")
+        losses.append(known_mean(loss.view_as(target), batch["in_view"]))
+    return torch.stack(losses).sum()
+
+
 def _heat_loss(scene: Scene, batch: dict[str, Tensor], slots: Slots, board_known: Tensor) -> Tensor:
-    cells = round(scene.gate_heat.shape[1] ** 0.5)
-    true, _ = true_slots(batch, cells, jitter=False)
-    return _focal(scene.gate_heat, true.cells, batch["in_view"], cells) + _focal(
-        scene.board_heat, slots.board_cell[:, None], board_known[:, None], cells
+    true, _ = true_slots(batch, jitter=False)
+    return _focal(scene.gate_heat, true.cells, batch["in_view"]) + _focal(
+        scene.board_heat, slots.board_cell[:, None], board_known[:, None]
     )
 
 
-def _focal(heat: Tensor, cells: Tensor, known: Tensor, n: int) -> Tensor:
-    """Focal loss of logits (B, n * n) against cells (B, m); neighbours of a true cell are ignored."""
+def _focal(heat: Tensor, cells: Tensor, known: Tensor) -> Tensor:
+    """Focal loss of logits (B, CELLS * CELLS) against cells (B, m); neighbours of a true cell are ignored."""
     truth = torch.zeros_like(heat, dtype=torch.float32)
     truth.scatter_add_(1, cells, known.float())
     truth = truth.clamp(max=1)
-    near = F.max_pool2d(truth.view(-1, 1, n, n), 3, 1, 1).flatten(1)
+    near = F.max_pool2d(truth.view(-1, 1, CELLS, CELLS), 3, 1, 1).flatten(1)
     logits = heat.float()
     chance = logits.sigmoid()
     found = truth * (1 - chance) ** 2 * -F.logsigmoid(logits)
@@ -241,9 +214,9 @@ def _focal(heat: Tensor, cells: Tensor, known: Tensor, n: int) -> Tensor:
     return (found + empty).sum() / truth.sum().clamp(min=1)
 
 
-def _offset(point: Tensor, cells: Tensor, n: int) -> Tensor:
+def _offset(point: Tensor, cells: Tensor) -> Tensor:
     """Offsets (..., 2) of points (..., 2) in pixels from the centres of cells (...), in cells."""
-    middle = torch.stack([cells % n, torch.div(cells, n, rounding_mode="floor")], dim=-1).float() + 0.5
+    middle = torch.stack([cells % CELLS, torch.div(cells, CELLS, rounding_mode="floor")], dim=-1).float() + 0.5
     return point / STRIDE - middle
 
 
@@ -257,7 +230,7 @@ def _jittered(boxes: Tensor, jitter: bool) -> Tensor:
 
 def _trimmed(tokens: Tensor) -> Tensor:
     """The tokens without columns that are padding in every row."""
-    longest = int((tokens != 0).sum(dim=1).max())
+    longest = int((tokens[..., 0] != 0).sum(dim=1).max())
     return tokens[:, :longest]
 
 

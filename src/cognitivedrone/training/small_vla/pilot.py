@@ -12,7 +12,7 @@ from cognitivedrone.envs.drone import clip_action
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.labels import load_pack
 from cognitivedrone.models.small_vla import SmallVLA
-from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.models.text import Lexicon
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite
 from cognitivedrone.training.common.ground_truth import Poses
@@ -22,21 +22,21 @@ from cognitivedrone.types import FloatArray, Image, StageResult
 class NetworkPilot:
     """Batched policy of a network; its only inputs are images, motion and sentences."""
 
-    def __init__(self, network: SmallVLA, vocabulary: Vocabulary) -> None:
+    def __init__(self, network: SmallVLA, lexicon: Lexicon) -> None:
         self.network = network
-        self.vocabulary = vocabulary
+        self.lexicon = lexicon
 
     def act(self, images: Image, states: NDArray[np.float32], texts: Sequence[str]) -> FloatArray:
         """The first actions (n, 4), m/s and rad/s, for images (n, 256, 256, 3), states (n, 5) and n sentences."""
         network = self.network
         device = next(network.parameters()).device
         length = network.config.text_length
-        tokens = np.stack([self.vocabulary.encode(text, length) for text in texts])
+        tokens = np.stack([self.lexicon.encode(text, length) for text in texts])
         arrays = (np.ascontiguousarray(images), states, tokens)
         training = network.training
         network.eval()
         with torch.no_grad(), torch.autocast(device.type, torch.bfloat16):
-            actions, _, _ = network(*(torch.from_numpy(array).to(device) for array in arrays))
+            actions, *_ = network(*(torch.from_numpy(array).to(device) for array in arrays))
         network.train(training)
         first: FloatArray = actions[:, 0].float().cpu().numpy()
         return first

@@ -7,21 +7,22 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
 import torch
 from torch import nn
 
 from cognitivedrone.data.store import Store
 from cognitivedrone.envs.track_runner import TrackConfig
 from cognitivedrone.errors import TrainingError
+from cognitivedrone.models.panel_reader import ReaderConfig
+from cognitivedrone.models.sentence import WordConfig
 from cognitivedrone.models.small_vla import SmallVLA, SmallVLAConfig
-from cognitivedrone.models.text import Vocabulary
-from cognitivedrone.tasks import BASE_FAMILIES, load_suite, train_task
+from cognitivedrone.models.text import Lexicon
+from cognitivedrone.tasks import load_suite
 from cognitivedrone.tasks.racing import INSTRUCTIONS
-from cognitivedrone.tasks.suites import drawn_task
-from cognitivedrone.training.common.attributes import BOARD_BOUNDS, FACETS
-from cognitivedrone.training.common.phrasing import SPOKEN
-from cognitivedrone.training.common.sampling import Batch, StreamRecipe
+from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
+from cognitivedrone.training.common.lexicon import training_lexicon, with_vectors
+from cognitivedrone.training.common.sampling import Batch, SampleSource, StreamRecipe
+from cognitivedrone.training.common.start import Start, read_start, restore_part
 from cognitivedrone.training.common.training_task import Batches, Recipe, Row
 from cognitivedrone.training.small_vla.losses import LossModule, LossWeights
 from cognitivedrone.training.small_vla.pilot import NetworkPilot, fly_suite
@@ -29,7 +30,6 @@ from cognitivedrone.training.small_vla.recorded import training_batches
 from cognitivedrone.training.small_vla.validation import validate
 
 _VALIDATION = 10**6  # rank of the generator of validation frames: no training process has it
-_SENTENCES = 40_000  # training sentences whose words make the vocabulary
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,18 +47,21 @@ class TrainRecipe(Recipe):
     takes_data: ClassVar[bool] = True
 
     def training(self, *, start: Path | None = None, data: Path | None = None) -> PolicyTraining:
-        """A new policy, with the vocabulary of its tasks."""
-        del start
-        racing = self.stream.suite == "race"
-        vocabulary = Vocabulary.of(INSTRUCTIONS) if racing else training_vocabulary(spoken=self.stream.spoken > 0)
+        """A new policy, with the panel reader of `start`, by default the shipped one; a racing policy has none."""
+        if self.network.reader is None:
+            lexicon = Lexicon.of(INSTRUCTIONS)
+            names: tuple[str, ...] = ATTRIBUTES
+            origin = None
+        else:
+            origin = read_start(start, "reader")
+            lexicon, names = training_lexicon(self.stream.text_mix.problems), tuple(origin.facts["attributes"])
         network = replace(
             self.network,
-            vocabulary=len(vocabulary.words),
-            attributes=len(FACETS),
-            board_bounds=BOARD_BOUNDS,
+            words=WordConfig(len(lexicon.words), lexicon.trained),
+            reader=None if origin is None else ReaderConfig.of(origin.reader_facts()),
             chunk=self.stream.chunk,
         )
-        return PolicyTraining(replace(self, network=network), vocabulary, data)
+        return PolicyTraining(replace(self, network=network), lexicon, names, None if origin is None else origin, data)
 
 
 @dataclass(frozen=True)
@@ -67,22 +70,34 @@ class PolicyTraining:
 
     recipe: TrainRecipe
     """Its network is as large as words and attribute values require."""
-    vocabulary: Vocabulary
+    lexicon: Lexicon
+    attributes: tuple[str, ...]
+    """Names of the attribute values that its panel reader tells."""
+    start: Start | None = None
+    """Where its panel reader comes from."""
     data: Path | None = None
 
     def identity(self) -> dict[str, Any]:
-        """Recipe, and the data set's hash."""
-        return {"recipe": self.recipe.facts()} | (
-            {"data": f"store {Store(self.data).content_hash()}"} if self.data else {}
-        )
+        """Recipe, the reader's origin, and the data set's hash."""
+        origins = [] if self.start is None else [self.start.origin]
+        origins += [f"store {Store(self.data).content_hash()}"] if self.data else []
+        return {"recipe": self.recipe.facts()} | ({"data": ", ".join(origins)} if origins else {})
 
     def facts(self) -> dict[str, Any]:
-        """The vocabulary."""
-        return {"vocabulary": list(self.vocabulary.words)}
+        """Words and attribute values."""
+        return {
+            "vocabulary": list(self.lexicon.words),
+            "trained_words": self.lexicon.trained,
+            "attributes": list(self.attributes),
+        }
 
     def network(self) -> SmallVLA:
-        """The network, channels last in memory for speed."""
-        network = SmallVLA(self.recipe.network)
+        """The network, channels last in memory for speed; its reader is trained already and stays as it is."""
+        network = SmallVLA(self.recipe.network, AttributeIndex(self.attributes).schema)
+        with_vectors(network.language.words, self.lexicon)
+        if self.start is not None and network.reader is not None:
+            restore_part(self.start, "reader", network.reader)
+            network.reader.requires_grad_(requires_grad=False)
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return network
 
@@ -96,27 +111,26 @@ class PolicyTraining:
         return self._pilot(network) if self.data is None and self.recipe.stream.learner > 0 else None
 
     def share(self, processes: int) -> PolicyTraining:
-        """Processes share frames, sentences and panel crops."""
+        """Processes share frames and sentences."""
         stream = self.recipe.stream
         if stream.batch % processes:
             raise TrainingError(f"a batch of {stream.batch} frames cannot be shared by {processes} processes")
         part = replace(
             stream,
             batch=stream.batch // processes,
-            texts=max(1, stream.texts // processes),
-            panel_crops=-(-stream.panel_crops // processes),
+            texts=-(-stream.texts // processes),
         )
         return replace(self, recipe=replace(self.recipe, stream=part))
 
     def batches(self) -> Batches:
         """Batches of the training split."""
-        return training_batches(self.recipe.stream, self.vocabulary, self.recipe.network, self.data)
+        return training_batches(self.recipe.stream, self.source(), self.data)
 
     def validation(self, seed: int) -> list[Batch]:
         """Few frames per flight, so that they cover many scenes; for a data set, its validation split."""
         count = self.recipe.validation_frames
         stream = replace(self.recipe.stream, batch=min(32, count), learner=0.0, sampled=0.05)
-        made = training_batches(stream, self.vocabulary, self.recipe.network, self.data, validation=True)
+        made = training_batches(stream, self.source(), self.data, validation=True)
         return list(islice(made((seed, _VALIDATION)), max(1, count // stream.batch)))
 
     def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
@@ -136,20 +150,13 @@ class PolicyTraining:
 
         export(checkpoint, folder / self.recipe.model_file, data=self.data)
 
+    def source(self) -> SampleSource:
+        """What samples are made with."""
+        return SampleSource(self.lexicon, self.recipe.network.text_length, self.attributes, self.start)
+
     def _pilot(self, network: nn.Module) -> NetworkPilot:
         assert isinstance(network, SmallVLA)  # noqa: S101
-        return NetworkPilot(network, self.vocabulary)
-
-
-def training_vocabulary(*, spoken: bool = False) -> Vocabulary:
-    """All words of training tasks, directives and racing; with `spoken`, also of additional wordings."""
-    tasks = [train_task(index, 0) for index in range(_SENTENCES)]
-    if spoken:
-        rng = np.random.default_rng(0)
-        families = (BASE_FAMILIES[index % len(BASE_FAMILIES)] for index in range(_SENTENCES))
-        tasks += [drawn_task(family, rng, "spoken", SPOKEN) for family in families]
-    plain = ["Fly through the big red round gate", "Go to the small green square gate", "Take the blue triangle gate"]
-    return Vocabulary.of([*plain, *(t.instruction for t in tasks), *INSTRUCTIONS])
+        return NetworkPilot(network, self.lexicon)
 
 
 def trial(pilot: NetworkPilot, suite: str, count: int) -> Row:

@@ -18,11 +18,8 @@ from cognitivedrone.data.store import Store
 from cognitivedrone.envs.track_runner import stage_of
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.frames import rotate_yaw, yaw_of
-from cognitivedrone.labels import load_pack
-from cognitivedrone.models.small_vla import SmallVLAConfig
-from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.training.common.ground_truth import Poses
-from cognitivedrone.training.common.sampling import Batch, Sampler, Setting, StreamRecipe
+from cognitivedrone.training.common.sampling import Batch, Sampler, SampleSource, Setting, StreamRecipe
 from cognitivedrone.training.common.training_task import Batches, Learner
 from cognitivedrone.training.small_vla.stream import RolloutStream
 
@@ -30,17 +27,9 @@ from cognitivedrone.training.small_vla.stream import RolloutStream
 class Recorded:
     """The steps of a split of a data set, as batches in random order."""
 
-    def __init__(
-        self,
-        folder: Path,
-        recipe: StreamRecipe,
-        vocabulary: Vocabulary,
-        network: SmallVLAConfig,
-        split: Split = "train",
-    ) -> None:
+    def __init__(self, folder: Path, recipe: StreamRecipe, source: SampleSource, split: Split = "train") -> None:
         self._recipe, self._split = recipe, split
-        labels = load_pack()
-        self._sampler = Sampler(recipe, vocabulary, network.text_length, network.crop_size, labels)
+        self._sampler = Sampler(recipe, source)
         self._store = Store(folder)
         self._steps = self._store.step_numbers(split)
         if not len(self._steps):
@@ -87,14 +76,9 @@ class Recorded:
 
 
 def training_batches(
-    stream: StreamRecipe,
-    vocabulary: Vocabulary,
-    network: SmallVLAConfig,
-    data: Path | None,
-    *,
-    validation: bool = False,
+    stream: StreamRecipe, source: SampleSource, data: Path | None, *, validation: bool = False
 ) -> Batches:
     """Batches from a split of a data set or, without one, from flights made during training, split by seed."""
     if data is None:
-        return RolloutStream(stream, vocabulary, network)
-    return Recorded(data, stream, vocabulary, network, "val" if validation else "train").batches
+        return RolloutStream(stream, source)
+    return Recorded(data, stream, source, "val" if validation else "train").batches

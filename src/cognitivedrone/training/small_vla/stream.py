@@ -21,8 +21,6 @@ from cognitivedrone.envs.track_runner import draw_start, scenery_of, stage_of
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
-from cognitivedrone.models.small_vla import SmallVLAConfig
-from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.policies.expert import intent
 from cognitivedrone.sim.airframe import RACER
 from cognitivedrone.sim.drone_world import Start
@@ -30,7 +28,7 @@ from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.racing import crowded_task, race_task
 from cognitivedrone.training.common.ground_truth import Poses
-from cognitivedrone.training.common.sampling import Batch, Sampler, Setting, StreamRecipe
+from cognitivedrone.training.common.sampling import Batch, Sampler, SampleSource, Setting, StreamRecipe
 from cognitivedrone.training.common.training_task import Filling, Learner
 from cognitivedrone.types import CONTROL_HZ, FloatArray, Image, Stage, Task
 from cognitivedrone.world import geometry
@@ -55,10 +53,10 @@ class _Flight(Setting):
 class RolloutStream:
     """Worlds with training flights."""
 
-    def __init__(self, recipe: StreamRecipe, vocabulary: Vocabulary, network: SmallVLAConfig) -> None:
+    def __init__(self, recipe: StreamRecipe, source: SampleSource) -> None:
         self.recipe = recipe
         self._labels: LabelPack = load_pack()
-        self._sampler = Sampler(recipe, vocabulary, network.text_length, network.crop_size, self._labels)
+        self._sampler = Sampler(recipe, source)
         self._simulator = Simulator(recipe.worlds)
         self._rng = np.random.default_rng()
         self._learner: Learner | None = None

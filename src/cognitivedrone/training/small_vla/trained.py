@@ -5,26 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.small_vla import SmallVLA, SmallVLAConfig
-from cognitivedrone.models.text import Vocabulary
-from cognitivedrone.policies.expert import ExpertConfig
-from cognitivedrone.training.common.checkpoint import read_checkpoint, restore
-from cognitivedrone.training.common.sampling import StreamRecipe
+from cognitivedrone.models.text import Lexicon
+from cognitivedrone.training.common.start import Start, read_start
 
 
-def load_trained(path: Path) -> tuple[SmallVLA, Vocabulary, dict[str, Any]]:
-    """The network of a checkpoint, ready to fly, its vocabulary, and the checkpoint's facts."""
-    tensors, facts = read_checkpoint(path)
-    fields: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in facts["recipe"]["network"].items()
-    }
-    network = SmallVLA(SmallVLAConfig(**fields))
-    restore(tensors, network, None)
+def load_trained(path: Path | None) -> tuple[SmallVLA, Lexicon, Start]:
+    """A policy from its checkpoint or model file, or the shipped one; ready to fly, with the words that it knows."""
+    start = read_start(path, "policy")
+    return (*trained(start), start)
+
+
+def trained(start: Start) -> tuple[SmallVLA, Lexicon]:
+    """The policy in `start`, ready to fly, and its words."""
+    facts: dict[str, Any] = start.facts
+    network = SmallVLA(SmallVLAConfig.of(facts["recipe"]["network"]), AttributeSchema(tuple(facts["attributes"])))
+    start.restore(network)
     network.eval()
-    return network, Vocabulary(tuple(facts["vocabulary"])), facts
-
-
-def stream_of(facts: dict[str, Any]) -> StreamRecipe:
-    """The rollout stream that a checkpoint was trained from."""
-    told = facts["recipe"]["stream"]
-    return StreamRecipe(**{**told, "expert": ExpertConfig(**told["expert"])})
+    return network, Lexicon(tuple(facts["vocabulary"]), facts["trained_words"])

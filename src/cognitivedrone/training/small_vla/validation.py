@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cognitivedrone.models.small_vla import SmallVLA
+from cognitivedrone.models.small_vla import Flight, SmallVLA
 from cognitivedrone.training.common.run_log import DIMENSIONS
 from cognitivedrone.training.common.sampling import Batch
 from cognitivedrone.training.common.training_task import Row, to_tensors
@@ -36,43 +36,43 @@ def validate(loss_module: LossModule, batches: Sequence[Batch], autocast: Any) -
             targets.append(target)
     loss_module.train()
     return {name: float(np.mean(values)) for name, values in sums.items()} | action_measures(
-        network, torch.cat(raws), torch.cat(targets)
+        network.flight, torch.cat(raws), torch.cat(targets)
     )
 
 
 def _flown(network: SmallVLA, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
     """Raw actions and targets (n, chunk, 4, ...) toward the gates flown at, if they are in view."""
     image = batch["image"].permute(0, 3, 1, 2).float() / 255
-    scene = network.look(image)
-    slots, _ = true_slots(batch, network.cells, jitter=False)
-    raw = network.act(network.attend(scene, slots), batch["state"])
+    slots, _ = true_slots(batch, jitter=False)
+    seen = network.finder.attend(network.finder.look(image), slots)
+    raw = network.flight.act(seen, batch["state"])
     target, taught = action_targets(batch)
     rows = torch.arange(len(raw), device=raw.device)
     kept = taught[rows, batch["flown"]]
     return raw[rows, batch["flown"]][kept], target[rows, batch["flown"]][kept]
 
 
-def action_measures(network: SmallVLA, raw: Tensor, target: Tensor) -> Row:
+def action_measures(flight: Flight, raw: Tensor, target: Tensor) -> Row:
     """L1 (m/s and rad/s), token accuracy and cross-entropy, by dimension and overall, and the baseline's.
 
-    A network without tokens has no cross-entropy.
+    Actions without tokens has no cross-entropy.
     """
-    config = network.config
-    error = (network.decode(raw) - target).abs().mean(dim=(0, 1))
+    config = flight.config
+    error = (flight.decode(raw) - target).abs().mean(dim=(0, 1))
     row: Row = {f"l1 {name}": float(error[i]) for i, name in enumerate(DIMENSIONS)} | {"l1": float(error.mean())}
-    span = network.high - network.low
-    true = ((target - network.low) / span * (config.bins - 1)).round().clamp(0, config.bins - 1).long()
-    guess = ((network.decode(raw) - network.low) / span * (config.bins - 1)).round().long()
+    span = flight.high - flight.low
+    true = ((target - flight.low) / span * (config.bins - 1)).round().clamp(0, config.bins - 1).long()
+    guess = ((flight.decode(raw) - flight.low) / span * (config.bins - 1)).round().long()
     if config.head == "tokens":
         guess = raw.argmax(-1)
-        entropy = action_loss(network, raw, target).mean(dim=(0, 1))
+        entropy = action_loss(flight, raw, target).mean(dim=(0, 1))
         row |= {f"cross-entropy {name}": float(entropy[i]) for i, name in enumerate(DIMENSIONS)}
         row["cross-entropy"] = float(entropy.mean())
     hits = (guess == true).float().mean(dim=(0, 1))
     for i, name in enumerate(DIMENSIONS):
         counts = torch.bincount(true[..., i].flatten(), minlength=config.bins).float()
         common = int(counts.argmax())
-        place = float(network.low[i] + common / (config.bins - 1) * span[i])
+        place = float(flight.low[i] + common / (config.bins - 1) * span[i])
         row |= {
             f"accuracy {name}": float(hits[i]),
             f"baseline accuracy {name}": float(counts[common] / counts.sum()),

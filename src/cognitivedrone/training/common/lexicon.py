@@ -1,0 +1,39 @@
+"""The words of the small models: those of their training sentences, and those with packaged word vectors."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from cognitivedrone.models.sentence import WordEmbedding
+from cognitivedrone.models.text import Lexicon
+from cognitivedrone.models.word_vectors import SIZE, word_vectors
+from cognitivedrone.tasks.directives import write_directive
+from cognitivedrone.tasks.racing import INSTRUCTIONS
+from cognitivedrone.training.common.problems import Mix, Problems
+from cognitivedrone.training.common.unknown_people import UNKNOWN_PERSON
+from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
+
+SENTENCES = 30_000
+"""Number of training problems whose words are known."""
+_SEED = 10**6 + 1
+
+
+def training_lexicon(mix: Mix, more: tuple[str, ...] = ()) -> Lexicon:
+    """The words of problems, directives and races, and of the sentences `more`."""
+    rng, problems = np.random.default_rng((0, _SEED)), Problems(mix)
+    sentences = [problem.sentence for _ in range(SENTENCES) for problem in problems.draw(rng)]
+    plain = [write_directive(Gate(size, shape, color)) for size in SIZES for shape in SHAPES for color in COLORS]
+    known = [sentence.replace(UNKNOWN_PERSON, "") for sentence in (*sentences, *plain, *INSTRUCTIONS, *more)]
+    return Lexicon.of(known, word_vectors().words)
+
+
+def with_vectors(embedding: WordEmbedding, lexicon: Lexicon) -> None:
+    """Give every word of the lexicon its word vector; zero where it has none."""
+    table = word_vectors()
+    rows = {word: row for row, word in enumerate(table.words)}
+    vectors = np.zeros((len(lexicon.words), SIZE), np.int8)
+    for number, word in enumerate(lexicon.words):
+        if word in rows:
+            vectors[number] = table.vectors[rows[word]]
+    embedding.vectors.copy_(torch.from_numpy(vectors))

@@ -1,0 +1,169 @@
+"""Problems in words: a sentence, a scene described by labels, and the right gate. What language is trained with.
+
+They are drawn from the generators of all families with training ingredients, then varied: any question about the
+scene instead of the task's own, more wordings, unknown names, what is asked for taken away, earlier stages.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from cognitivedrone.models.finder import SLOTS
+from cognitivedrone.models.gate_selector import STAGES
+from cognitivedrone.tasks import BASE_FAMILIES, HARD_FAMILIES
+from cognitivedrone.tasks.generate import TRAIN, Draw
+from cognitivedrone.tasks.memory import memory_track
+from cognitivedrone.tasks.suites import drawn_task
+from cognitivedrone.training.common.phrasing import SPOKEN
+from cognitivedrone.training.common.questions import ask
+from cognitivedrone.training.common.unknown_people import with_unknown_person
+from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task
+
+ABSENT = SLOTS
+"""The right answer if no gate shows what is asked for."""
+
+SHARES: dict[str, float] = {
+    **dict.fromkeys(BASE_FAMILIES, 1.0),
+    **dict.fromkeys(HARD_FAMILIES, 0.7),
+    "association": 3.0, "people": 1.5, "attributes": 1.5, "comparison": 1.0, "memory": 0.4,
+}  # fmt: skip
+"""How often the families of a reasoner occur, relative to each other."""
+ALONE: dict[str, float] = {
+    "math": 0.12, "association": 0.14, "math_board": 0.06, "food": 0.05, "attributes": 0.08, "people": 0.08,
+    "animals": 0.03, "letters": 0.02, "digits": 0.02, "logos": 0.02,
+    "exclusion": 0.1, "comparison": 0.08, "two_step": 0.08, "negation": 0.06, "distraction": 0.03, "conjunction": 0.03,
+}  # fmt: skip
+"""The same for a network that sees each gate by itself: neither other gates, nor earlier stages, nor counts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mix:
+    """Distribution of problems."""
+
+    families: dict[str, float] = field(default_factory=lambda: dict(SHARES))
+    """How often the families occur, relative to each other."""
+    spoken: float = 0.7
+    """Share of problems with more wordings than the training tasks."""
+    directives: float = 0.06
+    """Share of sentences that are directives already."""
+    relabelled: float = 0.3
+    """Share of base tasks that ask for any of their gates, in other words."""
+    unknown_people: float = 0.4
+    """Share of tasks about people that ask for an unknown identity among known ones."""
+    absent: float = 0.1
+    """Share of problems in which no gate shows what is asked for."""
+    unreadable: float = 0.04
+    """Share of panels, other than the right one, that show something that was never taught."""
+    earlier: float = 0.0
+    """Share of problems on a track, after irrelevant earlier stages."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """A sentence, a scene and the right gate."""
+
+    sentence: str
+    family: str
+    labels: tuple[str, ...]
+    gates: tuple[Gate, Gate, Gate]
+    board: str | None
+    target: int
+    """0 to 2 from left to right, or `ABSENT`."""
+    before: tuple[tuple[tuple[str, ...], int], ...] = ()
+    """Earlier stages of the track: labels of their panels, and the gate that was flown through."""
+
+
+class Problems:
+    """Draws problems from the training ingredients."""
+
+    def __init__(self, mix: Mix) -> None:
+        self.mix = mix
+        self._families = tuple(mix.families)
+        self._shares = np.array(list(mix.families.values())) / sum(mix.families.values())
+        self._past: deque[tuple[tuple[str, ...], int]] = deque(maxlen=STAGES - 1)
+
+    def draw(self, rng: np.random.Generator) -> list[Problem]:
+        """One problem, or all problems of a memory track."""
+        problems = self._draw(rng)
+        if problems[0].family == "memory":
+            return problems
+        problem = self._varied(rng, problems[0])
+        if self.mix.earlier and rng.random() < self.mix.earlier:
+            problem = replace(problem, before=tuple(list(self._past)[: int(rng.integers(1, STAGES))]))
+        if problem.target != ABSENT:
+            self._past.append((problem.labels, problem.target))
+        return [problem]
+
+    def _draw(self, rng: np.random.Generator) -> list[Problem]:
+        family = self._families[int(rng.choice(len(self._families), p=self._shares))]
+        if family == "memory":
+            return _track(rng)
+        pools = SPOKEN if rng.random() < self.mix.spoken else TRAIN
+        task = drawn_task(family, rng, family, pools)
+        if family == "people" and rng.random() < self.mix.unknown_people:
+            task = with_unknown_person(rng, task)
+            return [problem_of(task)]
+        problem = problem_of(task)
+        if rng.random() < self.mix.directives:
+            question = ask(rng, task.labels, task.board, task.gates, task.target, "directive")
+            return [replace(problem, sentence=question.text, family="directive")]
+        if family in BASE_FAMILIES and rng.random() < self.mix.relabelled:
+            question = ask(rng, task.labels, task.board, task.gates, int(rng.integers(3)), None, pools)
+            return [replace(problem, sentence=question.text, target=question.target, family=question.family)]
+        return [problem]
+
+    def _varied(self, rng: np.random.Generator, problem: Problem) -> Problem:
+        """Some other panels cannot be read; or what is asked for is taken away."""
+        if problem.family == "directive":
+            return problem
+        labels = list(problem.labels)
+        for place in range(3):
+            if place != problem.target and rng.random() < self.mix.unreadable:
+                labels[place] = "unknown/picture"
+        target = problem.target
+        if rng.random() < self.mix.absent and (others := _instead(rng, problem)):
+            labels[target], target = others, ABSENT
+        return replace(problem, labels=tuple(labels), target=target)
+
+
+def problem_of(task: Task) -> Problem:
+    """A task as a problem."""
+    return Problem(task.instruction, task.family, task.labels, task.gates, task.board, task.target)
+
+
+_BY_CONTENT = frozenset(BASE_FAMILIES) | {"exclusion", "negation", "distraction", "conjunction", "two_step"}
+"""Families whose wrong panels are wrong by themselves, whatever the others show."""
+
+
+def _instead(rng: np.random.Generator, problem: Problem) -> str | None:
+    """What hangs where the right panel was: a wrong one again, or something that cannot be read; None if any panel of
+    the scene could be right without it.
+    """
+    if problem.family not in _BY_CONTENT or rng.random() < 0.15:
+        return None if problem.family not in _BY_CONTENT else "unknown/picture"
+    wrong = [label for place, label in enumerate(problem.labels) if place != problem.target]
+    return wrong[int(rng.integers(2))]
+
+
+def _gates(rng: np.random.Generator) -> tuple[Gate, Gate, Gate]:
+    sizes, shapes = (rng.integers(len(names), size=3) for names in (SIZES, SHAPES))
+    a, b, c = (
+        Gate(SIZES[size], SHAPES[shape], COLORS[color])
+        for size, shape, color in zip(sizes, shapes, rng.permutation(3), strict=True)
+    )
+    return a, b, c
+
+
+def _track(rng: np.random.Generator) -> list[Problem]:
+    targets = [int(target) for target in rng.integers(3, size=int(rng.integers(3, 6)))]
+    puzzles = memory_track(Draw(rng, TRAIN, targets[0]), targets)
+    before: list[tuple[tuple[str, ...], int]] = []
+    problems = []
+    for puzzle, target in zip(puzzles, targets, strict=True):
+        labels = tuple(panel.label for panel in puzzle.panels)
+        problems.append(Problem(puzzle.instruction, "memory", labels, _gates(rng), None, target, tuple(before)))
+        before.append((labels, target))
+    return problems

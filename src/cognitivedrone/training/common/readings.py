@@ -1,0 +1,85 @@
+"""What a panel reader would tell of a label, without rendering it: for training language from described scenes.
+
+A bank of a reader's own answers to crops of panels gives its doubts and errors as they are; without a reader, the
+answers are certain. So what is learnt from described scenes holds for scenes that are seen in flight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from cognitivedrone.models.panel_reader import Reader, ReaderConfig
+from cognitivedrone.training.common.attributes import AttributeIndex
+from cognitivedrone.training.common.panel_crops import PanelCrops
+from cognitivedrone.training.common.start import Start, restore_part
+
+CROPS = 12_000
+"""Crops that a bank is made from."""
+KEPT = 24
+"""Answers that are kept of an attribute value."""
+
+Floats = NDArray[np.float32]
+DrawCrops = Callable[[np.random.Generator, int], tuple[NDArray[np.uint8], NDArray[np.int64]]]
+"""Crops (n, g, g, 3) and their attribute values (n, groups)."""
+
+
+class Readings:
+    """Readings of labels; a pure function of the reader's weights, the seed, and the generator given."""
+
+    def __init__(self, index: AttributeIndex, bank: dict[int, NDArray[np.float16]] | None = None) -> None:
+        self.index = index
+        self._bank = bank or {}
+        self._spans = tuple(index.groups.values())
+        self._kinds = index.groups["kind"]
+        self._applies = index.schema.applies()
+
+    def exact(self, label: str) -> Floats:
+        """(F,): the probabilities of a reader without doubts."""
+        row = np.zeros(len(self.index.schema.names), np.float32)
+        known = self.index.of(label)
+        row[known[known >= 0]] = 1.0
+        return row
+
+    def draw(self, rng: np.random.Generator, label: str, doubt: float) -> Floats:
+        """(F,): what a reader could have told; each group is taken from the bank with the probability `doubt`."""
+        row = self.exact(label)
+        if not self._bank:
+            return row
+        known = self.index.of(label)
+        doubted = rng.random(len(known)) < doubt
+        for column in np.flatnonzero(doubted & (known >= 0)).tolist():
+            rows = self._bank.get(int(known[column]))
+            if rows is not None:
+                row[self._spans[column]] = rows[int(rng.integers(len(rows)))]
+        weighted: Floats = row * (row[self._kinds] @ self._applies)
+        return weighted
+
+
+@torch.no_grad()
+def read_bank(reader: Reader, index: AttributeIndex, draw: DrawCrops, seed: int = 0) -> dict[int, NDArray[np.float16]]:
+    """A reader's answers by attribute value: for each, probabilities (n, values of its group)."""
+    rng, reader = np.random.default_rng((seed, 77)), reader.eval()
+    found: dict[int, list[NDArray[np.float16]]] = {}
+    for _ in range(CROPS // 200):
+        images, attributes = draw(rng, 200)
+        pixels = torch.from_numpy(images).permute(0, 3, 1, 2).float() / 255
+        logits = reader(pixels.contiguous(memory_format=torch.channels_last)).float()
+        for column, span in enumerate(index.groups.values()):
+            shares = logits[:, span].softmax(-1).numpy().astype(np.float16)
+            for row in np.flatnonzero(attributes[:, column] >= 0).tolist():
+                rows = found.setdefault(int(attributes[row, column]), [])
+                if len(rows) < KEPT:
+                    rows.append(shares[row])
+    return {value: np.stack(rows) for value, rows in found.items()}
+
+
+def readings_of(start: Start, index: AttributeIndex) -> Readings:
+    """The readings of a trained reader, or of a policy's."""
+    reader = Reader(ReaderConfig.of(start.reader_facts()), len(index.schema.names))
+    restore_part(start, "reader", reader)
+    panel_crops = PanelCrops(reader.config.crop_size, index.of)
+    return Readings(index, read_bank(reader, index, panel_crops.draw))
