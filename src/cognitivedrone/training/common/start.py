@@ -76,9 +76,10 @@ def restore_part(start: Start, part: str, network: nn.Module) -> None:
 
 
 def _load(path: Path, network: nn.Module, tensors: dict[str, Tensor]) -> None:
-    kept = network.state_dict()
+    # Model files hold what flying needs: not how often batch statistics were updated.
+    kept = {name: value for name, value in network.state_dict().items() if not name.endswith("num_batches_tracked")}
     try:
-        network.load_state_dict({name: tensors[name].to(value.dtype) for name, value in kept.items()})
+        network.load_state_dict({name: tensors[name].to(value.dtype) for name, value in kept.items()}, strict=False)
     except (KeyError, RuntimeError) as error:
         reason = str(error).splitlines()[-1].strip()
         raise TrainingError(f"{path}: its weights are those of another network ({reason})") from None
