@@ -140,7 +140,7 @@ def views(track_runner: TrackRunner, suite: Suite, episode: int, rng: np.random.
     yield View(episode, 0, track_runner.truth(), _looking(world))
     stage = track_runner.stage
     for index, task in enumerate(track_runner.track[1:], start=1):
-        origin, yaw = geometry.next_stage_origin(stage, track_runner.track[index - 1].target)
+        origin, yaw = next_place(stage, track_runner.track[index - 1])
         stage = stage_of(task, origin, yaw)
         start = _placed(draw_start(rng, world.hull_radius), stage)
         world.begin(stage, scenery_of(stage, track_runner.labels, track_runner.appearance), start)

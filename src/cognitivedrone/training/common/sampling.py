@@ -72,6 +72,8 @@ class StreamRecipe:
     """Share of sentences with token noise: words lost, left out and added."""
     directives: bool = True
     """Whether some sentences are directives."""
+    layouts: float = 0.0
+    """Share of flights whose gates are at other places than the published ones (`cognitivedrone.layout`)."""
     varied: float = 0.5
     """Share of flights with varied appearance."""
     rolling: float = 0.2

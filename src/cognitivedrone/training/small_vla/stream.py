@@ -12,6 +12,7 @@ machine of a kind.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from cognitivedrone.envs.track_runner import draw_start, scenery_of, stage_of
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
+from cognitivedrone.layout import draw_layout
 from cognitivedrone.models.small_vla import SmallVLAConfig
 from cognitivedrone.models.text import Vocabulary
 from cognitivedrone.policies.expert import intent
@@ -98,6 +100,9 @@ class RolloutStream:
         if recipe.suite == "race":
             make = crowded_task if rng.random() < recipe.crowded else race_task
         task = make(int(rng.integers(2**31)), 0)
+        # A share of zero draws nothing: the recipes without layouts stay as they are, to the bit.
+        if recipe.layouts and rng.random() < recipe.layouts:
+            task = replace(task, layout=draw_layout(rng, task.gates, board=task.board is not None))
         stage = stage_of(task)
         appearance = varied_appearance(rng) if rng.random() < recipe.varied else PLAIN
         start, velocity = self._draw_start()
