@@ -100,10 +100,7 @@ def _candidates(rng: np.random.Generator, gates: tuple[Gate, Gate, Gate]) -> tup
 
 
 def _layout(centers: FloatArray, yaws: FloatArray) -> Layout:
-    first, second, third = (
-        GatePlace(*(float(value) for value in center), yaw=float(yaw))
-        for center, yaw in zip(centers, yaws, strict=True)
-    )
+    first, second, third = (GatePlace(*map(float, (*center, yaw))) for center, yaw in zip(centers, yaws, strict=True))
     return first, second, third
 
 
@@ -125,8 +122,8 @@ def _are_apart(centers: FloatArray) -> NDArray[np.bool_]:
 def _is_seen(centers: FloatArray, sides: FloatArray, *, board: bool) -> NDArray[np.bool_]:
     """Whether all panels are in the image, side by side, and beside or below the board; arrays (k, 3, 3)."""
     eyes = _STARTS + _EYE
-    panels = centers + [0.0, 0.0, PANEL_RISE]
-    raised = panels + [0.0, 0.0, PANEL_HEIGHT / 2]
+    panels = centers + np.array([0.0, 0.0, PANEL_RISE])
+    raised = panels + np.array([0.0, 0.0, PANEL_HEIGHT / 2])
     # The tops of the panels' left and right edges, (k, 3 panels, 9 starts, 2).
     left, right = (_in_image(raised + sign * _HALF_PANEL * sides, eyes) for sign in (1.0, -1.0))
     edges = np.concatenate([left, right], axis=-1)
@@ -134,12 +131,13 @@ def _is_seen(centers: FloatArray, sides: FloatArray, *, board: bool) -> NDArray[
     seen &= np.abs(_in_image(panels, eyes)[..., 0]).max(axis=(1, 2)) <= _IN_VIEW
     seen &= (right[:, :-1, :, 0] - left[:, 1:, :, 0]).min(axis=(1, 2)) >= _APART
     if not board:
-        return seen
-    low = BOARD_CENTER - [0.0, 0.0, BOARD_HEIGHT / 2]
-    board_left, board_right = (_in_image(low + [0.0, side, 0.0], eyes) for side in (_HALF_BOARD, -_HALF_BOARD))
+        return np.asarray(seen, dtype=np.bool_)
+    low = BOARD_CENTER - np.array([0.0, 0.0, BOARD_HEIGHT / 2])
+    aside = np.array([0.0, _HALF_BOARD, 0.0])
+    board_left, board_right = (_in_image(low + offset, eyes) for offset in (aside, -aside))
     beside = (right[..., 0] > board_left[:, 0]) | (left[..., 0] < board_right[:, 0])
     below = np.maximum(left[..., 1], right[..., 1]) < board_left[:, 1] - _APART / 3
-    return seen & (beside | below).all(axis=(1, 2))
+    return np.asarray(seen & (beside | below).all(axis=(1, 2)), dtype=np.bool_)
 
 
 def _in_image(points: FloatArray, eyes: FloatArray) -> FloatArray:

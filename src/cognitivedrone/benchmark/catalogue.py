@@ -23,7 +23,9 @@ def catalogue() -> RenderableType:
     for name in SUITES:
         suite = load_suite(name)
         size = "unlimited" if name.endswith(":train") else str(suite.n_tasks)
-        suites.add_row(name, size, "unlimited" if size == "unlimited" else str(len(suite.tracks)), suite.digest[:12], ABOUT[name])
+        suites.add_row(
+            name, size, "unlimited" if size == "unlimited" else str(len(suite.tracks)), suite.digest[:12], ABOUT[name]
+        )
     families = Table("family", "category", title="Task families", title_justify="left")
     for family, category in FAMILIES.items():
         families.add_row(family, category)

@@ -27,7 +27,15 @@ from cognitivedrone.benchmark.results import SuiteFacts, versions, write_whole
 from cognitivedrone.benchmark.runner import Interrupted, results_folder
 from cognitivedrone.control.async_reasoner import asking, check_guidance
 from cognitivedrone.control.calls import begin_stage, seed_of
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, draw_start, episode_rng, scenery_of, stage_of
+from cognitivedrone.envs.track_runner import (
+    TrackConfig,
+    TrackRunner,
+    draw_start,
+    episode_rng,
+    next_place,
+    scenery_of,
+    stage_of,
+)
 from cognitivedrone.errors import PluginError, ReasonerError, RunError
 from cognitivedrone.files import writing
 from cognitivedrone.frames import rotate_yaw
@@ -41,7 +49,6 @@ from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import CONTROL_HZ, EpisodeContext, GroundTruth, Guidance, Image, Stage
-from cognitivedrone.world import geometry
 
 SCHEMA: Final = "cognitivedrone.reason/1"
 ANSWERS_FILE: Final = "reason.jsonl"

@@ -1,8 +1,8 @@
 """What is asked for is not there: instructions of the base families over panels none of which fits.
 
-Right is to fly through no gate, and to say so. Every instruction clearly does not hold for all three panels, by the rules
-that keep an ordinary task from having two right answers: features that clearly do not hold, animals that are not
-easily confused, the false side of a fact.
+Right is to fly through no gate, and to say so. The instruction clearly holds for none of the panels, by the rules that
+keep an ordinary task from having two right answers: features that clearly do not hold, animals that are not easily
+confused, the false side of a fact.
 """
 
 from __future__ import annotations

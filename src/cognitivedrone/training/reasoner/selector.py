@@ -27,6 +27,7 @@ from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES
 from cognitivedrone.tasks.generate import TRAIN, Draw
 from cognitivedrone.tasks.memory import memory_track
 from cognitivedrone.tasks.suites import drawn_task
+from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.training.common.phrasing import SPOKEN
 from cognitivedrone.training.common.questions import ask
 from cognitivedrone.training.common.sampling import Batch, token_noise
@@ -127,8 +128,8 @@ class Problems:
         task = drawn_task(family, rng, family, pools)
         if family == "people" and rng.random() < self.recipe.unknown_people:
             task = with_unknown_person(rng, task)
-            return [Problem(task.instruction, family, task.labels, task.gates, None, task.target)]
-        sentence, target, said = task.instruction, task.target, family
+            return [Problem(task.instruction, family, task.labels, task.gates, None, right_gate(task))]
+        sentence, target, said = task.instruction, right_gate(task), family
         if rng.random() < self.recipe.directives:
             question = ask(rng, task.labels, task.board, task.gates, target, "directive")
             sentence, said = question.text, "directive"

@@ -21,6 +21,7 @@ from cognitivedrone.frames import rotate_yaw, yaw_of
 from cognitivedrone.labels import load_pack
 from cognitivedrone.models.small_vla import SmallVLAConfig
 from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.training.common.ground_truth import Poses
 from cognitivedrone.training.common.sampling import Batch, Sampler, Setting, StreamRecipe
 from cognitivedrone.training.common.training_task import Batches, Learner
@@ -82,7 +83,7 @@ class Recorded:
     def _setting(self, row: int) -> Setting:
         if row not in self._settings:
             task = self._tasks[row]
-            self._settings[row] = Setting(task, stage_of(task), task.target)
+            self._settings[row] = Setting(task, stage_of(task), right_gate(task))
         return self._settings[row]
 
 

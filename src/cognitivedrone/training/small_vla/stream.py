@@ -31,6 +31,7 @@ from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.racing import crowded_task, race_task
+from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.training.common.ground_truth import Poses
 from cognitivedrone.training.common.sampling import Batch, Sampler, Setting, StreamRecipe
 from cognitivedrone.training.common.training_task import Filling, Learner
@@ -112,7 +113,7 @@ class RolloutStream:
         )
         others = [gate for gate in self._sampler.askable(task) if gate != task.target and stage.only is None]
         learner = self._learner is not None and world < recipe.learner * recipe.worlds
-        flown = task.target if learner or not others or rng.random() < 0.5 else int(rng.choice(others))
+        flown = right_gate(task) if learner or not others or rng.random() < 0.5 else int(rng.choice(others))
         wander = float(rng.uniform(0.3, 1.2)) if rng.random() < recipe.wander else 0.0
         speed = float(rng.uniform(1.3, 1.8))
         return _Flight(task, stage, flown, learner=learner, wander=wander, speed=speed)
