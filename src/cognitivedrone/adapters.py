@@ -95,6 +95,10 @@ class _Adapted(PlugIn):
 
 
 class _AdaptedPolicy(_Adapted, Policy):
+    @property
+    def declines(self) -> bool:  # type: ignore[override]
+        return getattr(self._part, "declines", False) is True
+
     def act(self, observation: Observation) -> ActionChunk:
         with self._explained():
             chunk: ActionChunk = self._part.act(observation)

@@ -18,10 +18,13 @@ AnswerKind = Literal["adopted", "agreed", "kept"]
 """What the filter did with a directive: adopted it, found it equal to the current one, or kept the current one."""
 
 EventKind = (
-    Literal["leg", "asked", "stale", "late", "guard", "hold", "sure", "over", "landed"] | AnswerKind | ReasonerFault
+    Literal["leg", "asked", "stale", "late", "declined", "resumed", "guard", "hold", "sure", "over", "landed"]
+    | AnswerKind
+    | ReasonerFault
 )
 """What happened in a flight: a new instruction, a question, an answer to an earlier instruction, a missed deadline,
-what the filter did with an answer. `fly` adds the safety rules' decisions, `hold` and `sure` (it hovers because the
+what the filter did with an answer, the pilot says that what is asked for is not there (`declined`), and no longer says
+so (`resumed`). `fly` adds the safety rules' decisions, `hold` and `sure` (it hovers because the
 reasoner is unsure, and flies on), and the flight's end."""
 
 DecisionKind = Literal["fly", "hold", "brake", "land", "hands_off"]

@@ -41,6 +41,9 @@ class PlugIn:
 class Policy(PlugIn, ABC):
     """Image and text in, velocity commands out. `reset` is called at the start of every stage."""
 
+    declines: bool = False
+    """Whether the policy says, with its latest commands, that no gate shows what is asked for. It must then hover."""
+
     @abstractmethod
     def act(self, observation: Observation) -> ActionChunk:
         """Commands for the next k >= 1 control steps, (k, 4) float32 in the heading frame, m/s and rad/s."""
@@ -48,6 +51,8 @@ class Policy(PlugIn, ABC):
 
 class Reasoner(PlugIn, ABC):
     """Turns the user's instruction and an image of the scene into a plain directive.
+
+    It declines by the directive "Hold position": no gate shows what is asked for, and the drone hovers.
 
     `reset` is called before the first question of a stage. If `context.stage` is above 0, the last answer was the one
     for the previous stage.

@@ -56,7 +56,7 @@ Action: TypeAlias = Float32[Float32Array, "4"]
 ActionChunk: TypeAlias = Float32[Float32Array, "steps 4"]
 """(k, 4) actions for the next k control steps, k >= 1."""
 
-Category = Literal["human_recognition", "symbol_understanding", "reasoning", "racing"]
+Category = Literal["human_recognition", "symbol_understanding", "reasoning", "racing", "absent"]
 Size = Literal["big", "small"]
 Shape = Literal["round", "square", "triangle"]
 Color = Literal["red", "green", "blue"]
@@ -70,12 +70,16 @@ Outcome = Literal[
     "invalid",
     "policy_error",
     "not_reached",
+    "hesitated",
+    "false_alarm",
 ]
+"""How a stage ended. `hesitated`: nothing that was asked for is there, and the pilot flew through no gate but did not
+say so. `false_alarm`: the pilot said that it is not there, but it is."""
 
 CATEGORIES: tuple[Category, ...] = ("human_recognition", "symbol_understanding", "reasoning")
 """The paper's three categories, each a choice among gates."""
-ALL_CATEGORIES: tuple[Category, ...] = (*CATEGORIES, "racing")
-"""All categories: also racing, with single gates and no choice."""
+ALL_CATEGORIES: tuple[Category, ...] = (*CATEGORIES, "racing", "absent")
+"""All categories: also racing, with single gates and no choice, and absent, where no gate is right."""
 SIZES: tuple[Size, ...] = ("big", "small")
 SHAPES: tuple[Shape, ...] = ("round", "square", "triangle")
 COLORS: tuple[Color, ...] = ("red", "green", "blue")
@@ -98,6 +102,23 @@ class Gate:
 
 
 @dataclass(frozen=True, slots=True)
+class GatePlace:
+    """Where a gate is, in the frame of its stage."""
+
+    x: float
+    """Centre, m."""
+    y: float
+    height: float
+    """Of the opening's centre above ground, m."""
+    yaw: float
+    """Heading of the outward normal, rad."""
+
+
+Layout: TypeAlias = tuple[GatePlace, GatePlace, GatePlace]
+"""The places of the gates of a stage, left to right as seen from the start."""
+
+
+@dataclass(frozen=True, slots=True)
 class Task:
     """An instruction, three labelled gates and which of them is right."""
 
@@ -113,8 +134,9 @@ class Task:
     """What the panels show, named as in the published task files."""
     labels: tuple[str, str, str]
     """Label references `kind/concept@style`, one above each gate, left to right as gates 1, 2, 3."""
-    target: int
-    """Index of the right gate, 0 to 2; `correct` in task files is this plus one."""
+    target: int | None
+    """Index of the right gate, 0 to 2; `correct` in task files is this plus one. None in the family `absent`: no panel
+    shows what is asked for."""
     gates: tuple[Gate, Gate, Gate]
     board: str | None = None
     """Label reference of the sum on the board in the scene, for families that have one."""
@@ -122,6 +144,8 @@ class Task:
     only: int | None = None
     """Index of the only gate in the scene, 0 to 2, always the target; none if all three are present. A single gate has
     no panel: `labels` are not shown."""
+    layout: Layout | None = None
+    """Where the gates are; none for the published places."""
 
 
 Track: TypeAlias = tuple[Task, ...]
@@ -143,6 +167,8 @@ class Stage:
     """Heading of the stage's x axis in the world, rad."""
     only: int | None = field(default=None, metadata={"json": "where set"})
     """Index of the only gate in the scene, 0 to 2, without a panel; none if all three are present, with panels."""
+    layout: Layout | None = field(default=None, metadata={"json": "where set"})
+    """Where the gates are; none for the published places."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +232,8 @@ class Guidance:
     """A reasoner's answer."""
 
     directive: str
-    """Plain sentence for the policy, such as "Fly through the small red round gate"."""
+    """Plain sentence for the policy, such as "Fly through the small red round gate". "Hold position" declines: no gate
+    shows what is asked for (`tasks.directives.HOLD`)."""
     gate: int | None
     """Index of the gate, 0 to 2 from left to right, if the reasoner reports it."""
     confidence: float
@@ -249,7 +276,7 @@ class ReasonerReport:
     color: bool | None
     shape: bool | None
     gate: bool
-    """Whether the last directive fits the right gate and no other."""
+    """Whether the last directive fits the right gate and no other; if none is right, whether it declines."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,8 +286,8 @@ class StageResult:
     task_id: str
     category: Category
     family: str
-    target: int
-    """Index of the right gate, 0 to 2."""
+    target: int | None
+    """Index of the right gate, 0 to 2; none if what was asked for is not there."""
     outcome: Outcome
     chosen: int | None
     """Index of the gate flown at, 0 to 2; none if the flight favoured no gate."""

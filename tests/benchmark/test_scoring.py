@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
+from cognitivedrone.benchmark.codec import encode
 from cognitivedrone.benchmark.scoring import (
     OUTCOMES,
     Paired,
@@ -48,7 +49,7 @@ def stage(outcome="passed", *, category="reasoning", family="math", target=0, ch
 def stages(draw):
     category = draw(st.sampled_from(CATEGORIES))
     target = draw(st.integers(0, 2))
-    outcome = draw(st.sampled_from(OUTCOMES))
+    outcome = draw(st.sampled_from([outcome for outcome in OUTCOMES if outcome != "hesitated"]))
     chosen = target if outcome == "passed" else draw(st.sampled_from([None, 0, 1, 2]))
     distance = draw(st.none() | st.floats(0, 10))
     family = draw(st.sampled_from(FAMILIES[category]))
@@ -183,3 +184,43 @@ def test_the_interval_of_a_difference_is_the_usual_one_for_many_pairs():
     n = table.n
     spread = 1.959964 * math.sqrt((table.only_a + table.only_b) / n - table.difference**2) / math.sqrt(n)
     assert difference_interval(table) == pytest.approx((0.1 - spread, 0.1 + spread), abs=1e-4)
+
+
+# ---- what is asked for is not there
+
+
+def absent(outcome, chosen=None):
+    return stage(outcome, category="absent", family="absent", target=None, chosen=chosen, distance=None)
+
+
+def test_an_absent_task_is_passed_by_saying_so_by_either_rule():
+    part = [absent("passed"), absent("hesitated"), absent("wrong_gate", 1), absent("collision", 2)]
+    for rule in ("through", "reach"):
+        result = score(part, rule)
+        assert (result.n, result.passed, result.chosen_right) == (4, 1, 1)
+    assert result.outcomes["hesitated"] == 1
+
+
+def test_absent_is_a_category_beside_the_three_and_not_in_their_mean():
+    ordinary = [stage(), stage("wrong_gate", chosen=1)]
+    summary = summarize([EpisodeResult(0, 0, (one,), 5) for one in [*ordinary, absent("passed"), absent("hesitated")]])
+    alone = summarize([EpisodeResult(0, 0, (one,), 5) for one in ordinary])
+    assert summary.mean_of_categories == alone.mean_of_categories
+    assert summary.categories["reasoning"] == alone.categories["reasoning"]
+    assert summary.categories["absent"].rate == 0.5
+    assert summary.choices == alone.choices
+
+
+def test_false_alarms_are_counted_over_the_stages_whose_answer_is_there():
+    flown = [stage(), stage("false_alarm", chosen=None), stage("invalid", chosen=None), absent("passed")]
+    summary = summarize([EpisodeResult(0, 0, (one,), 5) for one in flown])
+    assert (summary.false_alarms.n, summary.false_alarms.alarms) == (2, 1)
+    assert summary.false_alarms.ci95 == wilson(1, 2)
+    assert summary.overall.outcomes["false_alarm"] == 1
+    assert summarize([EpisodeResult(0, 0, (absent("passed"),), 5)]).false_alarms is None
+
+
+def test_results_without_any_of_it_are_encoded_as_before():
+    written = encode(summarize([EpisodeResult(0, 0, (stage(), stage("timeout", chosen=None)), 5)]))
+    assert "false_alarms" not in written
+    assert set(written["overall"]["outcomes"]) == set(OUTCOMES) - {"hesitated", "false_alarm"}

@@ -7,6 +7,7 @@ from typing import cast
 import numpy as np
 import pytest
 
+from cognitivedrone.adapters import as_policy
 from cognitivedrone.control.async_reasoner import SimulatedReasoner
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Rates, Segment, fly
@@ -269,3 +270,76 @@ def test_an_action_of_another_shape_is_a_programming_error(shape):
 def test_rates_must_divide():
     with pytest.raises(ValueError, match="whole multiple"):
         Rates(control_hz=10, reasoner_hz=3)
+
+
+# ---- declining
+
+
+class Notes:
+    def __init__(self):
+        self.events, self.guidance = [], []
+
+    def record(self, observation, action, guidance):
+        self.guidance.append(guidance)
+
+    def note(self, event):
+        if event.kind in ("declined", "resumed"):
+            self.events.append((event.kind, round(event.time, 3)))
+
+
+class Answering(Reasoner):
+    """Gives one directive after the other."""
+
+    def __init__(self, *directives):
+        self.directives = [*directives]
+
+    def refine(self, image, instruction):
+        return Guidance(self.directives.pop(0), None, 1.0)
+
+
+def test_the_drone_hovers_while_the_directive_declines_and_the_policy_is_not_asked():
+    ground, policy, notes = Ground(), Counting(k=2), Notes()
+    red = "Fly through the big red round gate"
+    reasoner = SimulatedReasoner(Answering("Hold position", "hold position.", red, red, red))
+    fly(ground, policy, ground, for_steps(ground, 25), reasoner=reasoner, recorder=notes)
+    flown = [bool(action.any()) for _, action in ground.sent]
+    assert notes.events == [("declined", 0.0), ("resumed", 1.5)]
+    assert flown == [False] * 15 + [True] * 10
+    assert set(policy.texts) == {red}
+
+
+def test_a_policy_declines_with_its_commands():
+    class Unsure(Counting):
+        def act(self, observation):
+            self.declines = 3 <= self.calls < 6
+            return super().act(observation)
+
+    ground, notes = Ground(), Notes()
+    fly(ground, TimedPolicy(Unsure()), ground, for_steps(ground, 10), recorder=notes)
+    assert notes.events == [("declined", 0.3), ("resumed", 0.6)]
+
+
+def test_a_users_policy_declines_by_an_attribute():
+    class Users:
+        declines = True
+
+        def reset(self, context):
+            pass
+
+        def act(self, observation):
+            return np.zeros((1, 4), np.float32)
+
+    assert as_policy("mine", Users()).declines
+    assert not Counting().declines
+    ground, notes = Ground(), Notes()
+    fly(ground, as_policy("mine", Users()), ground, for_steps(ground, 3), recorder=notes)
+    assert notes.events == [("declined", 0.0)]
+
+
+def test_a_new_segment_begins_without_declining():
+    ground, notes = Ground(), Notes()
+    reasoner = SimulatedReasoner(Answering("Hold position", "Fly through the red gate"))
+    mission = lambda: Segment(int(ground.time >= 0.3), "go") if ground.time < 0.5 else None  # noqa: E731
+    fly(ground, Counting(), ground, mission, reasoner=reasoner, recorder=notes)
+    assert notes.events == [("declined", 0.0)]
+    assert [bool(action.any()) for _, action in ground.sent] == [False] * 3 + [True] * 2

@@ -13,8 +13,10 @@ import pytest
 
 from cognitivedrone.errors import TaskError
 from cognitivedrone.tasks import (
+    ABOUT,
     BASE_FAMILIES,
     HARD_FAMILIES,
+    SUITES,
     TEST_ONLY,
     UNLIMITED,
     Suite,
@@ -43,8 +45,11 @@ def spread(values: Iterable[object], known: Iterable[object]) -> int:
 
 
 def test_suite_sizes() -> None:
-    sizes = {name.split(":")[1]: load_suite(name).n_tasks for name in BUILT}
-    assert sizes == {"test": 300, "unseen": 150, "smoke": 30, "track": 100, "hard": 150, "race": 100}
+    sizes = {name: load_suite(name).n_tasks for name in BUILT}
+    first = {"test": 300, "unseen": 150, "smoke": 30, "track": 100, "hard": 150, "race": 100}
+    second = {"test": 300, "layouts": 300, "absent": 200}
+    named = {"open-v1": first, "open-v2": second}
+    assert sizes == {f"{version}:{name}": size for version, of in named.items() for name, size in of.items()}
     assert [len(track) for track in load_suite("open-v1:track").tracks] == [5] * 20
     assert [len(track) for track in load_suite("open-v1:race").tracks] == [5] * 20
     assert max(len(track) for track in load_suite("open-v1:hard").tracks) == 5
@@ -80,17 +85,22 @@ def test_tasks_are_well_formed_with_ids_of_their_own(name: str) -> None:
 @pytest.mark.parametrize("name", FIXED)
 def test_positions_colours_shapes_and_sizes_are_balanced(name: str) -> None:
     tasks = tasks_of(load_suite(name))
-    right = [task.gates[task.target] for task in tasks]
     every = [gate for task in tasks for gate in task.gates]
-    assert spread((task.target for task in tasks), range(3)) <= 1
+    if name == "open-v2:absent":  # there is no right gate, and one category
+        right = every
+    else:
+        right = [task.gates[task.target] for task in tasks]
+        assert spread((task.target for task in tasks), range(3)) <= 1
+        assert spread((task.category for task in tasks), CATEGORIES) <= 1
     for gates in (right, every):
         assert spread((gate.color for gate in gates), COLORS) <= 1
         assert spread((gate.shape for gate in gates), SHAPES) <= 1
         assert spread((gate.size for gate in gates), SIZES) <= 1
-    assert spread((task.category for task in tasks), CATEGORIES) <= 1
 
 
-@pytest.mark.parametrize("name", ["open-v1:test", "open-v1:unseen", "open-v1:hard", WORDS])
+@pytest.mark.parametrize(
+    "name", ["open-v1:test", "open-v1:unseen", "open-v1:hard", "open-v2:test", "open-v2:layouts", WORDS]
+)
 def test_positions_are_balanced_in_every_family(name: str) -> None:
     tasks = tasks_of(load_suite(name))
     for family in {task.family for task in tasks}:
@@ -195,7 +205,23 @@ def plain(text: str) -> str:
 def test_a_suite_of_each_version_is_suggested() -> None:
     with pytest.raises(TaskError, match="did you mean 'open-v2:words'"):
         load_suite("open-v2:wrods")
+    assert TEST_ONLY == {name for name in FIXED if name.startswith("open-v2:")}
     assert set(AUTHORED) <= TEST_ONLY
+
+
+def test_every_suite_says_what_it_tests() -> None:
+    assert set(ABOUT) == set(SUITES)
+    assert "recur" in ABOUT["open-v1:hard"]
+
+
+def test_test_is_drawn_anew_from_the_ingredients_of_training() -> None:
+    new, old = (tasks_of(load_suite(name)) for name in ("open-v2:test", "open-v1:test"))
+    assert Counter(task.family for task in new) == Counter(task.family for task in old)
+    assert not {(task.instruction, task.labels) for task in new} & {(task.instruction, task.labels) for task in old}
+    for name in ("open-v2:test", "open-v2:layouts", "open-v2:absent"):
+        known = {*TRAIN.fonts, *TRAIN.styles, *TRAIN.backgrounds, "color"}
+        shown = {reference for task in tasks_of(load_suite(name)) for reference in (*task.labels, task.board)}
+        assert all(reference is None or reference.rpartition("@")[2] in known for reference in shown)
 
 
 # ---- the user's own files

@@ -54,9 +54,12 @@ def _in_words(result: StageResult, *, judged: bool) -> str:
     if not judged and result.chosen is not None and result.outcome in ("passed", "wrong_gate"):
         return f"flew through gate {result.chosen + 1} (not judged), after {result.time_s:.1f} s"
     gate = "no gate" if result.chosen is None else f"gate {result.chosen + 1}"
+    right = "none was right" if result.target is None else f"the right one was {result.target + 1}"
     how = {
-        "passed": f"through {gate}",
-        "wrong_gate": f"through {gate}, the right one was {result.target + 1}",
+        "passed": f"through {gate}" if result.target is not None else "declined: what was asked for is not there",
+        "wrong_gate": f"through {gate}, {right}",
+        "hesitated": "hovered, but did not say that what was asked for is not there",
+        "false_alarm": f"declined, but gate {result.target + 1} is right" if result.target is not None else "",
         "collision": f"collided, flying at {gate}",
         "missed": f"flew past the gates, at {gate}",
         "out_of_bounds": f"left the stage, flying at {gate}",

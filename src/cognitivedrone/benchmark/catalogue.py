@@ -14,16 +14,18 @@ from cognitivedrone.policies import POLICIES
 from cognitivedrone.reasoners import NONE, REASONERS
 from cognitivedrone.registry import load, usage
 from cognitivedrone.sim.airframe import AIRFRAMES
-from cognitivedrone.tasks import FAMILIES, SUITES, load_suite
+from cognitivedrone.tasks import ABOUT, FAMILIES, SUITES, load_suite
 
 
 def catalogue() -> RenderableType:
     """The names that other commands take."""
-    suites = Table("suite", "tasks", "episodes", "hash", title="Suites", title_justify="left")
+    suites = Table("suite", "tasks", "episodes", "hash", "what it tests", title="Suites", title_justify="left")
     for name in SUITES:
         suite = load_suite(name)
         size = "unlimited" if name.endswith(":train") else str(suite.n_tasks)
-        suites.add_row(name, size, "unlimited" if size == "unlimited" else str(len(suite.tracks)), suite.digest[:12])
+        suites.add_row(
+            name, size, "unlimited" if size == "unlimited" else str(len(suite.tracks)), suite.digest[:12], ABOUT[name]
+        )
     families = Table("family", "category", title="Task families", title_justify="left")
     for family, category in FAMILIES.items():
         families.add_row(family, category)

@@ -86,12 +86,16 @@ class StageFlight:
 
 
 def overlay(flights: Sequence[StageFlight]) -> Map:
-    """Many single-stage flights, superimposed in the frame of their stage, failures on top. All gates are drawn big."""
+    """Many single-stage flights, superimposed in the frame of their stage, failures on top.
+
+    All gates are drawn big; none if they are at different places.
+    """
     big = Gate("big", "round", "red")
     nominal = Stage(gates=(big, big, big), labels=("", "", ""))
     paths = [_path_mark(_to_page(flight.points, flight.stage), flight.result.outcome) for flight in flights]
     text = TEXT_SHARE * STAGE_BOX[2]
-    gates = _gate_marks(nominal, nominal, None, text)
+    usual = all(flight.stage.layout is None for flight in flights)
+    gates = _gate_marks(nominal, nominal, None, text) if usual else ()
     shown = sorted((path for path in paths if path), key=lambda path: path.outcome != "passed")
     return Map(_box(*STAGE_BOX), text, gates, tuple(shown))
 

@@ -13,7 +13,7 @@ import numpy as np
 from cognitivedrone.benchmark.run_types import FilmFrame, Trace
 from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.errors import ReasonerFault
-from cognitivedrone.tasks.directives import fitting_gate, parse_directive
+from cognitivedrone.tasks.directives import declines, fitting_gate, parse_directive
 from cognitivedrone.types import (
     Action,
     Event,
@@ -61,9 +61,11 @@ class FlightLog:
             self._stages[-1].ages_s.append(guidance.age)
 
     def note(self, event: Event) -> None:
-        """A new stage, or an event of the reasoner."""
+        """A new stage, an event of the reasoner, or the pilot declines or no longer does."""
         if event.kind == "leg":
             self._stages.append(_Stage(len(self.path)))
+        elif event.kind in ("declined", "resumed"):
+            self.track_runner.decline(event.kind == "declined")
         elif event.kind in FAULTS:
             self._stages[-1].faults[event.kind] += 1
         elif event.kind in ("adopted", "agreed", "kept"):
@@ -89,10 +91,11 @@ class FlightLog:
         return Trace(path, stages, tuple(stage.first_step for stage in self._stages), decision_s)
 
 
-def _report(stage: _Stage, seconds: float, gates: Sequence[Gate], target: int) -> ReasonerReport:
+def _report(stage: _Stage, seconds: float, gates: Sequence[Gate], target: int | None) -> ReasonerReport:
     faults = sum(stage.faults.values())
-    said = parse_directive(stage.directive or "")
-    right = (gates[target].size, gates[target].color, gates[target].shape)
+    directive = stage.directive or ""
+    said = parse_directive(directive)
+    right = (None,) * 3 if target is None else (gates[target].size, gates[target].color, gates[target].shape)
     size, color, shape = (None if mine is None else mine == gold for mine, gold in zip(said, right, strict=True))
     return ReasonerReport(
         answers=stage.answers,
@@ -103,5 +106,5 @@ def _report(stage: _Stage, seconds: float, gates: Sequence[Gate], target: int) -
         size=size,
         color=color,
         shape=shape,
-        gate=fitting_gate(stage.directive or "", gates) == target,
+        gate=declines(directive) if target is None else fitting_gate(directive, gates) == target,
     )

@@ -27,7 +27,15 @@ from cognitivedrone.benchmark.results import SuiteFacts, versions, write_whole
 from cognitivedrone.benchmark.runner import Interrupted, results_folder
 from cognitivedrone.control.async_reasoner import asking, check_guidance
 from cognitivedrone.control.calls import begin_stage, seed_of
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, draw_start, episode_rng, scenery_of, stage_of
+from cognitivedrone.envs.track_runner import (
+    TrackConfig,
+    TrackRunner,
+    draw_start,
+    episode_rng,
+    next_place,
+    scenery_of,
+    stage_of,
+)
 from cognitivedrone.errors import PluginError, ReasonerError, RunError
 from cognitivedrone.files import writing
 from cognitivedrone.frames import rotate_yaw
@@ -41,7 +49,6 @@ from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import CONTROL_HZ, EpisodeContext, GroundTruth, Guidance, Image, Stage
-from cognitivedrone.world import geometry
 
 SCHEMA: Final = "cognitivedrone.reason/1"
 ANSWERS_FILE: Final = "reason.jsonl"
@@ -140,7 +147,7 @@ def views(track_runner: TrackRunner, suite: Suite, episode: int, rng: np.random.
     yield View(episode, 0, track_runner.truth(), _looking(world))
     stage = track_runner.stage
     for index, task in enumerate(track_runner.track[1:], start=1):
-        origin, yaw = geometry.next_stage_origin(stage, track_runner.track[index - 1].target)
+        origin, yaw = next_place(stage, track_runner.track[index - 1])
         stage = stage_of(task, origin, yaw)
         start = _placed(draw_start(rng, world.hull_radius), stage)
         world.begin(stage, scenery_of(stage, track_runner.labels, track_runner.appearance), start)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cognitivedrone.benchmark.scoring import Interval, wilson
 from cognitivedrone.errors import ReasonerFault
-from cognitivedrone.tasks.directives import fitting_gate, parse_directive
+from cognitivedrone.tasks.directives import declines, fitting_gate, parse_directive
 from cognitivedrone.types import ALL_CATEGORIES, Category, Gate
 
 
@@ -55,8 +55,8 @@ class Answer:
     instruction: str
     expected: str
     """The gold directive."""
-    target: int
-    """Index of the right gate, 0 to 2."""
+    target: int | None
+    """Index of the right gate, 0 to 2; none if what is asked for is not there."""
     right: Judgement
     """Which parts of the directive are right."""
     image_sha256: str
@@ -65,8 +65,14 @@ class Answer:
     """Wall time of the scored answer, s; the only field that differs between two equal runs."""
 
 
-def judge(directive: str | None, gates: Sequence[Gate], target: int) -> Judgement:
-    """Compare a directive with the gates of its task; `target` is the index of the right one."""
+def judge(directive: str | None, gates: Sequence[Gate], target: int | None) -> Judgement:
+    """Compare a directive with the gates of its task; `target` is the index of the right one.
+
+    If none is right, a directive is right that declines, in all its parts.
+    """
+    if target is None:
+        right_part = True if declines(directive or "") else None
+        return Judgement(gate=right_part is True, color=right_part, shape=right_part, size=right_part)
     size, color, shape = parse_directive(directive or "")
     right = gates[target]
     return Judgement(

@@ -112,7 +112,7 @@ def render_report(
         reach=PUBLISHED_REACH_M,
         summary=summary,
         overall=summary.overall,
-        chance=CHANCE if summary.mean_of_categories.categories else None,
+        chance=CHANCE if summary.mean_of_categories.categories and not summary.categories.get("absent") else None,
         rows=list(_rows(summary, results.episodes, results.rule)),
         outcomes=OUTCOMES,
         segments=_segments(summary.overall),
@@ -164,7 +164,7 @@ def _segments(part: Score) -> list[Segment]:
     segments: list[Segment] = []
     start = 0
     for outcome in OUTCOMES:
-        count = part.outcomes[outcome]
+        count = part.outcomes.get(outcome, 0)
         if count:
             segments.append(Segment(outcome, round(100 * start / total, 3), round(100 * count / total, 3), count))
             start += count

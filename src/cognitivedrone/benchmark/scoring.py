@@ -29,6 +29,8 @@ from cognitivedrone.types import (
 )
 
 OUTCOMES: Final[tuple[Outcome, ...]] = get_args(Outcome)
+_OF_ABSENT: Final[frozenset[Outcome]] = frozenset({"hesitated", "false_alarm"})
+"""Outcomes that are left out of a count in which they are zero, as in results from before they existed."""
 RULES: Final[tuple[Rule, ...]] = get_args(Rule)
 PUBLISHED_REACH_M: Final = 1.0
 """Distance to the right gate's centre at which the published benchmark gives the point, m."""
@@ -72,9 +74,10 @@ class Score:
     ci95: Interval | None
     """Wilson 95 % interval of the rate."""
     outcomes: Mapping[Outcome, int]
-    """Number of stages by outcome, including invalid ones; always by the rule `through`."""
+    """Number of stages by outcome, including invalid ones; always by the rule `through`. `hesitated` and `false_alarm`
+    only where they occurred."""
     chosen_right: int
-    """Stages whose flight headed for the right gate."""
+    """Stages whose flight headed for the right gate, or declined where none is right."""
     choice_accuracy: float | None
     """chosen_right / n"""
     pass_given_choice: float | None
@@ -101,6 +104,19 @@ class CategoryMean:
 
 
 @dataclass(frozen=True, slots=True)
+class FalseAlarms:
+    """How often the pilot said that something is not there although it was."""
+
+    n: int
+    """Counted stages with a right gate."""
+    alarms: int
+    rate: float | None
+    """alarms / n"""
+    ci95: Interval | None
+    """Wilson 95 % interval of the rate."""
+
+
+@dataclass(frozen=True, slots=True)
 class Summary:
     """All scores of a run by one rule."""
 
@@ -115,15 +131,22 @@ class Summary:
     choices: tuple[tuple[int, int, int, int], ...]
     """Confusion matrix of counted and reached stages: rows are the right gate, 1 to 3; columns the gate flown at, 1 to
     3, then none. Off-diagonal entries show mistakes and any preference of the policy."""
+    false_alarms: FalseAlarms | None = field(default=None, metadata={"json": "where set"})
+    """None if the pilot never said that something is not there, and no task asks for such a thing."""
 
 
 def passes(stage: StageResult, rule: Rule) -> bool:
     """Whether a stage earns its point."""
-    if rule == "through":
+    if rule == "through" or stage.target is None:
         return stage.outcome == "passed"
     if stage.gate_distance_m is None or stage.outcome in ("invalid", "policy_error"):
         return False
     return stage.gate_distance_m <= PUBLISHED_REACH_M
+
+
+def chose_right(stage: StageResult) -> bool:
+    """Whether the flight headed for the right gate; where none is right, whether the pilot declined."""
+    return stage.outcome == "passed" if stage.target is None else stage.chosen == stage.target
 
 
 def counts(stage: StageResult) -> bool:
@@ -136,14 +159,14 @@ def score(stages: Iterable[StageResult], rule: Rule = "through") -> Score:
     stages = list(stages)
     counted = [stage for stage in stages if counts(stage)]
     passed = [stage for stage in counted if passes(stage, rule)]
-    right = [stage for stage in counted if stage.chosen == stage.target]
+    right = [stage for stage in counted if chose_right(stage)]
     tally = Counter(stage.outcome for stage in stages)
     return Score(
         n=len(counted),
         passed=len(passed),
         rate=_ratio(len(passed), len(counted)),
         ci95=wilson(len(passed), len(counted)),
-        outcomes={outcome: tally[outcome] for outcome in OUTCOMES},
+        outcomes={outcome: tally[outcome] for outcome in OUTCOMES if tally[outcome] or outcome not in _OF_ABSENT},
         chosen_right=len(right),
         choice_accuracy=_ratio(len(right), len(counted)),
         pass_given_choice=_ratio(sum(passes(stage, rule) for stage in right), len(right)),
@@ -189,7 +212,18 @@ def summarize(episodes: Sequence[EpisodeResult], rule: Rule = "through") -> Summ
         episodes=len(episodes),
         episodes_completed=sum(all(passes(stage, rule) for stage in episode.stages) for episode in episodes),
         choices=choices_of(stages),
+        false_alarms=false_alarms_of(stages),
     )
+
+
+def false_alarms_of(stages: Iterable[StageResult]) -> FalseAlarms | None:
+    """False alarms over the stages with a right gate; none if there is nothing to report."""
+    counted = [stage for stage in stages if counts(stage)]
+    ordinary = [stage for stage in counted if stage.target is not None]
+    alarms = sum(stage.outcome == "false_alarm" for stage in ordinary)
+    if not ordinary or (not alarms and len(ordinary) == len(counted)):
+        return None
+    return FalseAlarms(len(ordinary), alarms, _ratio(alarms, len(ordinary)), wilson(alarms, len(ordinary)))
 
 
 def choices_of(stages: Iterable[StageResult]) -> tuple[tuple[int, int, int, int], ...]:

@@ -89,7 +89,7 @@ def _confusions(summary: Summary) -> Iterator[RenderableType]:
         return
     endings = new_table("endings", "", *(words(outcome) for outcome in seen))
     for family, score in summary.families.items():
-        endings.add_row(words(family), *(str(score.outcomes[outcome] or "") for outcome in seen))
+        endings.add_row(words(family), *(str(score.outcomes.get(outcome) or "") for outcome in seen))
     yield endings
     yield ""
     choices = new_table("gates flown at", "right", "1", "2", "3", "none")
@@ -211,6 +211,9 @@ def _notes(results: Results, rule: Rule) -> list[Text]:
         count = overall.outcomes["policy_error"]
         text = f"policy errors, counted as not passed: {count}; the first in episode {first.episode}: {first.message}"
         notes.append(Text(text, style="yellow"))
+    if (alarms := summary.false_alarms) is not None:
+        text = f"false alarms: {alarms.alarms} of {alarms.n} tasks whose answer is there"
+        notes.append(Text(f"{text}, {percent(alarms.rate)} (95 % CI {interval(alarms.ci95)})"))
     if comparable(results):
         published = ", ".join(f"{score.name} {percent(score.overall)}" for score in PUBLISHED)
         notes.append(Text(f"the paper (arXiv 2503.01378), on its own tasks and simulator: {published}"))

@@ -84,7 +84,8 @@ def export_world(
 
     done = export_to(suite, tasks=tasks, out=out, task=task, track=track, version=version, labels=labels)
     for world, shown in zip(done.worlds, done.track, strict=True):
-        print(visible(f"{world}: {shown.instruction}  (right: gate {shown.target + 1})"))  # noqa: T201
+        right = "no gate" if shown.target is None else f"gate {shown.target + 1}"
+        print(visible(f"{world}: {shown.instruction}  (right: {right})"))  # noqa: T201
 
 
 def check_world(files: tyro.conf.Positional[tuple[Path, ...]]) -> None:

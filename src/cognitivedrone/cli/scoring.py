@@ -108,7 +108,9 @@ def view(plan: Annotated[Flat[ViewPlan], tyro.conf.arg(name="")]) -> None:
 
     suite = suite_of(plan.scenario, plan.episode + 1)
     task = snapshot(suite, plan.episode, plan.out, plan.scenario)
-    right = f"(right: gate {task.target + 1}, {task.options[task.target]})"
+    right = "(right: no gate)"
+    if task.target is not None:
+        right = f"(right: gate {task.target + 1}, {task.options[task.target]})"
     print(visible(f"{plan.out}: {task.instruction}  {right}"))  # noqa: T201
 
 

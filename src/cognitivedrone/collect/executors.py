@@ -100,6 +100,13 @@ def open_suite(job: Job) -> Suite:
     suite = tasks.open_suite(source.suite, source.tasks, size=job.episodes, seed=source.seed)
     if len(suite.tracks) < job.episodes:
         raise DataError(f"suite {source.title!r} has {len(suite.tracks)} tasks; ask for that many episodes or fewer")
+    tracks = suite.tracks[: job.episodes] if suite.name != tasks.TRAIN_NAME else ()
+    absent = next((track[0].id for track in tracks if track[0].target is None), None)
+    if absent is not None:
+        raise DataError(
+            f"suite {source.title!r}: in task {absent!r} no gate is right; flights are recorded through a right gate,"
+            " so leave out the tasks of the family 'absent'"
+        )
     if any(len(track) != 1 for track in suite.tracks[: min(job.episodes, 100)]):
         raise DataError(f"suite {source.title!r} is made of tracks; episodes are recorded of single tasks")
     return suite

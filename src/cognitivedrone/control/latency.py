@@ -44,6 +44,11 @@ class TimedPolicy(Policy):
         self.took_s: list[float] = []
         """Duration of each decision, s of wall time."""
 
+    @property
+    def declines(self) -> bool:  # type: ignore[override]
+        """Whether the policy declines."""
+        return self.policy.declines
+
     def reset(self, context: EpisodeContext) -> None:
         """Start a stage."""
         with calling("the policy", self._watch):

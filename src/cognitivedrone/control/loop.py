@@ -15,6 +15,7 @@ from cognitivedrone.control.directive_filter import DirectiveFilter
 from cognitivedrone.control.latency import LatencyModel
 from cognitivedrone.errors import ActionError, NonFiniteAction
 from cognitivedrone.interfaces import Clock, Drone, Policy, Recorder
+from cognitivedrone.tasks.directives import declines
 from cognitivedrone.types import (
     CONTROL_HZ,
     Action,
@@ -109,6 +110,9 @@ def fly(
     A new segment resets the policy, with `seed` in its context, and drops the rest of the chunk. The `reasoner` is
     asked about the newest frame at the start of a segment and then `reasoner_hz` times a second, if it is idle. Its
     directive replaces the instruction when it arrives; `DirectiveFilter` decides whether it replaces another directive.
+
+    The pilot declines while the current directive is "Hold position", or while the policy says so (`Policy.declines`).
+    With that directive the drone hovers and the policy is not asked. The recorder is notified of both ends.
     """
     rates = rates or Rates()
     log = recorder or _NullRecorder()
@@ -116,6 +120,7 @@ def fly(
     tolerance_s = LATE_S + resolution_of(clock)
     segment_index: int | None = None
     directive_filter = DirectiveFilter()
+    declined = False
     pending: list[Action] = []
     slot = sent_count = 0
     next_question = 0
@@ -126,6 +131,7 @@ def fly(
         if segment.index != segment_index:
             stage = 0 if segment_index is None else segment.index
             segment_index, directive_filter, pending, next_question = segment.index, DirectiveFilter(), [], slot
+            declined = False
             begin_stage(policy, EpisodeContext(segment.instruction, seed, stage, segment.truth))
             log.note(Event(clock.now() - start, "leg", segment.instruction))
         observation = drone.observe()
@@ -140,11 +146,17 @@ def fly(
                 _poll(reasoner, directive_filter, segment, start, clock.now(), log)
         guidance = directive_filter.guidance(clock.now())
         observation = replace(observation, instruction=guidance.directive if guidance else segment.instruction)
-        if not pending:
+        held = guidance is not None and declines(guidance.directive)
+        if held:
+            pending = [np.zeros(4, dtype=np.float32)]
+        elif not pending:
             begin = time.perf_counter()
             pending = list(check_chunk(policy.act(observation)))
             if latency_model is not None:
                 clock.sleep_until(clock.now() + latency_model(time.perf_counter() - begin))
+        if declined != (held or policy.declines):
+            declined = not declined
+            log.note(Event(clock.now() - start, "declined" if declined else "resumed", observation.instruction))
         sent = drone.send(pending.pop(0))
         log.record(observation, sent, guidance)
         sent_count += 1

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.data.episode import Episode
 from cognitivedrone.data.overview import Histogram
+from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.types import ACTION_LIMITS
 
 WIDTH: Final = 100.0
@@ -102,7 +103,7 @@ def flight_map(flights: Sequence[Episode]) -> Map:
     return Map(
         view_box=f"{top_left[1]:.1f} {top_left[0]:.1f} {size[1]:.1f} {size[0]:.1f}",
         paths=tuple(
-            Path(points(-track[:, ::-1] * MAP_SCALE), flight.task.gates[flight.task.target].color)
+            Path(points(-track[:, ::-1] * MAP_SCALE), flight.task.gates[right_gate(flight.task)].color)
             for flight, track in zip(flights, tracks, strict=True)
         ),
     )

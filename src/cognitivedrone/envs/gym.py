@@ -77,6 +77,10 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         """Free the renderer."""
         self.simulator.close()
 
+    def decline(self, declined: bool = True) -> None:
+        """Say that what is asked for is not there, or cease to; after 3 s in a row the stage ends (`absent`)."""
+        self.track_runner.decline(declined)
+
     def truth(self) -> GroundTruth:
         """Ground truth, for experts that make training data."""
         return self.track_runner.truth()
@@ -108,5 +112,5 @@ def pick_episode(suite: Suite, rng: np.random.Generator, options: dict[str, Any]
 
 def score(result: StageResult | None, finished: bool) -> tuple[float, bool, bool]:
     """Reward, terminated, truncated."""
-    timed_out = result is not None and result.outcome == "timeout"
+    timed_out = result is not None and result.outcome in ("timeout", "hesitated")
     return float(result is not None and result.outcome == "passed"), finished and not timed_out, timed_out

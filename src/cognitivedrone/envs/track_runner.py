@@ -23,6 +23,8 @@ from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN, Appearance, varied_appearance
 
 APPEARANCES = ("plain", "varied")
+DECLINED_S = 3.0
+"""A stage ends once the pilot has declined for this long without interruption, s."""
 FLOOR_ROOM_M = 0.05
 """Distance between hull and floor at the lowest start."""
 
@@ -62,7 +64,12 @@ def episode_rng(suite_digest: str, episode: int, seed: int) -> np.random.Generat
 
 def stage_of(task: Task, origin: tuple[float, float] = (0.0, 0.0), yaw: float = 0.0) -> Stage:
     """The task's gates and panels, placed in the world."""
-    return Stage(gates=task.gates, labels=task.labels, board=task.board, origin=origin, yaw=yaw, only=task.only)
+    return Stage(task.gates, task.labels, task.board, origin, yaw, only=task.only, layout=task.layout)
+
+
+def next_place(stage: Stage, task: Task) -> tuple[tuple[float, float], float]:
+    """Origin (x, y), m, and yaw, rad, of the stage after the right end of this one: behind its right gate, or here."""
+    return (stage.origin, stage.yaw) if task.target is None else geometry.next_stage_origin(stage, task.target)
 
 
 def scenery_of(stage: Stage, labels: LabelPack, appearance: Appearance) -> Scenery:
@@ -88,6 +95,9 @@ class TrackRunner:
 
     A stage that is passed, or left through a wrong gate, leads to the next one behind that gate; anything else ends
     the flight, and the stages that were not reached count as such.
+
+    The pilot may decline (`decline`): it says that no gate shows what is asked for. It is right where the task has no
+    target; the stage is then passed, and the next one, if any, is at the same place.
     """
 
     def __init__(self, world: DroneWorld, labels: LabelPack, config: TrackConfig) -> None:
@@ -99,6 +109,7 @@ class TrackRunner:
         self.stages: list[Stage] = []
         self.appearance = PLAIN
         self.start = Start((0.0, 0.0, 0.0))
+        self._declined_at: float | None = None
 
     def begin(self, track: Track, rng: np.random.Generator, start: Start | None = None) -> None:
         """Start a new flight at the first stage; `rng` draws all its randomness.
@@ -113,6 +124,7 @@ class TrackRunner:
         scenery = scenery_of(self.stages[0], self.labels, self.appearance)
         self.world.begin(self.stages[0], scenery, self.start)
         self._stage_start_s = 0.0
+        self._declined_at = None
 
     @property
     def finished(self) -> bool:
@@ -138,14 +150,26 @@ class TrackRunner:
         """Ground truth of the current stage."""
         return GroundTruth(self.task, self.stage, self.world.state)
 
+    def decline(self, declined: bool) -> None:
+        """Note that the pilot begins or ceases to say that what is asked for is not there."""
+        if not declined:
+            self._declined_at = None
+        elif self._declined_at is None:
+            self._declined_at = self.world.time()
+
     def update(self, gate_event: GateEvent | None) -> StageResult | None:
         """Process the event of the last control period; returns the result if it ended the stage."""
         if self.world.diverged:
             return self.end("invalid")
         if gate_event is not None:
             return self._judged(gate_event)
-        if self.world.time() - self._stage_start_s >= self.config.time_limit_s - 1e-9:
-            return self.end("timeout")
+        now, since = self.world.time(), self._declined_at
+        if since is not None and now - since >= DECLINED_S - 1e-9:
+            return self._declined()
+        if now - self._stage_start_s >= self.config.time_limit_s - 1e-9:
+            if since is not None:
+                return self._declined()
+            return self.end("timeout" if self.task.target is not None else "hesitated")
         return None
 
     def end(self, outcome: Outcome, *, chosen: int | None = None, clearance_m: float | None = None) -> StageResult:
@@ -158,6 +182,23 @@ class TrackRunner:
             self.results.append(unflown(task, "not_reached"))
         return result
 
+    def _declined(self) -> StageResult:
+        """The end of a stage in which the pilot has declined."""
+        if self.task.target is not None:
+            return self.end("false_alarm")
+        result = self._result("passed", None, None)
+        self.results.append(result)
+        if not self.finished:
+            self._place(self.stage.origin, self.stage.yaw)
+        return result
+
+    def _place(self, origin: tuple[float, float], yaw: float) -> None:
+        """Show the next stage."""
+        self.stages.append(stage_of(self.track[self.index], origin, yaw))
+        self.world.place(self.stage, scenery_of(self.stage, self.labels, self.appearance))
+        self._stage_start_s = self.world.time()
+        self._declined_at = None
+
     def _judged(self, gate_event: GateEvent) -> StageResult:
         if gate_event.kind != "gate":
             return self.end(gate_event.kind, chosen=gate_event.gate)
@@ -166,10 +207,7 @@ class TrackRunner:
         result = self._result(outcome, gate_event.gate, gate_event.clearance_m)
         self.results.append(result)
         if not self.finished and gate_event.gate is not None:
-            origin, yaw = geometry.next_stage_origin(self.stage, gate_event.gate)
-            self.stages.append(stage_of(self.track[self.index], origin, yaw))
-            self.world.place(self.stage, scenery_of(self.stage, self.labels, self.appearance))
-            self._stage_start_s = self.world.time()
+            self._place(*geometry.next_stage_origin(self.stage, gate_event.gate))
         return result
 
     def _result(self, outcome: Outcome, chosen: int | None, clearance_m: float | None) -> StageResult:
@@ -190,7 +228,7 @@ class TrackRunner:
             path_m=gate_monitor.path_m,
             path_ratio=ratio,
             clearance_m=clearance_m,
-            gate_distance_m=float(gate_monitor.closest_m[task.target]),
+            gate_distance_m=None if task.target is None else float(gate_monitor.closest_m[task.target]),
         )
 
 

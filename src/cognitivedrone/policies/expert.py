@@ -147,16 +147,18 @@ class Expert(Policy):
     def __init__(self, config: ExpertConfig | None = None) -> None:
         self.config = config or ExpertConfig()
         self._truth: GroundTruth | None = None
+        self.declines = False
         self._velocity = np.zeros(3)  # commanded last, world
         self._acceleration = np.zeros(3)
         self._yaw_rate = 0.0
 
     def reset(self, context: EpisodeContext) -> None:
-        """Take the ground truth of the stage.
+        """Take the ground truth of the stage. Without a right gate, the expert declines and hovers.
 
         At the start of a flight, commands start from the drone's velocity; later stages continue from the last command.
         """
         self._truth = context.ground_truth
+        self.declines = self._truth is not None and self._truth.task.target is None
         if self._truth is not None and context.stage == 0:
             self._velocity = np.array(self._truth.state().velocity, dtype=np.float64)
             self._acceleration = np.zeros(3)
@@ -173,13 +175,19 @@ class Expert(Policy):
         config = self.config
         stage, target = self._truth.stage, self._truth.task.target
         state = self._truth.state()
+        yaw = float(yaw_of(state.quaternion))
+        if target is None:
+            return self._action(np.zeros(3), 0.0, yaw)
         gate_yaw = float(gate_yaws(stage)[target])
         normal = np.array([np.cos(gate_yaw), np.sin(gate_yaw), 0.0])
         start = state.position + state.velocity * config.lag_s
         wanted = wish(start, gate_centers(stage)[target], normal, config)
+        return self._action(wanted, float(turn_rate(wanted, np.asarray(yaw), config)), yaw)
+
+    def _action(self, wanted: FloatArray, rate: float, yaw: float) -> Action:
+        """The next command toward a velocity, world, m/s, and a yaw rate, rad/s; `yaw` is the drone's."""
+        config = self.config
         velocity = self._shaped(wanted)
-        yaw = float(yaw_of(state.quaternion))
-        rate = float(turn_rate(wanted, np.asarray(yaw), config))
         step = config.yaw_acceleration * _PERIOD_S
         self._yaw_rate += float(np.clip(rate - self._yaw_rate, -step, step))
         return np.array([*world_to_heading(velocity, yaw), self._yaw_rate], dtype=np.float32)

@@ -53,7 +53,7 @@ class NoisyOracle(Reasoner):
         self.each = each
         self._rng = np.random.default_rng(0)
         self._task: Task | None = None
-        self._gate = 0
+        self._gate: int | None = 0
 
     def reset(self, context: EpisodeContext) -> None:
         """Take the current task, and draw whether the answer is right; a new flight reseeds the generator."""
@@ -72,12 +72,13 @@ class NoisyOracle(Reasoner):
             )
         if self.each:
             self._gate = self._draw(task)
-        directive = task.directive if self._gate == task.target else write_directive(task.gates[self._gate])
-        return Guidance(directive, self._gate, 1.0)
+        gate = self._gate
+        directive = task.directive if gate is None or gate == task.target else write_directive(task.gates[gate])
+        return Guidance(directive, gate, 1.0, present=0.0 if gate is None else None)
 
-    def _draw(self, task: Task) -> int:
-        """Index of the gate to name. Always draws the same number of random values."""
+    def _draw(self, task: Task) -> int | None:
+        """Index of the gate to name; none to decline. Always draws the same number of random values."""
         luck, other = self._rng.uniform(), int(self._rng.integers(1, 3))
-        # Racing, the only category without an accuracy, has no choice to make.
+        # Racing has no accuracy, because it has no choice to make; absent has none of its own either.
         right = task.only is not None or luck < self.accuracy.get(task.category, 1.0)
-        return task.target if right else (task.target + other) % 3
+        return task.target if right else ((task.target or 0) + other) % 3

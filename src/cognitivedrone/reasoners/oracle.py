@@ -25,4 +25,5 @@ class Oracle(Reasoner):
             raise GroundTruthError(
                 "the oracle reasoner needs the simulator's ground truth; this flight does not have it"
             )
-        return Guidance(self._task.directive, self._task.target, 1.0)
+        present = 0.0 if self._task.target is None else None
+        return Guidance(self._task.directive, self._task.target, 1.0, present=present)

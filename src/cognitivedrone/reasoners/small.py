@@ -28,14 +28,16 @@ from cognitivedrone.models.reasoner_file import (
     PanelReading,
 )
 from cognitivedrone.reasoners.calculator import calculate
-from cognitivedrone.tasks.directives import write_directive
+from cognitivedrone.tasks.directives import HOLD, write_directive
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.matching import asked_concepts, asked_kinds
 from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate, Guidance, Image
 
 LARGEST_VALUE = 20
 _SEEN = 0.3  # minimum score of a visible gate or board
-_UNSURE = 0.4  # a choice less likely than this is no answer
+_UNSURE = 0.5  # a choice less likely than this is no answer
+_ABSENT = 0.7  # to decline needs more: a wrong "it is not there" ends a flight
+_READABLE = 0.5  # a thing less likely than this is not named
 _LEGIBLE_PX = 8.0  # panels lower than this are illegible
 _STAGES = REMEMBERED // 3
 
@@ -51,6 +53,8 @@ class _Gate:
     weight: float = 0.0
     u: float = 0.0
     """Its last position in the image, pixels from the left."""
+    height: float = 0.0
+    """Greatest height of its panel in the image, pixels."""
 
 
 @dataclass
@@ -106,7 +110,8 @@ class SmallReasoner(Reasoner):
     def refine(self, image: Image, instruction: str) -> Guidance:
         """The directive for the selected gate, from all frames of this stage so far.
 
-        Raises `ReasonerError` if fewer than three gates have been seen, or none is likely enough.
+        It declines where most likely no gate shows what is asked for. Raises `ReasonerError` if fewer than three gates
+        have been seen, or nothing is likely enough: then the policy knows no less.
         """
         self._add(self.reader.see(image))
         gates = _by_place(self._stage)
@@ -130,8 +135,13 @@ class SmallReasoner(Reasoner):
             },
         )
         best = int(chosen.argmax())
-        if chosen[best] < _UNSURE:
-            raise ReasonerError("unsure", f"no gate is likely: {', '.join(f'{share:.0%}' for share in chosen)}")
+        if chosen[best] < (_ABSENT if best == len(gates) else _UNSURE):
+            raise ReasonerError("unsure", f"no answer is likely; I see {self._described(panels)}")
+        if best == len(gates):
+            if any(gate.height < _LEGIBLE_PX for _, gate in gates):
+                raise ReasonerError("unsure", f"not every panel is near enough; I see {self._described(panels)}")
+            self._stage.chosen = None
+            return Guidance(HOLD, None, float(chosen[best]), present=1 - float(chosen[best]))
         self._stage.chosen = gates[best][0]
         directive = write_directive(gate_of(looks[best]))
         return Guidance(directive, best, float(chosen[best]), present=self._presence(instruction, panels))
@@ -142,6 +152,22 @@ class SmallReasoner(Reasoner):
             self._named = {instruction: self._attributes_named(instruction)}
         named = self._named[instruction]
         return None if named is None else min(1.0, float(panels[:, named].sum(axis=1).max()))
+
+    def _described(self, panels: Floats) -> str:
+        """What the panels (n, F) show, in words, gates from left to right."""
+        return ", ".join(self._said(panel) for panel in panels)
+
+    def _said(self, panel: Floats) -> str:
+        kind = self._names[self._best("kind", panel)].partition("/")[2]
+        concept = self._best("concept", panel)
+        name = self._names[concept].partition("/")[2].partition(":")[2].replace("_", " ")
+        if kind == "person":
+            return "a person"
+        if kind == "sum" or kind == "several":
+            return "a sum" if kind == "sum" else "several things"
+        if kind == "unknown" or panel[concept] < _READABLE:
+            return "something that I cannot read"
+        return f"the {kind} {name}" if kind in ("letter", "number") else name
 
     def _attributes_named(self, instruction: str) -> NDArray[np.intp] | None:
         """Attributes of the things, or else the kinds, that an instruction names, and of kinds that show anything."""
@@ -180,7 +206,7 @@ class SmallReasoner(Reasoner):
             gate.looks += weight * reading.looks[slot]
             gate.attributes += weight * known[slot]
             gate.weight += weight
-            gate.u = u
+            gate.u, gate.height = u, max(gate.height, height)
         if reading.boxes[3, 3] >= 0.5:
             weight = float(reading.boxes[3, 3] * reading.boxes[3, 2])
             self._stage.board += weight * known[3]

@@ -5,8 +5,10 @@ from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, HARD_FAMILIES
 from cognitivedrone.tasks.format import read_tasks, task_from_json, task_to_json, write_tasks
 from cognitivedrone.tasks.racing import race_task
 from cognitivedrone.tasks.suites import (
+    ABOUT,
     SUITES,
     TEST_ONLY,
+    TRAIN_NAME,
     UNLIMITED,
     Suite,
     load_suite,
@@ -18,12 +20,14 @@ from cognitivedrone.tasks.suites import (
 from cognitivedrone.tasks.validate import validate_task
 
 __all__ = [
+    "ABOUT",
     "BASE_FAMILIES",
     "FAMILIES",
     "HARD_FAMILIES",
     "SUITES",
     "TASKS",
     "TEST_ONLY",
+    "TRAIN_NAME",
     "UNLIMITED",
     "Suite",
     "load_suite",

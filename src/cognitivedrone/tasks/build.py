@@ -18,6 +18,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from cognitivedrone.layout import draw_layout
+from cognitivedrone.tasks.absent import KINDS, LOOKS, absent_puzzle
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, generator
 from cognitivedrone.tasks.format import task_to_json
 from cognitivedrone.tasks.generate import HELD_OUT, TRAIN, Draw, Pools, Puzzle
@@ -43,6 +45,8 @@ HARD_SHARES: dict[str, int] = {
 MEMORY_TRACKS: tuple[int, ...] = (3, 4, 4, 4, 5)
 """Numbers of stages of the memory tracks."""
 STAGES_A_TRACK = 5
+LOOKS_ASKED = 20
+"""Tasks of `absent` that name a gate by its looks; the other 180 are of the ten base families in equal numbers."""
 RACES = 20
 """Tracks of `race`, each of `STAGES_A_TRACK` stages."""
 
@@ -96,7 +100,8 @@ def build_suite(name: str) -> list[Track]:
     rng = np.random.default_rng([2, BUILT.index(name)])
     dealer = Dealer(rng)
     bare = name.partition(":")[2]
-    tracks = _races(dealer) if bare == "race" else _choices(bare, rng, dealer)
+    special = {"race": _races, "absent": _absent}.get(bare)
+    tracks = special(rng, dealer) if special else _choices(bare, rng, dealer)
     ids = iter(range(sum(map(len, tracks))))
     return [tuple(replace(task, id=f"{name}/{next(ids):04d}") for task in track) for track in tracks]
 
@@ -107,8 +112,10 @@ def _choices(name: str, rng: np.random.Generator, dealer: Dealer) -> list[list[T
     if name == "hard":
         shares = {family: count for family, count in HARD_SHARES.items() if family != "memory"}
     else:
-        shares = equal_shares({"test": 300, "unseen": 150, "smoke": 30, "track": 100}[name])
+        shares = equal_shares({"test": 300, "unseen": 150, "smoke": 30, "track": 100, "layouts": 300}[name])
     tasks = [task for family, count in shares.items() for task in _family(rng, dealer, pools, family, count)]
+    if name == "layouts":
+        tasks = [_laid_out(rng, task) for task in tasks]
     if name == "track":
         n_tracks = len(tasks) // STAGES_A_TRACK
         tracks = [_shuffled(rng, tasks[i::n_tracks]) for i in range(n_tracks)]
@@ -119,7 +126,24 @@ def _choices(name: str, rng: np.random.Generator, dealer: Dealer) -> list[list[T
     return tracks
 
 
-def _races(dealer: Dealer) -> list[list[Task]]:
+def _absent(rng: np.random.Generator, dealer: Dealer) -> list[list[Task]]:
+    """Tasks whose answer is not there, no two with the same question and the same options."""
+    asked: set[tuple[str, frozenset[str]]] = set()
+    tasks = []
+    for kind in KINDS:
+        for _, gates in dealer.stages(LOOKS_ASKED if kind == LOOKS else 18):
+            while (question := _question(puzzle := absent_puzzle(Draw(rng, TRAIN, 0), kind, gates))) in asked:
+                pass
+            asked.add(question)
+            tasks.append(finish(puzzle, task_id="?", family="absent", target=0, gates=gates))
+    return [[task] for task in _shuffled(rng, tasks)]
+
+
+def _laid_out(rng: np.random.Generator, task: Task) -> Task:
+    return replace(task, layout=draw_layout(rng, task.gates, board=task.board is not None))
+
+
+def _races(_: np.random.Generator, dealer: Dealer) -> list[list[Task]]:
     """Tracks of single gates, with one instruction per track."""
     dealt = iter(dealer.stages(RACES * STAGES_A_TRACK))
     return [

@@ -19,6 +19,15 @@ _SHAPES: dict[str, Shape] = {
 _COLORS: dict[str, Color] = {"red": "red", "green": "green", "blue": "blue"}
 
 
+HOLD = "Hold position"
+"""The directive that declines: no gate shows what is asked for, so none is to be flown through."""
+
+
+def declines(directive: str) -> bool:
+    """Whether a directive is `HOLD`, in any case and with any punctuation."""
+    return re.findall(r"[a-z]+", directive.lower()) == ["hold", "position"]
+
+
 def write_directive(gate: Gate) -> str:
     """The canonical directive, "Fly through the small red round gate"."""
     return f"Fly through the {gate.size} {gate.color} {gate.shape} gate"

@@ -29,6 +29,7 @@ TASKS: dict[str, str] = {
     "comparison": "cognitivedrone.tasks.hard:comparison",
     "two_step": "cognitivedrone.tasks.hard:two_step",
     "race": "cognitivedrone.tasks.racing:race",
+    "absent": "cognitivedrone.tasks.absent:absent",
 }
 """Generators by family, `Draw -> Puzzle`. Tasks of `memory` need a track; `tasks.memory` generates them."""
 
@@ -53,13 +54,14 @@ FAMILIES: dict[str, Category] = {
     "two_step": "reasoning",
     "memory": "reasoning",
     "race": "racing",
+    "absent": "absent",
 }
 """Category of every family."""
 
 BASE_FAMILIES: tuple[str, ...] = tuple(FAMILIES)[:10]
 """The families of `train`, `test`, `unseen`, `smoke` and `track`."""
-HARD_FAMILIES: tuple[str, ...] = tuple(FAMILIES)[10:-1]
-"""The families of `hard`. `race` alone makes up the suite of the same name."""
+HARD_FAMILIES: tuple[str, ...] = tuple(FAMILIES)[10:-2]
+"""The families of `hard`. `race` and `absent` make up suites of the same names."""
 
 
 @functools.cache

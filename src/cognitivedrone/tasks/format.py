@@ -2,7 +2,8 @@
 
 Published keys are `prompt`, `prompt_simpler`, `options`, `correct` (1 to 3), `gates` (a dict keyed "1" to "3", or a
 list of `{"gate": "1", ...}`), `background`, and for sums on the board `task: {d1, operator, d2}`. Our optional keys
-are `id`, `category`, `family`, `labels`, `board` and, for a gate that stands alone, its number `only`.
+are `id`, `category`, `family`, `labels`, `board`, for a gate that stands alone its number `only`, and `layout` with the
+places of the gates, keyed "1" to "3" as well. In the family `absent`, `correct` is null.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,7 +20,7 @@ from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.printable import unprintable
 from cognitivedrone.tasks.families import FAMILIES
 from cognitivedrone.tasks.validate import check_text, validate_task
-from cognitivedrone.types import ALL_CATEGORIES, Category, Gate, Task
+from cognitivedrone.types import ALL_CATEGORIES, Category, Gate, GatePlace, Layout, Task
 
 MAX_FILE_BYTES = 64 * 2**20
 MAX_TASKS = 200_000
@@ -39,7 +41,8 @@ _SUM = re.compile(r"([0-9]+)([-+*])([0-9]+)")
 _BOARD = re.compile(rf"sum/{_SUM.pattern}@")
 _SUM_IN_PROMPT = re.compile(r"\d\s*[-+*]\s*\d")
 _KEYS = ("prompt", "prompt_simpler", "options", "correct", "gates", "background")
-_OPTIONAL = ("task", "id", "category", "family", "labels", "board", "only")
+_OPTIONAL = ("task", "id", "category", "family", "labels", "board", "only", "layout")
+_PLACE = tuple(GatePlace.__dataclass_fields__)
 _PLAIN = {re.sub("[^a-z]", "", key): key for key in (*_KEYS, *_OPTIONAL)}
 
 
@@ -49,7 +52,7 @@ def task_to_json(task: Task) -> dict[str, Any]:
         "prompt": task.instruction,
         "prompt_simpler": task.directive,
         "options": list(task.options),
-        "correct": task.target + 1,
+        "correct": None if task.target is None else task.target + 1,
         "gates": {
             str(number): {"size": gate.size, "shape": gate.shape, "color": gate.color}
             for number, gate in enumerate(task.gates, 1)
@@ -64,6 +67,8 @@ def task_to_json(task: Task) -> dict[str, Any]:
         obj["board"] = task.board
     if task.only is not None:
         obj["only"] = task.only + 1
+    if task.layout is not None:
+        obj["layout"] = {str(number): asdict(place) for number, place in enumerate(task.layout, 1)}
     return obj
 
 
@@ -80,7 +85,7 @@ def task_from_json(obj: object, *, where: str, kind: str | None = None, default_
             raise TaskError(f"{where}: key {key!r} is missing; a task has {', '.join(_KEYS)}")
     _check_keys(obj, where)
     correct = obj["correct"]
-    if type(correct) is not int or not 1 <= correct <= 3:
+    if correct is not None and (type(correct) is not int or not 1 <= correct <= 3):
         raise TaskError(f"{where}: correct is {correct!r}; it must be 1, 2 or 3, the number of the right gate")
     options = _three(obj["options"], "options", where)
     category, family = _category_and_family(obj, kind, where)
@@ -97,11 +102,12 @@ def task_from_json(obj: object, *, where: str, kind: str | None = None, default_
         directive=obj["prompt_simpler"],
         options=options,
         labels=_three(labels, "labels", where),
-        target=correct - 1,
+        target=None if correct is None else correct - 1,
         gates=_gates(obj["gates"], where),
         board=_board(obj, where),
         background=obj["background"],
         only=_only(obj, where),
+        layout=_layout(obj, where),
     )
     validate_task(task, where)
     return task
@@ -153,6 +159,25 @@ def _only(obj: Mapping[str, Any], where: str) -> int | None:
     if type(number) is not int or not 1 <= number <= 3:
         raise TaskError(f"{where}: only is {number!r}; it must be 1, 2 or 3, the number of the gate that stands alone")
     return number - 1
+
+
+def _layout(obj: Mapping[str, Any], where: str) -> Layout | None:
+    entries = obj.get("layout")
+    if entries is None:
+        return None
+    if not isinstance(entries, dict) or set(entries) != {"1", "2", "3"}:
+        raise TaskError(f"{where}: layout must describe the places of gate 1, 2 and 3, each once")
+    places = []
+    for number in "123":
+        entry = entries[number]
+        if not isinstance(entry, dict) or set(entry) != set(_PLACE) or not all(map(_is_number, entry.values())):
+            raise TaskError(f"{where}: the place of gate {number} must be {', '.join(_PLACE)}, numbers in m and rad")
+        places.append(GatePlace(**{name: float(entry[name]) for name in _PLACE}))
+    return places[0], places[1], places[2]
+
+
+def _is_number(value: object) -> bool:
+    return type(value) in (int, float)
 
 
 def _board(obj: Mapping[str, Any], where: str) -> str | None:

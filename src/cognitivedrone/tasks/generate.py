@@ -73,13 +73,15 @@ class Panel(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Puzzle:
-    """An instruction and three panels; the panel at the draw's target is right."""
+    """An instruction and three panels; the panel at the draw's target is right, unless what is asked for is absent."""
 
     instruction: str
     panels: tuple[Panel, Panel, Panel]
     board: str | None = None
     alone: bool = False
     """Whether the right gate stands alone and without a panel."""
+    absent: bool = False
+    """Whether no panel is right."""
 
 
 @dataclass(frozen=True, slots=True)

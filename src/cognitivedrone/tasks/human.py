@@ -111,6 +111,17 @@ def by_features(draw: Draw, count: int) -> tuple[str, Panel, list[Panel]]:
     return joined([feature.phrase for feature in features]), right, wrong
 
 
+def absent_features(draw: Draw, count: int) -> tuple[str, list[Panel]]:
+    """A description of `count` features that one person could show, and three panels that clearly do not fit it."""
+    features = random_features(draw, count)
+    wrong: list[Panel] = []
+    while len(wrong) < 3:
+        panel = draw.portrait(person_lacking(draw, features, draw.pick(features)))
+        if panel.option not in {other.option for other in wrong}:
+            wrong.append(panel)
+    return joined([feature.phrase for feature in features]), wrong
+
+
 def attributes(draw: Draw) -> Puzzle:
     """One or two attributes of a person: "the person with a red hat and glasses"."""
     described, right, wrong = by_features(draw, 1 + draw.below(2))
@@ -121,11 +132,11 @@ def people(draw: Draw) -> Puzzle:
     """A member of the cast. In `unseen`, the person asked for is the only unknown identity of the three."""
     name = draw.pick(draw.pools.cast)
     others = draw.sample([known for known in TRAIN_CAST if known != name], 2)
-    wrong = [_picture(draw, other) for other in others]
-    return draw.puzzle(draw.frame(draw.noun(wording.PEOPLE, x=name)), _picture(draw, name), wrong)
+    wrong = [cast_portrait(draw, other) for other in others]
+    return draw.puzzle(draw.frame(draw.noun(wording.PEOPLE, x=name)), cast_portrait(draw, name), wrong)
 
 
-def _picture(draw: Draw, name: str) -> Panel:
+def cast_portrait(draw: Draw, name: str) -> Panel:
     """One of many pictures of a member of the cast: the face stays, expression and clothes change."""
     mood = {key: draw.pick(PERSON_ATTRIBUTES[key]) for key in ("clothes", "clothes_color", "expression")}
     return draw.portrait(CAST[name] | mood, name)

@@ -16,7 +16,7 @@ import numpy as np
 
 from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.printable import unprintable
-from cognitivedrone.tasks.directives import write_directive
+from cognitivedrone.tasks.directives import HOLD, write_directive
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, generator
 from cognitivedrone.tasks.format import read_tasks, task_from_json, task_to_json
 from cognitivedrone.tasks.generate import TRAIN, Draw, Generator, Pools, Puzzle
@@ -24,17 +24,35 @@ from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task, Track
 
 VERSION = "open-v1"
 TRAIN_NAME = f"{VERSION}:train"
-BUILT: tuple[str, ...] = tuple(f"{VERSION}:{name}" for name in ("test", "unseen", "smoke", "track", "hard", "race"))
-"""Fixed suites that `tasks.build` generates."""
+BUILT: tuple[str, ...] = (
+    *(f"{VERSION}:{name}" for name in ("test", "unseen", "smoke", "track", "hard", "race")),
+    *(f"open-v2:{name}" for name in ("test", "layouts", "absent")),
+)
+"""Fixed suites that `tasks.build` generates. A suite's position here seeds it: add new ones at the end."""
 AUTHORED: tuple[str, ...] = ("open-v2:words",)
 """Fixed suites written by hand: their files are the source."""
 FIXED: tuple[str, ...] = BUILT + AUTHORED
 SUITES: tuple[str, ...] = (TRAIN_NAME, *FIXED)
-TEST_ONLY: frozenset[str] = frozenset(AUTHORED)
+TEST_ONLY: frozenset[str] = frozenset(name for name in FIXED if name.startswith("open-v2:"))
 """Suites that no training data may be collected from."""
 DEFAULT_TRAIN_SIZE = 300
 UNLIMITED = 10**9
 """A size beyond any suite file or training run: requests all available tasks."""
+
+ABOUT: dict[str, str] = {
+    TRAIN_NAME: "practice: generated from a seed, without end",
+    "open-v1:test": "practised: ingredients of train, drawn once",
+    "open-v1:unseen": "held out: drawing style, fonts, faces, wordings, operands",
+    "open-v1:smoke": "practised: a quick check",
+    "open-v1:track": "practised: tracks of 5 stages",
+    "open-v1:hard": "practised: families that training draws anew; most sentences recur",
+    "open-v1:race": "practised: tracks of single gates",
+    "open-v2:test": "practised ingredients, drawn anew",
+    "open-v2:layouts": "held out: where the gates are; the rest as test",
+    "open-v2:absent": "held out: nothing that is asked for is there",
+    "open-v2:words": "held out: sentences as people type them",
+}
+"""What each suite tests: what is held out from training, or that its tasks are practised."""
 
 _GATE_LOOKS = tuple((size, shape) for size in SIZES for shape in SHAPES)
 _COLOR_ORDERS = tuple((a, b, c) for a in COLORS for b in COLORS for c in COLORS if len({a, b, c}) == 3)
@@ -72,10 +90,10 @@ def finish(puzzle: Puzzle, *, task_id: str, family: str, target: int, gates: tup
         category=FAMILIES[family],
         family=family,
         instruction=puzzle.instruction,
-        directive=write_directive(gates[target]),
+        directive=HOLD if puzzle.absent else write_directive(gates[target]),
         options=(a.option, b.option, c.option),
         labels=(a.label, b.label, c.label),
-        target=target,
+        target=None if puzzle.absent else target,
         gates=gates,
         board=puzzle.board,
         only=target if puzzle.alone else None,
@@ -182,8 +200,9 @@ def _unknown(name: str) -> TaskError:
     bare = {suite.partition(":")[2]: suite for suite in reversed(order)}
     near = difflib.get_close_matches(name.rpartition(":")[2].lower(), bare, n=1, cutoff=0.6)
     if name in FAMILIES:
-        where = {"race": "race"}.get(name, "hard" if name in HARD_FAMILIES else "test")
-        return TaskError(f"{name!r} is a family of tasks, not a suite; '{VERSION}:{where}' holds such tasks")
+        where = f"{VERSION}:{'hard' if name in HARD_FAMILIES else 'test'}"
+        where = {"race": f"{VERSION}:race", "absent": "open-v2:absent"}.get(name, where)
+        return TaskError(f"{name!r} is a family of tasks, not a suite; {where!r} holds such tasks")
     if near:
         return TaskError(f"unknown suite {name!r}; did you mean {bare[near[0]]!r}?")
     if "/" in name or name.endswith(".json"):

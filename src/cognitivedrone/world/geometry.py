@@ -4,7 +4,8 @@ World ENU in metres. A gate's frame has its origin in the gate's centre and the 
 is the outward normal, from the stage's origin through the gate, lateral points to its left, vertical
 up. Functions accept any leading batch dimensions.
 
-Source of all sizes: the stage of the published CognitiveDroneBench (arXiv 2503.01378).
+Source of all sizes, here and in `cognitivedrone.layout`: the stage of the published CognitiveDroneBench
+(arXiv 2503.01378).
 """
 
 from __future__ import annotations
@@ -15,37 +16,26 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cognitivedrone.frames import rotate_yaw, world_to_heading
+from cognitivedrone.layout import BOARD_CENTER as BOARD_CENTER
+from cognitivedrone.layout import BOARD_HEIGHT as BOARD_HEIGHT
+from cognitivedrone.layout import GATE_HEIGHT as GATE_HEIGHT
+from cognitivedrone.layout import GATE_XY as GATE_XY
+from cognitivedrone.layout import GATE_YAWS as GATE_YAWS
+from cognitivedrone.layout import PANEL_CENTER_HEIGHT as PANEL_CENTER_HEIGHT
+from cognitivedrone.layout import PANEL_HEIGHT as PANEL_HEIGHT
+from cognitivedrone.layout import PANEL_RISE as PANEL_RISE
+from cognitivedrone.layout import START as START
+from cognitivedrone.layout import START_HALF_EXTENT as START_HALF_EXTENT
+from cognitivedrone.layout import START_MIN_HEIGHT as START_MIN_HEIGHT
 from cognitivedrone.types import FloatArray, Gate, Size, Stage, Vectors
 
-GATE_XY: Final = np.array([[4.0, 4.0], [5.0, 0.0], [4.0, -4.0]])
-"""Gate centres from the stage's origin, in the stage frame, m."""
-GATE_YAWS: Final = np.arctan2(GATE_XY[:, 1], GATE_XY[:, 0])
-"""Headings of the outward normals in the stage frame, rad: 45, 0 and -45 degrees."""
-GATE_HEIGHT: Final = 0.9
-"""Height of every gate's centre above ground, m."""
 BAR_WIDTH: Final = 0.15
 """Width of the bar around the opening, in the gate's plane, m."""
 BAR_DEPTH: Final = 0.025
 """Depth of the bar along the gate's normal, m."""
 
-PANEL_CENTER_HEIGHT: Final = 2.75
-"""Height of a label panel's centre above ground, m."""
-PANEL_HEIGHT: Final = 2.0
-"""Height of a label panel itself, m; its width follows the image's aspect ratio."""
 PANEL_DEPTH: Final = 0.02
 """Thickness of a panel, m."""
-
-BOARD_CENTER: Final = np.array([5.2, 0.0, 5.05])
-"""Centre of the board that shows a sum, in the stage frame, m: above gate 2's panel, visible from every start."""
-BOARD_HEIGHT: Final = 2.2
-"""Height of the board itself, m; its width follows the image's aspect ratio."""
-
-START: Final = np.array([-1.0, 0.0, 0.75])
-"""Middle of the start box, in the stage frame, m. The drone starts facing the stage's x axis."""
-START_HALF_EXTENT: Final = 1.0
-"""Half the side of the start box on every axis, m."""
-START_MIN_HEIGHT: Final = 0.2
-"""Minimum height of a start, m."""
 
 NEXT_STAGE_DISTANCE: Final = 2.0
 """On a track, distance of the next stage's origin behind the gate flown through, m.
@@ -64,14 +54,25 @@ _TRIANGLE: Final = np.array([[np.sqrt(3.0), -1.0], [0.0, 2.0], [-np.sqrt(3.0), -
 
 def gate_centers(stage: Stage) -> Vectors:
     """(3, 3) world positions of the gate centres, gates 1, 2, 3 from left to right, m."""
-    xy = rotate_yaw(GATE_XY, stage.yaw) + np.asarray(stage.origin)
-    return np.column_stack([xy, np.full(3, GATE_HEIGHT)])
+    layout = stage.layout
+    places = GATE_XY if layout is None else np.array([[place.x, place.y] for place in layout])
+    heights = np.full(3, GATE_HEIGHT) if layout is None else np.array([place.height for place in layout])
+    return np.column_stack([rotate_yaw(places, stage.yaw) + np.asarray(stage.origin), heights])
 
 
 def gate_yaws(stage: Stage) -> FloatArray:
     """(3,) world headings of the gates' outward normals, rad, not wrapped."""
-    yaws: FloatArray = GATE_YAWS + stage.yaw
+    layout = stage.layout
+    yaws: FloatArray = (GATE_YAWS if layout is None else np.array([place.yaw for place in layout])) + stage.yaw
     return yaws
+
+
+def panel_centers(stage: Stage) -> Vectors:
+    """(3, 3) world positions of the panels' centres, m: above their gates, at `PANEL_RISE`."""
+    centers = gate_centers(stage)
+    # The published height as it is: a sum would differ from it in the last digit.
+    heights = np.full(3, PANEL_CENTER_HEIGHT) if stage.layout is None else centers[:, 2] + PANEL_RISE
+    return np.column_stack([centers[:, :2], heights])
 
 
 def standing(stage: Stage) -> tuple[int, ...]:
@@ -120,7 +121,7 @@ def panel_distance(aspect: float, along: ArrayLike, lateral: ArrayLike, vertical
 
     `aspect` is the width over the height of the label's image.
     """
-    above = np.asarray(vertical, dtype=np.float64) - (PANEL_CENTER_HEIGHT - GATE_HEIGHT)
+    above = np.asarray(vertical, dtype=np.float64) - PANEL_RISE
     sideways = _beyond(lateral, aspect * PANEL_HEIGHT / 2)
     return np.sqrt(_beyond(along, PANEL_DEPTH / 2) ** 2 + sideways**2 + _beyond(above, PANEL_HEIGHT / 2) ** 2)
 

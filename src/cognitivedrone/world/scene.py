@@ -60,12 +60,12 @@ def fill_scene(
         _add_mesh(scene, mesh, centers[index], rotation_matrix(quaternion_from_yaw(yaws[index])), color, _GATE_GLOW)
     pictures = assets.pictures[slot]
     paper: RGB = (appearance.panel_brightness,) * 3
+    panels = geometry.panel_centers(stage)
     for index in geometry.panelled(stage):
-        center, yaw, aspect = centers[index], yaws[index], aspects[index]
-        raised = np.array([center[0], center[1], geometry.PANEL_CENTER_HEIGHT])
+        yaw, aspect = yaws[index], aspects[index]
         size = np.array([1.0, aspect * geometry.PANEL_HEIGHT, geometry.PANEL_HEIGHT])
         axes = rotation_matrix(quaternion_from_yaw(yaw)) * size
-        _add_mesh(scene, assets.panel, raised, axes, paper, 1.0, int(pictures[index]))
+        _add_mesh(scene, assets.panel, panels[index], axes, paper, 1.0, int(pictures[index]))
     if board_aspect is not None:
         size = np.array([1.0, board_aspect * geometry.BOARD_HEIGHT, geometry.BOARD_HEIGHT])
         place = home + rotate_yaw(geometry.BOARD_CENTER, stage.yaw)

@@ -74,13 +74,13 @@ def record_of(split: Split, episode: Episode) -> dict[str, Any]:
 
 
 def plain_facts(episode: Episode) -> dict[str, str | int]:
-    """Flat facts for filtering: `correct_gate` counts from 1 like published task files."""
+    """Flat facts for filtering: `correct_gate` counts from 1 like published task files; 0 is none."""
     task = episode.task
     return {
         "directive": task.directive,
         "category": task.category,
         "family": task.family,
-        "correct_gate": task.target + 1,
+        "correct_gate": 0 if task.target is None else task.target + 1,
         "seed": episode.conditions.seed,
         "suite": episode.suite,
         "index": episode.index,

@@ -93,7 +93,7 @@ def truths(poses: Poses, stages: list[Stage], chunk: int, expert: ExpertConfig) 
     turned = wrap_angle(yaws - heading[:, None])
     distance = np.linalg.norm(centers - poses.position[:, None], axis=-1)
     nearest = np.where(stands, distance, np.inf).min(axis=1, keepdims=True)
-    panel, legible = _panels(poses, stages, centers)
+    panel, legible = _panels(poses, stages)
     panelled = np.array([[index in geometry.panelled(stage) for index in range(3)] for stage in stages])
     legible[:, :3] &= panelled & (ahead_m > 0)
     action = _chunks(poses, heading, centers, yaws, chunk, expert)
@@ -113,12 +113,11 @@ def _inside(u: FloatArray, v: FloatArray) -> NDArray[np.bool_]:
     return (u >= 0) & (u < IMAGE_SIZE) & (v >= 0) & (v < IMAGE_SIZE)
 
 
-def _panels(poses: Poses, stages: list[Stage], centers: FloatArray) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def _panels(poses: Poses, stages: list[Stage]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Boxes (n, 4, 3) of panels and board, and their legibility (n, 4)."""
     board = np.array([[*geometry.BOARD_CENTER]])
     boards = np.stack([rotate_yaw(board, stage.yaw) + np.array([*stage.origin, 0.0]) for stage in stages])
-    middles = np.concatenate([centers, boards], axis=1)
-    middles[:, :3, 2] = geometry.PANEL_CENTER_HEIGHT
+    middles = np.concatenate([np.stack([geometry.panel_centers(stage) for stage in stages]), boards], axis=1)
     half = np.zeros((4, 3))
     half[:3, 2], half[3, 2] = geometry.PANEL_HEIGHT / 2, geometry.BOARD_HEIGHT / 2
     middle, top, bottom = (

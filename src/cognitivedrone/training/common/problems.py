@@ -17,6 +17,7 @@ from cognitivedrone.tasks import BASE_FAMILIES, HARD_FAMILIES
 from cognitivedrone.tasks.generate import TRAIN, Draw
 from cognitivedrone.tasks.memory import memory_track
 from cognitivedrone.tasks.suites import drawn_task
+from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.training.common.phrasing import SPOKEN
 from cognitivedrone.training.common.questions import ask
 from cognitivedrone.training.common.unknown_people import with_unknown_person
@@ -55,8 +56,8 @@ class Mix:
     """Share of tasks about people that ask for an unknown identity among known ones."""
     absent: float = 0.1
     """Share of problems in which no gate shows what is asked for."""
-    unreadable: float = 0.04
-    """Share of panels, other than the right one, that show something that was never taught."""
+    unreadable: float = 0.05
+    """Share of panels that show something that was never taught; what is asked for may be among them."""
     earlier: float = 0.0
     """Share of problems on a track, after irrelevant earlier stages."""
 
@@ -108,7 +109,7 @@ class Problems:
             return [problem_of(task)]
         problem = problem_of(task)
         if rng.random() < self.mix.directives:
-            question = ask(rng, task.labels, task.board, task.gates, task.target, "directive")
+            question = ask(rng, task.labels, task.board, task.gates, right_gate(task), "directive")
             return [replace(problem, sentence=question.text, family="directive")]
         if family in BASE_FAMILIES and rng.random() < self.mix.relabelled:
             question = ask(rng, task.labels, task.board, task.gates, int(rng.integers(3)), None, pools)
@@ -116,36 +117,27 @@ class Problems:
         return [problem]
 
     def _varied(self, rng: np.random.Generator, problem: Problem) -> Problem:
-        """Some other panels cannot be read; or what is asked for is taken away."""
+        """What is asked for is taken away, or some panels cannot be read."""
         if problem.family == "directive":
             return problem
-        labels = list(problem.labels)
+        labels, target = list(problem.labels), problem.target
+        if rng.random() < self.mix.absent and problem.family in _BY_CONTENT:
+            wrong = [label for place, label in enumerate(labels) if place != target]
+            labels[target], target = wrong[int(rng.integers(2))], ABSENT
         for place in range(3):
-            if place != problem.target and rng.random() < self.mix.unreadable:
+            if rng.random() < self.mix.unreadable:
                 labels[place] = "unknown/picture"
-        target = problem.target
-        if rng.random() < self.mix.absent and (others := _instead(rng, problem)):
-            labels[target], target = others, ABSENT
         return replace(problem, labels=tuple(labels), target=target)
 
 
 def problem_of(task: Task) -> Problem:
     """A task as a problem."""
-    return Problem(task.instruction, task.family, task.labels, task.gates, task.board, task.target)
+    target = ABSENT if task.target is None else task.target
+    return Problem(task.instruction, task.family, task.labels, task.gates, task.board, target)
 
 
 _BY_CONTENT = frozenset(BASE_FAMILIES) | {"exclusion", "negation", "distraction", "conjunction", "two_step"}
 """Families whose wrong panels are wrong by themselves, whatever the others show."""
-
-
-def _instead(rng: np.random.Generator, problem: Problem) -> str | None:
-    """What hangs where the right panel was: a wrong one again, or something that cannot be read; None if any panel of
-    the scene could be right without it.
-    """
-    if problem.family not in _BY_CONTENT or rng.random() < 0.15:
-        return None if problem.family not in _BY_CONTENT else "unknown/picture"
-    wrong = [label for place, label in enumerate(problem.labels) if place != problem.target]
-    return wrong[int(rng.integers(2))]
 
 
 def _gates(rng: np.random.Generator) -> tuple[Gate, Gate, Gate]:

@@ -77,6 +77,8 @@ class StreamRecipe:
     """Share of sentences about frames with token noise."""
     directives: bool = True
     """Whether some sentences are directives."""
+    layouts: float = 0.0
+    """Share of flights whose gates are at other places than the published ones (`cognitivedrone.layout`)."""
     varied: float = 0.5
     """Share of flights with varied appearance."""
     rolling: float = 0.2

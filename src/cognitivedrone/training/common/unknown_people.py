@@ -8,6 +8,7 @@ import numpy as np
 
 from cognitivedrone.references import PERSON_ATTRIBUTES
 from cognitivedrone.tasks.people import CAST, IDENTITY, TRAIN_CAST, person_label, seen
+from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.types import Task
 
 UNKNOWN_PERSON = "somebodynobodyknows"
@@ -31,5 +32,5 @@ def with_unknown_person(rng: np.random.Generator, task: Task) -> Task:
         person_label(person, label.rpartition("@")[2]) if gate == task.target else label
         for gate, label in enumerate(task.labels)
     )
-    instruction = task.instruction.replace(task.options[task.target], UNKNOWN_PERSON)
+    instruction = task.instruction.replace(task.options[right_gate(task)], UNKNOWN_PERSON)
     return replace(task, labels=(first, second, third), instruction=instruction)

@@ -18,6 +18,7 @@ from cognitivedrone.data.store import Store
 from cognitivedrone.envs.track_runner import stage_of
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.frames import rotate_yaw, yaw_of
+from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.training.common.ground_truth import Poses
 from cognitivedrone.training.common.sampling import Batch, Sampler, SampleSource, Setting, StreamRecipe
 from cognitivedrone.training.common.training_task import Batches, Learner
@@ -71,7 +72,7 @@ class Recorded:
     def _setting(self, row: int) -> Setting:
         if row not in self._settings:
             task = self._tasks[row]
-            self._settings[row] = Setting(task, stage_of(task), task.target)
+            self._settings[row] = Setting(task, stage_of(task), right_gate(task))
         return self._settings[row]
 
 

@@ -12,6 +12,7 @@ machine of a kind.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +22,14 @@ from cognitivedrone.envs.track_runner import draw_start, scenery_of, stage_of
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
+from cognitivedrone.layout import draw_layout
 from cognitivedrone.policies.expert import intent
 from cognitivedrone.sim.airframe import RACER
 from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.racing import crowded_task, race_task
+from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.training.common.ground_truth import Poses
 from cognitivedrone.training.common.sampling import Batch, Sampler, SampleSource, Setting, StreamRecipe
 from cognitivedrone.training.common.training_task import Filling, Learner
@@ -96,6 +99,9 @@ class RolloutStream:
         if recipe.suite == "race":
             make = crowded_task if rng.random() < recipe.crowded else race_task
         task = make(int(rng.integers(2**31)), 0)
+        # A share of zero draws nothing: the recipes without layouts stay as they are, to the bit.
+        if recipe.layouts and rng.random() < recipe.layouts:
+            task = replace(task, layout=draw_layout(rng, task.gates, board=task.board is not None))
         stage = stage_of(task)
         appearance = varied_appearance(rng) if rng.random() < recipe.varied else PLAIN
         start, velocity = self._draw_start()
@@ -105,7 +111,7 @@ class RolloutStream:
         )
         others = [gate for gate in self._sampler.askable(task) if gate != task.target and stage.only is None]
         learner = self._learner is not None and world < recipe.learner * recipe.worlds
-        flown = task.target if learner or not others or rng.random() < 0.5 else int(rng.choice(others))
+        flown = right_gate(task) if learner or not others or rng.random() < 0.5 else int(rng.choice(others))
         wander = float(rng.uniform(0.3, 1.2)) if rng.random() < recipe.wander else 0.0
         speed = float(rng.uniform(1.3, 1.8))
         return _Flight(task, stage, flown, learner=learner, wander=wander, speed=speed)

@@ -21,6 +21,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from PIL import Image as Pictures
 
+from cognitivedrone.envs.track_runner import next_place, stage_of
 from cognitivedrone.errors import GazeboError, TaskError, did_you_mean
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import LabelPack
@@ -95,9 +96,9 @@ def stages_of(track: Track) -> tuple[Stage, ...]:
     stages: list[Stage] = []
     origin, yaw = (0.0, 0.0), 0.0
     for task in track:
-        stage = Stage(task.gates, task.labels, task.board, origin, yaw, task.only)
+        stage = stage_of(task, origin, yaw)
         stages.append(stage)
-        origin, yaw = geometry.next_stage_origin(stage, task.target)
+        origin, yaw = next_place(stage, task)
     return tuple(stages)
 
 

@@ -87,11 +87,11 @@ def props_of(
         color = appearance.gate_colors[COLORS.index(gate.color)]
         mesh = gate_mesh(gate.size, gate.shape)
         props.append(Prop(f"gate_{index + 1}", mesh, (x, y, z), float(yaws[index]), color, _GATE_GLOW))
+    panels = geometry.panel_centers(stage)
     for index in geometry.panelled(stage):
-        x, y, _ = (float(value) for value in centers[index])
-        place = (x, y, geometry.PANEL_CENTER_HEIGHT)
+        x, y, z = (float(value) for value in panels[index])
         props.append(
-            _panel(f"panel_{index + 1}", labels[index], place, float(yaws[index]), geometry.PANEL_HEIGHT, paper)
+            _panel(f"panel_{index + 1}", labels[index], (x, y, z), float(yaws[index]), geometry.PANEL_HEIGHT, paper)
         )
     if board is not None:
         x, y, z = (float(value) for value in np.array(home) + rotate_yaw(geometry.BOARD_CENTER, stage.yaw))

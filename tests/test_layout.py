@@ -1,0 +1,198 @@
+"""Random layouts: within their limits, seen and reachable from every start, and one for one seed."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from cognitivedrone.envs.track_runner import draw_start, stage_of
+from cognitivedrone.errors import TaskError
+from cognitivedrone.layout import (
+    ASIDE_M,
+    GATE_HEIGHT,
+    GATE_XY,
+    GATE_YAWS,
+    HIGHEST_M,
+    LOWEST_M,
+    TURNED_RAD,
+    draw_layout,
+    is_clear,
+)
+from cognitivedrone.sim.gate_monitor import BOUNDS_HIGH, BOUNDS_LOW, REACH_M, judge
+from cognitivedrone.sim.views import first_person_view
+from cognitivedrone.tasks import load_suite, train_task
+from cognitivedrone.tasks.format import task_from_json, task_to_json
+from cognitivedrone.types import COLORS, DroneState, Gate, GatePlace, Stage
+from cognitivedrone.world import geometry
+
+PUBLISHED = tuple(GatePlace(float(x), float(y), GATE_HEIGHT, float(a)) for (x, y), a in zip(GATE_XY, GATE_YAWS))
+CASES = [
+    (tuple(Gate(size, "round", color) for size, color in zip(sizes, COLORS, strict=True)), board, seed)
+    for seed, (sizes, board) in enumerate(
+        itertools.product(itertools.product(("big", "small"), repeat=3), (False, True))
+    )
+]
+
+
+def drawn(case):
+    gates, board, seed = case
+    return draw_layout(np.random.default_rng(seed), gates, board=board)
+
+
+def state_at(position):
+    position = np.array(position, dtype=np.float64)
+    return DroneState(position, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
+
+
+def starts(count=12):
+    rng = np.random.default_rng(5)
+    return [draw_start(rng, 0.16).position for _ in range(count)]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_layout_depends_on_its_seed_alone_and_stays_within_its_limits(case):
+    layout = drawn(case)
+    assert layout == drawn(case)
+    assert layout != draw_layout(np.random.default_rng([case[2], 1]), case[0], board=case[1])
+    for gate, place, home, facing in zip(case[0], layout, GATE_XY, GATE_YAWS, strict=True):
+        assert np.hypot(place.x - home[0], place.y - home[1]) <= ASIDE_M + 0.01
+        assert abs(place.yaw - facing) <= TURNED_RAD + 0.001
+        assert LOWEST_M[gate.size] <= place.height <= HIGHEST_M
+        assert round(place.x, 2) == place.x
+
+
+def test_layouts_use_the_room_that_they_have():
+    places = np.array([[(p.x, p.y, p.height, p.yaw) for p in drawn(case)] for case in CASES])
+    aside = np.hypot(*np.moveaxis(places[..., :2] - GATE_XY, -1, 0))
+    assert aside.max() > 1.2
+    assert places[..., 2].min() < 0.8
+    assert places[..., 2].max() > 1.6
+    assert np.abs(places[..., 3] - GATE_YAWS).max() > 0.4
+    distances = np.hypot(places[..., 0] + 1.0, places[..., 1])
+    assert np.ptp(distances, axis=1).max() > 1.0
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_panels_are_in_view_side_by_side_and_do_not_hide_the_board(case):
+    gates, board, _ = case
+    stage = Stage(gates, ("", "", ""), "board" if board else None, layout=drawn(case))
+    panels, yaws = geometry.panel_centers(stage), geometry.gate_yaws(stage)
+    half = geometry.PANEL_HEIGHT / 2
+    for start in starts():
+        view = first_person_view(state_at(start))
+        boxes = []
+        for center, yaw in zip(panels, yaws, strict=True):
+            side = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+            corners = [center + a * side + [0, 0, b] for a in (half, -half) for b in (half, -half)]
+            boxes.append(view.project(np.array(corners), (256, 256)))
+            assert (view.project(center[None], (256, 256)) >= 0).all()
+            assert (view.project(center[None], (256, 256)) < 256).all()
+        lows, highs = (np.array([edge(box[:, 0]) for box in boxes]) for edge in (np.min, np.max))
+        assert lows[1] > highs[0]
+        assert lows[2] > highs[1]
+        if board:
+            low = geometry.BOARD_CENTER - [0, 0, geometry.BOARD_HEIGHT / 2]
+            edges = view.project(np.array([low + [0, 1.4, 0], low - [0, 1.4, 0]]), (256, 256))
+            for box, first, last in zip(boxes, lows, highs, strict=True):
+                hidden = last > edges[0, 0] and first < edges[1, 0] and box[:, 1].min() < edges[0, 1]
+                assert not hidden
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_straight_ways_to_a_gate_meet_no_other_gate(case):
+    gates, _, _ = case
+    stage = Stage(gates, ("", "", ""), layout=drawn(case))
+    for target, start in itertools.product(range(3), starts(4)):
+        center, yaw = geometry.gate_centers(stage)[target], geometry.gate_yaws(stage)[target]
+        axis = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+        corners = [np.array(start), center - 0.8 * axis, center + 0.2 * axis]
+        path = np.concatenate([a + (b - a) * np.linspace(0, 1, 60)[:, None] for a, b in itertools.pairwise(corners)])
+        event = judge(stage, path, 0.05, (1.0, 1.0, 1.0))
+        assert (event.kind, event.gate) == ("gate", target)
+        assert ((path > BOUNDS_LOW) & (path < BOUNDS_HIGH)).all()
+    assert REACH_M == 2.0
+
+
+def test_the_published_places_are_clear_and_a_layout_of_them_is_the_published_stage():
+    gates = CASES[0][0]
+    assert is_clear(PUBLISHED, board=True)
+    usual, laid = (Stage(gates, ("", "", ""), None, (1.0, 2.0), 0.7, layout=layout) for layout in (None, PUBLISHED))
+    for function in (geometry.gate_centers, geometry.gate_yaws, geometry.panel_centers):
+        np.testing.assert_allclose(function(laid), function(usual), atol=1e-12)
+    assert (geometry.panel_centers(usual)[:, 2] == geometry.PANEL_CENTER_HEIGHT).all()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"x": 4.5, "y": 2.2, "height": 1.0, "yaw": 0.7},  # before the panel of the gate in the middle
+        {"x": 2.9, "y": 5.1, "height": 1.0, "yaw": 0.7},  # out of view
+        {"x": 5.5, "y": 1.8, "height": 1.0, "yaw": 0.3},  # too near to it
+    ],
+)
+def test_what_is_not_clear(change):
+    assert not is_clear((GatePlace(**change), *PUBLISHED[1:]), board=False)
+
+
+def test_a_high_panel_before_the_board_hides_it():
+    high = (PUBLISHED[0], GatePlace(5.0, 0.0, 1.6, 0.0), PUBLISHED[2])
+    assert is_clear(high, board=False)
+    assert not is_clear(high, board=True)
+
+
+def test_the_next_stage_begins_behind_a_gate_of_the_layout():
+    layout = (*PUBLISHED[:2], GatePlace(4.5, -3.5, 1.5, -1.0))
+    (x, y), yaw = geometry.next_stage_origin(Stage(CASES[0][0], ("", "", ""), layout=layout), 2)
+    assert yaw == pytest.approx(-1.0)
+    assert (x, y) == pytest.approx((4.5 + 2 * np.cos(1.0), -3.5 - 2 * np.sin(1.0)))
+
+
+# ---- in tasks
+
+
+def laid_out(index=0, **change):
+    task = task_to_json(train_task(index))
+    layout = {str(n): {"x": p.x, "y": p.y, "height": 1.2, "yaw": p.yaw} for n, p in enumerate(PUBLISHED, 1)}
+    layout["2"] |= change
+    return task | {"layout": layout}
+
+
+def test_a_task_without_a_layout_is_written_as_before_and_one_with_it_is_read_again():
+    assert "layout" not in task_to_json(train_task(0))
+    assert train_task(0).layout is None
+    task = task_from_json(laid_out(), where="here")
+    assert task.layout[1] == GatePlace(5.0, 0.0, 1.2, 0.0)
+    assert task_from_json(task_to_json(task), where="here") == task
+    assert stage_of(task, (1.0, 2.0), 0.5).layout == task.layout
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"height": 0.3}, r"height of gate 2 is 0.3; it must be from 0\.\d to 3 for a (big|small) gate"),
+        ({"x": float("nan")}, "x of gate 2 is nan"),
+        ({"x": "5"}, "the place of gate 2 must be x, y, height, yaw, numbers"),
+        ({"z": 5}, "the place of gate 2 must be"),
+        ({"y": 6.0}, "from left to right"),
+        ({"yaw": 3.0}, "yaw of gate 2 is 3"),
+    ],
+)
+def test_malformed_layouts(change, message):
+    with pytest.raises(TaskError, match=message):
+        task_from_json(laid_out(**change), where="here")
+
+
+def test_a_layout_has_three_places():
+    for layout in ({}, [], {"1": {}, "2": {}}):
+        with pytest.raises(TaskError, match="layout must describe the places of gate 1, 2 and 3"):
+            task_from_json(task_to_json(train_task(0)) | {"layout": layout}, where="here")
+
+
+def test_the_suite_has_300_layouts_that_differ():
+    tasks = [task for (task,) in load_suite("open-v2:layouts").tracks]
+    assert len({task.layout for task in tasks}) == len(tasks) == 300
+    for task in tasks:
+        assert is_clear(task.layout, board=task.board is not None)
+    assert all(task.layout is None for (task,) in load_suite("open-v2:test").tracks)
