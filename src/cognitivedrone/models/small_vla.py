@@ -74,7 +74,9 @@ class SmallVLAConfig:
     @classmethod
     def of(cls, facts: dict[str, Any]) -> SmallVLAConfig:
         """Read back what `facts` gave."""
-        fields: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in facts.items()}
+        fields: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in facts.items()
+        }
         reader = fields["reader"]
         if reader is not None:
             fields["reader"] = ReaderConfig.of(reader)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from string import punctuation
@@ -18,13 +19,41 @@ LONGEST_INSTRUCTION = 1000
 """Maximum length in characters."""
 TOLD = 5
 """Maximum number of warnings about unknown words; whole suites are full of them."""
+_VISIBLE = 0.3  # minimum score of a visible gate
+_NEAR_M = 1.2  # nearer to a gate, panels leave the view
+_ENOUGH = 8  # frames
+_NEWEST = 0.15  # minimum weight of the newest frame
+_DECLINE, _RESUME = 0.15, 0.4  # mean probabilities
 _SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
+
+
+@dataclass(slots=True)
+class Presence:
+    """Whether what is asked for is there, from the network's answers to all frames so far that show three gates."""
+
+    frames: int = 0
+    mean: float = 1.0
+    """Mean probability that one of the gates is the right one; newer frames weigh more."""
+    declining: bool = False
+
+    def update(self, output: Output) -> bool:
+        """Process the answer to a frame (n = 1); returns whether to decline."""
+        scores, distances = output.gates[0, :, 2], output.gates[0, :, 3]
+        if output.present is None or (scores < _VISIBLE).any() or distances.min() < _NEAR_M:
+            return self.declining
+        self.frames += 1
+        self.mean += max(_NEWEST, 1 / self.frames) * (float(output.present[0]) - self.mean)
+        # Hysteresis, so that a drone that hovers does not waver.
+        limit = _RESUME if self.declining else _DECLINE
+        self.declining = self.frames >= _ENOUGH and self.mean < limit
+        return self.declining
 
 
 class Small(Policy):
     """Flies a small model: the packaged one, or the file at `path`.
 
-    Every decision depends only on its observation. Raises `PolicyError` if the file is missing or unusable.
+    Its actions depend on the current observation only, but for one thing: it declines, and hovers, when the frames of a
+    second agree that no gate shows what is asked for. Raises `PolicyError` if the file is missing or unusable.
     """
 
     weights = "small.onnx"
@@ -37,6 +66,8 @@ class Small(Policy):
         self.last: Output | None = None
         """The network's output for the last frame, n = 1, for viewers; none before the first."""
         self._text = ""
+        self._presence = Presence()
+        self.declines = False
         self._words_told: set[str] = set()
         self._sentences_told = 0
 
@@ -61,6 +92,7 @@ class Small(Policy):
         model has never seen, for the first few sentences only.
         """
         self.last = None
+        self._presence, self.declines = Presence(), False
         self._listen(context.instruction)
 
     def act(self, observation: Observation) -> ActionChunk:
@@ -71,12 +103,14 @@ class Small(Policy):
         """
         if observation.instruction != self._text:
             self._listen(observation.instruction)
+            self._presence = Presence()
         state = state_of(observation)
         self.last = self.model.run(_checked(observation.image)[None], state[None], (self._text,))
         action: ActionChunk = self.last.action[0]
         if not np.isfinite(action).all():
             raise NonFiniteAction(f"the model answered {action[0].tolist()} to the state {state.tolist()}")
-        return action
+        self.declines = self._presence.update(self.last)
+        return np.zeros_like(action) if self.declines else action
 
     def _listen(self, text: str) -> None:
         if not text.strip():

@@ -29,13 +29,14 @@ ABSENT = SLOTS
 SHARES: dict[str, float] = {
     **dict.fromkeys(BASE_FAMILIES, 1.0),
     **dict.fromkeys(HARD_FAMILIES, 0.7),
-    "association": 3.0, "people": 1.5, "attributes": 1.5, "comparison": 1.0, "memory": 0.4,
+    "association": 3.0, "people": 1.5, "attributes": 1.5, "comparison": 1.0, "memory": 0.4, "absent": 1.5,
 }  # fmt: skip
 """How often the families of a reasoner occur, relative to each other."""
 ALONE: dict[str, float] = {
     "math": 0.12, "association": 0.14, "math_board": 0.06, "food": 0.05, "attributes": 0.08, "people": 0.08,
     "animals": 0.03, "letters": 0.02, "digits": 0.02, "logos": 0.02,
     "exclusion": 0.1, "comparison": 0.08, "two_step": 0.08, "negation": 0.06, "distraction": 0.03, "conjunction": 0.03,
+    "absent": 0.1,
 }  # fmt: skip
 """The same for a network that sees each gate by itself: neither other gates, nor earlier stages, nor counts."""
 
@@ -54,8 +55,8 @@ class Mix:
     """Share of base tasks that ask for any of their gates, in other words."""
     unknown_people: float = 0.4
     """Share of tasks about people that ask for an unknown identity among known ones."""
-    absent: float = 0.1
-    """Share of problems in which no gate shows what is asked for."""
+    absent: float = 0.06
+    """Share of problems from which what is asked for is taken away, beside those of the family `absent`."""
     unreadable: float = 0.05
     """Share of panels that show something that was never taught; what is asked for may be among them."""
     earlier: float = 0.0
@@ -108,6 +109,8 @@ class Problems:
             task = with_unknown_person(rng, task)
             return [problem_of(task)]
         problem = problem_of(task)
+        if problem.target == ABSENT:
+            return [problem]
         if rng.random() < self.mix.directives:
             question = ask(rng, task.labels, task.board, task.gates, right_gate(task), "directive")
             return [replace(problem, sentence=question.text, family="directive")]
@@ -118,7 +121,7 @@ class Problems:
 
     def _varied(self, rng: np.random.Generator, problem: Problem) -> Problem:
         """What is asked for is taken away, or some panels cannot be read."""
-        if problem.family == "directive":
+        if problem.family in ("directive", "absent"):
             return problem
         labels, target = list(problem.labels), problem.target
         if rng.random() < self.mix.absent and problem.family in _BY_CONTENT:

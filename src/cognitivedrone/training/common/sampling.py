@@ -263,7 +263,7 @@ def _straight_ahead(row: int, each: Setting, known: Truths) -> int:
 
 
 def token_noise(rng: np.random.Generator, tokens: NDArray[np.int64]) -> NDArray[np.int64]:
-    """A sentence (L, TOKEN) with token noise: some words are left out, some replaced by unknown, some unknown ones added."""
+    """A sentence (L, TOKEN) with token noise: words are lost, unknown ones added."""
     unknown = np.zeros(TOKEN, np.int64)
     unknown[0] = 1
     kept: list[NDArray[np.int64]] = []
