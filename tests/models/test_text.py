@@ -6,7 +6,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cognitivedrone.errors import PolicyError
-from cognitivedrone.models.text import PAD, UNKNOWN, Vocabulary, words_of
+from cognitivedrone.models.text import (
+    GRAM_BUCKETS,
+    GRAMS,
+    PAD,
+    TOKEN,
+    UNKNOWN,
+    Lexicon,
+    Vocabulary,
+    letter_groups,
+    words_of,
+)
 
 SENTENCES = (
     "Fly through the gate with the number equal to 12 + 3",
@@ -93,3 +103,91 @@ def test_any_text_has_a_reading(text, length):
 def test_a_list_of_words_that_is_no_vocabulary_is_refused(words):
     with pytest.raises(PolicyError, match="a vocabulary"):
         Vocabulary(words)
+
+
+# ---- the lexicon
+
+LEXICON = Lexicon.of([*SENTENCES, "<pad>"], ("zebra", "the", "kitten"))
+
+
+def words_read(text: str, lexicon: Lexicon = LEXICON) -> list[str]:
+    return [lexicon.words[row[0]] for row in lexicon.encode(text, 16) if row[0]]
+
+
+def test_a_lexicon_holds_the_sentences_words_then_the_further_ones():
+    assert LEXICON.words[:2] == (PAD, UNKNOWN)
+    assert LEXICON.words[-2:] == ("zebra", "kitten")
+    assert LEXICON.trained == len(LEXICON.words) - 2
+    own = LEXICON.words[2 : LEXICON.trained]
+    assert list(own) == sorted(own)
+    assert Lexicon.of(reversed([*SENTENCES, "<pad>"]), ("zebra", "the", "kitten")) == LEXICON
+
+
+def test_a_token_is_a_words_number_and_its_spelling():
+    for sentence in SENTENCES:
+        assert words_read(sentence) == words_of(sentence)
+        tokens = LEXICON.encode(sentence, 16)
+        assert tokens.shape == (16, TOKEN)
+        assert tokens.dtype == np.int64
+        for row, word in zip(tokens, words_of(sentence), strict=False):
+            assert tuple(row[1:]) == letter_groups(word)
+    assert words_read("a zebra") == ["a", "zebra"]
+
+
+def test_letter_groups_tell_words_apart_and_spellings_alike():
+    cat, cats, dog = (set(letter_groups(word)) - {0} for word in ("cat", "cats", "dog"))
+    assert len(cat) == 3
+    assert len(cat & cats) == 2
+    assert not cat & dog
+    assert letter_groups("a")[1:] == (0,) * (GRAMS - 1)
+    long = letter_groups("x".join("abcdefghijklmnop"))
+    assert len(long) == GRAMS
+    assert all(1 <= number <= GRAM_BUCKETS for number in long)
+
+
+def test_an_unknown_word_is_read_by_its_spelling_and_an_unknown_number_by_its_digits():
+    (row, *_) = LEXICON.encode("catt", 4)
+    assert row[0] == 1
+    assert tuple(row[1:]) == letter_groups("catt")
+    assert words_read("720") == ["7", "2", "0"]
+    assert words_read("12") == ["12"]
+    digits = LEXICON.encode("98", 4)
+    assert digits[:, 0].tolist() == [1, 1, 0, 0]
+    assert [tuple(row[1:]) for row in digits[:2]] == [letter_groups("9"), letter_groups("8")]
+    assert LEXICON.unknown("The catt, the catt and 45 zebras") == ["catt", "and", "zebras"]
+
+
+def test_a_taught_lexicon_keeps_the_numbers_of_the_words_that_it_knew():
+    taught = LEXICON.taught(["the kitten or a dromedary", "a dromedary"])
+    assert taught.words[: LEXICON.trained] == LEXICON.words[: LEXICON.trained]
+    assert taught.words[LEXICON.trained : taught.trained] == ("dromedary", "kitten")
+    assert taught.words[taught.trained :] == ("zebra",)
+    assert taught.taught(SENTENCES) == taught
+    for sentence in SENTENCES:
+        np.testing.assert_array_equal(taught.encode(sentence, 16), LEXICON.encode(sentence, 16))
+
+
+@given(st.text(max_size=60), st.integers(1, 20))
+def test_any_text_has_tokens(text, length):
+    tokens = LEXICON.encode(text, length)
+    assert tokens.shape == (length, TOKEN)
+    assert ((tokens[:, 0] >= 0) & (tokens[:, 0] < len(LEXICON.words))).all()
+    assert ((tokens[:, 1:] >= 0) & (tokens[:, 1:] <= GRAM_BUCKETS)).all()
+    words = min(len(words_of(text)), length)
+    assert (tokens[:words, :2] > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("words", "trained"),
+    [
+        ((), 2),
+        ((PAD,), 2),
+        (("fly", "to"), 2),
+        ((PAD, UNKNOWN, "cat", "cat"), 4),
+        ((PAD, UNKNOWN, "cat"), 1),
+        ((PAD, UNKNOWN, "cat"), 4),
+    ],
+)
+def test_a_list_of_words_that_is_no_lexicon_is_refused(words, trained):
+    with pytest.raises(PolicyError, match="a vocabulary"):
+        Lexicon(words, trained)

@@ -1,7 +1,8 @@
-"""A whole model file of a few hundred bytes: every contract of the real one, and answers that tests can foresee."""
+"""Whole model files of a few hundred bytes: every contract of the real ones, and answers that tests can foresee."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,17 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from cognitivedrone.models.onnx_file import Provenance
+from cognitivedrone.models.onnx_file import Provenance, lexicon_table, write_table
+from cognitivedrone.models.reasoner_file import (
+    LOOKS,
+    READER_FILE,
+    READER_KIND,
+    REMEMBERED,
+    SELECTOR,
+    SELECTOR_FILE,
+)
 from cognitivedrone.models.small_file import ActionStatistics, Description, describe
-from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.models.text import TOKEN, Lexicon, Vocabulary
 
 TEXT_LENGTH = 8
 CHUNK = 2
@@ -28,9 +37,16 @@ DESCRIPTION = Description(
         q01=(-0.1, -1.0, -0.5, -0.9),
         q99=(1.9, 1.0, 0.5, 0.9),
     ),
-    config={"width": 8},
+    network={"width": 8},
     provenance=Provenance("debug", "0" * 64, "0123abc", "2025-11-21T00:00:00+00:00", 10, {"smoke": 0.5}),
 )
+OPEN_DESCRIPTION = replace(
+    DESCRIPTION,
+    name="tiny-open",
+    vocabulary=Lexicon.of(["Fly through the red gate with the letter A"], ["cat"]),
+    attributes=("kind/thing", "kind/unknown", "concept/thing:cat"),
+)
+"""Of a model with a lexicon."""
 Inputs = dict[str, tuple[int, list[Any]]]
 INPUTS: Inputs = {
     "image": (TensorProto.UINT8, ["batch", 256, 256, 3]),
@@ -42,11 +58,17 @@ OUTPUTS: Inputs = {
     "choice": (TensorProto.FLOAT, ["batch", 4]),
     "gates": (TensorProto.FLOAT, ["batch", 3, 4]),
 }
+OPEN: dict[str, Inputs] = {
+    "inputs": {**INPUTS, "tokens": (TensorProto.INT64, ["batch", TEXT_LENGTH, TOKEN])},
+    "outputs": {**OUTPUTS, "present": (TensorProto.FLOAT, ["batch"])},
+}
+"""Inputs and outputs of a model with a lexicon."""
 
 
 def graph(inputs: Inputs = INPUTS, outputs: Inputs = OUTPUTS) -> onnx.ModelProto:
     """A network that answers every step of the chunk with the brightest pixel / 255, the height, a tenth of the mean
-    token, and the yaw rate; the gates' probabilities are all 0.25, their places all zero.
+    token, and the yaw rate; the gates' probabilities are all 0.25. Their places are all zero; in models with a lexicon,
+    they are ahead and 3 m away, and what is asked for is there with the probability 1 - brightest pixel / 255.
 
     Other inputs and outputs make a graph that breaks the contract.
     """
@@ -58,6 +80,7 @@ def graph(inputs: Inputs = INPUTS, outputs: Inputs = OUTPUTS) -> onnx.ModelProto
         "one": [1],
         "all_but_batch": [1, 2, 3],
         "last": [1],
+        "all_tokens": list(range(1, len(inputs["tokens"][1]) if "tokens" in inputs else 2)),
         "chunked": [1, CHUNK, 1],
         "middle": [1],
         "four_times": [1, 4],
@@ -71,7 +94,12 @@ def graph(inputs: Inputs = INPUTS, outputs: Inputs = OUTPUTS) -> onnx.ModelProto
         numpy_helper.from_array(np.array(0, np.float32), "nothing"),
         numpy_helper.from_array(np.array(0.1, np.float32), "tenth"),
     ]
-    action, choice, gates = outputs
+    action, choice, gates, *present = outputs
+    place = [128, 128, 0.9, 3] if present else [0, 0, 0, 0]
+    initializers += [
+        numpy_helper.from_array(np.array(place, np.float32).reshape(1, 1, 4), "place"),
+        numpy_helper.from_array(np.array(1, np.float32), "whole"),
+    ]
     node = helper.make_node
     nodes = [
         node("Cast", [image], ["pixels"], to=TensorProto.FLOAT),
@@ -81,7 +109,8 @@ def graph(inputs: Inputs = INPUTS, outputs: Inputs = OUTPUTS) -> onnx.ModelProto
         node("Slice", [state, "three", "four", "last"], ["y"]),
         node("Cast", [tokens], ["numbers"], to=TensorProto.FLOAT),
         node("Mul", ["numbers", "tenth"], ["tenths"]),
-        node("ReduceMean", ["tenths", "last"], ["z"], keepdims=1),
+        node("ReduceMean", ["tenths", "all_tokens"], ["mean"], keepdims=0),
+        node("Reshape", ["mean", "to_row"], ["z"]),
         node("Slice", [state, "four", "five", "last"], ["turn"]),
         node("Concat", ["x", "y", "z", "turn"], ["command"], axis=1),
         node("Unsqueeze", ["command", "middle"], ["step"]),
@@ -90,8 +119,17 @@ def graph(inputs: Inputs = INPUTS, outputs: Inputs = OUTPUTS) -> onnx.ModelProto
         node("Add", ["zero", "quarter"], ["even"]),
         node("Tile", ["even", "four_times"], [choice]),
         node("Unsqueeze", ["zero", "middle"], ["blank"]),
-        node("Tile", ["blank", "slots"], [gates]),
+        node("Tile", ["blank", "slots"], ["nowhere"]),
+        node("Add", ["nowhere", "place"], [gates]),
+        *(node("Sub", ["whole", "light"], [name]) for name in present),
     ]
+    return model_of(nodes, inputs, outputs, initializers)
+
+
+def model_of(
+    nodes: list[onnx.NodeProto], inputs: Inputs, outputs: Inputs, initializers: list[onnx.TensorProto]
+) -> onnx.ModelProto:
+    """A graph of these nodes."""
     return helper.make_model(
         helper.make_graph(
             nodes,
@@ -110,3 +148,68 @@ def tiny_model(path: Path, description: Description | None = None, **interface: 
     onnx.save(graph(**interface), str(path))
     describe(path, description or DESCRIPTION)
     return path
+
+
+def open_model_file(path: Path) -> Path:
+    """A model file with a lexicon, which tells whether what is asked for is there."""
+    return tiny_model(path, OPEN_DESCRIPTION, **OPEN)
+
+
+def tiny_reasoner(
+    folder: Path,
+    names: tuple[str, ...],
+    words: Lexicon | Vocabulary,
+    *,
+    reading: tuple[np.ndarray, np.ndarray, np.ndarray],
+    logits: tuple[float, ...],
+) -> Path:
+    """Write the two files of a small reasoner that reads the same attributes, looks and boxes in every frame, and
+    gives the gates and, with a lexicon, their absence these logits, whatever it is asked; returns the folder.
+    """
+    count = len(names)
+    table = {"facets": names, "provenance": DESCRIPTION.table()["provenance"]}
+    image: Inputs = {"image": INPUTS["image"]}
+    told = dict(zip(("facets", "looks", "boxes"), reading, strict=True))
+    sizes = {"facets": [4, count], "looks": [3, LOOKS], "boxes": [4, 4]}
+    outputs: Inputs = {name: (TensorProto.FLOAT, ["batch", *size]) for name, size in sizes.items()}
+    reader = folder / READER_FILE
+    onnx.save(_constant(image, outputs, told), str(reader))
+    write_table(reader, READER_KIND, table)
+    float_, integer = TensorProto.FLOAT, TensorProto.INT64
+    tokens: list[Any] = [TEXT_LENGTH, TOKEN] if isinstance(words, Lexicon) else [TEXT_LENGTH]
+    inputs: Inputs = {
+        "tokens": (integer, ["batch", *tokens]),
+        "panels": (float_, ["batch", 3, count]),
+        "looks": (float_, ["batch", 3, LOOKS]),
+        "board": (float_, ["batch", count]),
+        "values": (integer, ["batch", 5]),
+        "remembered": (float_, ["batch", REMEMBERED, count]),
+        "stages": (integer, ["batch", REMEMBERED, 3]),
+    }
+    answer = {"logits": np.array(logits, np.float32)}
+    selector = folder / SELECTOR_FILE
+    onnx.save(_constant(inputs, {"logits": (float_, ["batch", len(logits)])}, answer), str(selector))
+    write_table(selector, SELECTOR, {**table, **lexicon_table(words), "text_length": TEXT_LENGTH})
+    return folder
+
+
+def _constant(inputs: Inputs, outputs: Inputs, values: dict[str, np.ndarray]) -> onnx.ModelProto:
+    """A graph that answers every batch with the same values."""
+    node = helper.make_node
+    first, *_ = inputs
+    initializers = [
+        numpy_helper.from_array(np.array([0], np.int64), "begin"),
+        numpy_helper.from_array(np.array([1], np.int64), "end"),
+    ]
+    nodes = [node("Shape", [first], ["shape"]), node("Slice", ["shape", "begin", "end"], ["count"])]
+    for name, value in values.items():
+        size = np.array(value.shape, np.int64)
+        initializers += [
+            numpy_helper.from_array(np.asarray(value, np.float32), f"{name}.value"),
+            numpy_helper.from_array(size, f"{name}.size"),
+        ]
+        nodes += [
+            node("Concat", ["count", f"{name}.size"], [f"{name}.shape"], axis=0),
+            node("Expand", [f"{name}.value", f"{name}.shape"], [name]),
+        ]
+    return model_of(nodes, inputs, outputs, initializers)

@@ -121,4 +121,6 @@ def _facts_of_model(path: Path, part: Part) -> dict[str, Any]:
         "vocabulary": table.get("vocabulary"),
         "trained_words": table.get("trained_words"),
         "origin": f"{origin['recipe']} of {origin['trained']}",
+        "data": origin["data"],
+        "step": origin["steps"],
     }

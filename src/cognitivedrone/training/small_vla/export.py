@@ -77,8 +77,10 @@ def provenance_of(facts: Mapping[str, Any], scores: Mapping[str, Any] | None = N
 
 
 def stream_of(facts: Mapping[str, Any]) -> StreamRecipe:
-    """The rollout stream that a policy was trained from."""
-    told = facts["recipe"]["stream"]
+    """The rollout stream that a policy was trained from; the default one where that is not known."""
+    told = facts["recipe"].get("stream")
+    if told is None:  # a language training that started from a model file
+        return StreamRecipe()
     return StreamRecipe(
         **{name: value for name, value in told.items() if name not in ("expert", "text_mix")},
         expert=ExpertConfig(**told["expert"]),

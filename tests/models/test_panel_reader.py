@@ -1,0 +1,96 @@
+"""What a panel reader tells: probabilities of attribute values, the same in PyTorch and NumPy."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from cognitivedrone.models.attributes import UNKNOWN, AttributeSchema
+from cognitivedrone.models.finder import LOOK_GROUPS, Finder
+from cognitivedrone.models.panel_reader import PanelReader, Probabilities, Reader, ReaderConfig
+from cognitivedrone.training.common.attributes import ATTRIBUTES
+
+SCHEMA = AttributeSchema(ATTRIBUTES)
+CONFIG = ReaderConfig(crop_size=32, panel_encoder=(8, 8, 8, 8), embedding=16)
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def logits(count: int = 5, scale: float = 4.0) -> np.ndarray:
+    return (scale * np.random.default_rng(0).standard_normal((count, len(ATTRIBUTES)))).astype(np.float32)
+
+
+def test_groups_cut_the_names_without_gaps() -> None:
+    ends = [0]
+    for group, span in SCHEMA.groups.items():
+        assert span.start == ends[-1]
+        ends.append(span.stop)
+        assert {name.partition("/")[0] for name in SCHEMA.names[span]} == {group}
+    assert ends[-1] == len(SCHEMA.names)
+
+
+def test_attribute_values_apply_to_the_kinds_of_picture_that_have_them() -> None:
+    kinds = [name.partition("/")[2] for name in SCHEMA.names[SCHEMA.groups["kind"]]]
+    applies = {
+        kind: {SCHEMA.names[i] for i in np.flatnonzero(row)} for kind, row in zip(kinds, SCHEMA.applies(), strict=True)
+    }
+    groups = {kind: {name.partition("/")[0] for name in names} - {"kind"} for kind, names in applies.items()}
+    assert groups["thing"] == groups["logo"] == groups["letter"] == groups["number"] == {"concept"}
+    assert groups["sum"] == {"first", "sign", "second"}
+    assert groups["several"] == {"thing_a", "count_a", "thing_b", "count_b"}
+    assert {"hair", "hat"} < groups["person"]
+    assert groups["unknown"] == set()
+
+
+def test_probabilities_are_the_same_in_pytorch() -> None:
+    for scale in (0.1, 4.0, 60.0):
+        told = logits(scale=scale)
+        expected = Probabilities(SCHEMA)(torch.from_numpy(told)).numpy()
+        np.testing.assert_allclose(SCHEMA.probabilities(told), expected, atol=1e-6)
+        together = Probabilities(SCHEMA)(torch.from_numpy(told)[None]).numpy()
+        np.testing.assert_allclose(together[0], expected, atol=1e-6)
+
+
+def test_the_kind_decides_what_can_be_shown_at_all() -> None:
+    told = np.zeros((2, len(ATTRIBUTES)), np.float32)
+    told[0, ATTRIBUTES.index("kind/letter")] = 20
+    told[1, ATTRIBUTES.index(UNKNOWN)] = 20
+    letter, unknown = SCHEMA.probabilities(told)
+    assert letter[SCHEMA.groups["kind"]].sum() == pytest.approx(1, abs=1e-5)
+    assert letter[SCHEMA.groups["concept"]].sum() == pytest.approx(1, abs=1e-5)
+    assert letter[SCHEMA.groups["hat"]].sum() < 1e-5
+    assert unknown[ATTRIBUTES.index(UNKNOWN)] == pytest.approx(1, abs=1e-5)
+    assert unknown.sum() == pytest.approx(1, abs=1e-4)
+
+
+def test_a_readers_configuration_comes_back_from_json() -> None:
+    assert ReaderConfig.of(json.loads(json.dumps(CONFIG.facts()))) == CONFIG
+
+
+def test_embeddings_have_a_fixed_length_and_temperature_divides_logits() -> None:
+    torch.manual_seed(0)
+    reader = Reader(CONFIG, 7).eval()
+    crops = torch.rand(4, 3, 32, 32)
+    with torch.no_grad():
+        torch.testing.assert_close(reader.embed(crops).norm(dim=-1), torch.full((4,), 4.0))
+        before = reader(crops)
+        reader.temperature[:] = 2.0
+        torch.testing.assert_close(reader(crops), before / 2)
+
+
+def test_a_frame_is_read_panel_by_panel() -> None:
+    torch.manual_seed(0)
+    made = PanelReader(Finder((8, 8, 16), 1), Reader(CONFIG, len(ATTRIBUTES))).eval()
+    frames = torch.randint(0, 256, (2, 256, 256, 3), dtype=torch.uint8)
+    with torch.no_grad():
+        read, looks, boxes = made(frames)
+        alone = made(frames[1:])
+    assert (read.shape, looks.shape, boxes.shape) == ((2, 4, len(ATTRIBUTES)), (2, 3, 8), (2, 4, 4))
+    for span in LOOK_GROUPS:
+        torch.testing.assert_close(looks[..., span].sum(-1), torch.ones(2, 3))
+    assert ((boxes[..., 3] >= 0) & (boxes[..., 3] <= 1)).all()
+    for one, many in zip(alone, (read, looks, boxes), strict=True):
+        torch.testing.assert_close(one[0], many[1], rtol=1e-4, atol=1e-4)

@@ -1,0 +1,117 @@
+"""Trainings in seconds: tiny networks, few words, a small bank of readings, and batches made in the same process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cognitivedrone.models.panel_reader import ReaderConfig
+from cognitivedrone.training.common import lexicon, panel_crops, readings, trainer
+from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint, restore
+from cognitivedrone.training.common.prefetch import learner_path
+from cognitivedrone.training.common.sampling import Batch
+from cognitivedrone.training.common.trainer import TrainConfig, train
+from cognitivedrone.training.common.training_task import TrainingTask
+from cognitivedrone.training.reasoner.reader import READER
+from cognitivedrone.training.small_vla import export
+from cognitivedrone.training.small_vla.policy import PolicyTraining
+
+SCHEDULE = {"steps": 4, "warmup_steps": 1, "round_steps": 2, "validate_every": 2, "fly_every": 4}
+TINY_READER = replace(
+    READER,
+    **SCHEDULE,
+    batch=16,
+    validation_cards=32,
+    network=ReaderConfig(crop_size=32, panel_encoder=(8, 8, 8, 8), embedding=16),
+)
+
+
+def make_small(patch: pytest.MonkeyPatch) -> None:
+    """Draw few sentences, pictures and frames where a real training draws thousands."""
+    patch.setattr(lexicon, "SENTENCES", 300)
+    patch.setattr(readings, "CROPS", 200)
+    patch.setattr(panel_crops, "_KEPT", 64)
+    patch.setattr(export, "_STATISTICS_FRAMES", 100)
+
+
+class QuickPolicyTraining(PolicyTraining):
+    """A policy's training whose generating process, too, reads few pictures."""
+
+    @classmethod
+    def of(cls, training: PolicyTraining) -> QuickPolicyTraining:
+        return cls(**{name: getattr(training, name) for name in training.__dataclass_fields__})
+
+    def batches(self):  # type: ignore[no-untyped-def]
+        readings.CROPS, panel_crops._KEPT = 200, 64
+        return super().batches()
+
+
+class InProcess:
+    """What a `PrefetchQueue` gives, without a process of its own."""
+
+    def __init__(
+        self, training_task: TrainingTask, out: Path, *, seed: int, rank: int, first_round: int, waiting: object
+    ) -> None:
+        self._task, self._out, self._seed, self._first = training_task, out, (seed, rank), first_round
+
+    def __enter__(self) -> InProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def __iter__(self) -> Iterator[Batch]:
+        schedule, batches_of, network = self._task.recipe, self._task.batches(), self._task.network()
+        learner = self._task.learner(network)
+        try:
+            for number in range(self._first, -(-schedule.steps // schedule.round_steps)):
+                flown = number >= 2 and learner is not None
+                if flown:
+                    restore(read_checkpoint(learner_path(self._out, number - 2))[0], network, None)
+                batches = batches_of((*self._seed, number), learner if flown else None)
+                for _ in range(min(schedule.round_steps, schedule.steps - number * schedule.round_steps)):
+                    yield next(batches)
+        finally:
+            getattr(batches_of, "close", lambda: None)()
+
+
+def train_here(
+    out: Path,
+    task: TrainingTask,
+    *,
+    seed: int = 0,
+    resume: bool = False,
+    report: Callable[[str], None] = lambda _: None,
+) -> Path:
+    """Train in this process alone; returns the checkpoint."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trainer, "PrefetchQueue", InProcess)
+        return train(TrainConfig(out, task, seed=seed, resume=resume), report)
+
+
+@contextmanager
+def killed_at(step: int) -> Iterator[Callable[[str], None]]:
+    """A report that interrupts the training where the row of a step is written, before its checkpoint."""
+
+    def kill(line: str) -> None:
+        if line.startswith(f"step {step} "):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        yield kill
+
+
+__all__ = [
+    "CHECKPOINT",
+    "SCHEDULE",
+    "TINY_READER",
+    "InProcess",
+    "QuickPolicyTraining",
+    "killed_at",
+    "make_small",
+    "train_here",
+]
