@@ -10,7 +10,7 @@ import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto
-from tiny import DESCRIPTION, INPUTS, OUTPUTS, graph, tiny_model
+from tiny import DESCRIPTION, INPUTS, OPEN, OPEN_DESCRIPTION, OUTPUTS, graph, open_model_file, tiny_model
 
 from cognitivedrone.errors import MissingExtra, PolicyError
 from cognitivedrone.models import onnx_file
@@ -207,3 +207,52 @@ def test_a_graph_of_another_interface(tmp_path, interface, says):
 def test_a_chunk_other_than_described(tmp_path):
     path = with_metadata(tmp_path / "model.onnx", changed(chunk=3))
     assert "output 'action'" in refused(path)
+
+
+# ---- files with a lexicon, and of earlier versions
+
+
+def test_a_model_with_a_lexicon_reads_spellings_and_tells_what_is_there(tmp_path):
+    model = SmallModel.load(open_model_file(tmp_path / "open.onnx"))
+    assert model.description == OPEN_DESCRIPTION
+    assert read_description(tmp_path / "open.onnx") == OPEN_DESCRIPTION
+    output = model.run(images(0, 51), states(2), ["fly", "zorblax"])
+    assert np.allclose(output.present, [1, 0.8])
+    tokens = [OPEN_DESCRIPTION.vocabulary.encode(text, 8).mean() / 10 for text in ("fly", "zorblax")]
+    assert np.allclose(output.action[:, 0, 2], tokens)
+
+
+def test_a_model_without_a_lexicon_does_not_tell_what_is_there(tiny_model_file):
+    assert SmallModel.load(tiny_model_file).run(images(0), states(1), ["fly"]).present is None
+
+
+@pytest.mark.parametrize(
+    ("interface", "says"),
+    [
+        ({"inputs": INPUTS, "outputs": OPEN["outputs"]}, "input 'tokens'"),
+        ({"inputs": OPEN["inputs"], "outputs": OUTPUTS}, "outputs action, choice, gates; expected"),
+    ],
+)
+def test_a_lexicon_needs_a_graph_that_reads_it(tmp_path, interface, says):
+    assert says in refused(tiny_model(tmp_path / "model.onnx", OPEN_DESCRIPTION, **interface))
+
+
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ({"trained_words": 1}, "cannot have 1 trained ones"),
+        ({"trained_words": "2"}, "'trained_words'"),
+        ({"trained_words": 2, "vocabulary": ["<pad>", "<unknown>", "cat", "cat"]}, "'cat' is repeated"),
+    ],
+)
+def test_a_lexicon_that_cannot_be_trusted(tmp_path, fields, says):
+    path = with_metadata(tmp_path / "model.onnx", changed(**fields))
+    assert says in refused(path)
+
+
+def test_a_description_of_an_earlier_version_is_read(tmp_path):
+    table = DESCRIPTION.table()
+    table = {**table, "config": table.pop("network")}
+    del table["facets"]
+    told = json.dumps({"format": 2, "checksum": BLANK, "kind": "small-vla", **table})
+    assert read_description(with_metadata(tmp_path / "model.onnx", told)) == DESCRIPTION

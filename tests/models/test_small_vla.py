@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import Any, get_args
 
@@ -9,19 +10,26 @@ import pytest
 import torch
 from torch import Tensor
 
-from cognitivedrone.models.small_vla import SLOTS, STRIDE, Head, Scene, SmallVLA, SmallVLAConfig
+from cognitivedrone.models.attributes import AttributeSchema
+from cognitivedrone.models.finder import CELLS, LOOK_GROUPS, LOOKS, SLOTS, STRIDE, Scene, crops, look_probabilities
+from cognitivedrone.models.panel_reader import ReaderConfig
+from cognitivedrone.models.sentence import WordConfig
+from cognitivedrone.models.small_vla import Head, SmallVLA, SmallVLAConfig
+from cognitivedrone.models.text import TOKEN
 
+SCHEMA = AttributeSchema(
+    ("kind/thing", "kind/letter", "kind/unknown", "concept/thing:cat", "concept/thing:dog", "concept/letter:A")
+)
+F = len(SCHEMA.names)
 CONFIG = SmallVLAConfig(
-    vocabulary=20,
-    attributes=12,
+    words=WordConfig(20, 15),
     text_length=10,
     backbone=(8, 8, 16),
     blocks=1,
-    panel_encoder=(8, 8, 8, 8),
+    reader=ReaderConfig(crop_size=32, panel_encoder=(8, 8, 8, 8), embedding=16),
     embedding=16,
     text_width=16,
     text_layers=1,
-    crop_size=32,
 )
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -29,11 +37,12 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 def network(seed: int = 0, **changes: Any) -> SmallVLA:
     torch.manual_seed(seed)
-    made = SmallVLA(replace(CONFIG, **changes))
-    # As if trained a little: gates are found, and normalisation is not that of the first moment.
-    torch.nn.init.constant_(made.heat.bias, 0.5)
+    made = SmallVLA(replace(CONFIG, **changes), SCHEMA)
+    # As if trained a little: gates are found, words have vectors, and normalisation is not that of the first moment.
+    torch.nn.init.constant_(made.finder.heat.bias, 0.5)
+    made.language.words.vectors.random_(-100, 100)
     with torch.no_grad():
-        made.look(torch.rand(4, 3, 256, 256))
+        made.train().finder.look(torch.rand(4, 3, 256, 256))
     return made.eval()
 
 
@@ -41,7 +50,7 @@ def inputs(count: int = 3, seed: int = 1) -> tuple[Tensor, Tensor, Tensor]:
     draw = torch.Generator().manual_seed(seed)
     image = torch.randint(0, 256, (count, 256, 256, 3), generator=draw, dtype=torch.uint8)
     state = torch.randn(count, 5, generator=draw)
-    tokens = torch.randint(1, 20, (count, 10), generator=draw)
+    tokens = torch.randint(1, 20, (count, 10, TOKEN), generator=draw)
     tokens[:, 7:] = 0
     return image, state, tokens
 
@@ -52,11 +61,13 @@ def inputs(count: int = 3, seed: int = 1) -> tuple[Tensor, Tensor, Tensor]:
 def test_forward_gives_actions_a_choice_and_gates(head: Head, chunk: int, image_size: int) -> None:
     made = network(head=head, chunk=chunk, image_size=image_size)
     with torch.no_grad():
-        action, choice, gates = made(*inputs())
+        action, choice, gates, present = made(*inputs())
     assert (action.shape, choice.shape, gates.shape) == ((3, chunk, 4), (3, SLOTS + 1), (3, SLOTS, 4))
-    assert {action.dtype, choice.dtype, gates.dtype} == {torch.float32}
-    assert (action >= made.low).all()
-    assert (action <= made.high).all()
+    assert present.shape == (3,)
+    assert ((present > 0) & (present < 1)).all()
+    assert {action.dtype, choice.dtype, gates.dtype, present.dtype} == {torch.float32}
+    assert (action >= made.flight.low).all()
+    assert (action <= made.flight.high).all()
     assert choice.sum(-1) == pytest.approx(torch.ones(3), abs=1e-5)
     assert (choice >= 0).all()
     scores = gates[..., 2]
@@ -85,21 +96,27 @@ def test_image_state_and_sentence_all_count(part: str) -> None:
 
 
 def test_padding_does_not_change_what_is_read() -> None:
-    made = network()
+    made = network().language
     _, _, tokens = inputs()
-    board, seen = torch.randn(3, 16), torch.tensor([1.0, 0.0, 1.0])
+    board, seen = torch.rand(3, F), torch.tensor([1.0, 0.0, 1.0])
+
+    def read(tokens: Tensor, board: Tensor) -> Tensor:
+        query, absent = made(tokens, board, seen)
+        return torch.cat([query, absent[:, None]], dim=1)
+
     with torch.no_grad():
-        torch.testing.assert_close(made.text(tokens, board, seen), made.text(tokens[:, :7], board, seen))
+        before = read(tokens, board)
+        torch.testing.assert_close(before, read(tokens[:, :7], board))
         other = torch.cat([tokens[:, :6], (tokens[:, 6:7] % 19) + 1, tokens[:, 7:]], dim=1)
-        assert (made.text(tokens, board, seen) != made.text(other, board, seen)).any(dim=1).all()
+        assert (before != read(other, board)).any(dim=1).all()
         # What is in place of the board counts where there is one.
-        changed = (made.text(tokens, board, seen) != made.text(tokens, board + 1, seen)).any(dim=1)
+        changed = (before != read(tokens, board.flip(1))).any(dim=1)
         assert changed.tolist() == [True, False, True]
 
 
-def scene_of(made: SmallVLA, gates: dict[tuple[int, int], float], board: tuple[int, int]) -> Scene:
+def scene_of(gates: dict[tuple[int, int], float], board: tuple[int, int]) -> Scene:
     """A scene with heat at some cells (row, column), and nothing elsewhere."""
-    n = made.cells
+    n = CELLS
     heat = torch.full((1, n, n), -9.0)
     for (row, column), logit in gates.items():
         heat[0, row, column] = logit
@@ -112,8 +129,8 @@ def test_find_gives_the_three_highest_peaks() -> None:
     made = network()
     # The cell beside the highest peak is higher than the others, and no peak.
     heat = {(8, 3): 4.0, (8, 4): 3.5, (7, 9): 2.0, (8, 14): 3.0, (2, 2): -3.0}
-    slots, scores, board = made.find(scene_of(made, heat, (4, 8)))
-    n = made.cells
+    slots, scores, board = made.finder.find(scene_of(heat, (4, 8)))
+    n = CELLS
     assert n == 256 // STRIDE
     assert slots.cells.tolist() == [[8 * n + 3, 8 * n + 14, 7 * n + 9]]
     assert scores[0] == pytest.approx(torch.tensor([4.0, 3.0, 2.0]).sigmoid())
@@ -127,12 +144,12 @@ def test_the_chosen_gate_s_action_comes_out(chosen: int, head: Head, monkeypatch
     made = network(head=head, chunk=2)
     logits = torch.zeros(3, 1, SLOTS + 1)
     logits[..., chosen] = 5.0
-    monkeypatch.setattr(made, "choose", lambda *_: logits)
+    monkeypatch.setattr(made.flight, "choose", lambda *_: logits)
     image, state, tokens = inputs()
     with torch.no_grad():
-        action, choice, _ = made(image, state, tokens)
-        scene = made.look(image.permute(0, 3, 1, 2).float() / 255)
-        every = made.decode(made.act(made.attend(scene, made.find(scene)[0]), state))
+        action, choice, _, _ = made(image, state, tokens)
+        scene = made.finder.look(image.permute(0, 3, 1, 2).float() / 255)
+        every = made.flight.decode(made.flight.act(made.finder.attend(scene, made.finder.find(scene)[0]), state))
     assert choice.argmax(-1).tolist() == [chosen] * 3
     torch.testing.assert_close(action, every[:, chosen])
     others = [slot for slot in range(SLOTS + 1) if slot != chosen]
@@ -141,44 +158,107 @@ def test_the_chosen_gate_s_action_comes_out(chosen: int, head: Head, monkeypatch
 
 def test_gates_that_were_not_found_are_not_chosen() -> None:
     made = network()
-    torch.nn.init.constant_(made.heat.bias, -9.0)
-    torch.nn.init.zeros_(made.heat.weight)
+    torch.nn.init.constant_(made.finder.heat.bias, -9.0)
+    torch.nn.init.zeros_(made.finder.heat.weight)
     with torch.no_grad():
-        _, choice, gates = made(*inputs())
+        _, choice, gates, present = made(*inputs())
     assert (gates[..., 2] < 0.3).all()
     assert choice.argmax(-1).tolist() == [SLOTS] * 3
     assert choice[:, :SLOTS].max() == 0
+    assert present.max() < 1e-6  # what cannot be seen is not there
 
 
 def test_a_gate_is_where_its_cell_and_offset_say() -> None:
     made = network()
-    for parameter in (made.place.weight, made.heat.weight):
+    for parameter in (made.finder.place.weight, made.finder.heat.weight):
         torch.nn.init.zeros_(parameter)
     with torch.no_grad():
-        made.place.bias.copy_(torch.tensor([0.25, -0.5, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
-        *_, gates = made(*inputs(1))
-        scene = made.look(inputs(1)[0].permute(0, 3, 1, 2).float() / 255)
-        cells = made.find(scene)[0].cells[0]
-    n = made.cells
+        made.finder.place.bias.copy_(torch.tensor([0.25, -0.5, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+        _, _, gates, _ = made(*inputs(1))
+        scene = made.finder.look(inputs(1)[0].permute(0, 3, 1, 2).float() / 255)
+        cells = made.finder.find(scene)[0].cells[0]
+    n = CELLS
     for gate, cell in zip(gates[0], cells, strict=True):
         u, v = (int(cell) % n + 0.75) * STRIDE, (int(cell) // n) * STRIDE
         assert gate[[0, 1, 3]].tolist() == pytest.approx([u, v, 2.71828], abs=1e-3)
 
 
-def test_glimpses_show_what_is_in_their_boxes() -> None:
+def test_crops_show_what_is_in_their_boxes() -> None:
     made = network()
     image = torch.zeros(1, 3, 256, 256)
     image[:, :, 40:80, 100:140] = 1.0
     inside, also_inside, outside = (120.0, 60.0, 30.0), (115.0, 65.0, 20.0), (30.0, 200.0, 30.0)
+    boxes = torch.tensor([[inside, also_inside, outside]])
+    shown = crops(image, boxes, 32)
+    assert shown.shape == (3, 3, 32, 32)
+    assert [float(crop.mean()) for crop in shown] == pytest.approx([1, 1, 0], abs=1e-5)
+    # A corner of the box is where it was in the image.
+    corner = crops(image, torch.tensor([[(100.0, 40.0, 30.0)]]), 32)[0, 0]
+    assert corner[17:, 17:].min() > 0.99
+    assert corner[:15].max() == corner[:, :15].max() == 0
     with torch.no_grad():
-        read = made.read(image, torch.tensor([[inside, also_inside, outside]]))
-    assert read.shape == (1, 3, 16)
+        read = made.read(image, boxes)
+    assert read.shape == (1, 3, F)
     torch.testing.assert_close(read[0, 0], read[0, 1])
     assert (read[0, 0] - read[0, 2]).abs().max() > 1e-3
+    assert read[..., SCHEMA.groups["kind"]].sum(-1) == pytest.approx(torch.ones(1, 3))
+
+
+def test_without_a_reader_nothing_is_read() -> None:
+    made = network(reader=None)
+    with torch.no_grad():
+        assert not made.read(torch.rand(2, 3, 256, 256), torch.full((2, 4, 3), 30.0)).any()
+        assert made(*inputs())[0].isfinite().all()
+
+
+def test_the_reader_stays_as_it_was_trained() -> None:
+    made = network()
+    assert made.reader is not None
+    before = {name: value.clone() for name, value in made.reader.state_dict().items()}
+    made.train()
+    assert made.finder.training
+    assert made.language.words.training
+    assert not any(part.training for part in made.reader.modules())
+    made.read(torch.rand(2, 3, 256, 256), torch.full((2, 4, 3), 30.0))
+    for name, value in made.reader.state_dict().items():
+        assert torch.equal(value, before[name]), name
+
+
+def test_sentences_are_compared_with_what_panels_show_and_how_gates_look() -> None:
+    made = network().language
+    panels, looks = torch.zeros(1, SLOTS, F), torch.zeros(1, SLOTS, LOOKS)
+    panels[0, range(SLOTS), range(3, 3 + SLOTS)] = 1
+    looks[0, range(SLOTS), range(SLOTS)] = 1
+    with torch.no_grad():
+        gates = made.describe(panels, looks)
+        torch.testing.assert_close(gates[0], made.prototypes[3 : 3 + SLOTS] + made.looks[:SLOTS])
+        doubt = made.describe(panels / 2, looks)
+        torch.testing.assert_close(doubt[0], made.prototypes[3 : 3 + SLOTS] / 2 + made.looks[:SLOTS])
+        query = 9 * made.prototypes[4][None, None]
+        assert made.match(query, gates)[0, 0].argmax() == 1
+
+
+def test_looks_are_probabilities_of_colour_shape_and_size() -> None:
+    shares = look_probabilities(torch.randn(2, SLOTS, LOOKS))
+    for span in LOOK_GROUPS:
+        torch.testing.assert_close(shares[..., span].sum(-1), torch.ones(2, SLOTS))
+
+
+def test_what_is_asked_for_is_there_if_a_gate_matches_better_than_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = network()
+    query, _ = made.language(inputs()[2], torch.zeros(3, F), torch.zeros(3))
+    for absent, expected in ((-30.0, 1.0), (30.0, 0.0)):
+        monkeypatch.setattr(made.language, "forward", lambda *_, a=absent: (query, torch.full((3,), a)))
+        with torch.no_grad():
+            action, choice, _, present = made(*inputs())
+        torch.testing.assert_close(present, torch.full((3,), expected))
+        # Where to fly is another question: the policy declines by this number.
+        assert action.isfinite().all()
+        assert choice.sum(-1) == pytest.approx(torch.ones(3), abs=1e-5)
 
 
 def test_bins_and_values_decode_to_the_ends_of_the_range() -> None:
-    tokens, values = network(), network(head="regression")
+    tokens, values = network(head="tokens").flight, network().flight
     raw = torch.full((2, 4, 256), -50.0)
     raw[0, :, 0] = raw[1, :, 255] = 50.0
     torch.testing.assert_close(tokens.decode(raw), torch.stack([tokens.low, tokens.high]))
@@ -186,23 +266,6 @@ def test_bins_and_values_decode_to_the_ends_of_the_range() -> None:
     torch.testing.assert_close(values.decode(3 * ends), torch.stack([values.low, values.high]))
 
 
-def test_facts_are_json_values_that_make_the_same_configuration() -> None:
-    facts = CONFIG.facts()
-    given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in facts.items()}
-    assert SmallVLAConfig(**given) == CONFIG
-    assert all(isinstance(value, (int, str, list)) for value in facts.values())
-
-
-def test_a_board_that_is_read_surely_is_told_to_sentences_as_the_sum_of_its_prototypes():
-    torch.manual_seed(0)
-    config = replace(CONFIG, attributes=9, board_bounds=(2, 5, 9))
-    network = SmallVLA(config)
-    prototypes = network.prototypes.detach()
-    # What a sure reading is: far along the prototypes of attributes 3 and 8, and away from those of their rivals.
-    wanted = torch.full((7,), -60.0)
-    wanted[3 - 2] = wanted[8 - 2] = 60.0
-    read = torch.linalg.lstsq(prototypes[2:], wanted[:, None]).solution.T
-    spelled = network.spell(read)
-    assert torch.allclose(spelled[0], prototypes[3] + prototypes[8], atol=1e-4)
-    unsure = network.spell(torch.zeros(1, config.embedding))
-    assert torch.allclose(unsure[0], prototypes[2:5].mean(0) + prototypes[5:9].mean(0), atol=1e-5)
+@pytest.mark.parametrize("config", [CONFIG, replace(CONFIG, reader=None)])
+def test_facts_are_json_values_that_make_the_same_configuration(config: SmallVLAConfig) -> None:
+    assert SmallVLAConfig.of(json.loads(json.dumps(config.facts()))) == config

@@ -9,12 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tiny import DESCRIPTION
+from tiny import DESCRIPTION, open_model_file
 from typechecked import unchecked
 
 from cognitivedrone.errors import NonFiniteAction, PolicyError
+from cognitivedrone.models.small_file import Output
 from cognitivedrone.policies import make_policy
-from cognitivedrone.policies.small import TOLD, Race, Small
+from cognitivedrone.policies.small import TOLD, Presence, Race, Small
 from cognitivedrone.types import EpisodeContext, Observation
 
 TEXT = "Fly through the red gate"
@@ -157,3 +158,108 @@ def test_the_runtime_is_loaded_with_the_first_model_alone():
     code = f"import sys, cognitivedrone.policies.small as _; print({listed})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+# ---- declining
+
+
+def answer(present, *, scores=(0.9, 0.9, 0.9), distances=(3.0, 3.0, 3.0)):
+    gates = np.zeros((1, 3, 4), np.float32)
+    gates[0, :, 2], gates[0, :, 3] = scores, distances
+    one = None if present is None else np.array([present], np.float32)
+    return Output(np.zeros((1, 2, 4), np.float32), np.full((1, 4), 0.25, np.float32), gates, one)
+
+
+def after(*answers):
+    presence = Presence()
+    return [presence.update(each) for each in answers]
+
+
+def test_it_declines_when_the_frames_of_a_second_agree_and_not_before():
+    assert after(*[answer(0.01)] * 10) == [False] * 7 + [True] * 3
+    assert not any(after(*[answer(0.01), answer(0.6)] * 20))
+    assert not any(after(*[answer(0.5)] * 40))
+    # Single frames that see it are doubts, and not more.
+    assert after(*[answer(0.01)] * 12, answer(0.5), answer(0.01))[-3:] == [True] * 3
+
+
+def test_it_resumes_only_when_it_is_sure_again():
+    gone = [answer(0.0)] * 10
+    assert after(*gone, *[answer(0.3)] * 40)[-1]
+    resumed = after(*gone, *[answer(0.9)] * 20)
+    assert resumed[9]
+    assert not resumed[-1]
+    first = resumed.index(False, 9)
+    assert first > 11
+    assert resumed[9:] == [True] * (first - 9) + [False] * (len(resumed) - first)
+
+
+@pytest.mark.parametrize(
+    "unclear",
+    [
+        answer(0.0, scores=(0.9, 0.9, 0.2)),
+        answer(0.0, distances=(3.0, 1.0, 3.0)),
+        answer(None),
+    ],
+    ids=["two-gates", "near", "cannot-tell"],
+)
+def test_frames_that_cannot_tell_change_nothing(unclear):
+    assert not any(after(*[unclear] * 50))
+    assert all(after(*[answer(0.0)] * 8, *[unclear] * 20)[7:])
+    assert after(*[answer(0.0), unclear] * 7, answer(0.0))[-2:] == [False, True]
+
+
+@pytest.fixture
+def declining(tmp_path):
+    made = Small(open_model_file(tmp_path / "open.onnx"))
+    made.reset(EpisodeContext(TEXT))
+    return made
+
+
+WHITE = replace(OBSERVATION, image=np.full((256, 256, 3), 255, np.uint8))
+"""In which, the tiny model says, no gate shows what is asked for."""
+
+
+def test_a_policy_that_declines_hovers_and_says_so(declining):
+    for _ in range(7):
+        assert declining.act(WHITE).any()
+        assert not declining.declines
+    chunk = declining.act(WHITE)
+    assert declining.declines
+    assert chunk.shape == (2, 4)
+    assert chunk.dtype == np.float32
+    assert not chunk.any()
+    assert declining.last.action.any()  # viewers see what the network said
+
+
+def test_another_sentence_or_flight_is_judged_anew(declining):
+    for _ in range(8):
+        declining.act(WHITE)
+    assert declining.act(replace(WHITE, instruction="the letter A")).any()
+    assert not declining.declines
+    for _ in range(8):
+        declining.act(replace(WHITE, instruction="the letter A"))
+    declining.reset(EpisodeContext("the letter A"))
+    assert not declining.declines
+    assert declining.act(replace(WHITE, instruction="the letter A")).any()
+
+
+def test_where_it_is_there_nothing_is_declined(declining):
+    for _ in range(30):
+        assert declining.act(replace(OBSERVATION, image=np.zeros((256, 256, 3), np.uint8))).any()
+    assert not declining.declines
+
+
+def test_a_model_with_a_lexicon_warns_only_of_words_that_it_reads_by_spelling(declining):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        declining.reset(EpisodeContext("Fly through the cat gate 37"))
+    with pytest.warns(UserWarning, match="has never seen 'katze'"):
+        declining.reset(EpisodeContext("Fly through the katze gate"))
+
+
+def test_models_without_a_lexicon_never_decline(policy):
+    for _ in range(20):
+        policy.act(WHITE)
+    assert policy.last.present is None
+    assert not policy.declines

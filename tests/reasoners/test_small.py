@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tiny import tiny_reasoner
 
-from cognitivedrone.errors import PolicyError, ReasonerError
-from cognitivedrone.models.reasoner_file import AttributeSchema, PanelReading
+from cognitivedrone.errors import ModelError, PolicyError, ReasonerError
+from cognitivedrone.models.attributes import AttributeSchema
+from cognitivedrone.models.reasoner_file import FORMER_FILES, PanelReading
+from cognitivedrone.models.text import Lexicon, Vocabulary
 from cognitivedrone.reasoners.small import SmallReasoner, gate_of, value_index
-from cognitivedrone.training.reasoner.reading import SEEN, seen_attributes
+from cognitivedrone.tasks.directives import HOLD
+from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate
 
+INDEX = AttributeIndex()
 FRAME = np.zeros((256, 256, 3), np.uint8)
 GATES = (Gate("big", "round", "red"), Gate("small", "square", "green"), Gate("big", "triangle", "blue"))
 
 
 def logits_of(label, strength=12.0):
-    row = np.zeros(len(SEEN), np.float32)
-    known = seen_attributes(label)
+    row = np.zeros(len(ATTRIBUTES), np.float32)
+    known = INDEX.of(label)
     row[known[known >= 0]] = strength
     return row
 
@@ -30,7 +35,7 @@ def looks_of(gate):
 def reading_of(labels, *, order=(0, 1, 2), board=None, heights=(30, 30, 30), scores=(1, 1, 1), strength=12.0):
     """A panel reader's output, the gates' slots in any order."""
     attributes = [logits_of(labels[i], strength) for i in order]
-    attributes.append(logits_of(board) if board else np.zeros(len(SEEN), np.float32))
+    attributes.append(logits_of(board) if board else np.zeros(len(ATTRIBUTES), np.float32))
     boxes = [(50 + 80 * i, 100, heights[i], scores[i]) for i in order] + [(128, 40, 50, 0.9 if board else 0.1)]
     return PanelReading(
         np.stack(attributes), np.stack([looks_of(GATES[i]) for i in order]), np.array(boxes, np.float32)
@@ -40,8 +45,8 @@ def reading_of(labels, *, order=(0, 1, 2), board=None, heights=(30, 30, 30), sco
 class Scripted:
     """A panel reader with a given output, and a gate selector that records its inputs and gives a set answer."""
 
-    def __init__(self, *sights, answer=(0.1, 0.8, 0.1)):
-        self.attributes, self.sights, self.answer, self.asked = AttributeSchema(SEEN), list(sights), answer, []
+    def __init__(self, *sights, answer=(0.1, 0.8, 0.1, 0.0)):
+        self.attributes, self.sights, self.answer, self.asked = AttributeSchema(ATTRIBUTES), list(sights), answer, []
 
     def see(self, image):
         return self.sights.pop(0)
@@ -69,7 +74,7 @@ LETTERS = ("letter/A@inter", "letter/B@inter", "letter/C@inter")
 
 
 def shown(panel, label):
-    known = seen_attributes(label)
+    known = INDEX.of(label)
     return panel[known[known >= 0]].min()
 
 
@@ -86,7 +91,7 @@ def test_what_does_not_belong_to_a_kind_of_picture_is_not_told(made):
     parts = Scripted(reading_of(LETTERS))
     made(parts).refine(FRAME, "to the letter B")
     panel = parts.asked[0]["panels"][0]
-    people = [i for i, name in enumerate(SEEN) if name.startswith("hair/")]
+    people = [i for i, name in enumerate(ATTRIBUTES) if name.startswith("hair/")]
     assert panel[people].sum() < 0.01
 
 
@@ -144,11 +149,13 @@ def test_only_the_latest_stages_are_remembered(made):
 
 
 def test_it_says_when_it_cannot_tell(made):
-    reasoner = made(Scripted(reading_of(LETTERS, scores=(1, 1, 0.1)), reading_of(LETTERS), answer=(0.34, 0.33, 0.33)))
+    reasoner = made(
+        Scripted(reading_of(LETTERS, scores=(1, 1, 0.1)), reading_of(LETTERS), answer=(0.34, 0.33, 0.3, 0.03))
+    )
     with pytest.raises(ReasonerError, match="only 2 of 3 gates") as error:
         reasoner.refine(FRAME, "go")
     assert error.value.kind == "unsure"
-    with pytest.raises(ReasonerError, match="no gate is likely: 34%, 33%, 33%"):
+    with pytest.raises(ReasonerError, match="no answer is likely; I see the letter A, the letter B, the letter C$"):
         reasoner.refine(FRAME, "go")
 
 
@@ -192,3 +199,112 @@ def test_it_tells_whether_what_is_named_is_shown_at_all(made, labels, instructio
         assert guidance.present is None
     else:
         assert (guidance.present > 0.9) if present else (guidance.present < 0.1)
+
+
+# ---- what it does not know
+
+
+def test_where_no_gate_shows_it_it_says_so_and_holds(made):
+    reasoner = made(Scripted(reading_of(LETTERS), answer=(0.1, 0.1, 0.05, 0.75)))
+    guidance = reasoner.refine(FRAME, "to the letter Q")
+    assert guidance.directive == HOLD
+    assert guidance.gate is None
+    assert guidance.confidence == pytest.approx(0.75)
+    assert guidance.present == pytest.approx(0.25)
+
+
+def test_a_flight_is_not_ended_by_a_guess_that_it_is_not_there(made):
+    reasoner = made(Scripted(reading_of(LETTERS), answer=(0.2, 0.1, 0.05, 0.65)))
+    with pytest.raises(ReasonerError, match="no answer is likely") as error:
+        reasoner.refine(FRAME, "to the letter Q")
+    assert error.value.kind == "unsure"
+
+
+def test_panels_that_are_too_far_to_read_are_not_taken_for_wrong_ones(made):
+    absent = (0.02, 0.02, 0.01, 0.95)
+    reasoner = made(Scripted(reading_of(LETTERS, heights=(30, 30, 6)), reading_of(LETTERS), answer=absent))
+    with pytest.raises(ReasonerError, match="not every panel is near enough; I see") as error:
+        reasoner.refine(FRAME, "to the letter Q")
+    assert error.value.kind == "unsure"
+    assert reasoner.refine(FRAME, "to the letter Q").directive == HOLD
+
+
+def test_a_gate_that_was_declined_is_not_remembered_as_flown(made):
+    reasoner = made(Scripted(reading_of(LETTERS), reading_of(LETTERS), answer=(0.02, 0.02, 0.01, 0.95)))
+    reasoner.reset(EpisodeContext("", stage=0))
+    reasoner.refine(FRAME, "one")
+    reasoner.reset(EpisodeContext("", stage=1))
+    reasoner.refine(FRAME, "two")
+    assert reasoner.selector.asked[1]["stages"][:3, 2].tolist() == [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("labels", "said"),
+    [
+        (("animal/polar_bear@noto", "letter/B@inter", "number/7@inter"), "polar bear, the letter B, the number 7"),
+        ((PEOPLE[0], "sum/3*3@inter", "several/animal/cat=3@noto"), "a person, a sum, several things"),
+        (
+            ("unknown/picture", "logo/apple@color", "letter/B@inter"),
+            "something that I cannot read, apple, the letter B",
+        ),
+    ],
+)
+def test_it_says_in_words_what_it_sees(made, labels, said):
+    with pytest.raises(ReasonerError) as error:
+        made(Scripted(reading_of(labels), answer=(0.3, 0.3, 0.3, 0.1))).refine(FRAME, "go")
+    assert str(error.value).endswith(f"I see {said}")
+
+
+def test_what_is_read_with_doubt_is_not_named(made):
+    with pytest.raises(ReasonerError) as error:
+        made(Scripted(reading_of(LETTERS, strength=1.0), answer=(0.3, 0.3, 0.3, 0.1))).refine(FRAME, "go")
+    assert str(error.value).endswith("I see " + ", ".join(["something that I cannot read"] * 3))
+
+
+# ---- whole files
+
+WORDS = Lexicon.of(["Fly through the gate with the letter A"], ["cat"])
+
+
+def files(folder, logits, words=WORDS):
+    return tiny_reasoner(folder, ATTRIBUTES, words, reading=tuple(reading_of(LETTERS, order=(2, 0, 1))), logits=logits)
+
+
+def test_files_with_a_lexicon_choose_decline_or_are_unsure(tmp_path):
+    def reasoner(name, *logits):
+        (tmp_path / name).mkdir()
+        return SmallReasoner(files(tmp_path / name, logits))
+
+    guidance = reasoner("chooses", 0, 0, 5, 0).refine(FRAME, "to the letter C")
+    assert (guidance.directive, guidance.gate) == ("Fly through the big blue triangle gate", 2)
+    assert guidance.confidence == pytest.approx(np.exp(5) / (np.exp(5) + 3), abs=1e-4)
+    assert reasoner("declines", 0, 0, 0, 5).refine(FRAME, "to the letter Q").directive == HOLD
+    with pytest.raises(ReasonerError, match="no answer is likely"):
+        reasoner("doubts", 0, 0, 0, 0).refine(FRAME, "to the letter C")
+
+
+def test_files_of_earlier_versions_choose_among_three(tmp_path):
+    folder = files(tmp_path, (0, 5, 0), Vocabulary.of(["Fly through the gate with the letter A"]))
+    guidance = SmallReasoner(folder).refine(FRAME, "to the letter B")
+    assert guidance.gate == 1
+    for name, former in FORMER_FILES.items():
+        (folder / name).rename(folder / former)
+    assert SmallReasoner(folder).refine(FRAME, "to the letter B") == guidance
+    assert SmallReasoner.file_of(folder) == folder / "eyes.onnx"
+
+
+def test_a_selector_of_another_shape_than_its_words_is_refused(tmp_path):
+    with pytest.raises(ModelError, match="output 'logits'"):
+        SmallReasoner(files(tmp_path, (0, 5, 0)))
+
+
+def test_files_that_do_not_belong_together_are_refused(tmp_path):
+    (tmp_path / "other").mkdir()
+    folder = files(tmp_path, (0, 0, 0, 0))
+    names = (*ATTRIBUTES[:-1], "count_b/7")
+    other = tiny_reasoner(
+        tmp_path / "other", names, WORDS, reading=tuple(reading_of(LETTERS)), logits=(0.0, 0.0, 0.0, 0.0)
+    )
+    (other / "gate_selector.onnx").replace(folder / "gate_selector.onnx")
+    with pytest.raises(ModelError, match="do not belong together"):
+        SmallReasoner(folder)
