@@ -8,10 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 from cognitivedrone.models.panel_reader import ReaderConfig
 from cognitivedrone.training.common import lexicon, panel_crops, readings, trainer
-from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint, restore
+from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint
 from cognitivedrone.training.common.prefetch import learner_path
 from cognitivedrone.training.common.sampling import Batch
 from cognitivedrone.training.common.trainer import TrainConfig, train
@@ -105,13 +106,9 @@ def killed_at(step: int) -> Iterator[Callable[[str], None]]:
         yield kill
 
 
-__all__ = [
-    "CHECKPOINT",
-    "SCHEDULE",
-    "TINY_READER",
-    "InProcess",
-    "QuickPolicyTraining",
-    "killed_at",
-    "make_small",
-    "train_here",
-]
+def saved(task: TrainingTask, folder: Path) -> Path:
+    """A checkpoint of a training of which no step was made yet."""
+    torch.manual_seed(0)
+    path = folder / CHECKPOINT
+    save_checkpoint(path, task.network(), None, {**task.identity(), **task.facts(), "seed": 0, "step": 6})
+    return path

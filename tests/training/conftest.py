@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 
 @pytest.fixture(scope="session")
-def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    import torch
-
-    from cognitivedrone.training.common.checkpoint import CHECKPOINT, save_checkpoint
-    from cognitivedrone.training.recipes import RECIPES
-    from cognitivedrone.training.small_vla import policy
+def made_small() -> Iterator[None]:
+    """Few sentences, pictures and frames where a real training draws thousands."""
+    from quick_trainings import make_small
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(policy, "_SENTENCES", 100)
-        training_task = RECIPES["debug"].training()
-    torch.manual_seed(0)
-    path = tmp_path_factory.mktemp("policy") / CHECKPOINT
-    save_checkpoint(
-        path, training_task.network(), None, training_task.identity() | training_task.facts() | {"seed": 0, "step": 6}
-    )
-    return path
+        make_small(patch)
+        yield
+
+
+@pytest.fixture(scope="session")
+def reader_checkpoint(tmp_path_factory: pytest.TempPathFactory, made_small: None) -> Path:
+    """A tiny reader with random weights."""
+    from quick_trainings import TINY_READER, saved
+
+    return saved(TINY_READER.training(), tmp_path_factory.mktemp("reader"))
+
+
+@pytest.fixture(scope="session")
+def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory, reader_checkpoint: Path) -> Path:
+    """A tiny policy with random weights, and that reader."""
+    from quick_trainings import saved
+
+    from cognitivedrone.training.recipes import RECIPES
+
+    return saved(RECIPES["debug"].training(start=reader_checkpoint), tmp_path_factory.mktemp("policy"))

@@ -2,112 +2,164 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
 from cognitivedrone.errors import LabelError
 from cognitivedrone.tasks import facts, load_suite, people, train_task, vocabulary
 from cognitivedrone.training.common.attributes import (
-    BOARD_GROUPS,
-    FACETS,
-    GATE_GROUPS,
-    GROUPS,
-    PANEL_GROUPS,
-    board_attributes,
-    gate_attributes,
-    panel_attributes,
+    ABSENT,
+    ATTRIBUTES,
+    KINDS,
+    PERSON_GROUPS,
+    AttributeIndex,
+    concept_name,
+    gate_looks,
+    label_names,
 )
+from cognitivedrone.training.common.panel_crops import draw_any_label
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 
-
-def names(indices: np.ndarray) -> list[str | None]:
-    return [None if index < 0 else FACETS[index] for index in indices]
+INDEX = AttributeIndex()
 
 
-def test_groups_cut_the_list_without_gaps_or_overlaps() -> None:
-    assert len(set(FACETS)) == len(FACETS)
-    covered = [i for span in GROUPS.values() for i in range(span.start, span.stop)]
-    assert covered == list(range(len(FACETS)))
-    assert set(GROUPS) == {*PANEL_GROUPS, *BOARD_GROUPS, *GATE_GROUPS}
-    for group, span in GROUPS.items():
-        assert span.start < span.stop
-        assert all(attribute.split("/")[0] == group for attribute in FACETS[span])
-    assert "skin" not in GROUPS
+def names(label: str, index: AttributeIndex = INDEX) -> dict[str, str]:
+    """Attribute values of a label by group."""
+    row = index.of(label)
+    assert row.shape == (len(index.groups),)
+    known = {group: index.schema.names[i] for group, i in zip(index.groups, row, strict=True) if i != ABSENT}
+    assert all(name.startswith(f"{group}/") for group, name in known.items())
+    return {group: name.partition("/")[2] for group, name in known.items()}
+
+
+def test_names_are_unique_and_groups_follow_each_other() -> None:
+    assert len(set(ATTRIBUTES)) == len(ATTRIBUTES)
+    ends = [0]
+    for span in INDEX.groups.values():
+        assert span.start == ends[-1] < span.stop
+        ends.append(span.stop)
+    assert ends[-1] == len(ATTRIBUTES)
+    assert "skin" not in INDEX.groups
 
 
 @pytest.mark.parametrize(
-    ("label", "concept"),
+    ("label", "kind", "concept"),
     [
-        ("animal/polar_bear@noto", "concept/thing:polar_bear"),
-        ("food/apple@fluent", "concept/thing:apple"),
-        ("logo/apple@color", "concept/logo:apple"),
-        ("letter/A@lora", "concept/letter:A"),
-        ("number/17@inter", "concept/number:17"),
-        ("number/21@inter", None),
-        ("object/apple@noto", None),
-        ("several/animal/cat=3+food/apple=1@noto", None),
-        ("dragon/green@noto", None),
-        ("sum/7*9@inter", None),
+        ("animal/polar_bear@noto", "thing", "thing:polar_bear"),
+        ("food/apple@fluent", "thing", "thing:apple"),
+        ("logo/apple@color", "logo", "logo:apple"),
+        ("letter/A@lora", "letter", "letter:A"),
+        ("number/17@inter", "number", "number:17"),
+        ("number/21@inter", "unknown", None),
+        ("object/apple@noto", "thing", "thing:apple"),
+        ("dragon/green@noto", "unknown", None),
+        ("unknown/picture", "unknown", None),
+        ("person/anna@sky", "unknown", None),
+        ("person/skin=green@sky", "unknown", None),
+        ("person/wings=two@sky", "unknown", None),
     ],
 )
-def test_a_thing_has_a_concept_and_no_attributes(label: str, concept: str | None) -> None:
-    assert names(panel_attributes(label)) == [concept] + [None] * (len(PANEL_GROUPS) - 1)
+def test_a_picture_has_a_kind_and_one_of_a_thing_its_concept(label: str, kind: str, concept: str | None) -> None:
+    assert names(label) == {"kind": kind} | ({"concept": concept} if concept else {})
+    assert INDEX.known(label) == (kind != "unknown")
 
 
 def test_a_person_has_the_attributes_that_one_sees() -> None:
-    shown = dict(zip(PANEL_GROUPS, names(panel_attributes("person/skin=tan,hair=long,glasses=round@sky")), strict=True))
-    assert shown["concept"] == "concept/person"
-    assert shown["hair"] == "hair/long"
-    assert shown["hair_color"] == "hair_color/brown"
-    assert shown["hat"] == "hat/none"
-    assert shown["hat_color"] is None
-    assert shown["glasses"] == "glasses/round"
-    covered = dict(zip(PANEL_GROUPS, names(panel_attributes("person/skin=tan,hat=hijab@sky")), strict=True))
-    assert covered["hat"] == "hat/hijab"
-    assert covered["hat_color"] == "hat_color/red"
-    assert covered["hair"] is covered["hair_color"] is covered["clothes"] is None
+    shown = names("person/skin=tan,hair=long,glasses=round@sky")
+    assert shown["kind"] == shown["concept"] == "person"
+    assert shown["hair"] == "long"
+    assert shown["hair_color"] == "brown"
+    assert shown["hat"] == "none"
+    assert "hat_color" not in shown
+    assert shown["glasses"] == "round"
+    covered = names("person/skin=tan,hat=hijab@sky")
+    assert covered["hat"] == "hijab"
+    assert covered["hat_color"] == "red"
+    assert not {"hair", "hair_color", "clothes"} & covered.keys()
 
 
-def test_a_person_of_unknown_description_is_still_a_person() -> None:
-    for label in ("person/anna@sky", "person/skin=green@sky", "person/wings=two@sky"):
-        assert names(panel_attributes(label)) == ["concept/person"] + [None] * (len(PANEL_GROUPS) - 1)
+def test_a_sum_shows_two_numbers_and_a_sign() -> None:
+    assert names("sum/20-12@inter") == {"kind": "sum", "first": "20", "sign": "-", "second": "12"}
+    assert names("sum/7*99@inter") == {"kind": "sum", "first": "7", "sign": "*"}
+    for label in ("sum/(1+2)*3@inter", "sum/7@inter"):
+        assert label_names(label) == ("kind/sum",)
+        assert names(label) == {"kind": "unknown"}  # a sum that cannot be read
 
 
-def test_a_board_shows_two_numbers_and_a_sign() -> None:
-    assert names(board_attributes("sum/20-12@inter")) == ["first/20", "sign/-", "second/12"]
-    assert names(board_attributes("sum/7*99@inter")) == ["first/7", "sign/*", None]
-    for label in ("sum/(1+2)*3@inter", "number/7@inter", "sum/7@inter"):
-        assert names(board_attributes(label)) == [None, None, None]
+def test_counts_are_those_of_the_label() -> None:
+    assert names("several/food/lemon=4+animal/cat=2@noto") == {
+        "kind": "several", "thing_a": "cat", "count_a": "2", "thing_b": "lemon", "count_b": "4"
+    }  # fmt: skip
+    assert names("several/food/lemon=4@noto") == {
+        "kind": "several", "thing_a": "lemon", "count_a": "4", "thing_b": "none"
+    }  # fmt: skip
 
 
 def test_a_gate_shows_colour_shape_and_size() -> None:
-    assert names(gate_attributes(Gate("big", "round", "red"))) == ["color/red", "shape/round", "size/big"]
-    looks = {tuple(gate_attributes(Gate(s, f, c))) for s in SIZES for f in SHAPES for c in COLORS}
+    values = (*COLORS, *SHAPES, *SIZES)
+    assert [values[i] for i in gate_looks(Gate("big", "round", "red"))] == ["red", "round", "big"]
+    looks = {tuple(gate_looks(Gate(s, f, c))) for s in SIZES for f in SHAPES for c in COLORS}
     assert len(looks) == len(SIZES) * len(SHAPES) * len(COLORS)
 
 
 def test_a_label_without_a_kind_is_refused() -> None:
     with pytest.raises(LabelError, match="kind/concept@style"):
-        panel_attributes("cat")
+        INDEX.of("cat")
 
 
 def test_arrays_are_shared_and_cannot_be_changed() -> None:
-    for indices in (
-        panel_attributes("letter/A@lora"),
-        board_attributes("sum/1+1@lora"),
-        gate_attributes(Gate("big", "round", "red")),
-    ):
+    for indices in (INDEX.of("letter/A@lora"), gate_looks(Gate("big", "round", "red"))):
         assert indices.dtype == np.int64
         with pytest.raises(ValueError, match="read-only"):
             indices[0] = 0
+    assert INDEX.of("letter/A@lora") is INDEX.of("letter/A@lora")
 
 
-@pytest.mark.parametrize("suite", ["open-v1:test", "open-v1:unseen"])
-def test_whatever_the_suites_show_has_a_facet(suite: str) -> None:
-    for track in load_suite(suite).tracks:
+def test_taught_names_are_known_and_others_of_kind_unknown() -> None:
+    spans = INDEX.groups
+    more = ["concept/thing:dragon", "concept/thing:our_robot"]
+    taught = AttributeIndex([*ATTRIBUTES[: spans["concept"].stop], *more, *ATTRIBUTES[spans["concept"].stop :]])
+    for label in ("mine/dragon", "animal/dragon@noto", "mine/our_robot@3"):
+        assert names(label) == {"kind": "unknown"}
+        assert names(label, taught) == {
+            "kind": "thing",
+            "concept": f"thing:{label.partition('/')[2].partition('@')[0]}",
+        }
+        assert taught.known(label)
+    assert names("person/skin=tan,hat=hijab@sky", taught) == names("person/skin=tan,hat=hijab@sky")
+    assert not taught.known("mine/griffin")
+    assert concept_name("mine", "dragon") == "concept/thing:dragon"
+    assert concept_name("logo", "apple") == "concept/logo:apple"
+
+
+def test_another_process_gets_the_same_index() -> None:
+    other = pickle.loads(pickle.dumps(AttributeIndex(ATTRIBUTES[:-1])))
+    assert other.schema.names == ATTRIBUTES[:-1]
+    assert other.column("concept") == INDEX.column("concept") == 1
+
+
+def test_whatever_any_family_shows_is_known() -> None:
+    rng = np.random.default_rng(0)
+    kinds = set()
+    for _ in range(800):
+        label = draw_any_label(rng)
+        shown = names(label)
+        kinds.add(shown["kind"])
+        if shown["kind"] == "sum":
+            expression = label.partition("/")[2].rpartition("@")[0]
+            assert expression == shown["first"] + shown["sign"] + shown["second"]
+        if shown["kind"] == "several":
+            assert {"thing_a", "count_a", "thing_b"} <= shown.keys()
+    assert kinds == set(KINDS) - {"unknown"}
+
+
+def test_whatever_the_test_suite_shows_is_known() -> None:
+    for track in load_suite("open-v1:test").tracks:
         for task in track:
-            assert all(panel_attributes(label)[0] >= 0 for label in task.labels)
-            assert task.board is None or (board_attributes(task.board) >= 0).all()
+            assert all(INDEX.known(label) for label in task.labels)
+            assert task.board is None or names(task.board).keys() == {"kind", "first", "sign", "second"}
 
 
 def test_different_things_have_different_attributes() -> None:
@@ -115,19 +167,19 @@ def test_different_things_have_different_attributes() -> None:
     things = [task for task in tasks if not task.labels[0].startswith("person/")]
     assert len(things) == 480
     for task in things:
-        assert len({tuple(panel_attributes(label)) for label in task.labels}) == 3, task
+        assert len({tuple(INDEX.of(label)) for label in task.labels}) == 3, task
 
 
 def test_attributes_of_a_person_are_all_that_a_viewer_sees() -> None:
     for i in range(0, 1000, 10):  # every tenth task describes people
         for label in train_task(i, seed=3).labels:
             person = people.parse_person(label[len("person/") :].rpartition("@")[0])
-            look = {name.split("/")[0]: name.split("/")[1] for name in names(panel_attributes(label))[1:] if name}
+            look = {group: value for group, value in names(label).items() if group in PERSON_GROUPS}
             assert {**look, "skin": person["skin"]} == {k: v for k, v in people.seen(person).items() if v != "hidden"}
 
 
 def test_every_drawn_name_is_a_concept() -> None:
-    concepts = {attribute.removeprefix("concept/") for attribute in FACETS[GROUPS["concept"]]}
+    concepts = {name.removeprefix("concept/") for name in ATTRIBUTES[INDEX.groups["concept"]]}
     assert concepts == {
         *(f"thing:{name}" for name in facts.KIND_OF),
         *(f"logo:{name}" for name in vocabulary.LOGOS),

@@ -1,0 +1,145 @@
+"""Problems in words: every family in its share, nothing that is there is called absent, and the same for a seed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cognitivedrone.models.gate_selector import STAGES
+from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES
+from cognitivedrone.training.common.attributes import AttributeIndex
+from cognitivedrone.training.common.problems import ABSENT, ALONE, SHARES, Mix, Problem, Problems
+from cognitivedrone.training.common.unknown_people import UNKNOWN_PERSON
+from cognitivedrone.training.reasoner.selector import values_of
+
+PLAIN = Mix(directives=0.0, relabelled=0.0, unknown_people=0.0, absent=0.0, unreadable=0.0)
+INDEX = AttributeIndex()
+
+
+def drawn(mix: Mix, count: int, seed: int = 0) -> list[Problem]:
+    rng, problems = np.random.default_rng(seed), Problems(mix)
+    return [problem for _ in range(count) for problem in problems.draw(rng)]
+
+
+@pytest.fixture(scope="module")
+def varied() -> list[Problem]:
+    return drawn(Mix(earlier=0.3), 1500)
+
+
+def test_a_problem_is_a_sentence_a_scene_and_an_answer(varied: list[Problem]) -> None:
+    assert {problem.family for problem in varied} == (set(FAMILIES) - {"race"}) | {"directive"}
+    for problem in varied:
+        assert problem.sentence.strip()
+        assert len(problem.labels) == len(problem.gates) == 3
+        assert len({gate.color for gate in problem.gates}) == 3
+        assert problem.target in (0, 1, 2, ABSENT)
+        if problem.family == "absent":
+            assert problem.target == ABSENT
+
+
+def test_the_same_seed_draws_the_same_problems(varied: list[Problem]) -> None:
+    assert drawn(Mix(earlier=0.3), 200) == varied[: len(drawn(Mix(earlier=0.3), 200))]
+    assert drawn(Mix(earlier=0.3), 50, seed=1) != drawn(Mix(earlier=0.3), 50)
+
+
+@pytest.mark.parametrize("families", [SHARES, ALONE], ids=["reasoner", "alone"])
+def test_families_occur_in_their_shares(families: dict[str, float]) -> None:
+    assert set(families) <= set(FAMILIES)
+    found = Counter()
+    rng, problems = np.random.default_rng(2), Problems(replace(PLAIN, families=dict(families)))
+    for _ in range(2000):
+        found[problems.draw(rng)[0].family] += 1
+    assert found.keys() == families.keys()
+    for family, share in families.items():
+        assert found[family] / 2000 == pytest.approx(share / sum(families.values()), abs=0.03), family
+
+
+def test_a_network_that_sees_each_gate_alone_is_asked_no_more_than_it_can_tell() -> None:
+    assert not {"memory", "counting"} & set(ALONE)
+    assert set(SHARES) >= {*BASE_FAMILIES, *HARD_FAMILIES, "memory", "absent"}
+
+
+def test_directives_and_unreadable_panels_have_their_shares() -> None:
+    directives = drawn(replace(PLAIN, families=dict(ALONE), directives=0.2), 800)
+    # Absent tasks have no gate that a directive could name.
+    present = 1 - ALONE["absent"] / sum(ALONE.values())
+    assert np.mean([p.family == "directive" for p in directives]) == pytest.approx(0.2 * present, abs=0.05)
+    for problem in directives:
+        if problem.family == "directive":
+            assert problem.target != ABSENT
+    unread = drawn(replace(PLAIN, families={"animals": 1.0}, unreadable=0.2), 400)
+    lost = [label == "unknown/picture" for problem in unread for label in problem.labels]
+    assert np.mean(lost) == pytest.approx(0.2, abs=0.04)
+    # What is asked for may be among them, and is still the answer.
+    assert any(problem.labels[problem.target] == "unknown/picture" for problem in unread)
+
+
+@pytest.mark.parametrize("family", ["animals", "letters", "math", "exclusion", "conjunction"])
+def test_what_is_asked_for_can_be_taken_away(family: str) -> None:
+    problems = drawn(replace(PLAIN, families={family: 1.0}, absent=0.5), 150)
+    plain = drawn(replace(PLAIN, families={family: 1.0}), 150)
+    gone = [problem for problem in problems if problem.target == ABSENT]
+    assert len(gone) / len(problems) == pytest.approx(0.5, abs=0.12)
+    # Only wrong panels are left, one of them twice.
+    assert all(len({tuple(INDEX.of(label)) for label in problem.labels}) <= 2 for problem in gone)
+    assert not any(problem.target == ABSENT for problem in plain)
+
+
+@pytest.mark.parametrize("family", ["counting", "comparison", "association"])
+def test_nothing_is_taken_away_where_the_other_panels_decide(family: str) -> None:
+    assert not any(problem.target == ABSENT for problem in drawn(Mix(families={family: 1.0}, absent=1.0), 60))
+
+
+def test_only_the_wrong_panels_of_the_same_problem_are_left() -> None:
+    for seed in range(60):
+        plain, gone = (
+            drawn(replace(PLAIN, families={"letters": 1.0}, absent=share), 1, seed)[0] for share in (0.0, 1.0)
+        )
+        assert plain.sentence == gone.sentence
+        assert gone.target == ABSENT
+        wrong = {label for place, label in enumerate(plain.labels) if place != plain.target}
+        assert set(gone.labels) == wrong
+
+
+def test_values_of_sums_are_right(varied: list[Problem]) -> None:
+    checked = 0
+    for problem in varied:
+        if problem.family not in ("math", "two_step") or problem.target == ABSENT:
+            continue
+        if problem.labels[problem.target] == "unknown/picture":
+            continue
+        values = values_of(problem.sentence, problem.labels, problem.board)
+        kind, _, concept = problem.labels[problem.target].partition("/")
+        if kind == "number":
+            assert values[4] == int(concept.rpartition("@")[0]), problem
+            checked += 1
+    assert checked > 40
+
+
+def test_tracks_are_remembered_stage_by_stage(varied: list[Problem]) -> None:
+    memory = [problem for problem in varied if problem.family == "memory"]
+    assert memory
+    for problem in memory:
+        assert len(problem.before) < STAGES
+        if "same thing as the gate you have just" in problem.sentence:
+            labels, flown = problem.before[-1]
+            assert labels[flown].rpartition("@")[0] == problem.labels[problem.target].rpartition("@")[0]
+    assert any(problem.before for problem in memory)
+
+
+def test_earlier_stages_that_say_nothing_have_their_share(varied: list[Problem]) -> None:
+    others = [problem for problem in varied[50:] if problem.family != "memory"]
+    assert np.mean([bool(problem.before) for problem in others]) == pytest.approx(0.3, abs=0.05)
+    for problem in others:
+        assert len(problem.before) < STAGES
+        assert all(flown in (0, 1, 2) for _, flown in problem.before)
+    assert not any(p.before for p in drawn(Mix(), 200) if p.family != "memory")
+
+
+def test_unknown_people_are_asked_for_by_an_unknown_name() -> None:
+    mix = replace(PLAIN, families={"people": 1.0}, unknown_people=0.5)
+    asked = [UNKNOWN_PERSON in problem.sentence for problem in drawn(mix, 200)]
+    assert np.mean(asked) == pytest.approx(0.5, abs=0.1)
