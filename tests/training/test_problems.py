@@ -88,7 +88,7 @@ def test_what_is_asked_for_can_be_taken_away(family: str) -> None:
     assert not any(problem.target == ABSENT for problem in plain)
 
 
-@pytest.mark.parametrize("family", ["counting", "comparison", "association"])
+@pytest.mark.parametrize("family", ["counting", "comparison"])
 def test_nothing_is_taken_away_where_the_other_panels_decide(family: str) -> None:
     assert not any(problem.target == ABSENT for problem in drawn(Mix(families={family: 1.0}, absent=1.0), 60))
 
