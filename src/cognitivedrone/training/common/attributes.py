@@ -86,6 +86,10 @@ class AttributeIndex:
         """
         return self._of(label)
 
+    def named(self, name: str) -> Indices:
+        """The attribute values (groups,) of a picture that shows a concept of the list, "concept/thing:cat"."""
+        return self.of(f"taught/{name}")
+
     def column(self, group: str) -> int:
         """A group's column in what `of` returns."""
         return self._columns[group]
@@ -132,6 +136,9 @@ def label_names(label: str) -> tuple[str, ...]:
     kind, concept = reference.kind, reference.concept
     if kind == "unknown":
         return ("kind/unknown",)
+    if kind == "taught":
+        shown = concept.removeprefix("concept/").partition(":")[0]
+        return f"kind/{shown if shown in KINDS else 'thing'}", concept
     if kind == "person" and (person := known_person(concept)) is not None:
         look = seen(person)
         return "kind/person", "concept/person", *(f"{name}/{look[name]}" for name in _ATTRIBUTES if name in look)

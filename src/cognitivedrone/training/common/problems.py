@@ -143,7 +143,8 @@ _BY_CONTENT = frozenset(BASE_FAMILIES) | {"exclusion", "negation", "distraction"
 """Families whose wrong panels are wrong by themselves, whatever the others show."""
 
 
-def _gates(rng: np.random.Generator) -> tuple[Gate, Gate, Gate]:
+def draw_gates(rng: np.random.Generator) -> tuple[Gate, Gate, Gate]:
+    """Three gates of different colours."""
     sizes, shapes = (rng.integers(len(names), size=3) for names in (SIZES, SHAPES))
     a, b, c = (
         Gate(SIZES[size], SHAPES[shape], COLORS[color])
@@ -159,6 +160,6 @@ def _track(rng: np.random.Generator) -> list[Problem]:
     problems = []
     for puzzle, target in zip(puzzles, targets, strict=True):
         labels = tuple(panel.label for panel in puzzle.panels)
-        problems.append(Problem(puzzle.instruction, "memory", labels, _gates(rng), None, target, tuple(before)))
+        problems.append(Problem(puzzle.instruction, "memory", labels, draw_gates(rng), None, target, tuple(before)))
         before.append((labels, target))
     return problems

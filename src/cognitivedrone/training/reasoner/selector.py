@@ -30,7 +30,7 @@ from cognitivedrone.training.common.problems import Mix, Problem, Problems
 from cognitivedrone.training.common.readings import Readings, readings_of
 from cognitivedrone.training.common.sampling import Batch, token_noise
 from cognitivedrone.training.common.start import Start, read_start
-from cognitivedrone.training.common.training_task import Batches, Learner, Recipe, Row, to_tensors
+from cognitivedrone.training.common.training_task import Batches, Given, Learner, Recipe, Row, to_tensors
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 
 _VALIDATION = 10**6
@@ -58,12 +58,11 @@ class SelectorRecipe(Recipe):
     model_file: ClassVar[str] = SELECTOR_FILE
     needs_start: ClassVar[bool] = True
 
-    def training(self, *, start: Path | None = None, data: Path | None = None) -> SelectorTraining:
-        """A new gate selector, for what the panel reader of the policy `start` tells."""
-        del data
+    def training(self, given: Given) -> SelectorTraining:
+        """A new gate selector, for what the panel reader of the policy tells."""
         lexicon = training_lexicon(self.mix)
         network = replace(self.network, words=WordConfig(len(lexicon.words), lexicon.trained))
-        return SelectorTraining(replace(self, network=network), lexicon, read_start(start, "policy"))
+        return SelectorTraining(replace(self, network=network), lexicon, read_start(given.start, "policy"))
 
 
 class Encoder:

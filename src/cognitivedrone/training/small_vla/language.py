@@ -24,7 +24,7 @@ from cognitivedrone.training.common.problems import Problem, Problems
 from cognitivedrone.training.common.readings import readings_of
 from cognitivedrone.training.common.sampling import Batch, TextMix, described
 from cognitivedrone.training.common.start import Start, read_start
-from cognitivedrone.training.common.training_task import Batches, Learner, Recipe, Row, to_tensors
+from cognitivedrone.training.common.training_task import Batches, Given, Learner, Recipe, Row, to_tensors
 from cognitivedrone.training.small_vla.losses import text_loss
 from cognitivedrone.training.small_vla.pilot import NetworkPilot
 from cognitivedrone.training.small_vla.policy import trial
@@ -46,10 +46,9 @@ class LanguageRecipe(Recipe):
 
     needs_start: ClassVar[bool] = True
 
-    def training(self, *, start: Path | None = None, data: Path | None = None) -> LanguageTraining:
+    def training(self, given: Given) -> LanguageTraining:
         """The policy of a checkpoint or model file; beside the words that it knows, those that are taught."""
-        del data
-        origin = read_start(start, "policy")
+        origin = read_start(given.start, "policy")
         known = Lexicon(tuple(origin.facts["vocabulary"]), origin.facts["trained_words"])
         new = training_lexicon(self.mix.problems)
         return LanguageTraining(self, origin, known.taught(new.words[2 : new.trained]))
