@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from cognitivedrone.tasks.knowledge.claim import Claim, claims, make_claims
 from cognitivedrone.tasks.knowledge.own import own_claims
-from cognitivedrone.tasks.knowledge.wordings import FORMS, Phrase, Phrases, load_phrases
 from cognitivedrone.tasks.knowledge.tables import Entry, Property, Table, load_table, table
+from cognitivedrone.tasks.knowledge.wordings import FORMS, Phrase, Phrases, load_phrases
 
 __all__ = [
     "FORMS",

@@ -6,8 +6,8 @@ import functools
 from dataclasses import dataclass
 
 from cognitivedrone.errors import TaskError, did_you_mean
-from cognitivedrone.tasks.knowledge.wordings import Phrase, Phrases, phrases
 from cognitivedrone.tasks.knowledge.tables import Table, table
+from cognitivedrone.tasks.knowledge.wordings import Phrase, Phrases, phrases
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,25 +39,23 @@ def make_claims(facts: Table, said: Phrases) -> tuple[Claim, ...]:
     """
     made = []
     for name in facts.properties:
-        values = facts.values(name)
+        closed = frozenset(thing for thing, names in facts.closed.items() if name in names)
+        entries = {thing: each[name] for thing, each in facts.entries.items() if name in each}
+        values = sorted({value for entry in entries.values() for value in entry.values})
+        known = [value for other, value in said.exact if other == name]
         for value in values:
-            texts = said.of(name, value)
-            if not texts:
-                known = sorted(other for property_, other in said.exact if property_ == name)
+            phrases_ = said.of(name, value)
+            if not phrases_:
                 raise TaskError(
                     f"value {value!r} of {name} has no phrases; {did_you_mean(value, known)} (or add a row for it to "
                     "phrases.csv)"
                 )
-            known_of = {thing: facts.holds(thing, name, value) for thing in facts.entries}
-            true, false = (frozenset(thing for thing, holds in known_of.items() if holds is each) for each in (True, False))
-            made.append(Claim(name, value, texts, said.heads.get((name, value), ""), true, false))
-    _check_unused(facts, said)
+            true = frozenset(thing for thing, entry in entries.items() if value in entry.values)
+            debatable = frozenset(thing for thing, entry in entries.items() if value in entry.debatable)
+            head = said.heads.get((name, value), "")
+            made.append(Claim(name, value, phrases_, head, true, closed - true - debatable))
+        if unused := sorted(set(known).difference(values)):
+            raise TaskError(f"phrases.csv: no thing has {name} {unused[0]!r}; {did_you_mean(unused[0], values)}")
+    if strange := sorted({name for name, _ in said.exact} - facts.properties.keys()):
+        raise TaskError(f"phrases.csv: unknown property {strange[0]!r}; {did_you_mean(strange[0], facts.properties)}")
     return tuple(made)
-
-
-def _check_unused(facts: Table, said: Phrases) -> None:
-    for name, value in said.exact:
-        if name not in facts.properties:
-            raise TaskError(f"phrases.csv: unknown property {name!r}; {did_you_mean(name, tuple(facts.properties))}")
-        if value not in facts.values(name):
-            raise TaskError(f"phrases.csv: no thing has {name} {value!r}; {did_you_mean(value, facts.values(name))}")

@@ -14,9 +14,9 @@ from types import MappingProxyType
 
 from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.tasks.knowledge.claim import Claim, make_claims
-from cognitivedrone.tasks.knowledge.wordings import FORMS, Phrase, Phrases, fill, load_phrases, phrases
 from cognitivedrone.tasks.knowledge.rows import Row, read_rows
 from cognitivedrone.tasks.knowledge.tables import EMPTY, Entry, Property, Table, parse_row, table
+from cognitivedrone.tasks.knowledge.wordings import FORMS, Phrase, Phrases, fill, load_phrases, phrases
 
 MAX_OWN_VALUES = 2_000
 """Most different values of all properties of the user's own."""
@@ -59,9 +59,9 @@ def own_claims(path: Path, things: Iterable[str], wordings: Path | None = None) 
     columns = tuple(name for name in rows[0].cells if name != "concept")
     _check_columns(path, columns)
     own = tuple(name for name in columns if name not in facts.properties)
-    entries = _entries(path, rows, tuple(dict.fromkeys(things)))
+    entries = _entries(rows, tuple(dict.fromkeys(things)))
     said = _with(said, extra, own, entries)
-    _check_values(path, rows, facts, said)
+    _check_values(rows, facts, said)
     grown = _grown(facts, own, columns, entries)
     # A shipped row was written with the shipped values in mind: of new ones it says nothing.
     known = {(name, value) for name in facts.properties for value in facts.values(name)}
@@ -79,7 +79,7 @@ def _check_columns(path: Path, columns: tuple[str, ...]) -> None:
             raise TaskError(f"{path.name}: a property cannot be called {name!r}; choose another name for the column")
 
 
-def _entries(path: Path, rows: list[Row], things: tuple[str, ...]) -> dict[str, Mapping[str, Entry]]:
+def _entries(rows: list[Row], things: tuple[str, ...]) -> dict[str, Mapping[str, Entry]]:
     names: dict[str, list[str]] = {}
     for thing in things:
         for name in {thing, thing.partition("/")[2]}:
@@ -126,7 +126,7 @@ def _with(
     return Phrases(MappingProxyType(exact), MappingProxyType(patterns), MappingProxyType(heads))
 
 
-def _check_values(path: Path, rows: list[Row], facts: Table, said: Phrases) -> None:
+def _check_values(rows: list[Row], facts: Table, said: Phrases) -> None:
     for row in rows:
         for name, entry in parse_row(row).items():
             for value in sorted(entry.values | entry.debatable):
@@ -157,4 +157,3 @@ def _used(said: Phrases, facts: Table) -> Phrases:
     values = {name: frozenset(facts.values(name)) for name in facts.properties}
     exact = {key: texts for key, texts in said.exact.items() if key[1] in values.get(key[0], ())}
     return Phrases(MappingProxyType(exact), said.any, said.heads)
-

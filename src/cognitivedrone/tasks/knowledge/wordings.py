@@ -88,7 +88,9 @@ def _phrases(row: Row) -> tuple[Phrase, ...]:
     for form in FORMS:
         for text in filter(None, (part.strip() for part in row.cells[form].split(_SEPARATOR))):
             if len(text) > MAX_VALUE:
-                raise TaskError(f"{row.where}: phrase {text[:40]!r}... is longer than {MAX_VALUE} characters; shorten it")
+                raise TaskError(
+                    f"{row.where}: phrase {text[:40]!r}... is longer than {MAX_VALUE} characters; shorten it"
+                )
             if Phrase(form, text) in found:
                 raise TaskError(f"{row.where}: phrase {text!r} is there twice; leave one out")
             found.append(Phrase(form, text))
