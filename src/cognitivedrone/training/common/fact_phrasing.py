@@ -98,7 +98,7 @@ def denial(draw: Draw, phrase: Phrase) -> str:
 
 
 def denied(phrase: Phrase) -> str:
-    """A verb phrase or gap clause in the negative. Asserts that it is `negatable`."""
+    """A verb phrase or gap clause that is `negatable`, in the negative."""
     text = _denied(phrase)
     assert text is not None, phrase  # noqa: S101  (callers ask `negatable` first)
     return text
