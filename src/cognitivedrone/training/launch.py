@@ -91,7 +91,9 @@ def _work(options: TrainOptions) -> Path:
     from cognitivedrone.training.common.trainer import TrainConfig, train
 
     recipe = _check(options)
-    training = recipe.training(Given(start=options.start, data=options.data, labels=options.labels, tasks=options.tasks))
+    training = recipe.training(
+        Given(start=options.start, data=options.data, labels=options.labels, tasks=options.tasks)
+    )
     checkpoint = train(TrainConfig(options.out, training, options.seed, options.resume, options.threads))
     model = options.out / recipe.model_file
     if os.environ.get("RANK", "0") != "0":
