@@ -92,6 +92,10 @@ many artists, and two sets of logos."""
 
 LOGO_STYLE = "color"
 
+TRAIN_PERSON_HANDS: tuple[str, ...] = ("open-peeps", "toon-head")
+"""Artists of people that training may show, besides the one who draws all attributes."""
+HELD_OUT_PERSON_HANDS: tuple[str, ...] = ("personas",)
+
 TRAIN_BACKGROUNDS: tuple[str, ...] = ("sky", "sand", "mint", "rose", "lilac")
 """Colours behind a drawn person."""
 HELD_OUT_BACKGROUNDS: tuple[str, ...] = ("slate", "cream")
