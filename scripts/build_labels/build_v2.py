@@ -19,16 +19,16 @@ from pathlib import Path
 
 import people
 import portraits
-from picture_sets import SETS, encoded
-from PIL import Image
+from picture_sets import SETS
 from pictures import encode
+from PIL import Image
 from sources import sources, unpacked
 
 PACK = Path(__file__).resolve().parents[2] / "src/cognitivedrone/labels/packs/open-v2"
 HERE = Path(__file__).resolve().parent
-SIDE = 96
+SIDE = 88
 """Longer side of a shipped drawing, px: panels are at most 60 px high in training and tests."""
-QUALITY = 78
+QUALITY, ALPHA_QUALITY = 75, 50
 BASE_ONLY = ("openmoji",)
 """Sets that the pack which is extended has already, and that nothing needs without background."""
 COLORS = {
@@ -61,7 +61,7 @@ def main() -> None:
         count = sets.setdefault(row["set"], {}).setdefault(kind, {}).get(concept, 0)
         image = Image.open(folder / row["file"])
         image.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
-        archives.setdefault(row["set"], {})[f"{kind}/{concept}~{count}.webp"] = encoded(image, QUALITY)
+        archives.setdefault(row["set"], {})[f"{kind}/{concept}~{count}.webp"] = smallest(image.convert("RGBA"))
         sets[row["set"]][kind][concept] = count + 1
     for style, members in archives.items():
         write(f"pictures/{style}.zip", archive(members))
@@ -80,12 +80,8 @@ def main() -> None:
         source = sources()[package]
         path = f"licences/{style}.txt"
         write(path, licence(source.package, folder / "sources"))
-        described.append(
-            {
-                "package": source.package, "version": source.version, "name": source.name, "author": source.author,
-                "licence": source.licence, "used_for": f"@{style}", "licence_file": path,
-            }  # fmt: skip
-        )
+        entry = {"package": source.package, "version": source.version, "name": source.name, "author": source.author}
+        described.append(entry | {"licence": source.licence, "used_for": f"@{style}", "licence_file": path})
     manifest = {
         "name": "open-v2",
         "extends": "open-v1",
@@ -101,6 +97,15 @@ def main() -> None:
     print(f"{len(files)} files, {sum((PACK / path).stat().st_size for path in files) / 1e6:.2f} MB")
 
 
+def smallest(image: Image.Image) -> bytes:
+    """WebP, lossy or, which suits drawings in one colour, lossless with 16 levels of transparency."""
+    lossy, lossless = io.BytesIO(), io.BytesIO()
+    image.save(lossy, "WEBP", quality=QUALITY, alpha_quality=ALPHA_QUALITY, method=4)
+    image.putalpha(image.getchannel("A").point(lambda alpha: round(alpha / 17) * 17))
+    image.save(lossless, "WEBP", lossless=True, quality=75, method=4)
+    return min(lossy.getvalue(), lossless.getvalue(), key=len)
+
+
 def archive(members: dict[str, bytes]) -> bytes:
     """An archive without compression, and with the same date for every file."""
     content = io.BytesIO()
@@ -114,15 +119,13 @@ def licence(package: str, work: Path) -> bytes:
     """Credit, what was changed, and the licence: the package's own text, or ours beside this script."""
     source = sources()[package]
     folder = unpacked(source, work)
-    credit = f"{source.name} by {source.author}, licensed under {source.licence}.\n" + (
+    credit = f"{source.name}: Copyright (c) {source.author}. Licensed under {source.licence}.\n" + (
         f"From the package {package} {source.version}.\n"
-        "Changes: drawn without background and margins, at most 96 pixels long. Pictures of a share-alike set stay under its "
-        "licence.\n\n"
+        "Changes: drawn without background and margins, at most 88 pixels long. "
+        "Pictures of a share-alike set stay under its licence.\n\n"
     )
     text = folder / source.licence_file
-    if not text.exists():
-        text = HERE / source.licence_file
-    if not text.exists():
+    if not text.is_file():
         text = HERE / "licences" / f"{source.licence}-terms.txt"
     return credit.encode() + text.read_bytes()
 

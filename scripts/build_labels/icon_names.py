@@ -53,7 +53,9 @@ ALSO_CALLED: dict[str, str] = {
     "newspaper": "newspaper-folding", "pencil": "lowerleftpencil",
     "pen": "lowerleftpen ballpoint-pen fountain-pen lowerleftfountainpen", "paintbrush": "lowerleftpaintbrush brush",
     "crayon": "lowerleftcrayon", "ruler": "straight-ruler ruler-one",
-    "mailbox": "closed-mailbox-with-raised-flag closedmailboxraised open-mailbox-with-raised-flag closed-mailbox-with-lowered-flag openmailboxraised",
+    "mailbox":
+        "closed-mailbox-with-raised-flag closedmailboxraised "
+        "open-mailbox-with-raised-flag closed-mailbox-with-lowered-flag openmailboxraised",
     "package": "package-variant package-variant-closed parcel cardboard-box",
     "mobile_phone": "cellphone smartphone phone-portrait iphone mobile",
     "telephone": "blacktelephone phone-classic telephone-one old-phone",
@@ -65,7 +67,9 @@ ALSO_CALLED: dict[str, str] = {
     "watch": "wristwatch watch-one", "alarm_clock": "alarm clock-alarm",
     "hourglass": "hourglass-done hourglass-not-done hourglassflowingsand hourglass-full sandglass timer-sand",
     "floppy_disk": "floppydisk2 floppy save diskette 3floppy", "compass": "compass-one", "map": "world-map",
-    "globe": "globe-showing-europe-africa europeafricaglobe earth world americasglobe globe-showing-americas globe-showing-asia-australia asiaaustraliaglobe earth-globe",
+    "globe":
+        "globe-showing-europe-africa europeafricaglobe earth world "
+        "americasglobe globe-showing-americas globe-showing-asia-australia asiaaustraliaglobe earth-globe",
     "car": "automobile car-side oncoming-automobile sedan", "taxi": "oncoming-taxi taxi-cab",
     "bus": "oncoming-bus bus-one", "fire_engine": "fire-truck", "police_car": "oncoming-police-car police-car-one",
     "truck": "delivery-truck delivery-van lorry articulated-lorry", "train": "locomotive steam-locomotive",

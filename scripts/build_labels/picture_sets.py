@@ -12,8 +12,8 @@ from typing import TypeAlias
 import drawings
 import openclipart_names
 from icon_names import CORRECTIONS, logo_names_of, names_of, squeezed
-from PIL import Image
 from pictures import IconSet
+from PIL import Image
 from rasterise import rasterise
 from sources import sources, unpacked
 
@@ -136,7 +136,7 @@ class _ClipArt:
         self._root = folder / "usr/share/openclipart/svg"
         self.names: frozenset[str] = frozenset()
 
-    def of_character(self, character: str) -> None:
+    def of_character(self, character: str) -> None:  # noqa: ARG002
         return None
 
     def image(self, name: str) -> Image.Image:

@@ -1,4 +1,4 @@
-"""Layers of the further artists of people, from collections of DiceBear: the parts that `PERSON_HANDS` names, in two halves."""
+"""Layers of the further artists of people, drawn from collections of DiceBear."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ Parts = list[tuple[str, str]]
 LAYERS: dict[str, dict[str, Parts]] = {
     "open-peeps": {
         "clothes/any": [("base", "default")],
-        "hair/short": [("head", "grayShort")], "hair/curly": [("head", "mediumBangs2")], "hair/long": [("head", "long")],
+        "hair/short": [("head", "grayShort")], "hair/curly": [("head", "mediumBangs2")],
+        "hair/long": [("head", "long")],
         "hair/bob": [("head", "bangs")], "hair/bun": [("head", "grayBun")], "hair/afro": [("head", "afro")],
         "hair/dreadlocks": [("head", "dreads1")], "hair/bald": [("head", "noHair1")],
         "hat/beanie": [("head", "hatBeanie")], "hat/turban": [("head", "turban")], "hat/hijab": [("head", "hijab")],
@@ -50,7 +51,8 @@ LAYERS: dict[str, dict[str, Parts]] = {
     "toon-head": {
         "skin/any": [("body", "body"), ("head", "head")],
         "behind/long": [("rearHair", "longStraight")], "behind/bob": [("rearHair", "neckHigh")],
-        "hair/short": [("hair", "sideComed")], "hair/long": [("hair", "sideComed")], "hair/bob": [("hair", "sideComed")],
+        "hair/short": [("hair", "sideComed")], "hair/long": [("hair", "sideComed")],
+        "hair/bob": [("hair", "sideComed")],
         "hair/bun": [("hair", "bun")],
         "clothes/tshirt": [("clothes", "tShirt")], "clothes/blazer": [("clothes", "openJacket")],
         "beard/full": [("beard", "longBeard")], "beard/moustache": [("beard", "moustacheTwirl")],
@@ -64,7 +66,8 @@ LAYERS: dict[str, dict[str, Parts]] = {
         "skin/any": [("base", "default")],
         "glasses/none": [("eyes", "open")], "glasses/glasses": [("eyes", "glasses")],
         "glasses/sunglasses": [("eyes", "sunglasses")],
-        "hair/short": [("hair", "shortCombover")], "hair/curly": [("hair", "curly")], "hair/long": [("hair", "extraLong")],
+        "hair/short": [("hair", "shortCombover")], "hair/curly": [("hair", "curly")],
+        "hair/long": [("hair", "extraLong")],
         "hair/bob": [("hair", "bobBangs")], "hair/bun": [("hair", "straightBun")],
         "clothes/any": [("body", "squared")],
         "expression/smile": [("mouth", "smile"), ("nose", "mediumRound")],

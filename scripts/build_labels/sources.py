@@ -28,7 +28,7 @@ class Source:
     licence: str
     """SPDX identifier."""
     licence_file: str
-    """Its text: a file of the package, or of the folder `licences` beside this script."""
+    """The file of the package that has its text; empty where that is in the folder `licences` beside this script."""
 
 
 def sources() -> dict[str, Source]:

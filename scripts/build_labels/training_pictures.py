@@ -2,9 +2,9 @@
 
     python scripts/build_labels/training_pictures.py --out FOLDER [--sets noto game ...]
 
-writes FOLDER/crops/SET/kind/concept~N.webp (RGBA, the longer side 128 px), FOLDER/index.csv with the origin and licence of every
-picture, and FOLDER/sheets/SET.png to look at. It needs npm, for `openclipart` also apt-get and dpkg-deb, and the Python
-packages of `requirements.txt`. Versions and hashes are pinned in `sources.json`.
+writes FOLDER/crops/SET/kind/concept~N.webp (RGBA, the longer side 128 px), FOLDER/index.csv with the origin and
+licence of every picture, and FOLDER/sheets/SET.png to look at. It needs npm, for `openclipart` also apt-get and
+dpkg-deb, and the Python packages of `requirements.txt`. Versions and hashes are pinned in `sources.json`.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import csv
 import math
 from pathlib import Path
 
-from PIL import Image, ImageDraw
 from picture_sets import SETS, Picture, encoded, pictures
+from PIL import Image, ImageDraw
 from sources import sources
 
 from cognitivedrone.tasks.vocabulary import HELD_OUT_PICTURE_SETS, TRAIN_PICTURE_SETS

@@ -60,8 +60,8 @@ PERSON_HANDS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "expression": ("smile", "sad", "surprised", "laughing"),
     },
 }
-"""Further artists who draw people: the values that each can show. An attribute that is missing cannot be read from their
-portraits. The style of such a portrait is `hand-background`, as in `person/hair=long@toon-head-sky`."""
+"""Further artists who draw people: the values that each can show. An attribute that is missing cannot be read from
+their portraits. The style of such a portrait is `hand-background`, as in `person/hair=long@toon-head-sky`."""
 
 
 def person_hand(style: str | None) -> str | None:

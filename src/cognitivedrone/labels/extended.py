@@ -1,7 +1,7 @@
 """Shipped packs that extend another one by further sets of drawings and by further artists of people.
 
-A set is one archive of small pictures without background; a picture has the style `set`, and the further pictures that a set has
-of a concept are `set~1`, `set~2` and so on. Sets show only some of the concepts: `pictures` lists what there is.
+A set is one archive of small pictures without background. A picture has the style `set`; the further pictures that a
+set has of a concept are `set~1`, `set~2` and so on. Sets show only some concepts: `pictures` lists what there is.
 """
 
 from __future__ import annotations
@@ -69,7 +69,9 @@ class ExtendedPack:
         index = int(number) if number.isdecimal() else 0
         if index >= count or (number and number != str(index)) or number == "0":
             raise self._missing(reference, parsed)
-        with Image.open(io.BytesIO(self._archive(f"pictures/{style}")[f"{parsed.kind}/{parsed.concept}~{index}"])) as file:
+        with Image.open(
+            io.BytesIO(self._archive(f"pictures/{style}")[f"{parsed.kind}/{parsed.concept}~{index}"])
+        ) as file:
             return np.array(file.convert("RGBA"))
 
     def pictures(self, kind: str, concept: str) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """People by further artists: few layers, which take any colour when they are drawn.
 
-A layer is an image of two halves. The upper half is what has a fixed colour. The lower half says how much of the first colour (red
-channel) and of the second colour (green channel) is added to it. The first colour is the skin's.
+A layer is an image of two halves. The upper half is what has a fixed colour. The lower half says how much of the first
+colour (red channel) and of the second colour (green channel) is added to it. The first colour is the skin's.
 """
 
 from __future__ import annotations

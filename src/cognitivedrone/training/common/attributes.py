@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.references import PERSON_ATTRIBUTES, parse_reference
+from cognitivedrone.references import PERSON_ATTRIBUTES, PERSON_HANDS, parse_reference, person_hand
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.people import Person, parse_person, seen
 from cognitivedrone.tasks.reasoning import LARGEST_ANSWER, OPERATORS
@@ -86,13 +86,16 @@ def panel_attributes(label: str) -> Indices:
     """The attribute values of a panel, by group.
 
     Returns read-only int64 (len(PANEL_GROUPS),): indices into `FACETS`, -1 if there is no value: concepts that are
-    not in the list, attributes of non-persons, and attributes covered by a hat or a headscarf.
+    not in the list, attributes of non-persons, and attributes that a hat or a headscarf covers or the artist omits.
     Raises `LabelError` unless the label has the form kind/concept@style.
     """
     reference = parse_reference(label)
     if reference.kind == "person":
         person = known_person(reference.concept)
         look = {} if person is None else seen(person)
+        hand = person_hand(reference.style)
+        if hand is not None:
+            look = {name: value for name, value in look.items() if name in PERSON_HANDS[hand]}
         return _indices("concept/person", *(f"{name}/{look.get(name)}" for name in _ATTRIBUTES))
     kind = "thing" if KIND_OF.get(reference.concept) == reference.kind else reference.kind
     return _indices(f"concept/{kind}:{reference.concept}", *("" for _ in _ATTRIBUTES))

@@ -8,6 +8,7 @@ most panel reading is taught with crops: any panel or board of the training task
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,17 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.models.small_vla import REACH
+from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks import BASE_FAMILIES, train_task
-from cognitivedrone.training.common.attributes import BOARD_GROUPS, PANEL_GROUPS, board_attributes, panel_attributes
+from cognitivedrone.training.common.attributes import (
+    BOARD_GROUPS,
+    PANEL_GROUPS,
+    board_attributes,
+    known_person,
+    panel_attributes,
+)
+from cognitivedrone.training.common.photographic import Photographic
+from cognitivedrone.training.common.pictures import TrainingPictures
 from cognitivedrone.training.common.restyle import restyled
 from cognitivedrone.types import FloatArray, Image
 
@@ -41,12 +51,45 @@ FacetsOf = Callable[[str], NDArray[np.int64]]
 """From a label reference to its attribute values."""
 
 
+@dataclass(frozen=True)
+class WiderWorld:
+    """Shows labels by many hands and as photographs do, instead of in the style that the label names."""
+
+    pictures: TrainingPictures = field(default_factory=TrainingPictures)
+    photographic: Photographic = field(default_factory=Photographic)
+    share: float = 0.7
+    """Share of the animals, foods, objects and logos that are shown so."""
+    portraits: float = 0.5
+    """Share of the people who are drawn by another artist, with the attributes that this artist can show."""
+
+    def redrawn(self, label: str, rng: np.random.Generator) -> tuple[str, Image | None]:
+        """The label of what is shown, and its picture (side, side, 3); None where the label pack shall draw it."""
+        reference = parse_reference(label)
+        if reference.kind == "person":
+            if rng.random() >= self.portraits:
+                return label, None
+            return self.pictures.portrait(rng, known_person(reference.concept)), None
+        if rng.random() >= self.share:
+            return label, None
+        cutout = self.pictures.draw(reference.kind, reference.concept, rng)
+        return label, None if cutout is None else self.photographic.draw(cutout, rng)
+
+
 class PanelCrops:
-    """Draws panel crops; by default of the panels and boards of the training tasks."""
+    """Draws panel crops; by default of the panels and boards of the training tasks, as the label pack shows them.
+
+    With `wider`, `labels` must be a pack that has the further artists, such as `open-v2`.
+    """
 
     def __init__(
-        self, labels: LabelPack, crop_size: int, draw_label: DrawLabel | None = None, facets_of: FacetsOf | None = None
+        self,
+        labels: LabelPack,
+        crop_size: int,
+        draw_label: DrawLabel | None = None,
+        facets_of: FacetsOf | None = None,
+        wider: WiderWorld | None = None,
     ) -> None:
+        self._wider = wider
         self._labels = labels
         self._glimpse = crop_size
         self._draw_label = draw_label or draw_training_label
@@ -70,9 +113,11 @@ class PanelCrops:
     def _learn(self, rng: np.random.Generator) -> None:
         """Store one more picture, replacing another if the store is full."""
         label = self._draw_label(rng)
-        pixels = self._labels.image(label)
-        if rng.random() < _RESTYLED:
-            pixels = restyled(label, pixels, rng)
+        label, pixels = (label, None) if self._wider is None else self._wider.redrawn(label, rng)
+        if pixels is None:
+            pixels = self._labels.image(label)
+            if rng.random() < _RESTYLED:
+                pixels = restyled(label, pixels, rng)
         picture = PillowImage.fromarray(pixels).resize((_SIDE, _SIDE), PillowImage.Resampling.BOX)
         kept = picture, self._attributes_of(label)
         if len(self._kept) < _KEPT:

@@ -1,8 +1,8 @@
 """Photograph-like panel pictures: a drawing without background, in other tones and light, before some background.
 
-A reader that is taught with drawings on white reads photographs badly. `Photographic.draw` shows the same thing otherwise every
-time: mirrored, narrower, rotated, in other tones or without colour, with texture and shading on it, as outlines, before a plain,
-graded or natural-looking background, with a shadow, out of focus, at low resolution, partly covered, or as a JPEG.
+A reader that is taught with drawings on white reads photographs badly. `Photographic.draw` shows a thing differently
+every time: mirrored, narrower, rotated, in other tones or without colour, with texture and shading on it, as outlines,
+before a plain or textured background, with a shadow, out of focus, at low resolution, partly covered, or as a JPEG.
 Everything is drawn from the generator that is passed, so the same seed gives the same pictures.
 
     photographic = Photographic(side=64)
@@ -203,7 +203,9 @@ def background(side: int, rng: np.random.Generator, *, plain: bool, dark: bool =
 def shadow(alpha: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
     """(side, side) factor for the background: darker where the thing's soft shadow falls."""
     side = len(alpha)
-    image = PillowImage.fromarray(np.ascontiguousarray(alpha[::4, ::4])).resize((side, side), PillowImage.Resampling.BILINEAR)
+    image = PillowImage.fromarray(np.ascontiguousarray(alpha[::4, ::4])).resize(
+        (side, side), PillowImage.Resampling.BILINEAR
+    )
     room = max(2, side // 8)
     down, right = int(rng.integers(room)), int(rng.integers(-room, room + 1))
     factor = np.ones((side, side), dtype=np.float32)
@@ -312,4 +314,6 @@ def _tiles(rng: np.random.Generator) -> NDArray[np.float32]:
     columns = columns + (rows // high % 2) * (wide // 2) * int(rng.integers(2))
     tone = rng.random((_TEXTURE_SIDE // high + 2, 2 * _TEXTURE_SIDE // wide + 2)).astype(np.float32)
     joints = ((rows % high == 0) | (columns % wide == 0)).astype(np.float32)
-    return tone[rows // high, columns // wide] - joints * np.float32(rng.uniform(-0.6, 0.9)) + 0.4 * _octave(90, 90, rng)
+    return (
+        tone[rows // high, columns // wide] - joints * np.float32(rng.uniform(-0.6, 0.9)) + 0.4 * _octave(90, 90, rng)
+    )
