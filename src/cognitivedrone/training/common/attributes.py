@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.labels.images import parse_several
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.references import PERSON_ATTRIBUTES, parse_reference
+from cognitivedrone.references import PERSON_ATTRIBUTES, PERSON_HANDS, parse_reference, person_hand
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.hard import COUNTABLE
 from cognitivedrone.tasks.people import Person, parse_person, seen
@@ -128,7 +128,8 @@ def concept_name(kind: str, concept: str) -> str:
 
 
 def label_names(label: str) -> tuple[str, ...]:
-    """Names of a label's attribute values, its kind first; attributes covered by a hat or a headscarf are left out.
+    """Names of a label's attribute values, its kind first; attributes that a hat or a headscarf covers, or that the
+    artist omits, are left out.
 
     Raises `LabelError` unless the label has the form kind/concept@style.
     """
@@ -141,6 +142,8 @@ def label_names(label: str) -> tuple[str, ...]:
         return f"kind/{shown if shown in KINDS else 'thing'}", concept
     if kind == "person" and (person := known_person(concept)) is not None:
         look = seen(person)
+        if (hand := person_hand(reference.style)) is not None:
+            look = {name: value for name, value in look.items() if name in PERSON_HANDS[hand]}
         return "kind/person", "concept/person", *(f"{name}/{look[name]}" for name in _ATTRIBUTES if name in look)
     if kind == "sum":
         parsed = parse_sum(label)

@@ -8,6 +8,7 @@ most panel reading is taught with crops: any panel or board of the training task
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,11 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.labels import load_pack
 from cognitivedrone.models.finder import REACH
+from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.suites import drawn_task
+from cognitivedrone.training.common.attributes import known_person
+from cognitivedrone.training.common.photographic import Photographic
+from cognitivedrone.training.common.pictures import PACK, TrainingPictures
 from cognitivedrone.training.common.restyle import restyled
 from cognitivedrone.types import FloatArray, Image
 
@@ -40,11 +45,43 @@ FacetsOf = Callable[[str], NDArray[np.int64]]
 """From a label reference to its attribute values."""
 
 
+@dataclass(frozen=True)
+class WiderWorld:
+    """Shows labels by many hands and as photographs do, instead of in the style that the label names."""
+
+    pictures: TrainingPictures = field(default_factory=TrainingPictures)
+    photographic: Photographic = field(default_factory=Photographic)
+    share: float = 0.7
+    """Share of the animals, foods, objects and logos that are shown so."""
+    portraits: float = 0.5
+    """Share of the people who are drawn by another artist, with the attributes that this artist can show."""
+
+    def redrawn(self, label: str, rng: np.random.Generator) -> tuple[str, Image | None]:
+        """The label of what is shown, and its picture (side, side, 3); None where the label pack shall draw it."""
+        reference = parse_reference(label)
+        if reference.kind == "person":
+            if rng.random() >= self.portraits:
+                return label, None
+            return self.pictures.portrait(rng, known_person(reference.concept)), None
+        if rng.random() >= self.share:
+            return label, None
+        cutout = self.pictures.draw(reference.kind, reference.concept, rng)
+        return label, None if cutout is None else self.photographic.draw(cutout, rng)
+
+
 class PanelCrops:
     """Draws panel crops; by default of the panels and boards of all families, with training ingredients."""
 
-    def __init__(self, crop_size: int, facets_of: FacetsOf, draw_label: DrawLabel | None = None) -> None:
-        self._labels = load_pack()
+    def __init__(
+        self,
+        crop_size: int,
+        facets_of: FacetsOf,
+        draw_label: DrawLabel | None = None,
+        wider: WiderWorld | None = None,
+    ) -> None:
+        """With `wider`, labels are shown by many hands and as photographs do."""
+        self._wider = wider
+        self._labels = load_pack(PACK)
         self._glimpse = crop_size
         self._draw_label = draw_label or draw_any_label
         self._attributes_of = facets_of
@@ -63,9 +100,12 @@ class PanelCrops:
     def _learn(self, rng: np.random.Generator) -> None:
         """Store one more picture, replacing another if the store is full."""
         label = self._draw_label(rng)
-        pixels = self._labels.image(label)
-        if rng.random() < _RESTYLED:
-            pixels = restyled(label, pixels, rng)
+        shown = (label, None) if self._wider is None else self._wider.redrawn(label, rng)
+        label, pixels = shown
+        if pixels is None:
+            pixels = self._labels.image(label)
+            if rng.random() < _RESTYLED:
+                pixels = restyled(label, pixels, rng)
         picture = PillowImage.fromarray(pixels).resize((_SIDE, _SIDE), PillowImage.Resampling.BOX)
         kept = picture, self._attributes_of(label)
         if len(self._kept) < _KEPT:
