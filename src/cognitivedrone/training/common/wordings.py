@@ -16,6 +16,7 @@ shows, and `{gate}` the look of another gate, as in "not the {other}, I meant th
 from __future__ import annotations
 
 import functools
+import re
 import string
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -25,16 +26,21 @@ from typing import NamedTuple
 import numpy as np
 
 from cognitivedrone.errors import TaskError
+from cognitivedrone.reasoners.calculator import calculate, evaluate
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks import symbols, wording
 from cognitivedrone.tasks.facts import FACTS
 from cognitivedrone.tasks.generate import TRAIN, Pools, Scene, words
 from cognitivedrone.training.common.phrasing import SPOKEN
+from cognitivedrone.training.common.sums import in_words, said
 from cognitivedrone.types import Gate
 
 _WHOLE = "\x1f"
 """First character of a wording that needs no frame."""
 _SENTENCES = ": sentences"
+_SUM = re.compile(r"[(\d][\d()+*-]*[+*-][\d()+*-]*[)\d]")
+_SPOKEN_SUMS, _OTHER_SUMS = 0.6, 0.35
+"""Share of sums said in words, and share of these that are said as another phrase of the same value."""
 
 
 class Heading(NamedTuple):
@@ -123,7 +129,8 @@ class Typed(Pools):
         return noun[1:] if noun.startswith(_WHOLE) else frame.format(x=noun)
 
     def completed(self, rng: np.random.Generator, sentence: str, scene: Scene) -> str:
-        """The sentence with `{other}` and `{gate}` filled in."""
+        """The sentence with `{other}` and `{gate}` filled in, and sums often in words."""
+        sentence = _spoken_sum(rng, sentence, scene.labels[scene.target])
         if "{" not in sentence:
             return sentence
         others = [index for index in range(3) if index != scene.target]
@@ -132,6 +139,19 @@ class Typed(Pools):
         named = names[other] or names[sum(others) - other]
         look = _look(rng, scene.gates[other], scene.gates[scene.target])
         return sentence.replace("{gate}", look).replace("{other}", named or f"thing on the {look} gate")
+
+
+def _spoken_sum(rng: np.random.Generator, sentence: str, right: str) -> str:
+    """The sentence with its sum as people say it: in words, or as another phrase of the same value."""
+    found = _SUM.search(sentence)
+    if found is None or rng.random() >= _SPOKEN_SUMS:
+        return sentence
+    value = evaluate(found[0])
+    if value is None or not right.startswith(f"number/{value}@"):
+        return sentence
+    phrase = said(value, rng) if rng.random() < _OTHER_SUMS else in_words(found[0], rng)
+    changed = sentence[: found.start()] + phrase + sentence[found.end() :]
+    return changed if calculate(changed) == value else sentence
 
 
 def _name(label: str) -> str | None:
