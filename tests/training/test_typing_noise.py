@@ -15,7 +15,9 @@ SENTENCES = [train_task(i, 3).instruction for i in range(250)]
 
 
 def test_the_same_seed_types_the_same() -> None:
-    assert [typed(s, np.random.default_rng(4)) for s in SENTENCES] == [typed(s, np.random.default_rng(4)) for s in SENTENCES]
+    assert [typed(s, np.random.default_rng(4)) for s in SENTENCES] == [
+        typed(s, np.random.default_rng(4)) for s in SENTENCES
+    ]
 
 
 def test_most_sentences_change_and_many_only_a_little() -> None:
@@ -37,7 +39,9 @@ def test_figures_and_sums_stay() -> None:
 @pytest.mark.parametrize("letter", [letter for letter in vocabulary.LETTERS if letter != "I"])
 def test_names_of_letters_stay(letter: str) -> None:
     for seed in range(12):
-        assert letter in re.findall(r"\b[A-Z]\b", typed(f"Please fly through the gate with the letter {letter}", np.random.default_rng(seed)))
+        assert letter in re.findall(
+            r"\b[A-Z]\b", typed(f"Please fly through the gate with the letter {letter}", np.random.default_rng(seed))
+        )
 
 
 def test_a_thing_never_becomes_another_thing() -> None:

@@ -156,7 +156,13 @@ def _parsers() -> tuple[Lark, ...]:
     """The grammar with either reading of what "twice" and the like may take."""
     grammar = (resources.files("cognitivedrone.reasoners") / "arithmetic.lark").read_text("utf-8")
     return tuple(
-        Lark(f"{grammar}\n?last: {last}\n", parser="lalr", lexer=_Pieces, transformer=_Values(), start=["start", "number"])
+        Lark(
+            f"{grammar}\n?last: {last}\n",
+            parser="lalr",
+            lexer=_Pieces,
+            transformer=_Values(),
+            start=["start", "number"],
+        )
         for last in _READINGS
     )
 
@@ -240,7 +246,7 @@ def _span_value(span: Span, board: int | None) -> int | None:
 
 def _parsed(pieces: Sequence[Piece], parser: Lark, start: str = "start") -> Fraction | None:
     try:
-        value: Fraction = parser.parse(pieces, start=start)  # type: ignore[arg-type, assignment]  # no text
+        value: Fraction = parser.parse(pieces, start=start)  # type: ignore[assignment]  # pieces, no text
     except (LarkError, _NoValueError):
         return None
     return value

@@ -10,14 +10,16 @@ Piece = tuple[str, str]
 """Name of a terminal of the grammar, and its value as text."""
 
 
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
 def _numbered(words: str, first: int, step: int = 1) -> dict[str, str]:
     return {word: str(step * value) for value, word in enumerate(words.split(), first)}
 
 
 ONES: Final = _numbered("one two three four five six seven eight nine", 1)
-TEENS: Final = _numbered(
-    "ten eleven twelve thirteen fourteen fifteen sixteen seventeen eighteen nineteen", 10
-)
+TEENS: Final = _numbered("ten eleven twelve thirteen fourteen fifteen sixteen seventeen eighteen nineteen", 10)
 TENS: Final = _numbered("twenty thirty forty fifty sixty seventy eighty ninety", 2, 10) | {"fourty": "40"}
 ORDINALS: Final = (
     _numbered("first second third fourth fifth sixth seventh eighth ninth tenth eleventh twelfth thirteenth", 1)
@@ -71,7 +73,8 @@ _WORDS: Final[tuple[tuple[str, str], ...]] = (
     ("HALVE", r"(?:an? |one )?half of|half|halve"),
     ("ROMAN", r"roman (?:numeral |number |numerals )?[ivxlcdm]+"),
     ("_THEN", r"(?:[,.;]?\s*(?:and then|then|and|afterwards|after that|,|;|\.)[,:]?\s+)+"
-              r"(?=(?:you |now |finally |next |also )*(?:add|plus|subtract|deduct|minus|take away|take \S+ (?:away|from|off)|multiply|times|divide|"
+              r"(?=(?:you |now |finally |next |also )*(?:add|plus|subtract|deduct|minus|take away|take \S+ (?:away|from|off)|"
+              r"multiply|times|divide|"
               r"divided by|double|halve|triple|square|remove)\b)"),
     ("_TIMES", r"times|multiplied (?:by|with)|lots of|groups of"),
     ("_DIVIDED", r"divided by|over the number"),
@@ -106,26 +109,27 @@ _MASTER = re.compile(
 _NAMES = {f"W{number}": name for number, (name, _) in enumerate(_WORDS)}
 _SIGNS: Final = {
     "+": "_PLUS", "-": "_MINUS", "−": "_MINUS", "–": "_MINUS", "*": "_TIMES", "×": "_TIMES", "·": "_TIMES",
-    "/": "_DIVIDED", "÷": "_DIVIDED", "²": "_SQUARED", "³": "_CUBED", "^": "_POWER", "(": "_OPEN", ")": "_CLOSE", "[": "_OPEN", "]": "_CLOSE",
+    "/": "_DIVIDED", "÷": "_DIVIDED", "²": "_SQUARED", "³": "_CUBED", "^": "_POWER", 
+    "(": "_OPEN", ")": "_CLOSE", "[": "_OPEN", "]": "_CLOSE",
 }  # fmt: skip
 _MULTIPLES: Final = {"TWICE": "2", "THRICE": "3", "QUADRUPLE": "4", "HALVE": "1/2"}
 _AMOUNTS: Final = {"HALF_DOZEN": "6", "A_DOZEN": "12", "A_COUPLE": "2"}
 _VULGAR: Final = {"½": "1/2", "¼": "1/4", "¾": "3/4", "⅓": "1/3", "⅔": "2/3"}
 
-_OPERATIONS: Final = frozenset(
+_OPERATIONS: Final = _words(
     "_MORE _LESS _PLUS _MINUS _TIMES _DIVIDED _TAKEAWAY _SUM _PRODUCT _DIFFERENCE _QUOTIENT _ROOT _SQUARE _CUBE "
-    "_SQUARED _CUBED _POWER _PERCENT MULTIPLE FRACTION _DOZEN _ADD _SUBTRACT _MULTIPLY _DIVIDE _INCREASE _REDUCE _FROM "
-    "AMOUNT ROMAN".split()
+    "_SQUARED _CUBED _POWER _PERCENT MULTIPLE FRACTION _DOZEN _ADD _SUBTRACT _MULTIPLY _DIVIDE _INCREASE "
+    "_REDUCE _FROM AMOUNT ROMAN"
 )
 """Terminals of which a calculation has at least one."""
-_NUMBERS: Final = frozenset("DIGITS ONE TEEN TENS ZERO _HUNDRED _THOUSAND BOARD AMOUNT ROMAN".split())
-_LISTS: Final = frozenset("_SUM _PRODUCT _DIFFERENCE _QUOTIENT _ADD _MULTIPLY".split())
-_LOOSE: Final = frozenset("_TAKE _IT _AND _TO _FROM _BY _THEN _COMMA _A _AWAY DASH".split())
+_NUMBERS: Final = _words("DIGITS ONE TEEN TENS ZERO _HUNDRED _THOUSAND BOARD AMOUNT ROMAN")
+_LISTS: Final = _words("_SUM _PRODUCT _DIFFERENCE _QUOTIENT _ADD _MULTIPLY")
+_LOOSE: Final = _words("_TAKE _IT _AND _TO _FROM _BY _THEN _COMMA _A _AWAY DASH")
 """Terminals that are ordinary words as well; at the ends of a span they are left out."""
-_POINTERS: Final = frozenset("the that this which any no another other every each last next only right left middle".split())
-_FILLERS: Final = frozenset(
-    "please pls plz thx thanks ta gate gates go fly now is makes gives and then or equals on in at there that it the you "
-    "what which i we u panel sign one ok okay to for".split()
+_POINTERS: Final = _words("the that this which any no another other every each last next only right left middle")
+_FILLERS: Final = _words(
+    "please pls plz thx thanks ta gate gates go fly now is makes gives and then or equals on in at there that "
+    "it the you what which i we u panel sign one ok okay to for"
 )
 """Words that may follow an amount such as "half a dozen" without being what is counted."""
 _WORTH_A_LOOK = re.compile(
@@ -135,8 +139,10 @@ _WORTH_A_LOOK = re.compile(
     re.IGNORECASE,
 )
 _PHRASE = re.compile(
-    r"[-+*/−–×·÷^²³%½¼¾⅓⅔]|\d\s*x\s*\d|plus|minus|times|lots of|groups of|multipl|divide|take|taking|add|subtract|deduct|remove|"
-    r"more than|greater than|larger than|bigger than|higher than|less than|fewer than|smaller than|lower than|above|below|"
+    r"[-+*/−–×·÷^²³%½¼¾⅓⅔]|\d\s*x\s*\d|plus|minus|times|lots of|groups of|multipl|divide|take|taking|"
+    r"add|subtract|deduct|remove|"
+    r"more than|greater than|larger than|bigger than|higher than|less than|fewer than|smaller than|lower than|"
+    r"above|below|"
     r"sum|total|product|difference|quotient|root|square|cube|power|cent|twice|doubl|tripl|thrice|half|halve|third|quarter|"
     r"fourth|fifth|sixth|seventh|eighth|ninth|tenth|dozen|couple|increase|reduce|decrease|roman|split|[IVXLCDM]{2}",
     re.IGNORECASE,
@@ -216,9 +222,7 @@ def _piece(match: re.Match[str], text: str, before: str, pieces: Sequence[Piece]
     return (name, found)
 
 
-def _number_word(
-    found: str, text: str, match: re.Match[str], before: str, pieces: Sequence[Piece]
-) -> Piece | None:
+def _number_word(found: str, text: str, match: re.Match[str], before: str, pieces: Sequence[Piece]) -> Piece | None:
     word = found.lower()
     if word in ONES:
         return None if word == "one" and before in _POINTERS and not _after_operation(pieces) else ("ONE", ONES[word])
@@ -263,7 +267,8 @@ def _sign(found: str, text: str, match: re.Match[str], pieces: Sequence[Piece]) 
         spaced = text[match.end() : match.end() + 1].isspace() or match.end() == len(text)
         if first and not spaced and (match.start() == 0 or not text[match.start() - 1].isalnum()):
             return ("_NEGATIVE", found)
-        if first or text[match.start() - 1 : match.start()].isalpha() and text[match.end() : match.end() + 1].isalpha():
+        beside = text[match.start() - 1 : match.start()] + text[match.end() : match.end() + 1]
+        if first or (len(beside) == 2 and beside.isalpha()):
             return ("DASH", found)
     return (name, found)
 

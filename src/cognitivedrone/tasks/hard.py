@@ -171,13 +171,15 @@ def distraction(draw: Draw) -> Puzzle:
     right, other, third = draw.sample(PLAIN_THINGS, 3)
     sentence = draw.say(
         "distraction",
-            "My sister would choose the {other}, but today fly through the gate with the {right}",
-            "Yesterday we flew to the {other} and then to the {third}; now fly through the gate with the {right}",
-            "Forget what I said about the {other}: fly to the gate with the {right}",
-            "The {other} looks inviting and the {third} is nearer, but take the gate with the {right}",
-            "Fly through the gate with the {right}, and do not let the {other} tempt you",
-            "The other drone flies to the {other}. You fly through the gate with the {right}. Leave the {third} alone",
-        right=words(right), other=words(other), third=words(third),
+        "My sister would choose the {other}, but today fly through the gate with the {right}",
+        "Yesterday we flew to the {other} and then to the {third}; now fly through the gate with the {right}",
+        "Forget what I said about the {other}: fly to the gate with the {right}",
+        "The {other} looks inviting and the {third} is nearer, but take the gate with the {right}",
+        "Fly through the gate with the {right}, and do not let the {other} tempt you",
+        "The other drone flies to the {other}. You fly through the gate with the {right}. Leave the {third} alone",
+        right=words(right),
+        other=words(other),
+        third=words(third),
     )
     panels = [draw.drawing(KIND_OF[name], name) for name in (right, other, third)]
     return draw.puzzle(sentence, panels[0], panels[1:])

@@ -299,7 +299,7 @@ def _sayings(labels: Labels, board: str | None, target: int) -> dict[str, _Say]:
 
 
 @functools.lru_cache(maxsize=4096)
-def _descriptions(gates: Gates, target: int) -> tuple[str, ...]:
+def descriptions(gates: Gates, target: int) -> tuple[str, ...]:
     """Every choice and order of size, colour and shape that fits the target and no other gate."""
     check_gates(gates, "scene")
     described = []
@@ -354,7 +354,7 @@ def ask(
 
 
 def _directive(draw: Draw, gates: Gates) -> str:
-    descriptions = _descriptions(gates, draw.target)
+    described = descriptions(gates, draw.target)
     if draw.chance(FREE_DIRECTIVES):
-        return f"{draw.pick(_OPENINGS)} the {draw.pick(descriptions)} gate"
+        return f"{draw.pick(_OPENINGS)} the {draw.pick(described)} gate"
     return write_directive(gates[draw.target])

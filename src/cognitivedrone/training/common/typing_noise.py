@@ -78,13 +78,20 @@ _MISSPELLINGS: Final[dict[str, tuple[str, ...]]] = {
     "without": ("witout", "whitout"), "through": ("trough", "threw"), "beautiful": ("beutiful",), "write": ("wirte",),
     "whoever": ("who ever",), "between": ("betwen", "beetween"), "favourite": ("favrite",), "tomorrow": ("tommorow",),
 }  # fmt: skip
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
 _WORD = re.compile(r"[A-Za-z]+(?:['’][A-Za-z]+)*")
-_NUMBER_WORDS = frozenset(
-    (*ONES, *TEENS, *TENS, *ORDINALS, *"zero hundred thousand half quarter third dozen couple twice double".split())
+_NUMBER_WORDS = frozenset((*ONES, *TEENS, *TENS, *ORDINALS)) | _words(
+    "zero hundred thousand half quarter third dozen couple twice double"
 )
-_OPERATIONS = frozenset(
-    "plus minus times divided multiplied add subtract take multiply divide more less fewer than sum difference product "
-    "squared cubed square root power percent cent triple halve thrice lots groups away greater larger smaller".split()
+_OPERATIONS = _words(
+    "plus minus times divided multiplied add subtract take multiply divide more less fewer than sum difference "
+    "product squared cubed square root power percent cent triple halve thrice lots groups away greater larger "
+    "smaller"
 )
 
 
