@@ -22,7 +22,7 @@ from cognitivedrone.tasks import human, reasoning, symbols, vocabulary, wording
 from cognitivedrone.tasks.directives import write_directive
 from cognitivedrone.tasks.facts import FACTS, HEALTHY, KIND_OF, UNHEALTHY
 from cognitivedrone.tasks.families import BASE_FAMILIES
-from cognitivedrone.tasks.generate import TRAIN, Draw, Pools, article, words
+from cognitivedrone.tasks.generate import TRAIN, Draw, Pools, Scene, article, words
 from cognitivedrone.tasks.people import CAST, FEATURES, IDENTITY, TRAIN_CAST, Person, seen
 from cognitivedrone.tasks.validate import check_gates
 from cognitivedrone.training.common.attributes import known_person, parse_sum
@@ -301,7 +301,7 @@ def _sayings(labels: Labels, board: str | None, target: int) -> dict[str, _Say]:
 
 
 @functools.lru_cache(maxsize=4096)
-def _descriptions(gates: Gates, target: int) -> tuple[str, ...]:
+def descriptions(gates: Gates, target: int) -> tuple[str, ...]:
     """Every choice and order of size, colour and shape that fits the target and no other gate."""
     check_gates(gates, "scene")
     described = []
@@ -357,11 +357,12 @@ def ask(
             f"family {family!r} cannot ask for gate {target + 1} of {', '.join(labels)}; "
             f"possible: {', '.join((*sayings, DIRECTIVE))}"
         )
-    return Question(draw.frame(sayings[family](draw)), target, family)
+    sentence = draw.frame(sayings[family](draw))
+    return Question(pools.completed(rng, sentence, Scene(labels, gates, target)), target, family)
 
 
 def _directive(draw: Draw, gates: Gates) -> str:
-    descriptions = _descriptions(gates, draw.target)
+    described = descriptions(gates, draw.target)
     if draw.chance(FREE_DIRECTIVES):
-        return f"{draw.pick(_OPENINGS)} the {draw.pick(descriptions)} gate"
+        return f"{draw.pick(_OPENINGS)} the {draw.pick(described)} gate"
     return write_directive(gates[draw.target])
