@@ -35,6 +35,14 @@ class IconSet:
         self._names = json.loads(chars.read_text(encoding="utf-8")) if chars.exists() else {}
         self._names = {code.replace("-fe0f", ""): name for code, name in self._names.items()}
 
+    def names(self) -> frozenset[str]:
+        """Names of all icons."""
+        return frozenset(self._icons) | frozenset(self._aliases)
+
+    def name_of(self, character: str) -> str | None:
+        """Name of the icon of an emoji; None where the set has none."""
+        return self._names.get("-".join(f"{ord(part):x}" for part in character))
+
     def of_character(self, character: str) -> str:
         """SVG of an emoji."""
         return self.svg(self._names["-".join(f"{ord(part):x}" for part in character)])

@@ -24,6 +24,51 @@ PERSON_ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
 }
 """Values of each attribute; the first is the default. Beards have the hair's colour."""
 
+_HAIR_COLORS = PERSON_ATTRIBUTES["hair_color"]
+_CLOTH_COLORS = PERSON_ATTRIBUTES["clothes_color"]
+PERSON_HANDS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
+    "open-peeps": {
+        "skin": PERSON_ATTRIBUTES["skin"],
+        "hair": ("short", "curly", "long", "bob", "bun", "afro", "dreadlocks", "bald"),
+        "hair_color": _HAIR_COLORS,
+        "hat": ("none", "beanie", "turban", "hijab"),
+        "hat_color": PERSON_ATTRIBUTES["hat_color"],
+        "glasses": ("none", "glasses", "round", "sunglasses", "eyepatch"),
+        "beard": ("none", "full", "moustache"),
+        "clothes_color": _CLOTH_COLORS,
+        "expression": ("smile", "serious", "sad", "surprised", "laughing"),
+    },
+    "toon-head": {
+        "skin": PERSON_ATTRIBUTES["skin"],
+        "hair": ("short", "long", "bob", "bun", "bald"),
+        "hair_color": _HAIR_COLORS,
+        "hat": ("none",),
+        "glasses": ("none",),
+        "beard": ("none", "full", "moustache"),
+        "clothes": ("tshirt", "blazer"),
+        "clothes_color": _CLOTH_COLORS,
+        "expression": ("smile", "sad", "surprised", "laughing", "wink"),
+    },
+    "personas": {
+        "skin": PERSON_ATTRIBUTES["skin"],
+        "hair": ("short", "curly", "long", "bob", "bun", "bald"),
+        "hair_color": _HAIR_COLORS,
+        "hat": ("none",),
+        "glasses": ("none", "glasses", "sunglasses"),
+        "beard": ("none", "full", "stubble", "moustache"),
+        "clothes_color": _CLOTH_COLORS,
+        "expression": ("smile", "sad", "surprised", "laughing"),
+    },
+}
+"""Further artists who draw people: the values that each can show. An attribute that is missing cannot be read from
+their portraits. The style of such a portrait is `hand-background`, as in `person/hair=long@toon-head-sky`."""
+
+
+def person_hand(style: str | None) -> str | None:
+    """The artist in the style of a person; None for the one who draws all attributes."""
+    hand = (style or "").rpartition("-")[0]
+    return hand if hand in PERSON_HANDS else None
+
 
 @dataclass(frozen=True, slots=True)
 class Reference:

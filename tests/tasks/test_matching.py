@@ -115,10 +115,32 @@ def test_every_instruction_of_training_makes_sense_in_its_own_scene():
         ("the red gate", None),
         ("what you flew to at stage 2", None),
         ("a person without a hat", None),
+        ("the cat, go there", {"animal"}),
+        ("see the board? go to the answer", None),
+        ("(9-8)+15, go there", None),
+        ("the Go logo", {"logo"}),
+        ("not now. we want Go", None),
+        ("I want the sign of Go", {"logo"}),
+        ("the one on the right hand side", None),
+        ("the gate with a neighbour on both sides", None),
+        ("the second from the left", None),
+        ("the gate next to the cat", {"animal"}),
+        ("between the cat and the pizza", {"animal", "food"}),
+        ("the letter that comes first from A to Z", {"letter"}),
+        ("from high to low, the first one", None),
+        ("the one closest to A", None),
+        ("the fewest legs", None),
+        ("chicken leg pls", {"animal", "food"}),
     ],
 )
 def test_kinds_that_must_be_shown(sentence, kinds):
     assert asked_kinds(sentence) == (None if kinds is None else frozenset(kinds))
+
+
+def test_the_verb_go_names_nothing():
+    assert asked_words("the owl, go there") == ("owl",)
+    assert asked_concepts("can u go to the owl") == {"animal/owl"}
+    assert asked_concepts("the Go logo") == {"logo/go"}
 
 
 def test_animals_that_are_taken_for_one_another_are_named_together():

@@ -7,6 +7,7 @@
 References are `kind/concept@style`; `docs/labels.md` lists them.
 """
 
+from cognitivedrone.labels.extended import EXTENDED_PACKS, ExtendedPack
 from cognitivedrone.labels.folder import FolderPack
 from cognitivedrone.labels.pack import load_pack
 from cognitivedrone.labels.people import BACKGROUNDS
@@ -15,8 +16,10 @@ from cognitivedrone.references import PERSON_ATTRIBUTES, Reference, parse_refere
 
 __all__ = [
     "BACKGROUNDS",
+    "EXTENDED_PACKS",
     "PACKS",
     "PERSON_ATTRIBUTES",
+    "ExtendedPack",
     "FolderPack",
     "Reference",
     "ShippedPack",

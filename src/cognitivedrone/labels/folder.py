@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Iterator
 from functools import cached_property, lru_cache
 from pathlib import Path
 
@@ -47,6 +48,12 @@ class FolderPack:
         """The folder's kinds as spelled there, then those of the shipped pack."""
         own = tuple(self._files)
         return own + tuple(kind for kind in self._fallback.kinds() if kind not in self._kinds)
+
+    def files(self) -> Iterator[tuple[str, str, str]]:
+        """Kind, concept and style ("" for none) of every image of the folder, sorted."""
+        for kind, concepts in sorted(self._files.items()):
+            for concept, styles in sorted(concepts.items()):
+                yield from ((kind, concept, style) for style in sorted(styles))
 
     def concepts(self, kind: str) -> tuple[str, ...]:
         """Concepts of a kind, casefolded; empty if the kind is open, such as sums."""

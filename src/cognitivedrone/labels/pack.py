@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from cognitivedrone.errors import LabelError
+from cognitivedrone.labels.extended import EXTENDED_PACKS, ExtendedPack, extended_pack
 from cognitivedrone.labels.folder import FolderPack
 from cognitivedrone.labels.shipped import PACKS, ShippedPack, shipped_pack
 
 
-def load_pack(name_or_path: str | Path | None = None) -> ShippedPack | FolderPack:
+def load_pack(name_or_path: str | Path | None = None) -> ShippedPack | ExtendedPack | FolderPack:
     """The label pack of that name, or a folder of images `<kind>/<concept>.png`; the shipped one where none is named.
 
     Raises `LabelError` where there is neither.
@@ -17,7 +18,10 @@ def load_pack(name_or_path: str | Path | None = None) -> ShippedPack | FolderPac
     name = PACKS[0] if name_or_path is None else str(name_or_path)
     if name in PACKS:
         return shipped_pack(name)
+    if name in EXTENDED_PACKS:
+        return extended_pack(name)
     folder = Path(name)
     if not folder.is_dir():
-        raise LabelError(f"no label pack {name!r}: neither a folder of images nor a shipped pack ({', '.join(PACKS)})")
+        shipped = ", ".join((*PACKS, *EXTENDED_PACKS))
+        raise LabelError(f"no label pack {name!r}: neither a folder of images nor a shipped pack ({shipped})")
     return FolderPack(folder, shipped_pack(PACKS[0]))

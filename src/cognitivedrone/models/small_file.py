@@ -101,7 +101,7 @@ class Description:
             text_length=count_of(table, "text_length", where),
             image_size=count_of(table, "image_size", where),
             chunk=count_of(table, "chunk", where),
-            action=_statistics(field_of(table, "action", dict, where), where),
+            action=statistics_of(field_of(table, "action", dict, where), where),
             network=field_of(table, "network" if "network" in table else "config", dict, where),
             attributes=tuple(field_of(table, "facets", list, where)) if "facets" in table else (),
             provenance=provenance_of(table, where),
@@ -204,7 +204,7 @@ def _table(value: Any) -> dict[str, Any]:
     return {field.name: getattr(value, field.name) for field in fields(value)}
 
 
-def _statistics(table: Mapping[str, Any], where: str) -> ActionStatistics:
+def statistics_of(table: Mapping[str, Any], where: str) -> ActionStatistics:
     """Validated action statistics: a model without them would fly at the wrong speed."""
     columns: dict[str, Four] = {}
     for field in fields(ActionStatistics):

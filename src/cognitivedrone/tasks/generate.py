@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from cognitivedrone.tasks import people, vocabulary, wording
+from cognitivedrone.types import Gate
 
 T = TypeVar("T")
 
@@ -20,6 +21,15 @@ T = TypeVar("T")
 def held_out_pair(a: int, b: int) -> bool:
     """Whether two operands are held out for `unseen`: about one pair in seven, in either order."""
     return (3 * min(a, b) + 5 * max(a, b)) % 7 == 2
+
+
+class Scene(NamedTuple):
+    """What a sentence is about."""
+
+    labels: tuple[str, str, str]
+    """Label references, gates from left to right."""
+    gates: tuple[Gate, Gate, Gate]
+    target: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +52,18 @@ class Pools:
     def pair_allowed(self, a: int, b: int) -> bool:
         """Whether two operands may occur together in an expression."""
         return held_out_pair(a, b) == self.held_out
+
+    def sentences(self, name: str, given: Sequence[str]) -> Sequence[str]:  # noqa: ARG002
+        """The allowed ones of synonymous whole sentences; `name` says which they are, as in "relations left"."""
+        return given
+
+    def framed(self, frame: str, noun: str) -> str:
+        """A complete sentence: a noun phrase in a frame."""
+        return frame.format(x=noun)
+
+    def completed(self, rng: np.random.Generator, sentence: str, scene: Scene) -> str:  # noqa: ARG002
+        """The sentence for its scene, with the names of what else is there."""
+        return sentence
 
 
 TRAIN = Pools(
@@ -125,7 +147,12 @@ class Draw:
 
     def frame(self, noun: str) -> str:
         """A complete sentence around a noun phrase."""
-        return self.pick(self.pools.frames).format(x=noun)
+        return self.pools.framed(self.pick(self.pools.frames), noun)
+
+    def say(self, name: str, *given: str, **fields: object) -> str:
+        """One of several synonymous whole sentences, filled in; a single one is not drawn."""
+        sentences = self.pools.sentences(name, given)
+        return (sentences[0] if len(sentences) == 1 else self.pick(sentences)).format(**fields)
 
     def noun(self, phrases: Sequence[str], **words: str) -> str:
         """One of several synonymous noun phrases, filled in."""

@@ -30,7 +30,8 @@ _PURE_ANIMALS: tuple[str, ...] = (
 def conjunction(draw: Draw) -> Puzzle:
     """Three or four attributes of one person."""
     described, right, wrong = by_features(draw, 3 + draw.below(2))
-    return draw.puzzle(f"Fly through the gate with the person with {described}", right, wrong)
+    sentence = draw.say("conjunction", "Fly through the gate with the person with {x}", x=described)
+    return draw.puzzle(sentence, right, wrong)
 
 
 def exclusion(draw: Draw) -> Puzzle:
@@ -42,44 +43,46 @@ def exclusion(draw: Draw) -> Puzzle:
             break
     with_both = person_with(draw, [absent, present])
     without_either = person_lacking(draw, [], present)
-    sentence = draw.pick(
-        (
-            "Fly through the gate with the person who has {present} but not {absent}",
-            "Fly to the gate with the person with {present} and without {absent}",
-            "Look for somebody without {absent} who has {present}, and fly through that gate",
-        )
+    sentence = draw.say(
+        "exclusion",
+        "Fly through the gate with the person who has {present} but not {absent}",
+        "Fly to the gate with the person with {present} and without {absent}",
+        "Look for somebody without {absent} who has {present}, and fly through that gate",
+        present=present.phrase,
+        absent=absent.phrase,
     )
     panels = [draw.portrait(person) for person in (right, with_both, without_either)]
-    return draw.puzzle(sentence.format(present=present.phrase, absent=absent.phrase), panels[0], panels[1:])
+    return draw.puzzle(sentence, panels[0], panels[1:])
 
 
-_RELATIONS: dict[int, tuple[tuple[int, str], ...]] = {
+_RELATIONS: dict[int, tuple[tuple[int, str, str], ...]] = {
     0: (
-        (1, "Fly through the gate to the left of the {x}"),
-        (2, "Fly through the gate farthest from the {x}"),
-        (2, "Fly through the gate two places to the left of the {x}"),
+        (1, "left", "Fly through the gate to the left of the {x}"),
+        (2, "farthest", "Fly through the gate farthest from the {x}"),
+        (2, "two left", "Fly through the gate two places to the left of the {x}"),
     ),
     1: (
-        (0, "Fly through the gate directly to the right of the {x}"),
-        (2, "Fly through the gate directly to the left of the {x}"),
-        (0, "Fly through the gate between the {x} and the {y}"),
+        (0, "directly right", "Fly through the gate directly to the right of the {x}"),
+        (2, "directly left", "Fly through the gate directly to the left of the {x}"),
+        (0, "between", "Fly through the gate between the {x} and the {y}"),
     ),
     2: (
-        (1, "Fly through the gate to the right of the {x}"),
-        (0, "Fly through the gate farthest from the {x}"),
-        (0, "Fly through the gate two places to the right of the {x}"),
+        (1, "right", "Fly through the gate to the right of the {x}"),
+        (0, "farthest", "Fly through the gate farthest from the {x}"),
+        (0, "two right", "Fly through the gate two places to the right of the {x}"),
     ),
 }
-"""By target: the position of the named thing, and the sentence; `y` is the third thing."""
+"""By target: the position of the named thing, the relation, and the sentence; `y` is the third thing."""
 
 
 def relations(draw: Draw) -> Puzzle:
     """A gate by its position relative to another thing."""
     names = draw.sample(PLAIN_THINGS, 3)
-    anchor, sentence = draw.pick(_RELATIONS[draw.target])
+    anchor, relation, sentence = draw.pick(_RELATIONS[draw.target])
     (rest,) = {0, 1, 2} - {draw.target, anchor}
     a, b, c = (draw.drawing(KIND_OF[name], name) for name in names)
-    return Puzzle(sentence.format(x=words(names[anchor]), y=words(names[rest])), (a, b, c))
+    sentence = draw.say(f"relations {relation}", sentence, x=words(names[anchor]), y=words(names[rest]))
+    return Puzzle(sentence, (a, b, c))
 
 
 _KINDS = ("an animal", "a letter", "a number", "something to eat", "a musical instrument")
@@ -102,28 +105,29 @@ def negation(draw: Draw) -> Puzzle:
     """Negation: neither of two kinds, or not of the kind of both others."""
     right, first, second = draw.sample(_KINDS, 3)
     if draw.chance(0.5):
-        sentence = draw.pick(
-            (
-                "Fly through the gate with neither {first} nor {second}",
-                "Fly to the gate that shows neither {first} nor {second}",
-                "Avoid {first} and avoid {second}; take the remaining gate",
-            )
+        sentence = draw.say(
+            "negation neither",
+            "Fly through the gate with neither {first} nor {second}",
+            "Fly to the gate that shows neither {first} nor {second}",
+            "Avoid {first} and avoid {second}; take the remaining gate",
+            first=first,
+            second=second,
         )
         wrong = [_member(draw, first), _member(draw, second)]
-        return draw.puzzle(sentence.format(first=first, second=second), _member(draw, right), wrong)
+        return draw.puzzle(sentence, _member(draw, right), wrong)
     wrong = [_member(draw, first)]
     while len(wrong) < 2:
         other = _member(draw, first)
         if other.option != wrong[0].option:
             wrong.append(other)
-    sentence = draw.pick(
-        (
-            "Fly through the gate that does not show {first}",
-            "Fly to the only gate without {first}",
-            "Take a gate, but not one that shows {first}",
-        )
+    sentence = draw.say(
+        "negation not",
+        "Fly through the gate that does not show {first}",
+        "Fly to the only gate without {first}",
+        "Take a gate, but not one that shows {first}",
+        first=first,
     )
-    return draw.puzzle(sentence.format(first=first), _member(draw, right), wrong)
+    return draw.puzzle(sentence, _member(draw, right), wrong)
 
 
 def counting(draw: Draw) -> Puzzle:
@@ -134,16 +138,26 @@ def counting(draw: Draw) -> Puzzle:
         same = draw.between(1, 3)
         low, high = sorted(draw.sample(range(1, 5), 2))
         panels = [_several(draw, {name: n, other: m}) for n, m in ((more, fewer), (low, high), (same, same))]
-        sentence = f"Fly through the gate with more {plural(name)} than {plural(other)}"
+        sentence = draw.say(
+            "counting more", "Fly through the gate with more {x} than {y}", x=plural(name), y=plural(other)
+        )
         return draw.puzzle(sentence, panels[0], panels[1:])
     counts = draw.sample(range(1, 7), 3)
     if draw.chance(0.5):
         right = counts[0]
         noun = plural(name) if right > 1 else words(name)
-        sentence = f"Fly through the gate with exactly {wording.NUMBER_WORDS[right]} {noun}"
+        sentence = draw.say(
+            "counting exactly",
+            "Fly through the gate with exactly {word} {x}",
+            n=right,
+            word=wording.NUMBER_WORDS[right],
+            x=noun,
+        )
     else:
         right, superlative = draw.pick(((max(counts), "most"), (min(counts), "fewest")))
-        sentence = f"Fly through the gate with the {superlative} {plural(name)}"
+        sentence = draw.say(
+            f"counting {superlative}", f"Fly through the gate with the {superlative} {{x}}", x=plural(name)
+        )
     panel = {count: _several(draw, {name: count}) for count in counts}
     return draw.puzzle(sentence, panel.pop(right), list(panel.values()))
 
@@ -155,20 +169,20 @@ def _several(draw: Draw, counts: dict[str, int]) -> Panel:
 def distraction(draw: Draw) -> Puzzle:
     """A clear request among words about the wrong gates."""
     right, other, third = draw.sample(PLAIN_THINGS, 3)
-    sentence = draw.pick(
-        (
-            "My sister would choose the {other}, but today fly through the gate with the {right}",
-            "Yesterday we flew to the {other} and then to the {third}; now fly through the gate with the {right}",
-            "Forget what I said about the {other}: fly to the gate with the {right}",
-            "The {other} looks inviting and the {third} is nearer, but take the gate with the {right}",
-            "Fly through the gate with the {right}, and do not let the {other} tempt you",
-            "The other drone flies to the {other}. You fly through the gate with the {right}. Leave the {third} alone",
-        )
+    sentence = draw.say(
+        "distraction",
+        "My sister would choose the {other}, but today fly through the gate with the {right}",
+        "Yesterday we flew to the {other} and then to the {third}; now fly through the gate with the {right}",
+        "Forget what I said about the {other}: fly to the gate with the {right}",
+        "The {other} looks inviting and the {third} is nearer, but take the gate with the {right}",
+        "Fly through the gate with the {right}, and do not let the {other} tempt you",
+        "The other drone flies to the {other}. You fly through the gate with the {right}. Leave the {third} alone",
+        right=words(right),
+        other=words(other),
+        third=words(third),
     )
     panels = [draw.drawing(KIND_OF[name], name) for name in (right, other, third)]
-    return draw.puzzle(
-        sentence.format(right=words(right), other=words(other), third=words(third)), panels[0], panels[1:]
-    )
+    return draw.puzzle(sentence, panels[0], panels[1:])
 
 
 _BY_WEIGHT = (
@@ -190,27 +204,34 @@ _BY_LEGS = (
 """Animals by their number of legs: 0, 2, 4, 6 and 8."""
 
 
+RANKS = ("first", "middle", "last")
+"""Names of the places in an ascending order of three."""
+
+
 def comparison(draw: Draw) -> Puzzle:
     """Three things in an order; the first, the last or the middle one is right."""
     return draw.pick((_middle_number, _largest_sum, _alphabet, _by_class))(draw)
 
 
-def _ordered(draw: Draw, panels: list[Panel], sentences: tuple[str, str, str]) -> Puzzle:
+def _ordered(draw: Draw, what: str, panels: list[Panel], sentences: tuple[str, str, str], **fields: object) -> Puzzle:
     """Panels in ascending order, and the sentence for each."""
     rank = draw.below(3)
-    return draw.puzzle(sentences[rank], panels[rank], [p for i, p in enumerate(panels) if i != rank])
+    sentence = draw.say(f"comparison {what} {RANKS[rank]}", sentences[rank], **fields)
+    return draw.puzzle(sentence, panels[rank], [p for i, p in enumerate(panels) if i != rank])
 
 
 def _middle_number(draw: Draw) -> Puzzle:
     numbers = sorted(draw.sample(range(21), 3))
     return _ordered(
         draw,
+        "number",
         [draw.glyph("number", n) for n in numbers],
         (
-            f"Fly through the gate with the only number below {numbers[1]}",
+            "Fly through the gate with the only number below {n}",
             "Fly through the gate with the number that is neither the largest nor the smallest",
-            f"Fly through the gate with the only number above {numbers[1]}",
+            "Fly through the gate with the only number above {n}",
         ),
+        n=numbers[1],
     )
 
 
@@ -221,6 +242,7 @@ def _largest_sum(draw: Draw) -> Puzzle:
         by_value[value] = text
     return _ordered(
         draw,
+        "sum",
         [draw.glyph("sum", by_value[value]) for value in sorted(by_value)],
         (
             "Fly through the gate whose sum has the smallest result",
@@ -234,6 +256,7 @@ def _alphabet(draw: Draw) -> Puzzle:
     letters = sorted(draw.sample(LETTERS, 3))
     return _ordered(
         draw,
+        "letter",
         [draw.glyph("letter", letter) for letter in letters],
         (
             "Fly through the gate with the letter that comes first in the alphabet",
@@ -256,7 +279,7 @@ def _by_class(draw: Draw) -> Puzzle:
         low, high = f"{low} animal", f"{high} animal"
         middle = "animal that is neither the lightest nor the heaviest"
     start = "Fly through the gate with the"
-    return _ordered(draw, panels, (f"{start} {low}", f"{start} {middle}", f"{start} {high}"))
+    return _ordered(draw, what, panels, (f"{start} {low}", f"{start} {middle}", f"{start} {high}"))
 
 
 def two_step(draw: Draw) -> Puzzle:
@@ -276,15 +299,20 @@ def _in_words(draw: Draw) -> Puzzle:
             break
     begin = {"+": f"Add {a} and {b}", "-": f"Subtract {b} from {a}", "*": f"Multiply {a} by {b}"}[first]
     then = {"+": f"add {c}", "-": f"take away {c}", "*": f"multiply the result by {c}"}[second]
-    sentence = f"{begin}, then {then}, and fly through the gate with the number you get"
+    sentence = draw.say(
+        "two_step words",
+        "{begin}, then {then}, and fly through the gate with the number you get",
+        begin=begin,
+        first=begin[0].lower() + begin[1:],
+        then=then,
+    )
     return draw.puzzle(sentence, draw.glyph("number", answer), other_numbers(draw, answer))
 
 
 def _in_brackets(draw: Draw) -> Puzzle:
     text, answer = nested(draw)
-    return draw.puzzle(
-        f"Fly through the gate with the result of {text}", draw.glyph("number", answer), other_numbers(draw, answer)
-    )
+    sentence = draw.say("two_step brackets", "Fly through the gate with the result of {x}", x=text)
+    return draw.puzzle(sentence, draw.glyph("number", answer), other_numbers(draw, answer))
 
 
 def _from_board(draw: Draw) -> Puzzle:
@@ -294,7 +322,11 @@ def _from_board(draw: Draw) -> Puzzle:
     answer = on_board + step if more else on_board - step
     if answer < 0:
         return _from_board(draw)
-    than = f"{step} {'more' if more else 'less'} than the sum on the board"
-    sentence = f"Fly through the gate with the number that is {than}"
+    name = "more" if more else "less"
+    sentence = draw.say(
+        f"two_step {name}",
+        f"Fly through the gate with the number that is {{n}} {name} than the sum on the board",
+        n=step,
+    )
     wrong = other_numbers(draw, answer)
     return draw.puzzle(sentence, draw.glyph("number", answer), wrong, draw.glyph("sum", text).label)

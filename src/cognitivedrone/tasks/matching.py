@@ -49,6 +49,13 @@ _MODIFIERS = _names(
     "triangle long short left right middle first second third"
 )
 """Words that alone do not identify what a panel shows."""
+_VAGUE = _names("side hand look low head leg box yo")
+"""Words that only together with others name what a panel shows: "on both sides", "on the right hand side"."""
+_OF_LOGOS = _names("logo brand icon symbol emblem sign badge trademark language company")
+_ENDS = re.compile(
+    r"\b(?:from )?(?:A to Z|high to low|low to high)\b|\b(?:closest|nearest|close|near) to [AZ]\b", re.IGNORECASE
+)
+"""What is no answer but an end of an order."""
 _DENIALS = frozenset({"not", "no", "without", "but", "except", "neither", "nor", "never", "none", "cannot", "unable"})
 _KINDS = {"animal": "animal", "food": "food", "object": "object", "letter": "letter", "number": "number",
           "numeral": "number", "digit": "number", "logo": "logo", "brand": "logo", "person": "person",
@@ -99,7 +106,7 @@ class Match:
 
 def asked_words(sentence: str) -> tuple[str, ...]:
     """The informative words of a sentence, in order; single letters are upper-case."""
-    text = _ORDERS.sub(" ", sentence.strip())
+    text = _ENDS.sub(" ", _ORDERS.sub(" ", sentence.strip()))
     parts = re.findall(r"[A-Za-z][A-Za-z'-]*|\d+", text)
     words: list[str] = []
     for position, part in enumerate(parts):
@@ -108,9 +115,19 @@ def asked_words(sentence: str) -> tuple[str, ...]:
             named = position > 0 and parts[position - 1].lower() in ("letter", "character")
             if named or (part.isupper() and part not in "AI"):
                 words.append(part.upper())
-        elif word not in _SAYS_LITTLE and not _of_gate(parts, position):
+        elif word not in _SAYS_LITTLE and not _of_gate(parts, position) and not _order_to_go(parts, position):
             words.append(_stem(word))
     return tuple(dict.fromkeys(words))
+
+
+def _order_to_go(parts: Sequence[str], position: int) -> bool:
+    """Whether a word is the verb "go", not the language Go: "..., go there"."""
+    if parts[position].lower() != "go":
+        return False
+    after = parts[position + 1].lower() if position + 1 < len(parts) else ""
+    if parts[position] == "Go" and after not in ("there", "to", "through", "for", "and"):
+        return False
+    return not _OF_LOGOS.intersection(part.lower() for part in parts)
 
 
 def best_scene(sentence: str, tasks: Iterable[Task], seed: int) -> tuple[int, Match] | None:
@@ -181,8 +198,10 @@ def asked_kinds(sentence: str) -> frozenset[str] | None:
         return None
     if len(asked) > 1 and not {"number", "numeral", "digit"}.intersection(asked):
         asked = tuple(word for word in asked if not word.isdecimal() and word not in NUMBER_WORDS)
-    kinds = [kinds for word in asked if word not in _MODIFIERS and (kinds := _kinds_by_word().get(word))]
-    return frozenset().union(*kinds) if kinds else None
+    naming = {word: kinds for word in asked if word not in _MODIFIERS and (kinds := _kinds_by_word().get(word))}
+    if not naming.keys() - _VAGUE:
+        return None
+    return frozenset().union(*naming.values())
 
 
 def asked_concepts(sentence: str) -> frozenset[str] | None:

@@ -27,11 +27,11 @@ def memory_track(draw: Draw, targets: Sequence[int]) -> list[Puzzle]:
     for stage, target in enumerate(targets):
         if stage < _NAMED:
             answer = fresh.pop()
-            sentence = f"Fly through the gate with the {words(answer)}"
+            sentence = draw.say("memory named", "Fly through the gate with the {x}", x=words(answer))
             options = [answer, fresh.pop(), fresh.pop()]
         elif stage > _NAMED and draw.chance(0.4):
             answer = fresh.pop()
-            sentence = "Fly through the gate with the thing that no gate has shown before"
+            sentence = draw.say("memory new", "Fly through the gate with the thing that no gate has shown before")
             options = [answer, *draw.sample(shown, 2)]
         else:
             answer = draw.pick(sorted(set(right)))
@@ -47,12 +47,15 @@ def memory_track(draw: Draw, targets: Sequence[int]) -> list[Puzzle]:
 def _recall(draw: Draw, back: int, stage: int) -> str:
     """Refers to the thing of stage `back` without naming it."""
     sentences = [
-        f"Fly through the gate with the same thing as the {_ORDINALS[back]} gate you flew through",
-        f"Fly to what you flew to at stage {back + 1} of this track",
+        ("memory nth", "Fly through the gate with the same thing as the {nth} gate you flew through"),
+        ("memory stage", "Fly to what you flew to at stage {n} of this track"),
     ]
     if back == stage - 1:
-        sentences.append("Fly through the gate with the same thing as the gate you have just flown through")
-    return draw.pick(sentences)
+        sentences.append(
+            ("memory last", "Fly through the gate with the same thing as the gate you have just flown through")
+        )
+    name, sentence = draw.pick(sentences)
+    return draw.say(name, sentence, nth=_ORDINALS[back], n=back + 1)
 
 
 def _puzzle(draw: Draw, target: int, instruction: str, names: Sequence[str]) -> Puzzle:

@@ -7,7 +7,7 @@ import functools
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any, overload
@@ -19,7 +19,7 @@ from cognitivedrone.printable import unprintable
 from cognitivedrone.tasks.directives import HOLD, write_directive
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, generator
 from cognitivedrone.tasks.format import read_tasks, task_from_json, task_to_json
-from cognitivedrone.tasks.generate import TRAIN, Draw, Generator, Pools, Puzzle
+from cognitivedrone.tasks.generate import TRAIN, Draw, Generator, Pools, Puzzle, Scene
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task, Track
 
 VERSION = "open-v1"
@@ -119,9 +119,11 @@ def drawn_task(
     colors = draw.pick(_COLOR_ORDERS)
     looks = [draw.pick(_GATE_LOOKS) for _ in colors]
     a, b, c = (Gate(size, shape, color) for (size, shape), color in zip(looks, colors, strict=True))
-    return finish(
-        (make or generator(family))(draw), task_id=task_id, family=family, target=draw.target, gates=(a, b, c)
-    )
+    puzzle = (make or generator(family))(draw)
+    first, second, third = (panel.label for panel in puzzle.panels)
+    scene = Scene((first, second, third), (a, b, c), draw.target)
+    puzzle = replace(puzzle, instruction=pools.completed(rng, puzzle.instruction, scene))
+    return finish(puzzle, task_id=task_id, family=family, target=draw.target, gates=(a, b, c))
 
 
 class TrainTracks(Sequence[Track]):

@@ -80,7 +80,21 @@ TRAIN_STYLES: tuple[str, ...] = ("noto", "twemoji", "fluent")
 """Drawing styles of animals, foods and objects."""
 HELD_OUT_STYLES: tuple[str, ...] = ("openmoji",)
 
+TRAIN_PICTURE_SETS: tuple[str, ...] = (
+    "noto", "noto-v1", "twemoji", "fluent", "fluent-3d", "fluent-line", "emojione", "emojione-v1", "emojione-mono",
+    "streamline", "streamline-color", "game", "mdi", "tabler", "phosphor", "lucide", "arcticons",
+    "color", "simple-icons", "skill-icons", "vscode-icons", "file-icons",
+)
+"""Sets of drawings that training may show: all sets of an artist, or none."""
+HELD_OUT_PICTURE_SETS: tuple[str, ...] = ("openmoji", "fxemoji", "icon-park", "openclipart", "devicon", "cib")
+"""Sets of drawings, each by other hands, that only tests show: two emoji sets, two-coloured line icons, the clip art of
+many artists, and two sets of logos."""
+
 LOGO_STYLE = "color"
+
+TRAIN_PERSON_HANDS: tuple[str, ...] = ("open-peeps", "toon-head")
+"""Artists of people that training may show, besides the one who draws all attributes."""
+HELD_OUT_PERSON_HANDS: tuple[str, ...] = ("personas",)
 
 TRAIN_BACKGROUNDS: tuple[str, ...] = ("sky", "sand", "mint", "rose", "lilac")
 """Colours behind a drawn person."""

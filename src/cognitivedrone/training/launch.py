@@ -15,7 +15,7 @@ import tyro
 
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
 from cognitivedrone.printable import visible
-from cognitivedrone.training.common.training_task import Recipe
+from cognitivedrone.training.common.training_task import Given, Recipe
 from cognitivedrone.training.recipes import find_recipe
 
 
@@ -31,8 +31,7 @@ class TrainOptions:
     """A data set made by `collect`, instead of flights made during training (which train better, because the network
     flies some of them and no two frames are alike)."""
     start: Path | None = None
-    """Checkpoint of a policy: the start of a language training, or of a reader, which takes over its panel encoder and
-    its gate detector."""
+    """Trained weights to start from: a checkpoint, a model file, or "small" for those that are shipped."""
     seed: int = 0
     resume: bool = False
     """Continue from the checkpoint in the folder."""
@@ -40,6 +39,10 @@ class TrainOptions:
     """Number of processes on this machine, which share each batch: the number of CPU cores, or of GPUs."""
     threads: int = 1
     """CPU threads per process."""
+    labels: Path | None = None
+    """A folder of pictures to be taught (recipe teach)."""
+    tasks: Path | None = None
+    """A task file, or a folder of them, whose sentences are taught as well."""
 
 
 def run(options: TrainOptions) -> Path:
@@ -64,7 +67,7 @@ def command_of(options: TrainOptions) -> list[str]:
     """The command that starts all processes of a training on this machine."""
     launcher = ["torch.distributed.run", "--standalone", "--nproc-per-node", str(options.processes)]
     flags = ["--out", options.out, "--recipe", options.recipe, "--seed", options.seed, "--threads", options.threads]
-    for name in ("data", "start"):
+    for name in ("data", "start", "labels", "tasks"):
         if getattr(options, name) is not None:
             flags += [f"--{name}", getattr(options, name)]
     resume = "--resume" if options.resume else "--no-resume"
@@ -74,11 +77,10 @@ def command_of(options: TrainOptions) -> list[str]:
 
 def _check(options: TrainOptions) -> Recipe:
     recipe = find_recipe(options.recipe)
-    if recipe.needs_start != (options.start is not None):
-        raise TrainingError(
-            "the recipes language and reader need --start with the checkpoint of a policy, such as"
-            " runs/small/checkpoint.safetensors; other recipes start from scratch"
-        )
+    if recipe.needs_labels != (options.labels is not None):
+        raise TrainingError("--labels, a folder of pictures such as my-labels/birds/robin.jpg, belongs to recipe teach")
+    if options.tasks is not None and not recipe.needs_labels:
+        raise TrainingError(f"the recipe {options.recipe} does not use tasks; leave out --tasks")
     if options.data is not None and not recipe.takes_data:
         raise TrainingError(f"the recipe {options.recipe} does not use flights; leave out --data")
     return recipe
@@ -89,7 +91,9 @@ def _work(options: TrainOptions) -> Path:
     from cognitivedrone.training.common.trainer import TrainConfig, train
 
     recipe = _check(options)
-    training = recipe.training(start=options.start, data=options.data)
+    training = recipe.training(
+        Given(start=options.start, data=options.data, labels=options.labels, tasks=options.tasks)
+    )
     checkpoint = train(TrainConfig(options.out, training, options.seed, options.resume, options.threads))
     model = options.out / recipe.model_file
     if os.environ.get("RANK", "0") != "0":

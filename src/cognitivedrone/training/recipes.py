@@ -13,6 +13,7 @@ from cognitivedrone.training.reasoner.reader import READER
 from cognitivedrone.training.reasoner.selector import SELECTOR
 from cognitivedrone.training.small_vla.language import LANGUAGE
 from cognitivedrone.training.small_vla.policy import TrainRecipe
+from cognitivedrone.training.teach.training import TEACH
 
 SMALL = TrainRecipe(name="small", steps=4_000, decay_share=1 / 3, stream=StreamRecipe(spoken=0.5, token_noise=0.1))
 
@@ -66,7 +67,13 @@ RECIPES: dict[str, TrainRecipe] = {
 training path in seconds, for tests. `ablation-*`: a ninth of `small`, all but the first with one change."""
 
 
-ALL_RECIPES: dict[str, Recipe] = {**RECIPES, "language": LANGUAGE, "selector": SELECTOR, "reader": READER}
+ALL_RECIPES: dict[str, Recipe] = {
+    **RECIPES,
+    "language": LANGUAGE,
+    "selector": SELECTOR,
+    "reader": READER,
+    "teach": TEACH,
+}
 """`language`: teaches a trained policy more language. `selector`: the small reasoner's gate selector. `reader`: its
 network for reading panels, which starts from a policy's panel encoder."""
 FORMER_RECIPES = {"mind": "selector"}

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.labels.images import parse_several
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.references import PERSON_ATTRIBUTES, parse_reference
+from cognitivedrone.references import PERSON_ATTRIBUTES, PERSON_HANDS, parse_reference, person_hand
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.hard import COUNTABLE
 from cognitivedrone.tasks.people import Person, parse_person, seen
@@ -86,6 +86,10 @@ class AttributeIndex:
         """
         return self._of(label)
 
+    def named(self, name: str) -> Indices:
+        """The attribute values (groups,) of a picture that shows a concept of the list, "concept/thing:cat"."""
+        return self.of(f"taught/{name}")
+
     def column(self, group: str) -> int:
         """A group's column in what `of` returns."""
         return self._columns[group]
@@ -124,7 +128,8 @@ def concept_name(kind: str, concept: str) -> str:
 
 
 def label_names(label: str) -> tuple[str, ...]:
-    """Names of a label's attribute values, its kind first; attributes covered by a hat or a headscarf are left out.
+    """Names of a label's attribute values, its kind first; attributes that a hat or a headscarf covers, or that the
+    artist omits, are left out.
 
     Raises `LabelError` unless the label has the form kind/concept@style.
     """
@@ -132,8 +137,13 @@ def label_names(label: str) -> tuple[str, ...]:
     kind, concept = reference.kind, reference.concept
     if kind == "unknown":
         return ("kind/unknown",)
+    if kind == "taught":
+        shown = concept.removeprefix("concept/").partition(":")[0]
+        return f"kind/{shown if shown in KINDS else 'thing'}", concept
     if kind == "person" and (person := known_person(concept)) is not None:
         look = seen(person)
+        if (hand := person_hand(reference.style)) is not None:
+            look = {name: value for name, value in look.items() if name in PERSON_HANDS[hand]}
         return "kind/person", "concept/person", *(f"{name}/{look[name]}" for name in _ATTRIBUTES if name in look)
     if kind == "sum":
         parsed = parse_sum(label)

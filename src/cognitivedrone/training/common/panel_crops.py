@@ -8,6 +8,7 @@ most panel reading is taught with crops: any panel or board of the training task
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,11 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.labels import load_pack
 from cognitivedrone.models.finder import REACH
+from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.suites import drawn_task
+from cognitivedrone.training.common.attributes import known_person
+from cognitivedrone.training.common.photographic import Photographic, Shares, background
+from cognitivedrone.training.common.pictures import PACK, TrainingPictures
 from cognitivedrone.training.common.restyle import restyled
 from cognitivedrone.types import FloatArray, Image
 
@@ -30,6 +35,9 @@ _KEPT = 512  # pictures kept for reuse, each time with other augmentation
 _FRESH = 0.25  # share of crops with a new picture
 _RESTYLED = 0.6  # share of redrawn pictures
 _SIDE = 64  # pixels of a stored picture: as large as a panel appears
+_UNKNOWN = 0.1  # share of crops of what is not to be named
+_OTHER_THING, _PART = 0.75, 0.12  # shares of those that show another thing, or a small part of a known one
+_PRINTED = frozenset({"letter", "number", "sum"})
 _SHIFT, _SCALE = 0.06, 0.09  # spread of the crop's position and size
 _ROLL, _SHEAR = 0.13, 0.06  # and of its slant
 
@@ -40,11 +48,78 @@ FacetsOf = Callable[[str], NDArray[np.int64]]
 """From a label reference to its attribute values."""
 
 
+@dataclass(frozen=True)
+class WiderWorld:
+    """Shows labels by many hands and as photographs do, instead of in the style that the label names."""
+
+    pictures: TrainingPictures = field(default_factory=TrainingPictures)
+    photographic: Photographic = field(default_factory=Photographic)
+    printed: Photographic = field(
+        default_factory=lambda: Photographic(shares=replace(Shares(), mirrored=0.0, outlined=0.0), turn=4.0, narrower=0.9)
+    )
+    """For letters, numbers and sums."""
+    share: float = 0.75
+    """Share of the animals, foods, objects and logos that are shown so."""
+    print_share: float = 0.4
+    """Share of the letters, numbers and sums that are shown so."""
+    portraits: float = 0.5
+    """Share of the people who are drawn by another artist, with the attributes that this artist can show."""
+
+    def redrawn(self, label: str, rng: np.random.Generator) -> tuple[str, Image | None]:
+        """The label of what is shown, and its picture (side, side, 3); None where the label pack shall draw it."""
+        reference = parse_reference(label)
+        if reference.kind == "unknown":
+            return label, self._unknown(rng)
+        if reference.kind == "person":
+            if rng.random() >= self.portraits:
+                return label, None
+            return self.pictures.portrait(rng, known_person(reference.concept)), None
+        if reference.kind in _PRINTED:
+            if rng.random() >= self.print_share:
+                return label, None
+            return label, self.printed.draw(_cutout_of_print(self.pictures.panel(label)), rng)
+        if rng.random() >= self.share:
+            return label, None
+        cutout = self.pictures.draw(reference.kind, reference.concept, rng)
+        return label, None if cutout is None else self.photographic.draw(cutout, rng)
+
+    def _unknown(self, rng: np.random.Generator) -> Image:
+        """Something that is not to be named: another thing, a small part of a known one, or no thing at all."""
+        chance = rng.random()
+        if chance < _OTHER_THING:
+            return self.photographic.draw(self.pictures.other(rng), rng)
+        if chance < _OTHER_THING + _PART:
+            label = draw_any_label(rng)
+            whole = PillowImage.fromarray(self.pictures.panel(label))
+            size = whole.width * rng.uniform(0.12, 0.25)
+            left, top = rng.uniform(0.1, 0.65, 2) * whole.width
+            part = whole.resize((_SIDE, _SIDE), PillowImage.Resampling.BILINEAR, box=(left, top, left + size, top + size))
+            return np.asarray(part)
+        plain = background(_SIDE, rng, plain=rng.random() < 0.3)
+        return plain.clip(0, 255).transpose(1, 2, 0).astype(np.uint8)
+
+
+def _cutout_of_print(panel: Image) -> NDArray[np.uint8]:
+    """(H, W, 4) RGBA: the dark print of a panel (H, W, 3) on white, without its margins."""
+    amount = 255 - panel.min(axis=-1)
+    rows, columns = np.flatnonzero(amount.max(axis=1) > 20), np.flatnonzero(amount.max(axis=0) > 20)
+    amount = amount[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    return np.dstack([np.zeros((*amount.shape, 3), np.uint8), amount])
+
+
 class PanelCrops:
     """Draws panel crops; by default of the panels and boards of all families, with training ingredients."""
 
-    def __init__(self, crop_size: int, facets_of: FacetsOf, draw_label: DrawLabel | None = None) -> None:
-        self._labels = load_pack()
+    def __init__(
+        self,
+        crop_size: int,
+        facets_of: FacetsOf,
+        draw_label: DrawLabel | None = None,
+        wider: WiderWorld | None = None,
+    ) -> None:
+        """With `wider`, labels are shown by many hands and as photographs do."""
+        self._wider = wider
+        self._labels = load_pack(PACK)
         self._glimpse = crop_size
         self._draw_label = draw_label or draw_any_label
         self._attributes_of = facets_of
@@ -63,9 +138,12 @@ class PanelCrops:
     def _learn(self, rng: np.random.Generator) -> None:
         """Store one more picture, replacing another if the store is full."""
         label = self._draw_label(rng)
-        pixels = self._labels.image(label)
-        if rng.random() < _RESTYLED:
-            pixels = restyled(label, pixels, rng)
+        shown = (label, None) if self._wider is None else self._wider.redrawn(label, rng)
+        label, pixels = shown
+        if pixels is None:
+            pixels = self._labels.image(label)
+            if rng.random() < _RESTYLED:
+                pixels = restyled(label, pixels, rng)
         picture = PillowImage.fromarray(pixels).resize((_SIDE, _SIDE), PillowImage.Resampling.BOX)
         kept = picture, self._attributes_of(label)
         if len(self._kept) < _KEPT:
@@ -79,7 +157,9 @@ _PLACES = np.cumsum(list(SHARES.values())) / sum(SHARES.values())
 
 
 def draw_any_label(rng: np.random.Generator) -> str:
-    """A panel or board with content of its own, from a random task of any family."""
+    """A panel or board with content of its own, from a random task of any family; some of unknown content."""
+    if rng.random() < _UNKNOWN:
+        return "unknown/picture"
     task = drawn_task(_FAMILIES[int(np.searchsorted(_PLACES, rng.random()))], rng, "crop")
     if task.board is not None and rng.random() < 0.7:
         return task.board

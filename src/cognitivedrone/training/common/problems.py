@@ -6,6 +6,7 @@ scene instead of the task's own, more wordings, unknown names, what is asked for
 
 from __future__ import annotations
 
+import functools
 from collections import deque
 from dataclasses import dataclass, field, replace
 
@@ -13,14 +14,17 @@ import numpy as np
 
 from cognitivedrone.models.finder import SLOTS
 from cognitivedrone.models.gate_selector import STAGES
-from cognitivedrone.tasks import BASE_FAMILIES, HARD_FAMILIES
-from cognitivedrone.tasks.generate import TRAIN, Draw
+from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES
+from cognitivedrone.tasks.generate import TRAIN, Draw, Pools
 from cognitivedrone.tasks.memory import memory_track
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.tasks.validate import right_gate
-from cognitivedrone.training.common.phrasing import SPOKEN
+from cognitivedrone.training.common.fact_questions import FACTS, FactQuestions
+from cognitivedrone.training.common.places import PLACE_FAMILIES, ask_place
 from cognitivedrone.training.common.questions import ask
+from cognitivedrone.training.common.typing_noise import typed
 from cognitivedrone.training.common.unknown_people import with_unknown_person
+from cognitivedrone.training.common.wordings import TYPED
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task
 
 ABSENT = SLOTS
@@ -47,8 +51,14 @@ class Mix:
 
     families: dict[str, float] = field(default_factory=lambda: dict(SHARES))
     """How often the families occur, relative to each other."""
-    spoken: float = 0.7
-    """Share of problems with more wordings than the training tasks."""
+    typed: float = 0.6
+    """Share of problems in the wordings of the corpus, as people type them (`wordings.TYPED`)."""
+    slips: float = 0.15
+    """Share of sentences with typing noise (`typing_noise.typed`)."""
+    facts: float = 0.2
+    """Share of problems from the table of facts."""
+    places: float = 0.06
+    """Share of problems that ask by a gate's place, its look, or the order of what panels show."""
     directives: float = 0.06
     """Share of sentences that are directives already."""
     relabelled: float = 0.3
@@ -69,7 +79,7 @@ class Problem:
 
     sentence: str
     family: str
-    labels: tuple[str, ...]
+    labels: tuple[str, str, str]
     gates: tuple[Gate, Gate, Gate]
     board: str | None
     target: int
@@ -90,6 +100,8 @@ class Problems:
     def draw(self, rng: np.random.Generator) -> list[Problem]:
         """One problem, or all problems of a memory track."""
         problems = self._draw(rng)
+        if rng.random() < self.mix.slips:
+            problems = [replace(problem, sentence=typed(problem.sentence, rng)) for problem in problems]
         if problems[0].family == "memory":
             return problems
         problem = self._varied(rng, problems[0])
@@ -100,10 +112,17 @@ class Problems:
         return [problem]
 
     def _draw(self, rng: np.random.Generator) -> list[Problem]:
+        pools = TYPED if rng.random() < self.mix.typed else TRAIN
+        chance = rng.random()
+        if chance < self.mix.facts:
+            return [problem_of(drawn_task("association", rng, FACTS, pools, make=_fact_questions().puzzle), FACTS)]
         family = self._families[int(rng.choice(len(self._families), p=self._shares))]
+        if chance < self.mix.facts + self.mix.places and family in BASE_FAMILIES:
+            problem = problem_of(drawn_task(family, rng, family, pools))
+            question = ask_place(rng, problem.labels, problem.gates, int(rng.integers(3)))
+            return [replace(problem, sentence=question.text, target=question.target, family=question.family)]
         if family == "memory":
-            return _track(rng)
-        pools = SPOKEN if rng.random() < self.mix.spoken else TRAIN
+            return _track(rng, pools)
         task = drawn_task(family, rng, family, pools)
         if family == "people" and rng.random() < self.mix.unknown_people:
             task = with_unknown_person(rng, task)
@@ -121,7 +140,7 @@ class Problems:
 
     def _varied(self, rng: np.random.Generator, problem: Problem) -> Problem:
         """What is asked for is taken away, or some panels cannot be read."""
-        if problem.family in ("directive", "absent"):
+        if problem.family in ("directive", "absent", *PLACE_FAMILIES):
             return problem
         labels, target = list(problem.labels), problem.target
         if rng.random() < self.mix.absent and problem.family in _BY_CONTENT:
@@ -130,20 +149,28 @@ class Problems:
         for place in range(3):
             if rng.random() < self.mix.unreadable:
                 labels[place] = "unknown/picture"
-        return replace(problem, labels=tuple(labels), target=target)
+        return replace(problem, labels=(labels[0], labels[1], labels[2]), target=target)
 
 
-def problem_of(task: Task) -> Problem:
+@functools.cache
+def _fact_questions() -> FactQuestions:
+    return FactQuestions()
+
+
+def problem_of(task: Task, family: str | None = None) -> Problem:
     """A task as a problem."""
     target = ABSENT if task.target is None else task.target
-    return Problem(task.instruction, task.family, task.labels, task.gates, task.board, target)
+    return Problem(task.instruction, family or task.family, task.labels, task.gates, task.board, target)
 
 
-_BY_CONTENT = frozenset(BASE_FAMILIES) | {"exclusion", "negation", "distraction", "conjunction", "two_step"}
+NAMES: tuple[str, ...] = (*FAMILIES, "directive", FACTS, *PLACE_FAMILIES, "taught")
+"""Families of problems."""
+_BY_CONTENT = frozenset(BASE_FAMILIES) | {FACTS} | {"exclusion", "negation", "distraction", "conjunction", "two_step"}
 """Families whose wrong panels are wrong by themselves, whatever the others show."""
 
 
-def _gates(rng: np.random.Generator) -> tuple[Gate, Gate, Gate]:
+def draw_gates(rng: np.random.Generator) -> tuple[Gate, Gate, Gate]:
+    """Three gates of different colours."""
     sizes, shapes = (rng.integers(len(names), size=3) for names in (SIZES, SHAPES))
     a, b, c = (
         Gate(SIZES[size], SHAPES[shape], COLORS[color])
@@ -152,13 +179,13 @@ def _gates(rng: np.random.Generator) -> tuple[Gate, Gate, Gate]:
     return a, b, c
 
 
-def _track(rng: np.random.Generator) -> list[Problem]:
+def _track(rng: np.random.Generator, pools: Pools) -> list[Problem]:
     targets = [int(target) for target in rng.integers(3, size=int(rng.integers(3, 6)))]
-    puzzles = memory_track(Draw(rng, TRAIN, targets[0]), targets)
+    puzzles = memory_track(Draw(rng, pools, targets[0]), targets)
     before: list[tuple[tuple[str, ...], int]] = []
     problems = []
     for puzzle, target in zip(puzzles, targets, strict=True):
         labels = tuple(panel.label for panel in puzzle.panels)
-        problems.append(Problem(puzzle.instruction, "memory", labels, _gates(rng), None, target, tuple(before)))
+        problems.append(Problem(puzzle.instruction, "memory", labels, draw_gates(rng), None, target, tuple(before)))
         before.append((labels, target))
     return problems

@@ -22,10 +22,12 @@ from cognitivedrone.tasks import human, reasoning, symbols, vocabulary, wording
 from cognitivedrone.tasks.directives import write_directive
 from cognitivedrone.tasks.facts import FACTS, HEALTHY, KIND_OF, UNHEALTHY
 from cognitivedrone.tasks.families import BASE_FAMILIES
-from cognitivedrone.tasks.generate import TRAIN, Draw, Pools, article, words
+from cognitivedrone.tasks.generate import TRAIN, Draw, Pools, Scene, article, words
 from cognitivedrone.tasks.people import CAST, FEATURES, IDENTITY, TRAIN_CAST, Person, seen
 from cognitivedrone.tasks.validate import check_gates
 from cognitivedrone.training.common.attributes import known_person, parse_sum
+from cognitivedrone.training.common.fact_questions import FACTS as FACTS_FAMILY
+from cognitivedrone.training.common.fact_questions import FactQuestions
 from cognitivedrone.types import Gate
 
 Labels: TypeAlias = tuple[str, str, str]
@@ -51,7 +53,7 @@ class Question:
     target: int
     """Index of the right gate, 0 to 2 from left to right."""
     family: str
-    """One of `tasks.BASE_FAMILIES`, or "directive"."""
+    """One of `tasks.BASE_FAMILIES`, "directive", or "facts"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,7 +301,7 @@ def _sayings(labels: Labels, board: str | None, target: int) -> dict[str, _Say]:
 
 
 @functools.lru_cache(maxsize=4096)
-def _descriptions(gates: Gates, target: int) -> tuple[str, ...]:
+def descriptions(gates: Gates, target: int) -> tuple[str, ...]:
     """Every choice and order of size, colour and shape that fits the target and no other gate."""
     check_gates(gates, "scene")
     described = []
@@ -328,32 +330,39 @@ def ask(
     target: int,
     family: str | None = None,
     pools: Pools = TRAIN,
+    facts: FactQuestions | None = None,
 ) -> Question:
     """A question whose only right answer is the gate at `target`, in the suite's wordings or those of `pools`.
 
     Without a family, one of `families(...)` is drawn uniformly; if there are none, the question is a
     directive. Most directives ("directive") are `write_directive`'s; the rest (`FREE_DIRECTIVES`) begin differently,
-    change the order or omit what is not needed.
+    change the order or omit what is not needed. With `facts`, the family "facts" is possible as well; without, no
+    draw depends on its table.
     Raises `TaskError` for an unknown family or one that cannot ask for this gate, and for a malformed scene.
     """
     sayings = _sayings(labels, board, target)
     draw = Draw(rng, pools, target)
+    ways = facts.ways(labels, target) if facts is not None and family in (None, FACTS_FAMILY) else None
     if family is None:
-        family = draw.pick(tuple(sayings)) if sayings else DIRECTIVE
+        possible = (*sayings, FACTS_FAMILY) if ways else tuple(sayings)
+        family = draw.pick(possible) if possible else DIRECTIVE
+    if family == FACTS_FAMILY and facts is not None and ways:
+        return Question(facts.sentence(draw, ways), target, family)
     if family == DIRECTIVE:
         return Question(_directive(draw, gates), target, family)
     if family not in sayings:
-        if family not in BASE_FAMILIES:
+        if family not in (*BASE_FAMILIES, FACTS_FAMILY):
             raise TaskError(f"unknown family {family!r}; {did_you_mean(family, (*BASE_FAMILIES, DIRECTIVE))}")
         raise TaskError(
             f"family {family!r} cannot ask for gate {target + 1} of {', '.join(labels)}; "
             f"possible: {', '.join((*sayings, DIRECTIVE))}"
         )
-    return Question(draw.frame(sayings[family](draw)), target, family)
+    sentence = draw.frame(sayings[family](draw))
+    return Question(pools.completed(rng, sentence, Scene(labels, gates, target)), target, family)
 
 
 def _directive(draw: Draw, gates: Gates) -> str:
-    descriptions = _descriptions(gates, draw.target)
+    described = descriptions(gates, draw.target)
     if draw.chance(FREE_DIRECTIVES):
-        return f"{draw.pick(_OPENINGS)} the {draw.pick(descriptions)} gate"
+        return f"{draw.pick(_OPENINGS)} the {draw.pick(described)} gate"
     return write_directive(gates[draw.target])

@@ -37,6 +37,19 @@ class Readings:
         self._kinds = index.groups["kind"]
         self._applies = index.schema.applies()
 
+    def moved(self, index: AttributeIndex) -> Readings:
+        """The same answers for a longer list of attribute values; there are none yet for the new ones."""
+        rows = {name: row for row, name in enumerate(index.schema.names)}
+        names, bank = self.index.schema.names, {}
+        for group, span in self.index.groups.items():
+            places = [rows[name] - index.groups[group].start for name in names[span]]
+            for value in range(span.start, span.stop):
+                if value in self._bank:
+                    wider = np.zeros((len(self._bank[value]), index.groups[group].stop - index.groups[group].start))
+                    wider[:, places] = self._bank[value]
+                    bank[rows[names[value]]] = wider.astype(np.float16)
+        return Readings(index, bank)
+
     def exact(self, label: str) -> Floats:
         """(F,): the probabilities of a reader without doubts."""
         row = np.zeros(len(self.index.schema.names), np.float32)

@@ -120,6 +120,8 @@ def _facts_of_model(path: Path, part: Part) -> dict[str, Any]:
         "attributes": table["facets"],
         "vocabulary": table.get("vocabulary"),
         "trained_words": table.get("trained_words"),
+        "action": table.get("action"),
+        "step": origin["steps"],
         "origin": f"{origin['recipe']} of {origin['trained']}",
         "data": origin["data"],
         "step": origin["steps"],

@@ -49,19 +49,35 @@ class Schedule:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Given:
+    """What a training is given beside its recipe; which of it is used depends on the recipe."""
+
+    start: Path | None = None
+    """Trained weights: a checkpoint, a model file, the folder of a taught pilot, or "small" for the shipped ones."""
+    data: Path | None = None
+    """A data set of flights."""
+    labels: Path | None = None
+    """A folder of pictures."""
+    tasks: Path | None = None
+    """A task file, or a folder of them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe(Schedule, ABC):
     """Everything that decides what comes out of a training, but its start, its data, processes and seed."""
 
     model_file: ClassVar[str] = "model.onnx"
     """What is written at the end."""
     needs_start: ClassVar[bool] = False
-    """Whether it starts from the checkpoint of a policy."""
+    """Whether it starts from trained weights; by default the shipped ones."""
     takes_data: ClassVar[bool] = False
     """Whether it can learn from a data set."""
+    needs_labels: ClassVar[bool] = False
+    """Whether it learns a user's pictures."""
 
     @abstractmethod
-    def training(self, *, start: Path | None = None, data: Path | None = None) -> TrainingTask:
-        """What is trained, from the checkpoint `start` and on `data` where those are asked for."""
+    def training(self, given: Given) -> TrainingTask:
+        """What is trained, with what is given. Raises `TrainingError`."""
 
 
 class Learner(Protocol):

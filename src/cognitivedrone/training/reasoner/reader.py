@@ -18,7 +18,7 @@ from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.training.common.checkpoint import CHECKPOINT
 from cognitivedrone.training.common.panel_crops import PanelCrops
 from cognitivedrone.training.common.sampling import Batch
-from cognitivedrone.training.common.training_task import Batches, Learner, Recipe, Row, to_tensors
+from cognitivedrone.training.common.training_task import Batches, Given, Learner, Recipe, Row, to_tensors
 
 _VALIDATION = 10**6
 
@@ -36,9 +36,9 @@ class ReaderRecipe(Recipe):
 
     model_file: ClassVar[str] = CHECKPOINT
 
-    def training(self, *, start: Path | None = None, data: Path | None = None) -> ReaderTraining:
+    def training(self, given: Given) -> ReaderTraining:
         """A new reader."""
-        del start, data
+        del given
         return ReaderTraining(self)
 
 

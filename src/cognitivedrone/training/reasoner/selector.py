@@ -23,18 +23,16 @@ from cognitivedrone.models.sentence import WordConfig
 from cognitivedrone.models.text import TOKEN, Lexicon
 from cognitivedrone.reasoners.calculator import calculate, evaluate
 from cognitivedrone.reasoners.small import value_index
-from cognitivedrone.tasks import FAMILIES
 from cognitivedrone.training.common.attributes import AttributeIndex
 from cognitivedrone.training.common.lexicon import training_lexicon, with_vectors
-from cognitivedrone.training.common.problems import Mix, Problem, Problems
+from cognitivedrone.training.common.problems import NAMES, Mix, Problem, Problems
 from cognitivedrone.training.common.readings import Readings, readings_of
 from cognitivedrone.training.common.sampling import Batch, token_noise
 from cognitivedrone.training.common.start import Start, read_start
-from cognitivedrone.training.common.training_task import Batches, Learner, Recipe, Row, to_tensors
+from cognitivedrone.training.common.training_task import Batches, Given, Learner, Recipe, Row, to_tensors
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 
 _VALIDATION = 10**6
-_NAMES = (*FAMILIES, "directive")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,12 +56,11 @@ class SelectorRecipe(Recipe):
     model_file: ClassVar[str] = SELECTOR_FILE
     needs_start: ClassVar[bool] = True
 
-    def training(self, *, start: Path | None = None, data: Path | None = None) -> SelectorTraining:
-        """A new gate selector, for what the panel reader of the policy `start` tells."""
-        del data
+    def training(self, given: Given) -> SelectorTraining:
+        """A new gate selector, for what the panel reader of the policy tells."""
         lexicon = training_lexicon(self.mix)
         network = replace(self.network, words=WordConfig(len(lexicon.words), lexicon.trained))
-        return SelectorTraining(replace(self, network=network), lexicon, read_start(start, "policy"))
+        return SelectorTraining(replace(self, network=network), lexicon, read_start(given.start, "policy"))
 
 
 class Encoder:
@@ -228,7 +225,7 @@ class SelectorTraining:
         while len(problems) < self.recipe.validation_tasks:
             problems += drawn.draw(rng)
         parts = [problems[first : first + 250] for first in range(0, len(problems), 250)]
-        families = [np.array([_NAMES.index(problem.family) for problem in part]) for part in parts]
+        families = [np.array([NAMES.index(problem.family) for problem in part]) for part in parts]
         encoded = [encoder.encode(rng, part, noise=False) for part in parts]
         return [batch | {"family": family} for batch, family in zip(encoded, families, strict=True)]
 
@@ -248,7 +245,7 @@ class SelectorTraining:
         right, family = torch.cat(rights).cpu().numpy(), np.concatenate([batch["family"] for batch in batches])
         row: Row = {"choice": float(torch.cat(losses).mean()), "choice accuracy": float(right.mean())}
         for index in np.unique(family):
-            row[f"choice accuracy {_NAMES[index]}"] = float(right[family == index].mean())
+            row[f"choice accuracy {NAMES[index]}"] = float(right[family == index].mean())
         return row
 
     def trial(self, network: nn.Module) -> Row:

@@ -43,17 +43,24 @@ def export(
     `TrainingError` for a bad checkpoint.
     """
     network, lexicon, start = load_trained(checkpoint)
-    facts = start.facts
+    action = action_statistics(network, stream_of(start.facts), data)
+    return write_policy(network, lexicon, action, provenance_of(start.facts, scores), out)
+
+
+def write_policy(
+    network: SmallVLA, lexicon: Lexicon, action: ActionStatistics, provenance: Provenance, out: Path
+) -> Description:
+    """Write a policy's file; returns its description."""
     out.parent.mkdir(parents=True, exist_ok=True)
     description = Description(
-        name=facts["recipe"]["name"],
+        name=provenance.recipe,
         vocabulary=lexicon,
         text_length=network.config.text_length,
         chunk=network.config.chunk,
-        action=action_statistics(network, stream_of(facts), data),
+        action=action,
         network=network.config.facts(),
         attributes=network.schema.names,
-        provenance=provenance_of(facts, scores),
+        provenance=provenance,
     )
     with replacing(out, out.with_suffix(".part.onnx")) as beside:
         write_graph(network, beside)

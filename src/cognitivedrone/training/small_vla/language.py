@@ -20,11 +20,11 @@ from cognitivedrone.models.small_vla import SmallVLA, SmallVLAConfig
 from cognitivedrone.models.text import Lexicon
 from cognitivedrone.training.common.attributes import AttributeIndex
 from cognitivedrone.training.common.lexicon import training_lexicon, with_vectors
-from cognitivedrone.training.common.problems import Problem, Problems
+from cognitivedrone.training.common.problems import NAMES, Problem, Problems
 from cognitivedrone.training.common.readings import readings_of
 from cognitivedrone.training.common.sampling import Batch, TextMix, described
 from cognitivedrone.training.common.start import Start, read_start
-from cognitivedrone.training.common.training_task import Batches, Learner, Recipe, Row, to_tensors
+from cognitivedrone.training.common.training_task import Batches, Given, Learner, Recipe, Row, to_tensors
 from cognitivedrone.training.small_vla.losses import text_loss
 from cognitivedrone.training.small_vla.pilot import NetworkPilot
 from cognitivedrone.training.small_vla.policy import trial
@@ -46,10 +46,9 @@ class LanguageRecipe(Recipe):
 
     needs_start: ClassVar[bool] = True
 
-    def training(self, *, start: Path | None = None, data: Path | None = None) -> LanguageTraining:
+    def training(self, given: Given) -> LanguageTraining:
         """The policy of a checkpoint or model file; beside the words that it knows, those that are taught."""
-        del data
-        origin = read_start(start, "policy")
+        origin = read_start(given.start, "policy")
         known = Lexicon(tuple(origin.facts["vocabulary"]), origin.facts["trained_words"])
         new = training_lexicon(self.mix.problems)
         return LanguageTraining(self, origin, known.taught(new.words[2 : new.trained]))
@@ -128,12 +127,11 @@ class LanguageTraining:
         problems: list[Problem] = []
         while len(problems) < self.recipe.validation_sentences:
             problems += drawn.draw(rng)
-        names = self._families()
         length = self.start.facts["recipe"]["network"]["text_length"]
         parts = [problems[first : first + 250] for first in range(0, len(problems), 250)]
         return [
             described(rng, part, self.lexicon, length, readings, plain)
-            | {"family": np.array([names.index(problem.family) for problem in part])}
+            | {"family": np.array([NAMES.index(problem.family) for problem in part])}
             for part in parts
         ]
 
@@ -151,8 +149,7 @@ class LanguageTraining:
         loss_module.train()
         right, family = np.concatenate(rights), np.concatenate([batch["family"] for batch in batches])
         row: Row = {"text": float(np.mean(losses)), "text accuracy": float(right.mean())}
-        names = self._families()
-        return row | {f"text accuracy {names[i]}": float(right[family == i].mean()) for i in np.unique(family)}
+        return row | {f"text accuracy {NAMES[i]}": float(right[family == i].mean()) for i in np.unique(family)}
 
     def trial(self, network: nn.Module) -> Row:
         """Success in closed loop on training tasks under another seed, by family."""
@@ -164,11 +161,6 @@ class LanguageTraining:
         from cognitivedrone.training.small_vla.export import export
 
         export(checkpoint, folder / self.recipe.model_file)
-
-    def _families(self) -> tuple[str, ...]:
-        from cognitivedrone.tasks import FAMILIES
-
-        return (*FAMILIES, "directive")
 
 
 def extended(start: Start, lexicon: Lexicon) -> SmallVLA:

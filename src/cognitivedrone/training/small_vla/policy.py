@@ -23,7 +23,7 @@ from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.training.common.lexicon import training_lexicon, with_vectors
 from cognitivedrone.training.common.sampling import Batch, SampleSource, StreamRecipe
 from cognitivedrone.training.common.start import Start, read_start, restore_part
-from cognitivedrone.training.common.training_task import Batches, Recipe, Row
+from cognitivedrone.training.common.training_task import Batches, Given, Recipe, Row
 from cognitivedrone.training.small_vla.losses import LossModule, LossWeights
 from cognitivedrone.training.small_vla.pilot import NetworkPilot, fly_suite
 from cognitivedrone.training.small_vla.recorded import training_batches
@@ -46,14 +46,14 @@ class TrainRecipe(Recipe):
 
     takes_data: ClassVar[bool] = True
 
-    def training(self, *, start: Path | None = None, data: Path | None = None) -> PolicyTraining:
-        """A new policy, with the panel reader of `start`, by default the shipped one; a racing policy has none."""
+    def training(self, given: Given) -> PolicyTraining:
+        """A new policy, with the panel reader of the start, by default the shipped one; a racing policy has none."""
         if self.network.reader is None:
             lexicon = Lexicon.of(INSTRUCTIONS)
             names: tuple[str, ...] = ATTRIBUTES
             origin = None
         else:
-            origin = read_start(start, "reader")
+            origin = read_start(given.start, "reader")
             lexicon, names = training_lexicon(self.stream.text_mix.problems), tuple(origin.facts["attributes"])
         network = replace(
             self.network,
@@ -61,7 +61,7 @@ class TrainRecipe(Recipe):
             reader=None if origin is None else ReaderConfig.of(origin.reader_facts()),
             chunk=self.stream.chunk,
         )
-        return PolicyTraining(replace(self, network=network), lexicon, names, None if origin is None else origin, data)
+        return PolicyTraining(replace(self, network=network), lexicon, names, origin, given.data)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,164 @@
+"""The corpus of wordings: the files parse, nothing is repeated or held out, every slot can be filled."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from cognitivedrone.references import parse_reference
+from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, facts, wording
+from cognitivedrone.tasks.generate import HELD_OUT, TRAIN, Draw
+from cognitivedrone.tasks.memory import memory_track
+from cognitivedrone.tasks.people import HELD_OUT_CAST
+from cognitivedrone.tasks.suites import drawn_task
+from cognitivedrone.tasks.vocabulary import HELD_OUT_FONTS, HELD_OUT_STYLES
+from cognitivedrone.training.common.phrasing import SPOKEN
+from cognitivedrone.training.common.questions import ask, families
+from cognitivedrone.training.common.wordings import LISTS, TYPED, Heading, corpus, slots_of, wordings_of
+from cognitivedrone.types import Gate
+
+LINES = [(name, head, line) for name, file in corpus().items() for head, lines in file.items() for line in lines]
+LEAST = {
+    "frames": 400, "attributes": 120, "people": 150, "letters": 180, "digits": 200, "logos": 150, "animals": 200,
+    "math": 150, "math_board": 200, "food": 180, "numbers_and_letters": 250, "association": 900, "conjunction": 50,
+    "exclusion": 60, "relations": 150, "negation": 90, "counting": 100, "distraction": 60, "comparison": 180,
+    "two_step": 70, "memory": 70, "looks": 200, "places": 300, "beside": 90, "order": 120,
+}  # fmt: skip
+"""Files of the corpus, and the least number of lines of each."""
+SLOTS = {
+    "FRAMES": {"x"}, "ATTRIBUTES": {"x"}, "PEOPLE": {"x"}, "LETTERS": {"x"}, "DIGITS": {"x", "word"}, "LOGOS": {"x"},
+    "ANIMALS": {"x", "a"}, "MATH": {"x"}, "conjunction": {"x"}, "exclusion": {"present", "absent"},
+    "relations between": {"x", "y"}, "negation neither": {"first", "second"}, "negation not": {"first"},
+    "counting more": {"x", "y"}, "counting exactly": {"x", "n", "word"}, "distraction": {"right", "other", "third"},
+    "two_step words": {"begin", "first", "then"}, "two_step brackets": {"x"}, "two_step more": {"n"},
+    "two_step less": {"n"}, "memory named": {"x"}, "memory nth": {"nth"}, "memory stage": {"n"},
+    "comparison number first": {"n"}, "comparison number last": {"n"}, "look": {"x", "not1", "not2"},
+    "look exclusive": {"not1", "not2"}, "look odd": {"not1"}, "look shape": {"x"},
+    "beside next": {"x"}, "beside next but not": {"x", "y"}, "beside opposite": {"x"}, "order count mid": {"x"},
+    **{f"relations {side}": {"x"} for side in ("left", "right", "directly left", "directly right", "two left",
+                                               "two right", "farthest")},
+    **{f"counting {which}": {"x"} for which in ("most", "fewest")},
+}  # fmt: skip
+"""Slots by heading, beside {other} and {gate}; headings that are not here have no others."""
+
+
+def test_there_are_thousands_of_lines_and_enough_in_every_file() -> None:
+    counts = Counter(name for name, _, _ in LINES)
+    assert set(counts) == set(LEAST)
+    assert sum(counts.values()) > 5000
+    assert {name for name, least in LEAST.items() if counts[name] < least} == set()
+
+
+def test_no_line_is_repeated_below_one_heading() -> None:
+    seen = Counter((head, line) for _, head, line in LINES)
+    assert [key for key, count in seen.items() if count > 1] == []
+    assert not set(wordings_of("FRAMES", whole=False)) & set(SPOKEN.frames)
+    for first, name in LISTS.items():
+        given = SPOKEN.wordings((first, "held out"))
+        assert not set(wordings_of(name, whole=False)) & set(given), name
+
+
+def test_slots_are_legal() -> None:
+    for name, head, line in LINES:
+        legal = SLOTS.get(head.name, set()) | ({"other", "gate"} if head.name != "distraction" else {"gate"})
+        assert set(slots_of(line)) <= legal, (name, head, line)
+        assert head.name != "FRAMES" or slots_of(line).count("x") == 1, line
+        assert not re.search(r"\s\s|\t", line), line
+        assert line.isprintable(), line
+
+
+def test_every_heading_extends_something() -> None:
+    headings = {head for _, head, _ in LINES}
+    lists = {*LISTS.values()}
+    assert {head.name for head in headings if not head.whole} <= lists | {"FRAMES"}
+    for name in lists:
+        assert wordings_of(name, whole=False), name
+        assert wordings_of(name, whole=True), name
+
+
+def said(phrase: str) -> str:
+    return phrase.replace("{x}", "").strip().lower()
+
+
+def test_nothing_held_out_is_among_them() -> None:
+    lists = [value for key, value in vars(wording).items() if key in LISTS.values()]
+    lists += [fact.phrases for fact in facts.FACTS]
+    assert len(lists) == len(LISTS)
+    held_out = {said(phrase) for phrases in lists for phrase in HELD_OUT.wordings(phrases)} - {""}
+    openings = {frame.partition("{x}")[0].strip().lower() for frame in wording.HELD_OUT_FRAMES}
+    assert all(openings)
+    for name, head, line in LINES:
+        plain = said(line)
+        assert not any(kept in plain for kept in held_out), (name, head, line)
+        assert not any(opening in line.lower() for opening in openings), (name, head, line)
+        assert not any(re.search(rf"\b{person}\b", line) for person in HELD_OUT_CAST), (name, head, line)
+
+
+@pytest.mark.parametrize("family", [family for family in FAMILIES if family not in ("memory", "race")])
+def test_tasks_are_typed_in_many_ways_with_training_ingredients(family: str) -> None:
+    typed, spoken = (
+        [drawn_task(family, np.random.default_rng([9, i]), "task", pools) for i in range(150)]
+        for pools in (TYPED, SPOKEN)
+    )
+    assert len({task.instruction for task in typed}) > 100
+    if family in BASE_FAMILIES:
+        assert len({task.instruction for task in typed} - {task.instruction for task in spoken}) > 75
+    for task in typed:
+        assert not re.search(r"[{}\x1f]", task.instruction), task.instruction
+        assert task.instruction.strip()
+        assert not set(task.options) & set(HELD_OUT_CAST)
+        styles = {label.rpartition("@")[2] for label in task.labels}
+        assert not styles & {*HELD_OUT_FONTS, *HELD_OUT_STYLES}
+
+
+def test_a_memory_track_is_typed_in_many_ways() -> None:
+    texts = set()
+    for seed in range(40):
+        track = memory_track(Draw(np.random.default_rng(seed), TYPED, 0), [0, 1, 2, 1])
+        texts |= {puzzle.instruction for puzzle in track}
+    assert len(texts) > 80
+    assert not any("{" in text for text in texts)
+
+
+def test_another_panel_and_another_gate_are_named_by_what_they_are() -> None:
+    corrected = 0
+    for i in range(400):
+        task = drawn_task("animals", np.random.default_rng([3, i]), "task", TYPED)
+        right, *_ = (task.labels[task.target],)
+        names = [parse_reference(label).concept.replace("_", " ") for label in task.labels]
+        assert names[task.target] in task.instruction, (right, task.instruction)
+        found = re.search(r"\bnot the (\w+(?: \w+)?)(?: (?:gate|one))?\b", task.instruction)
+        if found is not None and any(found[1].startswith(name) for name in names):
+            corrected += 1
+            assert not found[1].startswith(names[task.target]) or names[task.target] in ("chick",), task.instruction
+    assert corrected > 10
+
+
+def test_questions_are_asked_in_typed_words_too() -> None:
+    gates = (Gate("big", "round", "red"), Gate("small", "square", "green"), Gate("small", "round", "blue"))
+    labels = ("logo/go@color", "logo/php@color", "logo/java@color")
+    texts = {ask(np.random.default_rng(i), labels, None, gates, 1, None, TYPED).text for i in range(200)}
+    assert len(texts) > 120
+    assert all("PHP" in text for text in texts)
+    assert any("Java" in text for text in texts)
+    assert any("red" in text for text in texts)
+    assert families(labels, None, gates, 1) == ("logos",)
+
+
+def test_what_was_drawn_before_is_drawn_still() -> None:
+    for family in (*BASE_FAMILIES, *HARD_FAMILIES):
+        if family == "memory":
+            continue
+        task = drawn_task(family, np.random.default_rng(5), "task", SPOKEN)
+        assert "{" not in task.instruction
+        if family in HARD_FAMILIES:
+            assert task.instruction == drawn_task(family, np.random.default_rng(5), "task", TRAIN).instruction
+
+
+def test_a_heading_says_what_its_lines_are() -> None:
+    assert Heading("ANIMALS", whole=True) in corpus()["animals"]
+    assert "the {x}, not the {other}" in wordings_of("ANIMALS", whole=True)
+    assert "woof woof" in wordings_of("the animal that barks", whole=True)
