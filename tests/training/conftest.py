@@ -23,7 +23,9 @@ def reader_checkpoint(tmp_path_factory: pytest.TempPathFactory, made_small: None
     """A tiny reader with random weights."""
     from quick_trainings import TINY_READER, saved
 
-    return saved(TINY_READER.training(), tmp_path_factory.mktemp("reader"))
+    from cognitivedrone.training.common.training_task import Given
+
+    return saved(TINY_READER.training(Given()), tmp_path_factory.mktemp("reader"))
 
 
 @pytest.fixture(scope="session")
@@ -31,6 +33,7 @@ def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory, reader_checkpoin
     """A tiny policy with random weights, and that reader."""
     from quick_trainings import saved
 
+    from cognitivedrone.training.common.training_task import Given
     from cognitivedrone.training.recipes import RECIPES
 
-    return saved(RECIPES["debug"].training(start=reader_checkpoint), tmp_path_factory.mktemp("policy"))
+    return saved(RECIPES["debug"].training(Given(start=reader_checkpoint)), tmp_path_factory.mktemp("policy"))

@@ -134,6 +134,13 @@ def test_taught_names_are_known_and_others_of_kind_unknown() -> None:
     assert concept_name("logo", "apple") == "concept/logo:apple"
 
 
+def test_a_taught_name_shows_the_concept_that_it_names() -> None:
+    for name, kind in (("concept/thing:cat", "thing"), ("concept/letter:A", "letter"), ("concept/number:7", "number")):
+        row = INDEX.named(name)
+        assert {ATTRIBUTES[i] for i in row if i >= 0} == {f"kind/{kind}", name}
+    assert not INDEX.known("taught/concept/thing:griffin")
+
+
 def test_another_process_gets_the_same_index() -> None:
     other = pickle.loads(pickle.dumps(AttributeIndex(ATTRIBUTES[:-1])))
     assert other.schema.names == ATTRIBUTES[:-1]
@@ -152,7 +159,7 @@ def test_whatever_any_family_shows_is_known() -> None:
             assert expression == shown["first"] + shown["sign"] + shown["second"]
         if shown["kind"] == "several":
             assert {"thing_a", "count_a", "thing_b"} <= shown.keys()
-    assert kinds == set(KINDS) - {"unknown"}
+    assert kinds == set(KINDS)
 
 
 def test_whatever_the_test_suite_shows_is_known() -> None:

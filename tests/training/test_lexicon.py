@@ -26,7 +26,7 @@ def test_all_that_is_trained_has_words_and_the_rest_has_vectors() -> None:
     assert set(words_of(write_directive(Gate("big", "round", "red")))) <= own
     assert set(lexicon.words[lexicon.trained :]) <= set(word_vectors().words)
     assert set(word_vectors().words) <= set(lexicon.words)
-    rng, problems = np.random.default_rng(9), Problems(Mix())
+    rng, problems = np.random.default_rng(9), Problems(Mix(slips=0.0))
     sentences = [problem.sentence.replace(UNKNOWN_PERSON, "") for _ in range(200) for problem in problems.draw(rng)]
     unknown = [word for sentence in sentences for word in lexicon.unknown(sentence)]
     assert len(unknown) < 0.02 * sum(len(words_of(sentence)) for sentence in sentences), unknown
@@ -42,3 +42,7 @@ def test_words_get_their_vectors_wherever_they_are() -> None:
     for number, word in enumerate(lexicon.words):
         expected = table.get(word, np.zeros(64, np.int8))
         assert torch.equal(embedding.vectors[number], torch.from_numpy(expected.copy())), word
+
+
+def test_typing_errors_are_no_words() -> None:
+    assert training_lexicon(Mix(slips=1.0)) == training_lexicon(Mix(slips=0.0))

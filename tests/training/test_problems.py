@@ -11,11 +11,15 @@ import pytest
 from cognitivedrone.models.gate_selector import STAGES
 from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES
 from cognitivedrone.training.common.attributes import AttributeIndex
-from cognitivedrone.training.common.problems import ABSENT, ALONE, SHARES, Mix, Problem, Problems
+from cognitivedrone.training.common.fact_questions import FACTS
+from cognitivedrone.training.common.places import PLACE_FAMILIES
+from cognitivedrone.training.common.problems import ABSENT, ALONE, NAMES, SHARES, Mix, Problem, Problems
 from cognitivedrone.training.common.unknown_people import UNKNOWN_PERSON
 from cognitivedrone.training.reasoner.selector import values_of
 
-PLAIN = Mix(directives=0.0, relabelled=0.0, unknown_people=0.0, absent=0.0, unreadable=0.0)
+PLAIN = Mix(
+    slips=0.0, facts=0.0, places=0.0, directives=0.0, relabelled=0.0, unknown_people=0.0, absent=0.0, unreadable=0.0
+)
 INDEX = AttributeIndex()
 
 
@@ -30,7 +34,7 @@ def varied() -> list[Problem]:
 
 
 def test_a_problem_is_a_sentence_a_scene_and_an_answer(varied: list[Problem]) -> None:
-    assert {problem.family for problem in varied} == (set(FAMILIES) - {"race"}) | {"directive"}
+    assert {problem.family for problem in varied} == set(NAMES) - {"race", "taught"}
     for problem in varied:
         assert problem.sentence.strip()
         assert len(problem.labels) == len(problem.gates) == 3
@@ -62,6 +66,30 @@ def test_a_network_that_sees_each_gate_alone_is_asked_no_more_than_it_can_tell()
     assert set(SHARES) >= {*BASE_FAMILIES, *HARD_FAMILIES, "memory", "absent"}
 
 
+@pytest.mark.parametrize(("name", "families"), [("facts", {FACTS}), ("places", set(PLACE_FAMILIES))])
+def test_facts_and_places_have_their_shares(name: str, families: set[str]) -> None:
+    mix = replace(PLAIN, families={"animals": 0.8, "counting": 0.2}, **{name: 0.3})
+    problems = drawn(mix, 600)
+    # Places are asked for among the panels of base families alone.
+    share = 0.3 if name == "facts" else 0.3 * 0.8
+    assert np.mean([problem.family in families for problem in problems]) == pytest.approx(share, abs=0.06)
+    assert not any(problem.target == ABSENT for problem in problems)
+    assert {problem.family for problem in problems} <= families | {"animals", "counting"}
+
+
+def test_slips_change_the_spelling_of_their_share_of_sentences_and_nothing_else() -> None:
+    mix = replace(PLAIN, families={"animals": 1.0})
+    changed = 0
+    for seed in range(60):
+        plain, slipped = (drawn(replace(mix, slips=share), 1, seed)[0] for share in (0.0, 1.0))
+        assert replace(slipped, sentence=plain.sentence, labels=plain.labels) == plain
+        changed += slipped.sentence != plain.sentence
+    assert changed > 40
+    some = [drawn(replace(mix, slips=0.3), 1, seed)[0].sentence for seed in range(150)]
+    plain = [drawn(mix, 1, seed)[0].sentence for seed in range(150)]
+    assert np.mean([one != other for one, other in zip(some, plain, strict=True)]) == pytest.approx(0.3, abs=0.12)
+
+
 def test_directives_and_unreadable_panels_have_their_shares() -> None:
     directives = drawn(replace(PLAIN, families=dict(ALONE), directives=0.2), 800)
     # Absent tasks have no gate that a directive could name.
@@ -90,7 +118,9 @@ def test_what_is_asked_for_can_be_taken_away(family: str) -> None:
 
 @pytest.mark.parametrize("family", ["counting", "comparison"])
 def test_nothing_is_taken_away_where_the_other_panels_decide(family: str) -> None:
-    assert not any(problem.target == ABSENT for problem in drawn(Mix(families={family: 1.0}, absent=1.0), 60))
+    assert not any(
+        problem.target == ABSENT for problem in drawn(replace(PLAIN, families={family: 1.0}, absent=1.0), 60)
+    )
 
 
 def test_only_the_wrong_panels_of_the_same_problem_are_left() -> None:

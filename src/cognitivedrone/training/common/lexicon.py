@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
@@ -21,7 +23,8 @@ _SEED = 10**6 + 1
 
 def training_lexicon(mix: Mix, more: tuple[str, ...] = ()) -> Lexicon:
     """The words of problems, directives and races, and of the sentences `more`."""
-    rng, problems = np.random.default_rng((0, _SEED)), Problems(mix)
+    # A typing error is no word: it is to be understood by its spelling.
+    rng, problems = np.random.default_rng((0, _SEED)), Problems(replace(mix, slips=0.0))
     sentences = [problem.sentence for _ in range(SENTENCES) for problem in problems.draw(rng)]
     plain = [write_directive(Gate(size, shape, color)) for size in SIZES for shape in SHAPES for color in COLORS]
     known = [sentence.replace(UNKNOWN_PERSON, "") for sentence in (*sentences, *plain, *INSTRUCTIONS, *more)]

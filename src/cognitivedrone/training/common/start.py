@@ -37,9 +37,12 @@ class Start:
         return _weights(self.path)
 
     def reader_facts(self) -> dict[str, Any]:
-        """Sizes of the panel reader."""
+        """Sizes of the panel reader. Raises `TrainingError` if there is none."""
         network: dict[str, Any] = self.facts["recipe"]["network"]
-        return network if self.part == "reader" else network["reader"]
+        sizes: dict[str, Any] | None = network if self.part == "reader" else network["reader"]
+        if sizes is None:
+            raise TrainingError(f"{self.path}: this policy has no panel reader; start from one that reads panels")
+        return sizes
 
     def restore(self, network: nn.Module) -> None:
         """Load all weights. Raises `TrainingError` where the network is another one."""
@@ -124,5 +127,4 @@ def _facts_of_model(path: Path, part: Part) -> dict[str, Any]:
         "step": origin["steps"],
         "origin": f"{origin['recipe']} of {origin['trained']}",
         "data": origin["data"],
-        "step": origin["steps"],
     }
