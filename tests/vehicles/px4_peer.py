@@ -1,4 +1,4 @@
-"""A vehicle that plays PX4: the rules of offboard control, modes, failsafes and parameters as its documentation has them.
+"""A vehicle that plays PX4: offboard control, modes, failsafes and parameters as its documentation has them.
 
 It flies by kinematics alone. Rules: https://docs.px4.io/main/en/flight_modes/offboard.html,
 https://docs.px4.io/main/en/config/safety.html and https://mavlink.io/en/services/parameter.html.
@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from peer import REMOTE_BIT, Part, Peer
 from pymavlink.dialects.v20 import ardupilotmega as m
+from pymavlink.generator.mavcrc import x25crc
 
 
 def custom_mode(main: int, sub: int = 0) -> int:
@@ -69,7 +70,7 @@ PX4_PARAMETERS: dict[str, float] = {
 
 
 @dataclass
-class PX4Part(Part):
+class PX4Part(Part):  # type: ignore[misc]
     autopilot: int = m.MAV_AUTOPILOT_PX4
     version: tuple[int, int] = (1, 16)
     mode: int = MODES["HOLD"]
@@ -81,7 +82,7 @@ class PX4Part(Part):
     climbs: bool = True
 
 
-class PX4Peer(Peer):
+class PX4Peer(Peer):  # type: ignore[misc]
     """`refused` is what it did not do, in words."""
 
     part: PX4Part
@@ -263,9 +264,15 @@ class PX4Peer(Peer):
     def _parameter(self, name: str) -> None:
         value = self.part.parameters[name]
         whole = isinstance(value, int)
-        as_sent = struct.unpack("<f", struct.pack("<i", value))[0] if whole else value
         kind = m.MAV_PARAM_TYPE_INT32 if whole else m.MAV_PARAM_TYPE_REAL32
-        self._mav.param_value_send(name.encode(), as_sent, kind, 1, 0)
+        message = m.MAVLink_param_value_message(name.encode(), 0.0 if whole else value, kind, 1, 0)
+        packet = bytearray(message.pack(self._mav))
+        if whole:  # a float on the way would change some of them
+            packet[10:14] = struct.pack("<i", value)
+            checksum = x25crc(packet[1:-2])
+            checksum.accumulate(bytes([message.crc_extra]))
+            packet[-2:] = struct.pack("<H", checksum.crc)
+        self.write(bytes(packet))
 
     def _set(self, message: Any) -> None:
         parameters = self.part.parameters
@@ -275,7 +282,7 @@ class PX4Peer(Peer):
         if message.param_type != (m.MAV_PARAM_TYPE_INT32 if whole else m.MAV_PARAM_TYPE_REAL32):
             self.refused.append(f"{message.param_id}: parameter type mismatch")
             return
-        parameters[message.param_id] = struct.unpack("<i" if whole else "<f", bytes(message.get_payload()[:4]))[0]
+        parameters[message.param_id] = struct.unpack("<i" if whole else "<f", bytes(message.get_msgbuf())[10:14])[0]
         self._parameter(message.param_id)
 
 

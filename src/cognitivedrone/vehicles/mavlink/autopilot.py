@@ -16,6 +16,8 @@ REAL32 = 9
 """MAV_PARAM_TYPE_REAL32."""
 _INTEGERS: Final = {1: "<Bxxx", 2: "<bxxx", 3: "<Hxx", 4: "<hxx", 5: "<I", 6: "<i"}
 """MAV_PARAM_TYPE: how four bytes hold an integer."""
+_HEADER_BYTES: Final = {0xFE: 6, 0xFD: 10}
+"""Before the payload, by the first byte of a packet: MAVLink 1 and 2."""
 _CUSTOM_MODE_ENABLED = 1
 
 
@@ -66,7 +68,9 @@ class Autopilot:
         if form is None:
             return float(message.param_value)
         # From the packet: a float on the way would change some integers, whose bytes are those of no number.
-        return float(struct.unpack(form, bytes(message.get_payload()[:4]))[0])
+        packet = bytes(message.get_msgbuf())
+        start = _HEADER_BYTES[packet[0]]
+        return float(struct.unpack(form, packet[start : start + 4])[0])
 
     def parameter_field(self, value: float, kind: int) -> float:
         """What PARAM_SET carries for a parameter of this MAV_PARAM_TYPE."""
@@ -111,7 +115,7 @@ PX4: Final = Autopilot(
     },
     guided="OFFBOARD",
     oldest=(1, 14),
-    lack="an offboard-loss action without remote control (COM_OBL_RC_ACT) and level body-frame velocities",
+    lack="COM_OBL_RC_ACT that acts without a remote control",
     timeout="COM_OF_LOSS_T",
     on_silence="COM_OBL_RC_ACT",
     reports={"SYS_STATUS": 1, "ESTIMATOR_STATUS": 230, "RC_CHANNELS": 65, "POSITION_TARGET_LOCAL_NED": 85},
