@@ -43,13 +43,14 @@ LOSS_ACTIONS = {0: "POSCTL", 1: "ALTCTL", 2: "STABILIZED", 3: "RTL", 4: "LAND", 
 LINK_LOSS_ACTIONS = {1: "HOLD", 2: "RTL", 3: "LAND"}
 """NAV_DLL_ACT."""
 NO_ARMING = {MODES["LAND"], MODES["RTL"]}
-STREAM_FIRST_S, SLOWEST_STREAM_S = 1.0, 0.5
-"""So long, and so often, velocities must come before OFFBOARD is taken up, or armed in."""
+STREAM_FIRST_S, SLOWEST_STREAM_S = 1.0, 1.0
+"""So long, and so often, velocities must come before OFFBOARD is taken up, or armed in: 0.5 s by the documentation, and
+as much again for machines that are busy."""
 LANDING_M_S = 3.0
 """Faster than any, for tests that do not wait."""
 PX4_PARAMETERS: dict[str, float] = {
     "COM_OBL_RC_ACT": 4,
-    "COM_OF_LOSS_T": 0.5,
+    "COM_OF_LOSS_T": 1.0,
     "COM_RCL_EXCEPT": 0,
     "NAV_DLL_ACT": 0,
     "GF_ACTION": 5,
@@ -77,9 +78,8 @@ class PX4Part(Part):  # type: ignore[misc]
     parameters: dict[str, float] = field(default_factory=lambda: dict(PX4_PARAMETERS))
     simulated: bool = False
     """Whether it says that it is this project's simulator."""
-    asked_heartbeats: bool = True
-    """Whether it heartbeats when it is asked to."""
-    climbs: bool = True
+    beat_s: float = 1.0
+    """Between the heartbeats that it sends unasked, which nobody can change."""
 
 
 class PX4Peer(Peer):  # type: ignore[misc]
@@ -115,7 +115,7 @@ class PX4Peer(Peer):  # type: ignore[misc]
             self.write(packet)
         remote = REMOTE_BIT if part.remote else 0
         health = (m.MAV_SYS_STATUS_PREARM_CHECK if part.prearm else 0) | remote
-        if now - self._beat >= 1.0:
+        if now - self._beat >= self.part.beat_s:
             self._heartbeat()
         messages = [
             m.MAVLink_attitude_message(boot_ms, part.tilt, 0, part.yaw, 0, 0, self._setpoint[3]),
@@ -194,9 +194,8 @@ class PX4Peer(Peer):  # type: ignore[misc]
         elif kind == "PARAM_SET":
             self._set(message)
         elif kind == "COMMAND_LONG" and message.command == m.MAV_CMD_REQUEST_MESSAGE and message.param1 == 0:
-            if self.part.asked_heartbeats:
-                self._heartbeat()
-                self._mav.command_ack_send(message.command, m.MAV_RESULT_ACCEPTED, target_system=255)
+            self._heartbeat()
+            self._mav.command_ack_send(message.command, m.MAV_RESULT_ACCEPTED, target_system=255)
         elif kind == "COMMAND_LONG" and (why := self._why_not(message)):
             self.refused.append(why)
             self._mav.command_ack_send(message.command, m.MAV_RESULT_TEMPORARILY_REJECTED, target_system=255)
