@@ -228,7 +228,7 @@ def test_integers_are_sent_as_their_bytes_and_put_back():
             checklist = drone.checklist()
             assert not checklist.bad
             assert "4, set by this program" in str(checklist)
-            assert peer.part.parameters == {**PX4_PARAMETERS, "COM_RCL_EXCEPT": 3}
+            assert peer.part.parameters == {**PX4_PARAMETERS, "COM_RCL_EXCEPT": 3, "COM_OF_LOSS_T": 0.5}
         assert peer.part.parameters == stock
         assert peer.refused == []
 
