@@ -138,6 +138,11 @@ class Peer:
         host, port = self._to
         return host, port
 
+    @property
+    def thread_id(self) -> int:
+        """Of the system, for whoever changes its priority."""
+        return self._thread.native_id or 0
+
     def of(self, kind: str) -> list[Any]:
         return [message for _, message in self.heard if message.get_type() == kind]
 

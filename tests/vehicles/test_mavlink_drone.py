@@ -293,9 +293,9 @@ def test_a_vehicle_that_cannot_be_flown(part, said):
     ("part", "said"),
     [
         ({"armed": True}, "armed already"),
-        ({"prearm": False}, "does not say that it passes its own checks"),
-        ({"ekf": 0xA7}, "does not say that it knows where it is"),
-        ({"refuse": {400: "Arm: GPS 1: Bad fix"}}, "refused arming: failed; it says: Arm: GPS 1: Bad fix"),
+        ({"prearm": False}, "does not report that it passes its own checks"),
+        ({"ekf": 0xA7}, "does not report that it knows where it is"),
+        ({"refuse": {400: "Arm: GPS 1: Bad fix"}}, "refused arming: failed; it reports: Arm: GPS 1: Bad fix"),
         (
             {"refuse": {176: "Mode change to GUIDED failed: requires position"}},
             "refused mode GUIDED.*requires position",
@@ -303,7 +303,7 @@ def test_a_vehicle_that_cannot_be_flown(part, said):
         ({"refuse": {22: "no"}}, "refused take-off"),
         ({"battery": 20}, r"not fit to fly.*\[bad \] battery"),
         ({"parameters": {**PARAMETERS, "GUID_TIMEOUT": 5.0}}, r"\[bad \] GUID_TIMEOUT +5"),
-        ({"position": [np.nan] * 3, "climbs": False}, "does not say that it knows where it is"),
+        ({"position": [np.nan] * 3, "climbs": False}, "does not report that it knows where it is"),
     ],
 )
 def test_a_vehicle_that_is_not_ready(part, said):
