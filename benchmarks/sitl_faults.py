@@ -42,10 +42,8 @@ DOWN_S = 12.0
 DISMISSED_S, WATCHED_S = 6.0, 18.0
 """After a take-over: when the guard is told to leave, and how long the vehicle is watched."""
 PILOT = """
-import os, signal, sys, time
-from contextlib import suppress
+import signal, sys, time
 from pathlib import Path
-with suppress(OSError): os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also under nohup, and in a shell's background
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.path.insert(0, {tests!r})
@@ -81,8 +79,8 @@ class Flight:
 
     vehicle: Vehicle
     pilot: subprocess.Popen[str]
-    guard: int = 0
-    """Process id."""
+    guard: int | None = None
+    """Process id, once the guard has started."""
     words: list[str] = field(default_factory=list)
     """What the pilot process has printed."""
 
@@ -92,9 +90,10 @@ class Flight:
         self.words.append(line)
         return line
 
-    def end_guard(self, number: int) -> None:
+    def signal_guard(self, number: int) -> None:
         with suppress(ProcessLookupError):
-            os.kill(self.guard, number)
+            if self.guard is not None:
+                os.kill(self.guard, number)
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,7 @@ def kill(*who: str) -> Callable[[Flight], None]:
 
     def inject(flight: Flight) -> None:
         if "guard" in who:
-            flight.end_guard(signal.SIGKILL)
+            flight.signal_guard(signal.SIGKILL)
         if "pilot" in who:
             flight.pilot.kill()
 
@@ -152,29 +151,17 @@ def tell(number: int) -> Callable[[Flight], None]:
     return lambda flight: flight.pilot.send_signal(number)
 
 
-def stop_for(who: str, seconds: float) -> Callable[[Flight], None]:
-    """Stop a process, as a machine that swaps does."""
+def stop_for(who: tuple[str, ...], seconds: float) -> Callable[[Flight], None]:
+    """Stop processes, as a machine that swaps does."""
 
     def inject(flight: Flight) -> None:
-        process = flight.guard if who == "guard" else flight.pilot.pid
-        os.kill(process, signal.SIGSTOP)
-        time.sleep(seconds)
-        with suppress(ProcessLookupError):
-            os.kill(process, signal.SIGCONT)
-
-    return inject
-
-
-def stop_both_for(seconds: float) -> Callable[[Flight], None]:
-    """Stop the whole machine, as far as the vehicle can tell."""
-
-    def inject(flight: Flight) -> None:
-        for process in (flight.guard, flight.pilot.pid):
-            os.kill(process, signal.SIGSTOP)
-        time.sleep(seconds)
-        for process in (flight.guard, flight.pilot.pid):
-            with suppress(ProcessLookupError):
-                os.kill(process, signal.SIGCONT)
+        for number in (signal.SIGSTOP, signal.SIGCONT):
+            if "guard" in who:
+                flight.signal_guard(number)
+            if "pilot" in who:
+                flight.pilot.send_signal(number)
+            if number == signal.SIGSTOP:
+                time.sleep(seconds)
 
     return inject
 
@@ -247,6 +234,7 @@ def nothing(_: Flight) -> None:
 
 
 BOTH = kill("pilot", "guard")
+WHO = ((("pilot",), "pilot process"), (("guard",), "guard"), (("pilot", "guard"), "both"))
 SIGNALS = {"SIGHUP": signal.SIGHUP, "SIGTERM": signal.SIGTERM, "SIGINT": signal.SIGINT}
 BLOCKED: dict[str, dict[str, float]] = {
     "SYSID_MYGCS 7": {"SYSID_MYGCS": 7},
@@ -281,16 +269,12 @@ CASES: dict[str, Case] = {
     ),
     **{
         f"{name} killed (-9) in the {when}": Case(kill(*who), when=when)
-        for who, name in ((("pilot",), "pilot process"), (("guard",), "guard"), (("pilot", "guard"), "both"))
+        for who, name in WHO
         for when in ("climb", "flight", "landing")
     },
     **{
-        f"{name} stopped for {seconds} s": Case(stop(seconds), within_s=seconds + DOWN_S)
-        for name, stop in (
-            ("pilot process", lambda s: stop_for("pilot", s)),
-            ("guard", lambda s: stop_for("guard", s)),
-            ("both", stop_both_for),
-        )
+        f"{name} stopped for {seconds} s": Case(stop_for(who, seconds), within_s=seconds + DOWN_S)
+        for who, name in WHO
         for seconds in (3, 10)
     },
     **{
@@ -353,7 +337,7 @@ def fly(name: str) -> Outcome:
         try:
             return _flown(name, case, flight)
         finally:
-            flight.end_guard(signal.SIGKILL)
+            flight.signal_guard(signal.SIGKILL)
             pilot.kill()
             pilot.communicate()
             vehicle.close()
@@ -381,7 +365,7 @@ def _flown(name: str, case: Case, flight: Flight) -> Outcome:
     case.inject(flight)
     if case.end == "pilot":
         time.sleep(DISMISSED_S)
-        flight.end_guard(signal.SIGTERM)
+        flight.signal_guard(signal.SIGTERM)
         _until(lambda: not observer.armed, WATCHED_S - DISMISSED_S)
     else:
         _until(lambda: not observer.armed, at + case.within_s + 20 - time.monotonic())
@@ -435,7 +419,7 @@ def _reason(flight: Flight) -> str:
     if flight.vehicle.observer.armed:
         return ""
     try:
-        words, _ = flight.pilot.communicate(timeout=5)
+        words, _ = flight.pilot.communicate(timeout=20)
     except subprocess.TimeoutExpired:
         return ""
     lines = [line.partition(" ")[2] for line in words.splitlines() if line.startswith(("over ", "landed ", "failed "))]
