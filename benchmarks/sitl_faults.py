@@ -321,8 +321,11 @@ def fly(name: str) -> Outcome:
     case = CASES[name]
     with tempfile.TemporaryDirectory(prefix="sitl-faults-") as folder:
         os.environ["XDG_STATE_HOME"] = folder
-        come_first()
-        vehicle = Vehicle(Path(folder), case.before)
+        try:
+            vehicle = Vehicle(Path(folder), case.before)
+        except CognitiveDroneError as error:
+            return Outcome(name, good=False, end=str(error))
+        come_first()  # not before: its start runs as fast as the machine can
         log = Path(folder) / "flight.tlog"
         if case.log:
             log.symlink_to(case.log)
@@ -404,6 +407,7 @@ def _judged(name: str, case: Case, flight: Flight, at: float) -> Outcome:
             if not holds
         ]
         end = " ".join(["landed" if on_ground else "NOT LANDED", "in", observer.mode, *trouble])
+        end += "" if good else f", {positions[-1, 2]:.1f} m above the ground"
     ordered = next((f"guard: {mode}" for when, mode in flight.vehicle.relay.orders if when >= at - 1), "")
     reported = next((text for when, text in observer.texts if when >= at and "ailsafe" in text), "")
     return Outcome(

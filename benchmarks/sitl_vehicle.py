@@ -194,7 +194,8 @@ class Observer:
         elif kind == "PARAM_VALUE":
             self.parameters[message.param_id] = message.param_value
         elif kind == "SYS_STATUS":
-            self._checked = bool(message.onboard_control_sensors_health & m.MAV_SYS_STATUS_PREARM_CHECK)
+            enabled, healthy = message.onboard_control_sensors_enabled, message.onboard_control_sensors_health
+            self._checked = bool((healthy | ~enabled) & m.MAV_SYS_STATUS_PREARM_CHECK)  # ARMING_CHECK may be 0
         elif kind == "EKF_STATUS_REPORT":
             self._estimating = bool(message.flags & ESTIMATING) and not message.flags & NOT_MOVING
         self.ready = self._estimating and self._checked
@@ -269,9 +270,18 @@ class Vehicle:
 
 
 def come_first() -> None:
-    """Run before others, where that is permitted: a real vehicle is on another machine."""
-    with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+    """Run all threads of this process and of its children before others, where that is permitted, and what it starts.
+
+    A real vehicle is on another machine.
+    """
+    own = Path("/proc/self/task")
+    children = [child for task in own.iterdir() for child in (task / "children").read_text().split()]
+    tasks = [
+        task for folder in (own, *(Path(f"/proc/{child}/task") for child in children)) for task in folder.iterdir()
+    ]
+    for task in tasks:
+        with suppress(OSError):
+            os.sched_setscheduler(int(task.name), os.SCHED_RR, os.sched_param(1))
 
 
 def _connected(make: Callable[[], T]) -> T:
