@@ -321,11 +321,11 @@ def fly(name: str) -> Outcome:
     case = CASES[name]
     with tempfile.TemporaryDirectory(prefix="sitl-faults-") as folder:
         os.environ["XDG_STATE_HOME"] = folder
+        come_first()
         try:
             vehicle = Vehicle(Path(folder), case.before)
         except CognitiveDroneError as error:
             return Outcome(name, good=False, end=str(error))
-        come_first()  # not before: its start runs as fast as the machine can
         log = Path(folder) / "flight.tlog"
         if case.log:
             log.symlink_to(case.log)

@@ -39,8 +39,8 @@ NAMES = {number: name for name, number in MODES.items()}
 REMOTE_PORT = 5501
 SWITCHED, AWAY = 1000, 1800
 """Channel 5: the position of the mode switch that selects FLTMODE1, and the one that the vehicle starts with."""
-BOOT_SPEED = 10.0
-"""Times real time, until its estimator is ready."""
+BOOT_SPEED = 2.0
+"""Times real time, until its estimator is ready; more would take a small machine from all others."""
 READY_S = 240.0
 SAMPLE_STEPS = 24
 """Steps of physics between two samples of the true path: 50 a second."""

@@ -173,7 +173,10 @@ def _findings(health: Health, memory: Memory, config: SafetyConfig) -> Iterator[
     if not health.armed:
         yield Decision("hands_off", "the motors were stopped")
     if health.mode not in health.ordered_modes:
-        yield Decision("hands_off", f"the mode became {health.mode}, which was not ordered here: the pilot flies")
+        reason = (
+            f"the mode became {health.mode}, which was not ordered here: the pilot or a failsafe of the vehicle flies"
+        )
+        yield Decision("hands_off", reason)
     if memory.floor.kind == "brake" and health.time >= memory.land_at:
         yield Decision("land", f"still braking because {memory.floor.reason}")
     if memory.low_battery_since is not None and health.time - memory.low_battery_since >= config.low_battery_s:
