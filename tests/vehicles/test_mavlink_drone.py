@@ -324,6 +324,16 @@ def test_parameters_are_set_with_consent_alone():
         assert peer.part.parameters == {**PARAMETERS, "FS_GCS_ENABLE": 0.0, "FENCE_ENABLE": 0.0}
 
 
+def test_a_vehicle_whose_own_checks_are_off_is_refused_for_that_or_flown_with_them_on():
+    with playing(parameters={**PARAMETERS, "ARMING_CHECK": 0.0}) as peer:
+        with connect(peer) as drone, pytest.raises(LinkError, match=r"\[bad \] ARMING_CHECK +0"):
+            drone.take_off(lambda _: True)
+        assert not peer.part.armed
+        with connect(peer, replace(FAST, set_parameters=True)) as drone:
+            drone.take_off(lambda _: True)
+            assert peer.part.parameters["ARMING_CHECK"] == 1.0
+
+
 def test_without_a_yes_nothing_is_armed():
     lists = []
     with playing() as peer, connect(peer) as drone:

@@ -192,12 +192,14 @@ def heard(before: Telemetry, message: Any, now: float) -> Telemetry:
         case "SYS_STATUS":
             present, healthy = message.onboard_control_sensors_present, message.onboard_control_sensors_health
             left = message.battery_remaining
+            # With ARMING_CHECK 0, ArduCopter has them present, not enabled and not healthy.
+            checks = present & message.onboard_control_sensors_enabled & PREARM_BIT
             return replace(
                 t,
                 status_at=now,
                 battery=left / 100 if left >= 0 else None,
                 battery_at=now if left >= 0 else t.battery_at,
-                prearm=bool(healthy & PREARM_BIT) if present & PREARM_BIT else None,
+                prearm=bool(healthy & PREARM_BIT) if checks else None,
                 receiver=t.receiver or bool(present & REMOTE_BIT),
                 remote_at=now if present & healthy & REMOTE_BIT else t.remote_at,
             )
