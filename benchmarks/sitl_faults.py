@@ -312,7 +312,11 @@ CASES: dict[str, Case] = {
     **{
         f"{name} at start, set, both killed (-9)": Case(BOTH, before={**GOOD, **values})
         for name, values in BLOCKED.items()
+        if "ARMING_CHECK" not in values
     },
+    "ARMING_CHECK 0 at start, set: its checks have not run yet": Case(
+        nothing, "refused", before={**GOOD, "ARMING_CHECK": 0}
+    ),
 }
 
 
@@ -354,7 +358,8 @@ def _flown(name: str, case: Case, flight: Flight) -> Outcome:
     flight.guard = int(line.split()[1])
     if case.end == "refused":
         line = flight.line()
-        return Outcome(name, "[bad ]" in line and not observer.armed, _bad_row(line))
+        refused = "[bad ]" in line or "refused arming" in line
+        return Outcome(name, refused and not observer.armed, _bad_row(line) if "[bad ]" in line else line)
     if case.when == "climb":
         _until(lambda: observer.armed and vehicle.height > 0.3, 60)
     else:
