@@ -142,14 +142,19 @@ def test_a_fault_of_the_vehicle_lands(fault, rules, words, within_s):
         lands(peer, drone, words, within_s)
 
 
-class StoppingCamera(StillCamera):
+class StoppingCamera:
     """A camera whose newest frame stays the same from some moment on."""
 
-    stopped_at: float | None = None
+    def __init__(self) -> None:
+        self._camera = StillCamera()
+        self.stopped_at: float | None = None
 
     def read(self) -> Shot:
-        shot = super().read()
+        shot: Shot = self._camera.read()
         return shot if self.stopped_at is None else replace(shot, age_s=time.monotonic() - self.stopped_at)
+
+    def close(self) -> None:
+        self._camera.close()
 
 
 def test_a_camera_that_stops_lands():
