@@ -1,4 +1,4 @@
-"""A MAVLink conversation with one vehicle: somebody who listens and heartbeats, and a caller that asks and waits."""
+"""A MAVLink connection to one vehicle: a loop that receives and heartbeats, and requests that wait for replies."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ HEARTBEAT_S, WATCH_S, PING_S = 1.0, 0.02, 0.2
 """Periods of our heartbeat, of the watch, and of a request that the vehicle answers at once (TIMESYNC)."""
 MOVED_S, ALONE_S = 0.5, 0.2
 """A vehicle that was silent for so long may go on from another address; before, who sends as it there is another. So
-long must that address be the only one: after a stop of our own, what has queued up says who was silent."""
+long must that address be the only one: after a stop of our own, the queued packets show which side was silent."""
 READ_AT_ONCE = 64
-"""Pieces or datagrams that are taken before the next watch."""
+"""Reads or datagrams that are processed before the next call of `watch`."""
 ACK_S, TRIES = 1.0, 3
 RESULTS = {1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed", 6: "cancelled"}
 """MAV_RESULT; 0 is accepted and 5 in progress."""
@@ -46,7 +46,7 @@ MODE_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """Who is at the other end."""
+    """The vehicle at the other end, as its heartbeat identifies it."""
 
     system: int
     component: int
@@ -57,11 +57,11 @@ class Vehicle:
 
 
 class Connection:
-    """Talks to the first vehicle that is heard, or to the one with system id `system`.
+    """Connects to the first vehicle whose heartbeat arrives, or to the one with system id `system`.
 
-    A thread listens and heartbeats, or, without `threaded`, whoever calls `step` again and again. `watch` is called
-    from there some fifty times a second, and `log` for every packet received and sent; neither may wait. Once the link
-    is cut, every method raises `LinkError`.
+    A thread receives and sends heartbeats; without `threaded`, the caller does so by calling `step` repeatedly. `watch`
+    is called from there about fifty times a second, and `log` for every packet received and sent; neither may block.
+    Once the link is cut, every method raises `LinkError`.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class Connection:
         self.vehicle: Vehicle | None = None
         self.telemetry = Telemetry()
         self.traffic = Traffic(nonce=secrets.randbelow(1000))
-        """Who else is on the link, and whether the vehicle hears us."""
+        """Other senders on the link, and whether our packets reach the vehicle."""
         self._peer: tuple[Hashable, float] = (None, -math.inf)
         """Where the vehicle last sent from, and when."""
         self._mover: tuple[Hashable, float] = (None, -math.inf)
@@ -112,7 +112,7 @@ class Connection:
             raise self._failure
 
     def close(self) -> None:
-        """Stop listening and heartbeating."""
+        """Stop receiving and sending heartbeats."""
         self._stopping.set()
         if self._thread is not None and threading.current_thread() is not self._thread:
             self._thread.join()
@@ -143,7 +143,7 @@ class Connection:
     def command(self, number: int, *parameters: float, what: str) -> None:
         """Send a COMMAND_LONG and wait until it is accepted, three times if need be.
 
-        Raises `LinkError` where it is not: with the vehicle's own words, and in ours `what` it was about.
+        Raises `LinkError` where it is not: with the vehicle's status text, and `what` names the command.
         """
         began = time.monotonic()
         with self._asking:
@@ -220,13 +220,13 @@ class Connection:
         self.send("param_set", vehicle.system, vehicle.component, name.encode(), field, kind)
 
     def told_parameter(self, name: str) -> float | None:
-        """What the vehicle last said of a parameter since it was asked for or told one."""
+        """The value that the vehicle last reported since the parameter was requested or set."""
         value: float | None = self._replies.get(("parameter", name))
         return value
 
     def _target(self) -> Vehicle:
         if self.vehicle is None:
-            raise LinkError("no vehicle has been heard on this link yet")
+            raise LinkError("no vehicle has sent a heartbeat on this link yet")
         return self.vehicle
 
     def _result(self, number: int, timeout_s: float) -> int | None:
@@ -285,7 +285,7 @@ class Connection:
         except LinkError as error:
             self.fail(error)
         except Exception as error:
-            # A thread that ends in silence would leave a drone in the air that nobody watches: the caller must hear.
+            # A thread that ends unnoticed would leave a drone in the air unsupervised: the caller gets the error.
             self.fail(LinkError(f"listening to the vehicle failed: {error!r}"))
 
     def _take(self, data: bytes, peer: Hashable) -> None:
@@ -298,7 +298,7 @@ class Connection:
                     self.traffic = replace(self.traffic, broken=self.traffic.broken + 1)
                     continue
                 self._log(bytes(message.get_msgbuf()))
-                # A message with an impossible number must not end the listening: what it did not tell grows old.
+                # A message with an impossible value must not end the loop; the values it should have set grow old.
                 with contextlib.suppress(ValueError, OverflowError):
                     self._hear(message, peer, now)
             self._news.notify_all()

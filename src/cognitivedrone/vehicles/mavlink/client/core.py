@@ -1,7 +1,7 @@
 """A flight over MAVLink: the link, its phases, and what the rules of safety decide, without a camera or a policy.
 
 The rules (`cognitivedrone.control.safety`) are asked about every command, and fifty times a second between them by
-whoever listens to the link, so that a policy that hangs does not keep a drone flying. As soon as the pilot or the
+the loop that reads the link, so that a policy that hangs does not keep a drone flying. As soon as the pilot or the
 vehicle itself takes over, nothing is sent any more but heartbeats. The guard process runs one of these alone
 (`vehicles/mavlink/guard`); `MavlinkDrone` runs one in its own process, for simulations.
 
@@ -48,7 +48,7 @@ LandingMode = Literal["LAND", "RTL"]
 class FlightCore:
     """Opens the link when it is made; `meet` waits for the vehicle.
 
-    With `threaded`, a thread listens; without, whoever made it calls `link.step` again and again, from one thread.
+    With `threaded`, a thread reads the link; without, the caller calls `link.step` repeatedly, from one thread.
     Raises `LinkError` for a link that cannot be opened, `MissingExtra` without pymavlink.
     """
 
@@ -105,7 +105,7 @@ class FlightCore:
 
     @property
     def telemetry(self) -> Telemetry:
-        """The newest of everything that the vehicle has said."""
+        """The newest values that the vehicle has reported."""
         return self.link.telemetry
 
     @property
@@ -115,7 +115,7 @@ class FlightCore:
 
     @property
     def over(self) -> str | None:
-        """Why the flight is over, in words, once it lands or is somebody else's; a mission ends then."""
+        """Why the flight is over, once it lands or has been taken over; a mission ends then."""
         if self._taken_over is not None or self.decision is None:
             return self._taken_over
         return self.decision.reason if self.decision.kind in ("land", "hands_off") else None
@@ -123,7 +123,7 @@ class FlightCore:
     # Before the flight.
 
     def checklist(self, frame_age_s: float) -> Checklist:
-        """Read what safety leans on, set what may be set, and list it all."""
+        """Read the parameters that safety depends on, correct those that may be set, and return the checklist."""
         if not self.telemetry.armed:
             self._changes.put_back(self.link)  # of a flight that could not
         config, autopilot = self.config, self.link.autopilot
@@ -155,7 +155,7 @@ class FlightCore:
 
         `frame_age` gives the age of the camera's newest frame, s. Nothing is sent while an ArduCopter climbs: a
         setpoint would end its take-off; a PX4 climbs by setpoints. Raises `LinkError` where it is armed already, not
-        ready in time, not confirmed, refuses, does not climb, is taken over, or is told to land.
+        ready in time, not confirmed, refuses, does not climb, is taken over, or is ordered to land.
         """
         if self.telemetry.armed:
             raise LinkError("the vehicle is armed already: somebody flies it; land and disarm it first")
@@ -221,7 +221,7 @@ class FlightCore:
     # The end.
 
     def land(self, reason: str, mode: LandingMode = "LAND") -> None:
-        """Order to land where it is, or to fly back first, and say it again until the motors stop.
+        """Order to land where it is, or to fly back first, and repeat the order until the motors stop.
 
         On the ground it ends what was begun; where the drone is not ours it does nothing.
         """
@@ -234,7 +234,7 @@ class FlightCore:
             if self.over is None:
                 self._landing = mode
             self._guard.land(reason)
-            self.phase = "flying"  # also from within the climb: `watch` orders it, and says it again
+            self.phase = "flying"  # also from within the climb: `watch` sends the order and repeats it
 
     def wait_for_landing(self) -> None:
         """Wait until it is not ours any more; raises `LinkError` where it has not landed in time."""
@@ -246,13 +246,13 @@ class FlightCore:
 
     def close(self) -> None:
         """Put the vehicle's parameters back, and hang up."""
-        if self._threaded:  # who listens by itself cannot wait: `watch` has put back what it could
+        if self._threaded:  # without a thread nothing can be waited for: `watch` has put back what it could
             with suppress(LinkError):
                 self._changes.put_back(self.link, flying=self.telemetry.armed)
         self.link.close()
 
     def watch(self) -> None:
-        """Ask the rules, and do as they say: some fifty times a second, from where the link is listened to."""
+        """Ask the rules, and do as they say: some fifty times a second, from the loop that reads the link."""
         with self._lock:
             if self.phase == "released":
                 # The pilot flies: what we have set on the vehicle must not act against them.
@@ -261,7 +261,7 @@ class FlightCore:
                 health = self._health()
                 self._obey(self._guard.judge(health), health)
             elif self.phase == "climbing":
-                # A policy has nothing to say yet; the pilot has.
+                # The policy has no control yet; the pilot has.
                 self._settle()
                 if self.telemetry.mode not in self._modes or (self._was_armed and not self.telemetry.armed):
                     stopped = "" if self.telemetry.armed else ", its motors stopped"
@@ -281,8 +281,8 @@ class FlightCore:
         if not self.link.until(ready, self.config.ready_timeout_s):
             lacking = "passes its own checks" if self.telemetry.estimating else "knows where it is"
             raise LinkError(
-                f"the vehicle is not ready: {self.config.ready_timeout_s:g} s have passed, and it does not say that it"
-                f" {lacking}{last_words(self.telemetry, self._opened)}"
+                f"the vehicle is not ready: {self.config.ready_timeout_s:g} s have passed, and it does not report that"
+                f" it {lacking}{last_words(self.telemetry, self._opened)}"
             )
 
     def _stream_first(self) -> None:
@@ -325,7 +325,7 @@ class FlightCore:
             )
 
     def check_wanted(self) -> None:
-        """Raise `LinkError` where it was told to land before it was in the air."""
+        """Raise `LinkError` where landing was ordered before it was in the air."""
         if self._given_up:
             raise LinkError(f"the take-off was given up: {self._given_up}")
 
@@ -333,7 +333,7 @@ class FlightCore:
         if self.phase == "released":
             raise LinkError(f"taken over during take-off: {self.over}")
         if self.phase != "climbing":
-            raise LinkError("told to land during take-off")
+            raise LinkError("landing was ordered during take-off")
 
     def _health(self) -> Health:
         self._settle()
@@ -359,7 +359,7 @@ class FlightCore:
         if decision.kind == "hands_off":
             self.phase = "released"
             if before is not None and before.kind == "land" and not self.telemetry.armed:
-                return False  # landed as it should: why it landed is what there is to tell
+                return False  # landed as ordered: the reason for the landing stays the one that is reported
         self.decision = decision
         if decision.kind in ("fly", "hands_off"):
             return decision.kind == "fly"

@@ -46,7 +46,7 @@ class MavlinkDrone:
             undo.callback(self._core.close)
             self._core.meet()
             self.vehicle, self.simulated = self._core.met.vehicle, self._core.met.simulated
-            """Who is flown, and whether it says that it is this project's simulator."""
+            """The vehicle, and whether it identifies itself as this project's simulator."""
             self._undo = undo.pop_all()
 
     def __enter__(self) -> MavlinkDrone:
@@ -62,7 +62,7 @@ class MavlinkDrone:
 
     @property
     def telemetry(self) -> Telemetry:
-        """The newest of everything that the vehicle has said."""
+        """The newest values that the vehicle has reported."""
         return self._core.telemetry
 
     @property
@@ -72,7 +72,7 @@ class MavlinkDrone:
 
     @property
     def over(self) -> str | None:
-        """Why the flight is over, in words, once it lands or is somebody else's; a mission ends then."""
+        """Why the flight is over, once it lands or has been taken over; a mission ends then."""
         return self._core.over
 
     def checklist(self) -> Checklist:

@@ -1,7 +1,7 @@
 """What is checked before a vehicle is armed: every parameter and state that the safety of a flight rests on.
 
-Each row tells what was found, what is needed and why. A row that is bad blocks arming. `expected.py` has what the
-parameters must be.
+Each row shows the value found, the value needed and the reason. A row that is bad blocks arming. What the parameters
+must be is in `expected.py`.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Checklist:
 
 
 def check_vehicle(vehicle: Vehicle, version: int | None) -> tuple[int, int] | None:
-    """The firmware's version (major, minor), none where it is not told.
+    """The firmware's version (major, minor), none where it is not reported.
 
     `version` is flight_sw_version of AUTOPILOT_VERSION. Raises `LinkError` for anything but a copter on ArduPilot or
     PX4 that is new enough.
@@ -110,12 +110,12 @@ class Facts:
     telemetry: Telemetry
     traffic: Traffic
     home: bool
-    """Whether the vehicle tells its home."""
+    """Whether the vehicle reports its home."""
     frame_age_s: float
     takeoff_height_m: float
     ceiling_m: float
     judges_time: bool = True
-    """Whether time on the wall says anything: not of a simulation that runs at another speed."""
+    """Whether the vehicle's time is compared with the wall clock: not for a simulation that runs at another speed."""
     low_battery: float = 0.3
     autopilot: Autopilot = ARDUPILOT
 
@@ -149,13 +149,13 @@ def _states(facts: Facts) -> list[Finding]:
 
     version, autopilot = facts.version, facts.autopilot
     oldest = f"{autopilot.oldest[0]}.{autopilot.oldest[1]} or later"
-    told = f"{autopilot.name} {version[0]}.{version[1]}" if version else "not told"
+    firmware = f"{autopilot.name} {version[0]}.{version[1]}" if version else "not reported"
     late, answer = t.late_s, now - facts.traffic.answered_at
     clock = f"{t.vehicle_time:.1f} s since its start, {late:.2f} s late"
     running = t.vehicle_time > 0 and (late < FRESH_S / 2 or not facts.judges_time)
     heartbeat = now - t.heartbeat_at
     rows = [
-        row("firmware", version is not None, told, oldest, autopilot.lack, "look"),
+        row("firmware", version is not None, firmware, oldest, autopilot.lack, "look"),
         row("clock", running, clock, "running, on time", "late or frozen telemetry is noticed by it"),
         row("heartbeat", heartbeat < FRESH_S, _ago(heartbeat), "10 a second", "how a pilot's change of mode is seen"),
         row("answers", answer < FRESH_S, _ago(answer), "within 1 s", "that our commands arrive"),
@@ -190,8 +190,8 @@ def _ago(seconds: float) -> str:
 def _battery(t: Telemetry, low: float) -> Finding:
     why = f"it lands below {BATTERY_LANDS:.0%}"
     if t.battery is None:
-        told = "SYS_STATUS is not reported" if t.status_at < 0 else "not told: nothing lands it when it is low"
-        return Finding("battery", "bad" if t.status_at < 0 else "look", told, f"{low:.0%} or more", why)
+        found = "SYS_STATUS is not reported" if t.status_at < 0 else "not reported: nothing lands it when it is low"
+        return Finding("battery", "bad" if t.status_at < 0 else "look", found, f"{low:.0%} or more", why)
     return Finding("battery", "ok" if t.battery >= low else "bad", f"{t.battery:.0%} left", f"{low:.0%} or more", why)
 
 
