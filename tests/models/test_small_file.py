@@ -252,7 +252,7 @@ def test_a_lexicon_that_cannot_be_trusted(tmp_path, fields, says):
 
 def test_a_description_of_an_earlier_version_is_read(tmp_path):
     table = DESCRIPTION.table()
-    table = {**table, "config": table.pop("network")}
+    table["config"] = table.pop("network")
     del table["facets"]
     told = json.dumps({"format": 2, "checksum": BLANK, "kind": "small-vla", **table})
     assert read_description(with_metadata(tmp_path / "model.onnx", told)) == DESCRIPTION

@@ -36,6 +36,7 @@ def make_small(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(lexicon, "SENTENCES", 300)
     patch.setattr(readings, "CROPS", 200)
     patch.setattr(panel_crops, "_KEPT", 64)
+    patch.setattr(panel_crops, "_UNKNOWN", 0.0)
     patch.setattr(export, "_STATISTICS_FRAMES", 100)
 
 

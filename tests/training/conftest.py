@@ -37,3 +37,13 @@ def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory, reader_checkpoin
     from cognitivedrone.training.recipes import RECIPES
 
     return saved(RECIPES["debug"].training(Given(start=reader_checkpoint)), tmp_path_factory.mktemp("policy"))
+
+
+@pytest.fixture(scope="session")
+def policy_file(tmp_path_factory: pytest.TempPathFactory, policy_checkpoint: Path) -> Path:
+    """That policy as a model file."""
+    from cognitivedrone.training.small_vla.export import export
+
+    path = tmp_path_factory.mktemp("file") / "model.onnx"
+    export(policy_checkpoint, path, scores={"open-v1:test": 0.5})
+    return path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -11,11 +12,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from cognitivedrone.models.small_vla import SLOTS, Head, Scene, SmallVLA
-from cognitivedrone.models.text import Vocabulary
+from cognitivedrone.models.finder import CELLS, SLOTS, Scene
+from cognitivedrone.models.panel_reader import ReaderConfig
+from cognitivedrone.models.sentence import WordConfig, WordEmbedding
+from cognitivedrone.models.small_vla import Head, SmallVLA
+from cognitivedrone.models.text import Lexicon
 from cognitivedrone.tasks import train_task
-from cognitivedrone.training.common.attributes import FACETS
-from cognitivedrone.training.common.sampling import Batch
+from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
+from cognitivedrone.training.common.problems import ABSENT
+from cognitivedrone.training.common.sampling import Batch, SampleSource
+from cognitivedrone.training.common.start import read_start
 from cognitivedrone.training.common.training_task import to_tensors
 from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.small_vla import losses
@@ -24,26 +30,30 @@ from cognitivedrone.training.small_vla.losses import (
     LossWeights,
     action_loss,
     action_targets,
+    text_loss,
     true_slots,
 )
 from cognitivedrone.training.small_vla.stream import RolloutStream
 
 DEBUG = RECIPES["debug"]
-VOCABULARY = Vocabulary.of(train_task(i, 0).instruction for i in range(500))
+LEXICON = Lexicon.of([train_task(i, 0).instruction for i in range(500)])
+READER = ReaderConfig(crop_size=32, panel_encoder=(8, 8, 8, 8), embedding=16)
+SCHEMA = AttributeIndex().schema
 VARIANTS = list(itertools.product(get_args(Head), (1, 3)))
-PARTS = ("heat", "place", "attributes", "panel_crops", "choice", "text", "action")
+PARTS = ("heat", "place", "looks", "choice", "text", "action")
 
-pytestmark = pytest.mark.usefixtures("one_thread")
+pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
 
 @pytest.fixture(scope="module")
-def batch() -> Batch:
+def batch(reader_checkpoint: Path) -> Batch:
     """Frames of the debug recipe, with three actions each; boards are among them."""
-    recipe = replace(DEBUG.stream, batch=12, worlds=8, chunk=3, varied=0.0)
-    rollout_stream = RolloutStream(recipe, VOCABULARY, DEBUG.network)
+    recipe = replace(DEBUG.stream, batch=12, worlds=8, chunk=3, varied=0.0, texts=24)
+    source = SampleSource(LEXICON, DEBUG.network.text_length, ATTRIBUTES, read_start(reader_checkpoint, "reader"))
+    rollout_stream = RolloutStream(recipe, source)
     try:
         for made in itertools.islice(rollout_stream((3,)), 200):
-            if made["legible"][:, SLOTS].any():
+            if made["legible"][:, SLOTS].any() and made["text_board_seen"].any() and (made["text_named"] >= 0).any():
                 return made
     finally:
         rollout_stream.close()
@@ -52,8 +62,12 @@ def batch() -> Batch:
 
 def loss_module(head: Head = "tokens", chunk: int = 1, weights: LossWeights | None = None) -> LossModule:
     torch.manual_seed(0)
-    sized = replace(DEBUG.network, vocabulary=len(VOCABULARY.words), attributes=len(FACETS), head=head, chunk=chunk)
-    return LossModule(SmallVLA(sized), weights)
+    words = WordConfig(len(LEXICON.words), LEXICON.trained)
+    network = SmallVLA(replace(DEBUG.network, words=words, reader=READER, head=head, chunk=chunk), SCHEMA)
+    assert network.reader is not None
+    network.reader.requires_grad_(requires_grad=False)
+    network.language.words.vectors.random_(-100, 100)
+    return LossModule(network, weights)
 
 
 def tensors(batch: Batch, chunk: int = 1) -> dict[str, Tensor]:
@@ -77,6 +91,9 @@ def test_the_loss_is_finite_and_teaches_every_parameter(batch: Batch, head: Head
     assert float(total.detach()) == pytest.approx(parts, rel=1e-5)
     total.backward()
     for name, parameter in taught.named_parameters():
+        if ".reader." in name:
+            assert parameter.grad is None, name
+            continue
         assert parameter.grad is not None, name
         assert parameter.grad.isfinite().all(), name
         assert parameter.grad.abs().max() > 0, name
@@ -100,7 +117,7 @@ def test_every_part_of_the_loss_falls_on_a_batch_that_is_learned_by_heart(batch:
 
 
 def test_weights_count(batch: Batch) -> None:
-    alone = LossWeights(heat=0, place=0, attributes=0, panel_crops=0, choice=0, text=3.0, action=0)
+    alone = LossWeights(heat=0, place=0, looks=0, choice=0, text=3.0, action=0)
     total, measures = loss_module(weights=alone)(tensors(batch))
     assert float(total.detach()) == pytest.approx(3 * float(measures["text"]))
 
@@ -130,9 +147,9 @@ def test_right_choices_are_counted_where_all_panels_are_clear(batch: Batch) -> N
     assert clear.any()
     truth = torch.nn.functional.one_hot(torch.from_numpy(batch["choice"]), SLOTS + 1).float() * 50
     with torch.no_grad(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(taught.network, "choose", lambda *_: truth)
+        patch.setattr(taught.network.flight, "choose", lambda *_: truth)
         right = taught(tensors(batch))[1]
-        patch.setattr(taught.network, "choose", lambda *_: truth.roll(1, dims=-1))
+        patch.setattr(taught.network.flight, "choose", lambda *_: truth.roll(1, dims=-1))
         wrong = taught(tensors(batch))[1]
     assert right["choice accuracy"] == 1
     assert right["choice"] < 1e-4 < wrong["choice"]
@@ -143,8 +160,8 @@ def test_right_choices_are_counted_where_all_panels_are_clear(batch: Batch) -> N
 
 
 def test_perfect_heat_has_the_lowest_loss(batch: Batch) -> None:
-    fixed, n = tensors(batch), 16
-    slots, board_known = true_slots(fixed, n, jitter=False)
+    fixed, n = tensors(batch), CELLS
+    slots, board_known = true_slots(fixed, jitter=False)
 
     def loss(gates: Tensor, boards: Tensor) -> float:
         scene = Scene(torch.zeros(len(gates), 1, n, n), gates, boards)
@@ -170,13 +187,13 @@ def test_perfect_heat_has_the_lowest_loss(batch: Batch) -> None:
 
 def test_slots_are_the_cells_of_the_gates(batch: Batch) -> None:
     fixed = tensors(batch)
-    exact, known = true_slots(fixed, 16, jitter=False)
+    exact, known = true_slots(fixed, jitter=False)
     for row, gate in zip(*np.nonzero(batch["in_view"]), strict=True):
         u, v = batch["gate"][row, gate] // 16
         assert int(exact.cells[row, gate]) == v * 16 + u
     assert known.tolist() == batch["legible"][:, SLOTS].tolist()
     torch.manual_seed(0)
-    shaken = torch.stack([true_slots(fixed, 16, jitter=True)[0].cells for _ in range(50)])
+    shaken = torch.stack([true_slots(fixed, jitter=True)[0].cells for _ in range(50)])
     moved = (shaken != exact.cells).float().mean()
     assert 0.05 < moved < 0.2
     assert ((shaken // 16 - exact.cells // 16).abs() <= 1).all()
@@ -189,7 +206,7 @@ def test_slots_are_the_cells_of_the_gates(batch: Batch) -> None:
 
 @pytest.mark.parametrize(("head", "chunk"), VARIANTS)
 def test_what_is_decoded_from_the_best_answer_is_the_action(head: Head, chunk: int) -> None:
-    network = loss_module(head, chunk).network
+    network = loss_module(head, chunk).network.flight
     torch.manual_seed(2)
     share = torch.rand(6, chunk, 4) * 0.9 + 0.05  # bells are cut off at the ends
     target = network.low + share * (network.high - network.low)
@@ -212,7 +229,7 @@ def test_what_is_decoded_from_the_best_answer_is_the_action(head: Head, chunk: i
 
 @pytest.mark.parametrize("head", get_args(Head))
 def test_worse_actions_cost_more_and_actions_out_of_range_are_the_nearest_in_it(head: Head) -> None:
-    network = loss_module(head).network
+    network = loss_module(head).network.flight
     bins = torch.arange(256)
     places = [0.5, 0.55, 0.7]
     raws = [
@@ -242,3 +259,73 @@ def test_actions_are_taught_toward_gates_in_view_and_toward_the_flown_one_out_of
     torch.testing.assert_close(target[:, :SLOTS], fixed["action"])
     torch.testing.assert_close(target[2, SLOTS], fixed["action"][2, 2])
     assert taught[:3].tolist() == [[True, False, True, False], [True, True, True, False], [False, False, False, True]]
+
+
+# ---- sentences
+
+
+def described(batch: Batch, **changes: np.ndarray) -> dict[str, Tensor]:
+    return tensors(
+        {
+            **{name: value for name, value in batch.items() if name.startswith("text_")},
+            **changes,
+            "action": batch["action"],
+        }
+    )
+
+
+def test_a_sentence_without_an_answer_prefers_no_gate(batch: Batch) -> None:
+    network = loss_module().network.eval()
+    count = len(batch["text_target"])
+    nothing = np.full(count, -1)
+    opened = described(batch, text_open=np.ones(count, np.bool_), text_named=nothing)
+    with torch.no_grad(), pytest.MonkeyPatch.context() as patch:
+        for matches, expected in (
+            (torch.zeros(count, 1, SLOTS), np.log(3)),
+            (torch.tensor([40.0, 0.0, 0.0]).expand(count, 1, 3), 80 / 3),
+        ):
+            patch.setattr(network.language, "match", lambda *_, m=matches: m)
+            loss, _ = text_loss(network, opened)
+            assert float(loss) == pytest.approx(expected, abs=0.01)
+
+
+def test_that_nothing_fits_is_an_answer_like_the_gates(batch: Batch) -> None:
+    network = loss_module().network.eval()
+    count = len(batch["text_target"])
+    fixed = described(
+        batch,
+        text_target=np.full(count, ABSENT),
+        text_named=np.full(count, -1),
+        text_open=np.zeros(count, np.bool_),
+    )
+    query = torch.zeros(count, network.config.embedding)
+    with torch.no_grad(), pytest.MonkeyPatch.context() as patch:
+        for absent, right in ((9.0, True), (-9.0, False)):
+            patch.setattr(network.language, "forward", lambda *_, a=absent: (query, torch.full((count,), a)))
+            loss, found = text_loss(network, fixed)
+            assert found.tolist() == [right] * count
+            assert (float(loss) < 0.01) == right
+
+
+def test_naming_a_concept_among_all_counts_beside_choosing(batch: Batch) -> None:
+    network = loss_module().network.eval()
+    named = batch["text_named"]
+    with torch.no_grad():
+        whole, _ = text_loss(network, described(batch))
+        choosing, _ = text_loss(network, described(batch, text_named=np.full_like(named, -1)))
+    assert float(whole - choosing) == pytest.approx(0.4 * np.log(len(ATTRIBUTES)), rel=0.5)
+
+
+def test_sentences_are_learned_through_vectors_and_spelling_alone(
+    batch: Batch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With every word's own embedding hidden, nothing is learned of it, but of its spelling and vector."""
+    monkeypatch.setattr(WordEmbedding, "hidden", 1.0)
+    taught = loss_module().train()
+    loss, _ = text_loss(taught.network, described(batch))
+    loss.backward()
+    words = taught.network.language.words
+    assert words.own.weight.grad is not None
+    assert not words.own.weight.grad[2:].any()
+    assert words.groups.weight.grad.any()
+    assert words.meaning.weight.grad.any()

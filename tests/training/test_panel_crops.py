@@ -10,15 +10,22 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import BASE_FAMILIES
-from cognitivedrone.training.common.attributes import FACETS, PANEL_GROUPS, panel_attributes
+from cognitivedrone.training.common import panel_crops as module
+from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.training.common.panel_crops import SHARES, PanelCrops, panel_image_of
+
+INDEX = AttributeIndex()
+CONCEPT = INDEX.column("concept")
+KIND = INDEX.column("kind")
 
 SIZE = 48
 
 
-@pytest.fixture(scope="module")
-def panel_crops() -> PanelCrops:
-    return PanelCrops(load_pack("open-v1"), SIZE)
+@pytest.fixture
+def panel_crops(monkeypatch: pytest.MonkeyPatch) -> PanelCrops:
+    """Of the shipped drawings alone."""
+    monkeypatch.setattr(module, "_UNKNOWN", 0.0)
+    return PanelCrops(SIZE, INDEX.of)
 
 
 def picture(label: str) -> PillowImage.Image:
@@ -26,7 +33,7 @@ def picture(label: str) -> PillowImage.Image:
 
 
 def test_all_families_have_a_share() -> None:
-    assert SHARES.keys() == set(BASE_FAMILIES)
+    assert SHARES.keys() == {*BASE_FAMILIES, "counting", "comparison"}
     assert sum(SHARES.values()) == pytest.approx(1)
 
 
@@ -47,7 +54,6 @@ def test_a_glimpse_shows_its_picture_and_none_is_like_another() -> None:
 
 def test_a_crop_looks_like_the_label_that_its_attributes_name(panel_crops: PanelCrops) -> None:
     """The nearest of a few pictures is the one that is named, for most crops."""
-    panel_crops.forget()
     rng = np.random.default_rng(1)
     labels = {name: picture(f"letter/{name}@inter") for name in "OILXW"}
     ink = {name: 255 - np.asarray(image.convert("L").resize((32, 32)), float) for name, image in labels.items()}
@@ -55,8 +61,9 @@ def test_a_crop_looks_like_the_label_that_its_attributes_name(panel_crops: Panel
     while total < 40:
         images, attributes = panel_crops.draw(rng, 64)
         for image, row in zip(images, attributes, strict=True):
-            concept = FACETS[row[0]].rpartition(":")[2] if row[0] >= 0 else ""
-            if row[0] < 0 or "letter:" not in FACETS[row[0]] or concept not in ink:
+            name = ATTRIBUTES[row[CONCEPT]] if row[CONCEPT] >= 0 else ""
+            concept = name.rpartition(":")[2]
+            if "letter:" not in name or concept not in ink:
                 continue
             seen = np.asarray(PillowImage.fromarray(image).convert("L").crop((5, 5, 43, 43)).resize((32, 32)), float)
             seen = seen.max() - seen
@@ -67,31 +74,35 @@ def test_a_crop_looks_like_the_label_that_its_attributes_name(panel_crops: Panel
 
 
 def test_everything_there_is_to_read_comes_up(panel_crops: PanelCrops) -> None:
-    panel_crops.forget()
     rng = np.random.default_rng(2)
     counts: Counter[str] = Counter()
     for _ in range(20):
         images, attributes = panel_crops.draw(rng, 50)
         assert images.shape == (50, SIZE, SIZE, 3)
         assert images.dtype == np.uint8
-        for row in attributes:
-            board = (row[len(PANEL_GROUPS) :] >= 0).all()
-            assert board != (row[: len(PANEL_GROUPS)] >= 0).any()
-            person = row[0] < 0 and not board
-            counts["board" if board else "person" if person else FACETS[row[0]].split("/")[1].split(":")[0]] += 1
-    assert counts.keys() == {"board", "person", "thing", "letter", "number", "logo"}
+        counts.update(ATTRIBUTES[row[KIND]].partition("/")[2] for row in attributes)
+    assert counts.keys() == {"sum", "several", "person", "thing", "letter", "number", "logo"}
     assert min(counts.values()) > 20
 
 
-def test_the_same_seed_draws_the_same_crops(panel_crops: PanelCrops) -> None:
+def test_the_same_seed_draws_the_same_crops(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_UNKNOWN", 0.0)
     drawn = []
     for seed in (3, 4, 3):
-        panel_crops.forget()
-        rng = np.random.default_rng(seed)
-        drawn.append([part.tobytes() for _ in range(2) for part in panel_crops.draw(rng, 16)])
+        rng, made = np.random.default_rng(seed), PanelCrops(SIZE, INDEX.of)
+        drawn.append([part.tobytes() for _ in range(2) for part in made.draw(rng, 16)])
     assert drawn[0] == drawn[2]
     assert drawn[0] != drawn[1]
 
 
 def test_attributes_are_those_of_the_label() -> None:
-    assert FACETS[panel_attributes("letter/W@inter")[0]].endswith("letter:W")
+    labels = iter(["letter/W@inter", "sum/3+4@inter"] * 100)
+    _, attributes = PanelCrops(SIZE, INDEX.of, lambda _: next(labels)).draw(np.random.default_rng(0), 20)
+    assert {tuple(row) for row in attributes} == {
+        tuple(INDEX.of(label)) for label in ("letter/W@inter", "sum/3+4@inter")
+    }
+
+
+def test_crops_are_of_the_size_that_is_asked_for() -> None:
+    images, _ = PanelCrops(20, INDEX.of, lambda _: "letter/W@inter").draw(np.random.default_rng(0), 3)
+    assert images.shape == (3, 20, 20, 3)

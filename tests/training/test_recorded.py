@@ -8,20 +8,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from quick_trainings import train_here
 
 from cognitivedrone.collect.collector import CollectPlan, collect
 from cognitivedrone.collect.recipe import RECIPES as COLLECTED
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.text import Vocabulary
-from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint
-from cognitivedrone.training.common.trainer import TrainConfig, train
+from cognitivedrone.models.text import Lexicon
+from cognitivedrone.training.common.attributes import ATTRIBUTES
+from cognitivedrone.training.common.checkpoint import read_checkpoint
+from cognitivedrone.training.common.sampling import SampleSource
+from cognitivedrone.training.common.training_task import Given
 from cognitivedrone.training.recipes import RECIPES
-from cognitivedrone.training.small_vla import policy
 from cognitivedrone.training.small_vla.recorded import Recorded
 
 STREAM = replace(RECIPES["debug"].stream, chunk=3, batch=16)
-NETWORK = RECIPES["debug"].network
+SOURCE = SampleSource(Lexicon.of(["Fly through the red gate"]), 40, ATTRIBUTES)
+
+pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +37,7 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def recorded(flights: Path) -> Recorded:
-    return Recorded(flights, STREAM, Vocabulary.of(["Fly through the red gate"]), NETWORK)
+    return Recorded(flights, STREAM, SOURCE)
 
 
 def test_frames_states_and_actions_are_those_of_the_record(flights: Path, recorded: Recorded) -> None:
@@ -68,26 +72,27 @@ def test_an_epoch_shows_every_training_step_once(flights: Path, recorded: Record
 
 def test_splits_do_not_mix(flights: Path) -> None:
     store = Store(flights)
-    validation = Recorded(flights, STREAM, Vocabulary.of(["gate"]), NETWORK, split="val")
+    validation = Recorded(flights, STREAM, SOURCE, split="val")
     seen = {image.tobytes() for image in next(validation.batches((0,)))["image"]}
     assert seen <= {image.tobytes() for image in store.steps(store.step_numbers("val"))["image"]}
     assert not seen & {image.tobytes() for image in store.steps(store.step_numbers("train"))["image"]}
 
 
 def test_a_training_from_a_data_set_says_so_and_does_not_go_on_with_another(
-    flights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    flights: Path, tmp_path: Path, reader_checkpoint: Path
 ) -> None:
-    monkeypatch.setattr(policy, "_SENTENCES", 300)
     recipe = replace(RECIPES["debug"], steps=2, fly_every=2, fly_tasks=1)
-    train(TrainConfig(tmp_path / "run", recipe.training(data=flights)), lambda _: None)
-    tensors, facts = read_checkpoint(tmp_path / "run" / CHECKPOINT)
-    assert facts["data"] == f"store {Store(flights).content_hash()}"
+    path = train_here(tmp_path / "run", recipe.training(Given(start=reader_checkpoint, data=flights)))
+    tensors, facts = read_checkpoint(path)
+    assert facts["data"] == f"from reader, step 6, seed 0, store {Store(flights).content_hash()}"
     assert all(value.isfinite().all() for value in tensors.values())
     with pytest.raises(TrainingError, match="another recipe, seed or data"):
-        train(TrainConfig(tmp_path / "run", recipe.training(), resume=True))
+        train_here(tmp_path / "run", recipe.training(Given(start=reader_checkpoint)), resume=True)
 
 
-def test_a_learners_relabelled_flights_are_a_data_set_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_learners_relabelled_flights_are_a_data_set_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reader_checkpoint: Path
+) -> None:
     recipe = replace(COLLECTED["debug"], kicks_per_s=0.0, time_limit_s=1.0)
     monkeypatch.setitem(COLLECTED, "debug", recipe)
     folder = tmp_path / "dagger"
@@ -95,9 +100,8 @@ def test_a_learners_relabelled_flights_are_a_data_set_too(tmp_path: Path, monkey
         out=folder, recipe="debug", episodes=4, workers=1, episodes_per_shard=2, policy="hover", beta=0.2
     )
     collect(config, progress=False)
-    monkeypatch.setattr(policy, "_SENTENCES", 300)
     short = replace(RECIPES["debug"], steps=2, fly_every=2, fly_tasks=1)
-    train(TrainConfig(tmp_path / "run", short.training(data=folder)), lambda _: None)
-    tensors, facts = read_checkpoint(tmp_path / "run" / CHECKPOINT)
-    assert facts["data"] == f"store {Store(folder).content_hash()}"
+    path = train_here(tmp_path / "run", short.training(Given(start=reader_checkpoint, data=folder)))
+    tensors, facts = read_checkpoint(path)
+    assert facts["data"].endswith(f"store {Store(folder).content_hash()}")
     assert all(value.isfinite().all() for value in tensors.values())

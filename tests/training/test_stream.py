@@ -7,47 +7,54 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cognitivedrone.models.text import Vocabulary, words_of
+from cognitivedrone.models.text import TOKEN, Lexicon, words_of
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.racing import INSTRUCTIONS
 from cognitivedrone.training.common import sampling
-from cognitivedrone.training.common.attributes import (
-    BOARD_GROUPS,
-    FACETS,
-    GROUPS,
-    PANEL_GROUPS,
-    gate_attributes,
-    panel_attributes,
-)
+from cognitivedrone.training.common.attributes import ATTRIBUTES, gate_looks
 from cognitivedrone.training.common.questions import Question, ask
-from cognitivedrone.training.common.sampling import NONE_IN_VIEW, Batch, StreamRecipe
+from cognitivedrone.training.common.sampling import NONE_IN_VIEW, Batch, SampleSource, StreamRecipe, token_noise
+from cognitivedrone.training.common.start import Start, read_start
 from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.small_vla import stream
-from cognitivedrone.training.small_vla.policy import training_vocabulary
 from cognitivedrone.training.small_vla.stream import RolloutStream
-from cognitivedrone.types import Gate, Task
+from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task
 
-RECIPE = RECIPES["debug"].stream
-NETWORK = RECIPES["debug"].network
-LENGTH = NETWORK.text_length
+RECIPE = replace(RECIPES["debug"].stream, texts=0)
+"""Without described scenes, which need a reader."""
+LENGTH = RECIPES["debug"].network.text_length
+LOOKS = (*COLORS, *SHAPES, *SIZES)
+
+pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
 
 @pytest.fixture(scope="module")
-def vocabulary() -> Vocabulary:
+def lexicon() -> Lexicon:
     plain = ["Fly to the big red round gate", "Go to the small green square gate", "Take the blue triangle gate"]
-    return Vocabulary.of([*plain, *INSTRUCTIONS, *(train_task(i, 0).instruction for i in range(1500))])
+    return Lexicon.of([*plain, *INSTRUCTIONS, *(train_task(i, 0).instruction for i in range(1500))])
+
+
+@pytest.fixture(scope="module")
+def start(reader_checkpoint: Path) -> Start:
+    return read_start(reader_checkpoint, "reader")
 
 
 def batches(
-    recipe: StreamRecipe, vocabulary: Vocabulary, count: int, seed: tuple[int, ...] = (1, 2), learner: object = None
+    recipe: StreamRecipe,
+    lexicon: Lexicon,
+    count: int,
+    seed: tuple[int, ...] = (1, 2),
+    learner: object = None,
+    start: Start | None = None,
 ) -> list[dict[str, Any]]:
-    rollout_stream = RolloutStream(recipe, vocabulary, NETWORK)
+    rollout_stream = RolloutStream(recipe, SampleSource(lexicon, LENGTH, ATTRIBUTES, start))
     try:
         return list(itertools.islice(rollout_stream(seed, learner), count))  # type: ignore[arg-type]
     finally:
@@ -57,8 +64,8 @@ def batches(
 class Notebook:
     """Writes down every question and task that a stream is made from: which gate is right, by sentence and scene."""
 
-    def __init__(self, vocabulary: Vocabulary) -> None:
-        self._vocabulary = vocabulary
+    def __init__(self, lexicon: Lexicon) -> None:
+        self._lexicon = lexicon
         self.targets: dict[bytes, set[int]] = defaultdict(set)
 
     def train_task(self, index: int, seed: int) -> Task:
@@ -74,9 +81,9 @@ class Notebook:
         return question
 
     def _write(self, text: str, labels: tuple[str, ...], gates: tuple[Gate, ...], target: int) -> None:
-        tokens = self._vocabulary.encode(text, LENGTH)
-        panels = np.stack([panel_attributes(label) for label in labels])
-        self.targets[self.key(tokens, panels, np.stack([gate_attributes(gate) for gate in gates]))].add(target)
+        del labels
+        tokens = self._lexicon.encode(text, LENGTH)
+        self.targets[self.key(tokens, np.stack([gate_looks(gate) for gate in gates]))].add(target)
 
     @staticmethod
     def key(*arrays: NDArray[np.generic]) -> bytes:
@@ -84,33 +91,33 @@ class Notebook:
 
 
 @pytest.fixture(scope="module")
-def notebook(vocabulary: Vocabulary) -> Notebook:
-    return Notebook(vocabulary)
+def notebook(lexicon: Lexicon) -> Notebook:
+    return Notebook(lexicon)
 
 
 @pytest.fixture(scope="module")
-def made(vocabulary: Vocabulary, notebook: Notebook) -> list[dict[str, Any]]:
+def made(lexicon: Lexicon, notebook: Notebook) -> list[dict[str, Any]]:
     """Enough frames that everything occurs."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sampling, "ask", notebook.ask)
         patch.setattr(sampling, "train_task", notebook.train_task)
         patch.setattr(stream, "train_task", notebook.train_task)
-        return batches(replace(RECIPE, batch=32, sentences=4, texts=64, worlds=16), vocabulary, 6)
+        return batches(replace(RECIPE, batch=32, sentences=4, worlds=16), lexicon, 6)
 
 
-def sentences(batch: Batch, vocabulary: Vocabulary) -> Iterator[tuple[int, int, str]]:
+def sentences(batch: Batch, lexicon: Lexicon) -> Iterator[tuple[int, int, str]]:
     """Row, column and words of every sentence about a frame."""
     for row, column in np.ndindex(batch["asked"].shape):
-        yield row, column, read(batch["tokens"][row, column], vocabulary)
+        yield row, column, read(batch["tokens"][row, column], lexicon)
 
 
-def read(tokens: NDArray[np.generic], vocabulary: Vocabulary) -> str:
-    return " ".join(vocabulary.words[int(token)] for token in tokens if token)
+def read(tokens: NDArray[np.generic], lexicon: Lexicon) -> str:
+    return " ".join(lexicon.words[int(token[0])] for token in tokens if token[0])
 
 
-def test_a_batch_has_its_layout(vocabulary: Vocabulary) -> None:
-    b, k, t = RECIPE.batch, RECIPE.sentences, RECIPE.texts
-    (batch,) = batches(replace(RECIPE, chunk=3), vocabulary, 1)
+def test_a_batch_has_its_layout(lexicon: Lexicon, start: Start) -> None:
+    b, k, t, f = RECIPE.batch, RECIPE.sentences, 6, len(ATTRIBUTES)
+    (batch,) = batches(replace(RECIPE, chunk=3, texts=t), lexicon, 1, start=start)
     expected = {
         "image": (np.uint8, (b, 256, 256, 3)),
         "state": (np.float32, (b, 5)),
@@ -122,35 +129,39 @@ def test_a_batch_has_its_layout(vocabulary: Vocabulary) -> None:
         "action": (np.float32, (b, 3, 3, 4)),
         "valid": (np.bool_, (b, 3)),
         "ahead": (np.bool_, (b, 3)),
-        "panel_facets": (np.int64, (b, 3, len(PANEL_GROUPS))),
-        "gate_facets": (np.int64, (b, 3, 3)),
-        "board_facets": (np.int64, (b, 3)),
+        "looks": (np.int64, (b, 3, 3)),
         "flown": (np.int64, (b,)),
-        "tokens": (np.int64, (b, k, LENGTH)),
+        "tokens": (np.int64, (b, k, LENGTH, TOKEN)),
         "asked": (np.int64, (b, k)),
         "choice": (np.int64, (b, k)),
-        "text_tokens": (np.int64, (t, LENGTH)),
-        "text_panels": (np.int64, (t, 3, len(PANEL_GROUPS))),
-        "text_gates": (np.int64, (t, 3, 3)),
-        "text_board": (np.int64, (t, 3)),
-        "text_asked": (np.int64, (t,)),
+        "text_tokens": (np.int64, (t, LENGTH, TOKEN)),
+        "text_panels": (np.float32, (t, 3, f)),
+        "text_board": (np.float32, (t, f)),
+        "text_looks": (np.int64, (t, 3, 3)),
+        "text_board_seen": (np.float32, (t,)),
+        "text_target": (np.int64, (t,)),
+        "text_open": (np.bool_, (t,)),
         "text_named": (np.int64, (t,)),
-        "card_image": (np.uint8, (RECIPE.panel_crops, NETWORK.crop_size, NETWORK.crop_size, 3)),
-        "card_facets": (np.int64, (RECIPE.panel_crops, len(PANEL_GROUPS) + len(BOARD_GROUPS))),
     }
     assert {name: (values.dtype, values.shape) for name, values in batch.items()} == expected
     assert all(np.isfinite(values).all() for values in batch.values())
     assert batch["image"].std() > 10
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_does_not(vocabulary: Vocabulary) -> None:
-    rollout_stream = RolloutStream(RECIPE, vocabulary, NETWORK)
+def test_without_a_reader_there_are_no_described_scenes(lexicon: Lexicon) -> None:
+    (batch,) = batches(replace(RECIPE, texts=6), lexicon, 1)
+    assert not [name for name in batch if name.startswith("text_")]
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_does_not(lexicon: Lexicon, start: Start) -> None:
+    recipe = replace(RECIPE, texts=6)
+    rollout_stream = RolloutStream(recipe, SampleSource(lexicon, LENGTH, ATTRIBUTES, start))
     try:
         first, other, again = (list(itertools.islice(rollout_stream((seed,)), 3)) for seed in (5, 6, 5))
     finally:
         rollout_stream.close()
-    # Neither a used rehearsal nor a new one makes a difference.
-    for repeated in (again, batches(RECIPE, vocabulary, 3, (5,))):
+    # Neither a used stream nor a new one makes a difference.
+    for repeated in (again, batches(recipe, lexicon, 3, (5,), start=start)):
         for one, two in zip(first, repeated, strict=True):
             assert {name: values.tobytes() for name, values in one.items()} == {
                 name: values.tobytes() for name, values in two.items()
@@ -188,19 +199,15 @@ def test_what_is_flown_does_not_tell_what_is_asked(made: list[dict[str, Any]]) -
 # ---- sentences are true
 
 
-def attribute(index: int) -> str | None:
-    return None if index < 0 else FACETS[index].split("/", 1)[1]
-
-
-def test_directives_describe_the_gate_that_is_asked_for(made: list[dict[str, Any]], vocabulary: Vocabulary) -> None:
+def test_directives_describe_the_gate_that_is_asked_for(made: list[dict[str, Any]], lexicon: Lexicon) -> None:
     count = 0
     for batch in made:
-        for row, column, text in sentences(batch, vocabulary):
+        for row, column, text in sentences(batch, lexicon):
             look = directive(text)
             if look is None:
                 continue
             count += 1
-            gates = [{attribute(index) for index in gate} for gate in batch["gate_facets"][row]]
+            gates = [{LOOKS[index] for index in gate} for gate in batch["looks"][row]]
             fits = [look <= gate for gate in gates]
             assert fits == [gate == batch["asked"][row, column] for gate in range(3)], text
     assert count > 50
@@ -213,67 +220,27 @@ def directive(text: str) -> set[str] | None:
 
 
 def test_the_gate_asked_for_is_the_right_answer(
-    made: list[dict[str, Any]], notebook: Notebook, vocabulary: Vocabulary
+    made: list[dict[str, Any]], notebook: Notebook, lexicon: Lexicon
 ) -> None:
     """What a question is the right answer to is checked where questions are tested; here, that nothing is mixed up."""
     count = 0
     for batch in made:
-        for row, column, text in sentences(batch, vocabulary):
-            key = notebook.key(batch["tokens"][row, column], batch["panel_facets"][row], batch["gate_facets"][row])
-            # A board can make the same sentence about the same panels right for another gate, in another flight.
-            if "board" not in text:
-                assert notebook.targets[key] == {batch["asked"][row, column]}, text
-                count += 1
-        for row, tokens in enumerate(batch["text_tokens"]):
-            key = notebook.key(tokens, batch["text_panels"][row], batch["text_gates"][row])
-            assert batch["text_asked"][row] in notebook.targets[key], read(tokens, vocabulary)
+        for row, column, text in sentences(batch, lexicon):
+            key = notebook.key(batch["tokens"][row, column], batch["looks"][row])
+            # The same sentence can be right for another gate that looks the same, in another flight.
+            assert batch["asked"][row, column] in notebook.targets[key], text
+            count += len(notebook.targets[key]) == 1
     assert count > 500
 
 
-def test_sentences_without_a_frame_are_training_tasks(made: list[dict[str, Any]], vocabulary: Vocabulary) -> None:
-    sums = named = 0
-    for batch in made:
-        for row, text in enumerate(read(tokens, vocabulary) for tokens in batch["text_tokens"]):
-            assert text
-            asked = batch["text_asked"][row]
-            board = [attribute(index) for index in batch["text_board"][row]]
-            if board[0] is not None:
-                first, sign, second = board
-                answer = {"+": int.__add__, "-": int.__sub__, "*": int.__mul__}[str(sign)](int(first), int(second))
-                assert attribute(batch["text_panels"][row, asked, 0]) == f"number:{answer}"
-                sums += 1
-            look = directive(text)
-            if look is not None:
-                assert look <= {attribute(index) for index in batch["text_gates"][row, asked]}
-                assert batch["text_named"][row] == -1
-            if batch["text_named"][row] >= 0:
-                assert batch["text_named"][row] == batch["text_panels"][row, asked, 0]
-                named += 1
-            else:
-                assert board[0] is None or look is not None
-    assert sums > 10
-    assert named > sums
-
-
-def test_attributes_are_in_the_columns_of_their_groups(made: list[dict[str, Any]]) -> None:
-    for batch in made:
-        for column, group in enumerate(PANEL_GROUPS):
-            for name in ("panel_facets", "text_panels"):
-                values = batch[name][..., column]
-                span = GROUPS[group]
-                assert ((values == -1) | ((values >= span.start) & (values < span.stop))).all()
-
-
-def test_without_directives_nobody_is_told_what_a_gate_looks_like(vocabulary: Vocabulary) -> None:
-    plain = replace(RECIPE, batch=32, sentences=6, texts=64, worlds=16, directives=False)
+def test_without_directives_nobody_is_told_what_a_gate_looks_like(lexicon: Lexicon) -> None:
+    plain = replace(RECIPE, batch=32, sentences=6, worlds=16, directives=False)
     count = 0
-    for batch in batches(plain, vocabulary, 6):
-        for text in [text for *_, text in sentences(batch, vocabulary)] + [
-            read(tokens, vocabulary) for tokens in batch["text_tokens"]
-        ]:
+    for batch in batches(plain, lexicon, 6):
+        for *_, text in sentences(batch, lexicon):
             assert directive(text) is None, text
             count += 1
-    assert count == 6 * (32 * 6 + 64)
+    assert count == 6 * 32 * 6
 
 
 # ---- who flies
@@ -290,10 +257,10 @@ class Recorder:
         return np.tile((0.0, 0.0, 0.3, 0.0), (len(images), 1))
 
 
-def test_the_learner_flies_its_share_of_worlds(vocabulary: Vocabulary) -> None:
+def test_the_learner_flies_its_share_of_worlds(lexicon: Lexicon) -> None:
     learner = Recorder()
     calm = replace(RECIPE, learner=0.5, rolling=0.0, off_track=0.0, wind_m_s=0.0)
-    batches(calm, vocabulary, 8, learner=learner)
+    batches(calm, lexicon, 8, learner=learner)
     assert len(learner.calls) > 8
     for images, states, texts in learner.calls:
         assert images.shape == (2, 256, 256, 3)
@@ -306,58 +273,71 @@ def test_the_learner_flies_its_share_of_worlds(vocabulary: Vocabulary) -> None:
     assert (height[10] > height[0] + 0.1).all()
 
 
-def test_before_there_is_a_learner_the_expert_flies_all_worlds(vocabulary: Vocabulary) -> None:
+def test_before_there_is_a_learner_the_expert_flies_all_worlds(lexicon: Lexicon) -> None:
     learner = Recorder()
-    batches(replace(RECIPE, learner=0.0), vocabulary, 1, learner=learner)
+    batches(replace(RECIPE, learner=0.0), lexicon, 1, learner=learner)
     assert not learner.calls
-    made = batches(replace(RECIPE, learner=1.0, rolling=0.0, off_track=0.0), vocabulary, 12)
+    made = batches(replace(RECIPE, learner=1.0, rolling=0.0, off_track=0.0), lexicon, 12)
     assert max(batch["state"][:, 0].max() for batch in made) > 0.8
 
 
 # ---- racing
 
 
-def test_a_race_shows_one_gate_and_asks_for_it(vocabulary: Vocabulary) -> None:
-    for batch in batches(replace(RECIPE, suite="race", batch=8), vocabulary, 4):
+def test_a_race_shows_one_gate_and_asks_for_it(lexicon: Lexicon) -> None:
+    for batch in batches(replace(RECIPE, suite="race", batch=8), lexicon, 4):
         assert (batch["in_view"].sum(axis=1) <= 1).all()
         assert not batch["legible"][:, :3].any()
         np.testing.assert_array_equal(batch["asked"], np.repeat(batch["flown"][:, None], RECIPE.sentences, axis=1))
         told = {" ".join(words_of(text)) for text in INSTRUCTIONS}
-        assert {text for *_, text in sentences(batch, vocabulary)} <= told
+        assert {text for *_, text in sentences(batch, lexicon)} <= told
 
 
-def test_a_racer_in_a_crowded_room_is_to_take_the_gate_straight_ahead(vocabulary: Vocabulary) -> None:
+def test_a_racer_in_a_crowded_room_is_to_take_the_gate_straight_ahead(lexicon: Lexicon) -> None:
     recipe = replace(RECIPE, suite="race", crowded=1.0, batch=8)
     chosen = set()
-    for batch in batches(recipe, vocabulary, 6):
+    for batch in batches(recipe, lexicon, 6):
         several = batch["in_view"].sum(axis=1) > 1
         there = batch["in_view"] & batch["valid"]
         aside = np.where(there, np.abs(batch["gate"][..., 0] - 128), np.inf)
         right = np.where(there.any(axis=1), aside.argmin(axis=1), batch["flown"])
         assert several.any()
         np.testing.assert_array_equal(batch["asked"], np.repeat(right[:, None], recipe.sentences, axis=1))
-        assert {text for *_, text in sentences(batch, vocabulary)} <= {" ".join(words_of(t)) for t in INSTRUCTIONS}
+        assert {text for *_, text in sentences(batch, lexicon)} <= {" ".join(words_of(t)) for t in INSTRUCTIONS}
         chosen |= set(right.tolist())
     assert chosen == {0, 1, 2}
 
 
-def test_token_noise_adds_unknown_words(vocabulary: Vocabulary) -> None:
-    plain, token_noise = (batches(replace(RECIPE, token_noise=share), vocabulary, 2) for share in (0.0, 1.0))
-    for name in ("tokens", "text_tokens"):
-        unknown = [
-            np.mean([(batch[name] == 1).sum() / (batch[name] > 0).sum() for batch in made])
-            for made in (plain, token_noise)
-        ]
-        assert unknown[0] < 0.03
-        assert 0.15 < unknown[1] < 0.4
+def test_token_noise_adds_unknown_words(lexicon: Lexicon) -> None:
+    plain, noisy = (batches(replace(RECIPE, token_noise=share), lexicon, 2) for share in (0.0, 1.0))
+    unknown = [
+        np.mean([(batch["tokens"][..., 0] == 1).sum() / (batch["tokens"][..., 0] > 0).sum() for batch in made])
+        for made in (plain, noisy)
+    ]
+    assert unknown[0] < 0.03
+    assert 0.15 < unknown[1] < 0.4
 
 
-def test_spoken_sentences_say_what_the_training_tasks_do_not() -> None:
-    known = training_vocabulary()
-    wider = training_vocabulary(spoken=True)
-    assert set(known.words) < set(wider.words)
+def test_token_noise_keeps_most_words_in_their_order() -> None:
+    rng, length = np.random.default_rng(4), 48
+    tokens = np.zeros((length, TOKEN), np.int64)
+    tokens[:20] = np.arange(10, 30)[:, None]
+    noisy = np.stack([token_noise(rng, tokens) for _ in range(300)])
+    assert noisy.shape == (300, length, TOKEN)
+    for row in noisy:
+        words = row[row[:, 0] > 1]
+        assert (np.diff(words[:, 0]) > 0).all()
+        assert (words == words[:, :1]).all()  # a word keeps its spelling
+        lost = row[row[:, 0] == 1]
+        assert not lost[:, 1:].any()  # and one that is lost has none
+        assert not row[np.count_nonzero(row[:, 0]) :].any()
+    assert 0.7 < np.mean((noisy[..., 0] > 1).sum(1)) / 20 < 0.82
+    assert 0.2 < np.mean((noisy[..., 0] == 1).sum(1)) / 20 < 0.34
+    whole = np.ones((length, TOKEN), np.int64) * 2
+    assert all(token_noise(rng, whole).shape == whole.shape for _ in range(20))
+
+
+def test_spoken_sentences_say_what_the_training_tasks_do_not(lexicon: Lexicon) -> None:
     for share in (0.0, 1.0):
-        for batch in batches(replace(RECIPE, texts=64, spoken=share), wider, 2):
-            for name in ("tokens", "text_tokens"):
-                new = [word for token in np.unique(batch[name]) if (word := wider.words[token]) not in known.words]
-                assert bool(new) == bool(share), new
+        tokens = [batch["tokens"][..., 0] for batch in batches(replace(RECIPE, batch=16, spoken=share), lexicon, 3)]
+        assert (np.mean([(part == 1).sum() / (part > 0).sum() for part in tokens]) > 0.02) == bool(share)
