@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,7 +17,7 @@ from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoin
 from cognitivedrone.training.common.prefetch import learner_path
 from cognitivedrone.training.common.sampling import Batch
 from cognitivedrone.training.common.trainer import TrainConfig, train
-from cognitivedrone.training.common.training_task import TrainingTask
+from cognitivedrone.training.common.training_task import Batches, TrainingTask
 from cognitivedrone.training.reasoner.reader import READER
 from cognitivedrone.training.small_vla import export
 from cognitivedrone.training.small_vla.policy import PolicyTraining
@@ -41,14 +42,15 @@ def make_small(patch: pytest.MonkeyPatch) -> None:
 
 
 class QuickPolicyTraining(PolicyTraining):
-    """A policy's training whose generating process, too, reads few pictures."""
+    """A policy's training whose generating process, too, draws few."""
 
     @classmethod
     def of(cls, training: PolicyTraining) -> QuickPolicyTraining:
         return cls(**{name: getattr(training, name) for name in training.__dataclass_fields__})
 
-    def batches(self):  # type: ignore[no-untyped-def]
-        readings.CROPS, panel_crops._KEPT = 200, 64
+    def batches(self) -> Batches:
+        if multiprocessing.parent_process() is not None:
+            make_small(pytest.MonkeyPatch())
         return super().batches()
 
 

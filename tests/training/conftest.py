@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def made_small() -> Iterator[None]:
     """Few sentences, pictures and frames where a real training draws thousands."""
+    with small():
+        yield
+
+
+@contextmanager
+def small() -> Iterator[None]:
     from quick_trainings import make_small
 
     with pytest.MonkeyPatch.context() as patch:
@@ -19,7 +26,7 @@ def made_small() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def reader_checkpoint(tmp_path_factory: pytest.TempPathFactory, made_small: None) -> Path:
+def reader_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A tiny reader with random weights."""
     from quick_trainings import TINY_READER, saved
 
@@ -36,7 +43,8 @@ def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory, reader_checkpoin
     from cognitivedrone.training.common.training_task import Given
     from cognitivedrone.training.recipes import RECIPES
 
-    return saved(RECIPES["debug"].training(Given(start=reader_checkpoint)), tmp_path_factory.mktemp("policy"))
+    with small():
+        return saved(RECIPES["debug"].training(Given(start=reader_checkpoint)), tmp_path_factory.mktemp("policy"))
 
 
 @pytest.fixture(scope="session")
@@ -45,5 +53,6 @@ def policy_file(tmp_path_factory: pytest.TempPathFactory, policy_checkpoint: Pat
     from cognitivedrone.training.small_vla.export import export
 
     path = tmp_path_factory.mktemp("file") / "model.onnx"
-    export(policy_checkpoint, path, scores={"open-v1:test": 0.5})
+    with small():
+        export(policy_checkpoint, path, scores={"open-v1:test": 0.5})
     return path

@@ -8,147 +8,171 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from quick_trainings import SCHEDULE, TINY_READER, InProcess, killed_at, train_here
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.labels import load_pack
-from cognitivedrone.models.reasoner_file import REMEMBERED, GateSelectorModel, PanelReaderModel
-from cognitivedrone.models.small_reasoner import PanelReader, ReaderConfig, SelectorConfig
+from cognitivedrone.models.finder import LOOK_GROUPS
+from cognitivedrone.models.gate_selector import SelectorConfig
+from cognitivedrone.models.panel_reader import PanelReader
+from cognitivedrone.models.reasoner_file import LOOKS, REMEMBERED, GateSelectorModel, PanelReaderModel
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.reasoners.small import SmallReasoner
-from cognitivedrone.tasks import FAMILIES, HARD_FAMILIES
-from cognitivedrone.training.common.attributes import FACETS, GATE_GROUPS, GROUPS
-from cognitivedrone.training.common.checkpoint import CHECKPOINT
-from cognitivedrone.training.common.sampling import token_noise
-from cognitivedrone.training.common.trainer import TrainConfig, train
-from cognitivedrone.training.common.training_task import to_tensors
+from cognitivedrone.training.common import trainer
+from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
+from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint
+from cognitivedrone.training.common.panel_crops import PanelCrops
+from cognitivedrone.training.common.problems import ABSENT, NAMES, Mix, Problem, Problems
+from cognitivedrone.training.common.readings import Readings
+from cognitivedrone.training.common.run_log import METRICS, read_rows
+from cognitivedrone.training.common.start import read_start
+from cognitivedrone.training.common.training_task import Given, to_tensors
 from cognitivedrone.training.launch import TrainOptions, run
-from cognitivedrone.training.reasoner import selector as selector
-from cognitivedrone.training.reasoner.export import export_panel_reader, export_selector
-from cognitivedrone.training.reasoner.reader import READER, draw_any_label
-from cognitivedrone.training.reasoner.reading import SEEN, SEEN_GROUPS, seen_attributes
-from cognitivedrone.training.reasoner.selector import SELECTOR, Encoder, Problems, values_of
-from cognitivedrone.training.reasoner.trained import load_reader, load_selector
-from cognitivedrone.training.recipes import RECIPES
+from cognitivedrone.training.reasoner.reader import ReaderTraining
+from cognitivedrone.training.reasoner.selector import SELECTOR, Encoder, SelectorTraining, look_of
+from cognitivedrone.training.reasoner.trained import trained_selector
+from cognitivedrone.training.recipes import ALL_RECIPES
 from cognitivedrone.training.small_vla.trained import load_trained
-from cognitivedrone.types import COLORS, SHAPES, SIZES
+from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate
 
 SMALL_SELECTOR = replace(
     SELECTOR,
-    steps=2,
-    batch=64,
-    round_steps=2,
-    validate_every=2,
-    validation_tasks=60,
+    **SCHEDULE,
+    batch=32,
+    validation_tasks=100,
     network=SelectorConfig(width=32, layers=1, heads=2),
 )
-TINY = RECIPES["debug"].network
-SMALL_READER = replace(
-    READER,
-    steps=2,
-    batch=16,
-    round_steps=2,
-    validate_every=2,
-    validation_cards=32,
-    network=ReaderConfig(crop_size=TINY.crop_size, panel_encoder=TINY.panel_encoder, embedding=TINY.embedding),
-)
+INDEX = AttributeIndex()
 
-pytestmark = pytest.mark.usefixtures("one_thread")
+pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
 
 @pytest.fixture(scope="module")
-def parts(tmp_path_factory: pytest.TempPathFactory, policy_checkpoint: Path) -> Path:
-    """A folder with a barely trained gate selector and panel reader."""
-    folder = tmp_path_factory.mktemp("reasoner")
+def training_task(policy_checkpoint: Path) -> SelectorTraining:
+    return SMALL_SELECTOR.training(Given(start=policy_checkpoint))
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory, policy_file: Path) -> Path:
+    """The folder of a barely trained gate selector, with a panel reader: what one command writes."""
+    folder = tmp_path_factory.mktemp("reasoner") / "selector"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(selector, "_SENTENCES", 400)
-        thinks = train(TrainConfig(folder / "selector", SMALL_SELECTOR.training()), lambda _: None)
-    reads = train(TrainConfig(folder / "reader", SMALL_READER.training(start=policy_checkpoint)), lambda _: None)
-    export_selector(thinks, folder)
-    export_panel_reader(policy_checkpoint, reads, folder)
+        patch.setattr(trainer, "PrefetchQueue", InProcess)
+        patch.setitem(ALL_RECIPES, "selector", SMALL_SELECTOR)
+        assert run(TrainOptions(folder, "selector", start=policy_file)) == folder / "gate_selector.onnx"
     return folder
 
 
-# ---- what is read
+def drawn(mix: Mix, count: int, seed: int = 1) -> list[Problem]:
+    rng, problems = np.random.default_rng(seed), Problems(mix)
+    return [problem for _ in range(count) for problem in problems.draw(rng)]
 
 
-def test_all_that_any_family_shows_has_attributes() -> None:
-    rng = np.random.default_rng(0)
-    kinds = set()
-    for _ in range(800):
-        label = draw_any_label(rng)
-        row = seen_attributes(label)
-        kind = SEEN[row[0]].partition("/")[2]
-        kinds.add(kind)
-        told = {SEEN[index] for index in row if index >= 0}
-        if kind == "sum":
-            expression = label.partition("/")[2].rpartition("@")[0]
-            first, sign, second = (
-                next(n for n in told if n.startswith(group + "/")) for group in ("first", "sign", "second")
-            )
-            assert expression == first[6:] + sign[5:] + second[7:]
-        if kind == "several":
-            assert sum(name.startswith(("thing_", "count_")) for name in told) >= 3
-    assert kinds == {"thing", "logo", "letter", "number", "person", "sum", "several"}
+# ---- the reader
 
 
-def test_groups_follow_each_other() -> None:
-    ends = [0]
-    for span in SEEN_GROUPS.values():
-        assert span.start == ends[-1]
-        ends.append(span.stop)
-    assert ends[-1] == len(SEEN)
+def test_a_reader_learns_what_it_is_shown() -> None:
+    """Twelve pictures, by heart."""
+    task = TINY_READER.training(Given())
+    labels = [f"letter/{name}@inter" for name in "ABCDWX"] + [f"number/{n}@inter" for n in range(4)]
+    labels += ["animal/cat@noto", "sum/3+4@inter"]
+    crops = PanelCrops(32, INDEX.of, lambda rng: labels[int(rng.integers(len(labels)))])
+    images, attributes = crops.draw(np.random.default_rng(0), 32)
+    torch.manual_seed(0)
+    loss_module = task.loss_module(task.network()).train()
+    optimizer = torch.optim.AdamW(loss_module.parameters(), 0.01)
+    history = []
+    for _ in range(60):
+        loss, measures = loss_module(to_tensors({"crop": images, "attributes": attributes}))
+        history.append((float(loss.detach()), float(measures["accuracy"])))
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    assert history[-1][1] > 0.8 > history[0][1]
+    assert history[-1][0] < 0.5 * history[0][0]
 
 
-def test_counts_are_those_of_the_label() -> None:
-    row = seen_attributes("several/food/lemon=4+animal/cat=2@noto")
-    assert {SEEN[index] for index in row if index >= 0} == {
-        "kind/several", "thing_a/cat", "count_a/2", "thing_b/lemon", "count_b/4"
-    }  # fmt: skip
-    assert "thing_b/none" in {SEEN[index] for index in seen_attributes("several/food/lemon=4@noto") if index >= 0}
+def test_groups_that_do_not_apply_teach_nothing() -> None:
+    task = TINY_READER.training(Given())
+    torch.manual_seed(0)
+    loss_module = task.loss_module(task.network())
+    images = np.full((4, 32, 32, 3), 90, np.uint8)
+    row = np.tile(INDEX.of("letter/A@inter"), (4, 1))
+    loss, _ = loss_module(to_tensors({"crop": images, "attributes": row}))
+    loss.backward()
+    taught = loss_module.network.attributes.bias.grad != 0
+    assert {ATTRIBUTES[i].partition("/")[0] for i in np.flatnonzero(taught.numpy())} == {"kind", "concept"}
 
 
-# ---- problems
+def test_a_killed_reader_ends_with_the_same_weights(tmp_path: Path) -> None:
+    task = TINY_READER.training(Given())
+    assert isinstance(task, ReaderTraining)
+    whole = read_checkpoint(train_here(tmp_path / "whole", task))[0]
+    with killed_at(4) as kill:
+        train_here(tmp_path / "killed", task, report=kill)
+    assert read_checkpoint(tmp_path / "killed" / CHECKPOINT)[1]["step"] == 2
+    again, facts = read_checkpoint(train_here(tmp_path / "killed", task, resume=True))
+    assert facts["attributes"] == list(ATTRIBUTES)
+    assert all(torch.equal(value, again[name]) for name, value in whole.items())
+    rows = read_rows(tmp_path / "killed" / METRICS)
+    assert [row["step"] for row in rows] == [2, 4]
+    assert {"accuracy", "accuracy kind", "accuracy concept", "panel_crops"} <= rows[-1].keys()
 
 
-def test_problems_are_of_every_family_and_their_values_are_right() -> None:
-    rng, problems = np.random.default_rng(0), Problems(SELECTOR)
-    drawn = [problem for _ in range(800) for problem in problems.draw(rng)]
-    assert {problem.family for problem in drawn} == (set(FAMILIES) - {"race"}) | {"directive"}
-    for problem in drawn:
-        values = values_of(problem.sentence, problem.labels, problem.board)
-        if problem.family in ("math", "two_step"):
-            concept = problem.labels[problem.target].partition("/")[2].rpartition("@")[0]
-            assert values[4] == int(concept)
-        if problem.family == "memory" and "same thing as the gate you have just" in problem.sentence:
-            labels, flown = problem.before[-1]
-            assert labels[flown].rpartition("@")[0] == problem.labels[problem.target].rpartition("@")[0]
+# ---- problems as inputs of the gate selector
 
 
-def test_what_is_told_without_doubt_is_the_truth() -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(selector, "_SENTENCES", 300)
-        training_task = SMALL_SELECTOR.training()
-    rng, problems = np.random.default_rng(1), Problems(SELECTOR)
-    drawn = [problem for _ in range(60) for problem in problems.draw(rng)]
-    encoder = Encoder(training_task.recipe, training_task.vocabulary)
-    sure, doubted = (encoder.encode(np.random.default_rng(2), drawn, doubts=doubts) for doubts in (False, True))
-    for row, problem in enumerate(drawn):
+def test_what_is_told_without_doubt_is_the_truth(training_task: SelectorTraining) -> None:
+    problems = drawn(SELECTOR.mix, 80)
+    encoder = Encoder(replace(training_task.recipe, doubt=0.0), training_task.lexicon, Readings(INDEX))
+    batch = encoder.encode(np.random.default_rng(2), problems, noise=False)
+    readings = Readings(INDEX)
+    for row, problem in enumerate(problems):
         for place, label in enumerate(problem.labels):
-            known = seen_attributes(label)
-            assert set(np.flatnonzero(sure["panels"][row, place])) == set(known[known >= 0])
-        assert (sure["stages"][row, :, 0] >= 0).sum() == 3 * len(problem.before)
-    changed = (sure["panels"] != doubted["panels"]).any(axis=2).mean()
-    assert 0.05 < changed < 0.4
-    for batch in (sure, doubted):
-        for span in SEEN_GROUPS.values():
-            totals = batch["panels"][..., span].sum(-1)
-            assert (np.isclose(totals, 0) | np.isclose(totals, 1, atol=1e-5)).all()
+            np.testing.assert_array_equal(batch["panels"][row, place], readings.exact(label))
+            np.testing.assert_array_equal(batch["looks"][row, place], look_of(problem.gates[place]))
+        assert batch["board"][row].any() == (problem.board is not None)
+        assert (batch["stages"][row, :, 0] >= 0).sum() == 3 * len(problem.before)
+        for stage, (labels, flown) in enumerate(problem.before):
+            for place, label in enumerate(labels):
+                at = 3 * stage + place
+                np.testing.assert_array_equal(batch["remembered"][row, at], readings.exact(label))
+                expected = [stage, len(problem.before) - 1 - stage, int(place == flown)]
+                assert batch["stages"][row, at].tolist() == expected
+        expected = training_task.lexicon.encode(problem.sentence, training_task.recipe.network.text_length)
+        np.testing.assert_array_equal(batch["tokens"][row], expected)
+    assert batch["target"].tolist() == [problem.target for problem in problems]
+    assert ABSENT in batch["target"]
 
 
-def test_earlier_stages_that_say_nothing_come_later_in_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(selector, "_SENTENCES", 200)
-    recipe = replace(SMALL_SELECTOR, batch=256, round_steps=10, earlier_from=20)
-    made = recipe.training().batches()
+def test_a_readers_doubts_and_lost_words_reach_the_gate_selector(training_task: SelectorTraining) -> None:
+    problems = drawn(SELECTOR.mix, 150)
+    noisy = training_task._encoder().encode(np.random.default_rng(2), problems, noise=True)
+    exact = Encoder(replace(training_task.recipe, doubt=0.0), training_task.lexicon, Readings(INDEX))
+    sure = exact.encode(np.random.default_rng(2), problems, noise=False)
+    changed = (sure["panels"] != noisy["panels"]).any(axis=2).mean()
+    assert 0.4 < changed < 1.0
+    words = sure["tokens"][..., 0] > 0
+    assert 0.02 < (noisy["tokens"][words][:, 0] == 1).mean() - (sure["tokens"][words][:, 0] == 1).mean() < 0.3
+    # A word that is lost has no spelling either.
+    lost = noisy["tokens"][(noisy["tokens"][..., 0] == 1) & ~noisy["tokens"][..., 1:].any(-1)]
+    assert len(lost)
+    kinds = INDEX.groups["kind"]
+    for batch in (sure, noisy):
+        assert (batch["panels"] >= 0).all()
+        assert (batch["panels"][..., kinds].sum(-1) <= 1.001).all()
+
+
+def test_a_look_is_one_of_each() -> None:
+    values = (*COLORS, *SHAPES, *SIZES)
+    look = look_of(Gate("big", "triangle", "blue"))
+    assert [values[i] for i in np.flatnonzero(look)] == ["blue", "triangle", "big"]
+    assert LOOK_GROUPS[-1].stop == len(values) == LOOKS == len(look)
+
+
+def test_earlier_stages_that_say_nothing_come_later_in_the_training(training_task: SelectorTraining) -> None:
+    recipe = replace(training_task.recipe, batch=256, round_steps=10, earlier_from=20)
+    made = replace(training_task, recipe=recipe).batches()
     first, last, after = (next(made((0, 0, round_))) for round_ in (0, 1, 2))
     on_tracks = [float((batch["stages"][:, 0, 0] >= 0).mean()) for batch in (first, last, after)]
     assert on_tracks[0] < 0.15
@@ -156,30 +180,15 @@ def test_earlier_stages_that_say_nothing_come_later_in_the_training(monkeypatch:
     assert on_tracks[2] > 0.25
 
 
-def test_token_noise_keeps_most_words_in_their_order() -> None:
-    rng, length = np.random.default_rng(4), 48
-    tokens = np.zeros(length, np.int64)
-    tokens[:20] = np.arange(10, 30)
-    said = [token_noise(rng, tokens) for _ in range(300)]
-    kept = [row[row > 1] for row in said]
-    assert all(row.shape == (length,) and (np.diff(words) > 0).all() for row, words in zip(said, kept, strict=True))
-    assert 0.7 < np.mean([len(words) for words in kept]) / 20 < 0.82
-    assert 0.2 < np.mean([(row == 1).sum() for row in said]) / 20 < 0.34
-    assert all((row[np.count_nonzero(row) :] == 0).all() for row in said)
-    whole = np.arange(2, 2 + length)
-    assert all(token_noise(rng, whole).shape == (length,) for _ in range(20))
-
-
-@pytest.mark.parametrize("family", ["letters", *HARD_FAMILIES[:2]])
-def test_the_gate_selector_learns_a_batch_by_heart(family: str) -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(selector, "_SENTENCES", 300)
-        training_task = SMALL_SELECTOR.training()
+@pytest.mark.parametrize("family", ["letters", "exclusion", "absent"])
+def test_the_gate_selector_learns_a_batch_by_heart(family: str, training_task: SelectorTraining) -> None:
     torch.manual_seed(0)
-    rng = np.random.default_rng(3)
-    problems = Problems(SMALL_SELECTOR)
-    drawn = [p for _ in range(3000) for p in problems.draw(rng) if p.family == family][:32]
-    batch = to_tensors(Encoder(training_task.recipe, training_task.vocabulary).encode(rng, drawn, doubts=False))
+    mix = Mix(families={family: 1.0}, facts=0.0, places=0.0, directives=0.0, absent=0.0, unreadable=0.0)
+    problems = drawn(mix, 32)
+    if family == "absent":
+        problems += drawn(replace(mix, families={"animals": 1.0}), 32)
+    encoder = Encoder(training_task.recipe, training_task.lexicon, Readings(INDEX))
+    batch = to_tensors(encoder.encode(np.random.default_rng(3), problems, noise=False))
     loss_module = training_task.loss_module(training_task.network())
     optimizer = torch.optim.AdamW(loss_module.parameters(), 0.01)
     for _ in range(60):
@@ -193,68 +202,66 @@ def test_the_gate_selector_learns_a_batch_by_heart(family: str) -> None:
 # ---- the trained parts
 
 
-def test_the_reader_starts_from_the_policys_sight(policy_checkpoint: Path, tmp_path: Path) -> None:
-    reader = SMALL_READER.training(start=policy_checkpoint).network()
-    finder, _, _ = load_trained(policy_checkpoint)
-    for name, value in finder.panel_encoder.state_dict().items():
-        assert torch.equal(value, reader.panel_encoder.state_dict()[name]), name
-    other = replace(SMALL_READER, network=replace(SMALL_READER.network, embedding=24))
-    with pytest.raises(TrainingError, match="another size"):
-        other.training(start=policy_checkpoint).network()
-
-
-def test_the_panel_reader_in_onnx_reads_as_in_torch(parts: Path, policy_checkpoint: Path) -> None:
-    finder, _, _ = load_trained(policy_checkpoint)
-    network, _ = load_reader(parts / "reader" / CHECKPOINT)
-    reader = PanelReader(finder, network, {group: GROUPS[group] for group in GATE_GROUPS}).eval()
+def test_the_panel_reader_in_onnx_reads_as_in_torch(parts: Path, policy_file: Path) -> None:
+    policy, _, _ = load_trained(policy_file)
+    assert policy.reader is not None
+    reader = PanelReader(policy.finder, policy.reader).eval()
     image = np.random.default_rng(0).integers(0, 256, (256, 256, 3), dtype=np.uint8)
     image[60:120, 80:140] = load_pack("open-v1").image("animal/cat@noto")[::4, ::4][:60, :60]
     with torch.no_grad():
         told = [part[0].numpy() for part in reader(torch.from_numpy(image)[None])]
-    for mine, theirs in zip(PanelReaderModel.load(parts / "panel_reader.onnx").see(image), told, strict=True):
+    model = PanelReaderModel.load(parts / "panel_reader.onnx")
+    assert model.attributes.names == ATTRIBUTES
+    assert model.provenance.recipe == "debug"
+    for mine, theirs in zip(model.see(image), told, strict=True):
         np.testing.assert_allclose(mine, theirs, atol=0.02, rtol=0.02)
 
 
 def test_the_gate_selector_in_onnx_answers_as_in_torch(parts: Path) -> None:
-    thinker, vocabulary, _ = load_selector(parts / "selector" / CHECKPOINT)
-    model = GateSelectorModel.load(parts / "gate_selector.onnx")
-    assert model.vocabulary == vocabulary
     rng = np.random.default_rng(0)
     told = {
-        "panels": rng.random((3, len(SEEN)), dtype=np.float32),
+        "panels": rng.random((3, len(ATTRIBUTES)), dtype=np.float32),
         "looks": rng.random((3, 8), dtype=np.float32),
-        "board": rng.random(len(SEEN), dtype=np.float32),
+        "board": rng.random(len(ATTRIBUTES), dtype=np.float32),
         "values": np.array([22, 22, 22, 4, 7]),
-        "remembered": rng.random((REMEMBERED, len(SEEN)), dtype=np.float32),
+        "remembered": rng.random((REMEMBERED, len(ATTRIBUTES)), dtype=np.float32),
         "stages": np.array([[i // 3, 1, i % 2] if i < 6 else [-1, -1, -1] for i in range(REMEMBERED)]),
     }
-    sentence = "Fly through the gate with the letter A"
-    tokens = vocabulary.encode(sentence, model.text_length)
-    inputs = [torch.from_numpy(np.asarray(value))[None] for value in (tokens, *told.values())]
-    with torch.no_grad():
-        expected = thinker(*inputs).softmax(-1)[0].numpy()
-    np.testing.assert_allclose(model.choose(sentence, told), expected, atol=2e-3)
+    model = GateSelectorModel.load(parts / "gate_selector.onnx")
+    # The file is a start as well: with the same words and weights.
+    for path in (parts / CHECKPOINT, parts / "gate_selector.onnx"):
+        selector, lexicon = trained_selector(read_start(path, "selector"))
+        assert model.vocabulary == lexicon
+        for sentence in ("Fly through the gate with the letter A", "da zorblaxx pls"):
+            tokens = lexicon.encode(sentence, model.text_length)
+            inputs = [torch.from_numpy(np.asarray(value))[None] for value in (tokens, *told.values())]
+            with torch.no_grad():
+                expected = selector(*inputs).softmax(-1)[0].numpy()
+            assert expected.shape == (4,)
+            np.testing.assert_allclose(model.choose(sentence, told), expected, atol=2e-3)
+
+
+def test_a_killed_gate_selector_ends_with_the_same_weights(training_task: SelectorTraining, tmp_path: Path) -> None:
+    whole = read_checkpoint(train_here(tmp_path / "whole", training_task))[0]
+    with killed_at(4) as kill:
+        train_here(tmp_path / "killed", training_task, report=kill)
+    again, facts = read_checkpoint(train_here(tmp_path / "killed", training_task, resume=True))
+    assert facts["data"] == "from debug, step 6, seed 0"
+    assert all(torch.equal(value, again[name]) for name, value in whole.items())
+    rows = read_rows(tmp_path / "killed" / METRICS)
+    families = {name.removeprefix("choice accuracy ") for name in rows[-1] if name.startswith("choice accuracy ")}
+    assert families <= set(NAMES)
+    assert "absent" in families
 
 
 def test_the_small_reasoner_is_made_of_the_two_files(parts: Path) -> None:
     reasoner = make_reasoner(f"small:{parts}")
     assert isinstance(reasoner, SmallReasoner)
     assert SmallReasoner.file_of(str(parts)) == parts / "panel_reader.onnx"
+    reasoner.reset(EpisodeContext("the letter A"))
+    assert {path.name for path in parts.glob("*.onnx")} == {"panel_reader.onnx", "gate_selector.onnx"}
 
 
-def test_one_command_trains_and_exports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(selector, "_SENTENCES", 300)
-    monkeypatch.setattr(
-        "cognitivedrone.training.recipes.ALL_RECIPES", {"selector": SMALL_SELECTOR, "reader": SMALL_READER}
-    )
-    assert run(TrainOptions(tmp_path / "selector", "selector")) == tmp_path / "selector" / "gate_selector.onnx"
-    GateSelectorModel.load(tmp_path / "selector" / "gate_selector.onnx")
-    with pytest.raises(TrainingError, match="need --start"):
-        run(TrainOptions(tmp_path / "reader", "reader"))
+def test_a_gate_selector_learns_without_flights(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="does not use flights"):
-        run(TrainOptions(tmp_path / "again", "selector", data=tmp_path))
-
-
-def test_gates_of_the_policy_are_told_in_the_reasoners_order() -> None:
-    names = [FACETS[index].partition("/")[2] for group in GATE_GROUPS for index in range(len(FACETS))[GROUPS[group]]]
-    assert tuple(names) == (*COLORS, *SHAPES, *SIZES)
+        run(TrainOptions(tmp_path, "selector", data=tmp_path))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
@@ -16,30 +16,32 @@ from typing import get_args
 import pytest
 import torch
 from PIL import Image
+from quick_trainings import TINY_READER, QuickPolicyTraining
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.small_vla import Head, SmallVLA
+from cognitivedrone.models.small_vla import Flight, Head
 from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint
 from cognitivedrone.training.common.prefetch import PrefetchQueue, learner_path
 from cognitivedrone.training.common.run_log import DIMENSIONS, METRICS, draw_curves, read_rows
 from cognitivedrone.training.common.trainer import TrainConfig, learning_rate, train, what_is_left
-from cognitivedrone.training.common.training_task import Watched
+from cognitivedrone.training.common.training_task import Given, Watched
 from cognitivedrone.training.recipes import RECIPES, find_recipe
-from cognitivedrone.training.small_vla import policy
 from cognitivedrone.training.small_vla.policy import TrainRecipe
 from cognitivedrone.training.small_vla.trained import load_trained
 from cognitivedrone.training.small_vla.validation import action_measures
 
-# Trials once, at the end, and few words: the rest of the time goes into processes that start.
+# Trials once, at the end: the rest of the time goes into processes that start.
 RECIPE = replace(RECIPES["debug"], fly_every=6, fly_tasks=2)
-SENTENCES = 500
+SUPPORT = Path(__file__).parents[1] / "support"
 
 KILLED = """
 import os, signal, sys
 from dataclasses import replace
 from pathlib import Path
-from cognitivedrone.training.small_vla import policy
+import pytest
+from quick_trainings import QuickPolicyTraining, make_small
 from cognitivedrone.training.common import trainer
+from cognitivedrone.training.common.training_task import Given
 from cognitivedrone.training.recipes import RECIPES
 
 def report(line):
@@ -48,9 +50,10 @@ def report(line):
         os.kill(os.getpid(), signal.SIGKILL)
 
 if __name__ == "__main__":
-    policy._SENTENCES = 500
+    make_small(pytest.MonkeyPatch())
     recipe = replace(RECIPES["debug"], fly_every=6, fly_tasks=2)
-    trainer.train(trainer.TrainConfig(Path(sys.argv[1]), recipe.training(), seed=3), report)
+    task = QuickPolicyTraining.of(recipe.training(Given(start=Path(sys.argv[2]))))
+    trainer.train(trainer.TrainConfig(Path(sys.argv[1]), task, seed=3), report)
 """
 
 
@@ -65,29 +68,39 @@ class Runs:
     reports: list[str]
 
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _few_words() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(policy, "_SENTENCES", SENTENCES)
-        yield
+pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
+def start(reader_checkpoint: Path) -> Given:
+    return Given(start=reader_checkpoint)
+
+
+def training_of(start: Given, recipe: TrainRecipe = RECIPE) -> QuickPolicyTraining:
+    return QuickPolicyTraining.of(recipe.training(start))
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory, start: Given) -> Runs:
     folder = tmp_path_factory.mktemp("trainings")
     whole, resumed = folder / "whole", folder / "resumed"
     script = folder / "killed.py"
     script.write_text(KILLED)
+    paths = os.pathsep.join([str(SUPPORT), *filter(None, [os.environ.get("PYTHONPATH")])])
     # Its end is the end of its output: were the generating process left behind, this would wait for that as well.
-    killed = subprocess.run([sys.executable, script, resumed], capture_output=True, text=True, timeout=120, check=False)
+    killed = subprocess.run(
+        [sys.executable, script, resumed, str(start.start)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env={**os.environ, "PYTHONPATH": paths},
+    )
     assert killed.returncode == -signal.SIGKILL, killed.stderr
     at_kill = read_checkpoint(resumed / CHECKPOINT)[1]["step"], read_rows(resumed / METRICS)[-1]["step"]
     reports: list[str] = []
-    train(TrainConfig(resumed, RECIPE.training(), seed=3, resume=True), lambda _: None)
-    train(TrainConfig(whole, RECIPE.training(), seed=3), reports.append)
+    train(TrainConfig(resumed, training_of(start), seed=3, resume=True), lambda _: None)
+    train(TrainConfig(whole, training_of(start), seed=3), reports.append)
     return Runs(whole, resumed, at_kill, reports)
 
 
@@ -114,18 +127,24 @@ def test_a_killed_training_leaves_the_same_curves(runs: Runs) -> None:
     assert whole == resumed
 
 
-def test_a_training_changes_all_weights(runs: Runs) -> None:
+def test_a_training_changes_all_weights_but_the_readers(runs: Runs, start: Given) -> None:
     first, last = (read_checkpoint(path)[0] for path in (learner_path(runs.whole, 0), runs.whole / CHECKPOINT))
     moved = {name for name in first if (first[name] != last[name]).any()}
-    assert moved == set(first)
+    kept = {name for name in first if name.startswith("network.reader.")} | {"network.language.words.vectors"}
+    assert moved == set(first) - kept
+    assert start.start is not None
+    reader = read_checkpoint(start.start)[0]
+    assert {f"network.reader.{name.removeprefix('network.')}" for name in reader} < kept
+    for name, value in reader.items():
+        assert torch.equal(value, last[f"network.reader.{name.removeprefix('network.')}"]), name
 
 
 def test_rows_have_the_measures_of_the_literature_and_the_baseline(runs: Runs) -> None:
     rows = read_rows(runs.whole / METRICS)
     wanted = {"step", "steps_per_s", "choice accuracy", "train loss", "train choice accuracy"}
-    for measure in ("l1", "accuracy", "cross-entropy", "baseline accuracy", "baseline l1"):
+    for measure in ("l1", "accuracy", "baseline accuracy", "baseline l1"):
         wanted |= {measure} | {f"{measure} {dimension}" for dimension in DIMENSIONS}
-    for part in ("heat", "place", "attributes", "choice", "text", "action"):
+    for part in ("heat", "place", "looks", "choice", "text", "action"):
         wanted |= {part, f"train {part}"}
     for row in rows:
         assert wanted <= row.keys()
@@ -157,37 +176,42 @@ def test_the_folder_tells_its_recipe(runs: Runs) -> None:
     told = json.loads((runs.whole / "recipe.json").read_text())
     assert told["seed"] == 3
     assert told["recipe"]["name"] == "debug"
-    assert told["recipe"]["network"]["vocabulary"] == len(policy.training_vocabulary().words)
+    assert told["data"] == "from reader, step 6, seed 0"
+    facts = read_checkpoint(runs.whole / CHECKPOINT)[1]
+    assert told["recipe"]["network"]["words"] == {
+        "words": len(facts["vocabulary"]), "trained": facts["trained_words"]
+    }  # fmt: skip
+    assert told["recipe"]["network"]["reader"] == TINY_READER.network.facts()
 
 
 def test_what_was_trained_can_be_loaded_and_flies(runs: Runs) -> None:
-    network, vocabulary, facts = load_trained(runs.whole / CHECKPOINT)
+    network, lexicon, loaded = load_trained(runs.whole / CHECKPOINT)
     assert not network.training
-    assert len(vocabulary.words) == network.config.vocabulary
-    tokens = torch.from_numpy(vocabulary.encode("Fly through the gate with the letter A", network.config.text_length))
+    assert len(lexicon.words) == network.config.words.words
+    tokens = torch.from_numpy(lexicon.encode("Fly through the gate with the letter A", network.config.text_length))
     with torch.no_grad():
-        actions, _, _ = network(torch.zeros(1, 256, 256, 3, dtype=torch.uint8), torch.zeros(1, 5), tokens[None])
+        actions, *_ = network(torch.zeros(1, 256, 256, 3, dtype=torch.uint8), torch.zeros(1, 5), tokens[None])
     assert actions.isfinite().all()
-    assert facts["step"] == RECIPE.steps
+    assert loaded.facts["step"] == RECIPE.steps
 
 
 # ---- what is refused, and what there is nothing to do about
 
 
-def test_a_finished_training_has_nothing_left_to_do(runs: Runs) -> None:
+def test_a_finished_training_has_nothing_left_to_do(runs: Runs, start: Given) -> None:
     before = {path: path.stat().st_mtime_ns for path in runs.whole.rglob("*")}
     reports: list[str] = []
     assert (
-        train(TrainConfig(runs.whole, RECIPE.training(), seed=3, resume=True), reports.append)
+        train(TrainConfig(runs.whole, training_of(start), seed=3, resume=True), reports.append)
         == runs.whole / CHECKPOINT
     )
     assert reports == []
     assert before == {path: path.stat().st_mtime_ns for path in runs.whole.rglob("*")}
 
 
-def test_a_training_is_not_begun_over_another(runs: Runs) -> None:
+def test_a_training_is_not_begun_over_another(runs: Runs, start: Given) -> None:
     with pytest.raises(TrainingError, match="holds a training already; go on with --resume or choose another folder"):
-        train(TrainConfig(runs.whole, RECIPE.training(), seed=3))
+        train(TrainConfig(runs.whole, training_of(start), seed=3))
 
 
 @pytest.mark.parametrize(
@@ -195,9 +219,11 @@ def test_a_training_is_not_begun_over_another(runs: Runs) -> None:
     [(RECIPE, 4), (replace(RECIPE, learning_rate=1e-3), 3), (replace(RECIPE, steps=8), 3)],
     ids=["seed", "rate", "steps"],
 )
-def test_a_training_does_not_go_on_by_another_recipe_or_seed(runs: Runs, recipe: TrainRecipe, seed: int) -> None:
+def test_a_training_does_not_go_on_by_another_recipe_or_seed(
+    runs: Runs, start: Given, recipe: TrainRecipe, seed: int
+) -> None:
     with pytest.raises(TrainingError, match="a training by another recipe, seed or data; choose another folder"):
-        train(TrainConfig(runs.whole, recipe.training(), seed=seed, resume=True))
+        train(TrainConfig(runs.whole, training_of(start, recipe), seed=seed, resume=True))
 
 
 # ---- curves
@@ -205,7 +231,7 @@ def test_a_training_does_not_go_on_by_another_recipe_or_seed(runs: Runs, recipe:
 
 @pytest.mark.parametrize("head", get_args(Head))
 def test_measures_of_actions_are_those_of_their_definitions(head: Head) -> None:
-    network = SmallVLA(replace(RECIPE.network, head=head))
+    network = Flight(replace(RECIPE.network, head=head))
     bins = torch.tensor([[10, 100, 100, 100], [10, 120, 100, 100], [10, 140, 110, 100], [11, 160, 110, 100]])
     span = network.high - network.low
     target = (network.low + bins / 255 * span)[:, None]
@@ -262,20 +288,19 @@ def test_recipes_are_whole(name: str) -> None:
     json.dumps(recipe.facts())
 
 
-def test_processes_share_a_batch() -> None:
-    training_task = replace(RECIPES["small"], stream=replace(RECIPES["small"].stream, panel_crops=10)).training()
+def test_processes_share_a_batch(start: Given) -> None:
+    training_task = RECIPES["small"].training(start)
     part = training_task.share(4)
     whole, shared = training_task.recipe.stream, part.recipe.stream
     assert shared.batch * 4 == whole.batch
     assert shared.texts * 4 == whole.texts
-    assert shared.panel_crops == 3
     assert replace(part, recipe=replace(part.recipe, stream=whole)) == training_task
     with pytest.raises(TrainingError, match="a batch of 24 frames cannot be shared by 5 processes"):
         training_task.share(5)
 
 
-def test_a_policy_flies_along_where_flights_are_made_and_the_recipe_gives_it_some() -> None:
-    training_task = RECIPE.training()
+def test_a_policy_flies_along_where_flights_are_made_and_the_recipe_gives_it_some(start: Given) -> None:
+    training_task = training_of(start)
     network = training_task.network()
     pilot = training_task.learner(network)
     assert pilot is not None
@@ -304,7 +329,7 @@ def test_what_is_left_of_a_stopped_training_is_said(runs: Runs, tmp_path: Path) 
     )
 
 
-def test_ctrl_c_before_the_first_checkpoint_says_that_there_is_nothing_to_resume(tmp_path: Path) -> None:
+def test_ctrl_c_before_the_first_checkpoint_says_that_there_is_nothing_to_resume(tmp_path: Path, start: Given) -> None:
     class Stopped:
         def __init__(self, *_: object) -> None:
             raise KeyboardInterrupt
@@ -312,13 +337,13 @@ def test_ctrl_c_before_the_first_checkpoint_says_that_there_is_nothing_to_resume
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("cognitivedrone.training.common.trainer._Keeper", Stopped)
         with pytest.raises(KeyboardInterrupt, match=r"stopped at step 0, before the first checkpoint; .*start again"):
-            train(TrainConfig(tmp_path / "run", RECIPE.training(), seed=3))
+            train(TrainConfig(tmp_path / "run", training_of(start), seed=3))
 
 
-def test_the_stream_tells_how_it_begins(tmp_path: Path) -> None:
+def test_the_stream_tells_how_it_begins(tmp_path: Path, start: Given) -> None:
     """The process starts, its first flights fill the buffer, and only then comes a batch; Ctrl-C is not its own."""
     told: list[str] = []
-    training_task = RECIPE.training()
+    training_task = training_of(start)
     with PrefetchQueue(training_task, tmp_path, seed=3, rank=0, first_round=0, waiting=told.append) as prefetch:
         next(iter(prefetch))
         size = RECIPE.stream.batch * RECIPE.stream.pool
@@ -337,8 +362,8 @@ def _ignores_ctrl_c(pid: int | None) -> bool:
     return bool(blocked & 1 << (signal.SIGINT - 1))
 
 
-def test_a_buffer_tells_how_it_fills() -> None:
-    training_task = RECIPE.training()
+def test_a_buffer_tells_how_it_fills(start: Given) -> None:
+    training_task = training_of(start)
     told: list[tuple[int, int]] = []
     batches = training_task.batches()
     assert isinstance(batches, Watched)
