@@ -72,6 +72,7 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
     if step >= schedule.steps:
         return out / CHECKPOINT
     loss_module, optimizer = accelerator.prepare(training_task.loss_module(network), optimizer)
+    loss_module.train()  # new modules are in training mode, even those that shall stay in evaluation mode
     part = training_task.share(accelerator.num_processes)
     first_round, rank = step // schedule.round_steps, accelerator.process_index
     with (
