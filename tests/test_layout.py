@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -24,12 +25,14 @@ from cognitivedrone.sim.gate_monitor import BOUNDS_HIGH, BOUNDS_LOW, REACH_M, ju
 from cognitivedrone.sim.views import first_person_view
 from cognitivedrone.tasks import load_suite, train_task
 from cognitivedrone.tasks.format import task_from_json, task_to_json
-from cognitivedrone.types import COLORS, DroneState, Gate, GatePlace, Stage
+from cognitivedrone.types import COLORS, DroneState, Gate, GatePlace, Size, Stage
 from cognitivedrone.world import geometry
 
-PUBLISHED = tuple(GatePlace(float(x), float(y), GATE_HEIGHT, float(a)) for (x, y), a in zip(GATE_XY, GATE_YAWS, strict=True))
-CASES = [
-    (tuple(Gate(size, "round", color) for size, color in zip(sizes, COLORS, strict=True)), board, seed)
+PUBLISHED: Any = tuple(
+    GatePlace(float(x), float(y), GATE_HEIGHT, float(a)) for (x, y), a in zip(GATE_XY, GATE_YAWS, strict=True)
+)
+CASES: Any = [
+    (tuple(Gate(cast(Size, size), "round", color) for size, color in zip(sizes, COLORS, strict=True)), board, seed)
     for seed, (sizes, board) in enumerate(
         itertools.product(itertools.product(("big", "small"), repeat=3), (False, True))
     )
