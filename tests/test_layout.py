@@ -29,7 +29,7 @@ from cognitivedrone.types import COLORS, DroneState, Gate, GatePlace, Size, Stag
 from cognitivedrone.world import geometry
 
 PUBLISHED: Any = tuple(
-    GatePlace(float(x), float(y), GATE_HEIGHT, float(a)) for (x, y), a in zip(GATE_XY, GATE_YAWS, strict=True)
+    GatePlace(float(x), float(y), GATE_HEIGHT, float(yaw)) for (x, y), yaw in zip(GATE_XY, GATE_YAWS, strict=True)
 )
 CASES: Any = [
     (tuple(Gate(cast(Size, size), "round", color) for size, color in zip(sizes, COLORS, strict=True)), board, seed)
