@@ -89,7 +89,7 @@ def test_the_view_says_what_is_not_known_and_forgets_old_events():
         view.event(Event(float(i), "kept", f"answer {i}"))
     text = drawn(view)
     assert "position  not known, height" in text
-    assert "battery not told" in text
+    assert "battery not reported" in text
     assert "answer 0" not in text
     assert f"answer {EVENTS_SHOWN}" in text
 

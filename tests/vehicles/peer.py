@@ -138,6 +138,11 @@ class Peer:
         host, port = self._to
         return host, port
 
+    @property
+    def thread_id(self) -> int:
+        """Of the system, for whoever changes its priority."""
+        return self._thread.native_id or 0
+
     def of(self, kind: str) -> list[Any]:
         return [message for _, message in self.heard if message.get_type() == kind]
 
@@ -170,12 +175,14 @@ class Peer:
         boot_ms = self.boot_ms()
         bit = m.MAV_SYS_STATUS_PREARM_CHECK
         present = bit | (REMOTE_BIT if part.remote is not None else 0)
-        health = (bit if part.prearm else 0) | (REMOTE_BIT if part.remote else 0)
+        # As ArduCopter: with ARMING_CHECK 0 the checks are neither enabled nor healthy.
+        enabled = present & ~(0 if part.parameters.get("ARMING_CHECK", 1) else bit)
+        health = (bit if part.prearm else 0) & enabled | (REMOTE_BIT if part.remote else 0)
         messages = [
             m.MAVLink_heartbeat_message(part.kind, part.autopilot, 0x81 if part.armed else 1, part.mode, 3, 3),
             m.MAVLink_attitude_message(boot_ms, part.tilt, 0, part.yaw, 0, 0, 0.25),
             m.MAVLink_local_position_ned_message(boot_ms, *part.position, 1.0, 0.5, 0.25),
-            m.MAVLink_sys_status_message(present, present, health, 0, 12000, -1, part.battery, 0, 0, 0, 0, 0, 0),
+            m.MAVLink_sys_status_message(present, enabled, health, 0, 12000, -1, part.battery, 0, 0, 0, 0, 0, 0),
             m.MAVLink_ekf_status_report_message(part.ekf, *[part.variance] * 5),
         ]
         if part.sticks:

@@ -61,7 +61,10 @@ def refuse(url: str) -> None:
 
 def test_what_ends_at_once_is_told_with_its_last_words(tmp_path):
     binary = script(tmp_path / "arducopter", "echo starting; echo no such board >&2; exit 4")
-    with ArduCopter(binary, tmp_path) as ended, pytest.raises(LinkError, match="ended with 4, its last words: no such"):
+    with (
+        ArduCopter(binary, tmp_path) as ended,
+        pytest.raises(LinkError, match="ended with 4, its last line of output: no such"),
+    ):
         ended.connect(refuse)
 
 

@@ -24,6 +24,7 @@ from peer import CALM, MODES, PARAMETERS, Peer, StillCamera, playing
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 from cognitivedrone.control.safety import Guard, SafetyConfig, Timeouts
+from cognitivedrone.vehicles.camera import Camera, ChangingCamera, Shot
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 
@@ -40,8 +41,11 @@ def watching(**rules: Any) -> SafetyConfig:
 
 
 @contextmanager
-def flying(peer: Peer, safety: SafetyConfig, config: MavlinkConfig = CONFIG) -> Iterator[MavlinkDrone]:
-    with MavlinkDrone(f"udpout:127.0.0.1:{peer.port}", StillCamera(), Guard(safety), config) as drone:
+def flying(
+    peer: Peer, safety: SafetyConfig, config: MavlinkConfig = CONFIG, camera: Camera | None = None
+) -> Iterator[MavlinkDrone]:
+    url = f"udpout:127.0.0.1:{peer.port}"
+    with MavlinkDrone(url, camera or StillCamera(), Guard(safety), config) as drone:
         drone.take_off(lambda _: True)
         yield drone
 
@@ -101,6 +105,8 @@ FAULTS = [
     (change(yaw=float("nan")), {"state": RULES.state}, "attitude or position", 0.3),
     (change(clock_rate=0.0), {"state": RULES.state}, "attitude or position", 0.3),
     (change(clock_rate=0.5), {"state": RULES.state}, "attitude or position", 0.6),
+    (change(quiet=frozenset({"ATTITUDE"})), {"state": RULES.state}, "attitude or position", 0.3),
+    (change(quiet=frozenset({"LOCAL_POSITION_NED"})), {"state": RULES.state}, "attitude or position", 0.3),
     (change(quiet=frozenset({"TIMESYNC"})), {"uplink": RULES.uplink}, "commands may not arrive", 1.2),
     (change(ekf=0xA7), {}, "does not know where it is", 0.3),
     (change(variance=1.0), {}, "diverges", 0.3),
@@ -114,8 +120,17 @@ FAULTS = [
     (change(target=(0xC07, 4.0)), {}, "did not send", 2.0),
 ]
 NAMES = [
-    *("nan_yaw", "frozen", "late", "dead_uplink", "lost_position", "diverging", "silent_estimator", "silent_status"),
-    *("silent_battery", "tilt", "jump", "restart", "foreign_place", "foreign_speed"),
+    *("nan_yaw", "frozen", "late", "silent_attitude", "silent_position", "dead_uplink", "lost_position", "diverging"),
+    *(
+        "silent_estimator",
+        "silent_status",
+        "silent_battery",
+        "tilt",
+        "jump",
+        "restart",
+        "foreign_place",
+        "foreign_speed",
+    ),
 ]
 
 
@@ -125,6 +140,63 @@ def test_a_fault_of_the_vehicle_lands(fault, rules, words, within_s):
         until(drone, lambda: flies(drone), 1.0)
         fault(peer)
         lands(peer, drone, words, within_s)
+
+
+class StoppingCamera:
+    """A camera whose newest frame stays the same from some moment on."""
+
+    def __init__(self) -> None:
+        self._camera = StillCamera()
+        self.stopped_at: float | None = None
+
+    def read(self) -> Shot:
+        shot: Shot = self._camera.read()
+        return shot if self.stopped_at is None else replace(shot, age_s=time.monotonic() - self.stopped_at)
+
+    def close(self) -> None:
+        self._camera.close()
+
+
+def test_a_camera_that_stops_lands():
+    with playing() as peer, flying(peer, watching(camera=Timeouts(0.3, 0.6)), camera=StoppingCamera()) as drone:
+        until(drone, lambda: drone.observe() is not None and flies(drone), 1.0)
+        drone.camera.stopped_at = time.monotonic()
+        drone.observe()
+        lands(peer, drone, "no new camera frame", 0.3)
+
+
+def test_a_camera_that_repeats_one_frame_lands():
+    camera = ChangingCamera(StillCamera())
+    with playing() as peer, flying(peer, watching(camera=Timeouts(0.3, 0.6)), camera=camera) as drone:
+        until(drone, lambda: drone.observe() is not None and flies(drone), 1.0)
+        camera.active = True
+        until(drone, lambda: drone.observe() is not None and drone.decision.kind == "brake", 2.0)
+        lands(peer, drone, "no new camera frame", 0.1)
+
+
+def test_a_policy_that_never_begins_is_held_and_landed():
+    with playing() as peer, flying(peer, watching(first_command=Timeouts(0.0, 0.5))) as drone:
+        began = time.monotonic()
+        while peer.part.mode != MODES["LAND"]:
+            assert time.monotonic() - began < 3.0
+            time.sleep(0.01)
+        assert peer.setpoints_since(began - 0.1)
+        assert not np.any(peer.setpoints_since(0.0))
+        assert "no new command" in drone.over
+
+
+def test_a_jump_in_the_commands_reaches_the_vehicle_as_a_ramp():
+    slew, step_s, most = RULES.limits.slew[0], RULES.limits.longest_step_s, RULES.limits.speed[0]
+    with playing() as peer, flying(peer, watching()) as drone:
+        began = time.monotonic()
+        while not (sent := peer.setpoints_since(began)) or sent[-1][0] < most:
+            assert time.monotonic() - began < 3.0
+            drone.send(np.array([2 * most, 0, 0, 0], dtype=np.float32))
+            time.sleep(0.02)
+        speeds = [speed for speed, *_ in sent]
+        assert max(np.diff([0.0, *speeds])) <= slew * step_s + 1e-5
+        assert max(speeds) <= most
+        assert len({speed for speed in speeds if 0 < speed < most}) >= 2
 
 
 @pytest.mark.parametrize("mode", ["RTL", "LOITER"])

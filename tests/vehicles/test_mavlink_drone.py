@@ -276,7 +276,7 @@ def test_a_landing_that_does_not_come_is_told():
     ("part", "said"),
     [
         ({"kind": m.MAV_TYPE_FIXED_WING}, "fixed wing .MAV_TYPE 1., not a copter"),
-        ({"autopilot": m.MAV_AUTOPILOT_PX4}, "does not run ArduPilot"),
+        ({"autopilot": m.MAV_AUTOPILOT_GENERIC}, "does not run ArduPilot or PX4"),
         ({"version": (4, 0)}, "ArduCopter 4.0, which has no GUID_TIMEOUT; update it to 4.1"),
         ({"mute": True}, "no heartbeat of any vehicle on udpout.* in 0.5 s"),
         ({"refuse": {511: "no"}}, "refused to send ATTITUDE"),
@@ -293,9 +293,9 @@ def test_a_vehicle_that_cannot_be_flown(part, said):
     ("part", "said"),
     [
         ({"armed": True}, "armed already"),
-        ({"prearm": False}, "does not say that it passes its own checks"),
-        ({"ekf": 0xA7}, "does not say that it knows where it is"),
-        ({"refuse": {400: "Arm: GPS 1: Bad fix"}}, "refused arming: failed; it says: Arm: GPS 1: Bad fix"),
+        ({"prearm": False}, "does not report that it passes its own checks"),
+        ({"ekf": 0xA7}, "does not report that it knows where it is"),
+        ({"refuse": {400: "Arm: GPS 1: Bad fix"}}, "refused arming: failed; it reports: Arm: GPS 1: Bad fix"),
         (
             {"refuse": {176: "Mode change to GUIDED failed: requires position"}},
             "refused mode GUIDED.*requires position",
@@ -303,7 +303,7 @@ def test_a_vehicle_that_cannot_be_flown(part, said):
         ({"refuse": {22: "no"}}, "refused take-off"),
         ({"battery": 20}, r"not fit to fly.*\[bad \] battery"),
         ({"parameters": {**PARAMETERS, "GUID_TIMEOUT": 5.0}}, r"\[bad \] GUID_TIMEOUT +5"),
-        ({"position": [np.nan] * 3, "climbs": False}, "does not say that it knows where it is"),
+        ({"position": [np.nan] * 3, "climbs": False}, "does not report that it knows where it is"),
     ],
 )
 def test_a_vehicle_that_is_not_ready(part, said):
@@ -322,6 +322,16 @@ def test_parameters_are_set_with_consent_alone():
             assert "FS_GCS_ENABLE    5, set by this program" in str(checklist)
             assert peer.part.parameters == PARAMETERS
         assert peer.part.parameters == {**PARAMETERS, "FS_GCS_ENABLE": 0.0, "FENCE_ENABLE": 0.0}
+
+
+def test_a_vehicle_whose_own_checks_are_off_is_refused_for_that_or_flown_with_them_on():
+    with playing(parameters={**PARAMETERS, "ARMING_CHECK": 0.0}) as peer:
+        with connect(peer) as drone, pytest.raises(LinkError, match=r"\[bad \] ARMING_CHECK +0"):
+            drone.take_off(lambda _: True)
+        assert not peer.part.armed
+        with connect(peer, replace(FAST, set_parameters=True)) as drone:
+            drone.take_off(lambda _: True)
+            assert peer.part.parameters["ARMING_CHECK"] == 1.0
 
 
 def test_without_a_yes_nothing_is_armed():

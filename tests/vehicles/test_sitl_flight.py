@@ -202,7 +202,7 @@ def test_a_process_flies_in_lock_step_and_is_replaced_when_it_dies(tmp_path, mon
         processes[0].kill()
         flight.advance(TICKS_PER_CONTROL)
         assert flight.diverged
-        assert "ended with -9, its last words: parameters read" in flight.trouble
+        assert "ended with -9, its last line of output: parameters read" in flight.trouble
         flight.begin(Start((-1.0, 0.0, 0.8)))
         assert not flight.diverged
         assert flight.report.restarts == 1

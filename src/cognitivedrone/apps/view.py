@@ -97,7 +97,7 @@ class Instruments:
         where = "not known" if status.position is None else "{:+.2f} {:+.2f} {:+.2f} m".format(*status.position)
         heading = "" if math.isnan(status.yaw) else f", heading {math.degrees(status.yaw):+.0f} deg"
         lines.add_row("position", f"{where}{heading}, height {seen.height:.2f} m")
-        battery = "not told" if status.battery is None else f"{status.battery:.0%}"
+        battery = "not reported" if status.battery is None else f"{status.battery:.0%}"
         armed = "armed" if status.armed else "not armed"
         lines.add_row("vehicle", _told(f"{status.mode}, {armed}, battery {battery}"))
         lines.add_row("frame age", _age(status.frame_age_s, GOOD_FRAME_S))

@@ -20,7 +20,7 @@ from cognitivedrone.types import Action, DroneState, GuardReport, Observation
 class GuardedDrone:
     """A drone that is only sent what limits and fence allow; `report` counts what they changed.
 
-    `state` tells where it truly is; the fence stands around where it was when this was made, its floor and ceiling
+    `state` returns its true state; the fence stands around where it was when this was made, its floor and ceiling
     above the ground. `clock` is the one that the drone is flown by.
     """
 

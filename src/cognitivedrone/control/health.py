@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from cognitivedrone.types import FloatArray, Vector
+
+VELOCITY_MODES: Final = frozenset({"GUIDED", "OFFBOARD"})
+"""Modes in which a vehicle flies by the velocities that it is sent: ArduCopter's and PX4's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +53,7 @@ class Health:
     battery_age_s: float = 0.0
     """Of the last report of the battery; 0 where there was none at take-off."""
     estimator: str = ""
-    """What is wrong with the vehicle's state estimator, in words; empty where it is healthy."""
+    """What is wrong with the vehicle's state estimator; empty where it is healthy."""
     estimator_age_s: float = 0.0
     """Of its last report; 0 where there was none at take-off."""
     remote_age_s: float = 0.0
@@ -63,7 +67,7 @@ class Health:
     restarted: bool = False
     """Whether the vehicle's clock has gone back since take-off."""
     intruder: str = ""
-    """Who else commands the vehicle, or passes for it or for us, in words; empty where nobody does."""
+    """A description of another sender that commands the vehicle, or uses its id or ours; empty where there is none."""
     speed_limit_m_s: float = np.inf
     """The fastest that keeps the way flown without commands short, by the vehicle's own time limit for them."""
 

@@ -17,8 +17,8 @@ What brakes or lands never flies again in this run: trust that was lost is given
 
 **Nothing here orders a mode but LAND (or RTL), and that only while the vehicle's mode is known**: where the last
 heartbeat is old, the pilot may have taken over. Then the drone is stopped, and brought down, by velocities, which
-only GUIDED obeys. It also never orders ArduCopter's BRAKE: that counts there as a mode that a pilot flies, in which the
-ground-station failsafe does nothing as `FS_OPTIONS` comes. In GUIDED and LAND it acts.
+only GUIDED obeys (PX4: OFFBOARD). It also never orders ArduCopter's BRAKE: that counts there as a mode that a pilot
+flies, in which the ground-station failsafe does nothing as `FS_OPTIONS` comes. In GUIDED and LAND it acts.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ import numpy as np
 
 from cognitivedrone.choices import DecisionKind
 from cognitivedrone.control.fence import Fence, keep_inside, outside_by
-from cognitivedrone.control.health import Health
+from cognitivedrone.control.health import VELOCITY_MODES, Health
 from cognitivedrone.types import ACTION_LIMITS, Action, Commands, FloatArray, Vector
 
 Kind = DecisionKind
@@ -44,7 +44,7 @@ class Decision:
 
     kind: Kind
     reason: str
-    """In words, for the person who watches."""
+    """A description for the operator."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,13 +102,13 @@ class SafetyConfig:
     state: Timeouts = Timeouts(0.3, 1.0)
     """For attitude and position, late ones and such of numbers that are none."""
     heartbeat: Timeouts = Timeouts(0.5, 1.0)
-    """For the vehicle's mode, told 10 times a second. From `hold_s` on no mode is ordered."""
+    """For the vehicle's mode, reported 10 times a second. From `hold_s` on no mode is ordered."""
     uplink: Timeouts = Timeouts(1.0, 2.0)
     """For the vehicle's answer to what we ask it 5 times a second."""
     estimator: Timeouts = Timeouts(0.3, 1.0)
     """For a bad state estimator, which lands instead of braking: ArduCopter itself lands after 1 s."""
     estimator_report: Timeouts = Timeouts(1.0, 3.0)
-    """For what the vehicle tells of its estimator, 5 times a second."""
+    """For the vehicle's report of its estimator, 5 times a second."""
     battery_report: Timeouts = Timeouts(3.0, 10.0)
     remote: Timeouts = Timeouts(0.5, 2.0)
     """For the remote control, where there was one at take-off."""
@@ -169,11 +169,14 @@ def decide(health: Health, memory: Memory, config: SafetyConfig) -> tuple[Decisi
 
 
 def _findings(health: Health, memory: Memory, config: SafetyConfig) -> Iterator[Decision]:
-    """What each rule says, those that have something to say."""
+    """The decisions of all rules that apply."""
     if not health.armed:
         yield Decision("hands_off", "the motors were stopped")
     if health.mode not in health.ordered_modes:
-        yield Decision("hands_off", f"the mode became {health.mode}, which was not ordered here: the pilot flies")
+        reason = (
+            f"the mode became {health.mode}, which was not ordered here: the pilot or a failsafe of the vehicle flies"
+        )
+        yield Decision("hands_off", reason)
     if memory.floor.kind == "brake" and health.time >= memory.land_at:
         yield Decision("land", f"still braking because {memory.floor.reason}")
     if memory.low_battery_since is not None and health.time - memory.low_battery_since >= config.low_battery_s:
@@ -249,7 +252,7 @@ def order(decision: Decision, health: Health, config: SafetyConfig, landing: str
     have taken over: the drone descends by velocities instead, which only GUIDED obeys.
     """
     if decision.kind in ("hold", "brake"):
-        return Order(setpoint=_STOP) if health.mode == "GUIDED" else Order()
+        return Order(setpoint=_STOP) if health.mode in VELOCITY_MODES else Order()
     if decision.kind != "land" or health.mode == landing:
         return Order()
     if health.heartbeat_age_s <= config.heartbeat.hold_s:

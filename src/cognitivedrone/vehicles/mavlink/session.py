@@ -161,7 +161,7 @@ def mavlink_config(safety: SafetySpec, folder: Path | None) -> MavlinkConfig:
 
 def _refusal(spec: VehicleSpec, *, consent: bool) -> str:
     """Why what may be a real drone is not flown like that."""
-    real = f"the vehicle at {spec.link} does not say that it is this project's simulator, so it may be a real drone"
+    real = f"the vehicle at {spec.link} does not identify itself as this project's simulator, so it may be a real drone"
     if not consent:
         return f"{real}: read docs/real-drone.md, then add {FLAG}"
     # On vehicle time, silence is forgiven for seconds: a simulation may pause, a drone in the air does not.

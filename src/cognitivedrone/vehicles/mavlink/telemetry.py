@@ -1,4 +1,4 @@
-"""What a vehicle's messages say, in this project's frames and units: pure functions of immutable values.
+"""The content of a vehicle's messages, in this project's frames and units: pure functions of immutable values.
 
 Times are of this machine's steady clock (`time.monotonic`), s, unless they are called vehicle time.
 """
@@ -14,24 +14,17 @@ import numpy as np
 from cognitivedrone.errors import import_extra
 from cognitivedrone.frames import enu_to_ned, flu_to_frd, world_to_heading
 from cognitivedrone.types import FloatArray
-
-MODES = {
-    0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",
-    11: "DRIFT", 13: "SPORT", 14: "FLIP", 15: "AUTOTUNE", 16: "POSHOLD", 17: "BRAKE", 18: "THROW", 19: "AVOID_ADSB",
-    20: "GUIDED_NOGPS", 21: "SMART_RTL", 22: "FLOWHOLD", 23: "FOLLOW", 24: "ZIGZAG", 25: "SYSTEMID", 26: "AUTOROTATE",
-    27: "AUTO_RTL", 28: "TURTLE",
-}  # fmt: skip
-"""ArduCopter's flight modes by number (its parameter FLTMODE1)."""
-MODE_NUMBERS = {name: number for number, name in MODES.items()}
+from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, Autopilot
 
 COPTER_TYPES = frozenset({2, 3, 4, 13, 14, 15, 29})
 """MAV_TYPE: quadrotor, coaxial, helicopter, hexarotor, octorotor, tricopter, dodecarotor."""
-ARDUPILOT, GROUND_STATION = 3, 6
-"""MAV_AUTOPILOT_ARDUPILOTMEGA, MAV_TYPE_GCS."""
+GROUND_STATION = 6
+"""MAV_TYPE_GCS."""
 ARMED_FLAG, PREARM_BIT, REMOTE_BIT = 0x80, 0x1000_0000, 0x1_0000
 """Of base_mode; of SYS_STATUS: the checks before arming, the receiver of the remote control."""
 EKF_NEEDED, EKF_CONST_POSITION = 0x07, 0x80
-"""Flags of EKF_STATUS_REPORT: attitude, horizontal and vertical velocity; and "does not know where it is"."""
+"""Flags of EKF_STATUS_REPORT and of PX4's ESTIMATOR_STATUS: attitude, horizontal and vertical velocity; and "does not
+know where it is"."""
 EKF_POSITION = 0x18
 """Relative or absolute horizontal position: one of the two."""
 EKF_MOST = 0.8
@@ -45,7 +38,7 @@ CLOCK_DRIFT = 0.001
 JUMP_M_S = 2.0
 """Speed that a position may have beyond what the vehicle reports of its velocity."""
 SIMULATED = b"CogDrone"
-"""What this project's simulated vehicle tells as its `flight_custom_version`."""
+"""The `flight_custom_version` of this project's simulated vehicle."""
 STICKS = (1, 2, 3, 4)
 STICK_MOVED_US = 120
 """A stick that is this far from where it was, in microseconds of 1000 to 2000, was moved by somebody."""
@@ -62,7 +55,7 @@ _VARIANCES = ("velocity", "position", "height", "compass")
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A status text, as the vehicle said it."""
+    """A status text of the vehicle."""
 
     time: float
     severity: int
@@ -72,7 +65,7 @@ class Text:
 
 @dataclass(frozen=True, slots=True)
 class Telemetry:
-    """The newest of everything that a vehicle has said; -inf is never."""
+    """The newest values that a vehicle has reported; a time of -inf is never."""
 
     mode: str = ""
     armed: bool = False
@@ -107,22 +100,22 @@ class Telemetry:
     battery: float | None = None
     """What is left, 0 to 1."""
     battery_at: float = -math.inf
-    """When it last told what is left."""
+    """When it last reported its charge."""
     status_at: float = -math.inf
     """SYS_STATUS."""
     prearm: bool | None = None
-    """Whether its own checks before arming pass; none where it does not say."""
+    """Whether its own checks before arming pass; none where it is not reported."""
     ekf: int | None = None
-    """Flags of its state estimator; none where it does not say."""
+    """Flags of its state estimator; none where they are not reported."""
     ekf_variances: tuple[float, ...] = ()
     """Of velocity, horizontal position, height and compass: 1 is the limit of what it trusts."""
     ekf_at: float = -math.inf
     remote_at: float = -math.inf
     """When the remote control was last known to be received."""
     receiver: bool = False
-    """Whether it tells of its receiver: then the channels alone prove nothing, which keep their last values."""
+    """Whether it reports its receiver's state. If so, the channels alone prove nothing: they keep their last values."""
     target_mask: int | None = None
-    """Type mask of what the vehicle flies to, by its own account; none where it does not say."""
+    """Type mask of the target that the vehicle reports; none where it reports none."""
     target_speed: float = 0.0
     """Of what it flies to, m/s."""
     target_at: float = -math.inf
@@ -144,7 +137,7 @@ class Telemetry:
 
     @property
     def estimator(self) -> str:
-        """What is wrong with its state estimator, in words; empty where it is healthy or not reported."""
+        """What is wrong with its state estimator; empty where it is healthy or not reported."""
         if self.ekf is None:
             return ""
         if not self.estimating:
@@ -165,7 +158,7 @@ class Telemetry:
 
     @property
     def estimating(self) -> bool:
-        """Whether it knows where it is; where it does not tell of its estimator, whether it tells a position."""
+        """Whether it has a position estimate; where the estimator is not reported, whether it reports a position."""
         if not math.isfinite(self.state_at):
             return False
         if self.ekf is None:
@@ -175,13 +168,13 @@ class Telemetry:
         )
 
 
-def heard(before: Telemetry, message: Any, now: float) -> Telemetry:
-    """The telemetry after one more message of the vehicle; one that says nothing of use only proves the link."""
+def heard(before: Telemetry, message: Any, now: float, autopilot: Autopilot = ARDUPILOT) -> Telemetry:
+    """The telemetry after one more message of the vehicle; one without useful content only proves the link."""
     t = replace(before, heard_at=now)
     match message.get_type():
         case "HEARTBEAT":
-            mode = MODES.get(message.custom_mode, f"mode {message.custom_mode}")
-            return replace(t, mode=mode, armed=bool(message.base_mode & ARMED_FLAG), heartbeat_at=now)
+            armed = bool(message.base_mode & ARMED_FLAG)
+            return replace(t, mode=autopilot.mode(message.custom_mode), armed=armed, heartbeat_at=now)
         case "LOCAL_POSITION_NED":
             return _with_position(t, message, now)
         case "ATTITUDE":
@@ -192,12 +185,14 @@ def heard(before: Telemetry, message: Any, now: float) -> Telemetry:
         case "SYS_STATUS":
             present, healthy = message.onboard_control_sensors_present, message.onboard_control_sensors_health
             left = message.battery_remaining
+            # With ARMING_CHECK 0, ArduCopter has them present, not enabled and not healthy.
+            checks = present & message.onboard_control_sensors_enabled & PREARM_BIT
             return replace(
                 t,
                 status_at=now,
                 battery=left / 100 if left >= 0 else None,
                 battery_at=now if left >= 0 else t.battery_at,
-                prearm=bool(healthy & PREARM_BIT) if present & PREARM_BIT else None,
+                prearm=bool(healthy & PREARM_BIT) if checks or autopilot.tells_prearm else None,
                 receiver=t.receiver or bool(present & REMOTE_BIT),
                 remote_at=now if present & healthy & REMOTE_BIT else t.remote_at,
             )
@@ -205,6 +200,10 @@ def heard(before: Telemetry, message: Any, now: float) -> Telemetry:
             m = message
             variances = (m.velocity_variance, m.pos_horiz_variance, m.pos_vert_variance, m.compass_variance)
             return replace(t, ekf=m.flags, ekf_variances=variances, ekf_at=now)
+        case "ESTIMATOR_STATUS":
+            m = message
+            ratios = (m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio)
+            return replace(t, ekf=m.flags, ekf_variances=ratios, ekf_at=now)
         case "RC_CHANNELS":
             sticks = tuple(getattr(message, f"chan{channel}_raw") for channel in STICKS)
             sticks = sticks if all(0 < pulse < 0xFFFF for pulse in sticks) else ()
@@ -221,9 +220,9 @@ def stick_moved(before: tuple[int, ...], now: tuple[int, ...]) -> bool:
 
 
 def last_words(telemetry: Telemetry, since: float) -> str:
-    """What the vehicle has said since then, as a clause to end an error with."""
+    """The vehicle's status texts since then, as a clause that ends an error message."""
     said = list(dict.fromkeys(text.text for text in telemetry.texts if text.time >= since))
-    return f"; it says: {'; '.join(said[-4:])}" if said else ""
+    return f"; it reports: {'; '.join(said[-4:])}" if said else ""
 
 
 def is_vehicle(message: Any) -> bool:

@@ -149,7 +149,7 @@ class ArduCopter:
             raise LinkError(f"there is no parameter file {missing[0]}")
         self.binary = binary
         self.url = f"tcp:127.0.0.1:{FIRST_PORT + PORT_STEP * instance}"
-        """Where it listens for MAVLink; it does nothing until somebody connects."""
+        """Where it listens for MAVLink; it starts with the first connection."""
         self.output = folder.resolve() / OUTPUT_FILE
         ours = folder.resolve() / PARAMETERS_FILE
         ours.write_text(PARAMETERS + tuning(airframe) + parameters)
@@ -181,7 +181,7 @@ class ArduCopter:
         self.close()
 
     def check(self) -> None:
-        """Raise `LinkError`, with its last words, where the process has ended."""
+        """Raise `LinkError`, with its last line of output, where the process has ended."""
         if self._process.poll() is not None:
             code = self._process.returncode
             raise LinkError(f"{self.binary} ended with {code}{self.last_words()}")
@@ -189,8 +189,8 @@ class ArduCopter:
     def last_words(self) -> str:
         """The last line that it printed, as a clause to end an error with."""
         lines = self.output.read_text(encoding="utf-8", errors="replace").split("\n")
-        said = [line.strip() for line in lines if line.strip()]
-        return f", its last words: {said[-1]}" if said else ""
+        printed = [line.strip() for line in lines if line.strip()]
+        return f", its last line of output: {printed[-1]}" if printed else ""
 
     def connect(self, make: Callable[[str], T]) -> T:
         """What `make(url)` makes, tried again while it raises `LinkError` and the process is still opening its port."""

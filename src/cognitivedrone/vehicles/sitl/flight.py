@@ -60,7 +60,7 @@ class Vehicle(Protocol):
         ...
 
     def listen(self) -> None:
-        """Wait until what it says has been heard."""
+        """Wait until its messages have been received."""
         ...
 
     def close(self) -> None:

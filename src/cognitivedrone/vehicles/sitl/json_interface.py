@@ -3,7 +3,7 @@
 ArduPilot sends a packet of motor commands for every step of physics and waits for the answer, so this process owns the
 clock: while it does not answer, the autopilot's time stands still. The interface is documented in ArduPilot's tree,
 libraries/SITL/examples/JSON/readme.md. The keys `no_time_sync` and `no_lockstep` are never sent: they would let the
-autopilot run on without physics, and estimate from what it is told instead of from its sensors.
+autopilot run on without physics, and take its state from the simulator instead of estimating it from its sensors.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from cognitivedrone.vehicles.sitl.physics import BATTERY_V, Plant, Sensed
 FIRST_PORT, PORT_STEP = 9002, 10
 """UDP port of the first autopilot, and from one instance to the next."""
 RATES_HZ = (200, 5000)
-"""Physics rates that are stepped; ArduPilot asks for 1200 unless told otherwise."""
+"""Physics rates that are stepped; ArduPilot asks for 1200 by default."""
 REPEATS_OVERHEARD = 1
 """ArduPilot asks again after a second of silence, and does so even where our answer came in that very moment. A second
 answer would be taken for that to its next step, whose own would be lost. If it is truly waiting, it asks once more."""
@@ -61,7 +61,7 @@ def read_packet(data: bytes) -> ServoPacket | None:
 
 
 def timestamp(time_s: float, steps: int) -> float:
-    """The time to tell ArduPilot after `steps` steps, s, so that its clock never drifts from `time_s`.
+    """The timestamp for ArduPilot after `steps` steps, s, so that its clock never drifts from `time_s`.
 
     ArduPilot adds the difference of two timestamps to its clock and cuts the sum to whole us (libraries/SITL/
     SIM_JSON.cpp, `time_now_us += deltat * 1.0e6`): of a step of 833.33 us it would lose a third of a us every time,
@@ -89,8 +89,8 @@ def require_estimator(ahrs_ekf_type: float) -> None:
     """Raise `RunError` unless AHRS_EKF_TYPE, read from the autopilot, names the estimator that real vehicles fly."""
     if ahrs_ekf_type != _FULL_ESTIMATOR:
         raise RunError(
-            f"AHRS_EKF_TYPE is {ahrs_ekf_type:g}: the autopilot would be told its state instead of estimating it; "
-            f"set it to {_FULL_ESTIMATOR} and restart the autopilot"
+            f"AHRS_EKF_TYPE is {ahrs_ekf_type:g}: the autopilot would take its state from the simulator; set it to"
+            f" {_FULL_ESTIMATOR} and restart the autopilot"
         )
 
 
@@ -153,7 +153,7 @@ class SitlServer:
             self.poll(0.5)
 
     def poll(self, timeout: float) -> bool:
-        """Wait up to `timeout` s for packets, answer the newest, tell whether there was one.
+        """Wait up to `timeout` s for packets, answer the newest, return whether there was one.
 
         After a stall several may be waiting: repetitions of the one that the autopilot still waits on.
         """

@@ -22,14 +22,14 @@ LINEAR_THRUST = 0.35
 PWM_LOW, PWM_HIGH = 1000, 2000
 """Motor commands at rest and at full thrust, us."""
 BATTERY_V, HOVER_A = 12.6, 12.0
-"""What the plant tells of its battery: a steady voltage, and a current in proportion to thrust."""
+"""The battery that the plant reports: a steady voltage, and a current in proportion to thrust."""
 _UPWARDS, _INVERSE = np.array([0.0, 0.0, GRAVITY]), np.array([1.0, -1.0, -1.0, -1.0])
 _SETTLE_STEPS, _SETTLE_S = 600, 1 / 1200
 
 
 @dataclass(frozen=True, slots=True)
 class Sensed:
-    """What the autopilot is told after a step: the truth, in its own frames."""
+    """What the autopilot receives after a step: the true state, in its own frames."""
 
     time: float
     """Since the reset, s."""
@@ -115,7 +115,7 @@ class Plant:
         self._data.qfrc_applied[:3] = [drag * a for a in air]
 
     def _sense(self, acceleration: FloatArray) -> Sensed:
-        """What sensors without error say, for a mean acceleration (3,), world, m/s2."""
+        """The readings of ideal sensors, for a mean acceleration (3,), world, m/s2."""
         qpos, qvel = self._data.qpos, self._data.qvel
         felt = np.empty(3)
         mujoco.mju_rotVecQuat(felt, acceleration + _UPWARDS, qpos[3:] * _INVERSE)

@@ -163,7 +163,7 @@ class GuardedSitl:
 
 
 class RecordedPlant(Plant):
-    """A plant that records its path, for whoever judges it from another thread."""
+    """A plant that records its path, which another thread judges."""
 
     def __init__(self, airframe: Airframe, start: tuple[float, float], wind: tuple[float, float, float]) -> None:
         self._lock = threading.Lock()
@@ -211,7 +211,7 @@ class PlantCamera:
 
 
 class _ObservedFlight(ExternalFlight):
-    """A flight that somebody else commands, over MAVLink; here its true path is observed."""
+    """A flight that is commanded over MAVLink, not here; its true path is observed."""
 
     def __init__(self, airframe: Airframe, take_off: Callable[[RecordedPlant], None]) -> None:
         super().__init__()

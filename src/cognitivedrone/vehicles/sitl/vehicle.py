@@ -1,4 +1,4 @@
-"""An ArduCopter in the air whose time goes on only when it is told to: process, physics and MAVLink drone as one.
+"""An ArduCopter in the air whose time advances only on request: process, physics and MAVLink drone as one.
 
 Between two calls of `go_on` the autopilot waits for an answer to the last step of physics. A command sent meanwhile is
 in its inbox before its next step begins, so a flight does not depend on how long anybody takes to think or to draw.
@@ -35,7 +35,7 @@ LOCK_STEP_ROWS = frozenset({"FS_GCS_ENABLE", "battery"})
 """Of the checklist, what blocks a vehicle that flies for thousands of tasks: its own fence would stop it one day."""
 TAKEOFF_M = 1.5
 PATIENCE_S = 20.0
-"""Of the wall clock, for the next step of physics or for what the vehicle tells."""
+"""Of the wall clock, for the next step of physics or for a message of the vehicle."""
 LAG_S = 0.4
 """So far the listener may lag behind the vehicle: its heartbeat, once a second of the vehicle's time, is never late."""
 _HALF_STEP_S = 0.0004  # half of a step at 1200 Hz: a time is reached by the step that ends nearest to it
@@ -44,7 +44,7 @@ _HALF_STEP_S = 0.0004  # half of a step at 1200 Hz: a time is reached by the ste
 class PassThroughGuard:
     """Lets every command pass while the vehicle is ours and armed: where a gate monitor judges, no rule holds it back.
 
-    Times on the wall say nothing here, since the vehicle stands still while a policy thinks.
+    Wall-clock times mean nothing here: the vehicle's time stands still while a policy computes.
     """
 
     def __init__(self) -> None:
@@ -131,7 +131,7 @@ class SitlVehicle:
                 break
             self._autopilot.check()
             if time.monotonic() > deadline:
-                raise LinkError(f"the vehicle has told nothing for {PATIENCE_S:g} s{self._autopilot.last_words()}")
+                raise LinkError(f"the vehicle has sent nothing for {PATIENCE_S:g} s{self._autopilot.last_words()}")
             time.sleep(0.0005)
         self._check()
 
@@ -183,7 +183,7 @@ def open_server(plant: Plant) -> tuple[SitlServer, int]:
 
 
 class _NoCamera:
-    """Whoever flies in lock-step draws for itself."""
+    """In lock-step the benchmark renders the frames."""
 
     def read(self) -> Shot:
         return Shot(np.zeros((1, 1, 3), np.uint8), time.monotonic(), 0.0)

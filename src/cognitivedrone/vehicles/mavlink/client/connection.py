@@ -1,4 +1,4 @@
-"""A MAVLink conversation with one vehicle: somebody who listens and heartbeats, and a caller that asks and waits."""
+"""A MAVLink connection to one vehicle: a loop that receives and heartbeats, and requests that wait for replies."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from cognitivedrone.errors import LinkError
+from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS, REAL32, Autopilot
 from cognitivedrone.vehicles.mavlink.client.traffic import (
     OUR_COMPONENT,
     OUR_SYSTEM,
@@ -30,22 +31,22 @@ HEARTBEAT_S, WATCH_S, PING_S = 1.0, 0.02, 0.2
 """Periods of our heartbeat, of the watch, and of a request that the vehicle answers at once (TIMESYNC)."""
 MOVED_S, ALONE_S = 0.5, 0.2
 """A vehicle that was silent for so long may go on from another address; before, who sends as it there is another. So
-long must that address be the only one: after a stop of our own, what has queued up says who was silent."""
+long must that address be the only one: after a stop of our own, the queued packets show which side was silent."""
 READ_AT_ONCE = 64
-"""Pieces or datagrams that are taken before the next watch."""
+"""Reads or datagrams that are processed before the next call of `watch`."""
 ACK_S, TRIES = 1.0, 3
 RESULTS = {1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed", 6: "cancelled"}
 """MAV_RESULT; 0 is accepted and 5 in progress."""
 IN_PROGRESS = 5
 REQUEST_MESSAGE = 512
 """MAV_CMD_REQUEST_MESSAGE."""
-REAL32 = 9
-"""MAV_PARAM_TYPE_REAL32; ArduPilot takes every parameter as that."""
+MODE_S = 0.1
+"""How often a vehicle that heartbeats too seldom by itself is asked for a heartbeat."""
 
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """Who is at the other end."""
+    """The vehicle at the other end, as its heartbeat identifies it."""
 
     system: int
     component: int
@@ -56,11 +57,11 @@ class Vehicle:
 
 
 class Connection:
-    """Talks to the first vehicle that is heard, or to the one with system id `system`.
+    """Connects to the first vehicle whose heartbeat arrives, or to the one with system id `system`.
 
-    A thread listens and heartbeats, or, without `threaded`, whoever calls `step` again and again. `watch` is called
-    from there some fifty times a second, and `log` for every packet received and sent; neither may wait. Once the link
-    is cut, every method raises `LinkError`.
+    A thread receives and sends heartbeats; without `threaded`, the caller does so by calling `step` repeatedly. `watch`
+    is called from there about fifty times a second, and `log` for every packet received and sent; neither may block.
+    Once the link is cut, every method raises `LinkError`.
     """
 
     def __init__(
@@ -77,7 +78,7 @@ class Connection:
         self._system = system
         self._log = log
         self._watch = watch
-        self._beat = self._vehicle_beat = self._watched = self._pinged = -math.inf
+        self._beat = self._vehicle_beat = self._watched = self._pinged = self._asked = -math.inf
         self._encoder = self._dialect.MAVLink(_Outlet(self._put), OUR_SYSTEM, OUR_COMPONENT)
         self._decoder = self._new_decoder()
         self._sending = threading.Lock()
@@ -86,10 +87,12 @@ class Connection:
         self._stopping = threading.Event()
         self._failure: LinkError | None = None
         self._replies: dict[Hashable, Any] = {}
+        self._kinds: dict[str, int] = {}
+        """MAV_PARAM_TYPE of the parameters heard."""
         self.vehicle: Vehicle | None = None
         self.telemetry = Telemetry()
         self.traffic = Traffic(nonce=secrets.randbelow(1000))
-        """Who else is on the link, and whether the vehicle hears us."""
+        """Other senders on the link, and whether our packets reach the vehicle."""
         self._peer: tuple[Hashable, float] = (None, -math.inf)
         """Where the vehicle last sent from, and when."""
         self._mover: tuple[Hashable, float] = (None, -math.inf)
@@ -98,13 +101,18 @@ class Connection:
         if self._thread is not None:
             self._thread.start()
 
+    @property
+    def autopilot(self) -> Autopilot:
+        """What the vehicle runs; ArduPilot until it is heard, and for what is not flown."""
+        return AUTOPILOTS.get(self.vehicle.autopilot, ARDUPILOT) if self.vehicle is not None else ARDUPILOT
+
     def check(self) -> None:
         """Raise what cut the link, if it is cut."""
         if self._failure is not None:
             raise self._failure
 
     def close(self) -> None:
-        """Stop listening and heartbeating."""
+        """Stop receiving and sending heartbeats."""
         self._stopping.set()
         if self._thread is not None and threading.current_thread() is not self._thread:
             self._thread.join()
@@ -135,7 +143,7 @@ class Connection:
     def command(self, number: int, *parameters: float, what: str) -> None:
         """Send a COMMAND_LONG and wait until it is accepted, three times if need be.
 
-        Raises `LinkError` where it is not: with the vehicle's own words, and in ours `what` it was about.
+        Raises `LinkError` where it is not: with the vehicle's status text, and `what` names the command.
         """
         began = time.monotonic()
         with self._asking:
@@ -194,11 +202,9 @@ class Connection:
 
     def set_parameter(self, name: str, value: float) -> None:
         """Set a parameter and see that it took; raises `LinkError` where it did not."""
-        vehicle = self._target()
         with self._asking:
             for _ in range(TRIES):
-                self._replies.pop(("parameter", name), None)
-                self.send("param_set", vehicle.system, vehicle.component, name.encode(), value, REAL32)
+                self.tell_parameter(name, value)
                 echo = self.wait(lambda: self._replies.get(("parameter", name)), ACK_S)
                 if echo is not None and math.isclose(echo, value, rel_tol=1e-5):
                     return
@@ -208,16 +214,19 @@ class Connection:
         """Set a parameter without waiting; `told_parameter` gives the vehicle's answer."""
         vehicle = self._target()
         self._replies.pop(("parameter", name), None)
-        self.send("param_set", vehicle.system, vehicle.component, name.encode(), value, REAL32)
+        # ArduPilot takes every parameter as a float.
+        kind = self._kinds.get(name, REAL32) if self.autopilot.exact_integers else REAL32
+        field = self.autopilot.parameter_field(value, kind)
+        self.send("param_set", vehicle.system, vehicle.component, name.encode(), field, kind)
 
     def told_parameter(self, name: str) -> float | None:
-        """What the vehicle last said of a parameter since it was asked for or told one."""
+        """The value that the vehicle last reported since the parameter was requested or set."""
         value: float | None = self._replies.get(("parameter", name))
         return value
 
     def _target(self) -> Vehicle:
         if self.vehicle is None:
-            raise LinkError("no vehicle has been heard on this link yet")
+            raise LinkError("no vehicle has sent a heartbeat on this link yet")
         return self.vehicle
 
     def _result(self, number: int, timeout_s: float) -> int | None:
@@ -240,6 +249,9 @@ class Connection:
         if self.vehicle is not None and now - self._pinged >= PING_S:
             self._pinged = now
             self.send("timesync", 0, request_time(self.traffic, now))
+        if self.autopilot.asked_for_mode and now - self._asked >= MODE_S:
+            self._asked = now
+            self.order(REQUEST_MESSAGE, 0)
         if now - self._watched >= WATCH_S:
             self._watched = now
             self._watch()
@@ -273,7 +285,7 @@ class Connection:
         except LinkError as error:
             self.fail(error)
         except Exception as error:
-            # A thread that ends in silence would leave a drone in the air that nobody watches: the caller must hear.
+            # A thread that ends unnoticed would leave a drone in the air unsupervised: the caller gets the error.
             self.fail(LinkError(f"listening to the vehicle failed: {error!r}"))
 
     def _take(self, data: bytes, peer: Hashable) -> None:
@@ -286,7 +298,7 @@ class Connection:
                     self.traffic = replace(self.traffic, broken=self.traffic.broken + 1)
                     continue
                 self._log(bytes(message.get_msgbuf()))
-                # A message with an impossible number must not end the listening: what it did not tell grows old.
+                # A message with an impossible value must not end the loop; the values it should have set grow old.
                 with contextlib.suppress(ValueError, OverflowError):
                     self._hear(message, peer, now)
             self._news.notify_all()
@@ -322,13 +334,14 @@ class Connection:
         self._peer, self._mover = (peer, now), (None, -math.inf)
         if kind == "HEARTBEAT":
             self._transport.answer_to(peer)  # wherever the vehicle has moved to
-        self.telemetry = heard(self.telemetry, message, now)
+        self.telemetry = heard(self.telemetry, message, now, self.autopilot)
         if kind == "COMMAND_ACK" and message.target_system in (0, OUR_SYSTEM):
             self._replies["ack", message.command] = message.result
         elif kind == "TIMESYNC":
             self.traffic = answered(self.traffic, message, now)
         elif kind == "PARAM_VALUE":
-            self._replies["parameter", message.param_id] = message.param_value
+            self._kinds[message.param_id] = message.param_type
+            self._replies["parameter", message.param_id] = self.autopilot.parameter(message)
         else:
             self._replies[kind] = message
 

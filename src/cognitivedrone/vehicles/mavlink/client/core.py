@@ -1,12 +1,12 @@
 """A flight over MAVLink: the link, its phases, and what the rules of safety decide, without a camera or a policy.
 
 The rules (`cognitivedrone.control.safety`) are asked about every command, and fifty times a second between them by
-whoever listens to the link, so that a policy that hangs does not keep a drone flying. As soon as the pilot or the
+the loop that reads the link, so that a policy that hangs does not keep a drone flying. As soon as the pilot or the
 vehicle itself takes over, nothing is sent any more but heartbeats. The guard process runs one of these alone
 (`vehicles/mavlink/guard`); `MavlinkDrone` runs one in its own process, for simulations.
 
-Protocol: GUIDED mode, SET_POSITION_TARGET_LOCAL_NED in MAV_FRAME_BODY_NED with velocity and yaw rate
-(https://ardupilot.org/dev/docs/copter-commands-in-guided-mode.html).
+Protocol: GUIDED mode (PX4: OFFBOARD), SET_POSITION_TARGET_LOCAL_NED in MAV_FRAME_BODY_NED with velocity and yaw rate.
+In what the autopilots differ is in `vehicles/mavlink/autopilot.py`.
 """
 
 from __future__ import annotations
@@ -22,19 +22,18 @@ import numpy as np
 
 from cognitivedrone.control.health import Health
 from cognitivedrone.errors import LinkError
-from cognitivedrone.frames import flu_to_frd
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.mavlink.client.connection import Connection
+from cognitivedrone.vehicles.mavlink.client.expected import EXPECTED
 from cognitivedrone.vehicles.mavlink.client.guard import Decision, Guard
 from cognitivedrone.vehicles.mavlink.client.handshake import HOME_POSITION, MavlinkConfig, Met, meet
 from cognitivedrone.vehicles.mavlink.client.health import OWN_TARGETS_S, Asked, Baseline, health_of
 from cognitivedrone.vehicles.mavlink.client.parameters import ParameterChanges, journal_of
-from cognitivedrone.vehicles.mavlink.client.preflight import NAMES, Checklist, Facts, build_checklist, corrections
+from cognitivedrone.vehicles.mavlink.client.preflight import Checklist, Facts, build_checklist, corrections
+from cognitivedrone.vehicles.mavlink.client.setpoints import SETPOINT_S, STREAM_FIRST_S, climb, fields_of
 from cognitivedrone.vehicles.mavlink.client.transport import open_transport
-from cognitivedrone.vehicles.mavlink.telemetry import MODE_NUMBERS, Telemetry, last_words
+from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, last_words
 
-BODY_NED, VELOCITY_AND_YAW_RATE = 8, 0x05C7
-"""MAV_FRAME_BODY_NED; the type mask that leaves velocity and yaw rate."""
 SET_MODE, ARM, TAKE_OFF = 176, 400, 22
 """MAV_CMD of DO_SET_MODE, COMPONENT_ARM_DISARM and NAV_TAKEOFF."""
 PAUSE_S = 5.0
@@ -43,15 +42,13 @@ Phase = Literal["ground", "climbing", "flying", "released"]
 """`climbing` from the order to arm; `flying` also while it brakes and lands; `released` once it is no longer ours."""
 REPEAT_S = 0.5
 """How often a mode is ordered again, until the vehicle shows it."""
-SETPOINT_S = 0.1
-"""How often a velocity is sent again."""
 LandingMode = Literal["LAND", "RTL"]
 
 
 class FlightCore:
     """Opens the link when it is made; `meet` waits for the vehicle.
 
-    With `threaded`, a thread listens; without, whoever made it calls `link.step` again and again, from one thread.
+    With `threaded`, a thread reads the link; without, the caller calls `link.step` repeatedly, from one thread.
     Raises `LinkError` for a link that cannot be opened, `MissingExtra` without pymavlink.
     """
 
@@ -86,6 +83,8 @@ class FlightCore:
         self._changes = ParameterChanges(None)
         self._guided_timeout_s: float | None = None
         self._was_armed = False
+        self._streaming = False
+        """Whether velocities keep the vehicle in its mode until it is up."""
         self._taken_over: str | None = None
         self._given_up = ""
         self._ordered = ""
@@ -106,7 +105,7 @@ class FlightCore:
 
     @property
     def telemetry(self) -> Telemetry:
-        """The newest of everything that the vehicle has said."""
+        """The newest values that the vehicle has reported."""
         return self.link.telemetry
 
     @property
@@ -116,7 +115,7 @@ class FlightCore:
 
     @property
     def over(self) -> str | None:
-        """Why the flight is over, in words, once it lands or is somebody else's; a mission ends then."""
+        """Why the flight is over, once it lands or has been taken over; a mission ends then."""
         if self._taken_over is not None or self.decision is None:
             return self._taken_over
         return self.decision.reason if self.decision.kind in ("land", "hands_off") else None
@@ -124,14 +123,15 @@ class FlightCore:
     # Before the flight.
 
     def checklist(self, frame_age_s: float) -> Checklist:
-        """Read what safety leans on, set what may be set, and list it all."""
+        """Read the parameters that safety depends on, correct those that may be set, and return the checklist."""
         if not self.telemetry.armed:
             self._changes.put_back(self.link)  # of a flight that could not
-        config, values = self.config, self.link.parameters(NAMES)
-        changed = corrections(values, config.ceiling_m, config.only) if config.set_parameters else {}
+        config, autopilot = self.config, self.link.autopilot
+        values = self.link.parameters([expected.name for expected in EXPECTED[autopilot.name]])
+        changed = corrections(values, config.ceiling_m, config.only, autopilot) if config.set_parameters else {}
         self._changes.make(self.link, values, changed)
         values |= changed
-        self._guided_timeout_s = values["GUID_TIMEOUT"]
+        self._guided_timeout_s = values[autopilot.timeout]
         return build_checklist(
             Facts(
                 now=monotonic(),
@@ -145,6 +145,7 @@ class FlightCore:
                 takeoff_height_m=config.takeoff_height_m,
                 ceiling_m=config.ceiling_m,
                 judges_time=config.clock == "wall" and not self.met.simulated,
+                autopilot=autopilot,
             ),
             config.only,
         )
@@ -152,9 +153,9 @@ class FlightCore:
     def take_off(self, confirm: Callable[[Checklist], bool], frame_age: Callable[[], float]) -> None:
         """Wait until it is ready, have a person confirm the checklist, arm, and climb to the take-off height.
 
-        `frame_age` gives the age of the camera's newest frame, s. Nothing is sent while it climbs: a setpoint would end
-        its take-off. Raises `LinkError` where it is armed already, not ready in time, not confirmed, refuses, does not
-        climb, is taken over, or is told to land.
+        `frame_age` gives the age of the camera's newest frame, s. Nothing is sent while an ArduCopter climbs: a
+        setpoint would end its take-off; a PX4 climbs by setpoints. Raises `LinkError` where it is armed already, not
+        ready in time, not confirmed, refuses, does not climb, is taken over, or is ordered to land.
         """
         if self.telemetry.armed:
             raise LinkError("the vehicle is armed already: somebody flies it; land and disarm it first")
@@ -166,8 +167,10 @@ class FlightCore:
             if not confirm(checklist):
                 raise LinkError("the take-off was not confirmed; nothing was armed")
             self._modes = frozenset({self.telemetry.mode})
-            self._set_mode("GUIDED")
+            self._stream_first()
+            self._set_mode(self.link.autopilot.guided)
         except LinkError:
+            self._streaming = False
             with suppress(LinkError):  # what stays is in the journal, for the next start
                 self._changes.put_back(self.link)
             raise
@@ -179,7 +182,8 @@ class FlightCore:
         if not self.link.until(lambda: self.telemetry.armed or self.phase != "climbing", 3.0):
             raise LinkError("the vehicle accepted to arm, but does not show it")
         self._check_climbing()
-        self.link.command(TAKE_OFF, 0, 0, 0, 0, 0, 0, self.config.takeoff_height_m, what="take-off")
+        if not self._streaming:
+            self.link.command(TAKE_OFF, 0, 0, 0, 0, 0, 0, self.config.takeoff_height_m, what="take-off")
         self._climb()
         with self._lock:
             self._check_climbing()
@@ -217,7 +221,7 @@ class FlightCore:
     # The end.
 
     def land(self, reason: str, mode: LandingMode = "LAND") -> None:
-        """Order to land where it is, or to fly back first, and say it again until the motors stop.
+        """Order to land where it is, or to fly back first, and repeat the order until the motors stop.
 
         On the ground it ends what was begun; where the drone is not ours it does nothing.
         """
@@ -230,7 +234,7 @@ class FlightCore:
             if self.over is None:
                 self._landing = mode
             self._guard.land(reason)
-            self.phase = "flying"  # also from within the climb: `watch` orders it, and says it again
+            self.phase = "flying"  # also from within the climb: `watch` sends the order and repeats it
 
     def wait_for_landing(self) -> None:
         """Wait until it is not ours any more; raises `LinkError` where it has not landed in time."""
@@ -242,13 +246,13 @@ class FlightCore:
 
     def close(self) -> None:
         """Put the vehicle's parameters back, and hang up."""
-        if self._threaded:  # who listens by itself cannot wait: `watch` has put back what it could
+        if self._threaded:  # without a thread nothing can be waited for: `watch` has put back what it could
             with suppress(LinkError):
                 self._changes.put_back(self.link, flying=self.telemetry.armed)
         self.link.close()
 
     def watch(self) -> None:
-        """Ask the rules, and do as they say: some fifty times a second, from where the link is listened to."""
+        """Ask the rules, and do as they say: some fifty times a second, from the loop that reads the link."""
         with self._lock:
             if self.phase == "released":
                 # The pilot flies: what we have set on the vehicle must not act against them.
@@ -257,12 +261,13 @@ class FlightCore:
                 health = self._health()
                 self._obey(self._guard.judge(health), health)
             elif self.phase == "climbing":
-                # A policy has nothing to say yet; the pilot has.
+                # The policy has no control yet; the pilot has.
                 self._settle()
                 if self.telemetry.mode not in self._modes or (self._was_armed and not self.telemetry.armed):
                     stopped = "" if self.telemetry.armed else ", its motors stopped"
                     self.phase, self._taken_over = "released", f"the vehicle is in {self.telemetry.mode}{stopped}"
                 self._was_armed |= self.telemetry.armed
+            self._stream()
 
     # The parts.
 
@@ -276,14 +281,31 @@ class FlightCore:
         if not self.link.until(ready, self.config.ready_timeout_s):
             lacking = "passes its own checks" if self.telemetry.estimating else "knows where it is"
             raise LinkError(
-                f"the vehicle is not ready: {self.config.ready_timeout_s:g} s have passed, and it does not say that it"
-                f" {lacking}{last_words(self.telemetry, self._opened)}"
+                f"the vehicle is not ready: {self.config.ready_timeout_s:g} s have passed, and it does not report that"
+                f" it {lacking}{last_words(self.telemetry, self._opened)}"
             )
+
+    def _stream_first(self) -> None:
+        """Send velocities for as long as a vehicle that flies by a stream of them wants to see it before."""
+        self._streaming = self.link.autopilot.flies_by_stream
+        if self._streaming:
+            self.link.until(lambda: bool(self._given_up), STREAM_FIRST_S)
+            self.check_wanted()
+
+    def _stream(self) -> None:
+        """The velocity until it is up: none on the ground, then upwards, and more slowly near the height."""
+        now = monotonic()
+        if not self._streaming or self.phase not in ("ground", "climbing") or now - self._said_at < SETPOINT_S:
+            return
+        self._said_at = now
+        climbs = self.phase == "climbing" and self.telemetry.armed
+        left = self.home[2] + self.config.takeoff_height_m - self.telemetry.position[2]
+        self._setpoint(climb(float(left)) if climbs else np.zeros(4, dtype=np.float32))
 
     def _set_mode(self, mode: str) -> None:
         """Order a mode and wait until it shows."""
         self._expect(mode)
-        self.link.command(SET_MODE, 1, MODE_NUMBERS[mode], what=f"mode {mode}")
+        self.link.command(SET_MODE, *self.link.autopilot.mode_order(mode), what=f"mode {mode}")
         if not self.link.until(lambda: self.telemetry.mode == mode, 3.0):
             raise LinkError(f"the vehicle accepted mode {mode}, but is in {self.telemetry.mode}")
         with self._lock:
@@ -303,7 +325,7 @@ class FlightCore:
             )
 
     def check_wanted(self) -> None:
-        """Raise `LinkError` where it was told to land before it was in the air."""
+        """Raise `LinkError` where landing was ordered before it was in the air."""
         if self._given_up:
             raise LinkError(f"the take-off was given up: {self._given_up}")
 
@@ -311,7 +333,7 @@ class FlightCore:
         if self.phase == "released":
             raise LinkError(f"taken over during take-off: {self.over}")
         if self.phase != "climbing":
-            raise LinkError("told to land during take-off")
+            raise LinkError("landing was ordered during take-off")
 
     def _health(self) -> Health:
         self._settle()
@@ -337,7 +359,7 @@ class FlightCore:
         if decision.kind == "hands_off":
             self.phase = "released"
             if before is not None and before.kind == "land" and not self.telemetry.armed:
-                return False  # landed as it should: why it landed is what there is to tell
+                return False  # landed as ordered: the reason for the landing stays the one that is reported
         self.decision = decision
         if decision.kind in ("fly", "hands_off"):
             return decision.kind == "fly"
@@ -350,7 +372,7 @@ class FlightCore:
             self._setpoint(order.setpoint)
         if order.mode is not None:
             self._expect(order.mode)
-            self.link.order(SET_MODE, 1, MODE_NUMBERS[order.mode])
+            self.link.order(SET_MODE, *self.link.autopilot.mode_order(order.mode))
         return False
 
     def _expect(self, mode: str) -> None:
@@ -366,12 +388,8 @@ class FlightCore:
 
     def _setpoint(self, action: Action) -> Action:
         """Send a command (4,) of the heading frame; returns it."""
-        velocity = flu_to_frd(action[:3])
-        yaw_rate = flu_to_frd(np.array([0.0, 0.0, action[3]]))[2]
         self._sent = (*self._sent, (monotonic(), float(np.linalg.norm(action[:3]))))
         boot_ms = int((monotonic() - self._opened) * 1000)
-        self.link.send(
-            "set_position_target_local_ned", boot_ms, self.met.vehicle.system, self.met.vehicle.component, BODY_NED,
-            VELOCITY_AND_YAW_RATE, 0, 0, 0, *map(float, velocity), 0, 0, 0, 0, float(yaw_rate),
-        )  # fmt: skip
+        vehicle = self.met.vehicle
+        self.link.send("set_position_target_local_ned", boot_ms, vehicle.system, vehicle.component, *fields_of(action))
         return action

@@ -1,4 +1,4 @@
-"""An ArduCopter over MAVLink as a `Drone` with its `Clock`, guarded from within this process: for simulations.
+"""An ArduCopter or a PX4 over MAVLink as a `Drone` with its `Clock`, guarded from within this process: for simulations.
 
     with MavlinkDrone("udp:127.0.0.1:14550", camera, Guard()) as drone:
         drone.take_off(confirm)
@@ -28,7 +28,7 @@ from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
 
 
 class MavlinkDrone:
-    """Connects when it is made: waits for the vehicle and checks that it is a copter on ArduPilot.
+    """Connects when it is made: waits for the vehicle and checks that it is a copter on ArduPilot or PX4.
 
     The camera is its own from then on, and closed with it, also where it cannot be made. Raises `LinkError` for what
     cannot be reached or flown, `MissingExtra` without pymavlink.
@@ -46,7 +46,7 @@ class MavlinkDrone:
             undo.callback(self._core.close)
             self._core.meet()
             self.vehicle, self.simulated = self._core.met.vehicle, self._core.met.simulated
-            """Who is flown, and whether it says that it is this project's simulator."""
+            """The vehicle, and whether it identifies itself as this project's simulator."""
             self._undo = undo.pop_all()
 
     def __enter__(self) -> MavlinkDrone:
@@ -62,7 +62,7 @@ class MavlinkDrone:
 
     @property
     def telemetry(self) -> Telemetry:
-        """The newest of everything that the vehicle has said."""
+        """The newest values that the vehicle has reported."""
         return self._core.telemetry
 
     @property
@@ -72,7 +72,7 @@ class MavlinkDrone:
 
     @property
     def over(self) -> str | None:
-        """Why the flight is over, in words, once it lands or is somebody else's; a mission ends then."""
+        """Why the flight is over, once it lands or has been taken over; a mission ends then."""
         return self._core.over
 
     def checklist(self) -> Checklist:

@@ -1,4 +1,4 @@
-"""What a link asks of whoever decides about safety: the rules, or what stands in for them in simulations."""
+"""The interface of the safety rules to the link: the rules themselves, or their replacement in simulations."""
 
 from __future__ import annotations
 

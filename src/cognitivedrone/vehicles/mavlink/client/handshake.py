@@ -17,21 +17,20 @@ SET_MESSAGE_INTERVAL = 511
 AUTOPILOT_VERSION = 148
 STATE_MESSAGES = {"ATTITUDE": 30, "LOCAL_POSITION_NED": 32}
 """What cannot be flown without, at `stream_hz`."""
-SLOW_MESSAGES = {"SYS_STATUS": 1, "EKF_STATUS_REPORT": 193, "RC_CHANNELS": 65, "POSITION_TARGET_LOCAL_NED": 85}
 HOME_POSITION = 242
 SLOW_HZ, HEARTBEAT_HZ = 5, 10
 
 
 @dataclass(frozen=True, slots=True)
 class MavlinkConfig:
-    """How a vehicle is talked to."""
+    """Settings of the connection and of the flight's phases."""
 
     takeoff_height_m: float = 1.5
     """Above where it stands."""
     clock: Literal["wall", "vehicle"] = "wall"
     """`vehicle` for simulators that do not run in real time; its steps are those of the telemetry."""
     system: int | None = None
-    """System id of the vehicle where several are on the link; the first one heard otherwise."""
+    """System id of the vehicle where several are on the link; otherwise the first one that sends a heartbeat."""
     stream_hz: int = 20
     """Rate of attitude and position."""
     ceiling_m: float = 10.0
@@ -57,9 +56,9 @@ class Met:
 
     vehicle: Vehicle
     version: tuple[int, int] | None
-    """Of its firmware; none where it does not say."""
+    """Of its firmware; none where it is not reported."""
     simulated: bool
-    """Whether the vehicle says that it is this project's simulator."""
+    """Whether the vehicle identifies itself as this project's simulator."""
     key: str
     """A name for this vehicle that stays the same."""
 
@@ -74,16 +73,17 @@ def meet(link: Connection, url: str, config: MavlinkConfig) -> Met:
             " is it powered, is the port (or baud rate) right, and is no other program using it?"
         )
     check_vehicle(vehicle, None)
-    told = link.message("AUTOPILOT_VERSION", AUTOPILOT_VERSION)
-    version = check_vehicle(vehicle, told.flight_sw_version if told is not None else None)
+    reply = link.message("AUTOPILOT_VERSION", AUTOPILOT_VERSION)
+    version = check_vehicle(vehicle, reply.flight_sw_version if reply is not None else None)
     for name, number in STATE_MESSAGES.items():
         link.command(SET_MESSAGE_INTERVAL, number, 1e6 / config.stream_hz, what=f"to send {name}")
     # How we learn of the pilot: ArduCopter heartbeats at once when its mode changes, others may not.
-    link.order(SET_MESSAGE_INTERVAL, 0, 1e6 / HEARTBEAT_HZ)
-    for name, number in SLOW_MESSAGES.items():
+    if not link.autopilot.asked_for_mode:
+        link.order(SET_MESSAGE_INTERVAL, 0, 1e6 / HEARTBEAT_HZ)
+    for name, number in link.autopilot.reports.items():
         link.order(SET_MESSAGE_INTERVAL, number, 1e6 / SLOW_HZ)
         if name != "POSITION_TARGET_LOCAL_NED":  # which there is only in flight
             link.message(name, number, 1.0)  # the first one now: before arming it must not be missed
-    simulated = told is not None and bytes(told.flight_custom_version) == SIMULATED
-    uid, uid2 = (told.uid, told.uid2) if told is not None else (0, ())
+    simulated = reply is not None and bytes(reply.flight_custom_version) == SIMULATED
+    uid, uid2 = (reply.uid, reply.uid2) if reply is not None else (0, ())
     return Met(vehicle, version, simulated, vehicle_key(uid, uid2, vehicle.system, url))

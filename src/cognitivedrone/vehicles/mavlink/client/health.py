@@ -8,19 +8,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cognitivedrone.control.health import Health
+from cognitivedrone.control.health import VELOCITY_MODES, Health
 from cognitivedrone.types import FloatArray
 from cognitivedrone.vehicles.mavlink.client.traffic import Traffic
 from cognitivedrone.vehicles.mavlink.telemetry import POSITION_IGNORED, Telemetry, stick_moved
 
 BLIND_M = 1.0
-"""So far it may fly without a command: that divided by `GUID_TIMEOUT` is the most speed that is asked for."""
+"""So far it may fly without a command: that divided by `GUID_TIMEOUT` (PX4: `COM_OF_LOSS_T`) is the most speed."""
 OWN_TARGETS_S = 1.5
-"""For so long a velocity that we sent may be what the vehicle says it flies to."""
+"""A velocity that we sent may be the vehicle's reported target for so long."""
 TARGET_M_S = 0.5
 """A target this much faster than all that we sent is somebody else's."""
 IMPOSTOR_S = 2.0
-"""For so long after it was heard, somebody who sends as the vehicle counts."""
+"""An impostor, another sender with the vehicle's id, counts for so long after its last packet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +35,9 @@ class Baseline:
     remote: bool = False
     """Whether a remote control was received."""
     battery: bool = False
-    """Whether the vehicle told of its battery."""
+    """Whether the vehicle reported its battery."""
     estimator: bool = False
-    """Whether it told of its state estimator."""
+    """Whether it reported its state estimator."""
     clock_restarts: int = 0
     speed_limit_m_s: float = math.inf
 
@@ -45,7 +45,7 @@ class Baseline:
     def taken(
         cls, telemetry: Telemetry, home: FloatArray, now: float, guided_timeout_s: float | None = None
     ) -> Baseline:
-        """The baseline of now; `guided_timeout_s` is the vehicle's `GUID_TIMEOUT`."""
+        """The baseline of now; `guided_timeout_s` is the vehicle's `GUID_TIMEOUT`, or PX4's `COM_OF_LOSS_T`."""
         return cls(
             home=home,
             taken_at=now,
@@ -88,7 +88,7 @@ def health_of(
     """How everything is at `now`, by our steady clock.
 
     `patience_s` above 0 is for simulators whose time may stand still: so much silence of theirs is forgiven. Without
-    `judges_time` it says nothing how their clock runs against ours: a machine that is busy slows it.
+    `judges_time` their clock is not compared with ours: a busy machine slows it.
     """
     t, b = telemetry, baseline
     lateness = t.late_s if judges_time else 0.0
@@ -129,7 +129,7 @@ def health_of(
 def intruder(
     telemetry: Telemetry, traffic: Traffic, since: float, sent: Iterable[tuple[float, float]], now: float
 ) -> str:
-    """Who else commands the vehicle or passes for somebody, in words; empty where nobody does."""
+    """A description of another sender that commands the vehicle or uses its id or ours; empty where there is none."""
     if traffic.commander_at > since:
         return traffic.commander
     if traffic.impostor_at > max(since, now - IMPOSTOR_S):
@@ -142,12 +142,12 @@ def intruder(
 
 
 def foreign_target(telemetry: Telemetry, since: float, sent: Iterable[tuple[float, float]]) -> bool:
-    """Whether the vehicle flies in GUIDED to what nobody here has asked for.
+    """Whether the vehicle flies in GUIDED, or OFFBOARD, to what nobody here has asked for.
 
-    Only what it tells a while after the take-off counts: until the first velocity arrives, it keeps the take-off's own.
+    Only reports from some time after the take-off count: until the first velocity arrives, it keeps the take-off's own.
     """
     t = telemetry
-    if t.mode != "GUIDED" or t.target_mask is None or t.target_at < since + OWN_TARGETS_S:
+    if t.mode not in VELOCITY_MODES or t.target_mask is None or t.target_at < since + OWN_TARGETS_S:
         return False
     if t.target_mask & POSITION_IGNORED != POSITION_IGNORED:
         return True

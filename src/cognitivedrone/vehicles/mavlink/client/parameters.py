@@ -1,7 +1,7 @@
 """Parameters of a vehicle that are changed for a flight, and put back after it, whatever ends it.
 
-A journal on disk tells what was, written before anything is changed: a program that is killed leaves it, and the next
-one that meets the vehicle puts the values back first. A value that somebody else has changed meanwhile stays theirs.
+A journal on disk keeps the old values, written before anything is changed: a program that is killed leaves it, and the
+next one that meets the vehicle puts the values back first. A value that has been changed by others meanwhile stays.
 """
 
 from __future__ import annotations
@@ -23,7 +23,10 @@ from cognitivedrone.errors import LinkError
 from cognitivedrone.files import read_regular, reason_of, replace_file, safe_name
 
 ACTS_IN_FLIGHT: Final = frozenset(
-    {"FS_GCS_ENABLE", "FS_GCS_TIMEOUT", "FENCE_ENABLE", "FENCE_ACTION", "BATT_FS_LOW_ACT"}
+    {
+        *("FS_GCS_ENABLE", "FS_GCS_TIMEOUT", "FENCE_ENABLE", "FENCE_ACTION", "BATT_FS_LOW_ACT"),
+        *("NAV_DLL_ACT", "GF_ACTION", "COM_LOW_BAT_ACT"),
+    }
 )
 """What makes a vehicle change its mode by itself: put back as soon as a pilot has taken over. The rest waits for the
 ground: `FS_OPTIONS` spares a pilot, and the failsafe must not begin to watch another ground station in the air."""
@@ -47,7 +50,7 @@ class Parameters(Protocol):
         ...
 
     def told_parameter(self, name: str) -> float | None:
-        """What the vehicle last said of one."""
+        """The value that the vehicle last reported."""
         ...
 
 
@@ -84,7 +87,7 @@ class ParameterChanges:
         self._open = {} if journal is None else _read(journal)
         self._said_at = -math.inf
         self._waiting = False
-        """Somebody waits in `put_back`: whoever listens leaves it to them. Both may still meet once."""
+        """A thread waits in `put_back`: the loop that reads the link leaves it the work. Both may still send once."""
         self._keeping = threading.Lock()
 
     @property
@@ -157,7 +160,7 @@ class ParameterChanges:
                 replace_file(self._journal, json.dumps(content, indent=1).encode())
         except OSError as error:
             raise LinkError(
-                f"cannot write {self._journal}, which tells how the vehicle's parameters were: {reason_of(error)}"
+                f"cannot write {self._journal}, the journal of the vehicle's parameters: {reason_of(error)}"
             ) from None
 
 
@@ -170,7 +173,7 @@ def _read(journal: Path) -> dict[str, Change]:
         return {}
     except (OSError, ValueError, TypeError, AttributeError) as error:
         raise LinkError(
-            f"cannot read {journal}, which tells how the vehicle's parameters were before an earlier flight: {error};"
+            f"cannot read {journal}, the journal of the vehicle's parameters before an earlier flight: {error};"
             " check them with a ground station, then remove it"
         ) from None
 

@@ -23,7 +23,7 @@ CLOSING_S = 2.0
 
 
 class PacketLog:
-    """Hands packets to whoever reads the other end of a socket; what that one does not take is dropped and counted.
+    """Sends packets through a socket to the writer; those that it does not take at once are dropped and counted.
 
     Without a socket nothing is kept, and nothing counted.
     """
@@ -65,7 +65,7 @@ class TlogWriter:
         os.close(file)
 
     def close(self) -> str:
-        """Close this copy of `sink`; what the writer says of what it could not write, where it ends now."""
+        """Close this copy of `sink`; returns the writer's report of what it could not write, if the writer ends now."""
         self.sink.close()
         try:
             return self._process.communicate(timeout=CLOSING_S)[1].decode(errors="replace").strip()

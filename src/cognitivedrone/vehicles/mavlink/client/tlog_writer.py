@@ -18,7 +18,7 @@ MOST_BYTES = 64 << 20
 
 
 def main() -> None:
-    """Write until the end, then say on standard error what was lost."""
+    """Write until the end, then report on standard error what was lost."""
     source, waiting = socket.socket(fileno=0), _Waiting()
     threading.Thread(target=waiting.fill, args=(source,), daemon=True).start()
     position, trouble = 0, ""

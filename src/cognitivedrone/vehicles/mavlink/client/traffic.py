@@ -1,4 +1,4 @@
-"""Who else is on the link, and whether the vehicle hears us: pure functions of immutable values, as `telemetry.py`.
+"""Other senders on the link, and whether our packets reach the vehicle: pure functions, as `telemetry.py`.
 
 A request for the vehicle's time (TIMESYNC) carries ours; its answer gives that back. So an answer proves that the
 way there is open, and since when.
@@ -14,7 +14,7 @@ from cognitivedrone.vehicles.mavlink.telemetry import GROUND_STATION
 
 OUR_SYSTEM, OUR_COMPONENT = 255, 191
 """A ground station's system, so that the vehicle's ground-station failsafe watches our heartbeat; the component of an
-onboard computer, to be told from a ground station of the same system."""
+onboard computer, so that a ground station of the same system can be distinguished."""
 COMMANDING: Final = frozenset(
     {
         "SET_MODE",
@@ -32,16 +32,16 @@ MOVING_COMMANDS: Final = frozenset({16, 20, 21, 22, 176, 192, 252, 300, 400})
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """What has been heard besides the vehicle's telemetry."""
+    """What has been received besides the vehicle's telemetry."""
 
     nonce: int = 0
-    """0 to 999, of this connection: programs of one machine share a clock, and hear each other's answers."""
+    """0 to 999, of this connection: programs on one machine share a clock, and receive each other's answers."""
     answered_at: float = -math.inf
     """When we sent the newest request that the vehicle has answered, by our steady clock, s."""
     ground_stations: frozenset[tuple[int, int]] = frozenset()
     """System and component of others that heartbeat as ground stations."""
     commander: str = ""
-    """Who else was heard to command the vehicle, in words."""
+    """A description of another sender that commanded the vehicle."""
     commander_at: float = -math.inf
     impostor_at: float = -math.inf
     """When somebody else last sent as the vehicle."""

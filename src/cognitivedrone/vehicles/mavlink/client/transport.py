@@ -2,10 +2,10 @@
 
 | URL | what it is |
 |---|---|
-| `udp:HOST:PORT`, `udpin:HOST:PORT` | listen there; answer to whoever the vehicle turns out to be |
+| `udp:HOST:PORT`, `udpin:HOST:PORT` | listen there; reply to the address of the vehicle |
 | `udpout:HOST:PORT` | send there first, as to a router that listens |
 | `tcp:HOST:PORT` | connect |
-| `serial:DEVICE[:BAUD]` | a serial port or USB cable, 57600 baud unless said |
+| `serial:DEVICE[:BAUD]` | a serial port or USB cable, 57600 baud by default |
 
 Nothing here waits for the other end: a stream whose reader has stopped drops whole packets (`dropped`).
 """

@@ -1,11 +1,11 @@
-"""An ArduCopter over MAVLink as a `Drone` with its `Clock`, flown through a guard process.
+"""An ArduCopter or a PX4 over MAVLink as a `Drone` with its `Clock`, flown through a guard process.
 
     with GuardedDrone("udp:127.0.0.1:14550", camera, SafetyConfig()) as drone:
         drone.take_off(confirm)
         fly(drone, policy, drone, mission)
 
-The link is the guard's. This side sends it velocities with a deadline, and is told how the flight is. Leaving the
-block lands a drone that is still ours; so does the guard when this process ends, hangs, or sends what cannot be flown.
+The link is the guard's. This side sends it velocities with a deadline, and receives snapshots of the flight. Leaving
+the block lands a drone that is still ours; so does the guard when this process ends, hangs, or sends nonsense.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from cognitivedrone.control.safety import Decision, SafetyConfig
 from cognitivedrone.errors import LinkError, import_extra
 from cognitivedrone.types import Action, FloatArray, Observation
 from cognitivedrone.vehicles.camera import Camera
+from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS
 from cognitivedrone.vehicles.mavlink.client.core import PAUSE_S, LandingMode
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, Met
 from cognitivedrone.vehicles.mavlink.client.preflight import Checklist
@@ -43,17 +44,17 @@ T = TypeVar("T")
 ANSWER_S = 0.1
 """So long a command waits for what was made of it."""
 TOLD_S = 0.1
-"""How often the guard is told of the camera while it climbs."""
+"""How often the age of the camera's frame is sent to the guard in the climb."""
 START_S = 20.0
 """For the guard to be running, on a machine that is busy."""
 LEAVING_S = 15.0
 """For the guard to end once there is nothing left to guard: it puts the vehicle's parameters back first."""
 STOPPED_S = 2.0
-"""A guard that has said nothing for so long has been stopped."""
+"""A guard that has sent nothing for so long has been stopped."""
 
 
 class GuardedDrone:
-    """Starts the guard and connects when it is made, which checks that the vehicle is a copter on ArduPilot.
+    """Starts the guard and connects when it is made, which checks that the vehicle is a copter on ArduPilot or PX4.
 
     The camera is its own from then on, and closed with it, also where it cannot be made. Raises `LinkError` for what
     cannot be reached or flown and for a guard that has ended, `MissingExtra` without pymavlink.
@@ -64,8 +65,9 @@ class GuardedDrone:
     ) -> None:
         self.config = config or MavlinkConfig()
         self.camera = camera
+        self._on_silence = ARDUPILOT.on_silence
         self.log_trouble = ""
-        """What of the log could not be written, in words, once it is closed."""
+        """What of the log could not be written, once it is closed."""
         self._safety = safety or SafetyConfig()
         self._snapshot = Snapshot()
         self._heard_at = math.inf
@@ -96,6 +98,7 @@ class GuardedDrone:
             undo.callback(self._post, Kind.HANG_UP)
             met = self._reply("met", START_S + self.config.heartbeat_timeout_s)
             self.met = from_json(Met, met.content)
+            self._on_silence = AUTOPILOTS[self.met.vehicle.autopilot].on_silence
             self._undo = undo.pop_all()
 
     def __enter__(self) -> GuardedDrone:
@@ -111,12 +114,12 @@ class GuardedDrone:
 
     @property
     def simulated(self) -> bool:
-        """Whether the vehicle says that it is this project's simulator."""
+        """Whether the vehicle identifies itself as this project's simulator."""
         return self.met.simulated
 
     @property
     def telemetry(self) -> Telemetry:
-        """The newest of what the vehicle has said that this side needs: state, mode, battery and texts."""
+        """The newest values that the vehicle has reported: state, mode, battery and texts."""
         return replace(self._snapshot.telemetry, texts=tuple(self._texts))
 
     @property
@@ -127,7 +130,7 @@ class GuardedDrone:
 
     @property
     def over(self) -> str | None:
-        """Why the flight is over, in words, once it lands or is somebody else's; a mission ends then."""
+        """Why the flight is over, once it lands or has been taken over; a mission ends then."""
         snapshot = self._snapshot
         if snapshot.phase == "released" and snapshot.telemetry.armed:
             return f"{snapshot.reason}; process {self.process} heartbeats until it is disarmed, or killed"
@@ -210,7 +213,7 @@ class GuardedDrone:
             )
 
     def dismiss(self) -> None:
-        """End the heartbeats to a vehicle that somebody has taken over; its own failsafes may then act."""
+        """End the heartbeats to a vehicle that was taken over; its own failsafes may then act."""
         self._post(Kind.DISMISS)
 
     def close(self) -> None:
@@ -226,7 +229,7 @@ class GuardedDrone:
     # The guard process.
 
     def _read(self) -> None:
-        """Take in what the guard says, until it ends; in a thread."""
+        """Receive the guard's messages until it ends; in a thread."""
         while True:
             try:
                 data = self._socket.recv(1 << 18)
@@ -240,17 +243,17 @@ class GuardedDrone:
                     return
                 self._take(unpack(data))
 
-    def _take(self, said: Snapshot | Reply) -> None:
-        if isinstance(said, Snapshot):
-            self._snapshot = said
-        elif said.kind == "text":
-            self._texts.append(from_json(Text, said.content))
-        elif said.kind == "words":
-            self._words = said.content
-        elif said.kind == "cut":
-            self._cut = said.content
+    def _take(self, message: Snapshot | Reply) -> None:
+        if isinstance(message, Snapshot):
+            self._snapshot = message
+        elif message.kind == "text":
+            self._texts.append(from_json(Text, message.content))
+        elif message.kind == "words":
+            self._words = message.content
+        elif message.kind == "cut":
+            self._cut = message.content
         else:
-            self._replies.append(said)
+            self._replies.append(message)
 
     def _post(self, kind: Kind, command: FloatArray | None = None) -> int:
         """Send a message to the guard, or drop it where it does not read; returns its number."""
@@ -285,7 +288,7 @@ class GuardedDrone:
             if reply is not None and reply.kind == "failed":
                 raise LinkError(reply.content)
             if reply is not None and reply.kind == kind:
-                # What is told once comes before the snapshot that shows it.
+                # A reply arrives before the snapshot that shows the same.
                 self._wait(lambda: (kind != "flying" or self._snapshot.phase != "climbing") or None, START_S)
                 return reply
             if kind == "flying":
@@ -293,7 +296,7 @@ class GuardedDrone:
         raise LinkError(f"the guard process has not answered in {timeout_s:g} s")
 
     def _wait(self, found: Callable[[], T | None], timeout_s: float) -> T | None:
-        """What `found` gives, asked again at everything that the guard says, or none after `timeout_s`."""
+        """What `found` gives, asked again at every message of the guard, or none after `timeout_s`."""
         deadline = monotonic() + timeout_s
         with self._news:
             while True:
@@ -310,10 +313,10 @@ class GuardedDrone:
             raise LinkError(self._cut)
         if self._gone:
             raise LinkError(
-                f"the guard process has ended ({self._how()}); the vehicle now does what its FS_GCS_ENABLE says"
+                f"the guard process has ended ({self._how()}); the vehicle now acts by its {self._on_silence}"
             )
         if monotonic() - self._heard_at > STOPPED_S:
-            raise LinkError(f"the guard process {self.process} has said nothing for {STOPPED_S:g} s; is it stopped?")
+            raise LinkError(f"the guard process {self.process} has sent nothing for {STOPPED_S:g} s; is it stopped?")
 
     def _how(self) -> str:
         try:

@@ -38,7 +38,7 @@ class Kind(IntEnum):
 
     SETPOINT = 1
     FRAME = 2
-    """Nothing: it tells of the camera."""
+    """No order: it carries the age of the camera's frame."""
     TAKE_OFF = 3
     CONFIRM = 4
     REFUSE = 5
@@ -74,7 +74,7 @@ class Fault:
 
     kind: FaultKind
     reason: str
-    """In words."""
+    """A description."""
     sequence: int | None = None
     """Where it could be read."""
 
@@ -175,11 +175,11 @@ class Snapshot:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """Something that is told once."""
+    """A message that is sent once."""
 
     kind: Literal["met", "checklist", "flying", "failed", "cut", "text", "words"]
     """The vehicle was met; the checklist; the climb is over; what was asked for failed; the link was cut; a text of the
-    vehicle; the last words of the guard."""
+    vehicle; the guard's final report."""
     content: Any = None
     """JSON."""
 
@@ -189,7 +189,7 @@ class Reply:
 
 
 def unpack(data: bytes) -> Snapshot | Reply:
-    """What the guard said."""
+    """The message in these bytes."""
     if data[:1] == _REPLY:
         return Reply(*json.loads(data[1:]))
     (

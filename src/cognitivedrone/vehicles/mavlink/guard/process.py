@@ -52,7 +52,7 @@ GONE_S = 300.0
 RESTORE_S = 3.0
 """For the vehicle's parameters to be put back, on the ground; what is not is left to the next start."""
 LANDED, FAILED, LOST, LEFT = 0, 2, 3, 4
-"""Exit codes: on the ground; could not begin; the vehicle was lost; dismissed, or told to leave, while it was armed."""
+"""Exit codes: on the ground; could not begin; vehicle lost; dismissed while the vehicle was armed and not ours."""
 NAMES = {signal.SIGHUP: "the terminal has gone (SIGHUP)", signal.SIGTERM: "SIGTERM", signal.SIGINT: "SIGINT"}
 
 
@@ -139,7 +139,7 @@ class GuardProcess:
             self._core.watch()
 
     def _look_at_the_time(self) -> None:
-        """Notice that this process stood still: what it knows is old, and so is what the vehicle was told."""
+        """Notice that this process stood still: its state is old, and so is the last setpoint."""
         now = _steady()
         lost, self._ran_at = now - self._ran_at, now
         if lost > LOST_S and self._core.phase in ("climbing", "flying"):
@@ -228,7 +228,7 @@ class GuardProcess:
             case Kind.SETPOINT if self._core.phase in ("flying", "released"):
                 self._stopped = False
                 self._core.seen(now - self._frame_at)
-                # Whoever gives a deadline before the rules' own wants to be held from then on.
+                # From a deadline that is earlier than the rules' own, the drone is held.
                 age = max(now - message.sent_s, self._hold_s - (message.deadline_s - now))
                 self._sent = self._core.command(message.command, age if self._config.clock == "wall" else 0.0)
             case Kind.FRAME if self._core.phase == "flying":
@@ -336,7 +336,7 @@ class GuardProcess:
 _LAST_WORDS: dict[int, str] = {
     LANDED: "the drone is on the ground",
     LOST: "the vehicle was lost",
-    LEFT: "told to leave; the vehicle was not ours any more, and armed",
+    LEFT: "dismissed; the vehicle was not ours any more, and armed",
 }
 
 
