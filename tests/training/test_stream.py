@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cognitivedrone.layout import is_clear
 from cognitivedrone.models.text import Vocabulary, words_of
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.racing import INSTRUCTIONS
@@ -361,3 +362,20 @@ def test_spoken_sentences_say_what_the_training_tasks_do_not() -> None:
             for name in ("tokens", "text_tokens"):
                 new = [word for token in np.unique(batch[name]) if (word := wider.words[token]) not in known.words]
                 assert bool(new) == bool(share), new
+
+
+def test_a_share_of_the_flights_has_gates_at_other_places(vocabulary: Vocabulary) -> None:
+    def flights(share: float) -> list[Any]:
+        rollout_stream = RolloutStream(replace(RECIPE, layouts=share, worlds=6), vocabulary, NETWORK)
+        try:
+            next(rollout_stream((4, 2)))
+            return rollout_stream._flights
+        finally:
+            rollout_stream.close()
+
+    assert all(flight.stage.layout is None for flight in flights(0.0))
+    laid = flights(1.0)
+    assert len({flight.stage.layout for flight in laid}) == 6
+    for flight in laid:
+        assert flight.stage.layout == flight.task.layout
+        assert is_clear(flight.stage.layout, board=flight.stage.board is not None)
