@@ -52,7 +52,9 @@ def test_a_full_disk_ends_a_run_in_one_sentence_and_keeps_what_was_flown(config,
     size = (whole.out / "episodes.jsonl").stat().st_size
     with (
         files_of_at_most(size // 2),
-        pytest.raises(RunError, match=r"cannot write .*episodes\.jsonl: File too large; free disk space.* --resume") as told,
+        pytest.raises(
+            RunError, match=r"cannot write .*episodes\.jsonl: File too large; free disk space.* --resume"
+        ) as told,
     ):
         run(full, progress=False, runner=RUNNER)
     assert "\n" not in str(told.value)
