@@ -55,7 +55,7 @@ def main() -> None:
     sets: dict[str, dict[str, dict[str, int]]] = {}
     archives: dict[str, dict[str, bytes]] = {}
     with (folder / "index.csv").open(newline="", encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if row["set"] not in BASE_ONLY]
+        rows = [row for row in csv.DictReader(file) if row["set"] in SETS and row["set"] not in BASE_ONLY]
     for row in sorted(rows, key=lambda row: list(SETS).index(row["set"])):
         kind, concept = row["kind"], row["concept"]
         count = sets.setdefault(row["set"], {}).setdefault(kind, {}).get(concept, 0)

@@ -53,9 +53,8 @@ class TrainingPictures:
     def cutout(self, reference: str) -> NDArray[np.uint8]:
         """(H, W, 4) uint8 RGBA, read-only. Raises `LabelError` if its set is held out, or has no such drawing."""
         if not may_train(reference):
-            raise LabelError(
-                f"label {reference!r} is held out for tests; training may show the sets {TRAIN_PICTURE_SETS}"
-            )
+            sets = ", ".join(TRAIN_PICTURE_SETS)
+            raise LabelError(f"label {reference!r} is held out of training, which may show the sets {sets}")
         return self._cached(reference)
 
     def draw(self, kind: str, concept: str, rng: np.random.Generator) -> NDArray[np.uint8] | None:
