@@ -109,7 +109,7 @@ _MASTER = re.compile(
 _NAMES = {f"W{number}": name for number, (name, _) in enumerate(_WORDS)}
 _SIGNS: Final = {
     "+": "_PLUS", "-": "_MINUS", "−": "_MINUS", "–": "_MINUS", "*": "_TIMES", "×": "_TIMES", "·": "_TIMES",
-    "/": "_DIVIDED", "÷": "_DIVIDED", "²": "_SQUARED", "³": "_CUBED", "^": "_POWER", 
+    "/": "_DIVIDED", "÷": "_DIVIDED", "²": "_SQUARED", "³": "_CUBED", "^": "_POWER",
     "(": "_OPEN", ")": "_CLOSE", "[": "_OPEN", "]": "_CLOSE",
 }  # fmt: skip
 _MULTIPLES: Final = {"TWICE": "2", "THRICE": "3", "QUADRUPLE": "4", "HALVE": "1/2"}

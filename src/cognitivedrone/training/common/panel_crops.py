@@ -8,7 +8,7 @@ most panel reading is taught with crops: any panel or board of the training task
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +55,9 @@ class WiderWorld:
     pictures: TrainingPictures = field(default_factory=TrainingPictures)
     photographic: Photographic = field(default_factory=Photographic)
     printed: Photographic = field(
-        default_factory=lambda: Photographic(shares=replace(Shares(), mirrored=0.0, outlined=0.0), turn=4.0, narrower=0.9)
+        default_factory=lambda: Photographic(
+            shares=replace(Shares(), mirrored=0.0, outlined=0.0), turn=4.0, narrower=0.9
+        )
     )
     """For letters, numbers and sums."""
     share: float = 0.75
@@ -93,7 +95,9 @@ class WiderWorld:
             whole = PillowImage.fromarray(self.pictures.panel(label))
             size = whole.width * rng.uniform(0.12, 0.25)
             left, top = rng.uniform(0.1, 0.65, 2) * whole.width
-            part = whole.resize((_SIDE, _SIDE), PillowImage.Resampling.BILINEAR, box=(left, top, left + size, top + size))
+            part = whole.resize(
+                (_SIDE, _SIDE), PillowImage.Resampling.BILINEAR, box=(left, top, left + size, top + size)
+            )
             return np.asarray(part)
         plain = background(_SIDE, rng, plain=rng.random() < 0.3)
         return plain.clip(0, 255).transpose(1, 2, 0).astype(np.uint8)

@@ -20,8 +20,11 @@ from cognitivedrone.errors import LabelError
 from cognitivedrone.labels.extended import extended_pack
 from cognitivedrone.references import PERSON_HANDS, Reference, parse_reference, person_hand
 from cognitivedrone.tasks.vocabulary import TRAIN_BACKGROUNDS, TRAIN_PERSON_HANDS, TRAIN_PICTURE_SETS
+from cognitivedrone.types import Image
 
 PACK = "open-v2"
+OTHERS = "others"
+"""Style of the pictures of things outside of the vocabulary that training may show."""
 _CACHED = 8192  # all cut-out drawings of the training sets, 25 kB each at most
 
 
@@ -43,6 +46,8 @@ class TrainingPictures:
 
     def __init__(self) -> None:
         self._pack = extended_pack(PACK)
+        others = self._pack.pictures("unknown", "picture")
+        self._others = tuple(name for name in others if name.partition("@")[2].partition("~")[0] == OTHERS)
         self._of_set = lru_cache(maxsize=None)(self._by_set)
         self._cached = lru_cache(maxsize=_CACHED)(self._read)
 
@@ -64,6 +69,14 @@ class TrainingPictures:
             return None
         chosen = sets[int(rng.integers(len(sets)))]
         return self.cutout(chosen[int(rng.integers(len(chosen)))])
+
+    def other(self, rng: np.random.Generator) -> NDArray[np.uint8]:
+        """(H, W, 4) uint8 RGBA, read-only, of something outside of the vocabulary."""
+        return self._cached(self._others[int(rng.integers(len(self._others)))])
+
+    def panel(self, reference: str) -> Image:
+        """(256, 256, 3) uint8, as the label pack draws it."""
+        return self._pack.image(reference)
 
     def portrait(self, rng: np.random.Generator, person: Mapping[str, str] | None = None) -> str:
         """Label reference of a person by another training artist.

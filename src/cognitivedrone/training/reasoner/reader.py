@@ -16,7 +16,7 @@ from torch.nn import functional as F  # noqa: N812
 from cognitivedrone.models.panel_reader import Reader, ReaderConfig
 from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.training.common.checkpoint import CHECKPOINT
-from cognitivedrone.training.common.panel_crops import PanelCrops
+from cognitivedrone.training.common.panel_crops import PanelCrops, WiderWorld
 from cognitivedrone.training.common.sampling import Batch
 from cognitivedrone.training.common.training_task import Batches, Given, Learner, Recipe, Row, to_tensors
 
@@ -83,7 +83,7 @@ class ReaderTraining:
         def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
             del learner
             rng = np.random.default_rng(seed)
-            panel_crops = PanelCrops(self.recipe.network.crop_size, index.of)
+            panel_crops = PanelCrops(self.recipe.network.crop_size, index.of, wider=WiderWorld())
             while True:
                 images, attributes = panel_crops.draw(rng, self.recipe.batch)
                 yield {"crop": images, "attributes": attributes}

@@ -11,7 +11,7 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.generate import Draw
 from cognitivedrone.training.common.attributes import AttributeIndex
-from cognitivedrone.training.common.panel_crops import PanelCrops, panel_image_of
+from cognitivedrone.training.common.panel_crops import PanelCrops, WiderWorld, panel_image_of
 from cognitivedrone.training.common.phrasing import SPOKEN
 from cognitivedrone.training.common.problems import ABSENT, Problem, Problems, draw_gates, problem_of
 from cognitivedrone.training.teach.lesson import Lesson, Statement, attribute_of
@@ -35,7 +35,7 @@ class LessonCrops:
             name: [PillowImage.fromarray(pack.image(reference)).convert("RGB") for reference in references]
             for name, references in lesson.pictures.items()
         }
-        self._known = PanelCrops(crop_size, index.of)
+        self._known = PanelCrops(crop_size, index.of, wider=WiderWorld())
 
     def draw(self, rng: np.random.Generator, count: int, share: float) -> tuple[Image, NDArray[np.int64]]:
         """Crops (count, g, g, 3) and their attribute values (count, groups), a share of them of the lesson."""
