@@ -44,9 +44,7 @@ COLORS = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--pictures", type=Path, required=True, help="the folder that training_pictures.py and other_pictures.py wrote"
-    )
+    parser.add_argument("--pictures", type=Path, required=True, help="the folder of training_pictures.py")
     folder: Path = parser.parse_args().pictures
     shutil.rmtree(PACK, ignore_errors=True)
     files: dict[str, str] = {}
@@ -81,9 +79,8 @@ def main() -> None:
     for hand, members in layers.items():
         write(f"people/{hand}.zip", archive(members))
 
-    used = {SETS[style].package: style for style in sets if style in SETS} | {
-        portraits.PACKAGES[hand]: hand for hand in hands
-    }
+    used = {SETS[style].package: style for style in sets if style in SETS}
+    used |= {portraits.PACKAGES[hand]: hand for hand in hands}
     described = []
     for package, style in used.items():
         source = sources()[package]

@@ -55,9 +55,7 @@ class WiderWorld:
     pictures: TrainingPictures = field(default_factory=TrainingPictures)
     photographic: Photographic = field(default_factory=Photographic)
     printed: Photographic = field(
-        default_factory=lambda: Photographic(
-            shares=replace(Shares(), mirrored=0.0, outlined=0.0), turn=4.0, narrower=0.9
-        )
+        default_factory=lambda: Photographic(shares=Shares(mirrored=0.0, outlined=0.0), turn=4.0, narrower=0.9)
     )
     """For letters, numbers and sums."""
     share: float = 0.75
@@ -91,7 +89,7 @@ class WiderWorld:
         if chance < _OTHER_THING:
             return self.photographic.draw(self.pictures.other(rng), rng)
         if chance < _OTHER_THING + _PART:
-            label = draw_any_label(rng)
+            label = draw_known_label(rng)
             whole = PillowImage.fromarray(self.pictures.panel(label))
             size = whole.width * rng.uniform(0.12, 0.25)
             left, top = rng.uniform(0.1, 0.65, 2) * whole.width
@@ -162,8 +160,11 @@ _PLACES = np.cumsum(list(SHARES.values())) / sum(SHARES.values())
 
 def draw_any_label(rng: np.random.Generator) -> str:
     """A panel or board with content of its own, from a random task of any family; some of unknown content."""
-    if rng.random() < _UNKNOWN:
-        return "unknown/picture"
+    return "unknown/picture" if rng.random() < _UNKNOWN else draw_known_label(rng)
+
+
+def draw_known_label(rng: np.random.Generator) -> str:
+    """A panel or board with content of its own, from a random task of any family."""
     task = drawn_task(_FAMILIES[int(np.searchsorted(_PLACES, rng.random()))], rng, "crop")
     if task.board is not None and rng.random() < 0.7:
         return task.board
