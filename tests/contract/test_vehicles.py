@@ -14,11 +14,13 @@ import pytest
 pytest.importorskip("pymavlink")
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles" / "gazebo"))
 
 from arducopters import played_arducopter
 from fake_gazebo import FakeGazebo
 from moving import moving, opened
+from px4_peer import playing_px4
 from reading import models, read_world
 
 from cognitivedrone.apps.config import SimPlan
@@ -47,7 +49,7 @@ INSTANCE = 37
 def opened_vehicle(kind: str, pace: Pace, folder: Path) -> Iterator[Vehicle]:
     """A vehicle of the registry, flown in place of what is not at hand by our own simulator."""
     with ExitStack() as stack:
-        spec, safety = VehicleSpec(kind if kind != "mavlink" else "mavlink:udp:127.0.0.1:1"), SafetySpec()
+        spec, safety = VehicleSpec(kind if "mavlink" not in kind else "mavlink:udp:127.0.0.1:1"), SafetySpec()
         if kind == "sitl":
             spec = VehicleSpec("sitl", sitl=played_arducopter(folder))
             safety = SafetySpec(sitl_instance=INSTANCE, takeoff_height=0.8)
@@ -57,9 +59,11 @@ def opened_vehicle(kind: str, pace: Pace, folder: Path) -> Iterator[Vehicle]:
             running = stack.enter_context(moving(gazebo))
             patch = stack.enter_context(pytest.MonkeyPatch.context())
             patch.setattr(pilot, "open_gazebo", lambda: opened(running))
-        if kind == "mavlink":
+        if "mavlink" in kind:
             served = stack.enter_context(serving())
             spec = VehicleSpec("mavlink:tcp:" + served.links[0].partition(":")[2])
+            if kind == "px4 by mavlink":  # with the same camera
+                spec = VehicleSpec(f"mavlink:udpout:127.0.0.1:{stack.enter_context(playing_px4(simulated=True)).port}")
             safety = SafetySpec(camera=served.camera_url or "", set_parameters=True)
         request = Request(spec, load_pack(), IRIS, pace=pace, safety=safety, folder=folder / "logs")
         yield stack.enter_context(closing(open_vehicle(request)))
@@ -87,7 +91,7 @@ def serving() -> Iterator[Served]:
 
 KINDS: list[tuple[str, Pace]] = [
     ("sim", "lockstep"), ("sim", "wall"), ("sitl", "lockstep"), ("sitl", "wall"), ("gazebo", "lockstep"),
-    ("mavlink", "wall"),
+    ("mavlink", "wall"), ("px4 by mavlink", "wall"),
 ]  # fmt: skip
 
 
@@ -108,7 +112,7 @@ def yes(_: object) -> bool:
 
 
 def test_every_vehicle_of_the_registry_is_tried():
-    assert {kind for kind, _ in KINDS} == set(VEHICLES)
+    assert {kind.rpartition(" ")[2] for kind, _ in KINDS} == set(VEHICLES)
 
 
 def test_it_flies_from_take_off_to_landing(vehicle: Vehicle):
@@ -154,7 +158,7 @@ def test_where_the_truth_is_known_the_right_gate_counts(vehicle: Vehicle):
     assert runner.results[0].chosen == runner.track[0].target
 
 
-@pytest.mark.parametrize("kind", ["sitl", "mavlink"])
+@pytest.mark.parametrize("kind", ["sitl", "mavlink", "px4 by mavlink"])
 def test_what_is_not_confirmed_does_not_take_off(kind: str, tmp_path: Path):
     with opened_vehicle(kind, "wall", tmp_path) as vehicle:
         begin(vehicle)

@@ -276,7 +276,7 @@ def test_a_landing_that_does_not_come_is_told():
     ("part", "said"),
     [
         ({"kind": m.MAV_TYPE_FIXED_WING}, "fixed wing .MAV_TYPE 1., not a copter"),
-        ({"autopilot": m.MAV_AUTOPILOT_PX4}, "does not run ArduPilot"),
+        ({"autopilot": m.MAV_AUTOPILOT_GENERIC}, "does not run ArduPilot or PX4"),
         ({"version": (4, 0)}, "ArduCopter 4.0, which has no GUID_TIMEOUT; update it to 4.1"),
         ({"mute": True}, "no heartbeat of any vehicle on udpout.* in 0.5 s"),
         ({"refuse": {511: "no"}}, "refused to send ATTITUDE"),

@@ -15,10 +15,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from peer import PARAMETERS
 
-from cognitivedrone.vehicles.mavlink.client.preflight import NAMES, Facts, build_checklist, corrections
+from cognitivedrone.vehicles.mavlink.client.expected import ARDUCOPTER_PARAMETERS
+from cognitivedrone.vehicles.mavlink.client.preflight import Facts, build_checklist, corrections
 from cognitivedrone.vehicles.mavlink.client.traffic import Traffic
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
 
+NAMES = tuple(expected.name for expected in ARDUCOPTER_PARAMETERS)
 NOW = 100.0
 TELEMETRY = Telemetry(
     mode="STABILIZE",

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from cognitivedrone.types import FloatArray, Vector
+
+VELOCITY_MODES: Final = frozenset({"GUIDED", "OFFBOARD"})
+"""Modes in which a vehicle flies by the velocities that it is sent: ArduCopter's and PX4's."""
 
 
 @dataclass(frozen=True, slots=True)

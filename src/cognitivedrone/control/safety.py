@@ -17,8 +17,8 @@ What brakes or lands never flies again in this run: trust that was lost is given
 
 **Nothing here orders a mode but LAND (or RTL), and that only while the vehicle's mode is known**: where the last
 heartbeat is old, the pilot may have taken over. Then the drone is stopped, and brought down, by velocities, which
-only GUIDED obeys. It also never orders ArduCopter's BRAKE: that counts there as a mode that a pilot flies, in which the
-ground-station failsafe does nothing as `FS_OPTIONS` comes. In GUIDED and LAND it acts.
+only GUIDED obeys (PX4: OFFBOARD). It also never orders ArduCopter's BRAKE: that counts there as a mode that a pilot
+flies, in which the ground-station failsafe does nothing as `FS_OPTIONS` comes. In GUIDED and LAND it acts.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ import numpy as np
 
 from cognitivedrone.choices import DecisionKind
 from cognitivedrone.control.fence import Fence, keep_inside, outside_by
-from cognitivedrone.control.health import Health
+from cognitivedrone.control.health import VELOCITY_MODES, Health
 from cognitivedrone.types import ACTION_LIMITS, Action, Commands, FloatArray, Vector
 
 Kind = DecisionKind
@@ -249,7 +249,7 @@ def order(decision: Decision, health: Health, config: SafetyConfig, landing: str
     have taken over: the drone descends by velocities instead, which only GUIDED obeys.
     """
     if decision.kind in ("hold", "brake"):
-        return Order(setpoint=_STOP) if health.mode == "GUIDED" else Order()
+        return Order(setpoint=_STOP) if health.mode in VELOCITY_MODES else Order()
     if decision.kind != "land" or health.mode == landing:
         return Order()
     if health.heartbeat_age_s <= config.heartbeat.hold_s:

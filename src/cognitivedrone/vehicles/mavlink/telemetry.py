@@ -14,24 +14,17 @@ import numpy as np
 from cognitivedrone.errors import import_extra
 from cognitivedrone.frames import enu_to_ned, flu_to_frd, world_to_heading
 from cognitivedrone.types import FloatArray
-
-MODES = {
-    0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",
-    11: "DRIFT", 13: "SPORT", 14: "FLIP", 15: "AUTOTUNE", 16: "POSHOLD", 17: "BRAKE", 18: "THROW", 19: "AVOID_ADSB",
-    20: "GUIDED_NOGPS", 21: "SMART_RTL", 22: "FLOWHOLD", 23: "FOLLOW", 24: "ZIGZAG", 25: "SYSTEMID", 26: "AUTOROTATE",
-    27: "AUTO_RTL", 28: "TURTLE",
-}  # fmt: skip
-"""ArduCopter's flight modes by number (its parameter FLTMODE1)."""
-MODE_NUMBERS = {name: number for number, name in MODES.items()}
+from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, Autopilot
 
 COPTER_TYPES = frozenset({2, 3, 4, 13, 14, 15, 29})
 """MAV_TYPE: quadrotor, coaxial, helicopter, hexarotor, octorotor, tricopter, dodecarotor."""
-ARDUPILOT, GROUND_STATION = 3, 6
-"""MAV_AUTOPILOT_ARDUPILOTMEGA, MAV_TYPE_GCS."""
+GROUND_STATION = 6
+"""MAV_TYPE_GCS."""
 ARMED_FLAG, PREARM_BIT, REMOTE_BIT = 0x80, 0x1000_0000, 0x1_0000
 """Of base_mode; of SYS_STATUS: the checks before arming, the receiver of the remote control."""
 EKF_NEEDED, EKF_CONST_POSITION = 0x07, 0x80
-"""Flags of EKF_STATUS_REPORT: attitude, horizontal and vertical velocity; and "does not know where it is"."""
+"""Flags of EKF_STATUS_REPORT and of PX4's ESTIMATOR_STATUS: attitude, horizontal and vertical velocity; and "does not
+know where it is"."""
 EKF_POSITION = 0x18
 """Relative or absolute horizontal position: one of the two."""
 EKF_MOST = 0.8
@@ -175,13 +168,13 @@ class Telemetry:
         )
 
 
-def heard(before: Telemetry, message: Any, now: float) -> Telemetry:
+def heard(before: Telemetry, message: Any, now: float, autopilot: Autopilot = ARDUPILOT) -> Telemetry:
     """The telemetry after one more message of the vehicle; one that says nothing of use only proves the link."""
     t = replace(before, heard_at=now)
     match message.get_type():
         case "HEARTBEAT":
-            mode = MODES.get(message.custom_mode, f"mode {message.custom_mode}")
-            return replace(t, mode=mode, armed=bool(message.base_mode & ARMED_FLAG), heartbeat_at=now)
+            armed = bool(message.base_mode & ARMED_FLAG)
+            return replace(t, mode=autopilot.mode(message.custom_mode), armed=armed, heartbeat_at=now)
         case "LOCAL_POSITION_NED":
             return _with_position(t, message, now)
         case "ATTITUDE":
@@ -197,7 +190,7 @@ def heard(before: Telemetry, message: Any, now: float) -> Telemetry:
                 status_at=now,
                 battery=left / 100 if left >= 0 else None,
                 battery_at=now if left >= 0 else t.battery_at,
-                prearm=bool(healthy & PREARM_BIT) if present & PREARM_BIT else None,
+                prearm=bool(healthy & PREARM_BIT) if present & PREARM_BIT or autopilot.tells_prearm else None,
                 receiver=t.receiver or bool(present & REMOTE_BIT),
                 remote_at=now if present & healthy & REMOTE_BIT else t.remote_at,
             )
@@ -205,6 +198,10 @@ def heard(before: Telemetry, message: Any, now: float) -> Telemetry:
             m = message
             variances = (m.velocity_variance, m.pos_horiz_variance, m.pos_vert_variance, m.compass_variance)
             return replace(t, ekf=m.flags, ekf_variances=variances, ekf_at=now)
+        case "ESTIMATOR_STATUS":
+            m = message
+            ratios = (m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio)
+            return replace(t, ekf=m.flags, ekf_variances=ratios, ekf_at=now)
         case "RC_CHANNELS":
             sticks = tuple(getattr(message, f"chan{channel}_raw") for channel in STICKS)
             sticks = sticks if all(0 < pulse < 0xFFFF for pulse in sticks) else ()

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from cognitivedrone.errors import LinkError
+from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS, REAL32, Autopilot
 from cognitivedrone.vehicles.mavlink.client.traffic import (
     OUR_COMPONENT,
     OUR_SYSTEM,
@@ -39,8 +40,8 @@ RESULTS = {1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed"
 IN_PROGRESS = 5
 REQUEST_MESSAGE = 512
 """MAV_CMD_REQUEST_MESSAGE."""
-REAL32 = 9
-"""MAV_PARAM_TYPE_REAL32; ArduPilot takes every parameter as that."""
+MODE_S = 0.1
+"""How often a vehicle that heartbeats too seldom by itself is asked for a heartbeat."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +78,7 @@ class Connection:
         self._system = system
         self._log = log
         self._watch = watch
-        self._beat = self._vehicle_beat = self._watched = self._pinged = -math.inf
+        self._beat = self._vehicle_beat = self._watched = self._pinged = self._asked = -math.inf
         self._encoder = self._dialect.MAVLink(_Outlet(self._put), OUR_SYSTEM, OUR_COMPONENT)
         self._decoder = self._new_decoder()
         self._sending = threading.Lock()
@@ -86,6 +87,8 @@ class Connection:
         self._stopping = threading.Event()
         self._failure: LinkError | None = None
         self._replies: dict[Hashable, Any] = {}
+        self._kinds: dict[str, int] = {}
+        """MAV_PARAM_TYPE of the parameters heard."""
         self.vehicle: Vehicle | None = None
         self.telemetry = Telemetry()
         self.traffic = Traffic(nonce=secrets.randbelow(1000))
@@ -97,6 +100,11 @@ class Connection:
         self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True) if threaded else None
         if self._thread is not None:
             self._thread.start()
+
+    @property
+    def autopilot(self) -> Autopilot:
+        """What the vehicle runs; ArduPilot until it is heard, and for what is not flown."""
+        return AUTOPILOTS.get(self.vehicle.autopilot, ARDUPILOT) if self.vehicle is not None else ARDUPILOT
 
     def check(self) -> None:
         """Raise what cut the link, if it is cut."""
@@ -194,11 +202,9 @@ class Connection:
 
     def set_parameter(self, name: str, value: float) -> None:
         """Set a parameter and see that it took; raises `LinkError` where it did not."""
-        vehicle = self._target()
         with self._asking:
             for _ in range(TRIES):
-                self._replies.pop(("parameter", name), None)
-                self.send("param_set", vehicle.system, vehicle.component, name.encode(), value, REAL32)
+                self.tell_parameter(name, value)
                 echo = self.wait(lambda: self._replies.get(("parameter", name)), ACK_S)
                 if echo is not None and math.isclose(echo, value, rel_tol=1e-5):
                     return
@@ -208,7 +214,10 @@ class Connection:
         """Set a parameter without waiting; `told_parameter` gives the vehicle's answer."""
         vehicle = self._target()
         self._replies.pop(("parameter", name), None)
-        self.send("param_set", vehicle.system, vehicle.component, name.encode(), value, REAL32)
+        # ArduPilot takes every parameter as a float.
+        kind = self._kinds.get(name, REAL32) if self.autopilot.exact_integers else REAL32
+        field = self.autopilot.parameter_field(value, kind)
+        self.send("param_set", vehicle.system, vehicle.component, name.encode(), field, kind)
 
     def told_parameter(self, name: str) -> float | None:
         """What the vehicle last said of a parameter since it was asked for or told one."""
@@ -240,6 +249,9 @@ class Connection:
         if self.vehicle is not None and now - self._pinged >= PING_S:
             self._pinged = now
             self.send("timesync", 0, request_time(self.traffic, now))
+        if self.autopilot.asked_for_mode and now - self._asked >= MODE_S:
+            self._asked = now
+            self.order(REQUEST_MESSAGE, 0)
         if now - self._watched >= WATCH_S:
             self._watched = now
             self._watch()
@@ -322,13 +334,14 @@ class Connection:
         self._peer, self._mover = (peer, now), (None, -math.inf)
         if kind == "HEARTBEAT":
             self._transport.answer_to(peer)  # wherever the vehicle has moved to
-        self.telemetry = heard(self.telemetry, message, now)
+        self.telemetry = heard(self.telemetry, message, now, self.autopilot)
         if kind == "COMMAND_ACK" and message.target_system in (0, OUR_SYSTEM):
             self._replies["ack", message.command] = message.result
         elif kind == "TIMESYNC":
             self.traffic = answered(self.traffic, message, now)
         elif kind == "PARAM_VALUE":
-            self._replies["parameter", message.param_id] = message.param_value
+            self._kinds[message.param_id] = message.param_type
+            self._replies["parameter", message.param_id] = self.autopilot.parameter(message)
         else:
             self._replies[kind] = message
 

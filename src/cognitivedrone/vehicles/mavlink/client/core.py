@@ -5,8 +5,8 @@ whoever listens to the link, so that a policy that hangs does not keep a drone f
 vehicle itself takes over, nothing is sent any more but heartbeats. The guard process runs one of these alone
 (`vehicles/mavlink/guard`); `MavlinkDrone` runs one in its own process, for simulations.
 
-Protocol: GUIDED mode, SET_POSITION_TARGET_LOCAL_NED in MAV_FRAME_BODY_NED with velocity and yaw rate
-(https://ardupilot.org/dev/docs/copter-commands-in-guided-mode.html).
+Protocol: GUIDED mode (PX4: OFFBOARD), SET_POSITION_TARGET_LOCAL_NED in MAV_FRAME_BODY_NED with velocity and yaw rate.
+In what the autopilots differ is in `vehicles/mavlink/autopilot.py`.
 """
 
 from __future__ import annotations
@@ -22,19 +22,18 @@ import numpy as np
 
 from cognitivedrone.control.health import Health
 from cognitivedrone.errors import LinkError
-from cognitivedrone.frames import flu_to_frd
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.mavlink.client.connection import Connection
+from cognitivedrone.vehicles.mavlink.client.expected import EXPECTED
 from cognitivedrone.vehicles.mavlink.client.guard import Decision, Guard
 from cognitivedrone.vehicles.mavlink.client.handshake import HOME_POSITION, MavlinkConfig, Met, meet
 from cognitivedrone.vehicles.mavlink.client.health import OWN_TARGETS_S, Asked, Baseline, health_of
 from cognitivedrone.vehicles.mavlink.client.parameters import ParameterChanges, journal_of
-from cognitivedrone.vehicles.mavlink.client.preflight import NAMES, Checklist, Facts, build_checklist, corrections
+from cognitivedrone.vehicles.mavlink.client.preflight import Checklist, Facts, build_checklist, corrections
+from cognitivedrone.vehicles.mavlink.client.setpoints import SETPOINT_S, STREAM_FIRST_S, climb, fields_of
 from cognitivedrone.vehicles.mavlink.client.transport import open_transport
-from cognitivedrone.vehicles.mavlink.telemetry import MODE_NUMBERS, Telemetry, last_words
+from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, last_words
 
-BODY_NED, VELOCITY_AND_YAW_RATE = 8, 0x05C7
-"""MAV_FRAME_BODY_NED; the type mask that leaves velocity and yaw rate."""
 SET_MODE, ARM, TAKE_OFF = 176, 400, 22
 """MAV_CMD of DO_SET_MODE, COMPONENT_ARM_DISARM and NAV_TAKEOFF."""
 PAUSE_S = 5.0
@@ -43,8 +42,6 @@ Phase = Literal["ground", "climbing", "flying", "released"]
 """`climbing` from the order to arm; `flying` also while it brakes and lands; `released` once it is no longer ours."""
 REPEAT_S = 0.5
 """How often a mode is ordered again, until the vehicle shows it."""
-SETPOINT_S = 0.1
-"""How often a velocity is sent again."""
 LandingMode = Literal["LAND", "RTL"]
 
 
@@ -86,6 +83,8 @@ class FlightCore:
         self._changes = ParameterChanges(None)
         self._guided_timeout_s: float | None = None
         self._was_armed = False
+        self._streaming = False
+        """Whether velocities keep the vehicle in its mode until it is up."""
         self._taken_over: str | None = None
         self._given_up = ""
         self._ordered = ""
@@ -127,11 +126,12 @@ class FlightCore:
         """Read what safety leans on, set what may be set, and list it all."""
         if not self.telemetry.armed:
             self._changes.put_back(self.link)  # of a flight that could not
-        config, values = self.config, self.link.parameters(NAMES)
-        changed = corrections(values, config.ceiling_m, config.only) if config.set_parameters else {}
+        config, autopilot = self.config, self.link.autopilot
+        values = self.link.parameters([expected.name for expected in EXPECTED[autopilot.name]])
+        changed = corrections(values, config.ceiling_m, config.only, autopilot) if config.set_parameters else {}
         self._changes.make(self.link, values, changed)
         values |= changed
-        self._guided_timeout_s = values["GUID_TIMEOUT"]
+        self._guided_timeout_s = values[autopilot.timeout]
         return build_checklist(
             Facts(
                 now=monotonic(),
@@ -145,6 +145,7 @@ class FlightCore:
                 takeoff_height_m=config.takeoff_height_m,
                 ceiling_m=config.ceiling_m,
                 judges_time=config.clock == "wall" and not self.met.simulated,
+                autopilot=autopilot,
             ),
             config.only,
         )
@@ -152,9 +153,9 @@ class FlightCore:
     def take_off(self, confirm: Callable[[Checklist], bool], frame_age: Callable[[], float]) -> None:
         """Wait until it is ready, have a person confirm the checklist, arm, and climb to the take-off height.
 
-        `frame_age` gives the age of the camera's newest frame, s. Nothing is sent while it climbs: a setpoint would end
-        its take-off. Raises `LinkError` where it is armed already, not ready in time, not confirmed, refuses, does not
-        climb, is taken over, or is told to land.
+        `frame_age` gives the age of the camera's newest frame, s. Nothing is sent while an ArduCopter climbs: a
+        setpoint would end its take-off; a PX4 climbs by setpoints. Raises `LinkError` where it is armed already, not
+        ready in time, not confirmed, refuses, does not climb, is taken over, or is told to land.
         """
         if self.telemetry.armed:
             raise LinkError("the vehicle is armed already: somebody flies it; land and disarm it first")
@@ -166,8 +167,10 @@ class FlightCore:
             if not confirm(checklist):
                 raise LinkError("the take-off was not confirmed; nothing was armed")
             self._modes = frozenset({self.telemetry.mode})
-            self._set_mode("GUIDED")
+            self._stream_first()
+            self._set_mode(self.link.autopilot.guided)
         except LinkError:
+            self._streaming = False
             with suppress(LinkError):  # what stays is in the journal, for the next start
                 self._changes.put_back(self.link)
             raise
@@ -179,7 +182,8 @@ class FlightCore:
         if not self.link.until(lambda: self.telemetry.armed or self.phase != "climbing", 3.0):
             raise LinkError("the vehicle accepted to arm, but does not show it")
         self._check_climbing()
-        self.link.command(TAKE_OFF, 0, 0, 0, 0, 0, 0, self.config.takeoff_height_m, what="take-off")
+        if not self._streaming:
+            self.link.command(TAKE_OFF, 0, 0, 0, 0, 0, 0, self.config.takeoff_height_m, what="take-off")
         self._climb()
         with self._lock:
             self._check_climbing()
@@ -263,6 +267,7 @@ class FlightCore:
                     stopped = "" if self.telemetry.armed else ", its motors stopped"
                     self.phase, self._taken_over = "released", f"the vehicle is in {self.telemetry.mode}{stopped}"
                 self._was_armed |= self.telemetry.armed
+            self._stream()
 
     # The parts.
 
@@ -280,10 +285,27 @@ class FlightCore:
                 f" {lacking}{last_words(self.telemetry, self._opened)}"
             )
 
+    def _stream_first(self) -> None:
+        """Send velocities for as long as a vehicle that flies by a stream of them wants to see it before."""
+        self._streaming = self.link.autopilot.flies_by_stream
+        if self._streaming:
+            self.link.until(lambda: bool(self._given_up), STREAM_FIRST_S)
+            self.check_wanted()
+
+    def _stream(self) -> None:
+        """The velocity until it is up: none on the ground, then upwards, and more slowly near the height."""
+        now = monotonic()
+        if not self._streaming or self.phase not in ("ground", "climbing") or now - self._said_at < SETPOINT_S:
+            return
+        self._said_at = now
+        climbs = self.phase == "climbing" and self.telemetry.armed
+        left = self.home[2] + self.config.takeoff_height_m - self.telemetry.position[2]
+        self._setpoint(climb(float(left)) if climbs else np.zeros(4, dtype=np.float32))
+
     def _set_mode(self, mode: str) -> None:
         """Order a mode and wait until it shows."""
         self._expect(mode)
-        self.link.command(SET_MODE, 1, MODE_NUMBERS[mode], what=f"mode {mode}")
+        self.link.command(SET_MODE, *self.link.autopilot.mode_order(mode), what=f"mode {mode}")
         if not self.link.until(lambda: self.telemetry.mode == mode, 3.0):
             raise LinkError(f"the vehicle accepted mode {mode}, but is in {self.telemetry.mode}")
         with self._lock:
@@ -350,7 +372,7 @@ class FlightCore:
             self._setpoint(order.setpoint)
         if order.mode is not None:
             self._expect(order.mode)
-            self.link.order(SET_MODE, 1, MODE_NUMBERS[order.mode])
+            self.link.order(SET_MODE, *self.link.autopilot.mode_order(order.mode))
         return False
 
     def _expect(self, mode: str) -> None:
@@ -366,12 +388,8 @@ class FlightCore:
 
     def _setpoint(self, action: Action) -> Action:
         """Send a command (4,) of the heading frame; returns it."""
-        velocity = flu_to_frd(action[:3])
-        yaw_rate = flu_to_frd(np.array([0.0, 0.0, action[3]]))[2]
         self._sent = (*self._sent, (monotonic(), float(np.linalg.norm(action[:3]))))
         boot_ms = int((monotonic() - self._opened) * 1000)
-        self.link.send(
-            "set_position_target_local_ned", boot_ms, self.met.vehicle.system, self.met.vehicle.component, BODY_NED,
-            VELOCITY_AND_YAW_RATE, 0, 0, 0, *map(float, velocity), 0, 0, 0, 0, float(yaw_rate),
-        )  # fmt: skip
+        vehicle = self.met.vehicle
+        self.link.send("set_position_target_local_ned", boot_ms, vehicle.system, vehicle.component, *fields_of(action))
         return action

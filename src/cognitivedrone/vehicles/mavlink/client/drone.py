@@ -1,4 +1,4 @@
-"""An ArduCopter over MAVLink as a `Drone` with its `Clock`, guarded from within this process: for simulations.
+"""An ArduCopter or a PX4 over MAVLink as a `Drone` with its `Clock`, guarded from within this process: for simulations.
 
     with MavlinkDrone("udp:127.0.0.1:14550", camera, Guard()) as drone:
         drone.take_off(confirm)
@@ -28,7 +28,7 @@ from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
 
 
 class MavlinkDrone:
-    """Connects when it is made: waits for the vehicle and checks that it is a copter on ArduPilot.
+    """Connects when it is made: waits for the vehicle and checks that it is a copter on ArduPilot or PX4.
 
     The camera is its own from then on, and closed with it, also where it cannot be made. Raises `LinkError` for what
     cannot be reached or flown, `MissingExtra` without pymavlink.

@@ -17,7 +17,6 @@ SET_MESSAGE_INTERVAL = 511
 AUTOPILOT_VERSION = 148
 STATE_MESSAGES = {"ATTITUDE": 30, "LOCAL_POSITION_NED": 32}
 """What cannot be flown without, at `stream_hz`."""
-SLOW_MESSAGES = {"SYS_STATUS": 1, "EKF_STATUS_REPORT": 193, "RC_CHANNELS": 65, "POSITION_TARGET_LOCAL_NED": 85}
 HOME_POSITION = 242
 SLOW_HZ, HEARTBEAT_HZ = 5, 10
 
@@ -79,8 +78,9 @@ def meet(link: Connection, url: str, config: MavlinkConfig) -> Met:
     for name, number in STATE_MESSAGES.items():
         link.command(SET_MESSAGE_INTERVAL, number, 1e6 / config.stream_hz, what=f"to send {name}")
     # How we learn of the pilot: ArduCopter heartbeats at once when its mode changes, others may not.
-    link.order(SET_MESSAGE_INTERVAL, 0, 1e6 / HEARTBEAT_HZ)
-    for name, number in SLOW_MESSAGES.items():
+    if not link.autopilot.asked_for_mode:
+        link.order(SET_MESSAGE_INTERVAL, 0, 1e6 / HEARTBEAT_HZ)
+    for name, number in link.autopilot.reports.items():
         link.order(SET_MESSAGE_INTERVAL, number, 1e6 / SLOW_HZ)
         if name != "POSITION_TARGET_LOCAL_NED":  # which there is only in flight
             link.message(name, number, 1.0)  # the first one now: before arming it must not be missed

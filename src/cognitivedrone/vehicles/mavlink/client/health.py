@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cognitivedrone.control.health import Health
+from cognitivedrone.control.health import VELOCITY_MODES, Health
 from cognitivedrone.types import FloatArray
 from cognitivedrone.vehicles.mavlink.client.traffic import Traffic
 from cognitivedrone.vehicles.mavlink.telemetry import POSITION_IGNORED, Telemetry, stick_moved
 
 BLIND_M = 1.0
-"""So far it may fly without a command: that divided by `GUID_TIMEOUT` is the most speed that is asked for."""
+"""So far it may fly without a command: that divided by `GUID_TIMEOUT` (PX4: `COM_OF_LOSS_T`) is the most speed."""
 OWN_TARGETS_S = 1.5
 """For so long a velocity that we sent may be what the vehicle says it flies to."""
 TARGET_M_S = 0.5
@@ -45,7 +45,7 @@ class Baseline:
     def taken(
         cls, telemetry: Telemetry, home: FloatArray, now: float, guided_timeout_s: float | None = None
     ) -> Baseline:
-        """The baseline of now; `guided_timeout_s` is the vehicle's `GUID_TIMEOUT`."""
+        """The baseline of now; `guided_timeout_s` is the vehicle's `GUID_TIMEOUT`, or PX4's `COM_OF_LOSS_T`."""
         return cls(
             home=home,
             taken_at=now,
@@ -142,12 +142,12 @@ def intruder(
 
 
 def foreign_target(telemetry: Telemetry, since: float, sent: Iterable[tuple[float, float]]) -> bool:
-    """Whether the vehicle flies in GUIDED to what nobody here has asked for.
+    """Whether the vehicle flies in GUIDED, or OFFBOARD, to what nobody here has asked for.
 
     Only what it tells a while after the take-off counts: until the first velocity arrives, it keeps the take-off's own.
     """
     t = telemetry
-    if t.mode != "GUIDED" or t.target_mask is None or t.target_at < since + OWN_TARGETS_S:
+    if t.mode not in VELOCITY_MODES or t.target_mask is None or t.target_at < since + OWN_TARGETS_S:
         return False
     if t.target_mask & POSITION_IGNORED != POSITION_IGNORED:
         return True

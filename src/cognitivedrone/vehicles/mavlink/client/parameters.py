@@ -23,7 +23,10 @@ from cognitivedrone.errors import LinkError
 from cognitivedrone.files import read_regular, reason_of, replace_file, safe_name
 
 ACTS_IN_FLIGHT: Final = frozenset(
-    {"FS_GCS_ENABLE", "FS_GCS_TIMEOUT", "FENCE_ENABLE", "FENCE_ACTION", "BATT_FS_LOW_ACT"}
+    {
+        *("FS_GCS_ENABLE", "FS_GCS_TIMEOUT", "FENCE_ENABLE", "FENCE_ACTION", "BATT_FS_LOW_ACT"),
+        *("NAV_DLL_ACT", "GF_ACTION", "COM_LOW_BAT_ACT"),
+    }
 )
 """What makes a vehicle change its mode by itself: put back as soon as a pilot has taken over. The rest waits for the
 ground: `FS_OPTIONS` spares a pilot, and the failsafe must not begin to watch another ground station in the air."""

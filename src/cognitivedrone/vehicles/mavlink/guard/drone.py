@@ -1,4 +1,4 @@
-"""An ArduCopter over MAVLink as a `Drone` with its `Clock`, flown through a guard process.
+"""An ArduCopter or a PX4 over MAVLink as a `Drone` with its `Clock`, flown through a guard process.
 
     with GuardedDrone("udp:127.0.0.1:14550", camera, SafetyConfig()) as drone:
         drone.take_off(confirm)
@@ -31,6 +31,7 @@ from cognitivedrone.control.safety import Decision, SafetyConfig
 from cognitivedrone.errors import LinkError, import_extra
 from cognitivedrone.types import Action, FloatArray, Observation
 from cognitivedrone.vehicles.camera import Camera
+from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS
 from cognitivedrone.vehicles.mavlink.client.core import PAUSE_S, LandingMode
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, Met
 from cognitivedrone.vehicles.mavlink.client.preflight import Checklist
@@ -53,7 +54,7 @@ STOPPED_S = 2.0
 
 
 class GuardedDrone:
-    """Starts the guard and connects when it is made, which checks that the vehicle is a copter on ArduPilot.
+    """Starts the guard and connects when it is made, which checks that the vehicle is a copter on ArduPilot or PX4.
 
     The camera is its own from then on, and closed with it, also where it cannot be made. Raises `LinkError` for what
     cannot be reached or flown and for a guard that has ended, `MissingExtra` without pymavlink.
@@ -64,6 +65,7 @@ class GuardedDrone:
     ) -> None:
         self.config = config or MavlinkConfig()
         self.camera = camera
+        self._on_silence = ARDUPILOT.on_silence
         self.log_trouble = ""
         """What of the log could not be written, in words, once it is closed."""
         self._safety = safety or SafetyConfig()
@@ -96,6 +98,7 @@ class GuardedDrone:
             undo.callback(self._post, Kind.HANG_UP)
             met = self._reply("met", START_S + self.config.heartbeat_timeout_s)
             self.met = from_json(Met, met.content)
+            self._on_silence = AUTOPILOTS[self.met.vehicle.autopilot].on_silence
             self._undo = undo.pop_all()
 
     def __enter__(self) -> GuardedDrone:
@@ -310,7 +313,7 @@ class GuardedDrone:
             raise LinkError(self._cut)
         if self._gone:
             raise LinkError(
-                f"the guard process has ended ({self._how()}); the vehicle now does what its FS_GCS_ENABLE says"
+                f"the guard process has ended ({self._how()}); the vehicle now does what its {self._on_silence} says"
             )
         if monotonic() - self._heard_at > STOPPED_S:
             raise LinkError(f"the guard process {self.process} has said nothing for {STOPPED_S:g} s; is it stopped?")

@@ -1,0 +1,351 @@
+"""PX4, played by its documentation's rules: offboard control, its failsafes, its parameters, its pilot."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink")
+sys.path.insert(0, str(Path(__file__).parent))
+
+from peer import CALM, StillCamera
+from px4_peer import MODES, PX4_PARAMETERS, PX4Peer, playing_px4
+from pymavlink.dialects.v20 import ardupilotmega as m
+
+from cognitivedrone.control.safety import Guard, SafetyConfig, Timeouts
+from cognitivedrone.errors import LinkError
+from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, PX4
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
+from cognitivedrone.vehicles.mavlink.client.expected import PX4_PARAMETERS as EXPECTED
+from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
+from cognitivedrone.vehicles.mavlink.client.preflight import Facts, build_checklist, corrections
+from cognitivedrone.vehicles.mavlink.client.traffic import Traffic
+from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
+from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, heard
+
+CONFIG = MavlinkConfig(
+    takeoff_height_m=0.5, heartbeat_timeout_s=3, ready_timeout_s=3, takeoff_timeout_s=8, landing_timeout_s=8
+)
+FORWARD = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
+STICKS = (1500, 1500, 1200, 1500)
+
+
+def connect(peer: PX4Peer, config: MavlinkConfig = CONFIG, safety: SafetyConfig = CALM) -> MavlinkDrone:
+    return MavlinkDrone(f"udpout:127.0.0.1:{peer.port}", StillCamera(), Guard(safety), config)
+
+
+@contextmanager
+def flying(peer: PX4Peer, safety: SafetyConfig = CALM) -> Iterator[MavlinkDrone]:
+    with connect(peer, safety=safety) as drone:
+        drone.take_off(lambda _: True)
+        yield drone
+
+
+def soon(holds: Callable[[], object], timeout_s: float = 15.0) -> None:
+    began = time.monotonic()
+    while not holds():
+        assert time.monotonic() - began < timeout_s
+        time.sleep(0.002)
+
+
+def orders(peer: PX4Peer, command: int) -> list[tuple[float, Any]]:
+    return [(at, c) for at, c in list(peer.heard) if c.get_type() == "COMMAND_LONG" and c.command == command]
+
+
+def setpoint_times(peer: PX4Peer) -> list[float]:
+    return [at for at, s in list(peer.heard) if s.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+
+
+def test_a_flight_streams_velocities_before_offboard_and_arms_and_climbs_by_them():
+    with playing_px4() as peer:
+        with flying(peer) as drone:
+            ((asked_at, mode),) = orders(peer, m.MAV_CMD_DO_SET_MODE)
+            ((armed_at, _),) = orders(peer, m.MAV_CMD_COMPONENT_ARM_DISARM)
+            assert (mode.param1, mode.param2, mode.param3) == (1, 6, 0)
+            times = setpoint_times(peer)
+            assert asked_at - times[0] > 1.0
+            assert np.median(np.diff(times)) < 0.3  # on the ground and in the climb; the peer refuses gaps
+            assert asked_at < armed_at
+            assert not any(
+                s.vz for at, s in peer.heard if s.get_type() == "SET_POSITION_TARGET_LOCAL_NED" and at < armed_at
+            )
+            assert drone.telemetry.mode == "OFFBOARD"
+            assert drone.observe().height >= 0.45
+            before = drone.telemetry.position.copy()
+            for _ in range(10):
+                drone.send(FORWARD)
+                time.sleep(0.05)
+            # Heading north.
+            assert drone.telemetry.position[1] - before[1] > 0.2
+            assert abs(drone.telemetry.position[0] - before[0]) < 0.05
+        assert peer.refused == []
+        assert not peer.part.armed
+        assert peer.part.mode == MODES["LAND"]
+        assert drone.over == "the flight is over"
+
+
+def test_the_guard_process_flies_it():
+    with playing_px4() as peer:
+        with GuardedDrone(f"udpout:127.0.0.1:{peer.port}", StillCamera(), CALM, CONFIG) as drone:
+            drone.take_off(lambda _: True)
+            drone.send(FORWARD)
+            assert drone.telemetry.mode == "OFFBOARD"
+        assert peer.refused == []
+        assert not peer.part.armed
+
+
+def test_without_a_stream_offboard_is_refused(monkeypatch):
+    monkeypatch.setattr("cognitivedrone.vehicles.mavlink.client.core.STREAM_FIRST_S", 0.0)
+    with playing_px4() as peer, connect(peer) as drone:
+        with pytest.raises(
+            LinkError, match="refused mode OFFBOARD: temporarily rejected; it says: Switching to Offboard"
+        ):
+            drone.take_off(lambda _: True)
+        assert not peer.part.armed
+
+
+@pytest.mark.parametrize(("action", "mode"), [(4, "LAND"), (3, "RTL")])
+def test_when_we_are_killed_the_offboard_loss_action_follows(action, mode):
+    with playing_px4(parameters={**PX4_PARAMETERS, "COM_OBL_RC_ACT": action}) as peer:
+        drone = connect(peer)
+        drone.take_off(lambda _: True)
+        assert peer.in_air
+        drone.link.close()  # the program is gone: no velocity, no heartbeat
+        gone = time.monotonic()
+        soon(lambda: peer.part.mode == MODES[mode])
+        assert time.monotonic() - gone < 3.0
+        with pytest.raises(LinkError):
+            drone.close()
+
+
+@pytest.mark.parametrize("mode", ["POSCTL", "HOLD", "RTL", "UNKNOWN"])
+def test_the_pilot_wins_for_good(mode):
+    with playing_px4() as peer:
+        with flying(peer) as drone:
+            drone.send(FORWARD)
+            peer.part.beat_s = 1000.0
+            peer.part.mode, taken = MODES[mode], time.monotonic()
+            soon(lambda: drone.decision is not None and drone.decision.kind == "hands_off")
+            seen = time.monotonic()
+            time.sleep(0.3)
+            peer.part.mode = MODES["OFFBOARD"]
+            assert not drone.send(FORWARD).any()
+            time.sleep(0.3)
+        assert not [at for at, _ in orders(peer, m.MAV_CMD_DO_SET_MODE) if at > taken]
+        assert not [at for at in setpoint_times(peer) if at > seen + 0.1]
+
+
+def test_the_pilot_wins_in_the_climb():
+    with playing_px4(climbs=False) as peer, connect(peer) as drone:
+
+        def pilot() -> None:
+            soon(lambda: peer.part.armed, 10.0)
+            peer.part.mode = MODES["POSCTL"]
+
+        thread = threading.Thread(target=pilot)
+        thread.start()
+        with pytest.raises(LinkError, match="taken over during take-off: the vehicle is in POSCTL"):
+            drone.take_off(lambda _: True)
+        thread.join()
+        assert peer.part.mode == MODES["POSCTL"]
+
+
+def test_sticks_that_move_give_control():
+    """By COM_RC_OVERRIDE, where PX4 does it by itself; else we stop it in OFFBOARD, and the velocities go on."""
+    with playing_px4(sticks=STICKS, remote=True) as peer, flying(peer) as drone:
+        peer.part.sticks = (1500, 1800, 1200, 1500)
+        soon(lambda: drone.over is not None)
+        assert peer.part.mode == MODES["POSCTL"]
+    without = {**PX4_PARAMETERS, "COM_RC_OVERRIDE": 1}
+    with playing_px4(sticks=STICKS, remote=True, parameters=without) as peer, flying(peer) as drone:
+        peer.part.sticks = (1500, 1800, 1200, 1500)
+        soon(lambda: drone.decision is not None and drone.decision.kind == "brake")
+        time.sleep(1.0)
+        assert peer.part.mode == MODES["OFFBOARD"]
+        assert not any(peer.setpoints_since(time.monotonic() - 0.3)[-1])
+
+
+def test_after_a_take_over_nothing_acts_when_we_end():
+    with playing_px4() as peer:
+        with flying(peer) as drone:
+            peer.part.mode = MODES["POSCTL"]
+            soon(lambda: drone.over is not None)
+        time.sleep(1.0)
+        assert peer.part.mode == MODES["POSCTL"]
+        assert peer.of("PARAM_SET") == []
+
+
+def test_heartbeats_are_asked_for_since_it_sends_one_a_second():
+    with playing_px4() as peer, connect(peer) as drone:
+        peer.part.beat_s = 1000.0
+        peer.part.mode = MODES["POSCTL"]
+        soon(lambda: drone.telemetry.mode == "POSCTL")
+        assert peer.refused == []
+
+
+def test_a_mode_that_is_not_told_any_more_is_not_ordered_over():
+    rules = replace(CALM, heartbeat=Timeouts(0.5, 1.0), land_after_brake_s=0.5)
+    with playing_px4() as peer, flying(peer, rules) as drone:
+        drone.send(FORWARD)
+        peer.part.quiet, fault = frozenset({"HEARTBEAT"}), time.monotonic()
+        soon(lambda: drone.decision is not None and drone.decision.kind == "land")
+        time.sleep(0.3)
+        assert [at for at, _ in orders(peer, m.MAV_CMD_DO_SET_MODE) if at > fault] == []
+        assert peer.setpoints_since(fault)[-1] == pytest.approx((0, 0, 0.5, 0))
+        peer.part.quiet = frozenset()
+        soon(lambda: peer.part.mode == MODES["LAND"])
+
+
+def test_a_bad_estimator_lands():
+    with playing_px4() as peer, flying(peer) as drone:
+        drone.send(FORWARD)
+        peer.part.variance = 1.0
+        soon(lambda: peer.part.mode == MODES["LAND"])
+        assert drone.over is not None
+        assert "diverges" in drone.over
+
+
+# Parameters.
+
+
+def test_integers_are_sent_as_their_bytes_and_put_back():
+    stock = {**PX4_PARAMETERS, "COM_OBL_RC_ACT": 0, "COM_OF_LOSS_T": 5.0, "GF_ACTION": 2, "COM_RCL_EXCEPT": 7}
+    with playing_px4(parameters=dict(stock)) as peer:
+        with connect(peer) as drone:
+            bad = [finding.what for finding in drone.checklist().bad]
+            assert bad == ["COM_OBL_RC_ACT", "COM_OF_LOSS_T", "COM_RCL_EXCEPT", "GF_ACTION"]
+            assert peer.of("PARAM_SET") == []
+        with connect(peer, replace(CONFIG, set_parameters=True)) as drone:
+            checklist = drone.checklist()
+            assert not checklist.bad
+            assert "4, set by this program" in str(checklist)
+            assert peer.part.parameters == {**PX4_PARAMETERS, "COM_RCL_EXCEPT": 3, "COM_OF_LOSS_T": 0.5}
+        assert peer.part.parameters == stock
+        assert peer.refused == []
+
+
+@pytest.mark.parametrize("value", [0, 1, -1, 4, 21196, 2**31 - 1, -(2**31), 0x7F800001, -8388607])
+def test_every_integer_survives(value):
+    """Bytes that are those of no number, or of a tiny one, too."""
+    with playing_px4(parameters={"GF_ACTION": value}) as peer, connect(peer) as drone:
+        soon(lambda: drone.link.parameters(["GF_ACTION"])["GF_ACTION"] is not None)
+        assert drone.link.told_parameter("GF_ACTION") == value
+
+
+def test_an_ardupilot_takes_floats():
+    message = m.MAVLink_param_value_message(b"FS_OPTIONS", 16.0, m.MAV_PARAM_TYPE_INT32, 1, 0)
+    assert ARDUPILOT.parameter(message) == 16.0
+    assert ARDUPILOT.parameter_field(16.0, m.MAV_PARAM_TYPE_INT32) == 16.0
+    assert PX4.parameter_field(16.0, m.MAV_PARAM_TYPE_REAL32) == 16.0
+    assert PX4.parameter_field(4, m.MAV_PARAM_TYPE_INT32) == pytest.approx(4 * 2.0**-149)
+
+
+GOOD_LOOK_BAD: list[tuple[str, list[float], list[float], list[float]]] = [
+    ("COM_OBL_RC_ACT", [3, 4], [], [0, 1, 2, 5, 6, 7]),
+    ("COM_OF_LOSS_T", [0.5, 1.0], [], [0.0, 0.3, 1.5, 60.0]),
+    ("COM_RCL_EXCEPT", [0, 3], [], [4, 7]),
+    ("NAV_DLL_ACT", [0], [1, 2, 3], [5, 6]),
+    ("GF_ACTION", [3, 5], [], [0, 1, 2, 4]),
+    ("GF_MAX_HOR_DIST", [100.0], [0.0], []),
+    ("GF_MAX_VER_DIST", [20.0], [0.0], []),
+    ("COM_LOW_BAT_ACT", [2, 3], [], [0, 1]),
+    ("BAT_CRIT_THR", [0.07], [0.0], []),
+    ("MAV_FWDEXTSP", [1], [], [0]),
+    ("COM_RC_OVERRIDE", [2, 3], [0, 1], []),
+    ("COM_RC_IN_MODE", [0, 3], [4], []),
+    ("NAV_RCL_ACT", [1, 2, 3], [0, 5, 6], []),
+    ("COM_DL_LOSS_T", [5, 10, 300], [], []),
+    ("COM_FAIL_ACT_T", [0.0, 5.0], [25.0], []),
+    ("RTL_RETURN_ALT", [8.0], [60.0], []),
+    ("COM_DISARM_LAND", [2.0], [-1.0], []),
+]
+FACTS = Facts(
+    now=100.0, version=(1, 16), values=PX4_PARAMETERS, changed=(), telemetry=Telemetry(), traffic=Traffic(), home=True,
+    frame_age_s=0.1, takeoff_height_m=1.0, ceiling_m=10.0, autopilot=PX4,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "good", "look", "bad"), GOOD_LOOK_BAD)
+def test_each_parameter(name, good, look, bad):
+    for state, values in (("ok", good), ("look", look), ("bad", bad)):
+        for value in values:
+            found = build_checklist(replace(FACTS, values={**PX4_PARAMETERS, name: value})).findings
+            assert {f.what: f.state for f in found}[name] == state, value
+            set_to = corrections({**PX4_PARAMETERS, name: value}, 10.0, autopilot=PX4)
+            wanted = next(expected.wanted for expected in EXPECTED if expected.name == name)
+            assert set_to.keys() == ({name} if state == "bad" and wanted is not None else set())
+
+
+def test_each_parameter_is_tested_and_told_with_its_reason():
+    assert [row[0] for row in GOOD_LOOK_BAD] == [expected.name for expected in EXPECTED] == list(PX4_PARAMETERS)
+    text = str(build_checklist(FACTS))
+    assert "PX4 1.16" in text
+    assert "what it does when our velocities stop" in text
+    assert "GUID_TIMEOUT" not in text
+
+
+def test_a_return_must_not_climb_above_our_ceiling():
+    values = {**PX4_PARAMETERS, "COM_OBL_RC_ACT": 3, "RTL_RETURN_ALT": 60.0}
+    assert corrections(values, 10.0, autopilot=PX4) == {"COM_OBL_RC_ACT": 4}
+
+
+def test_our_speed_is_limited_by_the_time_that_it_flies_on():
+    fast = replace(CALM, limits=replace(CALM.limits, slew=(100.0, 100.0, 100.0, 100.0)))
+    with playing_px4() as peer, flying(peer, fast) as drone:
+        assert drone.send(np.array([2.0, 0.0, 0.0, 0.0], dtype=np.float32))[0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        ({"version": (1, 13)}, r"PX4 1.13, which has no COM_OBL_RC_ACT that acts.*update it to 1.14"),
+        ({"kind": m.MAV_TYPE_FIXED_WING}, "fixed wing"),
+    ],
+)
+def test_what_is_not_flown(part, said):
+    with playing_px4(**part) as peer, pytest.raises(LinkError, match=said):
+        connect(peer)
+
+
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        ({"prearm": False}, "does not say that it passes its own checks"),
+        ({"ekf": 0xA7}, "does not say that it knows where it is"),
+        ({"home": False}, r"\[bad \] home"),
+        ({"refuse": {400: "Arming denied: check failed"}}, "refused arming: failed; it says: Arming denied"),
+    ],
+)
+def test_what_is_not_ready(part, said):
+    with playing_px4(**part) as peer, connect(peer, replace(CONFIG, ready_timeout_s=0.5)) as drone:
+        with pytest.raises(LinkError, match=said):
+            drone.take_off(lambda _: True)
+        assert not peer.part.armed
+
+
+# Messages.
+
+
+@pytest.mark.parametrize(
+    ("main", "sub", "name"),
+    [(1, 0, "MANUAL"), (3, 0, "POSCTL"), (4, 3, "HOLD"), (4, 5, "RTL"), (4, 6, "LAND"), (6, 0, "OFFBOARD"),
+     (7, 0, "STABILIZED"), (4, 11, f"mode {4 << 16 | 11 << 24}")],
+)  # fmt: skip
+def test_modes_have_names(main, sub, name):
+    beat = m.MAVLink_heartbeat_message(2, 12, 0x81, main << 16 | sub << 24, 4, 3)
+    assert heard(Telemetry(), beat, 1.0, PX4).mode == name
+    if not name.startswith("mode"):
+        assert PX4.mode_order(name) == (1, main, sub)
+
+
+def test_an_ardupilot_is_ordered_as_ever():
+    assert [ARDUPILOT.mode_order(mode) for mode in ("GUIDED", "LAND", "RTL")] == [(1, 4), (1, 9), (1, 6)]
