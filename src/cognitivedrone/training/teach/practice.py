@@ -12,8 +12,8 @@ from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.generate import Draw
 from cognitivedrone.training.common.attributes import AttributeIndex
 from cognitivedrone.training.common.panel_crops import PanelCrops, WiderWorld, panel_image_of
-from cognitivedrone.training.common.phrasing import SPOKEN
 from cognitivedrone.training.common.problems import ABSENT, Problem, Problems, draw_gates, problem_of
+from cognitivedrone.training.common.wordings import TYPED
 from cognitivedrone.training.teach.lesson import Lesson, Statement, attribute_of
 from cognitivedrone.types import Image, Task
 
@@ -118,7 +118,7 @@ class LessonProblems:
         whole = len(statement.phrases) + len(statement.sentences)
         said = int(rng.integers(whole))
         if said < len(statement.phrases):
-            sentence = Draw(rng, SPOKEN, target).frame(statement.phrases[said])
+            sentence = Draw(rng, TYPED, target).frame(statement.phrases[said])
         else:
             sentence = statement.sentences[said - len(statement.phrases)]
         labels = tuple(f"taught/{name}" for name in names)
