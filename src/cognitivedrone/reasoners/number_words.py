@@ -73,14 +73,8 @@ _WORDS: Final[tuple[tuple[str, str], ...]] = (
     ("HALVE", r"(?:an? |one )?half of|half|halve"),
     ("ROMAN", r"roman (?:numeral |number |numerals )?[ivxlcdm]+"),
     ("_THEN", r"(?:[,.;]?\s*(?:and then|then|and|afterwards|after that|,|;|\.)[,:]?\s+)+"
-<<<<<<< HEAD
               r"(?=(?:you |now |finally |next |also )*(?:add|plus|subtract|deduct|minus|take away|"
               r"take \S+ (?:away|from|off)|multiply|times|divide|"
-=======
-              r"(?=(?:you |now |finally |next |also )*(?:add|plus|"
-        r"subtract|deduct|minus|take away|take \S+ (?:away|from|off)|"
-              r"multiply|times|divide|"
->>>>>>> wt-words
               r"divided by|double|halve|triple|square|remove)\b)"),
     ("_TIMES", r"times|multiplied (?:by|with)|lots of|groups of"),
     ("_DIVIDED", r"divided by|over the number"),
