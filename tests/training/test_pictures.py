@@ -26,7 +26,7 @@ def test_every_set_and_every_artist_is_either_for_training_or_held_out():
     pack = load_pack("open-v2")
     shown = {style for kind in KINDS for style in pack.styles(kind)}
     assert not HELD_OUT & set(vocabulary.TRAIN_PICTURE_SETS)
-    assert shown == HELD_OUT | set(vocabulary.TRAIN_PICTURE_SETS)
+    assert shown == HELD_OUT | set(vocabulary.TRAIN_PICTURE_SETS) | set(vocabulary.CALIBRATION_PICTURE_SETS)
     assert not set(vocabulary.TRAIN_PERSON_HANDS) & set(vocabulary.HELD_OUT_PERSON_HANDS)
     assert {*vocabulary.TRAIN_PERSON_HANDS, *vocabulary.HELD_OUT_PERSON_HANDS} == set(PERSON_HANDS)
     assert set(vocabulary.HELD_OUT_STYLES) <= HELD_OUT

@@ -160,4 +160,4 @@ class ReaderLoss(nn.Module):
         }
 
 
-READER = ReaderRecipe(name="reader", steps=10_000, learning_rate=1e-3, decay_share=0.5)
+READER = ReaderRecipe(name="reader", steps=8_000, learning_rate=1e-3, decay_share=0.5)
