@@ -1,4 +1,4 @@
-"""Calibration: temperatures that make probabilities mean what they say, from pictures that no network was trained with."""
+"""Calibration: temperatures that make probabilities mean what they say, by pictures that were never trained."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.panel_reader import Reader
+from cognitivedrone.references import parse_reference
 from cognitivedrone.training.common.attributes import AttributeIndex
-from cognitivedrone.training.common.panel_crops import PanelCrops, WiderWorld
+from cognitivedrone.training.common.panel_crops import PanelCrops, WiderWorld, draw_any_label
 from cognitivedrone.training.common.pictures import TrainingPictures
 
 CROPS = 6_000
@@ -18,6 +19,7 @@ CROPS = 6_000
 _FEWEST = 100  # samples of a group; others keep their temperature
 _TEMPERATURES = np.exp(np.linspace(np.log(0.4), np.log(4.0), 60))
 _SEED = 88
+_DRAWN = frozenset({"animal", "food", "object", "logo"})
 BINS = 15
 """Of the expected calibration error."""
 
@@ -47,8 +49,17 @@ def temperature_of(logits: Tensor, target: Tensor) -> float:
 def calibration_readings(reader: Reader, index: AttributeIndex, count: int = CROPS) -> tuple[Tensor, Tensor]:
     """Uncalibrated logits (n, F) of crops of the sets for calibration, and their attribute values (n, groups)."""
     rng = np.random.default_rng(_SEED)
-    wider = WiderWorld(pictures=TrainingPictures(calibration=True), share=1.0)
-    panel_crops = PanelCrops(reader.config.crop_size, index.of, wider=wider)
+    pictures = TrainingPictures(calibration=True)
+
+    def draw_label(rng: np.random.Generator) -> str:
+        while True:
+            label = draw_any_label(rng)
+            shown = parse_reference(label)
+            if shown.kind not in _DRAWN or pictures.references(shown.kind, shown.concept):
+                return label
+
+    wider = WiderWorld(pictures=pictures, share=1.0)
+    panel_crops = PanelCrops(reader.config.crop_size, index.of, draw_label, wider)
     reader = reader.eval()
     logits, attributes = [], []
     for _ in range(-(-count // 200)):
