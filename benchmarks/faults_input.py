@@ -110,7 +110,8 @@ def _means_the_same(content: list[Json], suite: Suite) -> bool:
             gates = {str(gate["gate"]): gate for gate in gates}
         looks = [(gates[number]["size"], gates[number]["shape"], gates[number]["color"]) for number in "123"]
         said = [obj["prompt"], obj["prompt_simpler"], obj["options"], obj["correct"], obj["background"], looks]
-        read = [task.instruction, task.directive, list(task.options), task.target + 1, task.background]
+        right = None if task.target is None else task.target + 1
+        read = [task.instruction, task.directive, list(task.options), right, task.background]
         if [*read, [(gate.size, gate.shape, gate.color) for gate in task.gates]] != said:
             return False
         for key, value in (

@@ -26,13 +26,14 @@ COMMON = 8_000
 """All of the most frequent words are kept."""
 RARE = 45_000
 """Less frequent words are kept up to this rank, if WordNet has them."""
-CHAT = frozenset(
-    "pls plz thx thnx tnx ty gonna wanna gotta dunno gimme lemme yeah yep yup nope nah ok okay hey hi hmm uh um er oops whoops"
-    " dont cant wont isnt arent im ive id youre thats whats wheres whos lets ur u r n btw imo asap lol haha oh ah aha"
-    " cuz cos coz kinda sorta whatcha y'all yall ain oink moo quack woof meow baa neigh ribbit croak cluck cheep tweet"
-    " hoot hiss buzz chirp gobble squeak roar growl bark purr mew honk beep toot vroom choo ding dong tick tock selfie wifi"
-    " veggie veggies fruity crunchy yummy tasty choccy doggy doggo kitty bunny piggy birdie fishy moocow".split()
-)
+_CHAT_WORDS = """
+pls plz thx thnx tnx ty gonna wanna gotta dunno gimme lemme yeah yep yup nope nah ok okay hey hi hmm uh um er oops
+whoops dont cant wont isnt arent im ive id youre thats whats wheres whos lets ur u r n btw imo asap lol haha oh ah
+aha cuz cos coz kinda sorta whatcha y'all yall ain oink moo quack woof meow baa neigh ribbit croak cluck cheep tweet
+hoot hiss buzz chirp gobble squeak roar growl bark purr mew honk beep toot vroom choo ding dong tick tock selfie
+wifi veggie veggies fruity crunchy yummy tasty choccy doggy doggo kitty bunny piggy birdie fishy moocow
+"""
+CHAT = frozenset(_CHAT_WORDS.split())
 
 
 def main() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -24,12 +25,14 @@ from cognitivedrone.sim.gate_monitor import BOUNDS_HIGH, BOUNDS_LOW, REACH_M, ju
 from cognitivedrone.sim.views import first_person_view
 from cognitivedrone.tasks import load_suite, train_task
 from cognitivedrone.tasks.format import task_from_json, task_to_json
-from cognitivedrone.types import COLORS, DroneState, Gate, GatePlace, Stage
+from cognitivedrone.types import COLORS, DroneState, Gate, GatePlace, Size, Stage
 from cognitivedrone.world import geometry
 
-PUBLISHED = tuple(GatePlace(float(x), float(y), GATE_HEIGHT, float(a)) for (x, y), a in zip(GATE_XY, GATE_YAWS))
-CASES = [
-    (tuple(Gate(size, "round", color) for size, color in zip(sizes, COLORS, strict=True)), board, seed)
+PUBLISHED: Any = tuple(
+    GatePlace(float(x), float(y), GATE_HEIGHT, float(yaw)) for (x, y), yaw in zip(GATE_XY, GATE_YAWS, strict=True)
+)
+CASES: Any = [
+    (tuple(Gate(cast(Size, size), "round", color) for size, color in zip(sizes, COLORS, strict=True)), board, seed)
     for seed, (sizes, board) in enumerate(
         itertools.product(itertools.product(("big", "small"), repeat=3), (False, True))
     )
@@ -93,8 +96,9 @@ def test_panels_are_in_view_side_by_side_and_do_not_hide_the_board(case):
         assert lows[1] > highs[0]
         assert lows[2] > highs[1]
         if board:
-            low = geometry.BOARD_CENTER - [0, 0, geometry.BOARD_HEIGHT / 2]
-            edges = view.project(np.array([low + [0, 1.4, 0], low - [0, 1.4, 0]]), (256, 256))
+            x, y, z = geometry.BOARD_CENTER
+            low = z - geometry.BOARD_HEIGHT / 2
+            edges = view.project(np.array([[x, y + 1.4, low], [x, y - 1.4, low]]), (256, 256))
             for box, first, last in zip(boxes, lows, highs, strict=True):
                 hidden = last > edges[0, 0] and first < edges[1, 0] and box[:, 1].min() < edges[0, 1]
                 assert not hidden

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import people
 import portraits
+from other_pictures import TAKEN as OTHERS
 from picture_sets import SETS
 from pictures import encode
 from PIL import Image
@@ -26,9 +27,11 @@ from sources import sources, unpacked
 
 PACK = Path(__file__).resolve().parents[2] / "src/cognitivedrone/labels/packs/open-v2"
 HERE = Path(__file__).resolve().parent
-SIDE = 88
+SIDE = 68
 """Longer side of a shipped drawing, px: panels are at most 60 px high in training and tests."""
-QUALITY, ALPHA_QUALITY = 75, 50
+OTHER_SIDE = 48
+"""Longer side of a picture that only stands for what is unknown, px."""
+QUALITY, ALPHA_QUALITY = 66, 45
 BASE_ONLY = ("openmoji",)
 """Sets that the pack which is extended has already, and that nothing needs without background."""
 COLORS = {
@@ -41,7 +44,7 @@ COLORS = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--pictures", type=Path, required=True, help="the folder that training_pictures.py wrote")
+    parser.add_argument("--pictures", type=Path, required=True, help="the folder of training_pictures.py")
     folder: Path = parser.parse_args().pictures
     shutil.rmtree(PACK, ignore_errors=True)
     files: dict[str, str] = {}
@@ -55,12 +58,14 @@ def main() -> None:
     sets: dict[str, dict[str, dict[str, int]]] = {}
     archives: dict[str, dict[str, bytes]] = {}
     with (folder / "index.csv").open(newline="", encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if row["set"] not in BASE_ONLY]
-    for row in sorted(rows, key=lambda row: list(SETS).index(row["set"])):
+        styles = [*SETS, *OTHERS]
+        rows = [row for row in csv.DictReader(file) if row["set"] in styles and row["set"] not in BASE_ONLY]
+    for row in sorted(rows, key=lambda row: styles.index(row["set"])):
         kind, concept = row["kind"], row["concept"]
         count = sets.setdefault(row["set"], {}).setdefault(kind, {}).get(concept, 0)
         image = Image.open(folder / row["file"])
-        image.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
+        side = OTHER_SIDE if row["set"] in OTHERS else SIDE
+        image.thumbnail((side, side), Image.Resampling.LANCZOS)
         archives.setdefault(row["set"], {})[f"{kind}/{concept}~{count}.webp"] = smallest(image.convert("RGBA"))
         sets[row["set"]][kind][concept] = count + 1
     for style, members in archives.items():
@@ -74,7 +79,8 @@ def main() -> None:
     for hand, members in layers.items():
         write(f"people/{hand}.zip", archive(members))
 
-    used = {SETS[style].package: style for style in sets} | {portraits.PACKAGES[hand]: hand for hand in hands}
+    used = {SETS[style].package: style for style in sets if style in SETS}
+    used |= {portraits.PACKAGES[hand]: hand for hand in hands}
     described = []
     for package, style in used.items():
         source = sources()[package]
@@ -121,7 +127,7 @@ def licence(package: str, work: Path) -> bytes:
     folder = unpacked(source, work)
     credit = f"{source.name}: Copyright (c) {source.author}. Licensed under {source.licence}.\n" + (
         f"From the package {package} {source.version}.\n"
-        "Changes: drawn without background and margins, at most 88 pixels long. "
+        "Changes: drawn without background and margins, at most 68 pixels long. "
         "Pictures of a share-alike set stay under its licence.\n\n"
     )
     text = folder / source.licence_file

@@ -20,20 +20,22 @@ from picture_sets import SETS, _cut, _reader, encoded
 from sources import sources, unpacked
 from training_pictures import COLUMNS, QUALITY
 
-OF_EACH = 130
-"""Pictures from every set."""
+OF_EACH, HELD_OUT_OF_EACH = 80, 40
+"""Pictures from every set, for training and for tests."""
 TAKEN: dict[str, tuple[str, ...]] = {
     "others": ("noto", "twemoji", "noto-v1", "emojione", "fluent", "streamline", "game", "mdi", "tabler", "phosphor",
                "color", "simple-icons"),
     "others-held-out": ("openmoji", "fxemoji", "icon-park", "cib"),
 }  # fmt: skip
 """Name of the pictures to the sets that they are taken from."""
-_TOO_ALIKE = frozenset(
-    "flag clock arrow circle square keycap hand man woman person people family face skin tone light medium dark with and the"
-    " of off outline filled variant alert plus minus check remove add edit cog sync lock search box text alpha letter number"
-    " numeric temperature restroom wc clothes web bug mail email donkey castle compass metro tram rail boat ship blossom flower
-    " mobile cell sort format view page file folder logo badge emoji alphabet math sign button input symbol latin".split()
-)
+_ALIKE_WORDS = """
+flag clock arrow circle square keycap hand man woman person people family face skin tone light medium dark with and
+the of off outline filled variant alert plus minus check remove add edit cog sync lock search box text alpha letter
+number numeric temperature restroom wc clothes web bug mail email donkey castle compass metro tram rail boat ship
+blossom flower mobile cell sort format view page file folder logo badge emoji alphabet math sign button input symbol
+latin
+"""
+_TOO_ALIKE = frozenset(_ALIKE_WORDS.split())
 """Parts of names of icons that show variations of each other, signs, people, or letters and numbers."""
 
 
@@ -53,7 +55,7 @@ def main() -> None:
             read = _reader(SETS[style], unpacked(source, out / "sources"))
             drawn = 0
             for icon in sorted(read.names, key=lambda icon: hashlib.sha256(f"{style} {icon}".encode()).digest()):
-                if drawn == OF_EACH:
+                if drawn == (HELD_OUT_OF_EACH if name == "others-held-out" else OF_EACH):
                     break
                 if _parts(icon) & named or (image := _cut(read.image(icon))) is None:
                     continue

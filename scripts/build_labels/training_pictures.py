@@ -18,7 +18,7 @@ from picture_sets import SETS, Picture, encoded, pictures
 from PIL import Image, ImageDraw
 from sources import sources
 
-from cognitivedrone.tasks.vocabulary import HELD_OUT_PICTURE_SETS, TRAIN_PICTURE_SETS
+from cognitivedrone.tasks.vocabulary import CALIBRATION_PICTURE_SETS, HELD_OUT_PICTURE_SETS, TRAIN_PICTURE_SETS
 
 QUALITY = 92
 COLUMNS = ("kind", "concept", "set", "file", "icon", "licence", "package", "version", "held_out")
@@ -54,7 +54,8 @@ def _write(picture: Picture, index: int, out: Path) -> dict[str, str]:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(encoded(picture.image, QUALITY))
     source = sources()[SETS[picture.style].package]
-    if (picture.style in HELD_OUT_PICTURE_SETS) == (picture.style in TRAIN_PICTURE_SETS):
+    shown = (*TRAIN_PICTURE_SETS, *CALIBRATION_PICTURE_SETS)
+    if (picture.style in HELD_OUT_PICTURE_SETS) == (picture.style in shown):
         raise ValueError(f"set {picture.style!r} must be either a training set or held out in tasks/vocabulary.py")
     held_out = "yes" if picture.style in HELD_OUT_PICTURE_SETS else "no"
     values = (

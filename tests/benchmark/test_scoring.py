@@ -10,6 +10,7 @@ from scipy.stats import binomtest
 from cognitivedrone.benchmark.codec import encode
 from cognitivedrone.benchmark.scoring import (
     OUTCOMES,
+    RULES,
     Paired,
     choices_of,
     difference_interval,
@@ -195,7 +196,7 @@ def absent(outcome, chosen=None):
 
 def test_an_absent_task_is_passed_by_saying_so_by_either_rule():
     part = [absent("passed"), absent("hesitated"), absent("wrong_gate", 1), absent("collision", 2)]
-    for rule in ("through", "reach"):
+    for rule in RULES:
         result = score(part, rule)
         assert (result.n, result.passed, result.chosen_right) == (4, 1, 1)
     assert result.outcomes["hesitated"] == 1

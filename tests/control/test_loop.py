@@ -275,7 +275,7 @@ def test_rates_must_divide():
 # ---- declining
 
 
-class Notes:
+class Declining:
     def __init__(self):
         self.events, self.guidance = [], []
 
@@ -298,7 +298,7 @@ class Answering(Reasoner):
 
 
 def test_the_drone_hovers_while_the_directive_declines_and_the_policy_is_not_asked():
-    ground, policy, notes = Ground(), Counting(k=2), Notes()
+    ground, policy, notes = Ground(), Counting(k=2), Declining()
     red = "Fly through the big red round gate"
     reasoner = SimulatedReasoner(Answering("Hold position", "hold position.", red, red, red))
     fly(ground, policy, ground, for_steps(ground, 25), reasoner=reasoner, recorder=notes)
@@ -314,7 +314,7 @@ def test_a_policy_declines_with_its_commands():
             self.declines = 3 <= self.calls < 6
             return super().act(observation)
 
-    ground, notes = Ground(), Notes()
+    ground, notes = Ground(), Declining()
     fly(ground, TimedPolicy(Unsure()), ground, for_steps(ground, 10), recorder=notes)
     assert notes.events == [("declined", 0.3), ("resumed", 0.6)]
 
@@ -331,13 +331,13 @@ def test_a_users_policy_declines_by_an_attribute():
 
     assert as_policy("mine", Users()).declines
     assert not Counting().declines
-    ground, notes = Ground(), Notes()
+    ground, notes = Ground(), Declining()
     fly(ground, as_policy("mine", Users()), ground, for_steps(ground, 3), recorder=notes)
     assert notes.events == [("declined", 0.0)]
 
 
 def test_a_new_segment_begins_without_declining():
-    ground, notes = Ground(), Notes()
+    ground, notes = Ground(), Declining()
     reasoner = SimulatedReasoner(Answering("Hold position", "Fly through the red gate"))
     mission = lambda: Segment(int(ground.time >= 0.3), "go") if ground.time < 0.5 else None  # noqa: E731
     fly(ground, Counting(), ground, mission, reasoner=reasoner, recorder=notes)

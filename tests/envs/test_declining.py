@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from cognitivedrone.envs.track_runner import DECLINED_S, TrackConfig, TrackRunne
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.expert import Expert
 from cognitivedrone.reasoners.oracle import Oracle
+from cognitivedrone.sim.drone_world import DroneWorld
 from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor
 from cognitivedrone.tasks import load_suite, train_task
 from cognitivedrone.types import DroneState, EpisodeContext, Event
@@ -41,7 +44,7 @@ class World:
 
 
 def runner(*track, limit=30.0):
-    made = TrackRunner(World(), load_pack(), TrackConfig(time_limit_s=limit))
+    made = TrackRunner(cast(DroneWorld, World()), load_pack(), TrackConfig(time_limit_s=limit))
     made.begin(track, np.random.default_rng(0))
     return made
 

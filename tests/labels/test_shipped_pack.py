@@ -216,8 +216,8 @@ def test_any_text_is_a_panel_or_a_label_error(text):
 
 
 def test_an_unknown_pack_is_named(tmp_path):
-    with pytest.raises(LabelError, match="no label pack 'open-v2'"):
-        load_pack("open-v2")
+    with pytest.raises(LabelError, match="no label pack 'open-v9'"):
+        load_pack("open-v9")
 
 
 def test_tasks_and_labels_agree(pack):

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from cognitivedrone.models.panel_reader import ReaderConfig
-from cognitivedrone.training.common import lexicon, panel_crops, readings, trainer
+from cognitivedrone.training.common import calibration, lexicon, panel_crops, readings, trainer
 from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint
 from cognitivedrone.training.common.prefetch import learner_path
 from cognitivedrone.training.common.sampling import Batch
@@ -37,7 +37,7 @@ def make_small(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(lexicon, "SENTENCES", 300)
     patch.setattr(readings, "CROPS", 200)
     patch.setattr(panel_crops, "_KEPT", 64)
-    patch.setattr(panel_crops, "_UNKNOWN", 0.0)
+    patch.setattr(calibration, "CROPS", 400)
     patch.setattr(export, "_STATISTICS_FRAMES", 100)
 
 

@@ -117,7 +117,7 @@ def test_every_food_and_every_thing_is_on_the_false_side():
         made = puzzle("food", seed)
         for what, name in shown(made):
             if what == "food":
-                good = any(made.instruction.endswith(noun) or f" {noun} " in made.instruction for noun in GOOD)
+                good = any(re.search(rf"\b{noun}\b", made.instruction) for noun in GOOD)
                 assert name in (UNHEALTHY if good else HEALTHY)
         made = puzzle("association", seed)
         panels = shown(made)

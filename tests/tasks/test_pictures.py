@@ -12,7 +12,6 @@ from cognitivedrone.tasks import validate_task
 from cognitivedrone.tasks.pictures import PICTURE_FAMILIES, pictures_suite
 from cognitivedrone.tasks.vocabulary import HELD_OUT_STYLES
 
-
 PACK = load_pack()
 
 

@@ -205,7 +205,7 @@ def plain(text: str) -> str:
 def test_a_suite_of_each_version_is_suggested() -> None:
     with pytest.raises(TaskError, match="did you mean 'open-v2:words'"):
         load_suite("open-v2:wrods")
-    assert TEST_ONLY == {name for name in FIXED if name.startswith("open-v2:")}
+    assert {name for name in FIXED if name.startswith("open-v2:")} == TEST_ONLY
     assert set(AUTHORED) <= TEST_ONLY
 
 

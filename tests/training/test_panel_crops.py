@@ -12,7 +12,7 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import BASE_FAMILIES
 from cognitivedrone.training.common import panel_crops as module
 from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
-from cognitivedrone.training.common.panel_crops import SHARES, PanelCrops, panel_image_of
+from cognitivedrone.training.common.panel_crops import SHARES, PanelCrops, WiderWorld, panel_image_of
 
 INDEX = AttributeIndex()
 CONCEPT = INDEX.column("concept")
@@ -83,6 +83,24 @@ def test_everything_there_is_to_read_comes_up(panel_crops: PanelCrops) -> None:
         counts.update(ATTRIBUTES[row[KIND]].partition("/")[2] for row in attributes)
     assert counts.keys() == {"sum", "several", "person", "thing", "letter", "number", "logo"}
     assert min(counts.values()) > 20
+
+
+def test_many_hands_show_everything_and_what_is_not_to_be_named() -> None:
+    rng = np.random.default_rng(2)
+    made = PanelCrops(SIZE, INDEX.of, wider=WiderWorld())
+    drawn = [made.draw(rng, 50) for _ in range(8)]
+    kinds = Counter(ATTRIBUTES[row[KIND]].partition("/")[2] for _, attributes in drawn for row in attributes)
+    assert kinds.keys() == {"sum", "several", "person", "thing", "letter", "number", "logo", "unknown"}
+    for images, _ in drawn:
+        assert (images.std(axis=(1, 2, 3)) > 1).mean() > 0.9
+
+
+def test_what_is_unknown_has_that_kind_and_nothing_else() -> None:
+    made = PanelCrops(SIZE, INDEX.of, lambda _: "unknown/picture", WiderWorld())
+    images, attributes = made.draw(np.random.default_rng(0), 20)
+    assert {tuple(row) for row in attributes} == {tuple(INDEX.of("unknown/picture"))}
+    assert (attributes >= 0).sum() == 20
+    assert len({image.tobytes() for image in images}) == 20
 
 
 def test_the_same_seed_draws_the_same_crops(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,7 @@ from cognitivedrone.models.panel_reader import PanelReader
 from cognitivedrone.models.reasoner_file import LOOKS, REMEMBERED, GateSelectorModel, PanelReaderModel
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.reasoners.small import SmallReasoner
-from cognitivedrone.training.common import trainer
+from cognitivedrone.training.common import calibration, trainer
 from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint
 from cognitivedrone.training.common.panel_crops import PanelCrops
@@ -117,6 +117,29 @@ def test_a_killed_reader_ends_with_the_same_weights(tmp_path: Path) -> None:
     rows = read_rows(tmp_path / "killed" / METRICS)
     assert [row["step"] for row in rows] == [2, 4]
     assert {"accuracy", "accuracy kind", "accuracy concept", "panel_crops"} <= rows[-1].keys()
+
+
+def test_a_reader_is_written_with_the_temperatures_that_fit_unseen_pictures(
+    reader_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(calibration, "_FEWEST", 20)
+    task = TINY_READER.training(Given())
+    task.export(reader_checkpoint, tmp_path)
+    before, after = (read_checkpoint(path)[0] for path in (reader_checkpoint, tmp_path / task.recipe.model_file))
+    changed = {name for name in before if not torch.equal(before[name], after[name])}
+    assert changed == {"network.temperature"}
+    start = read_start(tmp_path / task.recipe.model_file, "reader")
+    assert {"kind", "concept"} <= start.facts["temperatures"].keys()
+    for group, value in start.facts["temperatures"].items():
+        assert (after["network.temperature"][INDEX.groups[group]] == np.float32(value)).all()
+
+
+def test_a_temperature_undoes_too_much_certainty() -> None:
+    draw = torch.Generator().manual_seed(0)
+    honest = torch.randn(4000, 5, generator=draw)
+    target = torch.distributions.Categorical(logits=honest).sample()
+    for factor in (0.6, 1.0, 2.5):
+        assert calibration.temperature_of(factor * honest, target) == pytest.approx(factor, rel=0.12)
 
 
 # ---- problems as inputs of the gate selector

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cognitivedrone.layout import is_clear
 from cognitivedrone.models.text import TOKEN, Lexicon, words_of
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.racing import INSTRUCTIONS
@@ -336,10 +337,29 @@ def test_token_noise_keeps_most_words_in_their_order() -> None:
     assert all(token_noise(rng, whole).shape == whole.shape for _ in range(20))
 
 
-def test_spoken_sentences_say_what_the_training_tasks_do_not(lexicon: Lexicon) -> None:
-    plain, spoken = (
-        [batch["tokens"][..., 0] for batch in batches(replace(RECIPE, batch=16, spoken=share), lexicon, 4)]
+def test_typed_sentences_say_what_the_training_tasks_do_not(lexicon: Lexicon) -> None:
+    plain, typed = (
+        [batch["tokens"][..., 0] for batch in batches(replace(RECIPE, batch=16, typed=share), lexicon, 4)]
         for share in (0.0, 1.0)
     )
-    unknown = [np.mean([(part == 1).sum() / (part > 0).sum() for part in made]) for made in (plain, spoken)]
+    unknown = [np.mean([(part == 1).sum() / (part > 0).sum() for part in made]) for made in (plain, typed)]
     assert unknown[1] > 2 * unknown[0] + 0.02
+
+
+def test_a_share_of_the_flights_has_gates_at_other_places(lexicon: Lexicon) -> None:
+    def flights(share: float) -> list[Any]:
+        rollout_stream = RolloutStream(
+            replace(RECIPE, layouts=share, worlds=6), SampleSource(lexicon, LENGTH, ATTRIBUTES)
+        )
+        try:
+            next(rollout_stream((4, 2)))
+            return rollout_stream._flights
+        finally:
+            rollout_stream.close()
+
+    assert all(flight.stage.layout is None for flight in flights(0.0))
+    laid = flights(1.0)
+    assert len({flight.stage.layout for flight in laid}) == 6
+    for flight in laid:
+        assert flight.stage.layout == flight.task.layout
+        assert is_clear(flight.stage.layout, board=flight.stage.board is not None)

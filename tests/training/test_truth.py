@@ -14,7 +14,7 @@ from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw
 from cognitivedrone.policies.expert import ExpertConfig, intent
 from cognitivedrone.sim.camera import Cameras
 from cognitivedrone.training.common.ground_truth import COMMITTED, LEGIBLE_HEIGHT, Poses, Truths, project, truths
-from cognitivedrone.types import ACTION_LIMITS, IMAGE_SIZE, FloatArray, Gate, Image, Stage
+from cognitivedrone.types import ACTION_LIMITS, IMAGE_SIZE, FloatArray, Gate, GatePlace, Image, Stage
 from cognitivedrone.world import geometry
 
 STAGE = Stage(
@@ -223,3 +223,18 @@ def test_frames_do_not_depend_on_what_else_is_asked_together() -> None:
     alone = truths(Poses(*(part[1:] for part in poses)), [TURNED], 2, EXPERT)
     for together, single in zip(both, alone, strict=True):
         np.testing.assert_array_equal(together[1:], single)
+
+
+def test_targets_follow_the_places_of_a_layout() -> None:
+    layout = (GatePlace(4.6, 3.2, 1.5, 0.6), GatePlace(6.0, -0.6, 0.9, -0.2), GatePlace(4.5, -4.1, 1.2, -1.1))
+    stage, pose = replace(STAGE, layout=layout), at(*geometry.START)
+    found, usual = known(pose, stage), known(pose)
+    centers, panels = geometry.gate_centers(stage), geometry.panel_centers(stage)
+    np.testing.assert_allclose(panels - centers, np.tile([0.0, 0.0, 1.85], (3, 1)), atol=1e-12)
+    np.testing.assert_allclose(found.gate[0], project(centers[None], *pose[:2])[0, :, :2], rtol=1e-5)
+    np.testing.assert_allclose(found.panel[0, :3, 0], project(panels[None], *pose[:2])[0, :, 0], rtol=1e-5)
+    np.testing.assert_allclose(found.place[0, :, 0], np.linalg.norm(centers - geometry.START, axis=1), rtol=1e-5)
+    np.testing.assert_allclose(found.place[0, :, 1], np.sin([0.6, -0.2, -1.1]), rtol=1e-5)
+    assert found.panel[0, 0, 1] < usual.panel[0, 0, 1]  # higher above the ground
+    assert (np.abs(found.action - usual.action).max(axis=(0, 2, 3)) > 0.02).all()
+    assert found.legible[0, :3].all()

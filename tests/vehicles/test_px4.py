@@ -107,7 +107,7 @@ def test_without_a_stream_offboard_is_refused(monkeypatch):
     monkeypatch.setattr("cognitivedrone.vehicles.mavlink.client.core.STREAM_FIRST_S", 0.0)
     with playing_px4() as peer, connect(peer) as drone:
         with pytest.raises(
-            LinkError, match="refused mode OFFBOARD: temporarily rejected; it says: Switching to Offboard"
+            LinkError, match="refused mode OFFBOARD: temporarily rejected; it reports: Switching to Offboard"
         ):
             drone.take_off(lambda _: True)
         assert not peer.part.armed
@@ -319,10 +319,10 @@ def test_what_is_not_flown(part, said):
 @pytest.mark.parametrize(
     ("part", "said"),
     [
-        ({"prearm": False}, "does not say that it passes its own checks"),
-        ({"ekf": 0xA7}, "does not say that it knows where it is"),
+        ({"prearm": False}, "does not report that it passes its own checks"),
+        ({"ekf": 0xA7}, "does not report that it knows where it is"),
         ({"home": False}, r"\[bad \] home"),
-        ({"refuse": {400: "Arming denied: check failed"}}, "refused arming: failed; it says: Arming denied"),
+        ({"refuse": {400: "Arming denied: check failed"}}, "refused arming: failed; it reports: Arming denied"),
     ],
 )
 def test_what_is_not_ready(part, said):

@@ -8,6 +8,9 @@ from cognitivedrone.tasks.matching import asks_the_same
 from cognitivedrone.types import StageResult
 from cognitivedrone.vehicles.contract import Vehicle
 
+_UNJUDGED = ("wrong_gate", "false_alarm")
+"""Outcomes that may be right where the user asks for something else than the scene."""
+
 
 def ending_of(vehicle: Vehicle, instruction: str) -> Ending | None:
     """How the flight ended, or none while it continues: by the vehicle, or with the last stage of its track.
@@ -44,7 +47,7 @@ def _judged(track: TrackRunner, instruction: str) -> Ending:
         if result.outcome != "not_reached"
     ]
     text = "; ".join(_in_words(result, judged=judged) for result, judged in flown)
-    if any(result.outcome != "passed" and (judged or result.outcome != "wrong_gate") for result, judged in flown):
+    if any(result.outcome != "passed" and (judged or result.outcome not in _UNJUDGED) for result, judged in flown):
         return Ending("missed", text)
     return Ending("passed" if all(judged for _, judged in flown) else "flown", text)
 
@@ -53,6 +56,8 @@ def _in_words(result: StageResult, *, judged: bool) -> str:
     """How a stage ended, in words."""
     if not judged and result.chosen is not None and result.outcome in ("passed", "wrong_gate"):
         return f"flew through gate {result.chosen + 1} (not judged), after {result.time_s:.1f} s"
+    if not judged and result.outcome == "false_alarm":
+        return f"declined: what was asked for is not there (not judged), after {result.time_s:.1f} s"
     gate = "no gate" if result.chosen is None else f"gate {result.chosen + 1}"
     right = "none was right" if result.target is None else f"the right one was {result.target + 1}"
     how = {

@@ -229,6 +229,9 @@ class _Recorder:
 
     def note(self, event: Event) -> None:
         self.late += event.kind == "late"
+        track = self._vehicle.track_runner
+        if event.kind in ("declined", "resumed") and track is not None:
+            track.decline(event.kind == "declined")
         if event.kind in ("adopted", "agreed", "kept") and event.age_s is not None:
             self.answers_s.append(event.age_s)
         for instrument in self._instruments:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from cognitivedrone.choices import AnswerKind
-from cognitivedrone.tasks.directives import parse_directive
+from cognitivedrone.tasks.directives import HOLD, declines, parse_directive
 from cognitivedrone.types import Guidance
 
 _Meaning: TypeAlias = tuple[str | None, ...] | str
@@ -64,5 +64,7 @@ class DirectiveFilter:
 
 def meaning_of(directive: str) -> _Meaning:
     """The meaning of a directive; two directives with equal meaning ask for the same gate."""
+    if declines(directive):
+        return HOLD
     parts = parse_directive(directive)
     return parts if any(parts) else directive.strip().lower()

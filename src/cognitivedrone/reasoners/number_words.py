@@ -73,8 +73,8 @@ _WORDS: Final[tuple[tuple[str, str], ...]] = (
     ("HALVE", r"(?:an? |one )?half of|half|halve"),
     ("ROMAN", r"roman (?:numeral |number |numerals )?[ivxlcdm]+"),
     ("_THEN", r"(?:[,.;]?\s*(?:and then|then|and|afterwards|after that|,|;|\.)[,:]?\s+)+"
-              r"(?=(?:you |now |finally |next |also )*(?:add|plus|subtract|deduct|minus|take away|take \S+ (?:away|from|off)|"
-              r"multiply|times|divide|"
+              r"(?=(?:you |now |finally |next |also )*(?:add|plus|subtract|deduct|minus|take away|"
+              r"take \S+ (?:away|from|off)|multiply|times|divide|"
               r"divided by|double|halve|triple|square|remove)\b)"),
     ("_TIMES", r"times|multiplied (?:by|with)|lots of|groups of"),
     ("_DIVIDED", r"divided by|over the number"),
@@ -109,7 +109,7 @@ _MASTER = re.compile(
 _NAMES = {f"W{number}": name for number, (name, _) in enumerate(_WORDS)}
 _SIGNS: Final = {
     "+": "_PLUS", "-": "_MINUS", "−": "_MINUS", "–": "_MINUS", "*": "_TIMES", "×": "_TIMES", "·": "_TIMES",
-    "/": "_DIVIDED", "÷": "_DIVIDED", "²": "_SQUARED", "³": "_CUBED", "^": "_POWER", 
+    "/": "_DIVIDED", "÷": "_DIVIDED", "²": "_SQUARED", "³": "_CUBED", "^": "_POWER",
     "(": "_OPEN", ")": "_CLOSE", "[": "_OPEN", "]": "_CLOSE",
 }  # fmt: skip
 _MULTIPLES: Final = {"TWICE": "2", "THRICE": "3", "QUADRUPLE": "4", "HALVE": "1/2"}

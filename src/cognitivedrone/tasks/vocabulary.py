@@ -82,10 +82,12 @@ HELD_OUT_STYLES: tuple[str, ...] = ("openmoji",)
 
 TRAIN_PICTURE_SETS: tuple[str, ...] = (
     "noto", "noto-v1", "twemoji", "fluent", "fluent-3d", "fluent-line", "emojione", "emojione-v1", "emojione-mono",
-    "streamline", "streamline-color", "game", "mdi", "tabler", "phosphor", "lucide", "arcticons",
-    "color", "simple-icons", "skill-icons", "vscode-icons", "file-icons",
+    "game", "mdi", "tabler", "phosphor", "lucide", "arcticons",
+    "color", "simple-icons", "skill-icons", "file-icons",
 )
 """Sets of drawings that training may show: all sets of an artist, or none."""
+CALIBRATION_PICTURE_SETS: tuple[str, ...] = ("streamline", "streamline-color", "vscode-icons")
+"""Sets that no network is trained with, and by which the probabilities of trained ones are calibrated."""
 HELD_OUT_PICTURE_SETS: tuple[str, ...] = ("openmoji", "fxemoji", "icon-park", "openclipart", "devicon", "cib")
 """Sets of drawings, each by other hands, that only tests show: two emoji sets, two-coloured line icons, the clip art of
 many artists, and two sets of logos."""

@@ -15,7 +15,9 @@ from cognitivedrone.training.small_vla.language import LANGUAGE
 from cognitivedrone.training.small_vla.policy import TrainRecipe
 from cognitivedrone.training.teach.training import TEACH
 
-SMALL = TrainRecipe(name="small", steps=4_000, decay_share=1 / 3, stream=StreamRecipe(spoken=0.5, token_noise=0.1))
+SMALL = TrainRecipe(
+    name="small", steps=4_000, decay_share=1 / 3, stream=StreamRecipe(typed=0.5, token_noise=0.1, layouts=0.4)
+)
 
 _SHORT = replace(SMALL, name="ablation-regression", steps=1_000)
 _ABLATION = (

@@ -8,7 +8,7 @@ most panel reading is taught with crops: any panel or board of the training task
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +55,7 @@ class WiderWorld:
     pictures: TrainingPictures = field(default_factory=TrainingPictures)
     photographic: Photographic = field(default_factory=Photographic)
     printed: Photographic = field(
-        default_factory=lambda: Photographic(shares=replace(Shares(), mirrored=0.0, outlined=0.0), turn=4.0, narrower=0.9)
+        default_factory=lambda: Photographic(shares=Shares(mirrored=0.0, outlined=0.0), turn=4.0, narrower=0.9)
     )
     """For letters, numbers and sums."""
     share: float = 0.75
@@ -89,11 +89,13 @@ class WiderWorld:
         if chance < _OTHER_THING:
             return self.photographic.draw(self.pictures.other(rng), rng)
         if chance < _OTHER_THING + _PART:
-            label = draw_any_label(rng)
+            label = draw_known_label(rng)
             whole = PillowImage.fromarray(self.pictures.panel(label))
             size = whole.width * rng.uniform(0.12, 0.25)
             left, top = rng.uniform(0.1, 0.65, 2) * whole.width
-            part = whole.resize((_SIDE, _SIDE), PillowImage.Resampling.BILINEAR, box=(left, top, left + size, top + size))
+            part = whole.resize(
+                (_SIDE, _SIDE), PillowImage.Resampling.BILINEAR, box=(left, top, left + size, top + size)
+            )
             return np.asarray(part)
         plain = background(_SIDE, rng, plain=rng.random() < 0.3)
         return plain.clip(0, 255).transpose(1, 2, 0).astype(np.uint8)
@@ -158,8 +160,11 @@ _PLACES = np.cumsum(list(SHARES.values())) / sum(SHARES.values())
 
 def draw_any_label(rng: np.random.Generator) -> str:
     """A panel or board with content of its own, from a random task of any family; some of unknown content."""
-    if rng.random() < _UNKNOWN:
-        return "unknown/picture"
+    return "unknown/picture" if rng.random() < _UNKNOWN else draw_known_label(rng)
+
+
+def draw_known_label(rng: np.random.Generator) -> str:
+    """A panel or board with content of its own, from a random task of any family."""
     task = drawn_task(_FAMILIES[int(np.searchsorted(_PLACES, rng.random()))], rng, "crop")
     if task.board is not None and rng.random() < 0.7:
         return task.board

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
-from cognitivedrone.types import Image
+from cognitivedrone.types import FloatArray, Image
 
 TEXTURES = 192
 """Number of different textures, each of which is shown in parts, flipped and in any colours."""
@@ -114,7 +114,7 @@ class Photographic:
 
 def placed(
     cutout: NDArray[np.uint8], side: int, rng: np.random.Generator, how: Photographic, *, mirrored: bool
-) -> NDArray[np.float32]:
+) -> FloatArray:
     """(4, side, side) float32, 0 to 255: the drawing somewhere near the middle, rotated, scaled and narrower."""
     height, width = cutout.shape[:2]
     size = side * rng.uniform(*how.scale)
@@ -137,7 +137,7 @@ def placed(
     return np.asarray(seen).transpose(2, 0, 1).astype(np.float32, order="C")
 
 
-def toned(thing: NDArray[np.float32], rng: np.random.Generator, *, grey: bool, tones: bool) -> None:
+def toned(thing: FloatArray, rng: np.random.Generator, *, grey: bool, tones: bool) -> None:
     """Change in place: without colour; or paler, darker and with a slightly different hue."""
     if not (grey or tones):
         return
@@ -156,7 +156,7 @@ def toned(thing: NDArray[np.float32], rng: np.random.Generator, *, grey: bool, t
         np.clip(thing, 0, 255, out=thing)
 
 
-def outlines(thing: NDArray[np.float32], alpha: NDArray[np.float32]) -> NDArray[np.float32]:
+def outlines(thing: FloatArray, alpha: FloatArray) -> FloatArray:
     """A pencil drawing of the thing: dark where its brightness changes, on white."""
     light = thing.mean(axis=0) * alpha + 255 * (1 - alpha)
     steps = np.zeros_like(light)
@@ -165,7 +165,7 @@ def outlines(thing: NDArray[np.float32], alpha: NDArray[np.float32]) -> NDArray[
     return np.broadcast_to(np.clip(255 - 3 * steps, 0, 255), thing.shape).copy()
 
 
-def texture(side: int, rng: np.random.Generator) -> NDArray[np.float32]:
+def texture(side: int, rng: np.random.Generator) -> FloatArray:
     """(side, side) float32, 0 to 1: a part of a random texture."""
     whole = _textures()[int(rng.integers(TEXTURES))]
     step = int(rng.integers(1, _TEXTURE_SIDE // side + 1))
@@ -176,18 +176,20 @@ def texture(side: int, rng: np.random.Generator) -> NDArray[np.float32]:
     return np.ascontiguousarray(part[:: 1 - 2 * (turned & 1), :: 1 - (turned & 2)])
 
 
-def shading(side: int, rng: np.random.Generator) -> NDArray[np.float32]:
+def shading(side: int, rng: np.random.Generator) -> FloatArray:
     """(side, side) factor: light from one side, or from a lamp near the middle."""
     line = np.linspace(-1, 1, side, dtype=np.float32)
     strength = np.float32(rng.uniform(0.1, 0.5))
     x, y = rng.uniform(-0.6, 0.6, 2).astype(np.float32)
     if rng.random() < 0.5:
         slope = strength / np.float32(0.6)
-        return (1 + slope * y * line)[:, None] + slope * x * line
-    return (np.float32(1.15) - strength * (line - y) ** 2)[:, None] - strength * (line - x) ** 2
+        light: FloatArray = (1 + slope * y * line)[:, None] + slope * x * line
+    else:
+        light = (np.float32(1.15) - strength * (line - y) ** 2)[:, None] - strength * (line - x) ** 2
+    return light
 
 
-def background(side: int, rng: np.random.Generator, *, plain: bool, dark: bool = False) -> NDArray[np.float32]:
+def background(side: int, rng: np.random.Generator, *, plain: bool, dark: bool = False) -> FloatArray:
     """(3, side, side) float32: one colour, or a texture between two colours."""
     level = rng.uniform(10, 90) if dark else rng.uniform(40, 250)
     first, change = (rng.standard_normal((2, 3, 1, 1), dtype=np.float32) * np.float32(28)) + np.zeros((2, 1, 1, 1))
@@ -195,12 +197,12 @@ def background(side: int, rng: np.random.Generator, *, plain: bool, dark: bool =
     if plain:
         return np.broadcast_to(first, (3, side, side)).copy()
     change = (change + rng.normal(0, 1) * rng.uniform(15, 60 if dark else 120)).astype(np.float32)
-    made = change * texture(side, rng)
+    made: FloatArray = change * texture(side, rng)
     made += first
     return made
 
 
-def shadow(alpha: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+def shadow(alpha: FloatArray, rng: np.random.Generator) -> FloatArray:
     """(side, side) factor for the background: darker where the thing's soft shadow falls."""
     side = len(alpha)
     image = PillowImage.fromarray(np.ascontiguousarray(alpha[::4, ::4])).resize(
@@ -215,7 +217,7 @@ def shadow(alpha: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.f
     return factor
 
 
-def cover(picture: NDArray[np.float32], rng: np.random.Generator) -> None:
+def cover(picture: FloatArray, rng: np.random.Generator) -> None:
     """Cover a part of the picture (3, side, side) in place: a bar or a box of one colour, at most a fifth."""
     side = picture.shape[-1]
     filled = color(rng, 0, 255)
@@ -230,12 +232,12 @@ def cover(picture: NDArray[np.float32], rng: np.random.Generator) -> None:
         picture[:, top : top + high, left : left + wide] = filled
 
 
-def color(rng: np.random.Generator, low: float, high: float) -> NDArray[np.float32]:
+def color(rng: np.random.Generator, low: float, high: float) -> FloatArray:
     """(3, 1, 1): a random colour."""
     return rng.random((3, 1, 1), dtype=np.float32) * np.float32(high - low) + np.float32(low)
 
 
-def blurred(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+def blurred(picture: FloatArray) -> FloatArray:
     """The picture (3, side, side) out of focus: every pixel but those of the border the mean of 3 x 3."""
     rows = picture[:, :-2] + picture[:, 1:-1]
     rows += picture[:, 2:]
@@ -254,7 +256,7 @@ def as_jpeg(picture: Image, quality: int) -> Image:
 
 
 @functools.cache
-def _textures() -> NDArray[np.float32]:
+def _textures() -> FloatArray:
     """(TEXTURES, side, side) float32, 0 to 1, always the same: clouds, grain, wood, grass, blobs, tiles."""
     rng = np.random.default_rng(0)
     makers = (_clouds, _grain, _wood, _grass, _blobs, _tiles)
@@ -267,13 +269,13 @@ def _textures() -> NDArray[np.float32]:
     return found
 
 
-def _octave(cells_down: int, cells_across: int, rng: np.random.Generator) -> NDArray[np.float32]:
+def _octave(cells_down: int, cells_across: int, rng: np.random.Generator) -> FloatArray:
     noise = rng.random((cells_down, cells_across), dtype=np.float32)
     image = PillowImage.fromarray(noise)
     return np.asarray(image.resize((_TEXTURE_SIDE, _TEXTURE_SIDE), PillowImage.Resampling.BICUBIC))
 
 
-def _clouds(rng: np.random.Generator) -> NDArray[np.float32]:
+def _clouds(rng: np.random.Generator) -> FloatArray:
     fall = rng.uniform(0.4, 0.7)
     total = np.zeros((_TEXTURE_SIDE, _TEXTURE_SIDE), dtype=np.float32)
     for octave in range(6):
@@ -281,21 +283,21 @@ def _clouds(rng: np.random.Generator) -> NDArray[np.float32]:
     return total
 
 
-def _grain(rng: np.random.Generator) -> NDArray[np.float32]:
-    return _octave(*(int(n) for n in rng.integers(50, 192, 2)), rng) + 0.8 * _octave(6, 6, rng)
+def _grain(rng: np.random.Generator) -> FloatArray:
+    return _octave(int(rng.integers(50, 192)), int(rng.integers(50, 192)), rng) + 0.8 * _octave(6, 6, rng)
 
 
-def _wood(rng: np.random.Generator) -> NDArray[np.float32]:
+def _wood(rng: np.random.Generator) -> FloatArray:
     warp = _octave(4, 2, rng) + 0.2 * _octave(24, 6, rng)
     rings = np.linspace(0, rng.uniform(6, 22), _TEXTURE_SIDE, dtype=np.float32)[None]
     return np.sin(2 * np.pi * (rings + rng.uniform(0.5, 3) * warp)) + _octave(8, 160, rng)
 
 
-def _grass(rng: np.random.Generator) -> NDArray[np.float32]:
+def _grass(rng: np.random.Generator) -> FloatArray:
     return _octave(12, 150, rng) + 0.7 * _octave(30, 190, rng) + _octave(5, 5, rng)
 
 
-def _blobs(rng: np.random.Generator) -> NDArray[np.float32]:
+def _blobs(rng: np.random.Generator) -> FloatArray:
     """Bright discs out of focus."""
     line = np.arange(_TEXTURE_SIDE, dtype=np.float32)
     total = 0.6 * _octave(3, 3, rng)
@@ -307,13 +309,14 @@ def _blobs(rng: np.random.Generator) -> NDArray[np.float32]:
     return total
 
 
-def _tiles(rng: np.random.Generator) -> NDArray[np.float32]:
+def _tiles(rng: np.random.Generator) -> FloatArray:
     """Bricks, planks or cloth."""
     high, wide = rng.integers(6, 48, 2)
     rows, columns = np.indices((_TEXTURE_SIDE, _TEXTURE_SIDE))
     columns = columns + (rows // high % 2) * (wide // 2) * int(rng.integers(2))
     tone = rng.random((_TEXTURE_SIDE // high + 2, 2 * _TEXTURE_SIDE // wide + 2)).astype(np.float32)
     joints = ((rows % high == 0) | (columns % wide == 0)).astype(np.float32)
-    return (
+    made: FloatArray = (
         tone[rows // high, columns // wide] - joints * np.float32(rng.uniform(-0.6, 0.9)) + 0.4 * _octave(90, 90, rng)
     )
+    return made

@@ -19,9 +19,17 @@ from numpy.typing import NDArray
 from cognitivedrone.errors import LabelError
 from cognitivedrone.labels.extended import extended_pack
 from cognitivedrone.references import PERSON_HANDS, Reference, parse_reference, person_hand
-from cognitivedrone.tasks.vocabulary import TRAIN_BACKGROUNDS, TRAIN_PERSON_HANDS, TRAIN_PICTURE_SETS
+from cognitivedrone.tasks.vocabulary import (
+    CALIBRATION_PICTURE_SETS,
+    TRAIN_BACKGROUNDS,
+    TRAIN_PERSON_HANDS,
+    TRAIN_PICTURE_SETS,
+)
+from cognitivedrone.types import Image
 
 PACK = "open-v2"
+OTHERS = "others"
+"""Style of the pictures of things outside of the vocabulary that training may show."""
 _CACHED = 8192  # all cut-out drawings of the training sets, 25 kB each at most
 
 
@@ -39,23 +47,26 @@ def may_train(reference: str) -> bool:
 
 
 class TrainingPictures:
-    """Cut-out drawings of the training sets, and people by the training artists."""
+    """Cut-out drawings of the training sets, or those for calibration, and people by the training artists."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, calibration: bool = False) -> None:
+        """With `calibration`, the sets that no network is trained with, instead of those for training."""
         self._pack = extended_pack(PACK)
+        self._sets = CALIBRATION_PICTURE_SETS if calibration else TRAIN_PICTURE_SETS
+        others = self._pack.pictures("unknown", "picture")
+        self._others = tuple(name for name in others if name.partition("@")[2].partition("~")[0] == OTHERS)
         self._of_set = lru_cache(maxsize=None)(self._by_set)
         self._cached = lru_cache(maxsize=_CACHED)(self._read)
 
     def references(self, kind: str, concept: str) -> tuple[str, ...]:
         """Label references of all drawings of a concept in the training sets; empty if there is none."""
-        return tuple(reference for reference in self._pack.pictures(kind, concept) if may_train(reference))
+        return tuple(reference for reference in self._pack.pictures(kind, concept) if self._may_show(reference))
 
     def cutout(self, reference: str) -> NDArray[np.uint8]:
         """(H, W, 4) uint8 RGBA, read-only. Raises `LabelError` if its set is held out, or has no such drawing."""
-        if not may_train(reference):
-            raise LabelError(
-                f"label {reference!r} is held out for tests; training may show the sets {TRAIN_PICTURE_SETS}"
-            )
+        if not self._may_show(reference):
+            sets = ", ".join(self._sets)
+            raise LabelError(f"label {reference!r} is held out of training, which may show the sets {sets}")
         return self._cached(reference)
 
     def draw(self, kind: str, concept: str, rng: np.random.Generator) -> NDArray[np.uint8] | None:
@@ -65,6 +76,14 @@ class TrainingPictures:
             return None
         chosen = sets[int(rng.integers(len(sets)))]
         return self.cutout(chosen[int(rng.integers(len(chosen)))])
+
+    def other(self, rng: np.random.Generator) -> NDArray[np.uint8]:
+        """(H, W, 4) uint8 RGBA, read-only, of something outside of the vocabulary."""
+        return self._cached(self._others[int(rng.integers(len(self._others)))])
+
+    def panel(self, reference: str) -> Image:
+        """(256, 256, 3) uint8, as the label pack draws it."""
+        return self._pack.image(reference)
 
     def portrait(self, rng: np.random.Generator, person: Mapping[str, str] | None = None) -> str:
         """Label reference of a person by another training artist.
@@ -80,6 +99,9 @@ class TrainingPictures:
             values[attribute] = wanted if wanted in drawn else other
         concept = ",".join(f"{attribute}={value}" for attribute, value in values.items())
         return str(Reference("person", concept, f"{hand}-{background}"))
+
+    def _may_show(self, reference: str) -> bool:
+        return (parse_reference(reference).style or "").partition("~")[0] in self._sets
 
     def _by_set(self, kind: str, concept: str) -> tuple[tuple[str, ...], ...]:
         sets: dict[str, list[str]] = {}

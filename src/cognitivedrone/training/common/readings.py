@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.models.panel_reader import Reader, ReaderConfig
 from cognitivedrone.training.common.attributes import AttributeIndex
-from cognitivedrone.training.common.panel_crops import PanelCrops
+from cognitivedrone.training.common.panel_crops import PanelCrops, WiderWorld
 from cognitivedrone.training.common.start import Start, restore_part
 
 CROPS = 12_000
@@ -94,5 +94,5 @@ def readings_of(start: Start, index: AttributeIndex) -> Readings:
     """The readings of a trained reader, or of a policy's."""
     reader = Reader(ReaderConfig.of(start.reader_facts()), len(index.schema.names))
     restore_part(start, "reader", reader)
-    panel_crops = PanelCrops(reader.config.crop_size, index.of)
+    panel_crops = PanelCrops(reader.config.crop_size, index.of, wider=WiderWorld())
     return Readings(index, read_bank(reader, index, panel_crops.draw))

@@ -17,11 +17,11 @@ from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.tasks.generate import TRAIN, Pools
 from cognitivedrone.training.common.attributes import AttributeIndex, gate_looks
 from cognitivedrone.training.common.ground_truth import Poses, Truths, truths
-from cognitivedrone.training.common.phrasing import SPOKEN
 from cognitivedrone.training.common.problems import ABSENT, ALONE, Mix, Problem, Problems
 from cognitivedrone.training.common.questions import ask, families
 from cognitivedrone.training.common.readings import Readings, readings_of
 from cognitivedrone.training.common.start import Start
+from cognitivedrone.training.common.wordings import TYPED
 from cognitivedrone.types import IMAGE_SIZE, Image, Stage, Task
 
 Batch: TypeAlias = dict[str, NDArray[np.generic]]
@@ -71,8 +71,8 @@ class StreamRecipe:
     """`train`, or `race`: single gates without panels, and "Fly through the gates"."""
     crowded: float = 0.0
     """Share of a race's flights in rooms with three gates: the one straight ahead is right there."""
-    spoken: float = 0.0
-    """Share of sentences about panels with more wordings than the training tasks."""
+    typed: float = 0.0
+    """Share of sentences about panels in the wordings of the corpus, as people type them."""
     token_noise: float = 0.0
     """Share of sentences about frames with token noise."""
     directives: bool = True
@@ -192,7 +192,7 @@ class Sampler:
 
     def _pools(self, rng: np.random.Generator) -> Pools:
         """The ingredients of the next sentence; a recipe with a share of zero draws nothing for it."""
-        return SPOKEN if self.recipe.spoken and rng.random() < self.recipe.spoken else TRAIN
+        return TYPED if self.recipe.typed and rng.random() < self.recipe.typed else TRAIN
 
     def askable(self, task: Task) -> tuple[int, ...]:
         """The gates that can be asked for; without directives, only those whose panels identify them."""

@@ -15,8 +15,8 @@ from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.panel_reader import Reader, ReaderConfig
 from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
-from cognitivedrone.training.common.checkpoint import CHECKPOINT
-from cognitivedrone.training.common.panel_crops import PanelCrops
+from cognitivedrone.training.common.checkpoint import read_checkpoint, restore, save_checkpoint
+from cognitivedrone.training.common.panel_crops import PanelCrops, WiderWorld
 from cognitivedrone.training.common.sampling import Batch
 from cognitivedrone.training.common.training_task import Batches, Given, Learner, Recipe, Row, to_tensors
 
@@ -34,7 +34,7 @@ class ReaderRecipe(Recipe):
     """Label smoothing: a reader that is never quite certain doubts more where it should."""
     validation_cards: int = 2000
 
-    model_file: ClassVar[str] = CHECKPOINT
+    model_file: ClassVar[str] = "reader.safetensors"
 
     def training(self, given: Given) -> ReaderTraining:
         """A new reader."""
@@ -83,7 +83,7 @@ class ReaderTraining:
         def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
             del learner
             rng = np.random.default_rng(seed)
-            panel_crops = PanelCrops(self.recipe.network.crop_size, index.of)
+            panel_crops = PanelCrops(self.recipe.network.crop_size, index.of, wider=WiderWorld())
             while True:
                 images, attributes = panel_crops.draw(rng, self.recipe.batch)
                 yield {"crop": images, "attributes": attributes}
@@ -116,7 +116,14 @@ class ReaderTraining:
         return {}
 
     def export(self, checkpoint: Path, folder: Path) -> None:
-        """Nothing: a policy is trained with the checkpoint, and holds the reader in its own file."""
+        """The calibrated reader, with which policies are trained; they hold it in their own files."""
+        from cognitivedrone.training.common.calibration import calibrated
+
+        tensors, facts = read_checkpoint(checkpoint)
+        reader = self.network()
+        restore(tensors, reader, None)
+        temperatures = calibrated(reader, AttributeIndex(self.attributes))
+        save_checkpoint(folder / self.recipe.model_file, reader, None, {**facts, "temperatures": temperatures})
 
 
 class ReaderLoss(nn.Module):
@@ -160,4 +167,4 @@ class ReaderLoss(nn.Module):
         }
 
 
-READER = ReaderRecipe(name="reader", steps=10_000, learning_rate=1e-3, decay_share=0.5)
+READER = ReaderRecipe(name="reader", steps=8_000, learning_rate=1e-3, decay_share=0.5)

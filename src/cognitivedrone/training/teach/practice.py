@@ -11,9 +11,9 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.generate import Draw
 from cognitivedrone.training.common.attributes import AttributeIndex
-from cognitivedrone.training.common.panel_crops import PanelCrops, panel_image_of
-from cognitivedrone.training.common.phrasing import SPOKEN
+from cognitivedrone.training.common.panel_crops import PanelCrops, WiderWorld, panel_image_of
 from cognitivedrone.training.common.problems import ABSENT, Problem, Problems, draw_gates, problem_of
+from cognitivedrone.training.common.wordings import TYPED
 from cognitivedrone.training.teach.lesson import Lesson, Statement, attribute_of
 from cognitivedrone.types import Image, Task
 
@@ -35,7 +35,7 @@ class LessonCrops:
             name: [PillowImage.fromarray(pack.image(reference)).convert("RGB") for reference in references]
             for name, references in lesson.pictures.items()
         }
-        self._known = PanelCrops(crop_size, index.of)
+        self._known = PanelCrops(crop_size, index.of, wider=WiderWorld())
 
     def draw(self, rng: np.random.Generator, count: int, share: float) -> tuple[Image, NDArray[np.int64]]:
         """Crops (count, g, g, 3) and their attribute values (count, groups), a share of them of the lesson."""
@@ -118,7 +118,7 @@ class LessonProblems:
         whole = len(statement.phrases) + len(statement.sentences)
         said = int(rng.integers(whole))
         if said < len(statement.phrases):
-            sentence = Draw(rng, SPOKEN, target).frame(statement.phrases[said])
+            sentence = Draw(rng, TYPED, target).frame(statement.phrases[said])
         else:
             sentence = statement.sentences[said - len(statement.phrases)]
         labels = tuple(f"taught/{name}" for name in names)

@@ -1,0 +1,121 @@
+"""The pack open-v2: all of open-v1 unchanged, further sets of drawings and further artists of people."""
+
+import hashlib
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cognitivedrone.labels
+from cognitivedrone.errors import LabelError
+from cognitivedrone.labels import BACKGROUNDS, EXTENDED_PACKS, load_pack
+from cognitivedrone.references import PERSON_HANDS
+from cognitivedrone.tasks import vocabulary
+
+KINDS = {"animal": vocabulary.ANIMALS, "food": vocabulary.FOODS, "object": vocabulary.OBJECTS, "logo": vocabulary.LOGOS}
+
+
+@pytest.fixture(scope="module")
+def pack():
+    return load_pack("open-v2")
+
+
+def folder(name: str) -> Path:
+    return Path(cognitivedrone.labels.__file__).parent / "packs" / name
+
+
+def test_open_v1_is_as_it_was(pack):
+    old = load_pack("open-v1")
+    assert old.digest == "c31d1d699ec45ba0951d8ade7ff6a6c32dc8caf9847ccd499f1e9a9e65599371"
+    for label in ("animal/cat@noto", "logo/git@color", "food/pie@openmoji", "sum/7*9@inter", "person/hair=afro@sky"):
+        np.testing.assert_array_equal(pack.image(label), old.image(label))
+    assert pack.kinds() == old.kinds()
+    for kind in old.kinds():
+        assert pack.concepts(kind) == old.concepts(kind)
+        assert pack.styles(kind)[: len(old.styles(kind))] == old.styles(kind)
+
+
+def test_every_drawing_can_be_read(pack):
+    seen = 0
+    for kind, concepts in KINDS.items():
+        for concept in concepts:
+            for label in pack.pictures(kind, concept):
+                pixels = pack.cutout(label)
+                assert pixels.dtype == np.uint8
+                assert pixels.shape[2] == 4
+                assert 8 <= max(pixels.shape) <= 128
+                assert (pixels[..., 3] > 128).mean() > 0.02, f"{label} is blank"
+                seen += 1
+    assert seen > 5000
+
+
+def test_a_drawing_is_a_panel_on_white(pack):
+    image = pack.image("animal/owl@icon-park")
+    assert image.shape == (256, 256, 3)
+    assert image.dtype == np.uint8
+    assert not image.flags.writeable
+    assert image[:4].min() > 240
+    assert image.std() > 5
+    assert (pack.image("animal/cat@game") != pack.image("animal/cat@lucide")).any()
+    assert (pack.image("animal/cat@arcticons") != pack.image("animal/cat@arcticons~1")).any()
+    assert pack.image("several/animal/cat=3@emojione").std() > 5
+
+
+@pytest.mark.parametrize(
+    ("label", "message"),
+    [
+        ("animal/llama@lucide", "no such cut-out drawing"),
+        ("animal/cat@game~9", "no such cut-out drawing"),
+        ("animal/cat@game~0", "no such cut-out drawing"),
+        ("animal/cat@game~01", "no such cut-out drawing"),
+        ("animal/cat@gam", "no style 'gam'"),
+        ("animal/dragon@game", "no such cut-out drawing"),
+        ("person/hair=afro@toon-head-sky", "toon-head draws no hair 'afro'"),
+        ("person/hair=long@toon-head-nowhere", "no background 'nowhere'"),
+        ("person/hair=log@toon-head-sky", "hair cannot be 'log'"),
+    ],
+)
+def test_what_is_missing_is_named(pack, label, message):
+    with pytest.raises(LabelError, match=message):
+        pack.image(label)
+
+
+@pytest.mark.parametrize("hand", PERSON_HANDS)
+def test_every_value_of_an_artist_draws_and_changes_the_portrait(pack, hand):
+    drawn = PERSON_HANDS[hand]
+    plain = {name: values[0] for name, values in drawn.items()}
+    for attribute, values in drawn.items():
+        covered = {"hat": "turban"} if attribute == "hat_color" else {}
+        seen = set()
+        for value in values:
+            person = plain | covered | {attribute: value}
+            concept = ",".join(f"{name}={chosen}" for name, chosen in person.items())
+            image = pack.image(f"person/{concept}@{hand}-mint")
+            assert image.shape == (256, 256, 3)
+            assert tuple(image[0, 0]) == BACKGROUNDS["mint"]
+            seen.add(image.tobytes())
+        assert len(seen) == len(values), f"{hand}: {attribute}"
+
+
+def test_the_same_pack_comes_out_of_a_pickle(pack):
+    assert pickle.loads(pickle.dumps(pack)) is pack  # noqa: S301
+
+
+@pytest.mark.parametrize("name", EXTENDED_PACKS)
+def test_the_manifest_tells_every_file_its_hash_and_its_licence(name):
+    manifest = json.loads((folder(name) / "manifest.json").read_text(encoding="utf-8"))
+    there = {path.relative_to(folder(name)).as_posix(): path for path in folder(name).rglob("*") if path.is_file()}
+    del there["manifest.json"]
+    assert {path: hashlib.sha256(file.read_bytes()).hexdigest() for path, file in there.items()} == manifest["files"]
+    for source in manifest["sources"]:
+        assert all(source[key] for key in ("package", "version", "name", "author", "licence", "used_for"))
+        assert source["licence_file"] in there
+    described = {source["used_for"].removeprefix("@") for source in manifest["sources"]}
+    assert described == {*manifest["sets"], *manifest["hands"]}
+
+
+def test_all_packs_together_stay_small():
+    size = sum(path.stat().st_size for path in folder("open-v1").parent.rglob("*") if path.is_file())
+    assert size < 15e6
