@@ -155,7 +155,7 @@ def test_it_says_when_it_cannot_tell(made):
     with pytest.raises(ReasonerError, match="only 2 of 3 gates") as error:
         reasoner.refine(FRAME, "go")
     assert error.value.kind == "unsure"
-    with pytest.raises(ReasonerError, match="no answer is likely; I see the letter A, the letter B, the letter C$"):
+    with pytest.raises(ReasonerError, match=r"no answer is likely; I see the letter A, the letter B, the letter C$"):
         reasoner.refine(FRAME, "go")
 
 
