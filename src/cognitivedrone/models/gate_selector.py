@@ -96,7 +96,10 @@ class GateSelector(nn.Module):
         there = (stages[..., 0] >= 0).to(words.dtype)
         index, ago = (stages[..., column].clamp(0, STAGES - 1) for column in (0, 1))
         memory = (
-            self.attributes(remembered) + self.stage_numbers[index] + self.ago[ago] + self.flown[stages[..., 2].clamp(0, 1)]
+            self.attributes(remembered)
+            + self.stage_numbers[index]
+            + self.ago[ago]
+            + self.flown[stages[..., 2].clamp(0, 1)]
         )
         x = torch.cat([start, gates, on_board, calculated, words, memory], dim=1)
         spoken = (tokens[..., 0] != 0).to(words.dtype)
