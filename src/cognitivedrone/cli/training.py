@@ -14,27 +14,34 @@ def train(
     recipe: str = "small",
     data: Path | None = None,
     start: Path | None = None,
+    labels: Path | None = None,
+    tasks: Path | None = None,
     seed: int = 0,
     resume: bool = False,
     processes: int = 1,
     threads: int = 1,
 ) -> None:
-    """Train a small model, from flights made during training or from a data set, and write it as one ONNX file.
+    """Train a small model, or teach a trained one your own pictures and words.
 
     Needs the extra `train`. Continue a stopped training with --resume. Examples:
 
-      cognitivedrone train --recipe small --out runs/small --processes 2
+      cognitivedrone train --recipe teach --labels my-labels --out runs/mine
+      cognitivedrone bench --policy small:runs/mine/model.onnx --reasoner small:runs/mine
+      cognitivedrone train --recipe reader --out runs/reader --processes 2
+      cognitivedrone train --recipe small --start runs/reader/reader.safetensors --out runs/small --processes 2
       cognitivedrone train --recipe small --out runs/recorded --processes 2 --data flights
-      cognitivedrone bench --policy small:runs/small/model.onnx
-      cognitivedrone train --recipe language --start runs/small/checkpoint.safetensors --out runs/taught --processes 2
-      cognitivedrone train --recipe reader --start runs/small/checkpoint.safetensors --out runs/reasoner-reader
+      cognitivedrone train --recipe selector --start runs/small/model.onnx --out runs/selector --processes 2
 
     Args:
-        out: Folder of the run: checkpoint, curves.png, TensorBoard logs and, at the end, model.onnx.
-        recipe: small, race, base or debug; language, which teaches a trained policy more language; reader or selector,
-            the two networks of the small reasoner.
+        out: Folder of the run: checkpoint, curves.png, TensorBoard logs and, at the end, the model files.
+        recipe: teach, which teaches a trained pilot the pictures in --labels; reader, which reads panels; small, the
+            policy, which flies with a reader; race, base or debug, other policies; language, which teaches a trained
+            policy more language; selector, the small reasoner.
         data: A data set made by `collect`, used instead of flights made during training.
-        start: Checkpoint of a policy: the start of recipe language, or the source of the reader's panel encoder.
+        start: Trained weights to start from: a checkpoint, a model file, the folder of a taught pilot, or "small", those
+            that are shipped, which is the default.
+        labels: A folder of pictures such as my-labels/birds/robin.jpg, for recipe teach. One picture a concept is enough.
+        tasks: A task file, or a folder of them, whose sentences are taught as well.
         seed: Random seed.
         resume: Continue from the checkpoint in the folder.
         processes: Processes that share each batch: the number of CPU cores, or of GPUs.
@@ -45,7 +52,7 @@ def train(
         from cognitivedrone.training.launch import TrainOptions, run
     except ModuleNotFoundError as error:
         raise MissingExtra(str(error.name), "train") from None
-    model = run(TrainOptions(out, recipe, data, start, seed, resume, processes, threads))
+    model = run(TrainOptions(out, recipe, data, start, seed, resume, processes, threads, labels, tasks))
     hint = f"; fly it with --policy small:{model}" if model.name == "model.onnx" else ""
     print(visible(f"{model}{hint}"))  # noqa: T201
 

@@ -59,8 +59,7 @@ class GateSelector(nn.Module):
         self.looks = nn.Linear(8, width, bias=False)
         self.values = nn.Embedding(VALUES, width)
         self.kinds = nn.Parameter(torch.randn(6, width) * 0.02)  # start, board, calculator, and gates 1 to 3
-        # Not "stages": in the ONNX graph, no weight may have the name of an input.
-        self.stage = nn.Parameter(torch.randn(STAGES, width) * 0.02)
+        self.stage_numbers = nn.Parameter(torch.randn(STAGES, width) * 0.02)
         self.ago = nn.Parameter(torch.randn(STAGES, width) * 0.02)
         self.flown = nn.Parameter(torch.randn(2, width) * 0.02)
         self.layers = nn.ModuleList([TextLayer(width, config.heads) for _ in range(config.layers)])
@@ -97,7 +96,10 @@ class GateSelector(nn.Module):
         there = (stages[..., 0] >= 0).to(words.dtype)
         index, ago = (stages[..., column].clamp(0, STAGES - 1) for column in (0, 1))
         memory = (
-            self.attributes(remembered) + self.stage[index] + self.ago[ago] + self.flown[stages[..., 2].clamp(0, 1)]
+            self.attributes(remembered)
+            + self.stage_numbers[index]
+            + self.ago[ago]
+            + self.flown[stages[..., 2].clamp(0, 1)]
         )
         x = torch.cat([start, gates, on_board, calculated, words, memory], dim=1)
         spoken = (tokens[..., 0] != 0).to(words.dtype)

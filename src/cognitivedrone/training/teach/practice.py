@@ -40,8 +40,10 @@ class LessonCrops:
     def draw(self, rng: np.random.Generator, count: int, share: float) -> tuple[Image, NDArray[np.int64]]:
         """Crops (count, g, g, 3) and their attribute values (count, groups), a share of them of the lesson."""
         taught = round(count * share)
-        images, attributes = self._known.draw(rng, count - taught)
-        crops, rows = [images], [attributes]
+        crops, rows = [], []
+        if taught < count:
+            images, attributes = self._known.draw(rng, count - taught)
+            crops, rows = [images], [attributes]
         for _ in range(taught):
             name = self._names[int(rng.integers(len(self._names)))]
             pictures = self._pictures[name]
