@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -22,7 +23,7 @@ from cognitivedrone.training.reasoner.reader import READER
 from cognitivedrone.training.small_vla import export
 from cognitivedrone.training.small_vla.policy import PolicyTraining
 
-SCHEDULE = {"steps": 4, "warmup_steps": 1, "round_steps": 2, "validate_every": 2, "fly_every": 4}
+SCHEDULE: dict[str, Any] = {"steps": 4, "warmup_steps": 1, "round_steps": 2, "validate_every": 2, "fly_every": 4}
 TINY_READER = replace(
     READER,
     **SCHEDULE,

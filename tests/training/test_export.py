@@ -105,7 +105,7 @@ def test_checkpoint_and_file_fly_the_same_task_alike(
         pilot, commands = NetworkPilot(network, lexicon), []
         act = pilot.act
 
-        def told(*observed, act=act, commands=commands):  # type: ignore[no-untyped-def]
+        def told(*observed, act=act, commands=commands):
             commands.append(act(*observed))
             return commands[-1]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -156,7 +157,7 @@ def test_one_command_teaches_and_exports(policy_file: Path, tmp_path: Path, monk
         ({"start": Path("none.onnx")}, "no model file none.onnx"),
     ],
 )
-def test_what_a_lesson_in_language_cannot_use_is_said(tmp_path: Path, options: dict[str, Path], says: str) -> None:
+def test_what_a_lesson_in_language_cannot_use_is_said(tmp_path: Path, options: dict[str, Any], says: str) -> None:
     with pytest.raises(TrainingError, match=says):
         run(TrainOptions(tmp_path, "language", **options))
 

@@ -8,8 +8,8 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.labels.extended import extended_pack
 from cognitivedrone.references import PERSON_HANDS, parse_reference
 from cognitivedrone.tasks import vocabulary
-from cognitivedrone.training.common.attributes import PANEL_GROUPS, panel_attributes
-from cognitivedrone.training.common.panel_crops import PanelCrops, WiderWorld, draw_training_label
+from cognitivedrone.training.common.attributes import AttributeIndex
+from cognitivedrone.training.common.panel_crops import PanelCrops, WiderWorld, draw_known_label
 from cognitivedrone.training.common.photographic import Photographic
 from cognitivedrone.training.common.pictures import TrainingPictures, may_train
 
@@ -87,9 +87,11 @@ def test_portraits_are_by_training_artists_and_keep_what_they_can_show(pictures)
 
 def test_attributes_that_an_artist_does_not_draw_have_no_value():
     full = "skin=tan,hair=long,clothes=blazer,glasses=none"
-    known = dict(zip(PANEL_GROUPS, panel_attributes(f"person/{full}@sky"), strict=True))
-    peeps = dict(zip(PANEL_GROUPS, panel_attributes(f"person/{full}@open-peeps-sky"), strict=True))
-    toons = dict(zip(PANEL_GROUPS, panel_attributes(f"person/{full}@toon-head-sky"), strict=True))
+    index = AttributeIndex()
+    known, peeps, toons = (
+        dict(zip(index.groups, index.of(f"person/{full}@{style}"), strict=True))
+        for style in ("sky", "open-peeps-sky", "toon-head-sky")
+    )
     assert known["clothes"] == toons["clothes"] != -1
     assert peeps["clothes"] == -1
     assert peeps["hair"] == known["hair"]
@@ -121,22 +123,22 @@ def test_a_photographic_picture_still_shows_the_thing(pictures):
 
 
 def test_panel_crops_of_the_wider_world_are_seeded_and_differ_from_the_plain_ones():
-    pack = load_pack("open-v2")
-    plain = PanelCrops(load_pack(), 32).draw(np.random.default_rng(3), 16)
-    same = PanelCrops(pack, 32).draw(np.random.default_rng(3), 16)
-    np.testing.assert_array_equal(plain[0], same[0])
+    index, rng = AttributeIndex(), np.random.default_rng
+    plain = PanelCrops(32, index.of, draw_known_label).draw(rng(3), 16)
     wider = WiderWorld()
-    first = PanelCrops(pack, 32, wider=wider).draw(np.random.default_rng(3), 16)
-    again = PanelCrops(pack, 32, wider=wider).draw(np.random.default_rng(3), 16)
+    first = PanelCrops(32, index.of, wider=wider).draw(rng(3), 16)
+    again = PanelCrops(32, index.of, wider=wider).draw(rng(3), 16)
     np.testing.assert_array_equal(first[0], again[0])
     np.testing.assert_array_equal(first[1], again[1])
     assert (first[0] != plain[0]).any()
 
 
-def test_the_wider_world_shows_people_by_others_and_leaves_text_alone():
+def test_the_wider_world_shows_people_by_others_and_prints_and_things_in_their_shares():
     wider, rng = WiderWorld(), np.random.default_rng(0)
-    shown = [wider.redrawn(draw_training_label(rng), rng) for _ in range(400)]
+    shown = [wider.redrawn(draw_known_label(rng), rng) for _ in range(600)]
     assert all(may_train(label) for label, _ in shown if label.startswith("person/"))
     assert any("toon-head" in label for label, _ in shown)
-    assert all(picture is None for label, picture in shown if label.split("/")[0] in ("sum", "letter", "number"))
-    assert sum(picture is not None for _, picture in shown) > 50
+    prints = [picture is not None for label, picture in shown if label.split("/")[0] in ("sum", "letter", "number")]
+    assert np.mean(prints) == pytest.approx(wider.print_share, abs=0.12)
+    things = [picture is not None for label, picture in shown if label.split("/")[0] in ("animal", "food", "object")]
+    assert np.mean(things) == pytest.approx(wider.share, abs=0.12)

@@ -86,8 +86,8 @@ def test_slips_change_the_spelling_of_their_share_of_sentences_and_nothing_else(
         changed += slipped.sentence != plain.sentence
     assert changed > 40
     some = [drawn(replace(mix, slips=0.3), 1, seed)[0].sentence for seed in range(150)]
-    plain = [drawn(mix, 1, seed)[0].sentence for seed in range(150)]
-    assert np.mean([one != other for one, other in zip(some, plain, strict=True)]) == pytest.approx(0.3, abs=0.12)
+    without = [drawn(mix, 1, seed)[0].sentence for seed in range(150)]
+    assert np.mean([one != other for one, other in zip(some, without, strict=True)]) == pytest.approx(0.3, abs=0.12)
 
 
 def test_directives_and_unreadable_panels_have_their_shares() -> None:

@@ -126,7 +126,7 @@ LEXICON = Lexicon.of([problem.sentence for problem in PROBLEMS])
 PLAIN = TextMix(token_noise=0.0, doubt=0.0, hidden=0.0)
 
 
-def batch(mix: TextMix = PLAIN, problems: list[Problem] = PROBLEMS, readings: Readings | None = None):  # type: ignore[no-untyped-def]
+def batch(mix: TextMix = PLAIN, problems: list[Problem] = PROBLEMS, readings: Readings | None = None):
     return described(np.random.default_rng(0), problems, LEXICON, 12, readings or Readings(INDEX), mix)
 
 

@@ -160,8 +160,8 @@ def test_what_is_told_without_doubt_is_the_truth(training_task: SelectorTraining
             for place, label in enumerate(labels):
                 at = 3 * stage + place
                 np.testing.assert_array_equal(batch["remembered"][row, at], readings.exact(label))
-                expected = [stage, len(problem.before) - 1 - stage, int(place == flown)]
-                assert batch["stages"][row, at].tolist() == expected
+                told = [stage, len(problem.before) - 1 - stage, int(place == flown)]
+                assert batch["stages"][row, at].tolist() == told
         expected = training_task.lexicon.encode(problem.sentence, training_task.recipe.network.text_length)
         np.testing.assert_array_equal(batch["tokens"][row], expected)
     assert batch["target"].tolist() == [problem.target for problem in problems]

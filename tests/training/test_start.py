@@ -42,14 +42,9 @@ def selector_checkpoint(tmp_path_factory: pytest.TempPathFactory, policy_checkpo
 def test_checkpoints_tell_what_they_are(
     reader_checkpoint: Path, policy_checkpoint: Path, selector_checkpoint: Path
 ) -> None:
-    reader, policy, selector = (
-        read_start(path, part)
-        for path, part in (
-            (reader_checkpoint, "reader"),
-            (policy_checkpoint, "policy"),
-            (selector_checkpoint, "selector"),
-        )
-    )
+    reader = read_start(reader_checkpoint, "reader")
+    policy = read_start(policy_checkpoint, "policy")
+    selector = read_start(selector_checkpoint, "selector")
     assert (reader.part, policy.part, selector.part) == ("reader", "policy", "selector")
     assert policy.origin == "from debug, step 6, seed 0"
     assert ReaderConfig.of(reader.reader_facts()) == ReaderConfig.of(policy.reader_facts()) == TINY_READER.network
@@ -84,7 +79,7 @@ def test_the_reader_of_a_policy_is_the_reader_that_it_was_made_with(
         ("selector", "reader", "a selector; expected that of a reader"),
     ],
 )
-def test_a_checkpoint_of_another_kind_is_no_start(  # type: ignore[no-untyped-def]
+def test_a_checkpoint_of_another_kind_is_no_start(
     given, part, found, reader_checkpoint, policy_checkpoint, selector_checkpoint
 ) -> None:
     path = {"reader": reader_checkpoint, "policy": policy_checkpoint, "selector": selector_checkpoint}[given]
@@ -175,7 +170,7 @@ def test_a_model_file_of_an_earlier_version_is_no_start(tmp_path: Path) -> None:
 def test_a_model_file_of_another_kind_is_no_start(tmp_path: Path) -> None:
     reading = tuple(torch.zeros(size).numpy() for size in ((4, 3), (3, 8), (4, 4)))
     names, words = ("kind/thing", "kind/unknown", "concept/thing:cat"), Lexicon.of([])
-    folder = tiny_reasoner(tmp_path, names, words, reading=reading, logits=(0, 0, 0, 0))  # type: ignore[arg-type]
+    folder = tiny_reasoner(tmp_path, names, words, reading=reading, logits=(0, 0, 0, 0))
     policy = open_model_file(tmp_path / "open.onnx")
     for path, part in (
         (folder / "gate_selector.onnx", "policy"),
