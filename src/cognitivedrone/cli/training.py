@@ -38,9 +38,9 @@ def train(
             policy, which flies with a reader; race, base or debug, other policies; language, which teaches a trained
             policy more language; selector, the small reasoner.
         data: A data set made by `collect`, used instead of flights made during training.
-        start: Trained weights to start from: a checkpoint, a model file, the folder of a taught pilot, or "small", those
-            that are shipped, which is the default.
-        labels: A folder of pictures such as my-labels/birds/robin.jpg, for recipe teach. One picture a concept is enough.
+        start: Trained weights to start from: a checkpoint, a model file, the folder of a taught pilot, or "small" for
+            those that are shipped, the default.
+        labels: A folder of pictures such as my-labels/birds/robin.jpg, for recipe teach; one a concept is enough.
         tasks: A task file, or a folder of them, whose sentences are taught as well.
         seed: Random seed.
         resume: Continue from the checkpoint in the folder.

@@ -185,7 +185,8 @@ def _track(rng: np.random.Generator, pools: Pools) -> list[Problem]:
     before: list[tuple[tuple[str, ...], int]] = []
     problems = []
     for puzzle, target in zip(puzzles, targets, strict=True):
-        labels = tuple(panel.label for panel in puzzle.panels)
+        first, second, third = (panel.label for panel in puzzle.panels)
+        labels = first, second, third
         problems.append(Problem(puzzle.instruction, "memory", labels, draw_gates(rng), None, target, tuple(before)))
         before.append((labels, target))
     return problems

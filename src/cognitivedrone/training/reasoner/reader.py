@@ -78,12 +78,12 @@ class ReaderTraining:
 
     def batches(self) -> Batches:
         """Endless panel crops."""
-        index = AttributeIndex(self.attributes)
+        index, wider = AttributeIndex(self.attributes), WiderWorld()
 
         def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
             del learner
             rng = np.random.default_rng(seed)
-            panel_crops = PanelCrops(self.recipe.network.crop_size, index.of, wider=WiderWorld())
+            panel_crops = PanelCrops(self.recipe.network.crop_size, index.of, wider=wider)
             while True:
                 images, attributes = panel_crops.draw(rng, self.recipe.batch)
                 yield {"crop": images, "attributes": attributes}

@@ -105,7 +105,8 @@ class LessonProblems:
         if problem.target == ABSENT:
             return problem
         order = rng.permutation(3)
-        labels = tuple(taught(task.labels[place]) for place in order)
+        first, second, third = (taught(task.labels[place]) for place in order)
+        labels = first, second, third
         return Problem(
             problem.sentence, problem.family, labels, draw_gates(rng), task.board, int(np.argmax(order == task.target))
         )
@@ -123,7 +124,8 @@ class LessonProblems:
             sentence = Draw(rng, TYPED, target).frame(statement.phrases[said])
         else:
             sentence = statement.sentences[said - len(statement.phrases)]
-        labels = tuple(f"taught/{name}" for name in names)
+        first, second, third = (f"taught/{name}" for name in names)
+        labels = first, second, third
         return Problem(sentence, "taught", labels, draw_gates(rng), None, ABSENT if absent else target)
 
 

@@ -213,11 +213,8 @@ class _Makers:
             rng, _taken(rng, policy, count), self._words, self._length, self._readings, self.training.recipe.mix
         )
         chosen = self._encoder.encode(rng, _taken(rng, selector, count), noise=share < 1)
-        return (
-            {"crop": images, "attributes": attributes}
-            | text
-            | {f"selector_{name}": values for name, values in chosen.items()}
-        )
+        batch: Batch = {"crop": images, "attributes": attributes, **text}
+        return batch | {f"selector_{name}": values for name, values in chosen.items()}
 
 
 def _taken(rng: np.random.Generator, problems: LessonProblems, count: int) -> list[Problem]:
