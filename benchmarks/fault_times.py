@@ -124,7 +124,10 @@ class Flight:
 
     def due(self) -> float:
         """When the pilot's next command is due, after the last one so far."""
-        return max(at for at, zero in self.commands() if not zero) + PERIOD_S
+        flown = [at for at, zero in self.commands() if not zero]
+        if not flown:
+            raise NotBegunError("no command has reached the vehicle")
+        return max(flown) + PERIOD_S
 
 
 @dataclass(frozen=True)
