@@ -76,8 +76,8 @@ ALL_RECIPES: dict[str, Recipe] = {
     "reader": READER,
     "teach": TEACH,
 }
-"""`reader`: reads panels, the first part of a pilot. `language`: teaches a trained policy more language. `selector`: the
-reasoner's choice. `teach`: teaches a trained pilot a user's pictures and words."""
+"""`reader`: reads panels, the first part of a pilot. `language`: teaches a trained policy more language. `selector`:
+the reasoner's choice. `teach`: teaches a trained pilot a user's pictures and words."""
 FORMER_RECIPES = {"mind": "selector"}
 
 
