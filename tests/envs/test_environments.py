@@ -197,7 +197,7 @@ def test_bad_input_is_refused(env, vector):
         ({"airframe": "dji"}, SimulationError, "unknown airframe 'dji'; known: iris, racer"),
         ({"airframe": "race"}, SimulationError, "did you mean 'racer'?"),
         ({"appearance": "plane"}, SimulationError, "unknown appearance 'plane'; did you mean 'plain'?"),
-        ({"labels": "open-v2"}, LabelError, "no label pack 'open-v2'"),
+        ({"labels": "open-v9"}, LabelError, "no label pack 'open-v9'"),
         ({"wind": -1.0}, SimulationError, "wind_m_s is -1.0; it is a speed in m/s, 0 or more"),
         ({"wind": float("nan")}, SimulationError, "wind_m_s is nan"),
         ({"time_limit_s": 0.0}, SimulationError, "time_limit_s is 0.0; it is a time in seconds, more than 0"),
