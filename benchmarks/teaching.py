@@ -1,0 +1,100 @@
+"""What a lesson is worth: a pilot before and after it, on tasks that the lesson lacked, and on the known suite.
+
+Run: python benchmarks/teaching.py --labels FOLDER --tasks FOLDER --out runs/taught [--start small] [--episodes 200]
+
+A seventh of the tasks (by a hash of their content) is kept from the lesson and flown afterwards, by the policy alone
+and with its reasoner, as is `open-v1:test`. Resumes. Never give it tasks that are kept for an examination.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from cognitivedrone import evaluate
+
+
+@dataclass(frozen=True)
+class Config:
+    """What is taught and flown."""
+
+    labels: Path
+    tasks: Path
+    """A task file, or a folder of them."""
+    out: Path
+    start: str = "small"
+    """The pilot: "small", or the folder of a taught one."""
+    episodes: int = 200
+    """Kept tasks that are flown."""
+    known: int = 300
+    """Tasks of open-v1:test that are flown."""
+    processes: int = 2
+    seed: int = 0
+
+
+def main(config: Config) -> None:
+    """Split, teach, fly, print."""
+    lesson, kept = split(config.tasks, config.out / "split")
+    began = time.monotonic()
+    command = [
+        sys.executable, "-m", "cognitivedrone", "train", "--recipe", "teach", "--labels", config.labels,
+        "--tasks", lesson,
+        "--start", config.start, "--out", config.out / "pilot", "--processes", config.processes, "--seed", config.seed,
+        "--resume",
+    ]  # fmt: skip
+    subprocess.run([str(part) for part in command], check=True)
+    print(f"taught in {(time.monotonic() - began) / 60:.1f} min")
+    before = ("small", "small") if config.start == "small" else pilot(Path(config.start))
+    for name, (policy, reasoner) in {"before": before, "after": pilot(config.out / "pilot")}.items():
+        for with_reasoner in (None, reasoner):
+            who = f"{name}, {'policy' if with_reasoner is None else 'R1'}"
+            folder = config.out / who.replace(", ", "-")
+            for place, suite, labels, count in (
+                ("kept", kept, config.labels, config.episodes),
+                ("known", "open-v1:test", None, config.known),
+            ):
+                flown = evaluate(
+                    policy,
+                    suite,
+                    reasoner=with_reasoner,
+                    labels=labels,
+                    episodes=count,
+                    out=folder / place,
+                    resume=True,
+                )
+                rate = flown.summary.overall
+                low, high = rate.ci95 or (0.0, 1.0)
+                families = {family: f"{each.rate:.0%}" for family, each in flown.summary.families.items()}
+                print(f"{who:16} {place:6} {rate.rate:6.1%} ({low:.1%} to {high:.1%})  {families}")
+
+
+def pilot(folder: Path) -> tuple[str, str]:
+    """The names of a taught policy and reasoner."""
+    return f"small:{folder / 'model.onnx'}", f"small:{folder}"
+
+
+def split(tasks: Path, out: Path) -> tuple[Path, Path]:
+    """Folders of the lesson's tasks and of the kept ones, one file for each file."""
+    lesson, kept = out / "lesson", out / "kept"
+    for folder in (lesson, kept):
+        folder.mkdir(parents=True, exist_ok=True)
+    for path in sorted(tasks.glob("*.json")) if tasks.is_dir() else [tasks]:
+        parts: dict[Path, list[object]] = {lesson: [], kept: []}
+        for task in json.loads(path.read_text(encoding="utf-8")):
+            digest = hashlib.sha256(json.dumps(task, sort_keys=True).encode()).digest()
+            parts[kept if digest[0] % 7 == 0 else lesson].append(task)
+        for folder, content in parts.items():
+            if content:
+                (folder / path.name).write_text(json.dumps(content), encoding="utf-8")
+    return lesson, kept
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config))
