@@ -24,7 +24,7 @@ from cognitivedrone.training.reasoner.selector import SELECTOR
 from cognitivedrone.training.small_vla.trained import load_trained
 from cognitivedrone.training.teach.lesson import attribute_of, read_lesson, spoken
 from cognitivedrone.training.teach.practice import LessonCrops, LessonProblems, varied
-from cognitivedrone.training.teach.training import TEACH, TeachTraining
+from cognitivedrone.training.teach.training import TEACH, TeachTraining, summary_of
 
 GATES = {str(i + 1): {"size": "big", "shape": "round", "color": c} for i, c in enumerate(("red", "green", "blue"))}
 TINY = replace(TEACH, **(SCHEDULE | {"fly_every": 10**6}), steps_for_each=0, batch=16, validation_problems=16)
@@ -61,10 +61,8 @@ def labels(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def tasks(labels: Path) -> Path:
     path = labels.parent / "food.json"
-    written = [
-        task("Fly to the gate with healthy food", f"healthy_{1 + i % 2}", "unhealthy_1", "unhealthy_2")
-        for i in range(3)
-    ]
+    prompt = "Fly to the gate with healthy food"
+    written = [task(prompt, f"healthy_{1 + i % 2}", "unhealthy_1", "unhealthy_2") for i in range(3)]
     path.write_text(json.dumps(written))
     return path
 
@@ -111,6 +109,11 @@ def test_a_lesson_is_what_the_folder_shows_and_the_tasks_say(labels: Path, tasks
     named = next(each for each in lesson.statements if each.true == ("concept/thing:wren",))
     assert set(named.false) == {"concept/thing:robin", "concept/thing:blue_tit"}
     assert len(lesson.tasks) == 3
+
+
+def test_what_is_taught_again_is_said(labels: Path) -> None:
+    told = summary_of(read_lesson(labels), AttributeIndex().schema.names)
+    assert told == "6 concepts in 9 pictures; known already and taught again: hammer"
 
 
 def test_a_sentence_of_tasks_holds_for_what_was_right_and_not_for_what_never_was(tmp_path: Path) -> None:

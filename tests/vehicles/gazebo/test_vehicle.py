@@ -119,7 +119,8 @@ def test_the_parameters_fit_the_vehicle_and_pass_the_checks_before_flight(vehicl
         )
     assert float(told["MOT_THST_HOVER"]) == pytest.approx(1 / IRIS.thrust_to_weight, abs=0.01)
     values: dict[str, float | None] = {
-        expected.name: float(told[expected.name]) if expected.name in told else None for expected in EXPECTED["ArduCopter"]
+        expected.name: float(told[expected.name]) if expected.name in told else None
+        for expected in EXPECTED["ArduCopter"]
     }
     for expected in EXPECTED["ArduCopter"]:
         if VEHICLE.only and expected.name in VEHICLE.only:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.gate_selector import GateSelector, SelectorConfig
 from cognitivedrone.models.small_vla import SmallVLA
 from cognitivedrone.models.text import Lexicon
+from cognitivedrone.terminal import console
 from cognitivedrone.training.common.attributes import AttributeIndex
 from cognitivedrone.training.common.problems import Problem, Problems
 from cognitivedrone.training.common.readings import readings_of
@@ -59,7 +61,20 @@ class TeachRecipe(Recipe):
         lesson = read_lesson(given.labels, given.tasks)
         policy, selector = pilot_of(given.start)
         steps = min(self.most_steps, self.steps + round(self.steps_for_each * len(lesson.names)))
+        if os.environ.get("RANK", "0") == "0":  # one of several processes
+            console().print(summary_of(lesson, tuple(policy.facts["attributes"])))
         return TeachTraining(replace(self, steps=steps), lesson, policy, selector)
+
+
+def summary_of(lesson: Lesson, known: tuple[str, ...]) -> str:
+    """What a lesson teaches, in words."""
+    again = sorted(name.partition(":")[2].replace("_", " ") for name in set(lesson.names) & set(known))
+    told = f"{len(lesson.names)} concepts in {sum(map(len, lesson.pictures.values()))} pictures"
+    told += f", {len(lesson.tasks)} tasks" if lesson.tasks else ""
+    if again:
+        more = f" and {len(again) - 8} more" if len(again) > 8 else ""
+        told += f"; known already and taught again: {', '.join(again[:8])}{more}"
+    return told
 
 
 def pilot_of(start: Path | None) -> tuple[Start, Start]:
