@@ -17,7 +17,9 @@ from PIL import Image as PillowImage
 from cognitivedrone.labels import load_pack
 from cognitivedrone.models.finder import REACH
 from cognitivedrone.references import parse_reference
+from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.suites import drawn_task
+from cognitivedrone.tasks.vocabulary import LOGO_STYLE, LOGOS, TRAIN_STYLES
 from cognitivedrone.training.common.attributes import known_person
 from cognitivedrone.training.common.photographic import Photographic, Shares, background
 from cognitivedrone.training.common.pictures import PACK, TrainingPictures
@@ -25,17 +27,18 @@ from cognitivedrone.training.common.restyle import restyled
 from cognitivedrone.types import FloatArray, Image
 
 SHARES = {
-    "attributes": 0.14, "people": 0.07, "animals": 0.1, "food": 0.08, "association": 0.1, "math_board": 0.08,
-    "letters": 0.04, "digits": 0.04, "logos": 0.05, "math": 0.02, "counting": 0.16, "comparison": 0.12,
+    "attributes": 0.1, "people": 0.05, "math_board": 0.06, "letters": 0.05, "digits": 0.05, "math": 0.01,
+    "counting": 0.09, "comparison": 0.05,
 }  # fmt: skip
-"""Frequency of the panels of each family: higher if there are more things to tell apart."""
+"""Frequency of the panels of each family: higher if there are more things to tell apart. The others show a single
+animal, food, object or logo, every one as often."""
 HEIGHTS = (24.0, 90.0)
 """Heights of panels in the image, pixels: from the start they are about 30 pixels high."""
 _KEPT = 512  # pictures kept for reuse, each time with other augmentation
 _FRESH = 0.25  # share of crops with a new picture
 _RESTYLED = 0.6  # share of redrawn pictures
 _SIDE = 64  # pixels of a stored picture: as large as a panel appears
-_UNKNOWN = 0.1  # share of crops of what is not to be named
+_UNKNOWN = 0.08  # share of crops of what is not to be named
 _OTHER_THING, _PART = 0.75, 0.12  # shares of those that show another thing, or a small part of a known one
 _PRINTED = frozenset({"letter", "number", "sum"})
 _SHIFT, _SCALE = 0.06, 0.09  # spread of the crop's position and size
@@ -155,7 +158,8 @@ class PanelCrops:
 
 
 _FAMILIES = tuple(SHARES)
-_PLACES = np.cumsum(list(SHARES.values())) / sum(SHARES.values())
+_PLACES = np.cumsum(list(SHARES.values()))
+_SINGLE = (*((kind, concept) for concept, kind in KIND_OF.items()), *(("logo", name) for name in LOGOS))
 
 
 def draw_any_label(rng: np.random.Generator) -> str:
@@ -164,8 +168,13 @@ def draw_any_label(rng: np.random.Generator) -> str:
 
 
 def draw_known_label(rng: np.random.Generator) -> str:
-    """A panel or board with content of its own, from a random task of any family."""
-    task = drawn_task(_FAMILIES[int(np.searchsorted(_PLACES, rng.random()))], rng, "crop")
+    """A panel or board with content of its own: of a random task of any family, or a single thing."""
+    place = rng.random()
+    if place >= _PLACES[-1]:
+        kind, concept = _SINGLE[int(rng.integers(len(_SINGLE)))]
+        styles = (LOGO_STYLE,) if kind == "logo" else TRAIN_STYLES
+        return f"{kind}/{concept}@{styles[int(rng.integers(len(styles)))]}"
+    task = drawn_task(_FAMILIES[int(np.searchsorted(_PLACES, place))], rng, "crop")
     if task.board is not None and rng.random() < 0.7:
         return task.board
     return task.labels[int(rng.integers(3))]
