@@ -3,9 +3,9 @@
 Run: python benchmarks/reading.py [--reader runs/reader/reader.safetensors] [--sets calibration] [--crops 40]
 
 For each set: how often the most likely thing is the right one among all (top 1) and among three (choice), how often a
-picture is taken for something unknown, and the expected calibration error of the most likely thing. Panels are 22 to 60
-pixels high, before any wall, turned and lit as in training. `--sets held-out` shows sets that tests are made of: look at
-them once, when nothing will be changed any more.
+picture is taken for something unknown, and the expected calibration error of the most likely thing. Panels are 22 to
+60 pixels high, before any wall, turned and lit as in training. `--sets held-out` shows sets that tests are made of:
+look at them once, when nothing will be changed any more.
 """
 
 from __future__ import annotations

@@ -9,10 +9,16 @@ import pytest
 from PIL import Image as PillowImage
 
 from cognitivedrone.labels import load_pack
-from cognitivedrone.tasks import BASE_FAMILIES
+from cognitivedrone.references import parse_reference
 from cognitivedrone.training.common import panel_crops as module
-from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
-from cognitivedrone.training.common.panel_crops import SHARES, PanelCrops, WiderWorld, panel_image_of
+from cognitivedrone.training.common.attributes import ATTRIBUTES, KINDS, AttributeIndex
+from cognitivedrone.training.common.panel_crops import (
+    SHARES,
+    PanelCrops,
+    WiderWorld,
+    draw_known_label,
+    panel_image_of,
+)
 
 INDEX = AttributeIndex()
 CONCEPT = INDEX.column("concept")
@@ -32,9 +38,12 @@ def picture(label: str) -> PillowImage.Image:
     return PillowImage.fromarray(load_pack("open-v1").image(label)).resize((64, 64))
 
 
-def test_all_families_have_a_share() -> None:
-    assert SHARES.keys() == {*BASE_FAMILIES, "counting", "comparison"}
-    assert sum(SHARES.values()) == pytest.approx(1)
+def test_all_kinds_are_shown() -> None:
+    rng = np.random.default_rng(0)
+    kinds = Counter(parse_reference(draw_known_label(rng)).kind for _ in range(2000))
+    assert kinds.keys() == {*(kind for kind in KINDS if kind not in ("thing", "unknown")), "animal", "food", "object"}
+    single = sum(kinds[kind] for kind in ("animal", "food", "object", "logo")) / 2000
+    assert single == pytest.approx(1 - sum(SHARES.values()), abs=0.05)
 
 
 def test_a_glimpse_shows_its_picture_and_none_is_like_another() -> None:
