@@ -251,9 +251,11 @@ def test_the_gate_selector_in_onnx_answers_as_in_torch(parts: Path) -> None:
         "stages": np.array([[i // 3, 1, i % 2] if i < 6 else [-1, -1, -1] for i in range(REMEMBERED)]),
     }
     model = GateSelectorModel.load(parts / "gate_selector.onnx")
-    # The file is a start as well: with the same words and weights.
+    # The file is a start as well: with the same words and weights, and calibrated.
+    temperature = trained_selector(read_start(parts / "gate_selector.onnx", "selector"))[0].temperature
     for path in (parts / CHECKPOINT, parts / "gate_selector.onnx"):
         selector, lexicon = trained_selector(read_start(path, "selector"))
+        selector.temperature.copy_(temperature)
         assert model.vocabulary == lexicon
         for sentence in ("Fly through the gate with the letter A", "da zorblaxx pls"):
             tokens = lexicon.encode(sentence, model.text_length)
@@ -288,3 +290,12 @@ def test_the_small_reasoner_is_made_of_the_two_files(parts: Path) -> None:
 def test_a_gate_selector_learns_without_flights(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="does not use flights"):
         run(TrainOptions(tmp_path, "selector", data=tmp_path))
+
+
+def test_an_overconfident_gate_selector_is_calibrated(training_task: SelectorTraining) -> None:
+    network = training_task.network().eval()
+    network.get_parameter("out.1.weight").data.mul_(400)  # far too sure of guesses
+    before = training_task.temperature(network)
+    assert before > 2.0
+    network.temperature.fill_(before)
+    assert training_task.temperature(network) == pytest.approx(before)

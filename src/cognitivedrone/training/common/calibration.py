@@ -49,17 +49,7 @@ def temperature_of(logits: Tensor, target: Tensor) -> float:
 def calibration_readings(reader: Reader, index: AttributeIndex, count: int = CROPS) -> tuple[Tensor, Tensor]:
     """Uncalibrated logits (n, F) of crops of the sets for calibration, and their attribute values (n, groups)."""
     rng = np.random.default_rng(_SEED)
-    pictures = TrainingPictures(calibration=True)
-
-    def draw_label(rng: np.random.Generator) -> str:
-        while True:
-            label = draw_any_label(rng)
-            shown = parse_reference(label)
-            if shown.kind not in _DRAWN or pictures.references(shown.kind, shown.concept):
-                return label
-
-    wider = WiderWorld(pictures=pictures, share=1.0)
-    panel_crops = PanelCrops(reader.config.crop_size, index.of, draw_label, wider)
+    panel_crops = calibration_crops(reader.config.crop_size, index)
     reader = reader.eval()
     logits, attributes = [], []
     for _ in range(-(-count // 200)):
@@ -69,6 +59,20 @@ def calibration_readings(reader: Reader, index: AttributeIndex, count: int = CRO
         logits.append(reader(pixels) * reader.temperature)
         attributes.append(torch.from_numpy(known))
     return torch.cat(logits), torch.cat(attributes)
+
+
+def calibration_crops(crop_size: int, index: AttributeIndex) -> PanelCrops:
+    """Panel crops in which things are shown by the sets for calibration alone."""
+    pictures = TrainingPictures(calibration=True)
+
+    def draw_label(rng: np.random.Generator) -> str:
+        while True:
+            label = draw_any_label(rng)
+            shown = parse_reference(label)
+            if shown.kind not in _DRAWN or pictures.references(shown.kind, shown.concept):
+                return label
+
+    return PanelCrops(crop_size, index.of, draw_label, WiderWorld(pictures=pictures, share=1.0))
 
 
 def calibration_error(shares: Floats, right: NDArray[np.bool_]) -> float:

@@ -90,9 +90,10 @@ def read_bank(reader: Reader, index: AttributeIndex, draw: DrawCrops, seed: int 
     return {value: np.stack(rows) for value, rows in found.items()}
 
 
-def readings_of(start: Start, index: AttributeIndex) -> Readings:
-    """The readings of a trained reader, or of a policy's."""
+def readings_of(start: Start, index: AttributeIndex, crops: Callable[[int], PanelCrops] | None = None) -> Readings:
+    """The readings of a trained reader, or of a policy's; of panel crops for training, or of those of a crop size."""
     reader = Reader(ReaderConfig.of(start.reader_facts()), len(index.schema.names))
     restore_part(start, "reader", reader)
-    panel_crops = PanelCrops(reader.config.crop_size, index.of, wider=WiderWorld())
+    size = reader.config.crop_size
+    panel_crops = PanelCrops(size, index.of, wider=WiderWorld()) if crops is None else crops(size)
     return Readings(index, read_bank(reader, index, panel_crops.draw))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -53,10 +53,15 @@ def write_panel_reader(network: SmallVLA, provenance: Provenance, folder: Path) 
     return path
 
 
-def export_selector(checkpoint: Path, folder: Path) -> Path:
-    """Export the gate selector; returns the file in `folder`. Raises `TrainingError` for a bad checkpoint."""
+def export_selector(checkpoint: Path, folder: Path, temperature: Callable[[GateSelector], float] | None = None) -> Path:
+    """Export the gate selector, calibrated by `temperature`; returns the file in `folder`.
+
+    Raises `TrainingError` for a bad checkpoint.
+    """
     start = read_start(checkpoint, "selector")
     selector, lexicon = trained_selector(start)
+    if temperature is not None:
+        selector.temperature.fill_(temperature(selector))
     return write_selector(selector, start.facts["attributes"], lexicon, provenance_of(start.facts), folder)
 
 

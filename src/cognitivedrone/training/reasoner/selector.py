@@ -24,6 +24,7 @@ from cognitivedrone.models.text import TOKEN, Lexicon
 from cognitivedrone.reasoners.calculator import calculate, evaluate
 from cognitivedrone.reasoners.small import value_index
 from cognitivedrone.training.common.attributes import AttributeIndex
+from cognitivedrone.training.common.calibration import calibration_crops, temperature_of
 from cognitivedrone.training.common.lexicon import training_lexicon, with_vectors
 from cognitivedrone.training.common.problems import NAMES, Mix, Problem, Problems
 from cognitivedrone.training.common.readings import Readings, readings_of
@@ -254,11 +255,31 @@ class SelectorTraining:
         return {}
 
     def export(self, checkpoint: Path, folder: Path) -> None:
-        """The files of gate selector and panel reader, which belong together."""
+        """The files of gate selector and panel reader, which belong together; the gate selector is calibrated."""
         from cognitivedrone.training.reasoner.export import export_panel_reader, export_selector
 
-        export_selector(checkpoint, folder)
+        export_selector(checkpoint, folder, self.temperature)
         export_panel_reader(self.start, folder)
+
+    def temperature(self, network: GateSelector) -> float:
+        """The temperature at which a trained gate selector's probabilities are right, for panels drawn by hands that
+        were never trained, all of them read with their doubts.
+        """
+        index = AttributeIndex(self.start.facts["attributes"])
+        recipe = replace(self.recipe, doubt=1.0)
+        readings = readings_of(self.start, index, lambda size: calibration_crops(size, index))
+        encoder = Encoder(recipe, self.lexicon, readings)
+        rng, drawn = np.random.default_rng((0, _VALIDATION + 2)), Problems(recipe.mix)
+        loss_module, logits, targets = SelectorLoss(network).eval(), [], []
+        for _ in range(-(-recipe.validation_tasks // 250)):
+            problems: list[Problem] = []
+            while len(problems) < 250:
+                problems += drawn.draw(rng)
+            batch = to_tensors(encoder.encode(rng, problems[:250], noise=False))
+            with torch.no_grad():
+                logits.append(loss_module.logits(batch) * network.temperature)
+            targets.append(batch["target"])
+        return temperature_of(torch.cat(logits), torch.cat(targets))
 
     def _encoder(self) -> Encoder:
         index = AttributeIndex(self.start.facts["attributes"])
