@@ -122,7 +122,9 @@ def read(
         kind = parsed.kind if parsed.kind == "logo" else "thing"
         names.append("kind/unknown" if unknown else concept_name(kind, parsed.concept))
     pixels = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2).float() / 255
-    logits = torch.cat([reader(part.contiguous(memory_format=torch.channels_last)) for part in pixels.split(200)])
+    logits = torch.cat(
+        [reader(part.contiguous(memory_format=torch.channels_last)) for part in torch.split(pixels, 200)]
+    )
     return index.schema.probabilities(logits.numpy()), names
 
 
