@@ -1,1 +1,1 @@
-"""Teaching a trained pilot a user's own pictures, words and facts, in minutes."""
+"""Teaching a trained pilot a user's own pictures and words."""
