@@ -27,6 +27,7 @@ COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
         "compare": ("scoring:compare", "compare two runs, task by task"),
         "view": ("scoring:view", "draw what the drone sees at the start of a task"),
         "reason": ("scoring:reason", "score a reasoner alone, without flying"),
+        "audit": ("scoring:audit", "fly a pilot with one thing changed at a time, to see why it passes"),
         "sweep": ("scoring:sweep", "fly a suite with increasing latency and plot the success rate"),
         "list": ("scoring:list_names", "names for the options: suites, policies, reasoners, airframes"),
     },

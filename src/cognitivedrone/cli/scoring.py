@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import OmitArgPrefixes as Flat
 
+from cognitivedrone.audit.config import AuditPlan
 from cognitivedrone.benchmark.config import Plan, ReasonPlan, SweepPlan
 from cognitivedrone.plan import Options, Scenario
 from cognitivedrone.printable import visible
@@ -71,6 +72,29 @@ def sweep(plan: Annotated[Flat[SweepPlan], tyro.conf.arg(name="")]) -> None:
     screen = console()
     screen.print(sweep_table(fly_all(plan), plan.part))
     screen.print(f"plot: {plan.out / PLOT_FILE}")
+
+
+def audit(plan: Annotated[Flat[AuditPlan], tyro.conf.arg(name="")]) -> None:
+    """Fly a pilot again and again with one thing changed, to see why it passes a benchmark.
+
+    No question or a meaningless one, another question about the same scene, panels or gates' looks swapped, a mirrored
+    stage, paraphrases, gates moved, light, wind, a shifted or turned camera, latency. Writes audit.json and audit.html;
+    a stopped audit continues when it is started again. Examples:
+
+      cognitivedrone audit --policy small --reasoner small
+      cognitivedrone audit --policy my_module:MyPolicy --episodes 50 --only "no question" wind
+    """
+    from cognitivedrone.audit.report import PAGE_FILE, audit_table, render_audit
+    from cognitivedrone.audit.run import audit as fly_all
+    from cognitivedrone.audit.run import folder_of
+    from cognitivedrone.benchmark.results import write_whole
+    from cognitivedrone.terminal import console
+
+    screen, page = console(), folder_of(plan) / PAGE_FILE
+    rows = fly_all(plan)
+    write_whole(page, render_audit(plan, rows))
+    screen.print(audit_table(plan, rows))
+    screen.print(f"page: {page}")
 
 
 def compare(
