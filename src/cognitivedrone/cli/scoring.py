@@ -114,6 +114,63 @@ def compare(
     console().print(comparison_table(compare_runs(a, b)))
 
 
+def submit(
+    runs: tyro.conf.Positional[tuple[Path, ...]],
+    name: str,
+    by: str,
+    out: Path,
+    url: str = "",
+) -> None:
+    """Make a file for the leaderboard from finished runs of one pilot, one for each suite.
+
+    A stopped or partial run is refused. Examples:
+
+      cognitivedrone submit results/test results/words --name "My VLA" --by "My lab" --out leaderboard/my-vla.json
+
+    Args:
+        runs: Folders or results.json of whole runs of shipped suites, without --labels.
+        name: Of the pilot, as the leaderboard shows it.
+        by: Who submits it.
+        out: File to write.
+        url: Where to read about the pilot.
+    """
+    from cognitivedrone.benchmark.submission import submission_of, write_submission
+
+    submission = submission_of(runs, name, by, url)
+    write_submission(out, submission)
+    for run in submission.runs:
+        print(visible(f"{run.run.suite.name}: {run.overall.passed} of {run.overall.n} passed"))  # noqa: T201
+    print(visible(f"{out}: check it with `cognitivedrone verify {out}`"))  # noqa: T201
+
+
+def verify(file: tyro.conf.Positional[Path], sample: int = 20, seed: int = 0) -> None:
+    """Check a leaderboard file, and fly a random sample of every run again, in this process.
+
+    Scores that do not follow from the flights, other tasks, and other weights are errors. Exit code 1 if a sample
+    passes less often than submitted, beyond chance.
+
+    Args:
+        file: A file made by `submit`.
+        sample: Episodes of each run to fly.
+        seed: Which episodes.
+    """
+    from cognitivedrone.benchmark.submission import read_submission
+    from cognitivedrone.benchmark.submission import verify as fly_sample
+
+    checked = fly_sample(read_submission(file), sample, seed)
+    for run in checked:
+        print(  # noqa: T201
+            visible(
+                f"{run.suite}: {run.equal} of {run.flown} stages ended as submitted; {run.passed} passed, "
+                f"{run.submitted} submitted: {'confirmed' if run.confirmed else 'NOT confirmed'}"
+            )
+        )
+        if run.differences:
+            print(visible(f"  other versions here: {', '.join(run.differences)}"))  # noqa: T201
+    if not all(run.confirmed for run in checked):
+        raise SystemExit(1)
+
+
 @dataclass(frozen=True, slots=True)
 class ViewPlan(Options):
     """Draw what the drone sees at the start of a task."""
