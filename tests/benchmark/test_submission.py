@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -119,3 +121,8 @@ def test_the_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     main(["submit", str(folder), "--name", "Mine", "--by", "Us", "--out", str(out)])
     assert "open-v1:smoke: 30 of 30 passed" in capsys.readouterr().out
     assert read_submission(out).name == "Mine"
+
+
+def test_the_page_of_the_leaderboard_is_made_from_its_files() -> None:
+    script = Path(__file__).resolve().parents[2] / "scripts" / "render_leaderboard.py"
+    assert subprocess.run([sys.executable, str(script), "--check"], check=False).returncode == 0
