@@ -1,7 +1,7 @@
 """The code of README, docs/ and the tutorials runs as it stands.
 
-A line `<!-- not run: REASON -->` above a block leaves it out. In a tutorial, a block with a title is a file of that name,
-and commands run in the page's order, in a folder of the page's own.
+A line `<!-- not run: REASON -->` above a block leaves it out. In a tutorial, a block with a title is a file of that
+name, and commands run in the page's order, in a folder of the page's own.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Block:
 
 def blocks_of(text: str) -> list[Block]:
     found = re.finditer(
-        r"^(?:<!-- not run: (?P<why>.+) -->\n)?(?P<indent> *)```(?P<language>\w*)(?P<info>[^\n]*)\n(?P<text>.*?)^ *```$",
+        r"^(?:<!-- not run: (?P<why>.+) -->\n)? *```(?P<language>\w*)(?P<info>[^\n]*)\n(?P<text>.*?)^ *```$",
         text,
         flags=re.MULTILINE | re.DOTALL,
     )
@@ -95,13 +95,11 @@ def commands_of(block: str) -> list[tuple[dict[str, str], list[str]]]:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what pages take for granted: a run and a data set."""
     folder = tmp_path_factory.mktemp("finished")
-    cognitivedrone = ("-m", "cognitivedrone")
-    run(
-        [*cognitivedrone, *["collect", "--recipe", "debug", "--episodes", "2", "--workers", "1", "--out", "STORE"]],
-        folder,
-    )
-    bench = "bench --suite open-v1:smoke --policy oracle --episodes 1 --workers 0 --out results/smoke"
-    run([*cognitivedrone, *bench.split()], folder)
+    for command in (
+        "collect --recipe debug --episodes 2 --workers 1 --out STORE",
+        "bench --suite open-v1:smoke --policy oracle --episodes 1 --workers 0 --out results/smoke",
+    ):
+        run(["-m", "cognitivedrone", *command.split()], folder)
     return folder
 
 

@@ -23,9 +23,8 @@ def test_it_runs_from_top_to_bottom(tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path))
     book = nbformat.read(NOTEBOOK, as_version=4)
-    nbclient.NotebookClient(
-        book, timeout=500, kernel_name="python3", resources={"metadata": {"path": tmp_path}}
-    ).execute()
+    where = {"metadata": {"path": str(tmp_path)}}
+    nbclient.NotebookClient(book, timeout=500, kernel_name="python3", resources=where).execute()
     shown = [output for cell in book.cells for output in cell.get("outputs", [])]
     text = "".join(output.get("text", "") for output in shown)
     assert text.count("overall") == 2  # two tables of scores
