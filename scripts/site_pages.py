@@ -12,6 +12,7 @@ import json
 import os
 import posixpath
 import re
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +34,7 @@ OUTSIDE = {
     "tests/external/README.md": "project/external-tests.md",
 }
 """Files outside docs/, from the root of the repository, and their pages. Examples are added: examples/NAME."""
+COLUMNS = 100
 LANGUAGES = {".py": "python", ".cff": "yaml"}
 PYTHON = {
     "evaluate": ("benchmark.evaluate", "benchmark.config", "benchmark.results", "benchmark.scoring"),
@@ -124,7 +126,7 @@ def python_page(name: str) -> str:
 
 
 def commands_page() -> str:
-    """The help of every command, as a terminal of 100 columns shows it."""
+    """The help of every command, in lines of `COLUMNS` characters."""
     from cognitivedrone.cli import COMMANDS, help_text
 
     parts = ["# Commands", f"```\n{help_text()}\n```"]
@@ -138,7 +140,7 @@ def help_of(command: str) -> str:
     from cognitivedrone.cli import main
 
     shown, columns = io.StringIO(), os.environ.get("COLUMNS")
-    os.environ["COLUMNS"] = "100"
+    os.environ["COLUMNS"] = str(COLUMNS)
     try:
         with contextlib.redirect_stdout(shown), contextlib.suppress(SystemExit):
             main([*command.split(), "--help"])
@@ -146,7 +148,13 @@ def help_of(command: str) -> str:
         os.environ.pop("COLUMNS")
         if columns is not None:
             os.environ["COLUMNS"] = columns
-    return "\n".join(line.rstrip() for line in shown.getvalue().strip().splitlines())
+    return "\n".join(_wrapped(line.rstrip()) for line in shown.getvalue().strip().splitlines())
+
+
+def _wrapped(line: str) -> str:
+    """A line in as many as it needs; those after the first are indented where it is."""
+    indent = " " * 4 if line.startswith(" ") else ""
+    return textwrap.fill(line, COLUMNS, subsequent_indent=indent, break_on_hyphens=False) if len(line) > COLUMNS else line
 
 
 def _without(nav: Any, missing: set[str]) -> Any:
