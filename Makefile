@@ -27,7 +27,7 @@ test: check
 docs:
 	@$(PYTHON) scripts/setup.py docs
 	$(RUN)/mkdocs build --strict --quiet
-	@echo build/site/index.html
+	@echo "build/site/index.html; with its search: $(RUN)/mkdocs serve"
 
 test-wheel:
 	$(PYTHON) scripts/test_wheel.py

@@ -153,8 +153,10 @@ def help_of(command: str) -> str:
 
 def _wrapped(line: str) -> str:
     """A line in as many as it needs; those after the first are indented where it is."""
+    if len(line) <= COLUMNS:
+        return line
     indent = " " * 4 if line.startswith(" ") else ""
-    return textwrap.fill(line, COLUMNS, subsequent_indent=indent, break_on_hyphens=False) if len(line) > COLUMNS else line
+    return textwrap.fill(line, COLUMNS, subsequent_indent=indent, break_on_hyphens=False)
 
 
 def _without(nav: Any, missing: set[str]) -> Any:
