@@ -38,9 +38,7 @@ class Served:
         for kind, part in (("policy", pilot.policy), ("reasoner", pilot.reasoner)):
             if part is not None and part.needs_ground_truth:
                 name = spec.policy if kind == "policy" else spec.reasoner
-                raise GroundTruthError(
-                    f"the {kind} {name!r} uses privileged state, which clients of a server do not send"
-                )
+                raise GroundTruthError(f"the {kind} {name!r} uses privileged state, which no client sends")
         self.spec, self.policy, self.reasoner = spec, pilot.policy, pilot.reasoner
         model = model_file(spec.policy)
         self._model = None if model is None else digest_of_file(model)
