@@ -122,4 +122,4 @@ async def _run(
             await asyncio.wait([running], timeout=0.1)
         await running
     finally:
-        application.close()
+        await application.close()
