@@ -79,7 +79,7 @@ def test_a_worker_that_is_killed_from_outside_is_replaced_and_its_episode_flown_
 
 
 def test_an_episode_that_costs_every_worker_ends_the_run_which_goes_on_elsewhere(spread):
-    with pytest.raises(RunError, match=r"episode 5 lost its worker, 3 times; continue with --resume.*SIGKILL"):
+    with pytest.raises(RunError, match=r"episode 5 has lost its worker 3 times; continue with --resume.*SIGKILL"):
         run(spread, progress=False, runner="benchmark_fakes:DyingRunner")
     assert 5 not in read_records(spread.out)
     results = run(spread.changed(executor="local", workers=0, resume=True), progress=False, runner=RUNNER)

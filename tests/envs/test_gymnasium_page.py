@@ -68,7 +68,7 @@ def test_it_lists_the_examples():
     assert {*EXAMPLES, "openvla_registration.py"} == {file.name for file in (ROOT / "examples").glob("*.py")}
 
 
-def test_the_example_of_a_video_shows_the_flight_from_its_start_to_the_gate(tmp_path, monkeypatch):
+def test_the_example_of_a_video_shows_the_flight_from_its_start(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     runpy.run_path(str(ROOT / "examples" / "gym_video.py"))["main"]("flight.mp4")
     with av.open("flight.mp4") as file:
@@ -78,8 +78,8 @@ def test_the_example_of_a_video_shows_the_flight_from_its_start_to_the_gate(tmp_
     env = gymnasium.make("cognitivedrone.envs:CognitiveDrone-v1", suite="open-v1:smoke")
     start = env.reset(seed=0)[0]["image"].astype(int)
     env.close()
-    assert np.abs(frames[0] - start).mean() < 6
-    assert np.abs(frames[-1] - start).mean() > 12
+    assert np.abs(frames[0] - start).mean() < 5
+    assert np.abs(frames[len(frames) // 2] - start).mean() > 10
 
 
 def test_the_example_of_a_policy_counts_what_the_environment_says(capsys):

@@ -20,14 +20,12 @@ from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.job import Job, prepare
 from cognitivedrone.benchmark.records import differences
 from cognitivedrone.benchmark.run_types import Rollout
-from cognitivedrone.benchmark.workers import JOIN_TIMEOUT_S, ProcessPool, WorkerLost
+from cognitivedrone.benchmark.workers import JOIN_TIMEOUT_S, ProcessPool, WorkerCrash, WorkerLost
 from cognitivedrone.cluster import ray_cluster
 from cognitivedrone.errors import CognitiveDroneError, RunError
 
 LOSSES = 3
 """An episode that has cost so many actors ends the run: it is probably the cause."""
-PLACEMENT_TIMEOUT_S = 600.0
-"""Time for which the cluster may have no room for a single actor, s; new nodes take minutes to start."""
 
 
 class Actor:
@@ -35,9 +33,12 @@ class Actor:
 
     def __init__(self, job: Job, runner: str, folder: Path, paths: list[str]) -> None:
         self._job, self._runner, self._folder, self._paths = job, runner, folder, paths
+        self._pool: ProcessPool | None = None
 
     def open(self) -> None:
-        """Start the worker. Raises `RunError` if this node would fly another run: other files or versions."""
+        """Start the worker, once. Raises `RunError` if this node would fly another run: other files or versions."""
+        if self._pool is not None:
+            return
         # As in a local worker, relative paths and the user's own modules are those of the process that began the run.
         with contextlib.suppress(OSError):
             os.chdir(self._folder)
@@ -56,12 +57,14 @@ class Actor:
 
     def fly(self, episode: int, film: bool) -> tuple[Rollout, str]:
         """Fly one episode."""
+        assert self._pool is not None  # noqa: S101 - an actor flies after it was opened
         (flown,) = self._pool.fly([episode], film=film)
         return flown
 
     def close(self) -> None:
         """Shut the worker down."""
-        self._pool.close()
+        if self._pool is not None:
+            self._pool.close()
 
 
 class RayPool:
@@ -91,7 +94,10 @@ class RayPool:
             raise
 
     def _start_actor(self) -> None:
-        actor = self._actor.remote(*self._arguments)
+        # It waits in the cluster's queue until a node has room.
+        self._open(self._actor.remote(*self._arguments))
+
+    def _open(self, actor: Any) -> None:
         self._pending[actor.open.remote()] = actor, None
 
     def ready(self) -> None:
@@ -109,42 +115,47 @@ class RayPool:
             while todo and self._idle:
                 actor, episode = self._idle.pop(), todo.popleft()
                 self._pending[actor.fly.remote(episode, film)] = actor, episode
-            episode, flown = self._receive(lost)
+            lost_episode, flown = self._receive(lost)
             if flown is not None:
                 left -= 1
                 yield flown
-            elif episode is not None:
-                todo.appendleft(episode)
+            elif lost_episode is not None:
+                todo.appendleft(lost_episode)
 
     def _receive(self, lost: Counter[int | None]) -> tuple[int | None, tuple[Rollout, str] | None]:
-        """The next answer of any actor: its episode, none if it became ready, and the flight, none if it was lost."""
+        """Wait for an actor's next answer: a flight, or the episode of an actor that was lost, or neither."""
+        (answer,), _ = self._ray.wait(list(self._pending))
+        actor, episode = self._pending.pop(answer)
         errors = self._ray.exceptions
-        flying = any(episode is not None for _, episode in self._pending.values())
-        ready, _ = self._ray.wait(list(self._pending), timeout=None if flying else PLACEMENT_TIMEOUT_S)
-        if not ready:
-            raise RunError(
-                f"the Ray cluster has had no room for a worker ({_wanted(self._plan)}) for {PLACEMENT_TIMEOUT_S:g} s; "
-                "continue with --resume when it has"
-            )
-        actor, episode = self._pending.pop(ready[0])
         try:
-            flown = self._ray.get(ready[0])
+            flown = self._ray.get(answer)
         except errors.RayTaskError as raised:
             if not isinstance(raised.cause, WorkerLost):
-                raise raised.cause from None
+                raise _cause(raised) from None
             loss: Exception = raised.cause
         except errors.RayError as error:
             loss = error
         else:
             self._idle.append(actor)
-            return episode, flown
+            lost[None] = 0
+            return None, flown
+        self._replace(actor)
         lost[episode] += 1
-        if lost[episode] == LOSSES:
-            what = "a worker was lost before it was ready" if episode is None else f"episode {episode} lost its worker"
-            raise RunError(f"{what}, {LOSSES} times; continue with --resume; the last loss: {loss}")
+        if episode is None and lost[None] >= LOSSES * self.size:
+            raise RunError(f"no worker of the Ray cluster becomes ready; continue with --resume; the last loss: {loss}")
+        if episode is not None and lost[episode] >= LOSSES:
+            raise RunError(
+                f"episode {episode} has lost its worker {LOSSES} times; continue with --resume; the last loss: {loss}"
+            )
+        return episode, None
+
+    def _replace(self, actor: Any) -> None:
         self._ray.kill(actor)
         self._start_actor()
-        return episode, None
+        # The idle ones may have been on the same node; no episode is to be charged with that.
+        for other in self._idle:
+            self._open(other)
+        self._idle.clear()
 
     def close(self) -> None:
         """Shut the workers down after they have freed their simulators."""
@@ -174,6 +185,14 @@ def _room(ray: Any, plan: Plan) -> int:
     wanted = {"CPU": float(plan.cpus_per_worker)} | ({"GPU": plan.gpus_per_worker} if plan.gpus_per_worker else {})
     nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
     return sum(min(int(node.get(kind, 0) / amount) for kind, amount in wanted.items()) for node in nodes)
+
+
+def _cause(raised: Any) -> BaseException:
+    """What an actor raised: an error of this package, or a `WorkerCrash` with the traceback."""
+    cause = raised.cause
+    if isinstance(cause, CognitiveDroneError):
+        return cause
+    return WorkerCrash(f"a worker of the Ray cluster failed: {type(cause).__name__}: {cause}", str(raised))
 
 
 def _wanted(plan: Plan) -> str:
