@@ -24,6 +24,7 @@ PROGRAM = "cognitivedrone"
 COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
     "score policies": {
         "bench": ("scoring:bench", "fly a policy through a suite of tasks and score it"),
+        "merge": ("scoring:merge", "join the shards of a run"),
         "compare": ("scoring:compare", "compare two runs, task by task"),
         "view": ("scoring:view", "draw what the drone sees at the start of a task"),
         "submit": ("scoring:submit", "make a file for the leaderboard from finished runs"),
