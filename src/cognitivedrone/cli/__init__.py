@@ -37,6 +37,9 @@ COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
         "gazebo check": ("flying:check_world", "check worlds with Gazebo's own parser"),
         "gazebo import": ("flying:import_models", "import the published Gazebo tasks"),
     },
+    "serve": {
+        "serve": ("serving:serve", "serve a policy and a reasoner to remote clients, openpi's and OpenVLA's"),
+    },
     "collect data and train": {
         "collect": ("data:collect", "collect a data set of expert flights"),
         "data show": ("data:show", "counts, lengths and actions of a data set"),

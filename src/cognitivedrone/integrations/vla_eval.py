@@ -195,12 +195,13 @@ class _Session:
 
     policy: Policy
     seed: int
+    real_time: bool
     stage: int | None = None
     pending: deque[Action] = field(default_factory=deque)
 
 
 class PolicyServer(PredictModelServer):
-    """Any policy of ours as a model server of the harness; every episode has a policy object of its own.
+    """Any policy of ours as a model server of the harness; every client has a fork of it.
 
     As in our control loop, a new stage resets the policy, and a chunk of actions is flown to its end.
 
@@ -211,37 +212,39 @@ class PolicyServer(PredictModelServer):
     def __init__(self, policy: str = "small") -> None:
         super().__init__()
         self._name = policy
-        self._free = [self._made()]
+        self._policy = make_policy(policy)
+        if self._policy.needs_ground_truth:
+            raise GroundTruthError(f"the policy {policy!r} uses privileged state, which the harness does not send")
+        self._policy.check()
+        self._free: list[Policy] = []
         self._sessions: dict[str, _Session] = {}
-
-    def _made(self) -> Policy:
-        policy = make_policy(self._name)
-        if policy.needs_ground_truth:
-            policy.close()
-            raise GroundTruthError(f"policy {self._name!r} needs ground truth, which the harness does not send")
-        policy.check()
-        return policy
 
     async def on_episode_start(self, config: dict[str, Any], ctx: SessionContext) -> None:
         """Take a policy for the episode."""
-        await self._release(ctx)
-        seed = config.get("task", {}).get("episode", 0)
-        self._sessions[ctx.session_id] = _Session(self._free.pop() if self._free else self._made(), int(seed))
+        await self.on_episode_end({}, ctx)
+        policy = self._free.pop() if self._free else self._forked()
+        seed, real_time = config.get("task", {}).get("episode", 0), config.get("mode") == "live"
+        self._sessions[ctx.session_id] = _Session(policy, seed, real_time)
 
     async def on_episode_end(self, result: dict[str, Any], ctx: SessionContext) -> None:  # noqa: ARG002
         """Return the episode's policy."""
-        await self._release(ctx)
-
-    async def _release(self, ctx: SessionContext) -> None:
         if session := self._sessions.pop(ctx.session_id, None):
             self._free.append(session.policy)
+
+    def _forked(self) -> Policy:
+        policy = self._policy.fork()
+        if policy is None:
+            policy = make_policy(self._name)
+            policy.check()
+        return policy
 
     def predict(self, obs: dict[str, Any], ctx: SessionContext) -> dict[str, Any]:
         """The next action, (4,); with `declines` where the policy says that no gate shows what is asked for."""
         session = self._sessions[ctx.session_id]
         instruction, stage = obs["task_description"], obs.get("stage", 0)
         if stage != session.stage:
-            begin_stage(session.policy, EpisodeContext(instruction, session.seed, stage))
+            context = EpisodeContext(instruction, session.seed, stage, real_time=session.real_time)
+            begin_stage(session.policy, context)
             session.stage = stage
             session.pending.clear()
         if not session.pending:

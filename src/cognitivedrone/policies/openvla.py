@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
 
@@ -86,6 +87,10 @@ class OpenVla(Policy):
         if not np.isfinite(answer).all():
             raise NonFiniteAction(f"the network answered {answer[0].tolist()} to {self._text!r}")
         return self.checkpoint.statistics.flown(answer).astype(np.float32)
+
+    def fork(self) -> Self:
+        """As `Policy.fork`."""
+        return copy.copy(self)
 
     def _listen(self, text: str) -> None:
         self._ids = prompt_ids(self._encode, text)
