@@ -11,33 +11,28 @@ from cognitivedrone.errors import AirframeError, SimulationError, TaskError
 from cognitivedrone.integrations.flights import CAMERA, OUTCOMES, STATE, Flights, family_of, metrics_of
 from cognitivedrone.plan import Scenario
 from cognitivedrone.policies.expert import Expert
+from cognitivedrone.policies.small import state_of
 from cognitivedrone.types import EpisodeContext
 
 
 class Weaver:
-    """Flies by what it sees: any difference in the frames or in the state changes the path."""
+    """Flies by what it sees: any difference in the frames or in the state, which is float32, changes the path."""
 
     def reset(self, context):
         pass
 
     def act(self, observation):
-        bright = float(observation.image.astype(np.float64).mean()) / 255
-        sway = float(observation.velocity[1]) + 0.3 * bright
-        return np.array([[1.5, sway, 0.2 * (1.0 - observation.height), observation.yaw_rate]], np.float32)
+        return self.command(observation.image, state_of(observation))[None]
 
-
-class Seen:
-    """What a policy reads of a view."""
-
-    def __init__(self, view):
-        self.image, self.velocity = view.image, view.state[:3]
-        self.height, self.yaw_rate = float(view.state[3]), float(view.state[4])
+    def command(self, image, state):
+        bright = np.float32(image.mean() / 255)
+        return np.array([1.5, state[1] + 0.3 * bright, 0.2 * (1.0 - state[3]), state[4]], np.float32)
 
 
 def flown(flights, episode, seed, policy):
     view, done = flights.begin(episode, seed), False
     while not done:
-        view, _, done = flights.step(policy.act(Seen(view))[0])
+        view, _, done = flights.step(policy.command(view.image, view.state))
     return flights.results()
 
 
