@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import gymnasium
+import json
+
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from cognitivedrone.envs.gym import CognitiveDroneEnv
-from cognitivedrone.errors import TaskError
+from cognitivedrone.errors import RunError, TaskError
 from cognitivedrone.integrations.lerobot import LeRobotEnv
 from cognitivedrone.tasks import load_suite
 
@@ -91,4 +92,17 @@ def test_running_out_of_time_truncates():
     assert first[2:4] == (False, False)
     assert second[2:4] == (False, True)
     assert second[4]["outcome"] == "timeout"
-    assert gymnasium.Env in LeRobotEnv.__mro__
+
+
+def test_whole_results_can_be_kept(tmp_path):
+    kept = LeRobotEnv("open-v1:smoke", seed=2, time_limit_s=0.1, results=tmp_path / "results.jsonl")
+    for seed in (3, 31):
+        kept.reset(seed=seed)
+        kept.step(np.zeros(4, np.float32))
+    kept.close()
+    first, second = map(json.loads, (tmp_path / "results.jsonl").read_text().splitlines())
+    assert (first["episode"], first["seed"], first["timeout"]) == (3, 2, 1)
+    assert (second["episode"], second["seed"], second["success"]) == (1, 3, False)
+    assert first["stages"][0]["task_id"] == "open-v1:smoke/0003"
+    with pytest.raises(RunError, match=r"no folder .*nowhere"):
+        LeRobotEnv("open-v1:smoke", results=tmp_path / "nowhere" / "x")

@@ -68,6 +68,8 @@ class CognitiveDroneConfig(EnvConfig):
     """Speed of a steady wind, m/s."""
     time_limit_s: float = 30.0
     """Seconds for each stage."""
+    results: str | None = None
+    """File that receives the whole result of every episode, one line of JSON each."""
 
     @property
     def package_name(self) -> str:

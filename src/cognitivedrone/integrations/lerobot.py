@@ -6,6 +6,7 @@ become those of our LeRobot export: `pixels/front` is `observation.images.front`
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,7 +15,8 @@ import numpy as np
 from gymnasium import spaces
 
 from cognitivedrone.envs.spaces import action_space, observation_space
-from cognitivedrone.errors import TaskError
+from cognitivedrone.errors import RunError, TaskError
+from cognitivedrone.files import writing
 from cognitivedrone.integrations.flights import CAMERA, Flights, View, metrics_of
 from cognitivedrone.plan import Scenario
 from cognitivedrone.types import CONTROL_HZ, Action
@@ -30,8 +32,10 @@ class LeRobotEnv(gymnasium.Env[dict[str, Any], Action]):
     Observation: `pixels` with `front`, (256, 256, 3) uint8, and `agent_pos`, (5,) float32: heading-frame velocity, m/s,
     height, m, yaw rate, rad/s. `task_description` is the current instruction. Reward: 1 for every stage passed. `info`
     holds `is_success`, whether all stages are passed, `episode`, and at the end `outcome`, that of the last stage, and
-    `score`, the share of stages passed.
-    Raises `TaskError`, `LabelError` or `SimulationError` for a suite, labels or conditions that cannot be.
+    `score`, the share of stages passed. LeRobot keeps only success and reward; the file `results` receives one line of
+    JSON with the whole result of every episode (`metrics_of`).
+    Raises `TaskError`, `LabelError` or `SimulationError` for a suite, labels or conditions that cannot be, and
+    `RunError` for results that cannot be written.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
@@ -47,6 +51,7 @@ class LeRobotEnv(gymnasium.Env[dict[str, Any], Action]):
         tasks: Path | str | None = None,
         labels: Path | str | None = None,
         time_limit_s: float = 30.0,
+        results: Path | str | None = None,
         render_mode: str | None = "rgb_array",
         **options: Any,
     ) -> None:
@@ -57,6 +62,9 @@ class LeRobotEnv(gymnasium.Env[dict[str, Any], Action]):
             **options,
         )
         self.render_mode = render_mode
+        self._results = None if results is None else Path(results)
+        if self._results is not None and not self._results.parent.is_dir():
+            raise RunError(f"there is no folder {self._results.parent} for the results; create it")
         self.task = task or ""
         self._flights = Flights(scenario, time_limit_s)
         self._episodes = self._flights.episodes(task)
@@ -88,8 +96,7 @@ class LeRobotEnv(gymnasium.Env[dict[str, Any], Action]):
         """Begin the track of this seed; without a seed, the one after the last."""
         super().reset(seed=seed)
         self._count = self._count + 1 if seed is None else seed
-        repeat, index = divmod(self._count, len(self._episodes))
-        self._view = self._flights.begin(self._episodes[index], self._flights.scenario.seed + repeat)
+        self._view = self._flights.begin(self._episode, self._seed)
         return self._observation(), self._info(is_success=False)
 
     def step(self, action: Action) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
@@ -98,6 +105,7 @@ class LeRobotEnv(gymnasium.Env[dict[str, Any], Action]):
         if not done:
             return self._observation(), reward, False, False, self._info(is_success=False)
         metrics = metrics_of(self._flights.results())
+        self._write(metrics)
         outcome = metrics["stages"][-1]["outcome"]
         info = self._info(is_success=metrics["success"], outcome=outcome, score=metrics["score"])
         timed_out = outcome in ("timeout", "hesitated")
@@ -120,5 +128,19 @@ class LeRobotEnv(gymnasium.Env[dict[str, Any], Action]):
             raise TaskError("no episode has begun; call reset first")
         return self._view
 
+    def _write(self, metrics: dict[str, Any]) -> None:
+        if self._results is not None:
+            line = json.dumps(self._info(seed=self._seed, **metrics))
+            with writing(self._results, RunError), self._results.open("a", encoding="utf-8") as file:
+                file.write(line + "\n")
+
     def _info(self, **more: Any) -> dict[str, Any]:
-        return {"episode": self._episodes[self._count % len(self._episodes)], **more}
+        return {"episode": self._episode, **more}
+
+    @property
+    def _episode(self) -> int:
+        return self._episodes[self._count % len(self._episodes)]
+
+    @property
+    def _seed(self) -> int:
+        return self._flights.scenario.seed + self._count // len(self._episodes)
