@@ -2,7 +2,7 @@
 
 An array is a map with the binary keys `__ndarray__`, `data`, `dtype` and `shape`, a NumPy scalar one with
 `__npgeneric__`, `data` and `dtype`. Nothing else is decoded to an object: no pickle, no extension types, and arrays of
-plain numbers only, whose size is checked before they are made.
+plain numbers only, whose size is checked before they are made. (msgpack's own timestamps fit no field.)
 """
 
 from __future__ import annotations

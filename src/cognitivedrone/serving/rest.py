@@ -50,7 +50,7 @@ class Rest:
             doubly = "encoded" in payload
             if doubly:
                 payload = _object(payload["encoded"]) if isinstance(payload["encoded"], str) else {}
-            observation = read_observation(_message(payload), 0.0)
+            observation = read_observation(_message(payload, self._served.unnorm_key), 0.0)
             async with self._turn:  # the session is shared
                 if self._session is None:
                     self._session = await self._engine.on_policy_thread(self._served.open_session)
@@ -84,8 +84,12 @@ def _object(text: bytes | str) -> dict[str, Any]:
     return payload
 
 
-def _message(payload: dict[str, Any]) -> dict[str, Any]:
-    """The request as an observation; without a state, the drone hovers at a usual height."""
+def _message(payload: dict[str, Any], unnorm_key: str | None) -> dict[str, Any]:
+    """The request as an observation; without a state, the drone hovers 1 m above the ground."""
+    if payload.get("unnorm_key") not in (None, unnorm_key):
+        raise MessageError(
+            "bad_field", f"unnorm_key is {payload['unnorm_key']!r:.60}; the policy served here has {unnorm_key!r}"
+        )
     for name in ("image", "instruction"):
         if name not in payload:
             raise MessageError("missing_field", f"the request has no {name!r}")

@@ -62,6 +62,12 @@ class Served:
             }
         }
 
+    @property
+    def unnorm_key(self) -> str | None:
+        """Name of the action statistics of a served OpenVLA; none of other policies."""
+        checkpoint = getattr(self.policy, "checkpoint", None)
+        return None if checkpoint is None else str(checkpoint.statistics_key)
+
     def open_session(self) -> Session:
         """A session with a state of its own."""
         policy = self.policy.fork() or make_policy(self.spec.policy)
