@@ -30,7 +30,9 @@ def test_the_benchmark_of_vla_eval_takes_the_options_of_a_scenario():
 
 def test_the_plug_in_of_lerobot_takes_the_options_of_the_environment():
     config = class_in(PLUGIN / "src" / PLUGIN.name / "__init__.py", "CognitiveDroneConfig")
-    own = {node.target.id for node in config.body if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)}
+    own = {
+        node.target.id for node in config.body if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
+    }
     taken = set(inspect.signature(LeRobotEnv).parameters) - {"render_mode", "options"}
     assert own - {"fps", "features", "features_map"} == taken | SCENARIO
 
