@@ -287,9 +287,7 @@ def test_nobody_there_is_said_before_take_off(monkeypatch):
     monkeypatch.setattr(connection, "CONNECT_S", 0.2)
     policy = make_policy("remote:ws://127.0.0.1:9")
     began = time.monotonic()
-    with pytest.raises(
-        ServerError, match="at ws://127.0.0.1:9 does not answer .*; start one with `cognitivedrone serve`"
-    ):
+    with pytest.raises(ServerError, match="at ws://127.0.0.1:9 does not answer .*; start one with `cognitivedrone serve`"):
         policy.connection.open(0.2)
     assert time.monotonic() - began < 30
     policy.close()

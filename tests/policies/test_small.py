@@ -266,10 +266,7 @@ def test_models_without_a_lexicon_never_decline(policy):
 
 
 def several(count):
-    return [
-        replace(OBSERVATION, height=0.1 * (row + 1), instruction=(TEXT, "the small gate")[row % 2])
-        for row in range(count)
-    ]
+    return [replace(OBSERVATION, height=0.1 * (row + 1), instruction=(TEXT, "the small gate")[row % 2]) for row in range(count)]
 
 
 @pytest.mark.parametrize("argument", ["", ",stack=3", ",stack=16"])
