@@ -111,6 +111,7 @@ class WithFile:
     [
         ("small", "small[:PATH]"),
         ("hover", "hover"),
+        ("lerobot", "lerobot:FOLDER[,device=cuda|cpu]"),
         ("openvla", "openvla:FOLDER[,decoder=ar|parallel][,quant=none|int8|int4][,device=cuda|cpu][,unnorm_key=TEXT]"),
     ],
 )

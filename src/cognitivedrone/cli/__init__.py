@@ -24,6 +24,7 @@ PROGRAM = "cognitivedrone"
 COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
     "score policies": {
         "bench": ("scoring:bench", "fly a policy through a suite of tasks and score it"),
+        "merge": ("scoring:merge", "join the shards of a run"),
         "compare": ("scoring:compare", "compare two runs, task by task"),
         "view": ("scoring:view", "draw what the drone sees at the start of a task"),
         "submit": ("scoring:submit", "make a file for the leaderboard from finished runs"),
@@ -39,6 +40,9 @@ COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
         "gazebo export": ("flying:export_world", "write tasks as worlds for Gazebo"),
         "gazebo check": ("flying:check_world", "check worlds with Gazebo's own parser"),
         "gazebo import": ("flying:import_models", "import the published Gazebo tasks"),
+    },
+    "serve": {
+        "serve": ("serving:serve", "serve a policy and a reasoner to remote clients, openpi's and OpenVLA's"),
     },
     "collect data and train": {
         "collect": ("data:collect", "collect a data set of expert flights"),

@@ -1,4 +1,4 @@
-"""Commands that score pilots: bench, reason, sweep, compare, view, list."""
+"""Commands that score pilots: bench, merge, reason, sweep, compare, view, list."""
 
 from __future__ import annotations
 
@@ -36,6 +36,34 @@ def bench(plan: Annotated[Flat[Plan], tyro.conf.arg(name="")]) -> None:
         screen.print(notice)
     screen.print(results_table(run(plan, progress=True)))
     screen.print(f"report: {out_of(plan) / 'report.html'}")
+    if plan.shard is not None:
+        screen.print(f"This is shard {plan.shard} alone; 'cognitivedrone merge' joins the folders of all shards.")
+
+
+def merge(
+    parts: tyro.conf.Positional[tuple[Path, ...]],
+    out: Path,
+    overwrite: bool = False,
+) -> None:
+    """Join the folders that bench --shard wrote into one run, equal to a run that was never divided.
+
+    Checks that they are all shards of the same run, and that none is missing or given twice. Example:
+
+      cognitivedrone merge results/part-* --out results/whole
+
+    Args:
+        parts: Folders of all shards of a run.
+        out: Folder for the whole run.
+        overwrite: Delete the run in that folder.
+    """
+    from cognitivedrone.benchmark.merge import merge as merge_shards
+    from cognitivedrone.benchmark.report import REPORT_FILE
+    from cognitivedrone.benchmark.tables import results_table
+    from cognitivedrone.terminal import console
+
+    screen = console()
+    screen.print(results_table(merge_shards(parts, out, overwrite=overwrite)))
+    screen.print(f"report: {out / REPORT_FILE}")
 
 
 def reason(plan: Annotated[Flat[ReasonPlan], tyro.conf.arg(name="")]) -> None:
