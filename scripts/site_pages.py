@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parents[1]
-PLANNED = {"serving.md"}
-"""Pages that the navigation names and that may not be there yet."""
 OUTSIDE = {
     "README.md": "index.md",
     "CONTRIBUTING.md": "project/contributing.md",
@@ -35,7 +33,7 @@ OUTSIDE = {
 }
 """Files outside docs/, from the root of the repository, and their pages. Examples are added: examples/NAME."""
 COLUMNS = 100
-LANGUAGES = {".py": "python", ".cff": "yaml"}
+LANGUAGES = {".py": "python", ".cff": "yaml", ".yaml": "yaml"}
 PYTHON = {
     "evaluate": ("benchmark.evaluate", "benchmark.config", "benchmark.results", "benchmark.scoring"),
     "interfaces": ("interfaces", "types", "registry"),
@@ -52,12 +50,6 @@ PYTHON = {
 """Pages of the Python reference and the modules of the package on each."""
 _FENCE = re.compile(r"(^ *```.*?^ *```)", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"(\]\()([^)\s#]+)(#[^)\s]*)?(\))")
-
-
-def on_config(config: MkDocsConfig) -> None:
-    """Leave planned pages that are not there out of the navigation."""
-    missing = {name for name in PLANNED if not (ROOT / "docs" / name).exists()}
-    config.nav = _without(config.nav, missing)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> None:
@@ -78,7 +70,7 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
 
 def outside() -> dict[str, str]:
     """Files outside docs/ and their pages."""
-    examples = sorted(path for path in (ROOT / "examples").iterdir() if path.suffix in (".py", ".ipynb"))
+    examples = sorted(path for path in (ROOT / "examples").iterdir() if path.suffix in (".py", ".ipynb", ".yaml"))
     return OUTSIDE | {f"examples/{path.name}": f"examples/{path.stem}.md" for path in examples}
 
 
@@ -157,18 +149,3 @@ def _wrapped(line: str) -> str:
         return line
     indent = " " * 4 if line.startswith(" ") else ""
     return textwrap.fill(line, COLUMNS, subsequent_indent=indent, break_on_hyphens=False)
-
-
-def _without(nav: Any, missing: set[str]) -> Any:
-    """The navigation without pages, at any depth."""
-    if isinstance(nav, list):
-        return [_without(entry, missing) for entry in nav if not _leads_to(entry, missing)]
-    if isinstance(nav, dict):
-        return {title: _without(entry, missing) for title, entry in nav.items()}
-    return nav
-
-
-def _leads_to(entry: Any, missing: set[str]) -> bool:
-    if isinstance(entry, dict):
-        return all(isinstance(page, str) and page in missing for page in entry.values())
-    return entry in missing

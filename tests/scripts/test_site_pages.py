@@ -8,7 +8,6 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from PIL import Image
@@ -38,7 +37,7 @@ def test_the_navigation_has_every_page_once():
     nav = (ROOT / "mkdocs.yml").read_text().partition("\nnav:\n")[2]
     named = re.findall(r": (\S+\.md)$", nav, flags=re.MULTILINE)
     assert len(named) == len(set(named))
-    assert {*named} - site_pages.PLANNED == {*WRITTEN, *MADE, *GENERATED} - site_pages.PLANNED
+    assert {*named} == {*WRITTEN, *MADE, *GENERATED}
 
 
 @pytest.mark.parametrize("page", [*WRITTEN, *(page for page, text in MADE.items() if "](" in text)])
@@ -78,19 +77,6 @@ def test_the_reference_has_the_help_of_every_command():
     assert re.findall(r"^## cognitivedrone (.+)$", page, flags=re.MULTILINE) == list(TARGETS)
     assert page.count("--help") >= len(TARGETS)
     assert max(map(len, page.splitlines())) <= 100
-
-
-def test_a_planned_page_is_shown_once_it_is_there(tmp_path, monkeypatch):
-    (tmp_path / "docs").mkdir()
-    monkeypatch.setattr(site_pages, "ROOT", tmp_path)
-    nav = [{"Home": "index.md"}, {"More": [{"Serve": "serving.md"}, {"Data": "data.md"}]}]
-    config = SimpleNamespace(nav=nav)
-    site_pages.on_config(config)
-    assert config.nav == [{"Home": "index.md"}, {"More": [{"Data": "data.md"}]}]
-    (tmp_path / "docs" / "serving.md").touch()
-    config = SimpleNamespace(nav=nav)
-    site_pages.on_config(config)
-    assert config.nav == nav
 
 
 def test_the_gallery_shows_every_family():
