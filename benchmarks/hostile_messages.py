@@ -171,7 +171,8 @@ def fields(rng: random.Random) -> bytes:
                 message["reset"] = [
                     {rng.choice(("prompt", "stage", "seed")): rng.choice(VALUES)} for _ in range(rng.randrange(3))
                 ]
-    return msgpack.packb(message, default=lambda value: msgpack.unpackb(pack(value), strict_map_key=False))
+    packed: bytes = msgpack.packb(message, default=lambda value: msgpack.unpackb(pack(value), strict_map_key=False))
+    return packed
 
 
 def one_message(rng: random.Random) -> tuple[str, bytes]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import logging
 import secrets
 from collections.abc import Sequence
@@ -10,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from cognitivedrone import __version__
 from cognitivedrone.control.async_reasoner import Question, SimulatedReasoner, asking, check_guidance
 from cognitivedrone.control.calls import calling
 from cognitivedrone.control.directive_filter import DirectiveFilter
@@ -49,7 +49,7 @@ class Served:
         return {
             OURS: {
                 "protocol": PROTOCOL,
-                "version": __version__,
+                "version": importlib.metadata.version("cognitivedrone"),
                 "session": session,
                 "policy": _name(self.spec.policy, POLICIES),
                 "model": self._model,
