@@ -27,13 +27,14 @@ OUTSIDE = {
     "CONTRIBUTING.md": "project/contributing.md",
     "CHANGELOG.md": "project/changelog.md",
     "CITATION.cff": "project/citation.md",
+    "Dockerfile": "project/dockerfile.md",
     "leaderboard/README.md": "project/leaderboard-files.md",
     "src/cognitivedrone/tasks/knowledge/README.md": "project/knowledge.md",
     "tests/external/README.md": "project/external-tests.md",
 }
 """Files outside docs/, from the root of the repository, and their pages. Examples are added: examples/NAME."""
 COLUMNS = 100
-LANGUAGES = {".py": "python", ".cff": "yaml", ".yaml": "yaml"}
+LANGUAGES = {".py": "python", ".cff": "yaml", ".yaml": "yaml", "": "dockerfile"}
 PYTHON = {
     "evaluate": ("benchmark.evaluate", "benchmark.config", "benchmark.results", "benchmark.scoring"),
     "interfaces": ("interfaces", "types", "registry"),
