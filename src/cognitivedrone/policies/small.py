@@ -7,7 +7,7 @@ import os
 import warnings
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from importlib import resources
 from pathlib import Path
@@ -208,9 +208,10 @@ def _run(model: SmallModel, frames: Sequence[_Frame]) -> Sequence[Output | Excep
     outputs = attempt(partial(model.run, images, states), [frame.text for frame in frames])
     if isinstance(outputs, Exception):
         return [outputs] * len(frames)
-    values = [getattr(outputs, field.name) for field in fields(Output)]
+    values = {field.name: getattr(outputs, field.name) for field in fields(Output)}
     return [
-        Output(*(None if value is None else value[row : row + 1] for value in values)) for row in range(len(frames))
+        replace(outputs, **{name: value[row : row + 1] for name, value in values.items() if value is not None})
+        for row in range(len(frames))
     ]
 
 
