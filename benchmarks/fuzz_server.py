@@ -90,7 +90,9 @@ class Peer:
             if length >= 126:
                 length = int.from_bytes(self.read(2 if length == 126 else 8), "big")
             data = self.read(length)
-            if head[0] & 15 not in (PING, PONG):
+            if head[0] & 15 == PING:
+                self.send(frame(data, PONG))
+            elif head[0] & 15 != PONG:
                 return head[0] & 15, data
         return None
 
