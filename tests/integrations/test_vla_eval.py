@@ -34,7 +34,7 @@ def episodes(result):
     return [episode for task in result["tasks"] for episode in task["episodes"]]
 
 
-class Answering(predict.PredictModelServer):
+class Answering(predict.PredictModelServer):  # type: ignore[misc, name-defined]
     """Answers the same whatever it sees."""
 
     def __init__(self, actions):
@@ -45,7 +45,7 @@ class Answering(predict.PredictModelServer):
         return {"actions": self.actions}
 
 
-class Silent(base.ModelServer):
+class Silent(base.ModelServer):  # type: ignore[misc, name-defined]
     """Never answers."""
 
     async def on_observation(self, obs, ctx):

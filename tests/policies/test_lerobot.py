@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from cognitivedrone.policies.lerobot import FILES, SHAPES, WEIGHTS, check_featur
 from cognitivedrone.policies.lerobot import IMAGE_KEY as POLICY_IMAGE_KEY
 from cognitivedrone.types import EpisodeContext, Observation
 
-CONFIG = {
+CONFIG: dict[str, Any] = {
     "type": "act",
     "input_features": {
         "observation.images.front": {"type": "VISUAL", "shape": [3, 256, 256]},

@@ -266,7 +266,10 @@ def test_models_without_a_lexicon_never_decline(policy):
 
 
 def several(count):
-    return [replace(OBSERVATION, height=0.1 * (row + 1), instruction=(TEXT, "the small gate")[row % 2]) for row in range(count)]
+    return [
+        replace(OBSERVATION, height=0.1 * (row + 1), instruction=(TEXT, "the small gate")[row % 2])
+        for row in range(count)
+    ]
 
 
 @pytest.mark.parametrize("argument", ["", ",stack=3", ",stack=16"])
@@ -277,6 +280,7 @@ def test_several_flights_at_once_get_the_answers_of_each_alone(tiny_model_file, 
         fork.reset(EpisodeContext(TEXT))
     answers = policy.act_batch(forks, several(7))
     for seen, answer in zip(several(7), answers, strict=True):
+        assert not isinstance(answer, Exception)
         alone = Small(str(tiny_model_file))
         alone.reset(EpisodeContext(TEXT))
         assert np.array_equal(answer, alone.act(seen))

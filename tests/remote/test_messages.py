@@ -141,7 +141,7 @@ def test_another_version_and_another_session_are_refused():
 )
 def test_a_policys_error_is_raised_as_what_it_was(error):
     frame = error_frame(code_of(error), str(error), getattr(error, "kind", None))
-    with pytest.raises(type(error), match="^no$") as caught:
+    with pytest.raises(type(error), match=r"^no$") as caught:
         raise_error(frame, "here")
     assert type(caught.value) is type(error)
     assert getattr(caught.value, "kind", None) == getattr(error, "kind", None)

@@ -43,7 +43,7 @@ print(json.dumps([policy.get_server_metadata()["cognitivedrone"]["policy"], acti
 
 @pytest.fixture(scope="module")
 def python(pytestconfig):
-    return python_with(pytestconfig, PACKAGE)
+    return python_with(pytestconfig, PACKAGE, "typing-extensions")  # which it imports without requiring it
 
 
 @pytest.mark.parametrize("token", ["", TOKEN])

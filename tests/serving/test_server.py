@@ -1,4 +1,4 @@
-"""The server on loopback, with clients written after openpi's description: sessions, batches, errors, limits, access."""
+"""The server on loopback, with clients written after openpi's description: sessions, batches, errors, limits."""
 
 import contextlib
 import http.client
@@ -174,8 +174,12 @@ def test_a_message_that_will_not_do_is_answered_with_its_code_and_the_session_go
 
 @pytest.mark.parametrize(
     ("changed", "code"),
-    [({"protocol": 2}, "protocol_version"), ({"protocol": "x"}, "protocol_version"), ({"session": "x"}, "unknown_session")],
-)  # fmt: skip
+    [
+        ({"protocol": 2}, "protocol_version"),
+        ({"protocol": "x"}, "protocol_version"),
+        ({"session": "x"}, "unknown_session"),
+    ],
+)
 def test_another_version_or_session_ends_the_connection(address, changed, code):
     with Client(address) as client:
         assert error_of(client.ask(observation(**changed))) == code
@@ -203,13 +207,12 @@ def test_a_message_in_very_many_pieces_ends_its_own_connection(address):
 
 
 def test_no_more_clients_than_allowed():
-    with served(clients=1) as address:
-        with Client(address) as client:
-            with pytest.raises(websockets.exceptions.InvalidStatus) as caught:
-                Client(address)
-            assert caught.value.response.status_code == 503
-            assert error_of(caught.value.response.body.decode()) == "too_many_clients"
-            assert counted(client) == [0, 1]
+    with served(clients=1) as address, Client(address) as client:
+        with pytest.raises(websockets.exceptions.InvalidStatus) as caught, Client(address):
+            pass
+        assert caught.value.response.status_code == 503
+        assert error_of(caught.value.response.body.decode()) == "too_many_clients"
+        assert counted(client) == [0, 1]
 
 
 def test_no_more_requests_than_allowed():
@@ -260,14 +263,15 @@ def closed(connection):
         return True
 
 
-class TestAccess:
-    @pytest.fixture(scope="class")
-    def guarded(self, tmp_path_factory):
-        file = tmp_path_factory.mktemp("token") / "token"
-        file.write_text(f"{TOKEN}\n")
-        with served(token_file=file) as address:
-            yield address
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory):
+    file = tmp_path_factory.mktemp("token") / "token"
+    file.write_text(f"{TOKEN}\n")
+    with served(token_file=file) as where:
+        yield where
 
+
+class TestAccess:
     @pytest.mark.parametrize(
         "headers",
         [{}, {"Authorization": "Api-Key wrong-wrong-wrong-wrong"}, {"Authorization": f"Api-Key {TOKEN}x"},
@@ -275,8 +279,8 @@ class TestAccess:
          {"Authorization": f"Api-Key {TOKEN}", "Origin": "http://a.page"}],
     )  # fmt: skip
     def test_no_token_or_a_wrong_one_is_refused(self, guarded, headers):
-        with pytest.raises(websockets.exceptions.InvalidStatus) as caught:
-            Client(guarded, **headers)
+        with pytest.raises(websockets.exceptions.InvalidStatus) as caught, Client(guarded, **headers):
+            pass
         assert caught.value.response.status_code == 401
         assert error_of(caught.value.response.body.decode()) == "unauthorized"
         rest = http.client.HTTPConnection(guarded.host, guarded.port)
@@ -291,7 +295,7 @@ class TestAccess:
 
     def test_other_machines_need_a_token(self, monkeypatch):
         monkeypatch.delenv("COGNITIVEDRONE_SERVER_TOKEN", raising=False)
-        for host in ("0.0.0.0", "::", "192.168.1.2", ""):
+        for host in ("0.0.0.0", "::", "192.168.1.2", ""):  # noqa: S104
             with pytest.raises(ServerError, match="needs a token"), served(host=host):
                 pass
 
@@ -303,15 +307,16 @@ class TestAccess:
         assert token not in str(caught.value)
 
 
-class TestPilot:
-    @pytest.fixture(scope="class")
-    def address(self):
-        with served(reasoner="served_pilots:Stages") as where:
-            yield where
+@pytest.fixture(scope="module")
+def pilot():
+    with served(reasoner="served_pilots:Stages") as where:
+        yield where
 
-    def test_a_plain_client_flies_by_the_reasoners_directives(self, address):
+
+class TestPilot:
+    def test_a_plain_client_flies_by_the_reasoners_directives(self, pilot):
         directive = len("stages [0], question 1")
-        with Client(address) as client:
+        with Client(pilot) as client:
             for _ in range(5):
                 answer = client.ask(observation())
                 assert answer["actions"][0, 2] == directive
@@ -320,18 +325,18 @@ class TestPilot:
             assert client.ask(observation())["actions"][0, 1] == 6
             assert client.ask(observation(time=30.0))["actions"][0, 2] == directive
 
-    def test_the_directive_hold_holds(self, address):
-        with Client(address) as client:
+    def test_the_directive_hold_holds(self, pilot):
+        with Client(pilot) as client:
             answer = client.ask(observation("nothing"))
             assert answer["actions"].tolist() == [[0, 0, 0, 0]]
             assert answer["declines"] is True
 
-    def test_without_an_answer_the_prompt_counts(self, address):
-        with Client(address) as client:
+    def test_without_an_answer_the_prompt_counts(self, pilot):
+        with Client(pilot) as client:
             assert client.ask(observation("unsure"))["actions"][0, 2] == len("unsure")
 
-    def test_the_policy_alone_and_the_reasoner_alone(self, address):
-        with Client(address) as client:
+    def test_the_policy_alone_and_the_reasoner_alone(self, pilot):
+        with Client(pilot) as client:
             assert client.ask(observation("Fly", ask="policy"))["actions"][0, 2] == len("Fly")
             assert client.ask(observation("Fly", ask="guidance", reset=True))["directive"] == "stages [0], question 1"
             assert client.ask(observation("Fly", ask="guidance"))["gate"] == 1
@@ -347,16 +352,16 @@ def test_a_seed_reaches_the_policy():
 
 
 def test_an_oracle_is_not_served():
+    says = "'oracle' uses privileged state, which no client sends"
     for options in ({"policy": "oracle"}, {"reasoner": "oracle"}):
-        with pytest.raises(GroundTruthError, match="'oracle' uses privileged state, which no client sends"):
-            with served(**options):
-                pass
+        with pytest.raises(GroundTruthError, match=says), served(**options):
+            pass
 
 
 def test_a_port_that_is_taken_is_named(address):
-    with pytest.raises(ServerError, match=rf"cannot listen at 127.0.0.1, port {address.port}: .*; give another --host"):
-        with served(port=address.port):
-            pass
+    says = rf"cannot listen at 127.0.0.1, port {address.port}: .*; give another --host"
+    with pytest.raises(ServerError, match=says), served(port=address.port):
+        pass
 
 
 @pytest.mark.parametrize("option", ["clients", "rate", "queue", "batch", "message_kb", "idle", "port"])

@@ -36,12 +36,18 @@ def unpacked(data):
 class Client:
     """Sends observations, as openpi's client does."""
 
-    def __init__(self, address, token=None, **more):
-        headers = ({"Authorization": f"Api-Key {token}"} if token else {}) | more
-        self.socket = websockets.sync.client.connect(
+    def __init__(self, address, **headers):
+        self._connecting = websockets.sync.client.connect(
             f"ws://{address}", compression=None, max_size=None, additional_headers=headers, proxy=None
         )
+
+    def __enter__(self):
+        self.socket = self._connecting.__enter__()
         self.metadata = unpacked(self.socket.recv(60))
+        return self
+
+    def __exit__(self, *error):
+        self._connecting.__exit__(*error)
 
     def send(self, message):
         self.socket.send(message if isinstance(message, (str, bytes)) else packed(message))
@@ -54,12 +60,6 @@ class Client:
     def ask(self, message):
         self.send(message)
         return self.receive()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error):
-        self.socket.close()
 
 
 def observation(prompt="Fly through the red gate", **changed):

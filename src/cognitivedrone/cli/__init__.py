@@ -24,9 +24,13 @@ PROGRAM = "cognitivedrone"
 COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
     "score policies": {
         "bench": ("scoring:bench", "fly a policy through a suite of tasks and score it"),
+        "merge": ("scoring:merge", "join the shards of a run"),
         "compare": ("scoring:compare", "compare two runs, task by task"),
         "view": ("scoring:view", "draw what the drone sees at the start of a task"),
+        "submit": ("scoring:submit", "make a file for the leaderboard from finished runs"),
+        "verify": ("scoring:verify", "fly a sample of a leaderboard file again"),
         "reason": ("scoring:reason", "score a reasoner alone, without flying"),
+        "audit": ("scoring:audit", "fly a pilot with one thing changed at a time, to see why it passes"),
         "sweep": ("scoring:sweep", "fly a suite with increasing latency and plot the success rate"),
         "list": ("scoring:list_names", "names for the options: suites, policies, reasoners, airframes"),
     },

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Annotated
 
 import tyro
@@ -28,8 +29,13 @@ def serve(plan: Annotated[Flat[ServePlan], tyro.conf.arg(name="")]) -> None:
     """
     for package in ("uvicorn", "starlette", "websockets", "msgpack"):
         import_extra(package, EXTRA)
+    from cognitivedrone.apps.watchdog import end_lingering
     from cognitivedrone.serving.announce import announced, logging_to_stderr
     from cognitivedrone.serving.server import serve as run
 
-    with logging_to_stderr():
-        run(plan, lambda address: print(visible(announced(plan, address), keep="\n"), flush=True))  # noqa: T201
+    threads = frozenset(threading.enumerate())
+    try:
+        with logging_to_stderr():
+            run(plan, lambda address: print(visible(announced(plan, address), keep="\n"), flush=True))  # noqa: T201
+    finally:
+        end_lingering(threads, 1)  # a policy that hangs

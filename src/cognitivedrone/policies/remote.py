@@ -69,7 +69,6 @@ class Remote(Policy):
         """
         real_time = bool(self._stages) and self._stages[-1].real_time
         limit_s = self._deadline_s or (DEADLINE_S if real_time else None)
-        self.connection.open()
         if limit_s is None:
             return self._awaited(observation)
         try:

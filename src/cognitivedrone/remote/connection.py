@@ -67,10 +67,7 @@ class Connection:
 
     def open(self, timeout_s: float = CONNECT_S) -> None:
         """Connect; raises `ServerError` if the server is not there or refuses."""
-        if self._loop is None:
-            self._loop = asyncio.new_event_loop()
-            # A daemon, because the process must end even while the server does not answer.
-            threading.Thread(target=self._run, args=(self._loop,), name="policy server", daemon=True).start()
+        self._start()
         if not self._up.wait(timeout_s) or self._refused is not None:
             raise self._refused or Gone(
                 f"the policy server at {self.url} does not answer ({self.trouble}); start one with"
@@ -82,11 +79,12 @@ class Connection:
 
         Raises `Late` if it has not come, `Gone` if there is no connection, and `ServerError` if the server refused it.
         """
+        self._start()
         if self._pending is not None:
             self._finish(self._pending, until)
         if self._refused is not None:
             raise self._refused
-        if self._loop is None or not self._up.is_set():
+        if not self._up.is_set():
             raise Gone(f"the policy server at {self.url} is gone: {self.trouble}")
 
     def request(self, message: Message, until: float) -> Mapping[str, Any]:
@@ -111,6 +109,12 @@ class Connection:
         if loop is not None:
             with suppress(RuntimeError):  # the loop has ended
                 loop.call_soon_threadsafe(self._task.cancel)
+
+    def _start(self) -> None:
+        if self._loop is None:
+            self._loop = asyncio.new_event_loop()
+            # A daemon, because the process must end even while the server does not answer.
+            threading.Thread(target=self._run, args=(self._loop,), name="policy server", daemon=True).start()
 
     def _finish(self, pending: Future[bytes | str], until: float) -> bytes | str:
         """The answer to the request under way; raises `Late` or `Gone`."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from starlette.applications import Starlette
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -38,6 +39,7 @@ log = logging.getLogger(__name__)
 
 SEND_S = 30.0
 """Time that a client may take to read an answer, s."""
+CLOSE_S = 2.0
 STATUS = {
     "unauthorized": 401,
     "too_large": 413,
@@ -71,8 +73,10 @@ class PolicyServer:
             ]
         )
 
-    def close(self) -> None:
-        """End the threads."""
+    async def close(self) -> None:
+        """Close what is left, and end the threads, without waiting for a call that hangs."""
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._rest.close(), CLOSE_S)
         self._engine.close()
 
     async def _act(self, request: Request) -> Response:
@@ -80,6 +84,8 @@ class PolicyServer:
         try:
             check_access(request.headers, self._token)
             body = await self._rest.act(request)
+        except ClientDisconnect:
+            return Response(status_code=400)
         except Exception as error:
             frame, code = told(error, "a REST client")
             return Response(frame, STATUS.get(code, 400), media_type="application/json")
@@ -100,17 +106,17 @@ class PolicyServer:
         name = f"client {socket.client.host}:{socket.client.port}" if socket.client else "a client"
         try:
             await socket.accept()
-            session = await self._engine.on_policy_thread(self._served.open_session)
+            session = await self._engine.open_session()
             await self._converse(socket, session, name)
         except WebSocketDisconnect:
             pass
         except Exception as error:  # while the session was made, or of the network
-            with_frame, _ = told(error, name)
-            await _last_words(socket, with_frame)
+            frame, _ = told(error, name)
+            await _last_words(socket, frame)
         finally:
             self._clients -= 1
             if session is not None:
-                await self._engine.on_policy_thread(session.close)
+                await self._engine.close_session(session)
 
     async def _converse(self, socket: WebSocket, session: Session, name: str) -> None:
         rate = RateLimit(self._limits.rate)

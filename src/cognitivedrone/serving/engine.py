@@ -6,6 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -48,6 +49,7 @@ class Engine:
         self._limits = limits
         self._policy_thread = ThreadPoolExecutor(1, "policy")
         self._reasoner_thread = ThreadPoolExecutor(1, "reasoner")
+        self._opening_thread = ThreadPoolExecutor(1, "sessions")
         self._waiting: list[_Turn] = []
         self._running: asyncio.Task[None] | None = None
 
@@ -61,6 +63,15 @@ class Engine:
             self._running = asyncio.create_task(self._run())
         return await done
 
+    async def open_session(self) -> Session:
+        """A new session; others fly on while it is made."""
+        return await asyncio.get_running_loop().run_in_executor(self._opening_thread, self.served.open_session)
+
+    async def close_session(self, session: Session) -> None:
+        """Close a session, after its last turn."""
+        with suppress(RuntimeError):  # the server has ended
+            await self.on_policy_thread(session.close)
+
     async def reason(self, call: Callable[[], _Result]) -> _Result:
         """What a call of the reasoner returns."""
         return await asyncio.get_running_loop().run_in_executor(self._reasoner_thread, call)
@@ -71,8 +82,8 @@ class Engine:
 
     def close(self) -> None:
         """End the threads, without waiting for a call that hangs."""
-        self._policy_thread.shutdown(wait=False, cancel_futures=True)
-        self._reasoner_thread.shutdown(wait=False, cancel_futures=True)
+        for thread in (self._policy_thread, self._reasoner_thread, self._opening_thread):
+            thread.shutdown(wait=False, cancel_futures=True)
 
     async def _run(self) -> None:
         while self._waiting:

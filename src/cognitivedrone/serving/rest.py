@@ -53,7 +53,7 @@ class Rest:
             observation = read_observation(_message(payload, self._served.unnorm_key), 0.0)
             async with self._turn:  # the session is shared
                 if self._session is None:
-                    self._session = await self._engine.on_policy_thread(self._served.open_session)
+                    self._session = await self._engine.open_session()
                 session, contexts = self._session, [EpisodeContext(observation.instruction)]
                 directed = await self._engine.reason(lambda: session.guided(contexts, observation))
                 actions = np.zeros((1, 4), np.float32)
@@ -63,6 +63,11 @@ class Rest:
             self._waiting -= 1
         text = json.dumps(_encoded(actions[0]))
         return json.dumps(text) if doubly else text
+
+    async def close(self) -> None:
+        """Close the session."""
+        if self._session is not None:
+            await self._engine.close_session(self._session)
 
     async def _body(self, request: Request) -> bytes:
         most = 1000 * self._limits.message_kb

@@ -56,9 +56,13 @@ def serving(plan: ServePlan) -> Iterator[Address]:
     found: list[Address] = []
     errors: list[BaseException] = []
 
+    def listening(address: Address) -> None:
+        found.append(address)
+        ready.set()
+
     def run() -> None:
         try:
-            serve(plan, lambda address: (found.append(address), ready.set())[0], stop)
+            serve(plan, listening, stop)
         except BaseException as error:
             errors.append(error)
         finally:
@@ -122,4 +126,4 @@ async def _run(
             await asyncio.wait([running], timeout=0.1)
         await running
     finally:
-        application.close()
+        await application.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import logging
 import secrets
 from collections.abc import Sequence
@@ -10,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from cognitivedrone import __version__
 from cognitivedrone.control.async_reasoner import Question, SimulatedReasoner, asking, check_guidance
 from cognitivedrone.control.calls import calling
 from cognitivedrone.control.directive_filter import DirectiveFilter
@@ -38,9 +38,7 @@ class Served:
         for kind, part in (("policy", pilot.policy), ("reasoner", pilot.reasoner)):
             if part is not None and part.needs_ground_truth:
                 name = spec.policy if kind == "policy" else spec.reasoner
-                raise GroundTruthError(
-                    f"the {kind} {name!r} uses privileged state, which clients of a server do not send"
-                )
+                raise GroundTruthError(f"the {kind} {name!r} uses privileged state, which no client sends")
         self.spec, self.policy, self.reasoner = spec, pilot.policy, pilot.reasoner
         model = model_file(spec.policy)
         self._model = None if model is None else digest_of_file(model)
@@ -51,7 +49,7 @@ class Served:
         return {
             OURS: {
                 "protocol": PROTOCOL,
-                "version": __version__,
+                "version": importlib.metadata.version("cognitivedrone"),
                 "session": session,
                 "policy": _name(self.spec.policy, POLICIES),
                 "model": self._model,

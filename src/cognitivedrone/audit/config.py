@@ -1,0 +1,30 @@
+"""The plan of the command `audit`; imports nothing heavy, so that `--help` is fast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from cognitivedrone.plan import Options, PilotSpec
+
+
+@dataclass(frozen=True, slots=True)
+class AuditPlan(Options):
+    """Fly a pilot again and again with one thing changed, to see why it passes."""
+
+    pilot: PilotSpec = PilotSpec()
+    suite: str = "open-v1:test"
+    """Name of a suite of single choices, or a task file."""
+    labels: Path | None = None
+    """Folder of label images that take precedence over the shipped ones."""
+    episodes: int = 100
+    """Tasks of each flight, from the first."""
+    only: tuple[str, ...] = ()
+    """Names of the audits to fly, such as "wind"; all by default."""
+    seed: int = 0
+    """Seed of all random numbers. Same seed, same results."""
+    workers: int | None = None
+    """Number of worker processes; the number of cores by default."""
+    out: Path | None = None
+    """Folder for the runs and the page; results/audit-<suite>-<policy>-<reasoner> by default. What is
+    there is not flown again."""
