@@ -120,8 +120,8 @@ def test_a_checkpoint_flies(checkpoint):
     action = policy.act(seen())
     assert (action.shape, action.dtype) == ((1, 4), np.float32)
     assert np.isfinite(action).all()
-    with pytest.raises(PolicyError, match="uint8 image"):
-        policy.act(Observation(np.zeros((256, 256, 3), np.float32), "x", np.zeros(3, np.float32), 0.8, 0.0, 0.0))
+    with pytest.raises(PolicyError, match="uint8 images of shape"):
+        policy.act(Observation(np.zeros((64, 64, 3), np.uint8), "x", np.zeros(3, np.float32), 0.8, 0.0, 0.0))
 
 
 def test_it_plays_its_chunk_and_a_new_stage_drops_the_rest(checkpoint):

@@ -17,11 +17,12 @@ import numpy as np
 from cognitivedrone.errors import ModelError, PolicyError, import_extra
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.policies.small import state_of
-from cognitivedrone.types import ActionChunk, EpisodeContext, Observation
+from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, Observation
 
 EXTRA = "lerobot"
 IMAGE_KEY, STATE_KEY, ACTION_KEY = "observation.images.front", "observation.state", "action"
 SHAPES = {STATE_KEY: (5,), ACTION_KEY: (4,)}
+_IMAGE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 WEIGHTS = "model.safetensors"
 FILES = ("config.json", WEIGHTS, "policy_preprocessor.json", "policy_postprocessor.json")
 
@@ -58,8 +59,8 @@ class LeRobot(Policy):
     def act(self, observation: Observation) -> ActionChunk:
         """The next command, (1, 4); raises `PolicyError` for an image that is not uint8 (256, 256, 3)."""
         torch, image = self._torch, observation.image
-        if image.dtype != np.uint8 or image.ndim != 3:
-            raise PolicyError(f"the policy needs a uint8 image (256, 256, 3), got {image.dtype} {image.shape}")
+        if image.dtype != np.uint8 or image.shape != _IMAGE:
+            raise PolicyError(f"the policy needs uint8 images of shape {_IMAGE}, got {image.dtype} {image.shape}")
         with torch.inference_mode():
             seen = self._before(
                 {
