@@ -289,6 +289,7 @@ class Witness(threading.Thread):
     def stop(self) -> None:
         self._stopping.set()
         self.join(2 * ANSWER_S)
+        self._peer.close()
 
 
 def fuzz(port: int, messages: int, seed: int) -> tuple[Counter[tuple[str, str]], Witness]:
