@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from cognitivedrone.errors import RunError
 
 
-class Shard(NamedTuple):
+@dataclass(frozen=True, order=True, slots=True)
+class Shard:
     """Part `number` of `count`, written "2/8": every eighth episode, from the second."""
 
     number: int
