@@ -18,7 +18,7 @@ def main(path: str) -> None:
     with av.open(path, "w") as file:
         video = file.add_stream("libx264", rate=10, width=256, height=256, pix_fmt="yuv420p")
         while not ended:
-            file.mux(video.encode(av.VideoFrame.from_ndarray(env.render())))  # type: ignore[arg-type]
+            file.mux(video.encode(av.VideoFrame.from_ndarray(env.render())))
             ended = any(env.step(expert.command())[2:4])  # terminated, truncated
         file.mux(video.encode())
     env.close()

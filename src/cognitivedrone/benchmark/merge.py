@@ -153,7 +153,7 @@ def _platform(parts: Sequence[_Part]) -> dict[str, str]:
     return {key: " and ".join(values) for key, values in found.items()}
 
 
-def _tracks(facts: RunFacts) -> tuple[Track, ...]:
+def _tracks(facts: RunFacts) -> Sequence[Track]:
     """The tasks of a suite of the package, whose instructions the report shows; none for tasks from files."""
     name, size = facts.suite.name, facts.suite.size
     if name in SUITES or name == TRAIN_NAME:
