@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from typing import Any, Final, Literal, TypeAlias, get_args
+from typing import Any, Final, Literal, TypeAlias, cast, get_args
 
 import numpy as np
 
@@ -80,6 +80,7 @@ def read_observation(message: Message, time_s: float) -> Observation:
             f"{STATE} is {state.dtype} {state.shape}; expected (5,) numbers: velocity x, y, z in m/s, height in m and"
             " yaw rate in rad/s",
         )
+    state = state.astype(np.float64)
     if not (np.abs(state) <= LARGEST_STATE).all():  # nor are NaNs
         raise MessageError("bad_field", f"{STATE} is {state.tolist()}; every number is at most {LARGEST_STATE:g}")
     time_given = message.get(TIME, time_s)
@@ -120,8 +121,7 @@ def read_ask(message: Message) -> Ask:
     ask = message.get("ask", "pilot")
     if not isinstance(ask, str) or ask not in get_args(Ask):
         raise MessageError("bad_field", f"ask is {ask!r:.60}; expected {', '.join(get_args(Ask))}")
-    found: Ask = ask
-    return found
+    return cast(Ask, ask)
 
 
 def read_resets(message: Message) -> list[EpisodeContext] | None:

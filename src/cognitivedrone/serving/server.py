@@ -56,9 +56,13 @@ def serving(plan: ServePlan) -> Iterator[Address]:
     found: list[Address] = []
     errors: list[BaseException] = []
 
+    def started(address: Address) -> None:
+        found.append(address)
+        ready.set()
+
     def run() -> None:
         try:
-            serve(plan, lambda address: (found.append(address), ready.set())[0], stop)
+            serve(plan, started, stop)
         except BaseException as error:
             errors.append(error)
         finally:
