@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from cognitivedrone import __version__
 from cognitivedrone.control.async_reasoner import Question, SimulatedReasoner, asking, check_guidance
 from cognitivedrone.control.calls import calling
 from cognitivedrone.control.directive_filter import DirectiveFilter
@@ -49,7 +48,6 @@ class Served:
         return {
             OURS: {
                 "protocol": PROTOCOL,
-                "version": __version__,
                 "session": session,
                 "policy": _name(self.spec.policy, POLICIES),
                 "model": self._model,
