@@ -52,7 +52,7 @@ def fly(port: int, requests: int, hz: float, seed: int) -> list[tuple[float, flo
                 time.sleep(max(0.0, begin + request / hz - time.perf_counter()))
             sent = time.perf_counter()
             socket.send(data)
-            answer = unpack(socket.recv(decode=False))
+            answer = unpack(bytes(socket.recv(decode=False)))
             took = 1e3 * (time.perf_counter() - sent)
             timing = answer["server_timing"]
             own = timing["infer_ms"] + timing["wait_ms"]

@@ -17,13 +17,11 @@ def main(worlds: int = 8, steps: int = 30) -> None:
     for expert, truth in zip(experts, env.unwrapped.truths(), strict=True):  # type: ignore[attr-defined]
         expert.reset(EpisodeContext(truth.task.instruction, ground_truth=truth))
     actions = np.zeros((worlds, 4), dtype=np.float32)
-    frames = 0
     for _ in range(steps):
         for world, expert in enumerate(experts):
-            actions[world] = expert.command()
-        frames += len(observation["image"])
+            actions[world] = expert.command()  # the label of observation["image"][world]
         observation, *_ = env.step(actions)
-    print(f"{frames} frames; the first world is asked: {observation['instruction'][0]}")
+    print(f"{steps * worlds} frames; the first world is asked: {observation['instruction'][0]}")
     env.close()
 
 

@@ -219,12 +219,3 @@ def test_a_folder_that_holds_something_else_is_left_alone(tmp_path):
     assert done.returncode == 2
     assert (tmp_path / "precious.txt").read_text() == "mine"
     assert [path.name for path in tmp_path.iterdir()] == ["precious.txt"]
-
-
-@pytest.mark.parametrize("example", ["gym_loop.py", "expert_data.py"])
-def test_examples_run(example):
-    done = subprocess.run(
-        [sys.executable, ROOT / "examples" / example], capture_output=True, text=True, timeout=120, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout

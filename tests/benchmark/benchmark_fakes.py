@@ -6,7 +6,9 @@ import hashlib
 import os
 import re
 import signal
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -66,6 +68,55 @@ class DyingRunner(FakeRunner):
     def fly(self, episode: int, *, film: bool) -> Rollout:
         if episode == 5:
             os.kill(os.getpid(), signal.SIGKILL)
+        return super().fly(episode, film=film)
+
+
+class LosingRunner(FakeRunner):
+    """Loses something once: the file `lost` beside the run's folder says that it is lost."""
+
+    def __init__(self, job: Job, watch: Watch = NO_WATCH) -> None:
+        super().__init__(job, watch)
+        self.lost = job.plan.out.parent / "lost"
+
+
+class OnceDyingRunner(LosingRunner):
+    """Its process is killed in episode 5, the first time."""
+
+    def fly(self, episode: int, *, film: bool) -> Rollout:
+        if episode == 5 and not self.lost.exists():
+            self.lost.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().fly(episode, film=film)
+
+
+class ActorLosingRunner(LosingRunner):
+    """The process that started it is killed in episode 5, the first time."""
+
+    def fly(self, episode: int, *, film: bool) -> Rollout:
+        if episode == 5 and not self.lost.exists():
+            self.lost.touch()
+            os.kill(os.getppid(), signal.SIGKILL)
+        return super().fly(episode, film=film)
+
+
+class NodeLosingRunner(LosingRunner):
+    """The Ray node whose process is in the file `doomed` is killed in its first episode; no other flies before."""
+
+    def __init__(self, job: Job, watch: Watch = NO_WATCH) -> None:
+        super().__init__(job, watch)
+        self.doomed = int((job.plan.out.parent / "doomed").read_text())
+
+    def fly(self, episode: int, *, film: bool) -> Rollout:
+        actor = os.getppid()
+        node = int(Path(f"/proc/{actor}/stat").read_text().rpartition(")")[2].split()[1])
+        if node == self.doomed:
+            os.kill(node, signal.SIGKILL)
+            self.lost.touch()
+            while os.getppid() == actor:
+                time.sleep(0.01)
+            os._exit(1)
+        while not self.lost.exists():
+            time.sleep(0.01)
         return super().fly(episode, film=film)
 
 

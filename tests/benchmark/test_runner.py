@@ -13,7 +13,7 @@ import pytest
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.records import read_records
 from cognitivedrone.benchmark.runner import Interrupted, command_of, out_of, run
-from cognitivedrone.errors import CognitiveDroneError, RunError
+from cognitivedrone.errors import CognitiveDroneError, MissingExtra, RunError
 from cognitivedrone.tasks import load_suite, open_suite, write_tasks
 from cognitivedrone.tasks.scenario import chain, suite_of
 
@@ -197,11 +197,23 @@ def test_no_more_workers_than_episodes(config):
         ({"wind": -0.5}, "--wind is -0.5"),
         ({"wind": float("inf")}, "--wind is inf"),
         ({"labels": Path("nowhere")}, "--labels nowhere is not a folder"),
+        ({"executor": "ray"}, "--workers 0 flies in this process; leave out --executor ray"),
+        ({"executor": "ray", "workers": 2, "cpus_per_worker": 0}, "--cpus-per-worker is 0"),
+        ({"executor": "ray", "workers": 2, "gpus_per_worker": -1.0}, r"--gpus-per-worker is -1\.0"),
+        ({"gpus_per_worker": 1.0}, "--cpus-per-worker and --gpus-per-worker are for --executor ray"),
+        ({"executor": "ray", "workers": None, "link": "gazebo", "airframe": "iris"}, "flies the one vehicle"),
     ],
 )
 def test_impossible_options_are_refused_before_anything_is_written(config, wrong, message):
     with pytest.raises(CognitiveDroneError, match=message):
         run(config.changed(**wrong), progress=False, runner=RUNNER)
+    assert not config.out.exists()
+
+
+def test_without_ray_the_extra_is_named_before_anything_is_written(config, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(MissingExtra, match=r"cognitivedrone\[ray\]"):
+        run(config.changed(executor="ray", workers=2), progress=False, runner=RUNNER)
     assert not config.out.exists()
 
 

@@ -88,13 +88,23 @@ def server(tiny_model_file):
         yield address
 
 
-ALONE = [name for name in POLICIES if name not in ("openvla", "remote")]
+@pytest.fixture(scope="session")
+def tiny_act(tmp_path_factory):
+    pytest.importorskip("lerobot", reason="lerobot is not installed (docs/integrations.md)")
+    from lerobot_checkpoints import save_act
+
+    return save_act(tmp_path_factory.mktemp("act"))
 
 
-@pytest.fixture(params=[*ALONE, "small:FILE", "openvla:FOLDER,device=cpu", "remote:ws://SERVER"])
+ALONE = [name for name in POLICIES if name not in ("openvla", "lerobot", "remote")]
+
+
+@pytest.fixture(
+    params=[*ALONE, "small:FILE", "openvla:FOLDER,device=cpu", "lerobot:ACT,device=cpu", "remote:ws://SERVER"]
+)
 def name(request):
     """Every policy of the package, models of one's own, and one on a server."""
-    places = {"FILE": "tiny_model_file", "FOLDER": "tiny_openvla", "SERVER": "server"}
+    places = {"FILE": "tiny_model_file", "FOLDER": "tiny_openvla", "ACT": "tiny_act", "SERVER": "server"}
     text = request.param
     for word, fixture in places.items():
         if word in text:

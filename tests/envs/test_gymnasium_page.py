@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import inspect
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
+import av
+import gymnasium
+import numpy as np
 import pytest
 
 from cognitivedrone.envs.gym import CognitiveDroneEnv
@@ -15,7 +19,11 @@ from cognitivedrone.envs.spaces import observation_space
 from cognitivedrone.envs.vector import CognitiveDroneVectorEnv
 from cognitivedrone.plan import Scenario
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "gymnasium.md").read_text()
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "gymnasium.md").read_text()
+ELSEWHERE = {"own_policy.py", "sb3_ppo.py"}
+"""Run by the tests of the README and of the wrappers."""
+EXAMPLES = re.findall(r"\]\(\.\./examples/(\w+\.py)\) \|", PAGE)
 
 
 def first_column(heading: str) -> list[str]:
@@ -41,3 +49,41 @@ def test_it_lists_the_arguments():
 
 def test_it_lists_the_observation():
     assert sorted(first_column("Observation")) == sorted(observation_space())
+
+
+@pytest.mark.parametrize("example", sorted({*EXAMPLES} - ELSEWHERE))
+def test_its_examples_run(example, tmp_path):
+    code = [sys.executable, ROOT / "examples" / example]
+    done = subprocess.run(code, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout or list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("example", EXAMPLES)
+def test_its_examples_are_short(example):
+    assert len((ROOT / "examples" / example).read_text().splitlines()) < 30
+
+
+def test_it_lists_the_examples():
+    assert {*EXAMPLES, "openvla_registration.py"} == {file.name for file in (ROOT / "examples").glob("*.py")}
+
+
+def test_the_example_of_a_video_shows_the_flight_from_its_start(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(ROOT / "examples" / "gym_video.py"))["main"]("flight.mp4")
+    with av.open("flight.mp4") as file:
+        frames = [frame.to_ndarray(format="rgb24").astype(int) for frame in file.decode(video=0)]
+    assert 30 < len(frames) < 300
+    assert frames[0].shape == (256, 256, 3)
+    env = gymnasium.make("cognitivedrone.envs:CognitiveDrone-v1", suite="open-v1:smoke")
+    start = env.reset(seed=0)[0]["image"].astype(int)
+    env.close()
+    assert np.abs(frames[0] - start).mean() < 5
+    assert np.abs(frames[len(frames) // 2] - start).mean() > 10
+
+
+def test_the_example_of_a_policy_counts_what_the_environment_says(capsys):
+    runpy.run_path(str(ROOT / "examples" / "gym_policy.py"))["main"](2)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2
+    assert {line.rpartition(": ")[2] for line in lines} <= {"passed", "wrong_gate", "missed", "collision"}

@@ -280,6 +280,7 @@ def test_several_flights_at_once_get_the_answers_of_each_alone(tiny_model_file, 
         fork.reset(EpisodeContext(TEXT))
     answers = policy.act_batch(forks, several(7))
     for seen, answer in zip(several(7), answers, strict=True):
+        assert not isinstance(answer, Exception)
         alone = Small(str(tiny_model_file))
         alone.reset(EpisodeContext(TEXT))
         assert not isinstance(answer, Exception)

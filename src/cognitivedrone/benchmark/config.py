@@ -29,11 +29,19 @@ class Plan(Options):
     also be measured, or a file with one number of ms per line)."""
     guard: bool = field(default=False, metadata={"identity": "guard", "written": "where set"})
     """Apply the speed and slew limits and the geofence of real flights to every command, and count what they change."""
+    shard: str | None = field(default=None, metadata={"identity": "shard", "written": "where set"})
+    """Fly one part of the run, i/n such as 2/8; `merge` joins the parts of all n."""
     rule: Rule = "through"
     """Scoring rule that the table and the report show first; results.json always contains both."""
     workers: int | None = field(default=None, metadata=_NEVER)
-    """Number of worker processes; the number of cores by default. Results do not depend on it. 0 flies in this process,
-    for debugging; a policy that hangs is then never ended."""
+    """Number of worker processes; the number of cores by default, and with ray as many as the cluster has room for.
+    Results do not depend on it. 0 flies in this process, for debugging; a policy that hangs is then never ended."""
+    executor: Literal["local", "ray"] = field(default="local", metadata=_NEVER)
+    """Where the workers are: `local` processes, or the machines of a `ray` cluster."""
+    cpus_per_worker: int = field(default=1, metadata=_NEVER)
+    """With ray: CPU cores that each worker reserves."""
+    gpus_per_worker: float = field(default=0.0, metadata=_NEVER)
+    """With ray: GPUs that each worker reserves; two workers with 0.5 share one."""
     out: Path | None = field(default=None, metadata=_NEVER)
     """Folder for the results; results/<suite>-<policy>-<reasoner> by default."""
     resume: bool = field(default=False, metadata=_NEVER)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.results import REQUIRED, RunFacts, SuiteFacts, versions
+from cognitivedrone.benchmark.shard import parse_shard
 from cognitivedrone.control.latency import Delays, parse_delays
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import digest_of_file, digest_of_folder
@@ -34,7 +35,8 @@ class Job:
     def episodes(self) -> range:
         """Indices of the tracks to fly."""
         whole, limit = len(self.suite.tracks), self.plan.episodes
-        return range(whole if limit is None else min(limit, whole))
+        episodes = range(whole if limit is None else min(limit, whole))
+        return episodes if self.plan.shard is None else parse_shard(self.plan.shard).of(episodes)
 
 
 def prepare(plan: Plan, *, named: bool = True) -> Job:
@@ -61,7 +63,10 @@ def prepare(plan: Plan, *, named: bool = True) -> Job:
         options={key: options[key] for key in (*REQUIRED, *options)},  # keeps the order of existing files
         versions=versions(),
     )
-    return Job(plan, suite, facts, delays)
+    job = Job(plan, suite, facts, delays)
+    if not job.episodes:
+        raise RunError(f"--shard {plan.shard} has no episode; give at most as many shards as the run has episodes")
+    return job
 
 
 def preflight(job: Job) -> None:
@@ -90,5 +95,20 @@ def _check(plan: Plan) -> None:
         raise RunError(f"--wind is {wind}; it must be 0 m/s or more")
     if plan.vehicle.kind == "mavlink":
         raise RunError(f"--link {plan.vehicle.link}: a real flight cannot be scored; fly it with cognitivedrone fly")
+    _check_executor(plan)
     if plan.vehicle.kind == "gazebo" and plan.workers not in (None, 0, 1):
         raise RunError(f"--link gazebo has a single vehicle, so --workers {plan.workers} is too many; leave it out")
+
+
+def _check_executor(plan: Plan) -> None:
+    if plan.cpus_per_worker < 1:
+        raise RunError(f"--cpus-per-worker is {plan.cpus_per_worker}; it must be at least 1")
+    if not 0 <= plan.gpus_per_worker < math.inf:
+        raise RunError(f"--gpus-per-worker is {plan.gpus_per_worker}; it must be 0 or more")
+    if plan.executor == "local":
+        if plan.changed(cpus_per_worker=1, gpus_per_worker=0.0) != plan:
+            raise RunError("--cpus-per-worker and --gpus-per-worker are for --executor ray; leave them out, or add it")
+    elif plan.workers == 0:
+        raise RunError("--workers 0 flies in this process; leave out --executor ray, or give at least one worker")
+    elif plan.vehicle.kind == "gazebo":
+        raise RunError("--link gazebo flies the one vehicle of this machine; leave out --executor ray")

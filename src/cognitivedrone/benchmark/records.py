@@ -156,11 +156,15 @@ def _same_run(path: Path, facts: RunFacts) -> None:
         found = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise RunError(f"{file} cannot be read ({error}); give another --out, or --overwrite") from None
-    there, here = _flat(found), _flat(encode(facts))
-    differing = [key for key in {**here, **there} if there.get(key) != here.get(key)]
-    if differing:
-        listed = ", ".join(f"{key} is {there.get(key)!r} there and {here.get(key)!r} here" for key in differing[:3])
-        raise RunError(f"{path} contains another run: {listed}; give another --out, or --overwrite")
+    if differing := differences(found, encode(facts)):
+        raise RunError(f"{path} contains another run: {differing}; give another --out, or --overwrite")
+
+
+def differences(there: Any, here: Any, in_there: str = "there", in_here: str = "here") -> str:
+    """How two runs' identities (`RunFacts`, or the content of run.json) differ, as part of a sentence; else empty."""
+    a, b = _flat(encode(there)), _flat(encode(here))
+    differing = [key for key in {**b, **a} if a.get(key) != b.get(key)]
+    return ", ".join(f"{key} is {a.get(key)!r} {in_there} and {b.get(key)!r} {in_here}" for key in differing[:3])
 
 
 def _flat(value: Any, prefix: str = "") -> dict[str, Any]:

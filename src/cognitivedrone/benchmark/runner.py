@@ -18,6 +18,7 @@ from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.episode import PilotRunner
 from cognitivedrone.benchmark.job import Job, preflight, prepare
 from cognitivedrone.benchmark.provenance import platform_facts
+from cognitivedrone.benchmark.ray_pool import RayPool
 from cognitivedrone.benchmark.records import ERRORS_FOLDER, Record, RunFolder, check_folder
 from cognitivedrone.benchmark.report import REPORT_FILE, render_report
 from cognitivedrone.benchmark.results import (
@@ -30,13 +31,14 @@ from cognitivedrone.benchmark.results import (
 )
 from cognitivedrone.benchmark.run_types import Rollout
 from cognitivedrone.benchmark.scoring import counts, passes
+from cognitivedrone.benchmark.shard import parse_shard
 from cognitivedrone.benchmark.workers import RUNNER, InProcess, ProcessPool, WorkerCrash, WorkerPool, make_runner
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import safe_name, writing
 from cognitivedrone.pilot import Pilot
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.terminal import console
-from cognitivedrone.types import EpisodeResult
+from cognitivedrone.types import EpisodeResult, Track
 from cognitivedrone.vehicles.external import LinkReport
 
 ERROR_FILE = "error.txt"
@@ -67,13 +69,12 @@ def run(
         finished = read_results(path)
         if finished.rule == plan.rule:
             return finished
-    workers = min(_workers(plan), max(len(missing), 1))
     with ExitStack() as stack:
         # Write nothing before the workers are ready: a pilot that cannot be made must not change the folder.
         # In older releases of rich, a quiet console ends a status with an empty line.
         screen = console(stderr=True)
         with screen.status("starting the simulators") if progress else nullcontext():
-            pool = _open_pool(job, workers, runner, pilot)
+            pool = _open_pool(job, max(len(missing), 1), runner, pilot)
         stack.enter_context(pool)
         folder = stack.enter_context(RunFolder(path, facts, resume=plan.resume, overwrite=plan.overwrite))
         try:
@@ -94,21 +95,30 @@ def run(
             rule=plan.rule,
             episodes=tuple(record.result for record in records),
             platform=platform_facts(command or command_of(plan), facts.policy, facts.reasoner),
-            timing=_timing(records, max(workers, 1), len(missing), time.perf_counter() - began, link),
+            timing=timing_of(records, pool.size, len(missing), time.perf_counter() - began, link),
         )
-        report = render_report(results, [record.trace for record in records], clips, job.suite.tracks)
-        write_whole(path / REPORT_FILE, report)
-        # Written last: it marks the run as complete.
-        write_results(path / RESULTS_FILE, results)
+        write_products(path, results, records, clips, job.suite.tracks)
     return results
+
+
+def write_products(
+    path: Path, results: Results, records: Sequence[Record], clips: Sequence[Clip] = (), tracks: Sequence[Track] = ()
+) -> None:
+    """Write the report and results.json of a run. `records` are in the order of the results' episodes."""
+    write_whole(path / REPORT_FILE, render_report(results, [record.trace for record in records], clips, tracks))
+    # Written last: it marks the run as complete.
+    write_results(path / RESULTS_FILE, results)
 
 
 def out_of(plan: Plan) -> Path:
     """The run's folder: the one given, or one named after suite, policy and reasoner."""
     if plan.out is not None:
         return plan.out
-    names = [plan.scenario.title, plan.pilot.policy, plan.pilot.reasoner]
-    return results_folder(*names, *(["track"] if plan.scenario.track else []))
+    names = [plan.scenario.title, plan.pilot.policy, plan.pilot.reasoner, *(["track"] if plan.scenario.track else [])]
+    if plan.shard is not None:
+        shard = parse_shard(plan.shard)
+        names.append(f"shard-{shard.number}-of-{shard.count}")
+    return results_folder(*names)
 
 
 def results_folder(*names: str) -> Path:
@@ -121,29 +131,30 @@ def command_of(plan: Plan) -> str:
     return shlex.join(["cognitivedrone", "bench", *plan.words()])
 
 
-def _workers(plan: Plan) -> int:
-    if plan.vehicle.kind == "gazebo":
-        return 0
-    if plan.workers is not None:
-        return plan.workers
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def _open_pool(job: Job, workers: int, runner: str, pilot: Pilot | None) -> InProcess | ProcessPool:
-    """The workers, once at least one is ready."""
+def _open_pool(job: Job, most: int, runner: str, pilot: Pilot | None) -> InProcess | ProcessPool | RayPool:
+    """The workers, at most so many, once one is ready."""
+    plan = job.plan
     if pilot is not None:
         return InProcess(PilotRunner(job, pilot=pilot))
-    if workers == 0:
+    if plan.workers == 0 or plan.vehicle.kind == "gazebo":
         return InProcess(make_runner(runner, job))
-    pool = ProcessPool(job, workers, runner)
+    pool: ProcessPool | RayPool
+    if plan.executor == "ray":
+        pool = RayPool(job, most, runner)
+    else:
+        pool = ProcessPool(job, min(plan.workers or _cores(), most), runner)
     try:
         pool.ready()
     except BaseException:
         pool.stop()
         raise
     return pool
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _fly_missing(
@@ -202,7 +213,8 @@ def _film(pool: WorkerPool, job: Job, records: Sequence[Record]) -> list[Clip]:
     return [clips[episode] for episode in chosen if episode in clips]
 
 
-def _timing(records: Sequence[Record], workers: int, flown: int, wall_s: float, link: LinkReport | None) -> Timing:
+def timing_of(records: Sequence[Record], workers: int, flown: int, wall_s: float, link: LinkReport | None) -> Timing:
+    """The timing of a run that ends now."""
     decisions = [record.trace.decision_s for record in records if math.isfinite(record.trace.decision_s)]
     return Timing(
         finished=datetime.now(UTC).isoformat(timespec="seconds"),

@@ -50,9 +50,21 @@ class WorkerCrash(RunError):
         self.trace = trace
         """The worker's traceback."""
 
+    def __reduce__(self) -> tuple[type[WorkerCrash], tuple[str, str]]:
+        return WorkerCrash, (str(self), self.trace)
+
+
+class WorkerLost(RunError):
+    """A worker was ended from outside; what it was flying can be flown again."""
+
 
 class WorkerPool(Protocol):
     """Flies episodes."""
+
+    @property
+    def size(self) -> int:
+        """Number of workers."""
+        ...
 
     def fly(self, episodes: Sequence[int], *, film: bool = False) -> Iterator[tuple[Rollout, str]]:
         """Fly every episode once; yields rollouts as they finish, with the name of the renderer."""
@@ -65,6 +77,8 @@ class WorkerPool(Protocol):
 
 class InProcess:
     """Flies in this process: no start-up cost, and debuggers work."""
+
+    size = 1
 
     def __init__(self, runner: EpisodeRunner) -> None:
         self._runner = runner
@@ -160,6 +174,11 @@ class ProcessPool:
         except BaseException:
             self.stop()
             raise
+
+    @property
+    def size(self) -> int:
+        """Number of processes."""
+        return len(self._workers)
 
     def _start_worker(self) -> _Worker:
         """A new worker process."""
@@ -257,7 +276,7 @@ class ProcessPool:
                 f"a worker {how} before it was ready; use --workers 0 to fly without workers, or, in a script, call "
                 'run() or evaluate() under if __name__ == "__main__":'
             )
-        raise RunError(
+        raise WorkerLost(
             f"the worker of {self._doing(worker)} {how}; continue with --resume, perhaps with fewer --workers"
         )
 

@@ -13,8 +13,9 @@ from typing import Any
 from rich.progress import Progress, SpinnerColumn, TaskID, TimeElapsedColumn
 
 from cognitivedrone import registry
+from cognitivedrone.cluster import import_ray
 from cognitivedrone.collect.config import CollectPlan
-from cognitivedrone.collect.executors import EXECUTORS, Executor, Job, import_ray, learner_of, open_suite
+from cognitivedrone.collect.executors import EXECUTORS, Executor, Job, learner_of, open_suite
 from cognitivedrone.collect.fleet import FlownEpisode
 from cognitivedrone.collect.recipe import find_recipe
 from cognitivedrone.data.episode import Episode

@@ -19,9 +19,10 @@ from multiprocessing.process import BaseProcess
 from typing import Any
 
 from cognitivedrone import tasks
+from cognitivedrone.cluster import ray_cluster
 from cognitivedrone.collect.fleet import Fleet, FlownEpisode
 from cognitivedrone.collect.recipe import Recipe
-from cognitivedrone.errors import CognitiveDroneError, DataError, MissingExtra, plain_warnings
+from cognitivedrone.errors import CognitiveDroneError, DataError, plain_warnings
 from cognitivedrone.files import digest_of_file
 from cognitivedrone.plan import TaskSource
 from cognitivedrone.policies import make_policy, model_file
@@ -244,29 +245,16 @@ def _work(theirs: Connection, job: Job) -> None:
         theirs.send(_Failed(None, traceback.format_exc()))
 
 
-def import_ray() -> Any:
-    """The Ray module; raises `MissingExtra` if it is not installed."""
-    try:
-        import ray
-    except ImportError:
-        raise MissingExtra("ray", "ray") from None
-    return ray
-
-
 def fly_ray(job: Job, batches: Sequence[Sequence[int]], workers: int) -> Iterator[FlownEpisode]:
     """Fly as tasks of a Ray cluster: the one that `RAY_ADDRESS` names, or one on this machine.
 
     `workers` batches run at a time, one CPU each; the package must be installed on every node. Raises
     `MissingExtra` if Ray is not installed here.
     """
-    ray = import_ray()
-    started = not ray.is_initialized()
-    if started:
-        ray.init(log_to_driver=False)
-    fly: Any = ray.remote(num_cpus=1, num_returns="streaming")(fly_here)
-    todo = deque(batches)
-    pending = [fly.remote(job, todo.popleft()) for _ in range(min(workers, len(todo)))]
-    try:
+    with ray_cluster(DataError) as ray:
+        fly: Any = ray.remote(num_cpus=1, num_returns="streaming")(fly_here)
+        todo = deque(batches)
+        pending = [fly.remote(job, todo.popleft()) for _ in range(min(workers, len(todo)))]
         while pending:
             (ready,), pending = ray.wait(pending, num_returns=1)
             try:
@@ -278,6 +266,3 @@ def fly_ray(job: Job, batches: Sequence[Sequence[int]], workers: int) -> Iterato
                 raise error.cause from None
             pending.append(ready)
             yield flown
-    finally:
-        if started:
-            ray.shutdown()

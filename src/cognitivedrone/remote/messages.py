@@ -121,7 +121,7 @@ def read_ask(message: Message) -> Ask:
     ask = message.get("ask", "pilot")
     if not isinstance(ask, str) or ask not in get_args(Ask):
         raise MessageError("bad_field", f"ask is {ask!r:.60}; expected {', '.join(get_args(Ask))}")
-    return cast(Ask, ask)
+    return cast("Ask", ask)
 
 
 def read_resets(message: Message) -> list[EpisodeContext] | None:

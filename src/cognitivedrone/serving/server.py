@@ -56,13 +56,13 @@ def serving(plan: ServePlan) -> Iterator[Address]:
     found: list[Address] = []
     errors: list[BaseException] = []
 
-    def started(address: Address) -> None:
+    def listening(address: Address) -> None:
         found.append(address)
         ready.set()
 
     def run() -> None:
         try:
-            serve(plan, started, stop)
+            serve(plan, listening, stop)
         except BaseException as error:
             errors.append(error)
         finally:

@@ -1,0 +1,172 @@
+"""Shards of a run, flown apart, are the run again once they are merged; anything else is refused in a sentence."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from cognitivedrone.benchmark.config import Plan
+from cognitivedrone.benchmark.merge import merge
+from cognitivedrone.benchmark.records import read_records
+from cognitivedrone.benchmark.results import read_results
+from cognitivedrone.benchmark.runner import command_of, out_of, run
+from cognitivedrone.benchmark.shard import Shard, parse_shard
+from cognitivedrone.errors import RunError
+from cognitivedrone.tasks import load_suite, write_tasks
+
+RUNNER = "benchmark_fakes:FakeRunner"
+
+
+def lasting(folder: Path) -> dict:
+    """What must be the same as in an undivided run."""
+    document = json.loads((folder / "results.json").read_text())
+    return {key: value for key, value in document.items() if key not in ("timing", "platform")}
+
+
+def fly(config: Plan, shard: str, runner: str = RUNNER) -> Path:
+    out = config.out.parent / f"part-{shard.replace('/', '-of-')}"
+    run(config.changed(shard=shard, out=out), progress=False, runner=runner)
+    return out
+
+
+@pytest.fixture
+def parts(config):
+    return [fly(config, f"{number}/3") for number in (1, 2, 3)]
+
+
+def test_merged_shards_are_the_undivided_run(config, parts, tmp_path):
+    run(config, progress=False, runner=RUNNER)
+    merged = merge([parts[2], parts[0], parts[1]], tmp_path / "merged")
+    assert lasting(tmp_path / "merged") == lasting(config.out)
+    assert read_results(tmp_path / "merged") == merged
+    traces = [read_records(folder) for folder in (tmp_path / "merged", config.out)]
+    assert [(traces[0][e].trace.path == traces[1][e].trace.path).all() for e in range(20)] == [True] * 20
+    page, whole = ((folder / "report.html").read_text() for folder in (tmp_path / "merged", config.out))
+    instruction = next(line for line in whole.splitlines() if "wrong gate" in line and "<tr><td" in line)
+    assert instruction in page
+    assert merged.platform["command"] == command_of(config)
+    assert (merged.timing.workers, merged.timing.episodes_flown) == (3, 20)
+
+
+def test_a_merged_run_goes_on_as_the_undivided_one(config, parts, tmp_path):
+    merge(parts, tmp_path / "merged")
+    again = config.changed(out=tmp_path / "merged", resume=True)
+    assert run(again, progress=False, runner="benchmark_fakes:UnlabelledRunner").timing.episodes_flown == 20
+
+
+def test_a_shard_is_every_nth_episode(config, parts):
+    assert [sorted(read_records(part)) for part in parts] == [[*range(first, 20, 3)] for first in range(3)]
+    results = read_results(parts[1])
+    assert results.run.option("shard") == "2/3"
+    assert [episode.episode for episode in results.episodes] == [1, 4, 7, 10, 13, 16, 19]
+    assert "--shard 2/3" in results.platform["command"]
+
+
+def test_a_killed_shard_is_resumed_as_that_shard(config):
+    with pytest.raises(KeyboardInterrupt, match="after 1 of 6 episodes"):
+        fly(config, "3/3", "benchmark_fakes:InterruptedRunner")
+    out = config.out.parent / "part-3-of-3"
+    with pytest.raises(RunError, match=r"part-3-of-3 is not finished; continue it"):
+        merge([out], config.out)
+    with pytest.raises(RunError, match=r"options\.shard is '3/3' there and '2/3' here"):
+        run(config.changed(shard="2/3", out=out, resume=True), progress=False, runner=RUNNER)
+    assert run(config.changed(shard="3/3", out=out, resume=True), progress=False, runner=RUNNER).timing.workers == 1
+
+
+def test_tracebacks_of_all_shards_are_kept(config, tmp_path):
+    parts = [fly(config, f"{number}/2", "benchmark_fakes:RaisingRunner") for number in (1, 2)]
+    merge(parts, tmp_path / "merged")
+    assert [file.name for file in (tmp_path / "merged" / "errors").iterdir()] == ["episode-0005.txt"]
+
+
+def test_tasks_of_a_file_merge_without_it(config, tmp_path):
+    write_tasks(tmp_path / "mine.json", [track[0] for track in load_suite("open-v1:train", size=6).tracks])
+    config = config.changed(tasks=tmp_path / "mine.json", episodes=None)
+    parts = [fly(config, f"{number}/2") for number in (1, 2)]
+    (tmp_path / "mine.json").unlink()
+    assert merge(parts, tmp_path / "merged").summary().overall.n == 6
+
+
+def damaged(parts: list[Path]) -> list[Path]:
+    records = parts[1] / "episodes.jsonl"
+    records.write_text("".join(records.read_text().splitlines(keepends=True)[:-1]))
+    return parts
+
+
+def renamed(parts: list[Path]) -> list[Path]:
+    """Two shards that claim each other's number."""
+    for part, old, new in ((parts[1], "2/3", "3/3"), (parts[2], "3/3", "2/3")):
+        for name in ("run.json", "results.json"):
+            file = part / name
+            file.write_text(file.read_text().replace(f'"shard": "{old}"', f'"shard": "{new}"'))
+    return parts
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (lambda parts: [], "there is nothing to merge"),
+        (lambda parts: parts[:1], "of 3 shards, 2/3, 3/3 are missing"),
+        (lambda parts: [*parts, shutil.copytree(parts[1], parts[1].parent / "copy")], "are both shard 2/3"),
+        (lambda parts: [*parts, parts[0].parent / "nowhere"], "nowhere does not exist; give the --out folder"),
+        (damaged, "part-2-of-3: its records are not the episodes of its results"),
+        (renamed, "does not hold the episodes of shard"),
+    ],
+)
+def test_what_is_not_every_shard_once_is_refused(parts, given, says, tmp_path):
+    with pytest.raises(RunError, match=says):
+        merge(given(parts), tmp_path / "merged")
+    assert not (tmp_path / "merged").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "shard", "says"),
+    [
+        ({"wind": 0.5}, "3/3", r"part-3-of-3 is a shard of another run: options\.wind_m_s is 0\.5 in .*-3 and 0\.0 in"),
+        ({"policy": "other"}, "3/3", "shard of another run: policy is 'other' in"),
+        ({"rule": "within_1m"}, "3/3", "shows the rule within_1m first"),
+        ({}, "3/4", r"part-1-of-3 is shard 1/3 and .*part-3-of-4 is shard 3/4"),
+    ],
+)
+def test_a_shard_of_another_run_is_refused(config, tmp_path, change, shard, says):
+    parts = [fly(config, "1/3"), fly(config, "2/3"), fly(config.changed(**change), shard)]
+    with pytest.raises(RunError, match=says):
+        merge(parts, tmp_path / "merged")
+
+
+def test_a_whole_run_is_no_shard_and_the_shards_stay(config, parts, tmp_path):
+    run(config, progress=False, runner=RUNNER)
+    with pytest.raises(RunError, match="is not a shard: it was flown without --shard"):
+        merge([config.out], tmp_path / "merged")
+    with pytest.raises(RunError, match="already contains a run"):
+        merge(parts, config.out)
+    with pytest.raises(RunError, match="is one of the shards"):
+        merge(parts, parts[0], overwrite=True)
+    assert merge(parts, config.out, overwrite=True).timing.episodes_flown == 20
+
+
+@pytest.mark.parametrize("text", ["0/3", "4/3", "2", "2/", "1/0", "a/b", "-1/3", "1/2/3", "02/8", "1/10000000"])
+def test_what_is_no_shard_is_refused_before_anything_is_written(config, text):
+    with pytest.raises(RunError, match=r"--shard is .*; give i/n"):
+        run(config.changed(shard=text), progress=False, runner=RUNNER)
+    assert not config.out.exists()
+
+
+def test_a_shard_without_episodes_is_refused(config):
+    with pytest.raises(RunError, match="--shard 21/21 has no episode"):
+        run(config.changed(shard="21/21"), progress=False, runner=RUNNER)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 20])
+def test_shards_divide_a_run(count):
+    parts = [[*Shard(number, count).of(range(20))] for number in range(1, count + 1)]
+    assert sorted(episode for part in parts for episode in part) == [*range(20)]
+    assert max(map(len, parts)) - min(map(len, parts)) <= 1
+    assert parse_shard(str(Shard(1, count))) == Shard(1, count)
+
+
+def test_a_shard_has_a_folder_of_its_own(config):
+    assert out_of(Plan.of(shard="2/8")) == Path("results/open-v1-test-small-none-shard-2-of-8")

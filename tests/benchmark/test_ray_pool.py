@@ -1,0 +1,130 @@
+"""Episodes on a Ray cluster are those of a local run, whatever becomes of its nodes and workers: the extra `ray`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cognitivedrone.benchmark import runner
+from cognitivedrone.benchmark.config import Plan
+from cognitivedrone.benchmark.records import read_records
+from cognitivedrone.benchmark.runner import run
+from cognitivedrone.errors import CognitiveDroneError, RunError
+
+ray = pytest.importorskip("ray", reason="the extra 'ray' is not installed")
+pytestmark = pytest.mark.filterwarnings("ignore")  # Ray's own
+RUNNER = "benchmark_fakes:FakeRunner"
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """One node of two cores; tests may add others."""
+    from ray.cluster_utils import Cluster
+
+    made = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
+    try:
+        ray.init(address=made.address, log_to_driver=False, logging_level="error")
+        yield made
+    finally:
+        ray.shutdown()
+        made.shutdown()
+
+
+@pytest.fixture
+def spread(config, cluster):
+    """The twenty episodes, in two actors."""
+    return config.changed(executor="ray", workers=2)
+
+
+def lasting(folder: Path) -> dict:
+    """What must be the same as in a local run."""
+    document = json.loads((folder / "results.json").read_text())
+    return {key: value for key, value in document.items() if key not in ("timing", "platform")}
+
+
+def local(config: Plan, runner: str = RUNNER, workers: int = 0) -> dict:
+    here = config.changed(out=config.out.parent / "local", executor="local", workers=workers)
+    run(here, progress=False, runner=runner)
+    return lasting(here.out)
+
+
+def test_a_cluster_flies_what_a_local_run_flies(spread):
+    spread = spread.changed(clips=3)
+    results = run(spread, progress=False, runner=RUNNER)
+    assert results.timing.workers == 2
+    assert lasting(spread.out) == local(spread)
+    assert (spread.out / "report.html").read_text().count("<video") == 3
+
+
+def test_killing_a_node_loses_nothing(spread, cluster):
+    node = cluster.add_node(num_cpus=1)
+    (raylet,) = node.all_processes["raylet"]
+    (spread.out.parent / "doomed").write_text(str(raylet.process.pid))
+    spread = spread.changed(workers=3)
+    results = run(spread, progress=False, runner="benchmark_fakes:NodeLosingRunner")
+    assert raylet.process.wait(timeout=60) != 0
+    assert results.timing.episodes_flown == 20
+    assert lasting(spread.out) == local(spread)
+
+
+@pytest.mark.parametrize("name", ["ActorLosingRunner", "OnceDyingRunner"])
+def test_a_worker_that_is_killed_from_outside_is_replaced_and_its_episode_flown_again(spread, name):
+    run(spread, progress=False, runner=f"benchmark_fakes:{name}")
+    assert (spread.out.parent / "lost").exists()
+    assert lasting(spread.out) == local(spread)
+
+
+def test_an_episode_that_costs_every_worker_ends_the_run_which_goes_on_elsewhere(spread):
+    with pytest.raises(RunError, match=r"episode 5 has lost its worker 3 times; continue with --resume.*SIGKILL"):
+        run(spread, progress=False, runner="benchmark_fakes:DyingRunner")
+    assert 5 not in read_records(spread.out)
+    results = run(spread.changed(executor="local", workers=0, resume=True), progress=False, runner=RUNNER)
+    assert results.timing.episodes_flown < 20
+    assert lasting(spread.out) == local(spread)
+
+
+@pytest.mark.parametrize("name", ["CrashingRunner", "HangingRunner"])
+def test_a_policy_that_takes_its_process_down_costs_the_same_as_locally(spread, name):
+    spread = spread.changed(decision_timeout=1.0, episodes=7)
+    run(spread, progress=False, runner=f"benchmark_fakes:{name}")
+    assert lasting(spread.out) == local(spread, f"benchmark_fakes:{name}", workers=1)
+    assert lasting(spread.out)["episodes"][5]["message"]
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("UnlabelledRunner", r"^label 'zebr' is not in the pack; did you mean 'zebra'\?$"),
+        ("BuggyRunner", r"episode 5 .* failed: ZeroDivisionError: a bug in a policy.*error\.txt"),
+    ],
+)
+def test_errors_arrive_as_their_own_sentence(spread, name, says):
+    with pytest.raises(CognitiveDroneError, match=says):
+        run(spread, progress=False, runner=f"benchmark_fakes:{name}")
+
+
+def test_a_node_of_another_version_does_not_fly(spread, monkeypatch):
+    prepare = runner.prepare
+
+    def elsewhere(plan, **options):
+        job = prepare(plan, **options)
+        return replace(job, facts=replace(job.facts, versions={**job.facts.versions, "mujoco": "9.9"}))
+
+    monkeypatch.setattr(runner, "prepare", elsewhere)
+    with pytest.raises(RunError, match=r"node .* would fly another run: versions\.mujoco is '.*' there and '9\.9'"):
+        run(spread, progress=False, runner=RUNNER)
+    assert not spread.out.exists()
+
+
+def test_workers_that_no_node_has_room_for_are_refused(spread):
+    with pytest.raises(RunError, match=r"no node of the Ray cluster has room for a worker \(2 CPU, 1 GPU\)"):
+        run(spread.changed(cpus_per_worker=2, gpus_per_worker=1), progress=False, runner=RUNNER)
+
+
+def test_as_many_workers_as_there_is_room_for(spread):
+    assert run(spread.changed(workers=None), progress=False, runner=RUNNER).timing.workers == 2
+    one = spread.changed(workers=None, cpus_per_worker=2, overwrite=True)
+    assert run(one, progress=False, runner=RUNNER).timing.workers == 1
