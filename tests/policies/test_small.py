@@ -283,6 +283,7 @@ def test_several_flights_at_once_get_the_answers_of_each_alone(tiny_model_file, 
         assert not isinstance(answer, Exception)
         alone = Small(str(tiny_model_file))
         alone.reset(EpisodeContext(TEXT))
+        assert not isinstance(answer, Exception)
         assert np.array_equal(answer, alone.act(seen))
     policy.close()
 

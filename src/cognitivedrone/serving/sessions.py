@@ -49,7 +49,7 @@ class Served:
         return {
             OURS: {
                 "protocol": PROTOCOL,
-                "version": importlib.metadata.version("cognitivedrone"),
+                "version": _version(),
                 "session": session,
                 "policy": _name(self.spec.policy, POLICIES),
                 "model": self._model,
@@ -183,3 +183,11 @@ def _name(text: str, known: dict[str, str]) -> str:
     """A plug-in's name without its arguments, which may name files of this machine."""
     parts = text.split(":")
     return parts[0] if parts[0] in known else ":".join(parts[:2])
+
+
+def _version() -> str:
+    """Of this package; sources that were put on the path, never installed, have none."""
+    try:
+        return importlib.metadata.version("cognitivedrone")
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
