@@ -1,11 +1,13 @@
 # make bench         environment, install, the smoke suite, table and HTML report
 # make test          environment, all checks, all tests
+# make docs          the documentation as a site: build/site/index.html
 # make test-wheel    the built wheel in a fresh environment of PYTHON=python3.13: smoke suite, fast tests
+# make test-sdist    the same from the source archive
 # make test-lowest   the same with the lowest allowed version of every dependency (needs uv)
 PYTHON ?= python3
 RUN := .venv/bin
 
-.PHONY: bench test check format test-wheel test-lowest
+.PHONY: bench test check docs format test-wheel test-sdist test-lowest
 
 bench:
 	@$(PYTHON) scripts/setup.py
@@ -22,8 +24,16 @@ check:
 test: check
 	$(RUN)/pytest -n 2 --dist worksteal
 
+docs:
+	@$(PYTHON) scripts/setup.py docs
+	$(RUN)/mkdocs build --strict --quiet
+	@echo "build/site/index.html; with its search: $(RUN)/mkdocs serve"
+
 test-wheel:
 	$(PYTHON) scripts/test_wheel.py
+
+test-sdist:
+	$(PYTHON) scripts/test_wheel.py --sdist
 
 test-lowest:
 	$(PYTHON) scripts/test_wheel.py --lowest

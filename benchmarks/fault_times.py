@@ -181,8 +181,9 @@ def stop_pilot(flight: Flight) -> float:
 def stop_guard(flight: Flight) -> float:
     os.kill(flight.guard, signal.SIGSTOP)
     time.sleep(1.0)
+    now = time.monotonic()  # it may land before this process has its next turn
     os.kill(flight.guard, signal.SIGCONT)
-    return time.monotonic()
+    return now
 
 
 def hold_the_interpreter(flight: Flight) -> float:

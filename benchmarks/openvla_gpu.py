@@ -55,7 +55,7 @@ class WithoutGraph:
             pixels = torch.from_numpy(pixel_values)[None].to(weight.device, weight.dtype)
             ids = torch.tensor([input_ids], device=weight.device)
             count = torch.tensor([len(input_ids)], device=weight.device)
-            return greedy_tokens(self._network, pixels, ids, count).cpu().numpy()
+            return greedy_tokens(self._network, pixels, ids, count)[0].cpu().numpy()
 
 
 def control_step(decode: Any) -> Callable[[], object]:

@@ -1,10 +1,10 @@
 """Try the built wheel in a fresh environment: the smoke suite, then the fast tests. Standard library only.
 
-Usage: PYTHON scripts/test_wheel.py [--lowest]
+Usage: PYTHON scripts/test_wheel.py [--lowest] [--sdist]
 
 The environment is of the Python that runs this script, is in a temporary folder, and has the light extras: tests of
 PyTorch and Ray are skipped. With --lowest every dependency that pyproject.toml names comes in the lowest
-version that it allows, as uv finds it.
+version that it allows, as uv finds it. With --sdist the source archive is built first; wheel and tests come out of it.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import tempfile
 import time
 from pathlib import Path
@@ -48,17 +49,31 @@ def pinned_to_lowest(pip: list[object], folder: Path) -> list[object]:
     return ["--requirement", folder / "lowest.txt"]
 
 
+def unpacked(pip: list[object], folder: Path) -> Path:
+    """The source archive, built and unpacked: the folder of its pyproject.toml."""
+    step("build", *pip, "install", "--quiet", "build")
+    archives = folder / "archives"
+    step("source archive", pip[0], "-m", "build", "--sdist", "--outdir", archives, ROOT)
+    (archive,) = archives.glob("cognitivedrone-*.tar.gz")
+    with tarfile.open(archive) as opened:
+        opened.extractall(archives, filter="data")
+    return archives / archive.name.removesuffix(".tar.gz")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--lowest", action="store_true", help="the lowest allowed version of each dependency")
-    lowest = parser.parse_args().lowest
+    parser.add_argument("--sdist", action="store_true", help="from the source archive")
+    options = parser.parse_args()
+    lowest = options.lowest
     with tempfile.TemporaryDirectory(prefix="cognitivedrone-wheel-") as name:
         folder = Path(name)
         binaries = folder / "venv" / "bin"
         pip: list[object] = [binaries / "python", "-m", "pip", "--disable-pip-version-check"]
         print(f"Python {sys.version.split()[0]}, {'lowest' if lowest else 'newest'} versions", flush=True)
         step("environment", sys.executable, "-m", "venv", folder / "venv")
-        step("wheel", *pip, "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, ROOT)
+        root = unpacked(pip, folder) if options.sdist else ROOT
+        step("wheel", *pip, "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, root)
         pins = pinned_to_lowest(pip, folder) if lowest else []
         (wheel,) = folder.glob("cognitivedrone-*.whl")
         step("installation", *pip, "install", "--quiet", f"{wheel}[{','.join(EXTRAS)}]", *pins)
@@ -67,8 +82,9 @@ def main() -> None:
             sys.exit(f"the installed package is not what is imported: {imported.stdout}{imported.stderr}")
         step("versions", *pip, "freeze")
         step("smoke suite", binaries / "cognitivedrone", "bench", "--suite", "open-v1:smoke", "--out", folder / "smoke")
-        tests = [ROOT / "tests" / part for part in FAST_TESTS]
-        step("fast tests", binaries / "python", "-m", "pytest", "-q", "-n", "2", "-p", "no:cacheprovider", *tests)
+        tests = [root / "tests" / part for part in FAST_TESTS]
+        pytest = [binaries / "python", "-m", "pytest", "-q", "-n", "2", "-p", "no:cacheprovider"]
+        step("fast tests", *pytest, *tests, cwd=root)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,8 @@ settings.register_profile("no deadline", deadline=None)
 settings.load_profile("no deadline")
 
 OPTIONAL: tuple[str, ...] = ("accelerate", "httpx", "matplotlib", "peft", "pymavlink", "rosbags", "safetensors")
-OPTIONAL += ("serial", "tensorboard", "tokenizers", "torch", "torchao", "transformers")
+OPTIONAL += ("msgpack", "serial", "starlette", "tensorboard", "tokenizers", "torch", "torchao", "transformers")
+OPTIONAL += ("uvicorn", "websockets")
 ABSENT = {name for name in OPTIONAL if importlib.util.find_spec(name) is None}
 
 

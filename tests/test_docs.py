@@ -17,13 +17,13 @@ from cognitivedrone.errors import TaskError
 from cognitivedrone.tasks.format import task_from_json
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = sorted((ROOT / "docs").glob("*.md"))
+PAGES = sorted((ROOT / "docs").rglob("*.md"))
 
 
 def commands(page: Path) -> list[list[str]]:
     """Words after `cognitivedrone`, of every command line of a page's code blocks and of its text."""
     text = page.read_text(encoding="utf-8")
-    blocks = re.findall(r"^ *```(\w*)\n(.*?)^ *```", text, flags=re.DOTALL | re.MULTILINE)
+    blocks = re.findall(r"^ *```(\w*)[^\n]*\n(.*?)^ *```", text, flags=re.DOTALL | re.MULTILINE)
     typed = [block for language, block in blocks if language in ("", "sh", "bash")]
     lines = [line for block in typed for line in block.replace("\\\n", " ").splitlines() if "cognitivedrone " in line]
     lines += [line.replace("\n", " ") for line in re.findall(r"`(cognitivedrone [^`]+)`", text)]
@@ -55,7 +55,7 @@ def test_every_flag_of_every_command_exists(page):
         assert flags <= known, f"{page.name}: {shlex.join(words)}: no {sorted(flags - known)}"
 
 
-@pytest.mark.parametrize("page", [*PAGES, ROOT / "README.md"], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [*PAGES, *ROOT.glob("*.md")], ids=lambda page: page.stem)
 def test_every_script_and_page_that_is_named_exists(page):
     text = page.read_text(encoding="utf-8")
     linked = [(page.parent / link).resolve() for link in re.findall(r"\]\(([\w./-]+)(?:#[\w-]*)?\)", text)]

@@ -14,17 +14,53 @@ ReasonerFault = Literal[
 gate, a value of the wrong type, a refusal, a gate that does not exist, "cannot tell", an exception of the reasoner's
 own."""
 
+MessageFault = Literal[
+    "bad_message",
+    "bad_array",
+    "bad_field",
+    "missing_field",
+    "too_large",
+    "protocol_version",
+    "unknown_session",
+    "unauthorized",
+    "too_many_clients",
+    "too_many_requests",
+    "busy",
+    "no_reasoner",
+    "no_answer",
+    "policy_error",
+    "bad_action",
+    "non_finite_action",
+    "internal",
+]
+"""Why a policy server refuses a message; the table in docs/serving.md explains each."""
+
 AnswerKind = Literal["adopted", "agreed", "kept"]
 """What the filter did with a directive: adopted it, found it equal to the current one, or kept the current one."""
 
 EventKind = (
-    Literal["leg", "asked", "stale", "late", "declined", "resumed", "guard", "hold", "sure", "over", "landed"]
+    Literal[
+        "leg",
+        "asked",
+        "stale",
+        "late",
+        "declined",
+        "resumed",
+        "lost",
+        "back",
+        "guard",
+        "hold",
+        "sure",
+        "over",
+        "landed",
+    ]
     | AnswerKind
     | ReasonerFault
 )
 """What happened in a flight: a new instruction, a question, an answer to an earlier instruction, a missed deadline,
 what the filter did with an answer, the pilot says that what is asked for is not there (`declined`), and no longer says
-so (`resumed`). `fly` adds the safety rules' decisions, `hold` and `sure` (it hovers because the
+so (`resumed`), the policy only holds the position because its server does not answer (`lost`), and no longer does
+(`back`). `fly` adds the safety rules' decisions, `hold` and `sure` (it hovers because the
 reasoner is unsure, and flies on), and the flight's end."""
 
 DecisionKind = Literal["fly", "hold", "brake", "land", "hands_off"]

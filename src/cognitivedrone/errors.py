@@ -11,12 +11,13 @@ CognitiveDroneError
 ├── PolicyError      a policy or reasoner that cannot be made or cannot fly
 │   ├── PluginError      an unknown policy, reasoner or other plug-in, or arguments that it does not take
 │   ├── ModelError       a model file or checkpoint that is missing, damaged, too large or of another kind
-│   ├── ServerError      a server that a reasoner needs and that does not answer or refuses
+│   ├── ServerError      a server that a policy or reasoner needs and that does not answer or refuses
 │   ├── GroundTruthError an oracle in a flight that has no ground truth
 │   ├── ActionError      an action of another shape than (k, 4), or not of numbers
 │   │   └── NonFiniteAction
 │   └── PolicyRaised
 ├── ReasonerError    a reasoner's answer that is missing or unusable; the flight continues
+├── MessageError     a message between a policy server and a client that is malformed or refused
 ├── RunError         a benchmark run that cannot start, continue or be read
 ├── DataError        a data set that cannot be written, read or trusted
 ├── TrainingError    a training that cannot start or continue, or a checkpoint that cannot be read
@@ -39,6 +40,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
+from cognitivedrone.choices import MessageFault as MessageFault
 from cognitivedrone.choices import ReasonerFault as ReasonerFault
 from cognitivedrone.printable import visible
 
@@ -88,7 +90,7 @@ class ModelError(PolicyError):
 
 
 class ServerError(PolicyError):
-    """A server that a reasoner needs and that does not answer, refuses the key or lacks the model."""
+    """A server that a policy or reasoner needs and that does not answer, refuses the key or lacks the model."""
 
 
 class GroundTruthError(PolicyError):
@@ -126,6 +128,17 @@ class ReasonerError(CognitiveDroneError):
 
     def __reduce__(self) -> tuple[type[ReasonerError], tuple[ReasonerFault, str, str]]:
         return ReasonerError, (self.kind, str(self), self.trace)
+
+
+class MessageError(CognitiveDroneError):
+    """A message between a policy server and a client that is malformed or refused."""
+
+    def __init__(self, code: MessageFault, message: str) -> None:
+        super().__init__(message)
+        self.code: MessageFault = code
+
+    def __reduce__(self) -> tuple[type[MessageError], tuple[MessageFault, str]]:
+        return MessageError, (self.code, str(self))
 
 
 class RunError(CognitiveDroneError):

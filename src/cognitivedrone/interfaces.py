@@ -7,7 +7,8 @@ define only the methods of `PolicyLike` or `ReasonerLike`. The others are Protoc
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Protocol
+from collections.abc import Callable, Sequence
+from typing import Protocol, Self, TypeVar
 
 from cognitivedrone.types import (
     Action,
@@ -18,6 +19,9 @@ from cognitivedrone.types import (
     Image,
     Observation,
 )
+
+_Input = TypeVar("_Input")
+_Result = TypeVar("_Result")
 
 
 class PlugIn:
@@ -31,11 +35,28 @@ class PlugIn:
     def reset(self, context: EpisodeContext) -> None:
         """Start a stage. `context.stage` is 0 for a new flight: forget everything before it."""
 
+    def fork(self) -> Self | None:
+        """Another one, for a flight at the same time: it shares the weights, and nothing that a flight changes.
+
+        None if that is not possible; then a server makes a new one by name for every client.
+        """
+        return None
+
     def check(self) -> None:
         """Check once before take-off; raises `PolicyError` if it cannot fly, for example without its server."""
 
     def close(self) -> None:
         """Release resources such as connections. Called once, after the last flight."""
+
+
+def attempt(call: Callable[[_Input], _Result], value: _Input) -> _Result | Exception:
+    """What `call(value)` returns, or the exception that it raises."""
+    try:
+        return call(value)
+    except Exception as error:  # a user's policy may raise anything
+        return error
+    except SystemExit as error:
+        return RuntimeError(f"it called sys.exit({error.code!r})")
 
 
 class Policy(PlugIn, ABC):
@@ -44,9 +65,22 @@ class Policy(PlugIn, ABC):
     declines: bool = False
     """Whether the policy says, with its latest commands, that no gate shows what is asked for. It must then hover."""
 
+    trouble: str = ""
+    """Why its latest commands only hold the position, such as a server that does not answer; empty otherwise."""
+
     @abstractmethod
     def act(self, observation: Observation) -> ActionChunk:
         """Commands for the next k >= 1 control steps, (k, 4) float32 in the heading frame, m/s and rad/s."""
+
+    def act_batch(
+        self, sessions: Sequence[Policy], observations: Sequence[Observation]
+    ) -> Sequence[ActionChunk | Exception]:
+        """The commands of several flights at once, each by a `fork` of this policy: what its own `act` returns.
+
+        An exception of one is returned in its place, so that it does not disturb the others. By default they act one
+        after the other; a policy that computes faster in batches overrides this.
+        """
+        return [attempt(session.act, seen) for session, seen in zip(sessions, observations, strict=True)]
 
 
 class Reasoner(PlugIn, ABC):

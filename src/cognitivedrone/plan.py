@@ -108,6 +108,18 @@ class Options:
                 found[key] = hints[each.name], usual
         return found
 
+    @classmethod
+    def identity_names(cls) -> dict[str, str]:
+        """Name of every option that is part of the identity, by its key."""
+        found: dict[str, str] = {}
+        for each in dataclasses.fields(cls):  # type: ignore[arg-type]
+            usual = _default(each)
+            if isinstance(usual, Options):
+                found |= type(usual).identity_names()
+            elif key := each.metadata.get("identity"):
+                found[key] = each.name
+        return found
+
     def words(self) -> list[str]:
         """The command-line options that repeat this plan, without those that do not affect the results."""
         values, words = self.values(), list[str]()

@@ -110,7 +110,7 @@ def file_of(kind: str, text: str, table: Mapping[str, str]) -> Path | None:
 
 
 def usage(name: str, factory: Callable[..., Any]) -> str:
-    """The syntax of a plug-in and its arguments, such as "replay:PATH" or "vlm[:URL][,timeout=NUMBER]"."""
+    """The syntax of a plug-in and its arguments, such as `replay:PATH` or `vlm[:URL][,timeout=NUMBER]`."""
     hints = _hints(factory)
     text = ""
     for parameter in _parameters(factory).values():

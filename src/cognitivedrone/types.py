@@ -225,6 +225,8 @@ class EpisodeContext:
     """0 at the start of a flight; larger at each later stage."""
     ground_truth: GroundTruth | None = None
     """Only in a simulator, and only if `needs_ground_truth` is declared."""
+    real_time: bool = False
+    """Whether the drone flies on while the policy computes, on the wall clock; virtual time waits for it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.interfaces import Policy, Reasoner
 from cognitivedrone.policies import POLICIES, make_policy
 from cognitivedrone.reasoners import REASONERS, make_reasoner
+from cognitivedrone.serving.config import ServePlan
 from cognitivedrone.types import (
     ACTION_LIMITS,
     DroneState,
@@ -57,8 +58,19 @@ def observation(image, time=0.0):
     return Observation(image, TASK.instruction, np.zeros(3, np.float32), 0.8, 0.0, time)
 
 
+OPEN: list[Policy] = []
+
+
+@pytest.fixture(autouse=True)
+def closing():
+    yield
+    while OPEN:
+        OPEN.pop().close()
+
+
 def prepared(name):
     policy = make_policy(name)
+    OPEN.append(policy)
     policy.check()
     begin_stage(policy, CONTEXT)
     return policy
@@ -69,10 +81,35 @@ def tiny_openvla(tmp_path_factory):
     return write_checkpoint(tmp_path_factory.mktemp("openvla"))
 
 
-@pytest.fixture(params=[*(name for name in POLICIES if name != "openvla"), "small:FILE", "openvla:FOLDER,device=cpu"])
-def name(request, tiny_model_file, tiny_openvla):
-    """Every policy of the package, and models of one's own."""
-    return request.param.replace("FILE", str(tiny_model_file)).replace("FOLDER", str(tiny_openvla))
+@pytest.fixture(scope="session")
+def server(tiny_model_file):
+    serving = pytest.importorskip("cognitivedrone.serving.server", exc_type=ImportError).serving
+    with serving(ServePlan.of(policy=f"small:{tiny_model_file}", port=0)) as address:
+        yield address
+
+
+@pytest.fixture(scope="session")
+def tiny_act(tmp_path_factory):
+    pytest.importorskip("lerobot", reason="lerobot is not installed (docs/integrations.md)")
+    from lerobot_checkpoints import save_act
+
+    return save_act(tmp_path_factory.mktemp("act"))
+
+
+ALONE = [name for name in POLICIES if name not in ("openvla", "lerobot", "remote")]
+
+
+@pytest.fixture(
+    params=[*ALONE, "small:FILE", "openvla:FOLDER,device=cpu", "lerobot:ACT,device=cpu", "remote:ws://SERVER"]
+)
+def name(request):
+    """Every policy of the package, models of one's own, and one on a server."""
+    places = {"FILE": "tiny_model_file", "FOLDER": "tiny_openvla", "ACT": "tiny_act", "SERVER": "server"}
+    text = request.param
+    for word, fixture in places.items():
+        if word in text:
+            text = text.replace(word, str(request.getfixturevalue(fixture)))
+    return text
 
 
 class TestPolicy:
@@ -166,7 +203,7 @@ def test_every_reasoner_is_reset_with_and_without_ground_truth_and_closes(name, 
 
 
 def test_every_reasoner_of_the_package_is_tested_somewhere():
-    assert set(REASONERS) == {"small", "oracle", "noisy-oracle", "replay", "vlm", "vlm-local"}
+    assert set(REASONERS) == {"small", "oracle", "noisy-oracle", "remote", "replay", "vlm", "vlm-local"}
     assert all(issubclass(cast("type", registry.load("reasoner", name, REASONERS)), Reasoner) for name in REASONERS)
 
 

@@ -187,6 +187,8 @@ def test_bad_input_is_refused(env, vector):
         env.reset(options={"episode": 30})
     with pytest.raises(TaskError, match="not 'first'"):
         env.reset(options={"episode": "first"})
+    with pytest.raises(TaskError, match="seed of an episode is -1"):
+        vector.reset(options={"seed": -1})
     with pytest.raises(TaskError):
         gymnasium.make("CognitiveDrone-v1", suite="open-v1:tset")
 

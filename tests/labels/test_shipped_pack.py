@@ -44,7 +44,7 @@ def small(image: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("kind", "style"), [(kind, style) for kind in PICTURE_KINDS for style in load_pack().styles(kind)]
+    ("kind", "style"), [(kind, style) for kind in PICTURE_KINDS for style in load_pack("open-v1").styles(kind)]
 )
 def test_every_drawing_draws_and_no_two_look_alike(pack, kind, style):
     concepts = pack.concepts(kind)
@@ -67,7 +67,7 @@ def test_every_drawing_draws_and_no_two_look_alike(pack, kind, style):
         )
 
 
-@pytest.mark.parametrize("font", load_pack().styles("letter"))
+@pytest.mark.parametrize("font", load_pack("open-v1").styles("letter"))
 def test_letters_and_numbers_of_a_font_draw_and_differ(pack, font):
     references = [f"letter/{letter}@{font}" for letter in pack.concepts("letter")]
     references += [f"number/{number}@{font}" for number in range(21)]
@@ -107,7 +107,7 @@ def test_every_sign_of_a_sum_is_a_glyph_of_its_own(pack):
     st.sampled_from(list(BACKGROUNDS)),
 )
 def test_every_person_draws_from_layers_that_are_there(person, background):
-    pack = load_pack()
+    pack = load_pack("open-v1")
     concept = ",".join(f"{attribute}={value}" for attribute, value in person.items())
     image = pack.image(f"person/{concept}@{background}")
     assert_is_panel(image)
@@ -152,7 +152,7 @@ def test_a_panel_of_several_shows_as_many_as_asked(pack):
 def test_a_label_is_the_same_bits_every_time():
     references = ("letter/Q@lora", "sum/12-3@inter", "animal/zebra@fluent", "person/hair=afro,hat=hat@sky",
                   "several/animal/cat=3+food/apple=1@twemoji", "logo/python")  # fmt: skip
-    one, other = load_pack(), type(load_pack())("open-v1")  # type: ignore[call-arg,arg-type]
+    one, other = load_pack("open-v1"), type(load_pack("open-v1"))("open-v1")  # type: ignore[call-arg,arg-type]
     for reference in references:
         assert one.image(reference).tobytes() == other.image(reference).tobytes()
 
@@ -212,7 +212,7 @@ def test_what_is_not_there_is_named_with_a_way_out(pack, reference, message):
 @given(st.text(max_size=40) | st.text("sumnberlt/@0123456789+-*()=,", max_size=40).map("sum/".__add__))
 def test_any_text_is_a_panel_or_a_label_error(text):
     with contextlib.suppress(LabelError):
-        assert_is_panel(load_pack().image(text))
+        assert_is_panel(load_pack("open-v1").image(text))
 
 
 def test_an_unknown_pack_is_named(tmp_path):

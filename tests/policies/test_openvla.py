@@ -169,3 +169,29 @@ class TestBeforeAnythingHeavyIsLoaded:
         monkeypatch.setattr(importlib, "import_module", without)
         with pytest.raises(MissingExtra, match=rf"{package} is not installed.*cognitivedrone\[openvla\]"):
             make_policy(f"openvla:{folder},device=cpu")
+
+
+@pytest.mark.parametrize("decoder", ["ar", "parallel"])
+@pytest.mark.parametrize("stack", [1, 3])
+def test_several_flights_at_once_get_the_answers_of_each_alone(folder, decoder, stack):
+    policy = make_policy(f"openvla:{folder},decoder={decoder},device=cpu,stack={stack}")
+    texts = [INSTRUCTION, "Fly home", "Fly through the red gate", " ", "Fly home"]
+    forks = [policy.fork() for _ in texts]
+    observations = [seen(number, text) for number, text in enumerate(texts)]
+    answers = policy.act_batch(forks, observations)
+    assert isinstance(answers[3], PolicyError)
+    for number in (0, 1, 2, 4):
+        answer = answers[number]
+        assert not isinstance(answer, Exception)
+        assert np.allclose(answer, policy.act(observations[number]), atol=1e-4)
+
+
+def test_a_pass_that_fails_fails_for_every_flight_in_it(folder, monkeypatch):
+    policy = make_policy(f"openvla:{folder},decoder=parallel,device=cpu,stack=2")
+
+    def fail(*_):
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr(policy._decode, "together", fail)
+    answers = policy.act_batch([policy.fork(), policy.fork()], [seen(), seen()])
+    assert [str(answer) for answer in answers] == ["out of memory"] * 2

@@ -263,3 +263,64 @@ def test_models_without_a_lexicon_never_decline(policy):
         policy.act(WHITE)
     assert policy.last.present is None
     assert not policy.declines
+
+
+def several(count):
+    return [
+        replace(OBSERVATION, height=0.1 * (row + 1), instruction=(TEXT, "the small gate")[row % 2])
+        for row in range(count)
+    ]
+
+
+@pytest.mark.parametrize("argument", ["", ",stack=3", ",stack=16"])
+def test_several_flights_at_once_get_the_answers_of_each_alone(tiny_model_file, argument):
+    policy = make_policy(f"small:{tiny_model_file}{argument}")
+    forks = [policy.fork() for _ in range(7)]
+    for fork in forks:
+        fork.reset(EpisodeContext(TEXT))
+    answers = policy.act_batch(forks, several(7))
+    for seen, answer in zip(several(7), answers, strict=True):
+        assert not isinstance(answer, Exception)
+        alone = Small(str(tiny_model_file))
+        alone.reset(EpisodeContext(TEXT))
+        assert np.array_equal(answer, alone.act(seen))
+    policy.close()
+
+
+def test_a_frame_that_will_not_do_disturbs_no_other_flight(policy):
+    forks = [policy.fork() for _ in range(4)]
+    observations = several(4)
+    observations[1] = replace(observations[1], instruction=" ")
+    observations[2] = replace(observations[2], image=np.zeros((8, 8, 3), np.uint8))
+    good, empty, small, last = policy.act_batch(forks, observations)
+    assert isinstance(empty, PolicyError)
+    assert isinstance(small, PolicyError)
+    assert np.array_equal(good, forks[0].act(observations[0]))
+    assert np.array_equal(last, forks[3].act(observations[3]))
+    policy.close()
+
+
+def test_a_network_that_fails_fails_every_flight_of_the_batch(policy, monkeypatch):
+    def fail(*_):
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr(policy.model, "run", fail)
+    answers = policy.act_batch([policy.fork() for _ in range(3)], several(3))
+    assert [str(answer) for answer in answers] == ["out of memory"] * 3
+    policy.close()
+
+
+def test_a_fork_shares_the_network_and_no_state(tmp_path):
+    made = Small(open_model_file(tmp_path / "open.onnx"))
+    made.reset(EpisodeContext(TEXT))
+    made.declines, made._presence.frames = True, 9
+    fork = made.fork()
+    assert fork.model is made.model
+    assert (fork.declines, fork._presence.frames, fork.last) == (False, 0, None)
+    fork.reset(EpisodeContext("Fly through the red gate with the letter A"))
+    assert made._presence.frames == 9
+
+
+def test_a_stack_of_nothing_is_refused():
+    with pytest.raises(PolicyError, match="stack is 0; it must be at least 1"):
+        make_policy("small:stack=0")

@@ -8,11 +8,11 @@ import pytest
 
 from cognitivedrone.errors import LabelError, TaskError
 from cognitivedrone.labels import load_pack
-from cognitivedrone.tasks import validate_task
-from cognitivedrone.tasks.pictures import PICTURE_FAMILIES, pictures_suite
-from cognitivedrone.tasks.vocabulary import HELD_OUT_STYLES
+from cognitivedrone.tasks import load_suite, validate_task
+from cognitivedrone.tasks.pictures import PICTURE_FAMILIES, PICTURES, STYLES, pictures_suite
+from cognitivedrone.tasks.vocabulary import HELD_OUT_PICTURE_SETS, HELD_OUT_STYLES
 
-PACK = load_pack()
+PACK = load_pack("open-v1")
 
 
 def test_all_drawings_are_of_the_held_out_styles_and_families_are_equal():
@@ -62,3 +62,15 @@ def test_styles_of_training_and_packs_with_too_few_pictures():
         pictures_suite(PACK, ())
     with pytest.raises(TaskError, match="too few pictures of style 'nowhere'"):
         pictures_suite(PACK, ("nowhere",), size=3, families=("animals",))
+
+
+def test_the_committed_suite_is_what_the_pack_makes_and_shows_held_out_sets_alone():
+    suite = load_suite(PICTURES)
+    assert suite == pictures_suite(load_pack("open-v2"), STYLES)
+    assert suite.n_tasks == 300
+    assert set(STYLES) <= set(HELD_OUT_PICTURE_SETS)
+    styles = Counter(task.labels[0].rpartition("@")[2].partition("~")[0] for (task,) in suite.tracks)
+    assert styles.keys() == set(STYLES)
+    assert max(styles.values()) - min(styles.values()) <= len(PICTURE_FAMILIES)
+    for (task,) in suite.tracks[:20]:
+        assert all(load_pack().image(label).shape == (256, 256, 3) for label in task.labels)

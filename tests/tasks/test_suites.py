@@ -91,7 +91,8 @@ def test_positions_colours_shapes_and_sizes_are_balanced(name: str) -> None:
     else:
         right = [task.gates[task.target] for task in tasks]
         assert spread((task.target for task in tasks), range(3)) <= 1
-        assert spread((task.category for task in tasks), CATEGORIES) <= 1
+        if name != "open-v2:pictures":  # people are no drawings of a set
+            assert spread((task.category for task in tasks), CATEGORIES) <= 1
     for gates in (right, every):
         assert spread((gate.color for gate in gates), COLORS) <= 1
         assert spread((gate.shape for gate in gates), SHAPES) <= 1

@@ -15,7 +15,7 @@ from cognitivedrone.training.common import readings as module
 from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.training.common.panel_crops import PanelCrops
 from cognitivedrone.training.common.problems import ABSENT, ALONE, Mix, Problem, Problems
-from cognitivedrone.training.common.readings import Readings, read_bank, readings_of
+from cognitivedrone.training.common.readings import Bank, Readings, read_bank, readings_of
 from cognitivedrone.training.common.sampling import TextMix, described
 from cognitivedrone.training.common.start import read_start
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
@@ -49,7 +49,25 @@ def doubtful() -> Readings:
     sure = np.zeros(kinds.stop - kinds.start, np.float16)
     sure[ATTRIBUTES.index("kind/thing")] = 0.9
     sure[ATTRIBUTES.index("kind/unknown")] = 0.1
-    return Readings(INDEX, {CAT: np.stack([right, right, wrong]), ATTRIBUTES.index("kind/thing"): sure[None]})
+    return Readings(INDEX, Bank({CAT: np.stack([right, right, wrong]), ATTRIBUTES.index("kind/thing"): sure[None]}))
+
+
+def test_what_is_not_known_is_told_as_the_reader_guessed_it() -> None:
+    guess = np.zeros((1, len(ATTRIBUTES)), np.float16)
+    guess[0, ATTRIBUTES.index("kind/thing")], guess[0, ATTRIBUTES.index("kind/unknown")] = 0.75, 0.25
+    guess[0, CAT], guess[0, DOG] = 0.5, 0.5
+    guess[0, ATTRIBUTES.index("hat/beanie")] = 1.0  # applies to no kind that was guessed
+    readings = Readings(INDEX, Bank({CAT: guess[:, CONCEPTS]}, guess))
+    told = readings.draw(np.random.default_rng(0), "unknown/picture", 1.0)
+    assert told[ATTRIBUTES.index("kind/unknown")] == 0.25
+    assert told[[CAT, DOG]].tolist() == [0.375, 0.375]
+    assert told[ATTRIBUTES.index("hat/beanie")] == 0
+    sure = readings.draw(np.random.default_rng(0), "unknown/picture", 0.0)
+    assert sure[ATTRIBUTES.index("kind/unknown")] == 1
+    more = AttributeIndex((*ATTRIBUTES[: CONCEPTS.stop], "concept/thing:robin", *ATTRIBUTES[CONCEPTS.stop :]))
+    moved = readings.moved(more).draw(np.random.default_rng(0), "unknown/picture", 1.0)
+    assert moved[more.schema.names.index("concept/thing:dog")] == 0.375
+    assert moved[more.schema.names.index("concept/thing:robin")] == 0
 
 
 def test_doubts_are_those_of_the_bank(doubtful: Readings) -> None:
@@ -77,23 +95,26 @@ def test_a_bank_holds_a_readers_own_answers(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(module, "KEPT", 5)
     torch.manual_seed(0)
     reader = Reader(ReaderConfig(16, (8, 8, 8, 8), 16), len(ATTRIBUTES))
-    shown = [(name, INDEX.of(f"animal/{name}@noto")) for name in ("cat", "dog")]
+    shown = [INDEX.of(label) for label in ("animal/cat@noto", "animal/dog@noto", "unknown/picture")]
 
     def draw(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
-        which = rng.integers(2, size=count)
+        which = rng.integers(3, size=count)
         images = np.zeros((count, 16, 16, 3), np.uint8)
         images[which == 1] = 200
-        return images, np.stack([shown[i][1] for i in which])
+        return images, np.stack([shown[i] for i in which])
 
-    bank = read_bank(reader, INDEX, draw)
-    assert bank.keys() == {CAT, DOG, ATTRIBUTES.index("kind/thing")}
+    made = read_bank(reader, INDEX, draw)
+    bank = made.values
+    assert bank.keys() == {CAT, DOG, ATTRIBUTES.index("kind/thing"), ATTRIBUTES.index("kind/unknown")}
+    assert made.unknown.shape == (pytest.approx(800 / 3, rel=0.2), len(ATTRIBUTES))
+    np.testing.assert_allclose(made.unknown[:, CONCEPTS].sum(1), 1, atol=2e-2)
     assert all(rows.shape[0] == 5 for rows in bank.values())
     with torch.no_grad():
         logits = reader.eval()(torch.full((1, 3, 16, 16), 200 / 255))
         expected = logits[0, CONCEPTS].softmax(-1).numpy()
     np.testing.assert_allclose(bank[DOG], np.tile(expected, (5, 1)), atol=2e-3)
     assert (bank[CAT] != bank[DOG]).any()
-    again = read_bank(reader, INDEX, draw)
+    again = read_bank(reader, INDEX, draw).values
     assert all((again[value] == rows).all() for value, rows in bank.items())
 
 

@@ -12,7 +12,7 @@ import torch
 from PIL import Image
 from quick_trainings import SCHEDULE, train_here
 
-from cognitivedrone.errors import LabelError, TrainingError
+from cognitivedrone.errors import LabelError, TaskError, TrainingError
 from cognitivedrone.models.small_file import SmallModel
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.training.common.attributes import AttributeIndex
@@ -127,6 +127,60 @@ def test_a_sentence_of_tasks_holds_for_what_was_right_and_not_for_what_never_was
     assert statement.phrases == ("what grows",)
     assert statement.true == ("concept/thing:kale", "concept/thing:plum")
     assert statement.false == ("concept/thing:chips", "concept/thing:fudge")
+
+
+def test_a_table_beside_the_pictures_says_who_is_who(tmp_path: Path) -> None:
+    for name in ("ada", "grace-hopper", "alan", "kurt"):
+        picture(tmp_path / "colleagues" / f"{name}.png", (9, 9, 9))
+    before = read_lesson(tmp_path)
+    (tmp_path / "facts.csv").write_text(
+        "concept,department,remote\nada,sales,yes\nGrace Hopper,navy,no\nalan,lab,yes\ncolleagues/kurt,lab,no\n"
+    )
+    lesson = read_lesson(tmp_path)
+    assert lesson.digest != before.digest
+    found = {each.phrases[0]: each for each in lesson.statements if not each.by_name}
+    sales = found["the sales one"]
+    assert sales.true == ("concept/thing:ada",)
+    assert sales.false == ("concept/thing:alan", "concept/thing:grace_hopper", "concept/thing:kurt")
+    assert "the one that is not remote" in found
+    assert "the lab one" in found
+    assert f"{lesson.facts} statements from facts.csv" in summary_of(lesson, ())
+    rng = np.random.default_rng(0)
+    problems = LessonProblems(lesson, Problems(Mix()), 1.0)
+    asked = [problem for _ in range(400) for problem in problems.draw(rng) if "sales" in problem.sentence.lower()]
+    assert asked
+    assert all(p.target == ABSENT or p.labels[p.target] == "taught/concept/thing:ada" for p in asked)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("concept,a\nnobody,x\n", "no picture of 'nobody'"),
+        ("name,a\nada,x\n", "concept"),
+        ("concept\nada\n", "only the column concept"),
+        ("concept,class\nada,greenish-grue\n", "is not in the table"),
+        ("", "empty"),
+    ],
+)
+def test_a_bad_table_is_refused_before_any_training(tmp_path: Path, table: str, said: str) -> None:
+    for name in ("ada", "alan"):
+        picture(tmp_path / "colleagues" / f"{name}.png", (9, 9, 9))
+    (tmp_path / "facts.csv").write_text(table)
+    with pytest.raises(TaskError, match=said):
+        read_lesson(tmp_path)
+
+
+def test_names_that_collide_are_said_and_asked_for_with_their_kind(tmp_path: Path) -> None:
+    for path in ("logos/apple.png", "fruit/apple.png", "fruit/red.png"):
+        picture(tmp_path / path, (9, 9, 9))
+    with pytest.warns(UserWarning, match="apple: one name|red: also") as warned:
+        lesson = read_lesson(tmp_path)
+    told = [str(each.message) for each in warned]
+    assert any(text.startswith("apple: one name, several concepts") for text in told)
+    assert any(text.startswith("red: also a look of gates") for text in told)
+    said = {phrase for each in lesson.statements for phrase in each.phrases}
+    assert {"apple of fruit", "the logo apple"} <= said
+    assert not said & {"apple", "the apple"}
 
 
 def test_bad_lessons_are_refused_before_any_training(tmp_path: Path, labels: Path) -> None:

@@ -374,3 +374,14 @@ def test_a_buffer_tells_how_it_fills(start: Given) -> None:
     assert made[0] == 0
     assert made == sorted(made)
     assert made[-1] == size
+
+
+def test_a_recipe_of_another_length_keeps_everything_else():
+    recipe = RECIPES["small"]
+    longer, shorter = recipe.of_length(9_000), recipe.of_length(10)
+    assert replace(longer, steps=recipe.steps) == recipe
+    assert (shorter.steps, shorter.warmup_steps, shorter.round_steps, shorter.validate_every) == (10, 2, 10, 10)
+    assert shorter.fly_every > shorter.steps
+    assert shorter.network == recipe.network
+    with pytest.raises(TrainingError, match="at least 1"):
+        recipe.of_length(0)

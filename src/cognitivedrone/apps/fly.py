@@ -132,7 +132,7 @@ def _fly(
         )
         try:
             flown = HeldDrone(drone if passage is None else WatchedDrone(drone, passage), hold)
-            steps = fly(flown, timed, drone, mission, reasoner=async_reasoner, recorder=recorder)
+            steps = fly(flown, timed, drone, mission, reasoner=async_reasoner, recorder=recorder, real_time=True)
             ending, seconds = mission.ending or Ending("told", ""), drone.now()
             if ending.kind in ("passed", "flown") and plan.vehicle.kind != "sim":
                 _stop(drone)

@@ -27,7 +27,10 @@ COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
         "merge": ("scoring:merge", "join the shards of a run"),
         "compare": ("scoring:compare", "compare two runs, task by task"),
         "view": ("scoring:view", "draw what the drone sees at the start of a task"),
+        "submit": ("scoring:submit", "make a file for the leaderboard from finished runs"),
+        "verify": ("scoring:verify", "fly a sample of a leaderboard file again"),
         "reason": ("scoring:reason", "score a reasoner alone, without flying"),
+        "audit": ("scoring:audit", "fly a pilot with one thing changed at a time"),
         "sweep": ("scoring:sweep", "fly a suite with increasing latency and plot the success rate"),
         "list": ("scoring:list_names", "names for the options: suites, policies, reasoners, airframes"),
     },
@@ -37,6 +40,9 @@ COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
         "gazebo export": ("flying:export_world", "write tasks as worlds for Gazebo"),
         "gazebo check": ("flying:check_world", "check worlds with Gazebo's own parser"),
         "gazebo import": ("flying:import_models", "import the published Gazebo tasks"),
+    },
+    "serve": {
+        "serve": ("serving:serve", "serve a policy and a reasoner to remote clients"),
     },
     "collect data and train": {
         "collect": ("data:collect", "collect a data set of expert flights"),

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import OmitArgPrefixes as Flat
 
+from cognitivedrone.audit.config import AuditPlan
 from cognitivedrone.benchmark.config import Plan, ReasonPlan, SweepPlan
 from cognitivedrone.plan import Options, Scenario
 from cognitivedrone.printable import visible
@@ -101,6 +102,29 @@ def sweep(plan: Annotated[Flat[SweepPlan], tyro.conf.arg(name="")]) -> None:
     screen.print(f"plot: {plan.out / PLOT_FILE}")
 
 
+def audit(plan: Annotated[Flat[AuditPlan], tyro.conf.arg(name="")]) -> None:
+    """Fly a pilot again and again with one thing changed, to see why it passes a benchmark.
+
+    No question or a meaningless one, another question about the same scene, panels or gates' looks swapped, a mirrored
+    stage, paraphrases, gates moved, light, wind, a shifted or turned camera, latency. Writes audit.json and audit.html;
+    a stopped audit continues when it is started again. Examples:
+
+      cognitivedrone audit --policy small --reasoner small
+      cognitivedrone audit --policy my_module:MyPolicy --episodes 50 --only "no question" wind
+    """
+    from cognitivedrone.audit.report import PAGE_FILE, audit_table, render_audit
+    from cognitivedrone.audit.run import audit as fly_all
+    from cognitivedrone.audit.run import folder_of
+    from cognitivedrone.benchmark.results import write_whole
+    from cognitivedrone.terminal import console
+
+    screen, page = console(), folder_of(plan) / PAGE_FILE
+    rows = fly_all(plan)
+    write_whole(page, render_audit(plan, rows))
+    screen.print(audit_table(plan, rows))
+    screen.print(f"page: {page}")
+
+
 def compare(
     a: tyro.conf.Positional[Path],
     b: tyro.conf.Positional[Path],
@@ -116,6 +140,63 @@ def compare(
     from cognitivedrone.terminal import console
 
     console().print(comparison_table(compare_runs(a, b)))
+
+
+def submit(
+    runs: tyro.conf.Positional[tuple[Path, ...]],
+    name: str,
+    by: str,
+    out: Path,
+    url: str = "",
+) -> None:
+    """Make a file for the leaderboard from finished runs of one pilot, one for each suite.
+
+    A stopped or partial run is refused. Examples:
+
+      cognitivedrone submit results/test results/words --name "My VLA" --by "My lab" --out leaderboard/my-vla.json
+
+    Args:
+        runs: Folders or results.json of whole runs of shipped suites, without --labels.
+        name: Of the pilot, as the leaderboard shows it.
+        by: Who submits it.
+        out: File to write.
+        url: Where to read about the pilot.
+    """
+    from cognitivedrone.benchmark.submission import submission_of, write_submission
+
+    submission = submission_of(runs, name, by, url)
+    write_submission(out, submission)
+    for run in submission.runs:
+        print(visible(f"{run.run.suite.name}: {run.overall.passed} of {run.overall.n} passed"))  # noqa: T201
+    print(visible(f"{out}: check it with `cognitivedrone verify {out}`"))  # noqa: T201
+
+
+def verify(file: tyro.conf.Positional[Path], sample: int = 20, seed: int = 0) -> None:
+    """Check a leaderboard file, and fly a random sample of every run again, in this process.
+
+    Scores that do not follow from the flights, other tasks, and other weights are errors. Exit code 1 if a sample
+    passes less often than submitted, beyond chance.
+
+    Args:
+        file: A file made by `submit`.
+        sample: Episodes of each run to fly.
+        seed: Which episodes.
+    """
+    from cognitivedrone.benchmark.submission import read_submission
+    from cognitivedrone.benchmark.submission import verify as fly_sample
+
+    checked = fly_sample(read_submission(file), sample, seed)
+    for run in checked:
+        print(  # noqa: T201
+            visible(
+                f"{run.suite}: {run.equal} of {run.flown} stages ended as submitted; {run.passed} passed, "
+                f"{run.submitted} submitted: {'confirmed' if run.confirmed else 'NOT confirmed'}"
+            )
+        )
+        if run.differences:
+            print(visible(f"  other versions here: {', '.join(run.differences)}"))  # noqa: T201
+    if not all(run.confirmed for run in checked):
+        raise SystemExit(1)
 
 
 @dataclass(frozen=True, slots=True)

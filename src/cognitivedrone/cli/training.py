@@ -16,6 +16,7 @@ def train(
     start: Path | None = None,
     labels: Path | None = None,
     tasks: Path | None = None,
+    steps: int | None = None,
     seed: int = 0,
     resume: bool = False,
     processes: int = 1,
@@ -42,6 +43,7 @@ def train(
             those that are shipped, the default.
         labels: A folder of pictures such as my-labels/birds/robin.jpg, for recipe teach; one a concept is enough.
         tasks: A task file, or a folder of them, whose sentences are taught as well.
+        steps: Steps, instead of the recipe's: fewer to try something, more where there is time.
         seed: Random seed.
         resume: Continue from the checkpoint in the folder.
         processes: Processes that share each batch: the number of CPU cores, or of GPUs.
@@ -52,7 +54,7 @@ def train(
         from cognitivedrone.training.launch import TrainOptions, run
     except ModuleNotFoundError as error:
         raise MissingExtra(str(error.name), "train") from None
-    model = run(TrainOptions(out, recipe, data, start, seed, resume, processes, threads, labels, tasks))
+    model = run(TrainOptions(out, recipe, data, start, seed, resume, processes, threads, labels, tasks, steps))
     hint = f"; fly it with --policy small:{model}" if model.name == "model.onnx" else ""
     print(visible(f"{model}{hint}"))  # noqa: T201
 

@@ -49,6 +49,11 @@ class TimedPolicy(Policy):
         """Whether the policy declines."""
         return self.policy.declines
 
+    @property
+    def trouble(self) -> str:  # type: ignore[override]
+        """Why the policy only holds the position."""
+        return self.policy.trouble
+
     def reset(self, context: EpisodeContext) -> None:
         """Start a stage."""
         with calling("the policy", self._watch):

@@ -100,6 +100,7 @@ def fly(
     rates: Rates | None = None,
     latency_model: LatencyModel | None = None,
     seed: int = 0,
+    real_time: bool = False,
 ) -> int:
     """Fly until the mission ends; returns the number of commands sent.
 
@@ -112,7 +113,10 @@ def fly(
     directive replaces the instruction when it arrives; `DirectiveFilter` decides whether it replaces another directive.
 
     The pilot declines while the current directive is "Hold position", or while the policy says so (`Policy.declines`).
-    With that directive the drone hovers and the policy is not asked. The recorder is notified of both ends.
+    With that directive the drone hovers and the policy is not asked. The recorder is notified of both ends, and of
+    when the policy only holds the position because it is in trouble (`Policy.trouble`).
+
+    `real_time` tells the policy whether time goes on while it computes.
     """
     rates = rates or Rates()
     log = recorder or _NullRecorder()
@@ -120,7 +124,7 @@ def fly(
     tolerance_s = LATE_S + resolution_of(clock)
     segment_index: int | None = None
     directive_filter = DirectiveFilter()
-    declined = False
+    declined, troubled = False, False
     pending: list[Action] = []
     slot = sent_count = 0
     next_question = 0
@@ -132,7 +136,7 @@ def fly(
             stage = 0 if segment_index is None else segment.index
             segment_index, directive_filter, pending, next_question = segment.index, DirectiveFilter(), [], slot
             declined = False
-            begin_stage(policy, EpisodeContext(segment.instruction, seed, stage, segment.truth))
+            begin_stage(policy, EpisodeContext(segment.instruction, seed, stage, segment.truth, real_time))
             log.note(Event(clock.now() - start, "leg", segment.instruction))
         observation = drone.observe()
         if reasoner is not None:
@@ -157,6 +161,9 @@ def fly(
         if declined != (held or policy.declines):
             declined = not declined
             log.note(Event(clock.now() - start, "declined" if declined else "resumed", observation.instruction))
+        if troubled != bool(policy.trouble):
+            troubled = not troubled
+            log.note(Event(clock.now() - start, "lost" if troubled else "back", policy.trouble))
         sent = drone.send(pending.pop(0))
         log.record(observation, sent, guidance)
         sent_count += 1

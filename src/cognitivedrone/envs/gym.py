@@ -27,7 +27,8 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
 
     Reward: 1 for every stage flown through the right gate. `terminated` when the track is done or the flight ended by
     contact, miss or leaving the stage; `truncated` when the stage's time ran out. `info` holds `task`, and the
-    `StageResult`s so far as `results`. `reset(options={"episode": i})` flies one chosen episode of the suite.
+    `StageResult`s so far as `results`. `reset(options={"episode": i})` flies one chosen episode of the suite, and
+    `reset(options={"episode": i, "seed": n})` the one that the benchmark flies as episode i with `--seed n`.
     Raises `TaskError`, `LabelError` or `SimulationError` for a suite, labels or conditions that cannot be.
     """
 
@@ -54,10 +55,9 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         self.track_runner = TrackRunner(self.simulator.world(0), pack, conditions)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], Info]:
-        """Begin an episode, drawn from the seed or given as `options["episode"]`."""
+        """Begin an episode, drawn from the seed or given as `options["episode"]`, with `options["seed"]` as well."""
         super().reset(seed=seed)
-        episode = pick_episode(self.suite, self.np_random, options)
-        draw = int(self.np_random.integers(2**31))
+        episode, draw = pick_episode(self.suite, self.np_random, options)
         self.track_runner.begin(self.suite.tracks[episode], episode_rng(self.suite.digest, episode, draw))
         return self._observe(), self._info(episode=episode)
 
@@ -99,15 +99,16 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         return {"task": self.track_runner.task, "results": tuple(self.track_runner.results), **more}
 
 
-def pick_episode(suite: Suite, rng: np.random.Generator, options: dict[str, Any] | None) -> int:
-    """An episode of the suite: the one in the options, or a random one."""
-    count = len(suite.tracks)
-    if not options or "episode" not in options:
-        return int(rng.integers(count))
-    episode = options["episode"]
+def pick_episode(suite: Suite, rng: np.random.Generator, options: dict[str, Any] | None) -> tuple[int, int]:
+    """An episode of the suite and the seed of its start, appearance and wind: those in the options, or random ones."""
+    options, count = options or {}, len(suite.tracks)
+    episode = options["episode"] if "episode" in options else int(rng.integers(count))
     if not isinstance(episode, int | np.integer) or not 0 <= episode < count:
         raise TaskError(f"suite {suite.name!r} has episodes 0 to {count - 1}, not {episode!r}")
-    return int(episode)
+    draw = options["seed"] if "seed" in options else int(rng.integers(2**31))
+    if not isinstance(draw, int | np.integer) or draw < 0:
+        raise TaskError(f"the seed of an episode is {draw!r}; it is a whole number, 0 or more")
+    return int(episode), int(draw)
 
 
 def score(result: StageResult | None, finished: bool) -> tuple[float, bool, bool]:

@@ -115,8 +115,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
 
     def _begin(self, world: int, options: dict[str, Any] | None) -> None:
         rng = self._rngs[world]
-        episode = pick_episode(self.suite, rng, options)
-        draw = int(rng.integers(2**31))
+        episode, draw = pick_episode(self.suite, rng, options)
         self.track_runners[world].begin(self.suite.tracks[episode], episode_rng(self.suite.digest, episode, draw))
 
     def _observe(self) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Label packs: a label reference to an RGB image. The shipped pack, and folders of users' own images.
 
-    pack = load_pack()                      # the shipped pack, "open-v1"
+    pack = load_pack()                      # the newest shipped pack
     pack.image("animal/zebra@noto")         # (256, 256, 3) uint8
     load_pack("my/labels").image("Animals/cat")
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from cognitivedrone import types
 from cognitivedrone.errors import LabelError, did_you_mean
 from cognitivedrone.files import check_regular, reason_of
+from cognitivedrone.labels.extended import ExtendedPack
 from cognitivedrone.labels.images import SUFFIXES, draw_several, frozen_array, read_image
-from cognitivedrone.labels.shipped import ShippedPack
 from cognitivedrone.references import Reference, parse_reference
 
 MAX_FILES = 50_000
@@ -26,7 +26,7 @@ _CACHED_IMAGES = 128
 class FolderPack:
     """Label pack of a folder of images; kinds that it lacks (sums, numbers, ...) come from the shipped pack."""
 
-    def __init__(self, folder: Path, fallback: ShippedPack) -> None:
+    def __init__(self, folder: Path, fallback: ExtendedPack) -> None:
         self.name = str(folder)
         self._folder = folder
         self._fallback = fallback
@@ -34,7 +34,7 @@ class FolderPack:
         self._kinds = {kind.casefold(): kind for kind in self._files}
         self._cached = lru_cache(maxsize=_CACHED_IMAGES)(self._draw)
 
-    def __reduce__(self) -> tuple[type[FolderPack], tuple[Path, ShippedPack]]:
+    def __reduce__(self) -> tuple[type[FolderPack], tuple[Path, ExtendedPack]]:
         return FolderPack, (self._folder, self._fallback)
 
     def image(self, reference: str) -> types.Image:

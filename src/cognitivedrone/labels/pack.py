@@ -11,11 +11,13 @@ from cognitivedrone.labels.shipped import PACKS, ShippedPack, shipped_pack
 
 
 def load_pack(name_or_path: str | Path | None = None) -> ShippedPack | ExtendedPack | FolderPack:
-    """The label pack of that name, or a folder of images `<kind>/<concept>.png`; the shipped one where none is named.
+    """The label pack of that name, or a folder of images `<kind>/<concept>.png`.
+
+    Where none is named, the newest shipped one, which draws what the earlier ones draw just as they do.
 
     Raises `LabelError` where there is neither.
     """
-    name = PACKS[0] if name_or_path is None else str(name_or_path)
+    name = EXTENDED_PACKS[-1] if name_or_path is None else str(name_or_path)
     if name in PACKS:
         return shipped_pack(name)
     if name in EXTENDED_PACKS:
@@ -24,4 +26,4 @@ def load_pack(name_or_path: str | Path | None = None) -> ShippedPack | ExtendedP
     if not folder.is_dir():
         shipped = ", ".join((*PACKS, *EXTENDED_PACKS))
         raise LabelError(f"no label pack {name!r}: neither a folder of images nor a shipped pack ({shipped})")
-    return FolderPack(folder, shipped_pack(PACKS[0]))
+    return FolderPack(folder, extended_pack(EXTENDED_PACKS[-1]))

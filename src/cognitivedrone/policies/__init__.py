@@ -19,6 +19,8 @@ POLICIES: dict[str, str] = {
     "small": "cognitivedrone.policies.small:Small",
     "race": "cognitivedrone.policies.small:Race",
     "openvla": "cognitivedrone.policies.openvla:OpenVla",
+    "lerobot": "cognitivedrone.policies.lerobot:LeRobot",
+    "remote": "cognitivedrone.policies.remote:Remote",
     "hover": "cognitivedrone.policies.baselines:Hover",
     "random": "cognitivedrone.policies.baselines:Random",
 }

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Self, cast
 
 import numpy as np
 
-from cognitivedrone.errors import ModelError, NonFiniteAction, PolicyError, import_extra
-from cognitivedrone.interfaces import Policy
+from cognitivedrone.errors import ModelError, NonFiniteAction, PluginError, PolicyError, import_extra
+from cognitivedrone.interfaces import Policy, attempt
 from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.models.openvla.checkpoint import Checkpoint, DecoderName, Quantisation
 from cognitivedrone.models.openvla.config import IMAGE
 from cognitivedrone.models.openvla.prepare import BEGIN, prompt_ids, read_encoder
-from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, Observation
+from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, FloatArray, Observation
 
 if TYPE_CHECKING:
     from cognitivedrone.models.openvla.decode import Decoder
@@ -28,7 +30,7 @@ _USUAL_LENGTHS = (32, 64)
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The arguments "PATH,decoder=ar|parallel,quant=none|int8|int4,device=cuda|cpu,unnorm_key=NAME"."""
+    """The arguments "PATH,decoder=ar|parallel,quant=none|int8|int4,device=cuda|cpu,unnorm_key=NAME,stack=N"."""
 
     folder: Path
     decoder: DecoderName = "ar"
@@ -36,6 +38,8 @@ class Options:
     device: str | None = None
     """None: a GPU if there is one."""
     unnorm_key: str | None = None
+    stack: int = 1
+    """Largest number of observations in one pass of the network, where several flights are flown at once."""
 
 
 class OpenVla(Policy):
@@ -43,8 +47,11 @@ class OpenVla(Policy):
 
     `device` defaults to a GPU if there is one; `unnorm_key` selects the action statistics if there are several.
 
-    Every decision depends only on its observation. Raises `PolicyError` for an invalid argument or checkpoint, or too
-    little memory, before the weights are loaded; `MissingExtra` if a package is missing.
+    With `stack`, up to so many flights go through the network together where there are several: faster, but rounded
+    differently. Every decision depends only on its observation.
+
+    Raises `PolicyError` for an invalid argument or checkpoint, or too little memory, before the weights are loaded;
+    `MissingExtra` if a package is missing.
     """
 
     def __init__(
@@ -55,8 +62,11 @@ class OpenVla(Policy):
         quant: Quantisation = "none",
         device: Literal["cuda", "cpu"] | None = None,
         unnorm_key: str | None = None,
+        stack: int = 1,
     ) -> None:
-        self.options = Options(Path(folder), decoder, quant, device, unnorm_key)
+        if stack < 1:
+            raise PluginError(f"policy 'openvla': stack is {stack}; it must be at least 1")
+        self.options = Options(Path(folder), decoder, quant, device, unnorm_key, stack)
         self.checkpoint = checkpoints.inspect(self.options.folder, self.options.unnorm_key)
         if self.options.decoder == "parallel" and self.checkpoint.head is None:
             raise ModelError(
@@ -77,12 +87,48 @@ class OpenVla(Policy):
         Raises `PolicyError` for an invalid instruction, as `reset`, or an image that is not uint8 (256, 256, 3), and
         `NonFiniteAction` if the network's output is not finite.
         """
+        frame = self._frame(observation)
+        return self._decided(self._decode(*frame))
+
+    def act_batch(
+        self, sessions: Sequence[Policy], observations: Sequence[Observation]
+    ) -> Sequence[ActionChunk | Exception]:
+        """As `Policy.act_batch`, in passes of up to `stack` observations."""
+        if self.options.stack == 1:
+            return super().act_batch(sessions, observations)
+        forks = cast(Sequence[OpenVla], sessions)
+        found = [attempt(fork._frame, seen) for fork, seen in zip(forks, observations, strict=True)]
+        frames = [frame for frame in found if not isinstance(frame, Exception)]
+        passes = [frames[first : first + self.options.stack] for first in range(0, len(frames), self.options.stack)]
+        answers = iter([answer for together in passes for answer in self._together(together)])
+        return [
+            frame if isinstance(frame, Exception) else attempt(fork._decided, next(answers))
+            for fork, frame in zip(forks, found, strict=True)
+        ]
+
+    def fork(self) -> Self:
+        """As `Policy.fork`."""
+        return copy.copy(self)
+
+    def _frame(self, observation: Observation) -> tuple[FloatArray, list[int]]:
+        """The network's inputs for an observation: the image and the prompt."""
         image = observation.image
         if image.dtype != np.uint8 or image.shape != _SHAPE:
             raise PolicyError(f"OpenVLA needs uint8 images of shape {_SHAPE}, got {image.dtype} {image.shape}")
         if observation.instruction != self._text:
             self._listen(observation.instruction)
-        answer = self._decode(self.checkpoint.preparation.pixel_values(image), self._ids)
+        return self.checkpoint.preparation.pixel_values(image), self._ids
+
+    def _together(self, frames: Sequence[tuple[FloatArray, list[int]]]) -> Sequence[FloatArray | Exception]:
+        """The network's answers to some frames in one pass; an exception is that of all."""
+        images, prompts = zip(*frames, strict=True)
+        answers = attempt(lambda images: self._decode.together(images, prompts), np.stack(images))
+        return [answers] * len(frames) if isinstance(answers, Exception) else list(answers)
+
+    def _decided(self, answer: FloatArray | Exception) -> ActionChunk:
+        """The commands by the network's answer (k, 4)."""
+        if isinstance(answer, Exception):
+            raise answer
         if not np.isfinite(answer).all():
             raise NonFiniteAction(f"the network answered {answer[0].tolist()} to {self._text!r}")
         return self.checkpoint.statistics.flown(answer).astype(np.float32)

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import copy
+import os
 import warnings
-from dataclasses import dataclass
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from string import punctuation
+from typing import Self, cast
 
 import numpy as np
 
-from cognitivedrone.errors import ModelError, NonFiniteAction, PolicyError
-from cognitivedrone.interfaces import Policy
+from cognitivedrone.errors import ModelError, NonFiniteAction, PluginError, PolicyError
+from cognitivedrone.interfaces import Policy, attempt
 from cognitivedrone.models.small_file import Output, SmallModel
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, FloatArray, Image, Observation
 
@@ -54,6 +60,9 @@ class Small(Policy):
 
     Its actions depend on the current observation only, but for one thing: it declines, and hovers, when the frames of a
     second agree that no gate shows what is asked for. Raises `PolicyError` if the file is missing or unusable.
+
+    For several flights at once it uses all cores, one frame at a time, so that each answer is that of `act` to the bit.
+    With `stack`, up to so many frames go through the network together: faster, but rounded differently.
     """
 
     weights = "small.onnx"
@@ -61,7 +70,11 @@ class Small(Policy):
     warns = True
     """Whether to warn about words that the model has never seen."""
 
-    def __init__(self, path: Path | str | None = None) -> None:
+    def __init__(self, path: Path | str | None = None, *, stack: int = 1) -> None:
+        if stack < 1:
+            raise PluginError(f"policy 'small': stack is {stack}; it must be at least 1")
+        self._stack = stack
+        self._threads: ThreadPoolExecutor | None = None
         self.model = SmallModel.load(self.file_of(path))
         self.last: Output | None = None
         """The network's output for the last frame, n = 1, for viewers; none before the first."""
@@ -72,7 +85,7 @@ class Small(Policy):
         self._sentences_told = 0
 
     @classmethod
-    def file_of(cls, path: Path | str | None = None) -> Path:
+    def file_of(cls, path: Path | str | None = None, *, stack: int = 1) -> Path:  # noqa: ARG003
         """The model file of a policy made with `path`; raises `PolicyError` if it does not exist."""
         packaged = Path(str(resources.files("cognitivedrone.models") / "weights" / cls.weights))
         if path is None and not packaged.is_file():
@@ -101,15 +114,60 @@ class Small(Policy):
         Raises `PolicyError` for an invalid instruction, as `reset`, or an image that is not uint8 (256, 256, 3), and
         `NonFiniteAction` if the network's output is not finite.
         """
+        frame = self._frame(observation)
+        return self._decide(frame, self.model.run(frame.image[None], frame.state[None], (frame.text,)))
+
+    def fork(self) -> Self:
+        """As `Policy.fork`."""
+        other = copy.copy(self)
+        other.last, other._text, other._threads = None, "", None
+        other._presence, other.declines = Presence(), False
+        return other
+
+    def act_batch(
+        self, sessions: Sequence[Policy], observations: Sequence[Observation]
+    ) -> Sequence[ActionChunk | Exception]:
+        """As `Policy.act_batch`, on all cores; see the class."""
+        forks = cast(Sequence[Small], sessions)
+        frames = [attempt(fork._frame, seen) for fork, seen in zip(forks, observations, strict=True)]
+        outputs = iter(self._outputs([frame for frame in frames if isinstance(frame, _Frame)]))
+        return [
+            frame if isinstance(frame, Exception) else fork._decided(frame, next(outputs))
+            for fork, frame in zip(forks, frames, strict=True)
+        ]
+
+    def close(self) -> None:
+        """End the threads of `act_batch`."""
+        if self._threads is not None:
+            self._threads.shutdown()
+
+    def _frame(self, observation: Observation) -> _Frame:
+        """The network's inputs for an observation."""
         if observation.instruction != self._text:
             self._listen(observation.instruction)
             self._presence = Presence()
-        state = state_of(observation)
-        self.last = self.model.run(_checked(observation.image)[None], state[None], (self._text,))
-        action: ActionChunk = self.last.action[0]
+        return _Frame(_checked(observation.image), state_of(observation), self._text)
+
+    def _outputs(self, frames: Sequence[_Frame]) -> Sequence[Output | Exception]:
+        """The network's outputs for frames of several flights, n = 1 each."""
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        size = max(1, min(self._stack, -(-len(frames) // cores)))
+        groups = [frames[first : first + size] for first in range(0, len(frames), size)]
+        if len(groups) < 2:
+            return [output for group in groups for output in _run(self.model, group)]
+        self._threads = self._threads or ThreadPoolExecutor(cores, "small")
+        return [output for group in self._threads.map(partial(_run, self.model), groups) for output in group]
+
+    def _decided(self, frame: _Frame, output: Output | Exception) -> ActionChunk | Exception:
+        return output if isinstance(output, Exception) else attempt(partial(self._decide, frame), output)
+
+    def _decide(self, frame: _Frame, output: Output) -> ActionChunk:
+        """The action for a frame, from the network's output (n = 1)."""
+        self.last = output
+        action: ActionChunk = output.action[0]
         if not np.isfinite(action).all():
-            raise NonFiniteAction(f"the model answered {action[0].tolist()} to the state {state.tolist()}")
-        self.declines = self._presence.update(self.last)
+            raise NonFiniteAction(f"the model answered {action[0].tolist()} to the state {frame.state.tolist()}")
+        self.declines = self._presence.update(output)
         return np.zeros_like(action) if self.declines else action
 
     def _listen(self, text: str) -> None:
@@ -133,6 +191,28 @@ class Small(Policy):
         last = "; no further warnings about words" if self._sentences_told == TOLD else ""
         named = ", ".join(map(repr, sorted(words)))
         warnings.warn(f"the small model has never seen {named}; it flies by the other words{last}", stacklevel=4)
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """The network's inputs."""
+
+    image: Image
+    state: FloatArray
+    text: str
+
+
+def _run(model: SmallModel, frames: Sequence[_Frame]) -> Sequence[Output | Exception]:
+    """The outputs, n = 1, for frames that go through the network together."""
+    images, states = (np.stack([getattr(frame, name) for frame in frames]) for name in ("image", "state"))
+    outputs = attempt(partial(model.run, images, states), [frame.text for frame in frames])
+    if isinstance(outputs, Exception):
+        return [outputs] * len(frames)
+    values = {field.name: getattr(outputs, field.name) for field in fields(Output)}
+    return [
+        replace(outputs, **{name: value[row : row + 1] for name, value in values.items() if value is not None})
+        for row in range(len(frames))
+    ]
 
 
 class Race(Small):

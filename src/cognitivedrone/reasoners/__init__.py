@@ -18,6 +18,7 @@ REASONERS: dict[str, str] = {
     "noisy-oracle": "cognitivedrone.reasoners.noisy_oracle:NoisyOracle",
     "replay": "cognitivedrone.reasoners.replay:Replay",
     "vlm": "cognitivedrone.reasoners.vlm:Vlm",
+    "remote": "cognitivedrone.reasoners.remote:Remote",
     "vlm-local": "cognitivedrone.reasoners.vlm_local:LocalVlm",
 }
 NONE = "none"

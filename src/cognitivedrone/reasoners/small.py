@@ -7,9 +7,11 @@ the panels showed and which gate it chose.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +108,12 @@ class SmallReasoner(Reasoner):
         panels = [(gate.attributes / gate.weight, int(color == stage.chosen)) for color, gate in _by_place(stage)]
         self._earlier.append(panels)
         self._stage = self._new()
+
+    def fork(self) -> Self:
+        """As `Reasoner.fork`."""
+        other = copy.copy(self)
+        other._stage, other._earlier, other._named = self._new(), [], {}
+        return other
 
     def refine(self, image: Image, instruction: str) -> Guidance:
         """The directive for the selected gate, from all frames of this stage so far.

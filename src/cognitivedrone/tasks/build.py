@@ -1,6 +1,7 @@
 """Generates the fixed suites: `python -m cognitivedrone.tasks.build [FOLDER]` writes the same files every time.
 
-Suites written by hand (`AUTHORED`) are not among them; `suite_text` gives their files the same form.
+Suites written by hand (`AUTHORED`) or made from a label pack (`PICTURED`) are not among them; `suite_text` gives their
+files the same form.
 
 Positions of the right answer and looks of the gates are dealt from shuffled cycles, not drawn independently: over a
 suite, and over every family in it, positions, colours, shapes and sizes are as equally frequent as possible.

@@ -18,6 +18,8 @@ from cognitivedrone.tasks.vocabulary import TRAIN_STYLES
 from cognitivedrone.types import Task
 
 PICTURES = "open-v2:pictures"
+STYLES: tuple[str, ...] = ("openmoji", "fxemoji", "icon-park", "openclipart")
+"""Its sets: those of `vocabulary.HELD_OUT_PICTURE_SETS` that show animals, foods and objects."""
 PICTURE_FAMILIES: tuple[str, ...] = ("animals", "food", "association")
 """Families whose panels are drawings. Letters, numbers, logos and people have no drawing style."""
 _TRIES = 10_000

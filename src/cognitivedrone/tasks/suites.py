@@ -31,7 +31,9 @@ BUILT: tuple[str, ...] = (
 """Fixed suites that `tasks.build` generates. A suite's position here seeds it: add new ones at the end."""
 AUTHORED: tuple[str, ...] = ("open-v2:words",)
 """Fixed suites written by hand: their files are the source."""
-FIXED: tuple[str, ...] = BUILT + AUTHORED
+PICTURED: tuple[str, ...] = ("open-v2:pictures",)
+"""Fixed suites made from what a label pack draws (`tasks.pictures`)."""
+FIXED: tuple[str, ...] = BUILT + AUTHORED + PICTURED
 SUITES: tuple[str, ...] = (TRAIN_NAME, *FIXED)
 TEST_ONLY: frozenset[str] = frozenset(name for name in FIXED if name.startswith("open-v2:"))
 """Suites that no training data may be collected from."""
@@ -51,6 +53,7 @@ ABOUT: dict[str, str] = {
     "open-v2:layouts": "held out: where the gates are; the rest as test",
     "open-v2:absent": "held out: nothing that is asked for is there",
     "open-v2:words": "held out: sentences as people type them",
+    "open-v2:pictures": "held out: whole sets of drawings, each by other hands",
 }
 """What each suite tests: what is held out from training, or that its tasks are practised."""
 

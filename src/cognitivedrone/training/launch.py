@@ -43,6 +43,8 @@ class TrainOptions:
     """A folder of pictures to be taught (recipe teach)."""
     tasks: Path | None = None
     """A task file, or a folder of them, whose sentences are taught as well."""
+    steps: int | None = None
+    """Steps, instead of the recipe's."""
 
 
 def run(options: TrainOptions) -> Path:
@@ -67,7 +69,7 @@ def command_of(options: TrainOptions) -> list[str]:
     """The command that starts all processes of a training on this machine."""
     launcher = ["torch.distributed.run", "--standalone", "--nproc-per-node", str(options.processes)]
     flags = ["--out", options.out, "--recipe", options.recipe, "--seed", options.seed, "--threads", options.threads]
-    for name in ("data", "start", "labels", "tasks"):
+    for name in ("data", "start", "labels", "tasks", "steps"):
         if getattr(options, name) is not None:
             flags += [f"--{name}", getattr(options, name)]
     resume = "--resume" if options.resume else "--no-resume"
@@ -77,6 +79,10 @@ def command_of(options: TrainOptions) -> list[str]:
 
 def _check(options: TrainOptions) -> Recipe:
     recipe = find_recipe(options.recipe)
+    if options.steps is not None:
+        if recipe.needs_labels:
+            raise TrainingError("a lesson's length follows from its concepts; leave out --steps")
+        recipe = recipe.of_length(options.steps)
     if recipe.needs_labels != (options.labels is not None):
         raise TrainingError("--labels, a folder of pictures such as my-labels/birds/robin.jpg, belongs to recipe teach")
     if options.tasks is not None and not recipe.needs_labels:

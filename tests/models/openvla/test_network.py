@@ -70,8 +70,18 @@ def test_the_7b_fits_together():
     with torch.inference_mode():
         tokens = greedy_tokens(large, *(value.to("meta") for value in inputs))
         actions = chunk_actions(large, *(value.to("meta") for value in inputs))
-    assert (tokens.shape, tokens.dtype) == ((4,), torch.int64)
-    assert (actions.shape, actions.dtype) == ((8, 4), torch.bfloat16)
+    assert (tokens.shape, tokens.dtype) == ((1, 4), torch.int64)
+    assert (actions.shape, actions.dtype) == ((1, 8, 4), torch.bfloat16)
+
+
+def test_prompts_of_several_lengths_are_decoded_together_as_each_alone(network):
+    pixels = np.concatenate([some_pixels(seed) for seed in range(3)])
+    prompts = [IDS, [*IDS, 500], [*IDS, *range(400, 440)]]  # the last needs more padding than the others
+    for decoder in (Autoregressive(network), Parallel(network)):
+        alone = [decoder(image, ids) for image, ids in zip(pixels, prompts, strict=True)]
+        assert np.allclose(decoder.together(pixels, prompts), alone, atol=1e-5)
+    words = greedy_tokens(network, torch.from_numpy(pixels[:1]), torch.tensor([IDS]), torch.tensor([len(IDS)]))
+    assert words.tolist() == [Autoregressive(network).tokens(pixels[0], IDS).tolist()]
 
 
 def test_padding_changes_no_chunk(network):

@@ -27,7 +27,7 @@ FIRST = -1
 """Priority of the steps' stream; other streams have 0."""
 
 Step: TypeAlias = Callable[[Tensor, Tensor, Tensor], Tensor]
-"""`pixel_values` (1, 6, 224, 224), padded `input_ids` (1, T), their true number (1,) to the step's answer."""
+"""`pixel_values` (B, 6, 224, 224), padded `input_ids` (B, T), their true numbers (B,) to answers, one per row."""
 
 
 class Decoder(Protocol):
@@ -35,6 +35,10 @@ class Decoder(Protocol):
 
     def __call__(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> FloatArray:
         """From an image (6, 224, 224) and a prompt's ids to actions (k, 4), k >= 1, normalised to [-1, 1]."""
+        ...
+
+    def together(self, pixel_values: FloatArray, input_ids: Sequence[Sequence[int]]) -> FloatArray:
+        """The same for several images (B, 6, 224, 224) and prompts in one pass: (B, k, 4), but for rounding."""
         ...
 
 
@@ -50,8 +54,13 @@ class Autoregressive:
 
     def tokens(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
         """Ids (4,) of the generated tokens."""
-        answer: np.ndarray[tuple[int], np.dtype[np.int64]] = self._runner(pixel_values, input_ids).numpy()
+        answer: np.ndarray[tuple[int], np.dtype[np.int64]] = self._runner(pixel_values[None], [input_ids])[0].numpy()
         return answer
+
+    def together(self, pixel_values: FloatArray, input_ids: Sequence[Sequence[int]]) -> FloatArray:
+        """See `Decoder`."""
+        rows = self._runner(pixel_values, input_ids).numpy()
+        return np.stack([from_tokens(row)[None] for row in rows])
 
 
 class Parallel:
@@ -64,43 +73,50 @@ class Parallel:
 
     def __call__(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> FloatArray:
         """See `Decoder`."""
+        answer: FloatArray = self.together(pixel_values[None], [input_ids])[0]
+        return answer
+
+    def together(self, pixel_values: FloatArray, input_ids: Sequence[Sequence[int]]) -> FloatArray:
+        """See `Decoder`."""
         answer: FloatArray = self._runner(pixel_values, input_ids).float().clamp(-1.0, 1.0).numpy()
         return answer
 
 
 def greedy_tokens(network: OpenVlaNetwork, pixel_values: Tensor, input_ids: Tensor, count: Tensor) -> Tensor:
-    """A `Step`: the ids (4,) of the most probable tokens, one after the other."""
+    """A `Step`: the ids (B, 4) of the most probable tokens, one after the other."""
     embedded = network.embed(input_ids, pixel_values)
-    length = embedded.shape[1]
-    memory = KeyValues(network.config.language, embedded, length + ACTION_SIZE - 1)
+    rows, length, width = embedded.shape
+    memory = KeyValues(network.config.language, embedded, length + ACTION_SIZE - 1, rows)
     places = torch.arange(length + ACTION_SIZE - 1, device=embedded.device)
     states = network.states(embedded, None, memory=memory)
     following = count + PATCHES  # position of the next token; in the cache it overwrites padding
-    token = network.language_model.lm_head(states.index_select(1, following - 1)).argmax(-1)
+    last = states.gather(1, (following - 1)[:, None, None].expand(-1, 1, width))
+    token = network.language_model.lm_head(last).argmax(-1)
     tokens = [token]
     for _ in range(ACTION_SIZE - 1):
         memory.place = following
         embedded = network.language_model.model.embed_tokens(token)
-        states = network.states(embedded, (places <= following)[None, None, None], following[None], memory)
+        seen = (places <= following[:, None])[:, None, None]
+        states = network.states(embedded, seen, following[:, None], memory)
         token = network.language_model.lm_head(states).argmax(-1)
         tokens.append(token)
         following = following + 1
-    return torch.cat(tokens, dim=1)[0]
+    return torch.cat(tokens, dim=1)
 
 
 def chunk_actions(network: OpenVlaNetwork, pixel_values: Tensor, input_ids: Tensor, count: Tensor) -> Tensor:
-    """A `Step`: normalised actions (k, 4) of the action head."""
-    known = torch.arange(input_ids.shape[1], device=input_ids.device) < count
-    return network.chunk_actions(input_ids, pixel_values, known[None].long())[0]
+    """A `Step`: normalised actions (B, k, 4) of the action head."""
+    known = torch.arange(input_ids.shape[1], device=input_ids.device) < count[:, None]
+    return network.chunk_actions(input_ids, pixel_values, known.long())
 
 
 class KeyValues:
-    """Keys and values of every layer of one text, at fixed addresses; of the type and device of `like`."""
+    """Keys and values of every layer of some texts, at fixed addresses; of the type and device of `like`."""
 
-    def __init__(self, size: LanguageSize, like: Tensor, places: int) -> None:
+    def __init__(self, size: LanguageSize, like: Tensor, places: int, rows: int = 1) -> None:
         shape = (
             size.num_hidden_layers,
-            1,
+            rows,
             size.num_key_value_heads,
             places,
             size.hidden_size // size.num_attention_heads,
@@ -108,21 +124,22 @@ class KeyValues:
         # Zeros, because masked values are still multiplied by their weight of zero.
         self._keys, self._values = like.new_zeros(shape), like.new_zeros(shape)
         self.place: Tensor | None = None
-        """Position of the next token, (1,); None for the initial ones, which go to the beginning."""
+        """Position of each text's next token, (B,); None for the initial ones, which go to the beginning."""
 
     def update(self, keys: Tensor, values: Tensor, layer: int) -> tuple[Tensor, Tensor]:
-        """Store a layer's keys and values (1, heads, tokens, width); returns those to attend to."""
+        """Store a layer's keys and values (B, heads, tokens, width); returns those to attend to."""
         if self.place is None:
             count = keys.shape[2]
             self._keys[layer, :, :, :count], self._values[layer, :, :, :count] = keys, values
             return keys, values
-        self._keys[layer].index_copy_(2, self.place, keys)
-        self._values[layer].index_copy_(2, self.place, values)
+        places = self.place[:, None, None, None].expand_as(keys)
+        self._keys[layer].scatter_(2, places, keys)
+        self._values[layer].scatter_(2, places, values)
         return self._keys[layer], self._values[layer]
 
 
 class Runner:
-    """Runs a `Step` on the network's device: on a GPU as a CUDA graph, captured once per prompt length."""
+    """Runs a `Step` on the network's device: on a GPU as a CUDA graph, captured once per prompt length and batch."""
 
     def __init__(self, step: Step, network: OpenVlaNetwork, *, compiled: bool = False) -> None:
         self._weight = network.projector.fc1.bias
@@ -130,23 +147,25 @@ class Runner:
             network.config.language.max_position_embeddings - PATCHES - ACTION_SIZE * (network.config.chunk or 1)
         )
         self._step: Step = torch.compile(step, dynamic=False, fullgraph=True) if compiled else step
-        self._graphs: dict[int, Graph] = {}
+        self._graphs: dict[tuple[int, int], Graph] = {}
+        """By prompt length and number of rows."""
         self._stream: torch.cuda.Stream | None = None
         if self._weight.device.type == "cuda":
             self._stream = torch.cuda.Stream(self._weight.device, priority=FIRST)  # type: ignore[no-untyped-call]
 
-    def __call__(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> Tensor:
-        """The step's answer, on the host; raises `ValueError` for a prompt that is too long.
+    def __call__(self, pixel_values: FloatArray, input_ids: Sequence[Sequence[int]]) -> Tensor:
+        """The step's answers, on the host; raises `ValueError` for a prompt that is too long.
 
-        `pixel_values` (6, 224, 224) are an image, `input_ids` a prompt.
+        `pixel_values` (B, 6, 224, 224) are images, `input_ids` a prompt for each.
         """
-        if len(input_ids) > self._longest:
-            raise ValueError(f"the prompt has {len(input_ids)} tokens; there is room for {self._longest}")
-        padded = min(next(length for length in (*LENGTHS, len(input_ids)) if length >= len(input_ids)), self._longest)
+        longest = max(len(ids) for ids in input_ids)
+        if longest > self._longest:
+            raise ValueError(f"the prompt has {longest} tokens; there is room for {self._longest}")
+        padded = min(next(length for length in (*LENGTHS, longest) if length >= longest), self._longest)
         inputs = (
-            torch.as_tensor(pixel_values)[None],
-            torch.tensor([[*input_ids, *[PADDING] * (padded - len(input_ids))]]),
-            torch.tensor([len(input_ids)]),
+            torch.as_tensor(pixel_values),
+            torch.tensor([[*ids, *[PADDING] * (padded - len(ids))] for ids in input_ids]),
+            torch.tensor([len(ids) for ids in input_ids]),
         )
         with torch.inference_mode():
             if self._stream is None:
@@ -154,8 +173,13 @@ class Runner:
             return self._replay(inputs, padded, self._stream)
 
     def _replay(self, inputs: tuple[Tensor, Tensor, Tensor], padded: int, stream: torch.cuda.Stream) -> Tensor:
+        rows = len(inputs[0])
+        full = 1 << (rows - 1).bit_length()  # few numbers of rows, because each has a graph of its own
+        if full > rows:
+            inputs = tuple(torch.cat([value, value[:1].expand(full - rows, *value.shape[1:])]) for value in inputs)  # type: ignore[assignment]
         pixels, ids, count = inputs
-        if padded not in self._graphs:  # the weights may still be in transfer, in the loader's stream
+        key = padded, full
+        if key not in self._graphs:  # the weights may still be in transfer, in the loader's stream
             stream.wait_stream(torch.cuda.current_stream(self._weight.device))
         with torch.cuda.stream(stream):
             there = (
@@ -163,9 +187,9 @@ class Runner:
                 ids.to(self._weight.device),
                 count.to(self._weight.device),
             )
-            if padded not in self._graphs:
-                self._graphs[padded] = Graph(self._step, there)
-            return self._graphs[padded](*there).cpu()
+            if key not in self._graphs:
+                self._graphs[key] = Graph(self._step, there)
+            return self._graphs[key](*there).cpu()[:rows]
 
 
 class Graph:

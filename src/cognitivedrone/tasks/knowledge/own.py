@@ -7,6 +7,7 @@ table knows. Any other column is a property of the user's own, closed over the r
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -101,7 +102,7 @@ def _entries(rows: list[Row], things: tuple[str, ...]) -> dict[str, Mapping[str,
 
 
 def _plain(name: str) -> str:
-    return "_".join(name.casefold().split())
+    return "_".join(re.split(r"[\s_-]+", name.casefold().strip()))
 
 
 def _with(

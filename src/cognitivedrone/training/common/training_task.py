@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, TypeAlias, runtime_checkable
 
@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from cognitivedrone.errors import TrainingError
 from cognitivedrone.training.common.sampling import Batch
 from cognitivedrone.types import FloatArray, Image
 
@@ -41,6 +42,16 @@ class Schedule:
     """Steps between points of the learning curves; a multiple of `round_steps` or equal to it."""
     fly_every: int = 2000
     """Steps between trials; a multiple of `validate_every`."""
+
+    def of_length(self, steps: int) -> Self:
+        """The same training with so many steps; raises `TrainingError` for fewer than one."""
+        if steps < 1:
+            raise TrainingError(f"--steps is {steps}; it must be at least 1")
+        shorter = replace(self, steps=steps, warmup_steps=min(self.warmup_steps, steps // 5))
+        if steps >= self.round_steps:
+            return shorter
+        # One round, and no trial in flight.
+        return replace(shorter, round_steps=steps, validate_every=steps, fly_every=8 * steps)
 
     def facts(self) -> dict[str, Any]:
         """As JSON gives them back: tuples as lists."""

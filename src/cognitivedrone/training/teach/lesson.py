@@ -23,25 +23,15 @@ from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.format import read_tasks
 from cognitivedrone.tasks.vocabulary import LETTERS, LOGOS
 from cognitivedrone.training.common.attributes import concept_name
-from cognitivedrone.types import Task
+from cognitivedrone.training.teach.facts import facts_file, stated
+from cognitivedrone.training.teach.statement import Statement
+from cognitivedrone.types import COLORS, SHAPES, Task
 
 LARGEST_LESSON = 5_000
 """Maximum number of concepts."""
 _NUMBERED = re.compile(r"(.*[^\W\d_])[\s_-]*\d+")
+_NOT_LETTERS = re.compile(r"[\W_]+")
 _GATE_WITH = re.compile(r"^.*\bgate (?:with|of|that has|showing) (.+?)[.!]?$", re.IGNORECASE)
-
-
-@dataclass(frozen=True, slots=True)
-class Statement:
-    """A way to ask, and the taught pictures for which it is right and clearly wrong."""
-
-    phrases: tuple[str, ...]
-    """Noun phrases, as in "the gate with ..."."""
-    sentences: tuple[str, ...]
-    """Whole instructions."""
-    true: tuple[str, ...]
-    """Names of attribute values, as in "concept/thing:violin"."""
-    false: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -55,8 +45,10 @@ class Lesson:
     kinds: dict[str, str]
     """Name of the attribute value to the folder's kind, for choosing alike wrong panels."""
     statements: tuple[Statement, ...]
+    facts: int
+    """Number of statements from the user's own table."""
     digest: str
-    """Hash of the folder and of the task file."""
+    """Hash of the folder, the task files and the table."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -73,11 +65,12 @@ class Lesson:
         return tuple(text for each in self.statements for text in (*each.phrases, *each.sentences))
 
 
-def read_lesson(labels: Path, tasks: Path | None = None, facts: tuple[Statement, ...] = ()) -> Lesson:
-    """The lesson in a folder of pictures and, if given, a task file or a folder of them.
+def read_lesson(labels: Path, tasks: Path | None = None) -> Lesson:
+    """The lesson in a folder of pictures, with their `facts.csv` if any, and in a task file or folder if given.
 
-    Tasks about pictures that the folder lacks are left out, with a warning. Raises `TrainingError` for fewer than two
-    concepts or too many, or if no task is left; `LabelError` for a broken picture, `TaskError` for a broken task file.
+    Tasks about pictures that the folder lacks are left out, with a warning; names that can mean two things are told in
+    another. Raises `TrainingError` for fewer than two concepts or too many, or if no task is left; `LabelError` for a
+    broken picture, `TaskError` for a broken task file or table.
     """
     pack = load_pack(str(labels))
     if not isinstance(pack, FolderPack):
@@ -92,11 +85,14 @@ def read_lesson(labels: Path, tasks: Path | None = None, facts: tuple[Statement,
         for reference in references:
             pack.image(reference)  # a broken picture is found before any training
     read = _shown(pack, tuple(task for path in _task_files(tasks) for task in read_tasks(path)))
+    table = facts_file(labels)
+    facts = stated(table, kinds) if table else []
+    _tell_collisions(pictures)
     digest = hashlib.sha256(pack.digest.encode())
-    for path in _task_files(tasks):
+    for path in (*_task_files(tasks), *([table] if table else [])):
         digest.update(path.read_bytes())
     statements = (*_by_name(pictures, kinds), *_by_tasks(read, pictures), *facts)
-    return Lesson(labels, read, pictures, kinds, statements, digest.hexdigest())
+    return Lesson(labels, read, pictures, kinds, statements, len(facts), digest.hexdigest())
 
 
 def attribute_of(reference: str) -> str:
@@ -137,16 +133,48 @@ def _pictures(pack: FolderPack) -> tuple[dict[str, tuple[str, ...]], dict[str, s
 
 
 def _by_name(pictures: dict[str, tuple[str, ...]], kinds: dict[str, str]) -> list[Statement]:
-    """Every concept by its name; "the letter A" and "the 7" besides."""
+    """Every concept by its name; "the letter A" and "the 7" besides. A name of two concepts is said with its kind."""
     made = []
+    shared = _shared_names(pictures)
     for name in pictures:
         kind, _, concept = name.removeprefix("concept/").partition(":")
         said = concept.replace("_", " ")
-        phrases = (said, f"the {said}", f"a {said}") if kind == "thing" else (said, f"the {kind} {said}")
+        if kind == "thing":
+            folder = _NOT_LETTERS.sub(" ", kinds[name]).strip().casefold()
+            phrases = (f"{said} of {folder}", f"the {said} among {folder}") if said in shared else _named(said)
+        else:
+            phrases = (f"the {kind} {said}",) if said in shared else (said, f"the {kind} {said}")
         others = tuple(other for other in pictures if other != name)
         alike = tuple(other for other in others if kinds[other] == kinds[name])
-        made.append(Statement(phrases, (), (name,), alike if len(alike) > 1 else others))
+        made.append(Statement(phrases, (), (name,), alike if len(alike) > 1 else others, by_name=True))
     return made
+
+
+def _named(said: str) -> tuple[str, ...]:
+    return said, f"the {said}", f"a {said}"
+
+
+def _shared_names(pictures: Iterable[str]) -> frozenset[str]:
+    """Names of more than one concept, such as the fruit and the brand."""
+    counted = Counter(name.partition(":")[2].replace("_", " ").casefold() for name in pictures)
+    return frozenset(said for said, count in counted.items() if count > 1)
+
+
+def _tell_collisions(pictures: dict[str, tuple[str, ...]]) -> None:
+    """Warn of names that can mean two things."""
+    if shared := sorted(_shared_names(pictures)):
+        warnings.warn(
+            f"{', '.join(shared[:5])}: one name, several concepts; each is asked for with its kind, as in"
+            f' "the logo {shared[0]}". Rename a file to give it a name of its own',
+            stacklevel=3,
+        )
+    looks = sorted({*COLORS, *SHAPES} & {name.partition(":")[2] for name in pictures})
+    if looks:
+        warnings.warn(
+            f'{", ".join(looks)}: also a look of gates, so "the {looks[0]} one" can mean either; rename the file if you'
+            " can",
+            stacklevel=3,
+        )
 
 
 def _by_tasks(tasks: tuple[Task, ...], pictures: dict[str, tuple[str, ...]]) -> list[Statement]:

@@ -14,7 +14,8 @@ from cognitivedrone.training.common.attributes import AttributeIndex
 from cognitivedrone.training.common.panel_crops import PanelCrops, WiderWorld, panel_image_of
 from cognitivedrone.training.common.problems import ABSENT, Problem, Problems, draw_gates, problem_of
 from cognitivedrone.training.common.wordings import TYPED
-from cognitivedrone.training.teach.lesson import Lesson, Statement, attribute_of
+from cognitivedrone.training.teach.lesson import Lesson, attribute_of
+from cognitivedrone.training.teach.statement import Statement
 from cognitivedrone.types import Image, Task
 
 _SIDE = 64  # pixels of a stored picture
@@ -85,8 +86,8 @@ class LessonProblems:
 
     def __init__(self, lesson: Lesson, known: Problems, share: float) -> None:
         self._lesson, self._known, self._share = lesson, known, share
-        self._named = [each for each in lesson.statements if not each.sentences]
-        self._other = [each for each in lesson.statements if each.sentences]
+        self._named = [each for each in lesson.statements if each.by_name]
+        self._other = [each for each in lesson.statements if not each.by_name]
 
     def draw(self, rng: np.random.Generator) -> list[Problem]:
         """One problem, or all problems of a memory track."""

@@ -71,6 +71,7 @@ def summary_of(lesson: Lesson, known: tuple[str, ...]) -> str:
     again = sorted(name.partition(":")[2].replace("_", " ") for name in set(lesson.names) & set(known))
     told = f"{len(lesson.names)} concepts in {sum(map(len, lesson.pictures.values()))} pictures"
     told += f", {len(lesson.tasks)} tasks" if lesson.tasks else ""
+    told += f", {lesson.facts} statements from facts.csv" if lesson.facts else ""
     if again:
         more = f" and {len(again) - 8} more" if len(again) > 8 else ""
         told += f"; known already and taught again: {', '.join(again[:8])}{more}"

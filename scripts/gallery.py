@@ -1,0 +1,64 @@
+"""Draw a picture of every task family for docs/gallery.md with `cognitivedrone view`, in half its size.
+
+Run: python scripts/gallery.py [FAMILY ...]
+
+Without arguments every family is drawn. The pictures are the same for the same version of the package and renderer.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image
+
+from cognitivedrone.cli import main as cognitivedrone
+
+FOLDER = Path(__file__).resolve().parents[1] / "docs" / "images" / "gallery"
+TASKS = {
+    "attributes": ("open-v1:test", 13),
+    "people": ("open-v1:test", 0),
+    "letters": ("open-v1:test", 14),
+    "digits": ("open-v1:test", 20),
+    "logos": ("open-v1:test", 82),
+    "animals": ("open-v1:test", 12),
+    "math": ("open-v1:test", 1),
+    "math_board": ("open-v1:test", 11),
+    "food": ("open-v1:test", 52),
+    "association": ("open-v1:test", 41),
+    "conjunction": ("open-v1:hard", 18),
+    "exclusion": ("open-v1:hard", 3),
+    "relations": ("open-v1:hard", 14),
+    "negation": ("open-v1:hard", 2),
+    "counting": ("open-v1:hard", 1),
+    "distraction": ("open-v1:hard", 38),
+    "comparison": ("open-v1:hard", 0),
+    "two_step": ("open-v1:hard", 8),
+    "memory": ("open-v1:hard", 130),
+    "race": ("open-v1:race", 0),
+    "absent": ("open-v2:absent", 2),
+}
+"""Suite and episode of the task that stands for a family."""
+
+
+def draw(family: str) -> Path:
+    """Write the picture of a family, 548 px wide: the drone's view then has its own 256 x 256 pixels."""
+    suite, episode = TASKS[family]
+    out = FOLDER / f"{family}.webp"
+    with tempfile.TemporaryDirectory() as folder:
+        drawn = Path(folder) / "view.png"
+        cognitivedrone(["view", "--suite", suite, "--episode", str(episode), "--out", str(drawn)])
+        with Image.open(drawn) as picture:
+            picture.reduce(2).save(out, quality=72, method=6)
+    return out
+
+
+def main() -> None:
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    for family in sys.argv[1:] or TASKS:
+        print(draw(family))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,137 @@
+"""What is changed in an audit, how much, and what a sound pilot then does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from cognitivedrone.audit import scenes
+from cognitivedrone.audit.scenes import Change
+
+Expected = Literal["as before", "follows", "chance"]
+"""`as before`: the rate falls by at most `FALL`. `follows`: the gate that is now right, in at least `FOLLOWED` of the
+flights. `chance`: of the flights that chose a gate, a third at the right one, to within `CHANCE_BAND`."""
+
+FALL, FOLLOWED = 0.10, 0.95
+CHANCE, CHANCE_BAND = 1 / 3, 0.07
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """A change of one strength."""
+
+    name: str
+    change: Change | None = None
+    """Of tasks."""
+    options: Mapping[str, object] = field(default_factory=dict)
+    """Of the run, such as wind."""
+    camera: Mapping[str, float] = field(default_factory=dict)
+    """Of the picture: the fields of `filters.Filter`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Audit:
+    """A change in up to three strengths."""
+
+    name: str
+    question: str
+    expected: Expected
+    variants: tuple[Variant, ...]
+
+
+def _latency(policy_ms: int, reasoner_ms: int) -> Variant:
+    return Variant(
+        f"{policy_ms} and {reasoner_ms} ms", options={"latency": f"policy={policy_ms}ms,reasoner={reasoner_ms}ms"}
+    )
+
+
+AUDITS: tuple[Audit, ...] = (
+    Audit(
+        "no question",
+        "Without a meaningful sentence, does it still find the right gate? Then something else gives the answer away.",
+        "chance",
+        (
+            Variant("blank", scenes.blank),
+            Variant("random words", scenes.random_words),
+            Variant("random letters", scenes.random_letters),
+        ),
+    ),
+    Audit(
+        "another question",
+        "Asked for another gate of the same scene, does it fly there?",
+        "follows",
+        (
+            Variant("the same gate, plainly", scenes.ask_plainly),
+            Variant("the next gate", scenes.ask_for_another(1)),
+            Variant("the one after it", scenes.ask_for_another(2)),
+        ),
+    ),
+    Audit(
+        "panels swapped",
+        "When the panels change places, does it follow the right one?",
+        "follows",
+        (
+            Variant("one on", scenes.turned_panels(1)),
+            Variant("two on", scenes.turned_panels(2)),
+            Variant("outer two", scenes.mirrored_panels),
+        ),
+    ),
+    Audit(
+        "looks swapped",
+        "The gates exchange their looks, which no sentence mentions. Does that matter?",
+        "as before",
+        (
+            Variant("colours", scenes.turned_looks("color")),
+            Variant("shapes", scenes.turned_looks("shape")),
+            Variant("all looks", scenes.turned_looks("color", "shape", "size")),
+        ),
+    ),
+    Audit("mirrored stage", "Left and right exchanged.", "as before", (Variant("mirrored", scenes.mirrored_stage),)),
+    Audit(
+        "paraphrases",
+        "The same question in another form.",
+        "as before",
+        (
+            Variant("polite", scenes.polite),
+            Variant("no punctuation", scenes.unpunctuated),
+            Variant("a slip of the finger", scenes.misspelt),
+        ),
+    ),
+    Audit(
+        "gates moved",
+        "Gates aside, turned, higher or lower.",
+        "as before",
+        tuple(Variant(f"up to {share * 1.5:.1f} m", scenes.moved_gates(share)) for share in (1 / 3, 2 / 3, 1.0)),
+    ),
+    Audit(
+        "light",
+        "Less light.",
+        "as before",
+        tuple(Variant(f"{light:.0%}", camera={"light": light}) for light in (0.6, 0.4, 0.25)),
+    ),
+    Audit(
+        "wind",
+        "Steady wind, from a direction that every flight draws.",
+        "as before",
+        tuple(Variant(f"{speed:g} m/s", options={"wind": speed}) for speed in (1.0, 2.0, 4.0)),
+    ),
+    Audit(
+        "camera shift",
+        "The picture shifted to the right and down, as by a crooked mounting.",
+        "as before",
+        tuple(Variant(f"{shift:g} px", camera={"shift_px": shift}) for shift in (4.0, 8.0, 16.0)),
+    ),
+    Audit(
+        "camera roll",
+        "The camera turned about its axis.",
+        "as before",
+        tuple(Variant(f"{angle:g} degrees", camera={"roll_deg": angle}) for angle in (3.0, 6.0, 12.0)),
+    ),
+    Audit(
+        "latency",
+        "Slower policy and reasoner, charged to the simulated clock.",
+        "as before",
+        (_latency(50, 500), _latency(100, 1000), _latency(200, 2000)),
+    ),
+)

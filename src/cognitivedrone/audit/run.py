@@ -1,0 +1,181 @@
+"""Flies the audits of a pilot: one run a variant, each resumed where an earlier one stopped."""
+
+from __future__ import annotations
+
+import json
+import re
+import zlib
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cognitivedrone.audit.catalogue import AUDITS, CHANCE, CHANCE_BAND, FALL, FOLLOWED, Audit, Expected, Variant
+from cognitivedrone.audit.config import AuditPlan
+from cognitivedrone.benchmark.config import Plan
+from cognitivedrone.benchmark.results import Results, write_whole
+from cognitivedrone.benchmark.runner import results_folder, run
+from cognitivedrone.benchmark.scoring import Interval, wilson
+from cognitivedrone.errors import RunError, did_you_mean
+from cognitivedrone.files import safe_name
+from cognitivedrone.reasoners import NONE
+from cognitivedrone.tasks import Suite, open_suite
+from cognitivedrone.tasks.format import task_to_json
+from cognitivedrone.types import StageResult, Task
+
+BASELINE = "as it is"
+AUDIT_FILE = "audit.json"
+SCHEMA = "cognitivedrone.audit/1"
+_BY_PLACE = frozenset({"relations", "memory", "race", "absent"})
+"""Families that are left out: a sentence about places does not follow its panels, and the others are no choice."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What a pilot did under one change."""
+
+    audit: str
+    variant: str
+    expected: Expected
+    n: int
+    """Flights counted; a change that does not fit a task leaves it out."""
+    rate: float | None
+    """Share that flew through the right gate; for `chance`, among the flights that chose a gate."""
+    ci95: Interval | None
+    baseline: float | None
+    """The pilot's rate on the same tasks as they are."""
+    declined: int
+    """Flights that said that what is asked for is not there."""
+    chosen: tuple[int, int, int, int]
+    """Flights at gate 1, 2, 3 and none."""
+    sound: bool
+    """Whether it is as expected; for rates within 95 % of doubt, in the pilot's favour."""
+
+
+def audit(plan: AuditPlan, *, progress: bool = True) -> list[Row]:
+    """Fly all audits and return a row for each variant, the baseline first; also written to `audit.json`.
+
+    Raises `RunError` for an unknown audit or a suite without choices.
+    """
+    chosen = _chosen(plan.only)
+    folder = folder_of(plan)
+    suite = open_suite(plan.source.suite, plan.source.tasks, size=plan.episodes, seed=plan.source.seed)
+    tasks = [task for track in suite.tracks for task in track if _is_choice(task)][: plan.episodes]
+    if not tasks:
+        raise RunError(f"{plan.source.title} has no task with three gates and a right one; audits need choices")
+    before = _fly(plan, folder / "baseline", tasks, Variant(BASELINE), progress)
+    passed = {stage.task_id: stage.outcome == "passed" for stage in _stages(before)}
+    rows = [_row(Audit("baseline", "", "as before", ()), Variant(BASELINE), _stages(before), passed)]
+    _write(folder, plan, suite, rows)
+    for each in chosen:
+        for variant in each.variants:
+            changed = list(_changed(plan.source.seed, tasks, each, variant))
+            if not changed:
+                continue
+            name = safe_name(re.sub(r"\W+", "-", f"{each.name}-{variant.name}").strip("-"))
+            results = _fly(plan, folder / name, changed, variant, progress)
+            rows.append(_row(each, variant, _stages(results), passed))
+            _write(folder, plan, suite, rows)
+    return rows
+
+
+def folder_of(plan: AuditPlan) -> Path:
+    """The folder given, or one named after suite, policy and reasoner."""
+    return plan.out or results_folder("audit", plan.source.title, plan.pilot.policy, plan.pilot.reasoner)
+
+
+def _chosen(names: Iterable[str]) -> tuple[Audit, ...]:
+    known = {each.name: each for each in AUDITS}
+    for name in names:
+        if name not in known:
+            raise RunError(f"unknown audit {name!r}; {did_you_mean(name, known)}")
+    return tuple(each for each in AUDITS if each.name in names) or AUDITS
+
+
+def _is_choice(task: Task) -> bool:
+    return task.target is not None and task.only is None and task.family not in _BY_PLACE
+
+
+def _changed(seed: int, tasks: Iterable[Task], each: Audit, variant: Variant) -> Iterator[Task]:
+    for index, task in enumerate(tasks):
+        key = zlib.crc32(f"{each.name}/{variant.name}".encode())
+        rng = np.random.default_rng([6, seed, key, index])
+        changed = task if variant.change is None else variant.change(rng, task)
+        if changed is not None:
+            yield changed
+
+
+def _fly(plan: AuditPlan, folder: Path, tasks: list[Task], variant: Variant, progress: bool) -> Results:
+    file = folder.with_suffix(".json")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(file, json.dumps([task_to_json(task) for task in tasks], indent=1) + "\n")
+    policy, reasoner = plan.pilot.policy, plan.pilot.reasoner
+    if variant.camera:
+        policy = _filtered("FilteredPolicy", policy, variant)
+        reasoner = reasoner if reasoner == NONE else _filtered("FilteredReasoner", reasoner, variant)
+    return run(
+        Plan.of(
+            policy=policy,
+            reasoner=reasoner,
+            suite="",
+            tasks=file,
+            labels=plan.source.labels,
+            seed=plan.source.seed,
+            workers=plan.workers,
+            out=folder,
+            resume=True,
+            clips=0,
+            **variant.options,
+        ),
+        progress=progress,
+    )
+
+
+def _filtered(kind: str, name: str, variant: Variant) -> str:
+    options = ",".join(f"{key}={value:g}" for key, value in variant.camera.items())
+    return f'cognitivedrone.audit.filters:{kind}:"{name}",{options}'
+
+
+def _stages(results: Results) -> list[StageResult]:
+    return [stage for episode in results.episodes for stage in episode.stages if stage.outcome != "invalid"]
+
+
+def _row(each: Audit, variant: Variant, stages: list[StageResult], before: dict[str, bool]) -> Row:
+    declined = sum(stage.outcome == "false_alarm" for stage in stages)
+    counted = [stage for stage in stages if stage.chosen is not None] if each.expected == "chance" else stages
+    right = sum(
+        stage.chosen == stage.target if each.expected == "chance" else stage.outcome == "passed" for stage in counted
+    )
+    ci95, n = wilson(right, len(counted)), len(counted)
+    rate = right / n if n else None
+    usual = [before[stage.task_id] for stage in stages if stage.task_id in before]
+    baseline = sum(usual) / len(usual) if usual else None
+    places = [stage.chosen for stage in stages]
+    chosen = places.count(0), places.count(1), places.count(2), places.count(None)
+    sound = _is_sound(each.expected, rate, ci95, baseline)
+    return Row(each.name, variant.name, each.expected, n, rate, ci95, baseline, declined, chosen, sound)
+
+
+def _is_sound(expected: Expected, rate: float | None, ci95: Interval | None, baseline: float | None) -> bool:
+    if rate is None or ci95 is None:
+        return True  # nothing was chosen: nothing gave the answer away
+    low, high = ci95
+    if expected == "chance":
+        return low <= CHANCE + CHANCE_BAND and high >= CHANCE - CHANCE_BAND
+    if expected == "follows":
+        return high >= FOLLOWED
+    return baseline is None or rate >= baseline - FALL
+
+
+def _write(folder: Path, plan: AuditPlan, suite: Suite, rows: list[Row]) -> None:
+    document = {
+        "schema": SCHEMA,
+        "suite": {"name": suite.name, "digest": suite.digest},
+        "policy": plan.pilot.policy,
+        "reasoner": plan.pilot.reasoner,
+        "episodes": plan.episodes,
+        "seed": plan.source.seed,
+        "rows": [asdict(row) for row in rows],
+    }
+    write_whole(folder / AUDIT_FILE, json.dumps(document, indent=1) + "\n")

@@ -1,0 +1,1 @@
+"""The benchmark inside other people's harnesses: AllenAI's vla-eval, and LeRobot."""

@@ -1,0 +1,134 @@
+"""Policies trained with LeRobot, from their checkpoints: ACT, diffusion, SmolVLA and every other that LeRobot knows.
+
+A checkpoint is the folder `pretrained_model` that `lerobot-train` writes: config.json, model.safetensors, and the
+normalisation as policy_preprocessor.json and policy_postprocessor.json with their .safetensors. Only these are read;
+nothing is unpickled or downloaded. The policy must take the features of our LeRobot export (docs/formats.md).
+"""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from cognitivedrone.errors import ModelError, PolicyError, import_extra
+from cognitivedrone.interfaces import Policy
+from cognitivedrone.policies.small import state_of
+from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, Observation
+
+EXTRA = "lerobot"
+IMAGE_KEY, STATE_KEY, ACTION_KEY = "observation.images.front", "observation.state", "action"
+SHAPES = {STATE_KEY: (5,), ACTION_KEY: (4,)}
+_IMAGE = (IMAGE_SIZE, IMAGE_SIZE, 3)
+WEIGHTS = "model.safetensors"
+FILES = ("config.json", WEIGHTS, "policy_preprocessor.json", "policy_postprocessor.json")
+
+
+class LeRobot(Policy):
+    """Flies the LeRobot checkpoint in `folder`, on a GPU if there is one, or on `device`.
+
+    As in `lerobot-eval`, it is asked at every control step and plays its own chunk of actions. Here a new stage also
+    resets it, because the rest of the chunk belongs to the old instruction.
+    Raises `ModelError` for a folder that is no checkpoint, or one for other cameras, states or actions;
+    `MissingExtra` if LeRobot is not installed.
+    """
+
+    def __init__(self, folder: Path, *, device: Literal["cuda", "cpu"] | None = None) -> None:
+        self.folder = Path(folder)
+        check_features(self.folder, read_config(self.folder))
+        torch = import_extra("torch", EXTRA)
+        self._torch = torch
+        name = device or ("cuda" if torch.cuda.is_available() else "cpu")
+        if name == "cuda" and not torch.cuda.is_available():
+            raise ModelError("device=cuda, but this machine has no GPU that PyTorch can use; leave it out")
+        self._policy, self._before, self._after = _loaded(self.folder, name)
+
+    @classmethod
+    def file_of(cls, folder: Path, *, device: str | None = None) -> Path:  # noqa: ARG003
+        """The checkpoint's weights; raises `ModelError` if they are missing."""
+        read_config(Path(folder))
+        return Path(folder) / WEIGHTS
+
+    def reset(self, context: EpisodeContext) -> None:
+        """Forget the rest of the chunk."""
+        self._policy.reset()
+
+    def act(self, observation: Observation) -> ActionChunk:
+        """The next command, (1, 4); raises `PolicyError` for an image that is not uint8 (256, 256, 3)."""
+        torch, image = self._torch, observation.image
+        if image.dtype != np.uint8 or image.shape != _IMAGE:
+            raise PolicyError(f"the policy needs uint8 images of shape {_IMAGE}, got {image.dtype} {image.shape}")
+        with torch.inference_mode():
+            seen = self._before(
+                {
+                    IMAGE_KEY: torch.from_numpy(image)[None].permute(0, 3, 1, 2).contiguous().float() / 255,
+                    STATE_KEY: torch.from_numpy(state_of(observation))[None],
+                    "task": [observation.instruction],
+                }
+            )
+            action: ActionChunk = self._after(self._policy.select_action(seen)).cpu().float().numpy()
+        return action
+
+
+def read_config(folder: Path) -> dict[str, Any]:
+    """config.json of a checkpoint; raises `ModelError` if the folder is no checkpoint."""
+    if (folder / "pretrained_model").is_dir():
+        raise ModelError(f"{folder} is a folder of a training; give {folder / 'pretrained_model'}")
+    if missing := [name for name in FILES if not (folder / name).is_file()]:
+        raise ModelError(
+            f"{folder} is no LeRobot checkpoint: it has no {missing[0]}; give the folder pretrained_model that"
+            " lerobot-train wrote, or a local copy of one"
+        )
+    try:
+        config = json.loads((folder / FILES[0]).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ModelError(f"{folder / FILES[0]} cannot be read ({error}); copy it again") from None
+    if not isinstance(config, dict):
+        raise ModelError(f"{folder / FILES[0]} is not an object; copy it again")
+    return config
+
+
+def check_features(folder: Path, config: dict[str, Any]) -> None:
+    """Raises `ModelError` unless the policy takes what our drone sees and answers what it flies."""
+    features = {**_features(config, "input_features"), **_features(config, "output_features")}
+    for key, feature in features.items():
+        shape = tuple(feature.get("shape") or ()) if isinstance(feature, dict) else ()
+        if key != IMAGE_KEY and shape != SHAPES.get(key):
+            raise ModelError(
+                f"{folder} is a policy with {key} {shape}; ours has {IMAGE_KEY}, {STATE_KEY} (5,) and {ACTION_KEY}"
+                " (4,): train it on a LeRobot export of this package (docs/formats.md)"
+            )
+    if ACTION_KEY not in features or IMAGE_KEY not in features:
+        raise ModelError(f"{folder / FILES[0]} names no {IMAGE_KEY} or no {ACTION_KEY}; train on our LeRobot export")
+
+
+def _features(config: dict[str, Any], key: str) -> dict[str, Any]:
+    features = config.get(key)
+    return features if isinstance(features, dict) else {}
+
+
+def _loaded(folder: Path, device: str) -> tuple[Any, Any, Any]:
+    """The policy, its preprocessor and its postprocessor."""
+    plugins = import_extra("lerobot.utils.import_utils", EXTRA)
+    configs = import_extra("lerobot.configs.policies", EXTRA)
+    factory = import_extra("lerobot.policies.factory", EXTRA)
+    plugins.register_third_party_plugins()
+    try:
+        config = configs.PreTrainedConfig.from_pretrained(str(folder))
+        config.device = device
+        if hasattr(config, "pretrained_backbone_weights"):
+            config.pretrained_backbone_weights = None  # else it downloads weights that the checkpoint replaces
+        policy = factory.get_policy_class(config.type).from_pretrained(str(folder), config=config)
+        before, after = factory.make_pre_post_processors(
+            config, pretrained_path=str(folder), preprocessor_overrides={"device_processor": {"device": device}}
+        )
+    except Exception as error:  # LeRobot raises many kinds for a checkpoint of another version
+        raise ModelError(
+            f"{folder} cannot be loaded by lerobot {version('lerobot')}: {type(error).__name__}: {str(error)[:200]};"
+            " serve it from an environment with the version that trained it (docs/integrations.md)"
+        ) from error
+    policy.eval()
+    return policy, before, after

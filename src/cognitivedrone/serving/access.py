@@ -1,0 +1,76 @@
+"""Who may use the server, and how often."""
+
+from __future__ import annotations
+
+import hmac
+import os
+import time
+from collections.abc import Mapping
+
+from cognitivedrone.errors import MessageError, ServerError
+from cognitivedrone.files import reason_of
+from cognitivedrone.remote.messages import TOKEN_VARIABLE
+from cognitivedrone.serving.config import LOOPBACK, ServePlan
+
+SHORTEST_TOKEN = 16
+"""In characters; shorter ones can be guessed."""
+_SCHEMES = ("api-key", "bearer")
+
+
+def token_of(plan: ServePlan) -> str | None:
+    """The token that clients must send; none if they need none.
+
+    Raises `ServerError` if it cannot be read, is too short, or is missing although other machines can connect.
+    """
+    if plan.token_file is not None:
+        try:
+            token = plan.token_file.read_text("utf-8").strip()
+        except (OSError, UnicodeDecodeError) as error:
+            reason = reason_of(error) if isinstance(error, OSError) else "it is not text"
+            raise ServerError(f"--token-file {plan.token_file} cannot be read: {reason}") from None
+    else:
+        token = os.environ.get(TOKEN_VARIABLE, "")
+    if token and not (len(token) >= SHORTEST_TOKEN and token.isascii() and token.isprintable() and " " not in token):
+        raise ServerError(
+            f"the token must have at least {SHORTEST_TOKEN} printable ASCII characters without blanks; make one with"
+            " `openssl rand -hex 24`"
+        )
+    if not token and plan.host not in LOOPBACK:
+        raise ServerError(
+            f"--host {plan.host} lets other machines connect, which needs a token: write one to a file, as with"
+            f" `openssl rand -hex 24 > token`, and give --token-file token, or set {TOKEN_VARIABLE}"
+        )
+    return token or None
+
+
+def check_access(headers: Mapping[str, str], token: str | None) -> None:
+    """Raise `MessageError` for a client without the token, and for web pages.
+
+    A browser lets any page connect to servers on its own machine, but says so in the header Origin.
+    """
+    if "origin" in headers:
+        raise MessageError("unauthorized", "web pages may not use this server; the request has the header Origin")
+    if token is None:
+        return
+    scheme, _, sent = headers.get("authorization", "").partition(" ")
+    right = hmac.compare_digest(sent.strip().encode("utf-8", "replace"), token.encode())
+    if not right or scheme.lower() not in _SCHEMES:
+        raise MessageError("unauthorized", "this server needs its token, in the header `Authorization: Api-Key TOKEN`")
+
+
+class RateLimit:
+    """A token bucket: on average `per_s` requests per second, and so many at once."""
+
+    def __init__(self, per_s: float) -> None:
+        self._per_s = per_s
+        self._left = self._most = max(1.0, per_s)
+        self._at = time.monotonic()
+
+    def check(self) -> None:
+        """Count a request; raises `MessageError` if there are too many."""
+        now = time.monotonic()
+        self._left = min(self._most, self._left + (now - self._at) * self._per_s)
+        self._at = now
+        if self._left < 1:
+            raise MessageError("too_many_requests", f"over {self._per_s:g} requests per second; send fewer")
+        self._left -= 1

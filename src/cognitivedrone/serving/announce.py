@@ -1,0 +1,56 @@
+"""What the command `serve` prints: where the server is, and how to call it."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from cognitivedrone.remote.messages import TOKEN_VARIABLE
+from cognitivedrone.serving.config import ServePlan
+from cognitivedrone.serving.server import Address
+
+EVERY_ADDRESS = {"0.0.0.0": "ADDRESS-OF-THIS-MACHINE", "::": "ADDRESS-OF-THIS-MACHINE"}  # noqa: S104
+
+
+def announced(plan: ServePlan, address: Address) -> str:
+    """Some lines for a person who wants to use the server."""
+    shown = Address(EVERY_ADDRESS.get(address.host, address.host), address.port)
+    reasoner = plan.pilot.reasoner
+    pilot = plan.pilot.policy if reasoner == "none" else f"{plan.pilot.policy} behind {reasoner}"
+    policy = f"--policy remote:ws://{shown}"
+    lines = [
+        f"serving {pilot} at ws://{address} (ctrl-C stops)",
+        f"  score it     cognitivedrone bench {policy}" + _reasoner(plan, shown),
+        f'  openpi       WebsocketClientPolicy("{shown.host}", {shown.port})',
+        f"  OpenVLA      POST http://{shown}/act",
+        f"  health       http://{shown}/healthz",
+    ]
+    if address.needs_token:
+        lines.append(f"  clients need the token, ours in the environment variable {TOKEN_VARIABLE}")
+    return "\n".join(lines)
+
+
+@contextmanager
+def logging_to_stderr() -> Iterator[None]:
+    """Inside, the server's log goes to standard error."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s", datefmt="%H:%M:%S"))
+    loggers = [logging.getLogger(name) for name in ("cognitivedrone.serving", "uvicorn.error")]
+    before = [(logger.level, logger.propagate) for logger in loggers]
+    for logger, level in zip(loggers, (logging.INFO, logging.WARNING), strict=True):
+        logger.addHandler(handler)
+        logger.setLevel(level)
+        logger.propagate = False
+    try:
+        yield
+    finally:
+        for logger, (level, propagate) in zip(loggers, before, strict=True):
+            logger.removeHandler(handler)
+            logger.setLevel(level)
+            logger.propagate = propagate
+
+
+def _reasoner(plan: ServePlan, shown: Address) -> str:
+    return "" if plan.pilot.reasoner == "none" else f" --reasoner remote:ws://{shown}"

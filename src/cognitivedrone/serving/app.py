@@ -1,0 +1,215 @@
+"""The server's web application: websocket sessions, OpenVLA's REST, and the health page."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from starlette.applications import Starlette
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from cognitivedrone.errors import CognitiveDroneError, MessageError, PolicyRaised, ReasonerError
+from cognitivedrone.remote.codec import pack, unpack
+from cognitivedrone.remote.messages import (
+    Message,
+    check_protocol,
+    code_of,
+    error_frame,
+    guidance_message,
+    read_ask,
+    read_image,
+    read_observation,
+    read_prompt,
+)
+from cognitivedrone.serving.access import RateLimit, check_access
+from cognitivedrone.serving.config import Limits
+from cognitivedrone.serving.engine import Engine
+from cognitivedrone.serving.rest import Rest
+from cognitivedrone.serving.sessions import Served, Session
+from cognitivedrone.types import CONTROL_HZ
+
+log = logging.getLogger(__name__)
+
+SEND_S = 30.0
+"""Time that a client may take to read an answer, s."""
+CLOSE_S = 2.0
+STATUS = {
+    "unauthorized": 401,
+    "too_large": 413,
+    "too_many_requests": 429,
+    "too_many_clients": 503,
+    "busy": 503,
+    "internal": 500,
+    "policy_error": 500,
+    "bad_action": 500,
+    "non_finite_action": 500,
+}
+"""HTTP status of errors; 400 for the others."""
+_ENDING = ("protocol_version", "unknown_session")
+"""Errors after which the server closes the connection."""
+_POLICY_VIOLATION = 1008  # the websocket's close code
+
+
+class PolicyServer:
+    """The state of a running server. `app` is the ASGI application."""
+
+    def __init__(self, served: Served, limits: Limits, token: str | None) -> None:
+        self._served, self._limits, self._token = served, limits, token
+        self._engine = Engine(served, limits)
+        self._clients = 0
+        self._rest = Rest(served, self._engine, limits)
+        self.app = Starlette(
+            routes=[
+                Route("/healthz", _healthy, methods=["GET"]),
+                Route("/act", self._act, methods=["POST"]),
+                WebSocketRoute("/{path:path}", self._client),
+            ]
+        )
+
+    async def close(self) -> None:
+        """Close what is left, and end the threads, without waiting for a call that hangs."""
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._rest.close(), CLOSE_S)
+        self._engine.close()
+
+    async def _act(self, request: Request) -> Response:
+        """OpenVLA's REST."""
+        try:
+            check_access(request.headers, self._token)
+            body = await self._rest.act(request)
+        except ClientDisconnect:
+            return Response(status_code=400)
+        except Exception as error:
+            frame, code = told(error, "a REST client")
+            return Response(frame, STATUS.get(code, 400), media_type="application/json")
+        return Response(body, media_type="application/json")
+
+    async def _client(self, socket: WebSocket) -> None:
+        """One connection, which is one session."""
+        try:
+            check_access(socket.headers, self._token)
+            if self._clients >= self._limits.clients:
+                raise MessageError("too_many_clients", f"this server has its {self._clients} clients; try again later")
+        except MessageError as error:
+            frame, code = told(error, "a new client")
+            await socket.send_denial_response(Response(frame, STATUS[code], media_type="application/json"))
+            return
+        self._clients += 1
+        session: Session | None = None
+        name = f"client {socket.client.host}:{socket.client.port}" if socket.client else "a client"
+        try:
+            await socket.accept()
+            session = await self._engine.open_session()
+            await self._converse(socket, session, name)
+        except WebSocketDisconnect:
+            pass
+        except Exception as error:  # while the session was made, or of the network
+            frame, _ = told(error, name)
+            await _last_words(socket, frame)
+        finally:
+            self._clients -= 1
+            if session is not None:
+                await self._engine.close_session(session)
+
+    async def _converse(self, socket: WebSocket, session: Session, name: str) -> None:
+        rate, errors = RateLimit(self._limits.rate), 0
+        await socket.send_bytes(pack(self._served.metadata(session.id)))
+        log.info("%s: session %s", name, session.id)
+        before_s: float | None = None
+        while True:
+            event = await asyncio.wait_for(socket.receive(), self._limits.idle)
+            if event["type"] != "websocket.receive":
+                return
+            began = time.perf_counter()
+            try:
+                rate.check()
+                answer: bytes | str = pack(await self._answer(session, event, before_s))
+                code = ""
+            except Exception as error:
+                # One line per session, so that a client cannot fill the log.
+                answer, code = told(error, name, logging.DEBUG if errors else logging.INFO)
+                errors += 1
+            sending = socket.send_bytes(answer) if isinstance(answer, bytes) else socket.send_text(answer)
+            await asyncio.wait_for(sending, SEND_S)
+            before_s = time.perf_counter() - began
+            if code in _ENDING:
+                await socket.close(_POLICY_VIOLATION, code)
+                return
+
+    async def _answer(self, session: Session, event: Any, before_s: float | None) -> Message:
+        data = event.get("bytes")
+        if data is None:
+            raise MessageError("bad_message", "the message is text; expected a binary frame with msgpack")
+        message = unpack(data, 1000 * self._limits.message_kb)
+        if not isinstance(message, dict):
+            raise MessageError("bad_message", f"the message is {type(message).__name__!r}; expected a map")
+        check_protocol(message, session.id)
+        ask = read_ask(message)
+        began = time.perf_counter()
+        if ask == "guidance":
+            image, prompt = read_image(message), read_prompt(message)
+            contexts = session.stages(message)
+            guidance = await self._engine.reason(lambda: session.answer(contexts, image, prompt))
+            answer, timing = guidance_message(guidance), {"infer_ms": 1e3 * (time.perf_counter() - began)}
+        else:
+            answer, timing = await self._actions(session, message, guided=ask == "pilot")
+        if before_s is not None:
+            timing["prev_total_ms"] = 1e3 * before_s
+        return answer | {"server_timing": timing}
+
+    async def _actions(
+        self, session: Session, message: Message, *, guided: bool
+    ) -> tuple[dict[str, Any], dict[str, float]]:
+        """The answer to an observation, and its timing."""
+        seen = read_observation(message, session.time_s)
+        contexts = session.stages(message)
+        timing = {}
+        if guided and session.reasoner is not None:
+            began = time.perf_counter()
+            directed = await self._engine.reason(lambda: session.guided(contexts, seen))
+            timing["reason_ms"] = 1e3 * (time.perf_counter() - began)
+            if directed is None:
+                await self._engine.on_policy_thread(lambda: session.reset_policy(contexts))
+                session.time_s += 1 / CONTROL_HZ
+                return {"actions": np.zeros((1, 4), np.float32), "declines": True}, timing | {"infer_ms": 0.0}
+            seen = directed
+        done = await self._engine.act(session, contexts, seen)
+        session.time_s += len(done.actions) / CONTROL_HZ
+        timing |= {"infer_ms": 1e3 * done.infer_s, "wait_ms": 1e3 * done.wait_s}
+        return {"actions": done.actions, "declines": done.declines}, timing
+
+
+def told(error: Exception, client: str, level: int = logging.DEBUG) -> tuple[str, str]:
+    """The frame for a client, and its code; the traceback of an unexpected exception stays in the log.
+
+    What is wrong with a message is logged at `level`, what is wrong with pilot or server as an error.
+    """
+    if isinstance(error, CognitiveDroneError):
+        code = code_of(error)
+        trace = error.trace if isinstance(error, PolicyRaised | ReasonerError) else ""
+        log.log(logging.ERROR if trace else level, "%s: %s: %s%s", client, code, error, f"\n{trace}" if trace else "")
+        return error_frame(code, str(error), error.kind if isinstance(error, ReasonerError) else None), code
+    if isinstance(error, asyncio.TimeoutError):
+        return error_frame("busy", "the client was silent, or did not read, for too long"), "busy"
+    log.error("%s: unexpected error", client, exc_info=error)
+    return error_frame("internal", "the server failed at this message; its log says why"), "internal"
+
+
+async def _last_words(socket: WebSocket, frame: str) -> None:
+    """An error before the connection is closed, if the client still listens."""
+    try:
+        await asyncio.wait_for(socket.send_text(frame), 1.0)
+        await socket.close(_POLICY_VIOLATION)
+    except Exception:
+        log.debug("the client has left", exc_info=True)
+
+
+async def _healthy(_request: Request) -> Response:
+    return PlainTextResponse("OK\n")

@@ -1,0 +1,129 @@
+"""Runs the web application: opens the port, serves until stopped."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import uvicorn
+
+from cognitivedrone.errors import ServerError
+from cognitivedrone.files import reason_of
+from cognitivedrone.pilot import open_pilot
+from cognitivedrone.serving.access import token_of
+from cognitivedrone.serving.app import PolicyServer
+from cognitivedrone.serving.config import ServePlan
+from cognitivedrone.serving.protocols import LimitedHttp, LimitedWebSocket
+from cognitivedrone.serving.sessions import Served
+
+STOP_S = 2
+"""Time that clients have to leave when the server stops, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Where a server listens."""
+
+    host: str
+    port: int
+    needs_token: bool = False
+
+    def __str__(self) -> str:
+        return f"{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
+
+
+def serve(plan: ServePlan, ready: Callable[[Address], None], stop: threading.Event | None = None) -> None:
+    """Serve until interrupted, or until `stop` is set; `ready` is called once clients can connect.
+
+    Raises `ServerError` if the port cannot be opened or a token is missing, `PolicyError` for the pilot.
+    """
+    token = token_of(plan)
+    with contextlib.ExitStack() as stack:
+        listening = stack.enter_context(contextlib.closing(_listen(plan)))
+        served = Served(plan.pilot, stack.enter_context(open_pilot(plan.pilot)))
+        address = Address(plan.host, listening.getsockname()[1], token is not None)
+        asyncio.run(_run(plan, served, token, listening, lambda: ready(address), stop))
+
+
+@contextlib.contextmanager
+def serving(plan: ServePlan) -> Iterator[Address]:
+    """A server in a thread of this process, for tests and examples."""
+    stop, ready = threading.Event(), threading.Event()
+    found: list[Address] = []
+    errors: list[BaseException] = []
+
+    def listening(address: Address) -> None:
+        found.append(address)
+        ready.set()
+
+    def run() -> None:
+        try:
+            serve(plan, listening, stop)
+        except BaseException as error:
+            errors.append(error)
+        finally:
+            ready.set()
+
+    thread = threading.Thread(target=run, name="serve")
+    thread.start()
+    ready.wait()
+    try:
+        if errors:
+            raise errors[0]
+        yield found[0]
+    finally:
+        stop.set()
+        thread.join()
+    if errors:
+        raise errors[0]
+
+
+def _listen(plan: ServePlan) -> socket.socket:
+    family = socket.AF_INET6 if ":" in plan.host else socket.AF_INET
+    try:
+        return socket.create_server((plan.host, plan.port), family=family, backlog=128)
+    except OSError as error:
+        raise ServerError(
+            f"cannot listen at {plan.host}, port {plan.port}: {reason_of(error)}; give another --host or --port"
+        ) from None
+
+
+async def _run(
+    plan: ServePlan,
+    served: Served,
+    token: str | None,
+    listening: socket.socket,
+    ready: Callable[[], None],
+    stop: threading.Event | None,
+) -> None:
+    application = PolicyServer(served, plan.limits, token)
+    server = uvicorn.Server(
+        uvicorn.Config(
+            application.app,
+            http=LimitedHttp,
+            ws=LimitedWebSocket,
+            ws_max_size=1000 * plan.limits.message_kb,
+            ws_per_message_deflate=False,
+            lifespan="off",
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=STOP_S,
+        )
+    )
+    running = asyncio.create_task(server.serve(sockets=[listening]))
+    try:
+        while not server.started and not running.done():
+            await asyncio.sleep(0.01)
+        if not running.done():
+            ready()
+        while not running.done():
+            server.should_exit = server.should_exit or (stop is not None and stop.is_set())
+            await asyncio.wait([running], timeout=0.1)
+        await running
+    finally:
+        await application.close()

@@ -1,0 +1,185 @@
+"""The pilot that is served, and the state that each client has of it."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import logging
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from cognitivedrone.control.async_reasoner import Question, SimulatedReasoner, asking, check_guidance
+from cognitivedrone.control.calls import calling
+from cognitivedrone.control.directive_filter import DirectiveFilter
+from cognitivedrone.control.loop import Rates, check_chunk
+from cognitivedrone.errors import CognitiveDroneError, GroundTruthError, MessageError, PolicyRaised
+from cognitivedrone.files import digest_of_file
+from cognitivedrone.interfaces import Policy, Reasoner
+from cognitivedrone.pilot import Pilot
+from cognitivedrone.plan import PilotSpec
+from cognitivedrone.policies import POLICIES, make_policy, model_file
+from cognitivedrone.reasoners import REASONERS, make_reasoner
+from cognitivedrone.registry import one_line
+from cognitivedrone.remote.messages import OURS, PROTOCOL, Message, read_prompt, read_resets
+from cognitivedrone.tasks.directives import declines
+from cognitivedrone.types import CONTROL_HZ, ActionChunk, EpisodeContext, Guidance, Image, Observation
+
+log = logging.getLogger(__name__)
+
+
+class Served:
+    """A policy and maybe a reasoner, from whose weights every client's session is made."""
+
+    def __init__(self, spec: PilotSpec, pilot: Pilot) -> None:
+        """Raises `GroundTruthError` for an oracle: clients do not send the ground truth."""
+        for kind, part in (("policy", pilot.policy), ("reasoner", pilot.reasoner)):
+            if part is not None and part.needs_ground_truth:
+                name = spec.policy if kind == "policy" else spec.reasoner
+                raise GroundTruthError(f"the {kind} {name!r} uses privileged state, which no client sends")
+        self.spec, self.policy, self.reasoner = spec, pilot.policy, pilot.reasoner
+        model = model_file(spec.policy)
+        self._model = None if model is None else digest_of_file(model)
+
+    def metadata(self, session: str) -> dict[str, Any]:
+        """What a client is told when its session begins."""
+        reasoner = None if self.reasoner is None else _name(self.spec.reasoner, REASONERS)
+        return {
+            OURS: {
+                "protocol": PROTOCOL,
+                "version": importlib.metadata.version("cognitivedrone"),
+                "session": session,
+                "policy": _name(self.spec.policy, POLICIES),
+                "model": self._model,
+                "reasoner": reasoner,
+                "needs_seed": self.policy.needs_seed,
+                "reasoner_needs_seed": self.reasoner is not None and self.reasoner.needs_seed,
+                "control_hz": CONTROL_HZ,
+            }
+        }
+
+    @property
+    def unnorm_key(self) -> str | None:
+        """Name of the action statistics of a served OpenVLA; none of other policies."""
+        checkpoint = getattr(self.policy, "checkpoint", None)
+        return None if checkpoint is None else str(checkpoint.statistics_key)
+
+    def open_session(self) -> Session:
+        """A session with a state of its own."""
+        policy = self.policy.fork() or make_policy(self.spec.policy)
+        reasoner = None if self.reasoner is None else self.reasoner.fork() or make_reasoner(self.spec.reasoner)
+        return Session(policy, reasoner)
+
+    def act(self, sessions: Sequence[Session], observations: Sequence[Observation]) -> list[ActionChunk | Exception]:
+        """The checked actions of each session's policy, or the error of that session alone."""
+        chunks = self.policy.act_batch([session.policy for session in sessions], observations)
+        return [_checked(chunk) for chunk in chunks]
+
+
+@dataclass(slots=True)
+class Session:
+    """A client's own state."""
+
+    policy: Policy
+    reasoner: Reasoner | None
+    id: str = field(default_factory=lambda: secrets.token_hex(8))
+    starts_stages: bool = False
+    """Whether the client says when a stage begins. Otherwise a flight begins whenever the prompt changes."""
+    prompt: str | None = None
+    """The last one of a client that does not."""
+    time_s: float = 0.0
+    """Flight time of a client that sends none: the control steps so far."""
+    guide: Guide | None = None
+
+    def stages(self, message: Message) -> list[EpisodeContext]:
+        """The stages that begin with this message; raises `MessageError`."""
+        contexts = read_resets(message)
+        if contexts is not None:
+            self.starts_stages = True
+            self.time_s = 0.0
+            return contexts
+        prompt = read_prompt(message)
+        if self.starts_stages or prompt == self.prompt:
+            return []
+        self.prompt, self.time_s = prompt, 0.0
+        return [EpisodeContext(prompt)]
+
+    def reset_policy(self, contexts: Sequence[EpisodeContext]) -> None:
+        """Start stages."""
+        for context in contexts:
+            with calling("the policy"):
+                self.policy.reset(context)
+
+    def answer(self, contexts: Sequence[EpisodeContext], image: Image, instruction: str) -> Guidance:
+        """The reasoner's answer; raises `ReasonerError`, or `MessageError` without a reasoner."""
+        if self.reasoner is None:
+            raise MessageError("no_reasoner", "this server has no reasoner; start it with --reasoner NAME")
+        with asking():
+            for context in contexts:
+                self.reasoner.reset(context)
+            return check_guidance(self.reasoner.refine(image, instruction))
+
+    def guided(self, contexts: Sequence[EpisodeContext], observation: Observation) -> Observation | None:
+        """The observation with the reasoner's directive as instruction; none if the drone must hold its position."""
+        if self.reasoner is None:
+            return observation
+        for context in contexts:
+            if context.stage == 0 or self.guide is None:
+                self.guide = Guide(self.reasoner, context.seed)
+            self.guide.begin(context.stage)
+        if self.guide is None:
+            self.guide = Guide(self.reasoner, 0)
+        return self.guide.apply(observation)
+
+    def close(self) -> None:
+        """Free what this session alone has."""
+        self.policy.close()
+        if self.reasoner is not None:
+            self.reasoner.close()
+
+
+class Guide:
+    """A reasoner in front of a policy for one flight, as in the control loop: asked twice a second of flight time."""
+
+    def __init__(self, reasoner: Reasoner, seed: int) -> None:
+        self._reasoner = SimulatedReasoner(reasoner, seed=seed)
+        self.begin(0)
+
+    def begin(self, stage: int) -> None:
+        """Start a stage."""
+        self._stage, self._filter, self._next_s = stage, DirectiveFilter(), -np.inf
+
+    def apply(self, observation: Observation) -> Observation | None:
+        """See `Session.guided`."""
+        now = observation.time
+        if now >= self._next_s:
+            self._next_s = now + 1 / Rates().reasoner_hz - 0.5 / CONTROL_HZ  # frames are not exactly in time
+            self._reasoner.ask(Question(self._stage, observation.instruction, observation.image, now))
+            answer = self._reasoner.answer(now)
+            if answer is not None and answer.guidance is not None:
+                self._filter.update(answer.guidance, now)
+        guidance = self._filter.guidance(now)
+        if guidance is None:
+            return observation
+        return None if declines(guidance.directive) else replace(observation, instruction=guidance.directive)
+
+
+def _checked(chunk: ActionChunk | Exception) -> ActionChunk | Exception:
+    """A valid chunk, or the error to report."""
+    if isinstance(chunk, CognitiveDroneError):
+        return chunk
+    if isinstance(chunk, BaseException):
+        log.error("the policy raised an exception", exc_info=chunk)
+        return PolicyRaised(f"the policy raised {one_line(chunk)}", "")
+    try:
+        return check_chunk(chunk)
+    except CognitiveDroneError as error:
+        return error
+
+
+def _name(text: str, known: dict[str, str]) -> str:
+    """A plug-in's name without its arguments, which may name files of this machine."""
+    parts = text.split(":")
+    return parts[0] if parts[0] in known else ":".join(parts[:2])

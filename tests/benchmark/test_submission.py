@@ -1,0 +1,128 @@
+"""Submissions: made from real runs, tampering is found, and a sample is flown again."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cognitivedrone.benchmark.config import Plan
+from cognitivedrone.benchmark.runner import run
+from cognitivedrone.benchmark.submission import (
+    leaderboard,
+    markdown,
+    read_submission,
+    submission_of,
+    verify,
+    write_submission,
+)
+from cognitivedrone.cli import main
+from cognitivedrone.errors import RunError
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A whole run of a shipped suite."""
+    out = tmp_path_factory.mktemp("run") / "smoke"
+    run(Plan.of(policy="oracle", suite="open-v1:smoke", workers=0, clips=0, out=out), progress=False)
+    return out
+
+
+@pytest.fixture
+def file(folder: Path, tmp_path: Path) -> Path:
+    path = tmp_path / "leaderboard" / "mine.json"
+    write_submission(path, submission_of([folder], "Mine", "Us"))
+    return path
+
+
+def test_a_submission_holds_the_run_and_is_read_back(folder: Path, file: Path) -> None:
+    submission = read_submission(file)
+    assert submission == submission_of([folder], "Mine", "Us")
+    (made,) = submission.runs
+    assert made.overall.n == 30
+    assert made.overall.rate == 1.0
+    assert made.mean == 1.0
+    assert len(made.flown) == 30
+    assert made.command.startswith("cognitivedrone bench")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda run: run["overall"].update(passed=29), "scores do not follow"),
+        (lambda run: run["flown"][3].__setitem__(0, {"outcome": "timeout", "chosen": None}), "scores do not follow"),
+        (lambda run: run["flown"].pop(), "flights are not those of the suite"),
+        (lambda run: run["run"]["suite"].update(digest="0" * 64), "other tasks than the suite"),
+        (lambda run: run["run"]["suite"].update(name="mine"), "no shipped suite"),
+        (lambda run: run["flown"][3].__setitem__(0, {"outcome": "won", "chosen": 1}), "won"),
+        (lambda run: run.pop("machine"), "missing"),
+    ],
+)
+def test_tampering_is_found(file: Path, change, said: str) -> None:
+    document = json.loads(file.read_text())
+    change(document["runs"][0])
+    file.write_text(json.dumps(document))
+    with pytest.raises(RunError, match=said):
+        read_submission(file)
+
+
+def test_what_cannot_be_submitted(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="printable characters"):
+        submission_of([folder], "", "Us")
+    with pytest.raises(RunError, match="several runs of open-v1:smoke"):
+        submission_of([folder, folder], "Mine", "Us")
+    part = tmp_path / "part"
+    run(Plan.of(policy="oracle", suite="open-v1:smoke", episodes=1, workers=0, clips=0, out=part), progress=False)
+    with pytest.raises(RunError, match="has 1 episodes only"):
+        submission_of([part], "Mine", "Us")
+
+
+def test_a_sample_is_flown_again(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (checked,) = verify(read_submission(file), 2, progress=False)
+    assert (checked.flown, checked.equal, checked.passed, checked.submitted) == (2, 2, 2, 2)
+    assert checked.confirmed
+    main(["verify", str(file), "--sample", "1"])
+    assert "confirmed" in capsys.readouterr().out
+
+
+def test_a_pilot_that_passes_less_often_is_not_confirmed(folder: Path, tmp_path: Path, monkeypatch) -> None:
+    submission = submission_of([folder], "Mine", "Us")
+    path = tmp_path / "other.json"
+    write_submission(path, submission)
+    # The submitted pilot is replaced by one that drives into the first thing it meets.
+    document = json.loads(path.read_text())
+    document["runs"][0]["run"]["policy"] = "random"
+    path.write_text(json.dumps(document))
+    (checked,) = verify(read_submission(path), 8, progress=False)
+    assert checked.passed == 0
+    assert not checked.confirmed
+
+
+def test_other_weights_are_refused(file: Path) -> None:
+    document = json.loads(file.read_text())
+    document["runs"][0]["run"]["options"]["model"] = "0" * 64
+    file.write_text(json.dumps(document))
+    with pytest.raises(RunError, match="model is another file here"):
+        verify(read_submission(file), 1, progress=False)
+
+
+def test_the_leaderboard_is_sorted_and_escaped(folder: Path) -> None:
+    good = submission_of([folder], "a|b", "Us", "https://example.org")
+    rows = leaderboard([good], ["open-v1:smoke", "open-v1:test"])
+    assert rows == [["[a|b](https://example.org)", "Us", "100.0 (89 to 100)", "–"]]
+    assert "a\\|b" in markdown(rows, ["open-v1:smoke", "open-v1:test"])
+
+
+def test_the_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "mine.json"
+    main(["submit", str(folder), "--name", "Mine", "--by", "Us", "--out", str(out)])
+    assert "open-v1:smoke: 30 of 30 passed" in capsys.readouterr().out
+    assert read_submission(out).name == "Mine"
+
+
+def test_the_page_of_the_leaderboard_is_made_from_its_files() -> None:
+    script = Path(__file__).resolve().parents[2] / "scripts" / "render_leaderboard.py"
+    assert subprocess.run([sys.executable, str(script), "--check"], check=False).returncode == 0

@@ -1,0 +1,38 @@
+"""A suite flown by a served pilot scores to the bit as one flown by the same pilot in the command's process."""
+
+from dataclasses import replace
+
+import pytest
+
+from cognitivedrone.benchmark.config import Plan, ReasonPlan
+from cognitivedrone.benchmark.reason import score_reasoner
+from cognitivedrone.benchmark.runner import run
+from cognitivedrone.serving.config import ServePlan
+from cognitivedrone.serving.server import serving
+
+SUITE = {"suite": "open-v1:smoke", "episodes": 1, "overwrite": True}
+
+
+@pytest.fixture(scope="module")
+def address():
+    with serving(ServePlan.of(policy="colour_seeker", reasoner="small", port=0)) as where:
+        yield where
+
+
+def test_scores_do_not_depend_on_where_the_pilot_runs(address, tmp_path):
+    plan = Plan.of(**SUITE, policy="colour_seeker", reasoner="small", workers=0, clips=0)
+    plan = plan.changed(latency="policy=80ms,reasoner=250ms")
+    here = run(plan.changed(out=tmp_path / "here"), progress=False)
+    remote = f"remote:ws://{address}"
+    there = run(plan.changed(policy=remote, reasoner=remote, out=tmp_path / "there"), progress=False)
+    assert here.episodes
+    assert here.episodes[0].stages[0].reasoner.answers > 0
+    assert there.episodes == here.episodes
+
+
+def test_a_served_reasoner_scores_as_a_local_one(address, tmp_path):
+    plan = ReasonPlan.of(**SUITE, reasoner="small")
+    here = score_reasoner(plan.changed(out=tmp_path / "here"), progress=False)
+    there = score_reasoner(plan.changed(reasoner=f"remote:ws://{address}", out=tmp_path / "there"), progress=False)
+    assert here.answers
+    assert [replace(one, seconds=0) for one in there.answers] == [replace(one, seconds=0) for one in here.answers]

@@ -1,0 +1,81 @@
+"""The command `serve`: what it prints, its help, and what it needs."""
+
+import logging
+import subprocess
+import sys
+
+import pytest
+from policy_clients import Client, observation
+
+from cognitivedrone import errors
+from cognitivedrone.cli import main
+from cognitivedrone.serving.announce import announced, logging_to_stderr
+from cognitivedrone.serving.config import ServePlan
+from cognitivedrone.serving.server import Address
+
+
+def test_it_serves_until_it_is_stopped_and_says_how_to_call_it(tiny_model_file):
+    command = [sys.executable, "-m", "cognitivedrone", "serve", "--policy", f"small:{tiny_model_file}", "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        first, *more = (process.stdout.readline() for _ in range(5))
+        address = first.partition("ws://")[2].split()[0]
+        assert first.startswith("serving small:")
+        with Client(address) as client:
+            assert client.ask(observation())["actions"].shape == (2, 4)
+            assert "Traceback" not in client.ask({})
+        process.terminate()
+        _, log = process.communicate(timeout=60)
+    assert any(f"--policy remote:ws://{address}" in line for line in more)
+    assert "missing_field" in log
+    assert "Traceback" not in log
+
+
+def test_it_tells_other_machines_where_they_find_it():
+    plan = ServePlan.of(policy="small", reasoner="small", host="0.0.0.0")  # noqa: S104
+    lines = announced(plan, Address(plan.host, 8000, needs_token=True))
+    assert "bench --policy remote:ws://ADDRESS-OF-THIS-MACHINE:8000 --reasoner remote:ws://ADDRESS" in lines
+    assert "COGNITIVEDRONE_SERVER_TOKEN" in lines
+    assert str(Address("::1", 80)) == "[::1]:80"
+
+
+def test_the_log_is_as_it_was_afterwards(capsys):
+    logger = logging.getLogger("cognitivedrone.serving")
+    before = logger.level, logger.propagate, list(logger.handlers)
+    with logging_to_stderr():
+        logger.getChild("app").info("hello")
+    assert capsys.readouterr().err.endswith("INFO hello\n")
+    assert (logger.level, logger.propagate, list(logger.handlers)) == before
+
+
+def test_the_help_teaches(capsys):
+    with pytest.raises(SystemExit):
+        main(["serve", "--help"])
+    shown = " ".join(capsys.readouterr().out.split())
+    for words in ("--token-file", "remote:ws://HOST:PORT", "openpi", "/act", "docs/serving.md"):
+        assert words in shown
+
+
+def test_without_the_extra_it_says_so_in_one_sentence(monkeypatch, capsys):
+    real = errors.importlib.import_module
+
+    def absent(name, *more):
+        if name == "uvicorn":
+            raise ModuleNotFoundError(name=name)
+        return real(name, *more)
+
+    monkeypatch.setattr(errors.importlib, "import_module", absent)
+    with pytest.raises(SystemExit) as stop:
+        main(["serve"])
+    assert stop.value.code == 2
+    assert "serve" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", [["--port", "70000"], ["--host", "192.0.2.1"], ["--policy", "oracle"]])
+def test_what_it_cannot_do_ends_in_one_sentence(option, capsys, monkeypatch):
+    monkeypatch.delenv("COGNITIVEDRONE_SERVER_TOKEN", raising=False)
+    with pytest.raises(SystemExit) as stop:
+        main(["serve", *option])
+    assert stop.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith("cognitivedrone: ")
+    assert said.count("\n") == 1

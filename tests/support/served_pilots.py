@@ -1,0 +1,104 @@
+"""Pilots that tests serve by name, in the process of the test: they can be watched and held up."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+
+from cognitivedrone.errors import PolicyError, ReasonerError
+from cognitivedrone.interfaces import Policy, Reasoner, attempt
+from cognitivedrone.types import Guidance
+
+
+class Counting(Policy):
+    """Answers with what happened since its last reset: stage, observations, instruction's length, height."""
+
+    declines = False
+
+    def __init__(self) -> None:
+        self.stage, self.seen, self.seed = -1.0, 0, 0
+
+    def reset(self, context):
+        if not context.instruction.strip():
+            raise PolicyError("the instruction is empty; say which gate to fly through")
+        self.stage, self.seen = float(context.stage), 0
+
+    def fork(self):
+        return Counting()
+
+    def act(self, observation):
+        self.seen += 1
+        self.declines = "decline" in observation.instruction
+        return np.array([[self.stage, self.seen, len(observation.instruction), observation.height]], np.float32)
+
+
+class Seeded(Policy):
+    """Answers with its seed. It cannot be forked."""
+
+    needs_seed = True
+
+    def reset(self, context):
+        self.seed = context.seed
+
+    def act(self, observation):
+        return np.full((2, 4), self.seed, np.float32)
+
+
+class Held(Counting):
+    """Waits in every batch until `go` is set, and keeps the sizes of the batches."""
+
+    go, busy = threading.Event(), threading.Event()
+    sizes: list[int] = []  # noqa: RUF012
+
+    def fork(self):
+        return Held()
+
+    def act_batch(self, sessions, observations):
+        self.busy.set()
+        self.sizes.append(len(sessions))
+        assert self.go.wait(60)
+        return [attempt(session.act, seen) for session, seen in zip(sessions, observations, strict=True)]
+
+
+class Faulty(Counting):
+    """Does what the instruction says."""
+
+    def fork(self):
+        return Faulty()
+
+    def act(self, observation):
+        match observation.instruction:
+            case "raise":
+                raise ZeroDivisionError("a secret of the server")
+            case "exit":
+                raise SystemExit(3)
+            case "nan":
+                return np.full((1, 4), np.nan, np.float32)
+            case "shape":
+                return np.zeros((2, 3), np.float32)
+            case "text":
+                return "left"
+        return super().act(observation)
+
+
+class Stages(Reasoner):
+    """A directive that tells how it was asked; declines where the instruction says so."""
+
+    def __init__(self) -> None:
+        self.stages: list[int] = []
+        self.asked = 0
+
+    def reset(self, context):
+        self.stages.append(context.stage)
+
+    def fork(self):
+        return Stages()
+
+    def refine(self, image, instruction):
+        self.asked += 1
+        if instruction == "unsure":
+            raise ReasonerError("unsure", "only 2 of 3 gates have been in view")
+        if instruction == "nothing":
+            return Guidance("Hold position", None, 0.9, present=0.1)
+        return Guidance(f"stages {self.stages}, question {self.asked}", 1, 0.75)

@@ -1,0 +1,136 @@
+"""The code of README, docs/ and the tutorials runs as it stands.
+
+A line `<!-- not run: REASON -->` above a block leaves it out. In a tutorial, a block with a title is a file of that
+name, and commands run in the page's order, in a folder of the page's own.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+ELSEWHERE = {
+    "gymnasium.md": "envs/test_gymnasium_page.py",
+    "reasoners.md": "benchmark/test_reason.py",
+    "store.md": "data/test_store.py",
+}
+"""Pages whose Python another test runs, with what it needs."""
+TUTORIALS = ("score", "data", "task", "policy", "reasoner", "labels")
+"""Those whose commands take seconds. The others train, or need a vehicle; test_docs.py checks their flags."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page."""
+
+    language: str
+    title: str
+    text: str
+    not_run: str
+
+
+def blocks_of(text: str) -> list[Block]:
+    found = re.finditer(
+        r"^(?:<!-- not run: (?P<why>.+) -->\n)? *```(?P<language>\w*)(?P<info>[^\n]*)\n(?P<text>.*?)^ *```$",
+        text,
+        flags=re.MULTILINE | re.DOTALL,
+    )
+    return [
+        Block(
+            block["language"],
+            (re.search(r'title="([^"]+)"', block["info"]) or ["", ""])[1],
+            block["text"],
+            block["why"] or "",
+        )
+        for block in found
+    ]
+
+
+def python_of(page: Path) -> list[str]:
+    return [b.text for b in blocks_of(page.read_text()) if b.language == "python" and not b.title and not b.not_run]
+
+
+PAGES = [page for page in sorted(DOCS.glob("*.md")) if page.name not in ELSEWHERE and python_of(page)]
+
+
+def run(arguments: Sequence[str], folder: Path, **environment: str) -> str:
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=500,
+        check=False,
+    )
+    assert done.returncode == 0, f"{shlex.join(arguments)}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+def commands_of(block: str) -> list[tuple[dict[str, str], list[str]]]:
+    """The environment and the arguments of every `cognitivedrone` line; any other line is an error."""
+    found = []
+    for line in block.replace("\\\n", " ").splitlines():
+        words = shlex.split(line, comments=True)
+        if not words:
+            continue
+        environment = dict(word.split("=", 1) for word in words if re.match(r"[A-Z_]+=", word))
+        name, *arguments = words[len(environment) :]
+        assert name == "cognitivedrone", f"{line}: not a command of ours; say above the block why it is not run"
+        found.append((environment, arguments))
+    return found
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with what pages take for granted: a run and a data set."""
+    folder = tmp_path_factory.mktemp("finished")
+    for command in (
+        "collect --recipe debug --episodes 2 --workers 1 --out STORE",
+        "bench --suite open-v1:smoke --policy oracle --episodes 1 --workers 0 --out results/smoke",
+    ):
+        run(["-m", "cognitivedrone", *command.split()], folder)
+    return folder
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_python_of_a_page_runs(page, finished):
+    run(["-c", "\n".join(python_of(page))], finished)
+
+
+@pytest.mark.parametrize("name", TUTORIALS)
+def test_a_tutorial_works_from_top_to_bottom(name, tmp_path):
+    ran = 0
+    for block in blocks_of((DOCS / "tutorials" / f"{name}.md").read_text()):
+        if block.title:
+            (tmp_path / block.title).write_text(block.text)
+        elif block.not_run:
+            continue
+        elif block.language == "python":
+            run(["-c", block.text], tmp_path)
+        elif block.language == "sh":
+            for environment, arguments in commands_of(block.text):
+                path = os.pathsep.join([environment.get("PYTHONPATH", ""), os.environ.get("PYTHONPATH", "")])
+                run(["-m", "cognitivedrone", *arguments], tmp_path, **{**environment, "PYTHONPATH": path})
+                ran += 1
+    assert ran
+
+
+@pytest.mark.parametrize(("page", "test"), ELSEWHERE.items())
+def test_what_is_run_elsewhere_is(page, test):
+    assert f'"{page}"' in (ROOT / "tests" / test).read_text()
+
+
+def test_a_reason_leaves_out_only_the_block_below_it():
+    text = "<!-- not run: slow -->\n```python\na\n```\n\n```python\nb\n```\n   ```sh\n   c\n   ```\n"
+    assert [(block.text.strip(), block.not_run) for block in blocks_of(text)] == [("a", "slow"), ("b", ""), ("c", "")]
