@@ -45,9 +45,9 @@ def lasting(folder: Path) -> dict:
     return {key: value for key, value in document.items() if key not in ("timing", "platform")}
 
 
-def local(config: Plan, runner: str = RUNNER, workers: int = 0) -> dict:
+def local(config: Plan, name: str = RUNNER, workers: int = 0) -> dict:
     here = config.changed(out=config.out.parent / "local", executor="local", workers=workers)
-    run(here, progress=False, runner=runner)
+    run(here, progress=False, runner=name)
     return lasting(here.out)
 
 
@@ -57,6 +57,13 @@ def test_a_cluster_flies_what_a_local_run_flies(spread):
     assert results.timing.workers == 2
     assert lasting(spread.out) == local(spread)
     assert (spread.out / "report.html").read_text().count("<video") == 3
+
+
+def test_real_flights_are_the_same(spread):
+    spread = spread.changed(suite="open-v1:smoke", policy="small", episodes=2)
+    run(spread, progress=False)
+    assert lasting(spread.out) == local(spread, runner.RUNNER)
+    assert lasting(spread.out)["scores"]["through"]["overall"]["n"] == 2
 
 
 def test_killing_a_node_loses_nothing(spread, cluster):
