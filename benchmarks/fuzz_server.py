@@ -90,7 +90,9 @@ class Peer:
             if length >= 126:
                 length = int.from_bytes(self.read(2 if length == 126 else 8), "big")
             data = self.read(length)
-            if head[0] & 15 not in (PING, PONG):
+            if head[0] & 15 == PING:
+                self.send(frame(data, PONG))
+            elif head[0] & 15 != PONG:
                 return head[0] & 15, data
         return None
 
@@ -287,6 +289,7 @@ class Witness(threading.Thread):
     def stop(self) -> None:
         self._stopping.set()
         self.join(2 * ANSWER_S)
+        self._peer.close()
 
 
 def fuzz(port: int, messages: int, seed: int) -> tuple[Counter[tuple[str, str]], Witness]:

@@ -171,8 +171,13 @@ def fields(rng: random.Random) -> bytes:
                 message["reset"] = [
                     {rng.choice(("prompt", "stage", "seed")): rng.choice(VALUES)} for _ in range(rng.randrange(3))
                 ]
-    packed: bytes = msgpack.packb(message, default=lambda value: msgpack.unpackb(pack(value), strict_map_key=False))
-    return packed
+    return packed(message)
+
+
+def packed(value: Any) -> bytes:
+    """Any value, valid or not, as msgpack."""
+    data: bytes = msgpack.packb(value, default=lambda array: msgpack.unpackb(pack(array), strict_map_key=False))
+    return data
 
 
 def one_message(rng: random.Random) -> tuple[str, bytes]:
@@ -180,7 +185,7 @@ def one_message(rng: random.Random) -> tuple[str, bytes]:
         case 0:
             return "fields", fields(rng)
         case 1:
-            return "msgpack value", msgpack.packb(raw_value(rng))
+            return "msgpack value", packed(raw_value(rng))
         case 2:
             return "msgpack mutated", mutated(pack(OBSERVATION), rng)
         case _:

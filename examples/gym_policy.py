@@ -3,11 +3,13 @@
 Run: python examples/gym_policy.py
 """
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 
 
-def policy(observation: dict[str, np.ndarray]) -> np.ndarray:
+def policy(observation: dict[str, Any]) -> np.ndarray:
     """Straight ahead at the gates' height: vx, vy, vz in m/s and yaw rate in rad/s."""
     return np.array([1.2, 0.0, 0.9 - observation["height"][0], 0.0], dtype=np.float32)
 

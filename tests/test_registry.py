@@ -109,10 +109,13 @@ class WithFile:
 @pytest.mark.parametrize(
     ("name", "written"),
     [
-        ("small", "small[:PATH]"),
+        ("small", "small[:PATH][,stack=NUMBER]"),
         ("hover", "hover"),
         ("lerobot", "lerobot:FOLDER[,device=cuda|cpu]"),
-        ("openvla", "openvla:FOLDER[,decoder=ar|parallel][,quant=none|int8|int4][,device=cuda|cpu][,unnorm_key=TEXT]"),
+        (
+            "openvla",
+            "openvla:FOLDER[,decoder=ar|parallel][,quant=none|int8|int4][,device=cuda|cpu][,unnorm_key=TEXT][,stack=NUMBER]",
+        ),
     ],
 )
 def test_usage_says_how_a_plug_in_is_written(name, written):

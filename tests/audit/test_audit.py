@@ -15,12 +15,14 @@ from cognitivedrone.audit.run import Row, audit, folder_of
 from cognitivedrone.benchmark.tables import as_text
 from cognitivedrone.cli import main
 from cognitivedrone.errors import RunError
-from cognitivedrone.plan import PilotSpec
+from cognitivedrone.plan import PilotSpec, TaskSource
 
 
 def plan_of(tmp_path, *only, policy="oracle", reasoner="none", episodes=2):
     pilot = PilotSpec(policy, reasoner)
-    return AuditPlan(pilot, suite="open-v1:smoke", episodes=episodes, only=only, workers=0, out=tmp_path / "audit")
+    return AuditPlan(
+        pilot, TaskSource("open-v1:smoke"), episodes=episodes, only=only, workers=0, out=tmp_path / "audit"
+    )
 
 
 def test_a_pilot_that_knows_the_answer_is_found_out_by_the_missing_question(tmp_path):
@@ -61,7 +63,7 @@ def test_what_cannot_be_audited_is_said(tmp_path):
     with pytest.raises(RunError, match="unknown audit 'winds'; did you mean 'wind'"):
         audit(plan_of(tmp_path, "winds"), progress=False)
     with pytest.raises(RunError, match="no task with three gates"):
-        audit(AuditPlan(suite="open-v1:race", out=tmp_path), progress=False)
+        audit(AuditPlan(source=TaskSource("open-v1:race"), out=tmp_path), progress=False)
     assert str(folder_of(AuditPlan())) == "results/audit-open-v1-test-small-none"
 
 

@@ -111,7 +111,7 @@ def renamed(parts: list[Path]) -> list[Path]:
         (lambda parts: [], "there is nothing to merge"),
         (lambda parts: parts[:1], "of 3 shards, 2/3, 3/3 are missing"),
         (lambda parts: [*parts, shutil.copytree(parts[1], parts[1].parent / "copy")], "are both shard 2/3"),
-        (lambda parts: [*parts, parts[0].parent / "nowhere"], "nowhere/results.json does not exist"),
+        (lambda parts: [*parts, parts[0].parent / "nowhere"], "nowhere does not exist; give the --out folder"),
         (damaged, "part-2-of-3: its records are not the episodes of its results"),
         (renamed, "does not hold the episodes of shard"),
     ],
@@ -125,7 +125,7 @@ def test_what_is_not_every_shard_once_is_refused(parts, given, says, tmp_path):
 @pytest.mark.parametrize(
     ("change", "shard", "says"),
     [
-        ({"seed": 1}, "3/3", r"part-3-of-3 is a shard of another run: options\.seed is 1 in .*part-3-of-3 and 0 in"),
+        ({"wind": 0.5}, "3/3", r"part-3-of-3 is a shard of another run: options\.wind_m_s is 0\.5 in .*-3 and 0\.0 in"),
         ({"policy": "other"}, "3/3", "shard of another run: policy is 'other' in"),
         ({"rule": "within_1m"}, "3/3", "shows the rule within_1m first"),
         ({}, "3/4", r"part-1-of-3 is shard 1/3 and .*part-3-of-4 is shard 3/4"),
@@ -165,7 +165,7 @@ def test_shards_divide_a_run(count):
     parts = [[*Shard(number, count).of(range(20))] for number in range(1, count + 1)]
     assert sorted(episode for part in parts for episode in part) == [*range(20)]
     assert max(map(len, parts)) - min(map(len, parts)) <= 1
-    assert parse_shard(str(Shard(1, count))) == (1, count)
+    assert parse_shard(str(Shard(1, count))) == Shard(1, count)
 
 
 def test_a_shard_has_a_folder_of_its_own(config):

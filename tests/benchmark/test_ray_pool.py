@@ -55,7 +55,6 @@ def test_a_cluster_flies_what_a_local_run_flies(spread):
     spread = spread.changed(clips=3)
     results = run(spread, progress=False, runner=RUNNER)
     assert results.timing.workers == 2
-    assert len({record.trace.decision_s for record in read_records(spread.out).values()}) == 2, "one of them was idle"
     assert lasting(spread.out) == local(spread)
     assert (spread.out / "report.html").read_text().count("<video") == 3
 

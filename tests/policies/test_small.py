@@ -317,7 +317,7 @@ def test_a_fork_shares_the_network_and_no_state(tmp_path):
     fork = made.fork()
     assert fork.model is made.model
     assert (fork.declines, fork._presence.frames, fork.last) == (False, 0, None)
-    fork.reset(EpisodeContext("the small gate"))
+    fork.reset(EpisodeContext("Fly through the red gate with the letter A"))
     assert made._presence.frames == 9
 
 

@@ -81,6 +81,8 @@ IMAGE = np.zeros((256, 256, 3), np.uint8)
         {"observation__state": np.zeros((1, 5))},
         {"observation__state": np.array([0, 0, np.nan, 1, 0])},
         {"observation__state": np.array([0, 0, np.inf, 1, 0])},
+        {"observation__state": np.array([0, 0, -1e300, 1, 0])},
+        {"observation__state": np.full(5, -(2**63))},
         {"observation__state": np.zeros(5, bool)},
         {"observation__state": [0.0] * 5},
         {"prompt": 3},
@@ -118,7 +120,7 @@ def test_any_other_reset_is_refused(reset):
 
 def test_what_is_asked_for_is_checked():
     assert (read_ask({}), read_ask({"ask": "policy"})) == ("pilot", "policy")
-    for ask in ("poem", 3, [1], {}):
+    for ask in ("poem", 3, [1], {}, np.zeros(2)):
         with pytest.raises(MessageError, match="expected pilot, policy, guidance"):
             read_ask({"ask": ask})
 
@@ -132,6 +134,10 @@ def test_another_version_and_another_session_are_refused():
     with pytest.raises(MessageError, match="no session 'b'") as caught:
         check_protocol({"session": "b"}, "a")
     assert caught.value.code == "unknown_session"
+    for strange in (np.zeros(2), [], None, 1.0, True):
+        for key in ("protocol", "session"):
+            with pytest.raises(MessageError):
+                check_protocol({key: strange}, "a")
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from cognitivedrone.plan import Options, PilotSpec
+from cognitivedrone.plan import Options, PilotSpec, TaskSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -13,16 +13,11 @@ class AuditPlan(Options):
     """Fly a pilot again and again with one thing changed, to see why it passes."""
 
     pilot: PilotSpec = PilotSpec()
-    suite: str = "open-v1:test"
-    """Name of a suite of single choices, or a task file."""
-    labels: Path | None = None
-    """Folder of label images that take precedence over the shipped ones."""
+    source: TaskSource = TaskSource()
     episodes: int = 100
     """Tasks of each flight, from the first."""
     only: tuple[str, ...] = ()
     """Names of the audits to fly, such as "wind"; all by default."""
-    seed: int = 0
-    """Seed of all random numbers. Same seed, same results."""
     workers: int | None = None
     """Number of worker processes; the number of cores by default."""
     out: Path | None = None

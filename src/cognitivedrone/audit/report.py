@@ -20,7 +20,7 @@ EXPECTED: Final = {"as before": "as before, to 10 points", "follows": "at least 
 
 def audit_table(plan: AuditPlan, rows: Sequence[Row]) -> RenderableType:
     """The rows, one a variant."""
-    title = f"audit of {plan.pilot.policy}, reasoner {plan.pilot.reasoner}, on {plan.suite}"
+    title = f"audit of {plan.pilot.policy}, reasoner {plan.pilot.reasoner}, on {plan.source.title}"
     table = new_table(title, "", "", "n", "rate", "95 % CI", "as it is", "declined", "sound")
     for row in rows:
         table.add_row(

@@ -60,17 +60,17 @@ def audit(plan: AuditPlan, *, progress: bool = True) -> list[Row]:
     """
     chosen = _chosen(plan.only)
     folder = folder_of(plan)
-    suite = open_suite(plan.suite, size=plan.episodes)
+    suite = open_suite(plan.source.suite, plan.source.tasks, size=plan.episodes, seed=plan.source.seed)
     tasks = [task for track in suite.tracks for task in track if _is_choice(task)][: plan.episodes]
     if not tasks:
-        raise RunError(f"{plan.suite} has no task with three gates and a right one; audits need choices")
+        raise RunError(f"{plan.source.title} has no task with three gates and a right one; audits need choices")
     before = _fly(plan, folder / "baseline", tasks, Variant(BASELINE), progress)
     passed = {stage.task_id: stage.outcome == "passed" for stage in _stages(before)}
     rows = [_row(Audit("baseline", "", "as before", ()), Variant(BASELINE), _stages(before), passed)]
     _write(folder, plan, suite, rows)
     for each in chosen:
         for variant in each.variants:
-            changed = list(_changed(plan.seed, tasks, each, variant))
+            changed = list(_changed(plan.source.seed, tasks, each, variant))
             if not changed:
                 continue
             name = safe_name(re.sub(r"\W+", "-", f"{each.name}-{variant.name}").strip("-"))
@@ -82,7 +82,7 @@ def audit(plan: AuditPlan, *, progress: bool = True) -> list[Row]:
 
 def folder_of(plan: AuditPlan) -> Path:
     """The folder given, or one named after suite, policy and reasoner."""
-    return plan.out or results_folder("audit", plan.suite, plan.pilot.policy, plan.pilot.reasoner)
+    return plan.out or results_folder("audit", plan.source.title, plan.pilot.policy, plan.pilot.reasoner)
 
 
 def _chosen(names: Iterable[str]) -> tuple[Audit, ...]:
@@ -120,8 +120,8 @@ def _fly(plan: AuditPlan, folder: Path, tasks: list[Task], variant: Variant, pro
             reasoner=reasoner,
             suite="",
             tasks=file,
-            labels=plan.labels,
-            seed=plan.seed,
+            labels=plan.source.labels,
+            seed=plan.source.seed,
             workers=plan.workers,
             out=folder,
             resume=True,
@@ -175,7 +175,7 @@ def _write(folder: Path, plan: AuditPlan, suite: Suite, rows: list[Row]) -> None
         "policy": plan.pilot.policy,
         "reasoner": plan.pilot.reasoner,
         "episodes": plan.episodes,
-        "seed": plan.seed,
+        "seed": plan.source.seed,
         "rows": [asdict(row) for row in rows],
     }
     write_whole(folder / AUDIT_FILE, json.dumps(document, indent=1) + "\n")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from cognitivedrone.errors import RunError
 
 
-@dataclass(frozen=True, slots=True, order=True)
+@dataclass(frozen=True, order=True, slots=True)
 class Shard:
     """Part `number` of `count`, written "2/8": every eighth episode, from the second."""
 

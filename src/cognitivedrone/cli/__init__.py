@@ -30,7 +30,7 @@ COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
         "submit": ("scoring:submit", "make a file for the leaderboard from finished runs"),
         "verify": ("scoring:verify", "fly a sample of a leaderboard file again"),
         "reason": ("scoring:reason", "score a reasoner alone, without flying"),
-        "audit": ("scoring:audit", "fly a pilot with one thing changed at a time, to see why it passes"),
+        "audit": ("scoring:audit", "fly a pilot with one thing changed at a time"),
         "sweep": ("scoring:sweep", "fly a suite with increasing latency and plot the success rate"),
         "list": ("scoring:list_names", "names for the options: suites, policies, reasoners, airframes"),
     },
@@ -42,7 +42,7 @@ COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
         "gazebo import": ("flying:import_models", "import the published Gazebo tasks"),
     },
     "serve": {
-        "serve": ("serving:serve", "serve a policy and a reasoner to remote clients, openpi's and OpenVLA's"),
+        "serve": ("serving:serve", "serve a policy and a reasoner to remote clients"),
     },
     "collect data and train": {
         "collect": ("data:collect", "collect a data set of expert flights"),

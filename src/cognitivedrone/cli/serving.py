@@ -19,13 +19,12 @@ def serve(plan: Annotated[Flat[ServePlan], tyro.conf.arg(name="")]) -> None:
     """Serve a policy, and maybe a reasoner in front of it, until ctrl-C.
 
     Clients are `--policy remote:ws://HOST:PORT` and `--reasoner remote:ws://HOST:PORT` in every command here, openpi's
-    client, and OpenVLA's REST at /act. Only this machine can connect unless --host is given. Needs the extra `serve`.
-    Examples:
+    client, and OpenVLA's REST at /act. Only this machine can connect unless --host is given; read docs/serving.md
+    before you do that. Needs the extra `serve`. Examples:
+
       cognitivedrone serve --policy small --reasoner small
       cognitivedrone serve --policy openvla:checkpoints/7b --host 0.0.0.0 --token-file token
       cognitivedrone bench --policy remote:ws://127.0.0.1:8000 --suite open-v1:smoke
-
-    Read docs/serving.md before other machines may connect.
     """
     for package in ("uvicorn", "starlette", "websockets", "msgpack"):
         import_extra(package, EXTRA)

@@ -7,12 +7,12 @@ import os
 import warnings
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from importlib import resources
 from pathlib import Path
 from string import punctuation
-from typing import Any, Self, cast
+from typing import Self, cast
 
 import numpy as np
 
@@ -208,11 +208,11 @@ def _run(model: SmallModel, frames: Sequence[_Frame]) -> Sequence[Output | Excep
     outputs = attempt(partial(model.run, images, states), [frame.text for frame in frames])
     if isinstance(outputs, Exception):
         return [outputs] * len(frames)
-    values: list[Any] = [getattr(outputs, field.name) for field in fields(Output)]
-    rows: list[list[Any]] = [
-        [None if value is None else value[row : row + 1] for value in values] for row in range(len(frames))
+    values = {field.name: getattr(outputs, field.name) for field in fields(Output)}
+    return [
+        replace(outputs, **{name: value[row : row + 1] for name, value in values.items() if value is not None})
+        for row in range(len(frames))
     ]
-    return [Output(*row) for row in rows]
 
 
 class Race(Small):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from typing import Any, Final, Literal, TypeAlias, get_args
+from typing import Any, Final, Literal, TypeAlias, cast, get_args
 
 import numpy as np
 
@@ -37,6 +37,8 @@ PROMPT: Final = "prompt"
 TIME: Final = "time"
 LONGEST_PROMPT: Final = 10_000
 """Maximum length in characters; policies set shorter limits of their own."""
+LARGEST_STATE: Final = 1e6
+"""Maximum magnitude of a velocity, height or rate."""
 MOST_RESETS: Final = 256
 """Maximum number of stages in one message."""
 
@@ -78,8 +80,9 @@ def read_observation(message: Message, time_s: float) -> Observation:
             f"{STATE} is {state.dtype} {state.shape}; expected (5,) numbers: velocity x, y, z in m/s, height in m and"
             " yaw rate in rad/s",
         )
-    if not np.isfinite(state).all():
-        raise MessageError("bad_field", f"{STATE} is {state.tolist()}; every number must be finite")
+    state = state.astype(np.float64)
+    if not (np.abs(state) <= LARGEST_STATE).all():  # nor are NaNs
+        raise MessageError("bad_field", f"{STATE} is {state.tolist()}; every number is at most {LARGEST_STATE:g}")
     time_given = message.get(TIME, time_s)
     if isinstance(time_given, bool) or not isinstance(time_given, int | float | np.integer | np.floating):
         raise MessageError("bad_field", f"{TIME} is {time_given!r:.60}; expected seconds since the flight's start")
@@ -116,10 +119,9 @@ def read_prompt(message: Message) -> str:
 def read_ask(message: Message) -> Ask:
     """What a message asks for; raises `MessageError`."""
     ask = message.get("ask", "pilot")
-    if ask not in get_args(Ask):
+    if not isinstance(ask, str) or ask not in get_args(Ask):
         raise MessageError("bad_field", f"ask is {ask!r:.60}; expected {', '.join(get_args(Ask))}")
-    found: Ask = ask
-    return found
+    return cast("Ask", ask)
 
 
 def read_resets(message: Message) -> list[EpisodeContext] | None:
@@ -142,14 +144,14 @@ def read_resets(message: Message) -> list[EpisodeContext] | None:
 def check_protocol(message: Message, session: str) -> None:
     """Raise `MessageError` if a message is of another version of the protocol, or of another session."""
     version = message.get("protocol", PROTOCOL)
-    if version != PROTOCOL:
+    if type(version) is not int or version != PROTOCOL:
         raise MessageError(
             "protocol_version",
             f"the client speaks version {version!r:.20} of the protocol, this server {PROTOCOL}; install the same"
             " version of cognitivedrone on both sides",
         )
     named = message.get("session", session)
-    if named != session:
+    if not isinstance(named, str) or named != session:
         raise MessageError("unknown_session", f"there is no session {named!r:.60} on this connection; connect again")
 
 

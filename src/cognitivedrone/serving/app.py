@@ -119,7 +119,7 @@ class PolicyServer:
                 await self._engine.close_session(session)
 
     async def _converse(self, socket: WebSocket, session: Session, name: str) -> None:
-        rate = RateLimit(self._limits.rate)
+        rate, errors = RateLimit(self._limits.rate), 0
         await socket.send_bytes(pack(self._served.metadata(session.id)))
         log.info("%s: session %s", name, session.id)
         before_s: float | None = None
@@ -133,7 +133,9 @@ class PolicyServer:
                 answer: bytes | str = pack(await self._answer(session, event, before_s))
                 code = ""
             except Exception as error:
-                answer, code = told(error, name)
+                # One line per session, so that a client cannot fill the log.
+                answer, code = told(error, name, logging.DEBUG if errors else logging.INFO)
+                errors += 1
             sending = socket.send_bytes(answer) if isinstance(answer, bytes) else socket.send_text(answer)
             await asyncio.wait_for(sending, SEND_S)
             before_s = time.perf_counter() - began
@@ -184,12 +186,15 @@ class PolicyServer:
         return {"actions": done.actions, "declines": done.declines}, timing
 
 
-def told(error: Exception, client: str) -> tuple[str, str]:
-    """The frame for a client, and its code; the traceback of an unexpected exception stays in the log."""
+def told(error: Exception, client: str, level: int = logging.DEBUG) -> tuple[str, str]:
+    """The frame for a client, and its code; the traceback of an unexpected exception stays in the log.
+
+    What is wrong with a message is logged at `level`, what is wrong with pilot or server as an error.
+    """
     if isinstance(error, CognitiveDroneError):
         code = code_of(error)
         trace = error.trace if isinstance(error, PolicyRaised | ReasonerError) else ""
-        log.info("%s: %s: %s%s", client, code, error, f"\n{trace}" if trace else "")
+        log.log(logging.ERROR if trace else level, "%s: %s: %s%s", client, code, error, f"\n{trace}" if trace else "")
         return error_frame(code, str(error), error.kind if isinstance(error, ReasonerError) else None), code
     if isinstance(error, asyncio.TimeoutError):
         return error_frame("busy", "the client was silent, or did not read, for too long"), "busy"

@@ -57,3 +57,9 @@ class LimitedWebSocket(WebSocketsSansIOProtocol):
             self.handle_parser_exception()
             return
         super().handle_cont(event)
+
+    def send_receive_event_to_app(self) -> None:
+        """Called for every whole message."""
+        if self.curr_msg_data_type == "text":
+            self.frames = [b""]  # it is refused whatever it says, so it need not be decoded
+        super().send_receive_event_to_app()
