@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cognitivedrone.errors import ModelError, PolicyError, import_extra
+from cognitivedrone.errors import MissingExtra, ModelError, PolicyError, import_extra
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.policies.small import state_of
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, Observation
@@ -112,11 +112,11 @@ def _features(config: dict[str, Any], key: str) -> dict[str, Any]:
 
 def _loaded(folder: Path, device: str) -> tuple[Any, Any, Any]:
     """The policy, its preprocessor and its postprocessor."""
-    plugins = import_extra("lerobot.utils.import_utils", EXTRA)
-    configs = import_extra("lerobot.configs.policies", EXTRA)
-    factory = import_extra("lerobot.policies.factory", EXTRA)
-    plugins.register_third_party_plugins()
+    import_extra("lerobot", EXTRA)
     try:
+        configs = import_extra("lerobot.configs.policies", EXTRA)
+        factory = import_extra("lerobot.policies.factory", EXTRA)
+        import_extra("lerobot.utils.import_utils", EXTRA).register_third_party_plugins()
         config = configs.PreTrainedConfig.from_pretrained(str(folder))
         config.device = device
         if hasattr(config, "pretrained_backbone_weights"):
@@ -125,7 +125,9 @@ def _loaded(folder: Path, device: str) -> tuple[Any, Any, Any]:
         before, after = factory.make_pre_post_processors(
             config, pretrained_path=str(folder), preprocessor_overrides={"device_processor": {"device": device}}
         )
-    except Exception as error:  # LeRobot raises many kinds for a checkpoint of another version
+    except MissingExtra:
+        raise
+    except Exception as error:  # of many kinds: a checkpoint of another version, packages that do not fit together
         raise ModelError(
             f"{folder} cannot be loaded by lerobot {version('lerobot')}: {type(error).__name__}: {str(error)[:200]};"
             " serve it from an environment with the version that trained it (docs/integrations.md)"
