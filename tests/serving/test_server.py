@@ -222,6 +222,16 @@ def test_no_more_requests_than_allowed():
         assert counted(other) == [0, 1]
 
 
+def test_a_silent_client_makes_room():
+    with served(idle=0.05, clients=1) as address:
+        with Client(address) as silent:
+            assert error_of(silent.receive()) == "busy"
+            with pytest.raises(websockets.exceptions.ConnectionClosed):
+                silent.receive()
+        with Client(address) as client:
+            assert "cognitivedrone" in client.metadata
+
+
 def test_no_more_waiting_observations_than_allowed():
     Held.go.clear()
     Held.busy.clear()

@@ -142,7 +142,11 @@ class Connection:
                 async with self._connect() as socket:
                     await self._greet(socket)
                     wait_s = _FIRST_WAIT_S
-                    await socket.wait_closed()
+                    try:
+                        await socket.wait_closed()
+                    except asyncio.CancelledError:
+                        await socket.close()  # without an error
+                        raise
                     self.trouble = f"it closed the connection ({socket.close_code} {socket.close_reason})".strip()
             except CognitiveDroneError as error:
                 self._refused = error
