@@ -109,7 +109,7 @@ def renamed(parts: list[Path]) -> list[Path]:
     ("given", "says"),
     [
         (lambda parts: [], "there is nothing to merge"),
-        (lambda parts: parts[:1], "of 3 shards, 2/3, 3/3 are missing"),
+        (lambda parts: parts[:1], "these shards are missing: 2/3, 3/3; fly them"),
         (lambda parts: [*parts, shutil.copytree(parts[1], parts[1].parent / "copy")], "are both shard 2/3"),
         (lambda parts: [*parts, parts[0].parent / "nowhere"], "nowhere does not exist; give the --out folder"),
         (damaged, "part-2-of-3: its records are not the episodes of its results"),
@@ -141,7 +141,7 @@ def test_a_whole_run_is_no_shard_and_the_shards_stay(config, parts, tmp_path):
     run(config, progress=False, runner=RUNNER)
     with pytest.raises(RunError, match="is not a shard: it was flown without --shard"):
         merge([config.out], tmp_path / "merged")
-    with pytest.raises(RunError, match="already contains a run"):
+    with pytest.raises(RunError, match="already contains a run; give --overwrite"):
         merge(parts, config.out)
     with pytest.raises(RunError, match="is one of the shards"):
         merge(parts, parts[0], overwrite=True)

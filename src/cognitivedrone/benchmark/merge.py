@@ -55,6 +55,8 @@ def merge(parts: Sequence[Path], out: Path, *, overwrite: bool = False) -> Resul
     facts = _facts_of_the_whole(first.results.run)
     if out.resolve() in {part.path.resolve() for part in read}:
         raise RunError(f"{out} is one of the shards; give another --out")
+    if (out / RUN_FILE).exists() and not overwrite:
+        raise RunError(f"{out} already contains a run; give --overwrite to delete it, or another --out")
     check_folder(out, facts, overwrite=overwrite)
     records = {episode: part.records[episode] for part in read for episode in part.records}
     ordered = [records[episode] for episode in sorted(records)]
@@ -108,7 +110,7 @@ def _check_whole(parts: Sequence[_Part]) -> None:
     if missing:
         names = ", ".join(str(Shard(number, first.shard.count)) for number in missing[:8])
         more = f" and {len(missing) - 8} more" if len(missing) > 8 else ""
-        raise RunError(f"of {first.shard.count} shards, {names}{more} are missing; fly them with --shard, or name them")
+        raise RunError(f"these shards are missing: {names}{more}; fly them with --shard, or add their folders")
     episodes = range(sum(len(part.records) for part in parts))
     for part in parts:
         if set(part.records) != set(part.shard.of(episodes)):
