@@ -1,6 +1,6 @@
 # One image that benches and serves, with off-screen rendering on the CPU (docs/install.md, "In a container"):
 #   docker build -t cognitivedrone .
-#   docker run --rm -v "$PWD/results:/work/results" cognitivedrone bench --suite open-v1:smoke
+#   docker run --rm -v "$PWD/results:/flights/results" cognitivedrone bench --suite open-v1:smoke
 ARG BASE=docker.io/library/debian:trixie-slim
 
 FROM ${BASE} AS build
@@ -16,10 +16,10 @@ RUN apt-get update \
   && apt-get install -y --no-install-recommends python3 libegl1 libgl1-mesa-dri libopengl0 \
   && rm -rf /var/lib/apt/lists/* \
   && useradd --uid 1000 --create-home drone \
-  && install -d -o drone -g drone /work /work/results
+  && install -d -o drone -g drone /flights /flights/results
 COPY --from=build /opt/cognitivedrone /opt/cognitivedrone
 ENV PATH=/opt/cognitivedrone/bin:$PATH
 USER drone
-WORKDIR /work
+WORKDIR /flights
 ENTRYPOINT ["cognitivedrone"]
 CMD ["--help"]
