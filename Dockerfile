@@ -4,7 +4,7 @@
 ARG BASE=docker.io/library/debian:trixie-slim
 
 FROM ${BASE} AS build
-ARG EXTRAS=vlm
+ARG EXTRAS=serve,vlm
 RUN apt-get update && apt-get install -y --no-install-recommends python3-venv
 COPY . /source
 RUN python3 -m venv /opt/cognitivedrone \
