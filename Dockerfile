@@ -1,10 +1,10 @@
 # One image that benches and serves, with off-screen rendering on the CPU (docs/install.md, "In a container"):
 #   docker build -t cognitivedrone .
 #   docker run --rm -v "$PWD/results:/flights/results" cognitivedrone bench --suite open-v1:smoke
-ARG BASE=docker.io/library/debian:trixie-slim
+ARG BASE=debian:trixie-slim
 
 FROM ${BASE} AS build
-ARG EXTRAS=vlm
+ARG EXTRAS=serve,vlm
 RUN apt-get update && apt-get install -y --no-install-recommends python3-venv
 COPY . /source
 RUN python3 -m venv /opt/cognitivedrone \

@@ -12,13 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from cognitivedrone.cli import TARGETS
+from cognitivedrone.cli import main
+from cognitivedrone.remote.messages import TOKEN_VARIABLE
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 EXTRAS = PROJECT["project"]["optional-dependencies"]
-SERVED = {"serve"}
-"""Commands of the image that come with an extra."""
 
 
 def stages() -> list[list[tuple[str, str]]]:
@@ -89,11 +88,18 @@ def test_the_build_gets_all_that_the_package_is_built_from_and_nothing_else():
 
 
 @pytest.mark.parametrize("page", ["docs/install.md", "Dockerfile"])
-def test_the_commands_that_are_shown_exist(page):
+def test_the_commands_that_are_shown_exist(page, capsys):
     text = (ROOT / page).read_text().replace("\\\n", " ")
     shown = re.findall(r"docker run (.*)", text)
     assert shown
     for line in shown:
         words = shlex.split(line, comments=True)
-        image = words.index("cognitivedrone")
-        assert words[image + 1] in {*TARGETS, *SERVED}, line
+        command, *options = words[words.index("cognitivedrone") + 1 :]
+        with pytest.raises(SystemExit):
+            main([command, "--help"])
+        flags = {word for word in options if word.startswith("--")}
+        assert flags <= set(re.findall(r"--[a-z][\w-]*", capsys.readouterr().out)), line
+
+
+def test_the_page_names_the_variable_of_the_token():
+    assert f"-e {TOKEN_VARIABLE} " in (ROOT / "docs" / "install.md").read_text()
