@@ -20,6 +20,7 @@ from cognitivedrone.tasks.memory import memory_track
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.training.common.fact_questions import FACTS, FactQuestions
+from cognitivedrone.training.common.lacking import lacking
 from cognitivedrone.training.common.places import PLACE_FAMILIES, ask_place
 from cognitivedrone.training.common.questions import ask
 from cognitivedrone.training.common.typing_noise import typed
@@ -71,6 +72,8 @@ class Mix:
     """Share of panels that show something that was never taught; what is asked for may be among them."""
     earlier: float = 0.0
     """Share of problems on a track, after irrelevant earlier stages."""
+    lacking: float = 0.0
+    """Share of exclusions that only name what the person lacks (`lacking.lacking`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +126,8 @@ class Problems:
             return [replace(problem, sentence=question.text, target=question.target, family=question.family)]
         if family == "memory":
             return _track(rng, pools)
-        task = drawn_task(family, rng, family, pools)
+        lone = family == "exclusion" and self.mix.lacking > 0 and rng.random() < self.mix.lacking
+        task = drawn_task(family, rng, family, pools, make=lacking if lone else None)
         if family == "people" and rng.random() < self.mix.unknown_people:
             task = with_unknown_person(rng, task)
             return [problem_of(task)]
