@@ -1,6 +1,7 @@
 """How often `fly` hovers rightly and wrongly: the same scenes with the instruction of each, and with that of another.
 
 Run: python benchmarks/holding.py [--suite open-v1:test] [--episodes 100] [--below 0.5]
+    [--out results/holding_test.json]
 
 Flies the small policy with the small reasoner in simulated time, as `fly` does: with what is asked for in the scene it
 should pass, and hovering is a mistake; with the instruction of a task whose panels are of other kinds it should hover,
@@ -12,10 +13,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import tyro
 
+from cognitivedrone.benchmark.measurements import keep
 from cognitivedrone.control.async_reasoner import SimulatedReasoner
 from cognitivedrone.control.hold import HeldDrone, Hold, HoldAwareReasoner, HoldRule
 from cognitivedrone.control.loop import Segment, fly
@@ -39,6 +42,8 @@ class Config:
     episodes: int = 100
     below: float = 0.5
     seed: int = 0
+    out: Path | None = None
+    """File for the figures."""
 
 
 class Flights:
@@ -96,6 +101,15 @@ def main(config: Config) -> None:
     other = Counter(flights.fly(episode, words) for episode, words in unknown_people(suite, episodes, config.seed))
     print(f"  another's            n {other.total():3d}: {dict(other.most_common())}")
     flights.simulator.close()
+    ends = ("passed", "wrong_gate", "hovered")
+    row = {
+        **{f"own_{end}": own[end] for end in ends},
+        "own_other": own.total() - sum(own[end] for end in ends),
+        "another_hovered": other["hovered"],
+        "another_through": other["through a gate"],
+        "another_other": other.total() - other["hovered"] - other["through a gate"],
+    }
+    keep(config.out, f"Hovering in doubt, {config.suite}, below {config.below:g}", [row], seed=config.seed)
 
 
 if __name__ == "__main__":

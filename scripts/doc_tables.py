@@ -1,7 +1,7 @@
 """The tables of figures in README.md and docs/: one entry each, with its files, columns and order.
 
 A page has `<!-- table: NAME -->` and `<!-- end -->` where a table goes; `python scripts/render_tables.py` fills it in.
-runs/reproduce.sh has the commands of the files. In templates, a name is a figure of a row, with its format behind a colon.
+runs/reproduce.sh has the commands of the files. In templates, a name is a figure of a row, and its format.
 """
 
 from __future__ import annotations
@@ -94,10 +94,7 @@ TABLES: Final[dict[str, Description]] = {
         Line("start_up", {"what": "import cognitivedrone"}, ("`{what}`; loads no torch", *START_UP)),
         Line("start_up", {"what": "import cognitivedrone.envs.gym"}, ("`{what}`", *START_UP)),
     ),
-    "bench-time": rows_of(
-        "bench_time",
-        {"policy": "{policy}", "reasoner": "{reasoner}", "suite": "`{suite}`", "wall time": "{wall_s:.0f} s"},
-    ),
+    "bench-time": rows_of("bench_time", {"pilot": "`{pilot}`", "wall time": "{wall_s:.0f} s", "workers": "{workers}"}),
     # docs/small.md
     "small-categories": categories("small", "CognitiveDrone"),
     "small-families": families("small", ("open-v1:test", "open-v1:unseen", "open-v2:words", "open-v1:hard")),

@@ -45,6 +45,8 @@ class Store:
     def __init__(self, root: Path) -> None:
         self.results, self.leaderboard = root / "results", root / "leaderboard"
         self.used: dict[str, Measurement | Submission] = {}
+        self.asked: set[str] = set()
+        """Names of all files that were looked for, whether they are there or not."""
         self._pilots: dict[str, Submission | None] = {}
 
     def begin(self) -> None:
@@ -53,16 +55,19 @@ class Store:
 
     def measured(self, name: str) -> Measurement:
         """The figures in results/NAME.json."""
+        self.asked.add(name)
         found = read_measurement(self.results / f"{name}.json")
         self.used[name] = found
         return found
 
     def measured_rows(self, name: str) -> tuple[Mapping[str, Any], ...]:
         """The rows of results/NAME.json; none where there is no such file yet."""
+        self.asked.add(name)
         return self.measured(name).rows if (self.results / f"{name}.json").exists() else ()
 
     def runs(self, pilot: str) -> tuple[SubmittedRun, ...]:
         """The runs in results/PILOT.json; none where there is no such file yet."""
+        self.asked.add(pilot)
         path = self.results / f"{pilot}.json"
         if pilot not in self._pilots:
             self._pilots[pilot] = read_submission(path) if path.exists() else None

@@ -6,6 +6,7 @@ A benchmark gathers its rows and calls `keep`. Runs of `bench` have a file of th
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -56,17 +57,18 @@ def keep(
     rows: Iterable[Mapping[str, Any]],
     *,
     seed: int | None = None,
-    more_versions: Mapping[str, str] | None = None,
+    variables: Sequence[str] = (),
 ) -> None:
     """Write what this program measured, with its command line, this machine, today and the commit.
 
-    Nothing is written without a path.
+    Nothing is written without a path. `variables` are those of the environment that it needs where they are set.
 
     Raises `RunError` if the file cannot be written.
     """
     if path is not None:
-        command = shlex.join(["python", *_without_out(sys.argv)])
-        write_measurement(path, measurement(what, command, rows, seed=seed, more_versions=more_versions))
+        given = [f"{name}=..." for name in variables if name in os.environ]
+        command = " ".join([*given, shlex.join(["python", *_without_out(sys.argv)])])
+        write_measurement(path, measurement(what, command, rows, seed=seed))
 
 
 def measurement(
@@ -75,14 +77,15 @@ def measurement(
     rows: Iterable[Mapping[str, Any]],
     *,
     seed: int | None = None,
-    more_versions: Mapping[str, str] | None = None,
+    facts: Mapping[str, str] | None = None,
+    finished: str = "",
 ) -> Measurement:
-    """Figures that were measured just now, here."""
-    facts = platform_facts(command)
-    known = None if facts["commit"] == "none" else facts["commit"]
-    today = datetime.now(UTC).date().isoformat()
-    used = {**versions(), **(more_versions or {})}
-    return Measurement(what, command, machine_of(facts), today, known, seed, used, tuple(rows))
+    """Figures that were measured here and now, unless a run's `facts` (its `platform`) and its end say otherwise."""
+    facts = platform_facts(command) if facts is None else facts
+    known = facts.get("commit", "none")
+    day = finished[:10] or datetime.now(UTC).date().isoformat()
+    commit = None if known == "none" else known
+    return Measurement(what, command, machine_of(facts), day, commit, seed, versions(), tuple(rows))
 
 
 def machine_of(facts: Mapping[str, str]) -> str:
