@@ -26,7 +26,7 @@ from cognitivedrone.envs.drone import SimulatedDrone
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
-from cognitivedrone.reasoners.small import SmallReasoner
+from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite, load_suite
 from cognitivedrone.types import Task
@@ -42,6 +42,8 @@ class Config:
     episodes: int = 100
     below: float = 0.5
     seed: int = 0
+    policy: str = "small"
+    reasoner: str = "small"
     out: Path | None = None
     """File for the figures."""
 
@@ -56,7 +58,7 @@ class Flights:
             self.simulator.world(0), load_pack("open-v1"), TrackConfig(time_limit_s=LIMIT_S)
         )
         self.drone = SimulatedDrone(self.track_runner)
-        self.policy, self.reasoner = make_policy("small"), SmallReasoner()
+        self.policy, self.reasoner = make_policy(config.policy), make_reasoner(config.reasoner)
 
     def fly(self, episode: int, words: str | None) -> str:
         """How an episode ends: the outcome of its worst stage, or `hovered`."""

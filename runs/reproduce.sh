@@ -128,9 +128,10 @@ if [[ $everything ]]; then
   measure collection collection 300
   measure inference inference "$out/language/model.onnx"
   measure real_time real_time --policy "$policy" --reasoner "$reasoner" --seconds 60
-  measure holding_test holding --episodes 60
-  measure holding_never holding --episodes 60 --below 0
-  measure holding_hard holding --episodes 60 --suite open-v1:hard
+  pilot=(--policy "$policy" --reasoner "$reasoner" --episodes 60)
+  measure holding_test holding "${pilot[@]}"
+  measure holding_never holding "${pilot[@]}" --below 0
+  measure holding_hard holding "${pilot[@]}" --suite open-v1:hard
   measure ablation ablation "$out/ablation" --processes "$processes"
   measure first_score first_score "$python"
   measure faults faults
@@ -145,7 +146,7 @@ if [[ ${LESSON:-} ]]; then
   measure teaching teaching --labels "$LESSON/labels" --tasks "$LESSON/tasks" --folder "$out/lesson" --start small
 fi
 if [[ ${GPU:-} ]]; then
-  "$python" "$here/benchmarks/openvla_gpu.py" --lora --together --out "$out/openvla_gpu.md"
+  measure openvla_gpu openvla_gpu --lora --together
 fi
 
 "$python" "$here/scripts/keep_results.py" "$out" "$results"

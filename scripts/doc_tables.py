@@ -29,6 +29,7 @@ from table_kinds import (
     rows_of,
     runs_of,
     sitl_scores,
+    titled,
 )
 
 STEPS = {
@@ -270,6 +271,9 @@ TABLES: Final[dict[str, Description]] = {
     "openvla-memory": across(
         "openvla_memory", "", "`{quant}`", {"memory, computed from the tensors' shapes": "{memory_gb:.1f} GB"}
     ),
+    "gpu-step": titled("openvla_gpu", "One control step"),
+    "gpu-together": titled("openvla_gpu", "Policy at 10 Hz"),
+    "gpu-lora": titled("openvla_gpu", "LoRA"),
     "lora-memory": across(
         "lora_memory",
         "`--micro-batch`",

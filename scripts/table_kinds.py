@@ -176,6 +176,18 @@ def across(name: str, heading: str, key: str, lines: Mapping[str, str]) -> Descr
     return describe
 
 
+def titled(name: str, *titles: str) -> Description:
+    """The rows of the tables with these beginnings of their titles, as the benchmark itself named rows and columns."""
+
+    def describe(store: Store) -> Table:
+        rows = [row for row in store.measured_rows(name) if row["table"].startswith(titles)]
+        heads = list(dict.fromkeys(key for row in rows for key in row if key not in ("table", "row")))
+        cells = [[row["row"], *(cell(f"{{{head}}}", row) for head in heads)] for row in rows]
+        return Table(["", *heads], cells) if rows else Table([""], [[NOT_MEASURED]])
+
+    return describe
+
+
 def _has(row: Mapping[str, Any], values: Mapping[str, Any]) -> bool:
     return all(row.get(key) == value for key, value in values.items())
 

@@ -67,7 +67,7 @@ def keep(
     """
     if path is not None:
         given = [f"{name}=..." for name in variables if name in os.environ]
-        command = " ".join([*given, shlex.join(["python", *_without_out(sys.argv)])])
+        command = " ".join([*given, command_line(sys.argv)])
         write_measurement(path, measurement(what, command, rows, seed=seed))
 
 
@@ -93,15 +93,15 @@ def machine_of(facts: Mapping[str, str]) -> str:
     return ", ".join([facts.get("processor", "unknown processor"), f"{facts.get('cores', '?')} cores"])
 
 
-def _without_out(words: Sequence[str]) -> list[str]:
-    """A command line without `--out FILE`, which changes no figure."""
+def command_line(words: Sequence[str]) -> str:
+    """A benchmark's command, of its script and arguments; without `--out FILE`, which changes no figure."""
     kept: list[str] = []
     skip = False
     for word in words:
         if not skip and word != "--out" and not word.startswith("--out="):
             kept.append(word)
         skip = word == "--out"
-    return kept
+    return shlex.join(["python", *kept])
 
 
 def write_measurement(path: Path, made: Measurement) -> None:
