@@ -1,4 +1,4 @@
-"""The tables of `openvla_gpu.py`, printed row by row and kept in a file of results, and the machine that they are of."""
+"""The tables of `openvla_gpu.py`, printed row by row and kept in a file of results, and the machine they are of."""
 
 from __future__ import annotations
 

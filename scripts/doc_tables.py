@@ -8,12 +8,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from table_kinds import (
+from score_tables import (
     DRAWN_ANEW,
     HELD_OUT,
-    Description,
-    Line,
-    across,
     all_runs,
     audits,
     by_suite,
@@ -23,14 +20,12 @@ from table_kinds import (
     latencies,
     leaderboard_table,
     lessons,
-    lines_of,
     paper,
     reasoner_worth,
-    rows_of,
     runs_of,
     sitl_scores,
-    titled,
 )
+from table_kinds import Description, Line, across, lines_of, rows_of, titled
 
 STEPS = {
     "step": "{step}",

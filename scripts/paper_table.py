@@ -12,7 +12,7 @@ import json
 import sys
 from pathlib import Path
 
-from table_kinds import PAPER_SYSTEMS, paper_table
+from score_tables import PAPER_SYSTEMS, paper_table
 
 from cognitivedrone import checkout
 from cognitivedrone.benchmark.published import PUBLISHED
