@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mujoco.batch import Batch
@@ -39,7 +40,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, help=OUT_HELP)
     out = parser.parse_args().out
-    rows = []
+    rows: list[dict[str, Any]] = []
     print("| worlds | threads | control step ms | times real time, all worlds | over bare physics |")
     print("|---|---|---|---|---|")
     for worlds, threads in ((1, 1), (4, 1), (16, 1), (64, 1), (64, 2), (256, 2)):

@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 
@@ -36,7 +37,7 @@ def main() -> None:
     parser.add_argument("pythons", nargs="*", default=[sys.executable])
     parser.add_argument("--out", type=Path, help=OUT_HELP)
     options = parser.parse_args()
-    rows = []
+    rows: list[dict[str, Any]] = []
     print(f"{'':<16}{'clone':>8}{'install':>10}{'bench':>8}{'in all':>9}{'CPU':>8}   s; load {os.getloadavg()[0]:.1f}")
     for python in options.pythons:
         with tempfile.TemporaryDirectory() as name:

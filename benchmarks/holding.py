@@ -58,7 +58,10 @@ class Flights:
             self.simulator.world(0), load_pack("open-v1"), TrackConfig(time_limit_s=LIMIT_S)
         )
         self.drone = SimulatedDrone(self.track_runner)
-        self.policy, self.reasoner = make_policy(config.policy), make_reasoner(config.reasoner)
+        reasoner = make_reasoner(config.reasoner)
+        if reasoner is None:
+            raise SystemExit("nothing is doubted without a reasoner; name one, such as small")
+        self.policy, self.reasoner = make_policy(config.policy), reasoner
 
     def fly(self, episode: int, words: str | None) -> str:
         """How an episode ends: the outcome of its worst stage, or `hovered`."""

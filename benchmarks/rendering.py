@@ -10,6 +10,7 @@ import statistics
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,7 @@ def main() -> None:
     print(f"renderer: {renderer_name()}; 256x256 RGB, {WORLDS} worlds, medians of {rounds} rounds")
     looks = {"plain": [PLAIN] * WORLDS, "varied": [varied_appearance(rng) for _ in range(WORLDS)]}
     single = 0.0
-    rows = []
+    rows: list[dict[str, Any]] = []
     for name, worlds in looks.items():
         rates = []
         for threads in (1, 2):

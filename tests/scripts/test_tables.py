@@ -7,6 +7,7 @@ import re
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -126,11 +127,12 @@ def test_cells(template: str, row: dict, shown: str) -> None:
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folders as the script leaves them: made-up flights of a whole suite, and a part of one."""
     out = tmp_path_factory.mktemp("reproduce")
-    for name, options in {
+    runs: dict[str, dict[str, Any]] = {
         "open-v1-test": {},
         "open-v1-test+wind": {"wind": 0.5},
         "open-v1-hard": {"episodes": 2},
-    }.items():
+    }
+    for name, options in runs.items():
         plan = Plan.of(
             policy="fake",
             suite=name.partition("+")[0].replace("v1-", "v1:"),
