@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # The whole system from nothing: data, the small models, every benchmark of the docs, the paper's figure and table.
 #
-#   runs/reproduce.sh [OUT]          about ten hours on two cores; everything goes to OUT (default: out/reproduce)
+#   runs/reproduce.sh [OUT]          many hours on two cores; everything goes to OUT (default: out/reproduce)
 #   SIZE=tiny runs/reproduce.sh OUT  the same steps in minutes, with sizes that teach nothing: it shows that they work
 #
-# Stopped at any moment, it goes on when it is started again. Needs the extras `train`, `serve` and `mavlink`. The weights
+# Stopped at any moment, it goes on when it is started again. Needs the extras `train` and `mavlink`. The weights
 # that are shipped come out of this script, to the bit on one machine; OUT/manifest.json says recipe, seed, commit and
 # hash of each. OUT/results has a file for every table of README and docs that can be measured here:
 #
