@@ -19,13 +19,13 @@ import torch
 import tyro
 from PIL import Image
 
+from cognitivedrone.benchmark.reason_scoring import calibration_error
 from cognitivedrone.labels.extended import extended_pack
 from cognitivedrone.models.panel_reader import Reader, ReaderConfig
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks import vocabulary
 from cognitivedrone.training.common import panel_crops
 from cognitivedrone.training.common.attributes import AttributeIndex, concept_name
-from cognitivedrone.training.common.calibration import calibration_error
 from cognitivedrone.training.common.photographic import Photographic
 from cognitivedrone.training.common.pictures import OTHERS, PACK
 from cognitivedrone.training.common.start import read_start, restore_part
@@ -86,7 +86,7 @@ def row(style: str, shares: np.ndarray, names: list[str], index: AttributeIndex)
         two = rng.choice(alike, 2, replace=False)
         chosen.append(concepts[number, place] > concepts[number, two].max())
     unknown = shares[:, index.schema.names.index("kind/unknown")] > 0.5
-    error = calibration_error(concepts.max(1), best == places)
+    error = calibration_error(concepts.max(1), best == places) or 0.0
     measures = float((best == places).mean()), float(np.mean(chosen)), float(unknown.mean()), error
     print(f"{style:18} {len(set(names)):6} " + " ".join(f"{value:7.1%}" for value in measures))
     return measures

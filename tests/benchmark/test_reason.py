@@ -18,7 +18,7 @@ from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.episode import PilotRunner
 from cognitivedrone.benchmark.job import prepare
 from cognitivedrone.benchmark.reason import ReasonPlan, ReasonResults, out_of, score_reasoner, views
-from cognitivedrone.benchmark.reason_scoring import judge, summarize_answers
+from cognitivedrone.benchmark.reason_scoring import calibration_error, judge, summarize_answers
 from cognitivedrone.benchmark.reason_table import reason_table
 from cognitivedrone.benchmark.runner import Interrupted
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
@@ -215,11 +215,26 @@ def test_the_table_names_suite_and_reasoner_and_fits_into_a_terminal(config):
     assert "…" not in text
     assert "answers that report the gate's index: 6, of them right: 6" in text
     assert "(median)" in text
+    assert "expected calibration error of 6 confidences: 0.0 %" in text
 
 
 def test_nothing_asked_nothing_scored():
     summary = summarize_answers([])
     assert (summary.overall.rate, summary.overall.ci95, summary.median_s) == (None, None, None)
+    assert (summary.rated, summary.calibration_error) == (0, None)
+
+
+def test_confidences_that_mean_what_they_say_have_no_calibration_error():
+    assert calibration_error([0.75] * 4, [True, True, True, False]) == pytest.approx(0)
+    assert calibration_error([1.0, 1.0], [True, False]) == pytest.approx(0.5)
+    # Each interval of probability is judged alone: too high in one does not make up for too low in another.
+    assert calibration_error([0.95] * 2 + [0.5] * 2, [True, False, True, True]) == pytest.approx((0.45 + 0.5) / 2)
+
+
+def test_the_confidences_of_answers_are_compared_with_what_was_right(config):
+    summary = asked(config.changed(reasoner="noisy-oracle:accuracy=0.5")).summary
+    assert summary.rated == summary.overall.n
+    assert summary.calibration_error is not None
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from cognitivedrone.benchmark.scoring import Interval, wilson
 from cognitivedrone.errors import ReasonerFault
 from cognitivedrone.tasks.directives import declines, fitting_gate, parse_directive
 from cognitivedrone.types import ALL_CATEGORIES, Category, Gate
+
+BINS = 15
+"""Of the expected calibration error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +127,10 @@ class ReasonSummary:
     """Median wall time of an answer, including faults."""
     p95_s: float | None
     """Its 95th percentile."""
+    rated: int = 0
+    """Answers with a confidence."""
+    calibration_error: float | None = None
+    """Expected calibration error of their confidences: how far these are from the share that is right."""
 
 
 def score_answers(answers: Sequence[Answer]) -> ReasonScore:
@@ -150,13 +158,30 @@ def summarize_answers(answers: Sequence[Answer]) -> ReasonSummary:
     by_category = {category: [a for a in answers if a.category == category] for category in ALL_CATEGORIES}
     families = sorted({(ALL_CATEGORIES.index(answer.category), answer.family) for answer in answers})
     seconds = [answer.seconds for answer in answers]
+    rated = [(answer.confidence, answer.right.gate) for answer in answers if answer.confidence is not None]
     return ReasonSummary(
         overall=score_answers(answers),
         categories={category: score_answers(part) for category, part in by_category.items() if part},
         families={family: score_answers([a for a in answers if a.family == family]) for _, family in families},
         median_s=float(np.median(seconds)) if seconds else None,
         p95_s=float(np.percentile(seconds, 95)) if seconds else None,
+        rated=len(rated),
+        calibration_error=calibration_error([value for value, _ in rated], [right for _, right in rated]),
     )
+
+
+def calibration_error(shares: ArrayLike, right: ArrayLike) -> float | None:
+    """The expected calibration error of answers with probabilities (n,), of which (n,) were right; none of no answer.
+
+    The mean distance, over `BINS` equal intervals of probability, of the mean probability from the share that was
+    right, weighted by the number of answers (Guo et al. 2017, arXiv 1706.04599).
+    """
+    shares, right = np.asarray(shares, dtype=np.float64), np.asarray(right, dtype=np.float64)
+    if not shares.size:
+        return None
+    places = np.minimum((shares * BINS).astype(int), BINS - 1)
+    gaps = [abs(float((shares - right)[places == place].sum())) for place in range(BINS)]
+    return sum(gaps) / len(shares)
 
 
 def _share(right: Iterable[bool | None]) -> float | None:

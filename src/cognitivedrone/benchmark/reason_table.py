@@ -50,6 +50,9 @@ def _notes(results: ReasonResults) -> Iterator[Text]:
     if summary.overall.index_given:
         given, right = summary.overall.index_given, summary.overall.index_right
         yield Text(f"answers that report the gate's index: {given}, of them right: {right}")
+    if summary.calibration_error is not None:
+        error = 100 * summary.calibration_error
+        yield Text(f"expected calibration error of {summary.rated} confidences: {error:.1f} %")
     if summary.median_s is not None and summary.p95_s is not None:
         median, p95 = 1e3 * summary.median_s, 1e3 * summary.p95_s
         yield Text(f"an answer takes {median:.3g} ms (median), {p95:.3g} ms (95th percentile)")

@@ -20,8 +20,6 @@ _FEWEST = 100  # samples of a group; others keep their temperature
 _TEMPERATURES = np.exp(np.linspace(np.log(0.4), np.log(4.0), 60))
 _SEED = 88
 _DRAWN = frozenset({"animal", "food", "object", "logo"})
-BINS = 15
-"""Of the expected calibration error."""
 
 Floats = NDArray[np.float32]
 
@@ -73,14 +71,3 @@ def calibration_crops(crop_size: int, index: AttributeIndex) -> PanelCrops:
                 return label
 
     return PanelCrops(crop_size, index.of, draw_label, WiderWorld(pictures=pictures, share=1.0))
-
-
-def calibration_error(shares: Floats, right: NDArray[np.bool_]) -> float:
-    """The expected calibration error of answers with probabilities (n,), of which (n,) were right."""
-    places = np.minimum((shares * BINS).astype(int), BINS - 1)
-    errors = [
-        (places == place).mean() * abs(float(shares[places == place].mean()) - float(right[places == place].mean()))
-        for place in range(BINS)
-        if (places == place).any()
-    ]
-    return float(np.sum(errors))
