@@ -1,6 +1,6 @@
 """What the choices of the small VLA are worth: one short training for each, flown from instructions and directives.
 
-Run: python benchmarks/ablation.py OUT [--processes 2]
+Run: python benchmarks/ablation.py FOLDER [--processes 2] [--out results/ablation.json]
 
 Trains the recipes `ablation-*`, each but the first with one thing changed, flies `open-v1:test` with each twice (as the
 user says it, and given the gold directive) and prints a table. All trainings are equally short, far shorter than that
@@ -12,10 +12,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import tyro
 
 from cognitivedrone.benchmark import Plan, Results, run
+from cognitivedrone.benchmark.measurements import keep, markdown
 from cognitivedrone.training.common.run_log import METRICS, read_rows
 from cognitivedrone.training.launch import TrainOptions
 from cognitivedrone.training.launch import run as train
@@ -64,27 +66,43 @@ def measure(recipe: str, out: Path, processes: int) -> Line:
     return Line(recipe.removeprefix(PREFIX), told, directed, rows[-1]["l1"], seconds / 60)
 
 
-def table(lines: list[Line]) -> str:
+def row(line: Line) -> dict[str, Any]:
+    """Its figures."""
+    told, directed = line.told.summary().overall, line.directed.summary().overall
+    return {
+        "variant": f"`{line.name}`",
+        "passed": told.rate,
+        "choice_accuracy": told.choice_accuracy,
+        "pass_given_choice": told.pass_given_choice,
+        "directive_passed": directed.rate,
+        "l1": line.l1,
+        "training_min": line.minutes,
+    }
+
+
+def table(rows: list[dict[str, Any]]) -> str:
     """As Markdown."""
-    titles = ("variant", "instruction", "right gate", "passed, given that", "directive", "L1 error", "training, min")
-    rows = [titles, ("---",) * len(titles)]
-    for line in lines:
-        told, directed = line.told.summary().overall, line.directed.summary().overall
-        shares = (told.rate, told.choice_accuracy, told.pass_given_choice, directed.rate)
-        percent = (f"{100 * (share or 0):.1f} %" for share in shares)
-        rows.append((line.name, *percent, f"{line.l1:.3f}", f"{line.minutes:.0f}"))
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
+    heads = ("variant", "instruction", "right gate", "passed, given that", "directive", "L1 error", "training, min")
+    shares = ("passed", "choice_accuracy", "pass_given_choice", "directive_passed")
+    lines = []
+    for each in rows:
+        percent = (f"{100 * (each[name] or 0):.1f} %" for name in shares)
+        lines.append([each["variant"], *percent, f"{each['l1']:.3f}", f"{each['training_min']:.0f}"])
+    return markdown(heads, lines)
 
 
-def main(out: tyro.conf.Positional[Path], processes: int = 2) -> None:
+def main(folder: tyro.conf.Positional[Path], processes: int = 2, out: Path | None = None) -> None:
     """Train, fly, and print the table.
 
     Args:
-        out: Folder of the trainings and of the flights' results.
+        folder: Folder of the trainings and of the flights' results.
         processes: That share each training: CPU cores, or GPUs.
+        out: File for the figures, such as results/ablation.json.
     """
     names = [name for name in RECIPES if name.startswith(PREFIX)]
-    print(table([measure(name, out, processes) for name in names]))
+    rows = [row(measure(name, folder, processes)) for name in names]
+    print(table(rows))
+    keep(out, "The choices of the small VLA: short trainings, each with one change", rows, seed=0)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Speed, memory and size of collecting data: the recipe `paper` with one worker and with two.
 
-Run: python benchmarks/collection.py [episodes]
+Run: python benchmarks/collection.py [episodes] [--out results/collection.json]
 
 Prints kept episodes a second from the call to the finished store, starting of the processes included, the ratio of two
 workers to one, how long 8,062 episodes take at that speed, the largest memory of all processes together (proportional
@@ -9,13 +9,15 @@ set size, which counts shared pages once), the share of flights that were passed
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
-import sys
 import tempfile
 import threading
 from pathlib import Path
+from typing import Any
 
+from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.collect.collector import CollectReport, collect
 from cognitivedrone.collect.config import CollectPlan
 from cognitivedrone.collect.recipe import RECIPES
@@ -55,7 +57,8 @@ class Peak:
         self._thread.join()
 
 
-def measure(out: Path, episodes: int, workers: int) -> CollectReport:
+def measure(out: Path, episodes: int, workers: int) -> tuple[CollectReport, dict[str, Any]]:
+    """The report, and its row."""
     with Peak() as peak:
         report = collect(CollectPlan.of(out=out, episodes=episodes, workers=workers), progress=False)
     whole = RECIPES["paper"].episodes / report.episodes_per_s / 60
@@ -63,16 +66,22 @@ def measure(out: Path, episodes: int, workers: int) -> CollectReport:
         f"workers {workers}: {report.episodes_per_s:5.1f} episodes/s ({whole:.1f} min for {RECIPES['paper'].episodes}),"
         f" memory {peak.megabytes:.0f} MB, {100 * report.success_rate:.2f} % of flights passed"
     )
-    return report
+    speed = {"episodes_per_s": report.episodes_per_s, "minutes_8062": whole, "memory_mb": peak.megabytes}
+    return report, {"workers": workers, **speed, "passed": report.success_rate}
 
 
-def main(episodes: int = 512) -> None:
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("episodes", type=int, nargs="?", default=512)
+    parser.add_argument("--out", type=Path, help=OUT_HELP)
+    options = parser.parse_args()
+    episodes = options.episodes
     print(
         f"{platform.processor() or platform.machine()}, {len(os.sched_getaffinity(0))} CPUs, load {os.getloadavg()[0]}"
     )
     with tempfile.TemporaryDirectory() as folder:
-        one = measure(Path(folder, "one"), episodes, 1)
-        two = measure(Path(folder, "two"), episodes, 2)
+        one, row_of_one = measure(Path(folder, "one"), episodes, 1)
+        two, row_of_two = measure(Path(folder, "two"), episodes, 2)
         print(f"two workers to one: {two.episodes_per_s / one.episodes_per_s:.2f}")
         store = Store.open(two.out)
         size = sum(path.stat().st_size for path in two.out.rglob("*") if path.is_file())
@@ -81,6 +90,9 @@ def main(episodes: int = 512) -> None:
             f" {size / store.n_steps / 1e3:.2f} KB a step, frames as {RECIPES['paper'].encoding}"
         )
 
+    rows = [row_of_one, row_of_two]
+    keep(options.out, f"Speed and memory of collecting, {episodes} episodes of the recipe paper", rows, seed=0)
+
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    main()

@@ -1,6 +1,6 @@
 """Speed of the environments: control steps with full dynamics and 256x256 frames, and the time of a task change.
 
-Run: python benchmarks/environment.py
+Run: python benchmarks/environment.py [--out results/environment.json]
 
 Prints medians over repetitions, and their ratio to gym-pybullet-drones (github.com/learnsyslab/gym-pybullet-drones).
 Where that can be imported it flies in the same repetitions, turn by turn; else the ratio is to a figure that was
@@ -10,16 +10,21 @@ velocities, and a frame of the same size at every control step.
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 import os
 import platform
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
 
+from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.types import IMAGE_SIZE
 
@@ -27,6 +32,7 @@ PEER = "gym-pybullet-drones"
 PEER_STEPS_S = 44.0
 PEER_MEASURED = "2026-11-22, 2 cores of an AMD EPYC"
 """When and where `PEER_STEPS_S` was measured."""
+UNIT = "control steps/s"
 ID = "cognitivedrone.envs:CognitiveDrone-v1"
 REPETITIONS = 7
 STEPS = 30
@@ -95,7 +101,10 @@ def reset_seconds() -> float:
     return statistics.median(times)
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, help=OUT_HELP)
+    out = parser.parse_args(arguments).out
     cores = len(os.sched_getaffinity(0))
     print(f"{platform.machine()}, {cores} cores, {renderer_name()}, {os.getloadavg()[0]:.1f} processes running already")
     contenders = {"one world": single(), "vector of 4": vector(4), "vector of 16": vector(16)}
@@ -105,13 +114,21 @@ def main() -> None:
         contenders[PEER] = peer()
     calls = steps_per_second(contenders)
     rate = calls.get(PEER, PEER_STEPS_S)
+    today = datetime.now(UTC).date().isoformat()
+    rows: list[dict[str, Any]] = []
     for name, count in worlds.items():
         steps = count * calls[name]
         ratios = f"{steps / rate:6.1f} x {PEER}   {steps / calls['one world']:5.1f} x one world"
-        print(f"{name:20} {steps:8.0f} control steps/s   {ratios}")
+        print(f"{name:20} {steps:8.0f} {UNIT}   {ratios}")
+        rows.append({"what": name, "unit": UNIT, "steps_per_s": steps, "ratio": steps / rate, "date": today})
     source = "flown here, turn by turn" if together else f"not installed here; measured {PEER_MEASURED}"
-    print(f"{PEER:20} {rate:8.0f} control steps/s   {source}")
-    print(f"{'task change':20} {reset_seconds() * 1e3:8.1f} ms from reset to first frame (median of {RESETS} tasks)")
+    print(f"{PEER:20} {rate:8.0f} {UNIT}   {source}")
+    when = today if together else PEER_MEASURED.partition(",")[0]
+    rows.append({"what": f"{PEER}, one drone", "unit": UNIT, "steps_per_s": rate, "ratio": 1, "date": when})
+    change_ms = 1e3 * reset_seconds()
+    print(f"{'task change':20} {change_ms:8.1f} ms from reset to first frame (median of {RESETS} tasks)")
+    rows.append({"what": "task change", "ms": change_ms})
+    keep(out, "Control steps of the environments, with full dynamics and 256x256 frames", rows, seed=0)
 
 
 if __name__ == "__main__":

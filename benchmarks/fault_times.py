@@ -1,6 +1,7 @@
 """How long it takes from a fault in flight to a safe command at the vehicle, over loopback sockets, default rules.
 
 Run: python benchmarks/fault_times.py [--flights N] [--at-once N] [--load N] [--only NAME ...]
+    [--out results/fault_times.json]
 
 Every flight is a pilot process with its guard process, as `fly` has them, and the scripted vehicle of the tests, which
 reports its state 50 times a second and notes when each packet arrives. `--load` busy processes run beside them, one for
@@ -35,6 +36,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "vehicles"))
 from peer import MODES, Peer, playing
 from test_hazards import FAULTS as VEHICLE_FAULTS
 from test_hazards import NAMES
+
+from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 
 TESTS = Path(__file__).parents[1] / "tests" / "vehicles"
 PERIOD_S = 0.1
@@ -356,7 +359,9 @@ def main() -> int:
     parser.add_argument("--at-once", type=int, default=1)
     parser.add_argument("--load", type=int, default=os.cpu_count())
     parser.add_argument("--only", nargs="*", default=[], help="rows whose name holds one of these")
+    parser.add_argument("--out", type=Path, help=OUT_HELP)
     options = parser.parse_args()
+    kept: list[dict[str, Any]] = []
     rows = {n: f for n, f in FAULTS.items() if not options.only or any(part in n for part in options.only)}
     print(
         f"{options.flights} flights a row, {options.at_once} at once beside {options.load} busy processes on"
@@ -376,11 +381,19 @@ def main() -> int:
             failed += not good
             shown = "flies on" if limit_s is None else _row(land, limit_s)
             print(f"{name:<44} {_row(safe, fault.safe_s):>26}   {shown:>26}  {'ok' if good else 'FAILED'}", flush=True)
+            down = "with it" if land == safe else None if limit_s is None else _figures(land, limit_s)
+            kept.append({"fault": name, "safe_ms": _figures(safe, fault.safe_s), "down_ms": down})
+    keep(options.out, f"Time from a fault in flight to a safe command, {options.flights} flights a row", kept)
     return 1 if failed else 0
 
 
 def _resident_mb(status: str) -> float:
     return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")) / 1024
+
+
+def _figures(times: list[float], limit_s: float) -> list[float]:
+    """Median, worst and limit, ms."""
+    return [statistics.median(times), max(times), 1000 * limit_s]
 
 
 def _row(times: list[float], limit_s: float) -> str:

@@ -1,6 +1,6 @@
 """What kills and damaged files do: nothing may be lost, nothing let in.
 
-Run: python benchmarks/faults.py [section ...] [--share 0.1]
+Run: python benchmarks/faults.py [section ...] [--share 0.1] [--out results/faults.json]
 
 Prints one row for each section, all of them where none is named; exits with 1 where a fault was not survived, and says
 which. `--share` takes so much of each section's faults, evenly spread. Flights are real, but flown once and then played
@@ -50,6 +50,7 @@ from played_flights import (
     unfinish,
 )
 
+from cognitivedrone.benchmark.measurements import OUT_HELP, keep, markdown
 from cognitivedrone.data.verify import verify
 from cognitivedrone.errors import CognitiveDroneError
 
@@ -90,6 +91,12 @@ class Row:
         found = "" if self.found is None else f"{self.found} of {self.tried}"
         mended = "" if self.mended is None else f"{self.mended} of {self.tried}"
         return (self.name, str(self.tried), found, mended, str(self.stray))
+
+    def figures(self) -> dict[str, Any]:
+        """The same for a file of results."""
+        known = {"found": self.found, "mended": self.mended}
+        counts = {name: count for name, count in known.items() if count is not None}
+        return {"fault": self.name, "tried": self.tried, **counts, "stray": self.stray}
 
     def compare(self, fault: str, found: dict[str, str], wanted: dict[str, str]) -> None:
         """Count one more fault whose end state is `found`."""
@@ -309,12 +316,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sections", nargs="*", metavar="section", help=", ".join(SECTIONS))
     parser.add_argument("--share", type=float, default=1.0)
+    parser.add_argument("--out", type=Path, help=OUT_HELP)
     arguments = parser.parse_args()
     if unknown := set(arguments.sections) - set(SECTIONS):
         parser.error(f"unknown sections: {', '.join(sorted(unknown))}; known: {', '.join(SECTIONS)}")
     rows = run_sections(arguments.sections or list(SECTIONS), arguments.share)
-    for cells in (COLUMNS, ("---",) * len(COLUMNS), *(row.cells() for row in rows)):
-        print(f"| {' | '.join(cells)} |")
+    print(markdown(COLUMNS, (row.cells() for row in rows)), end="")
+    keep(arguments.out, "What kills and damaged files do to data and runs", (row.figures() for row in rows), seed=0)
     failures = [f"{row.name}: {failure}" for row in rows for failure in row.failures]
     print("\n".join(failures))
     sys.exit(bool(failures))

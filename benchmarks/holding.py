@@ -1,6 +1,7 @@
 """How often `fly` hovers rightly and wrongly: the same scenes with the instruction of each, and with that of another.
 
 Run: python benchmarks/holding.py [--suite open-v1:test] [--episodes 100] [--below 0.5]
+    [--out results/holding_test.json]
 
 Flies the small policy with the small reasoner in simulated time, as `fly` does: with what is asked for in the scene it
 should pass, and hovering is a mistake; with the instruction of a task whose panels are of other kinds it should hover,
@@ -12,10 +13,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import tyro
 
+from cognitivedrone.benchmark.measurements import keep
 from cognitivedrone.control.async_reasoner import SimulatedReasoner
 from cognitivedrone.control.hold import HeldDrone, Hold, HoldAwareReasoner, HoldRule
 from cognitivedrone.control.loop import Segment, fly
@@ -23,7 +26,7 @@ from cognitivedrone.envs.drone import SimulatedDrone
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
-from cognitivedrone.reasoners.small import SmallReasoner
+from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite, load_suite
 from cognitivedrone.types import Task
@@ -39,6 +42,10 @@ class Config:
     episodes: int = 100
     below: float = 0.5
     seed: int = 0
+    policy: str = "small"
+    reasoner: str = "small"
+    out: Path | None = None
+    """File for the figures."""
 
 
 class Flights:
@@ -51,7 +58,10 @@ class Flights:
             self.simulator.world(0), load_pack("open-v1"), TrackConfig(time_limit_s=LIMIT_S)
         )
         self.drone = SimulatedDrone(self.track_runner)
-        self.policy, self.reasoner = make_policy("small"), SmallReasoner()
+        reasoner = make_reasoner(config.reasoner)
+        if reasoner is None:
+            raise SystemExit("nothing is doubted without a reasoner; name one, such as small")
+        self.policy, self.reasoner = make_policy(config.policy), reasoner
 
     def fly(self, episode: int, words: str | None) -> str:
         """How an episode ends: the outcome of its worst stage, or `hovered`."""
@@ -96,6 +106,15 @@ def main(config: Config) -> None:
     other = Counter(flights.fly(episode, words) for episode, words in unknown_people(suite, episodes, config.seed))
     print(f"  another's            n {other.total():3d}: {dict(other.most_common())}")
     flights.simulator.close()
+    ends = ("passed", "wrong_gate", "hovered")
+    row = {
+        **{f"own_{end}": own[end] for end in ends},
+        "own_other": own.total() - sum(own[end] for end in ends),
+        "another_hovered": other["hovered"],
+        "another_through": other["through a gate"],
+        "another_other": other.total() - other["hovered"] - other["through a gate"],
+    }
+    keep(config.out, f"Hovering in doubt, {config.suite}, below {config.below:g}", [row], seed=config.seed)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Speed, memory and size of a small model: whole decisions of the policy, on one core.
 
-Run: python benchmarks/inference.py [model.onnx]
+Run: python benchmarks/inference.py [model.onnx] [--out results/inference.json]
 
 Prints the time to load it, median and 99th percentile of the time of a decision, their ratio to the 100 ms between two
 commands, the memory (proportional set size) of this process, which holds nothing but the policy, and the file's size.
@@ -8,14 +8,15 @@ commands, the memory (proportional set size) of this process, which holds nothin
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 
+from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.policies.small import Small
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, EpisodeContext, Observation
 
@@ -37,9 +38,13 @@ def observations(count: int) -> list[Observation]:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("model", nargs="?")
+    parser.add_argument("--out", type=Path, help=OUT_HELP)
+    options = parser.parse_args()
     core = min(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {core})
-    file = Small.file_of(sys.argv[1] if len(sys.argv) > 1 else None)
+    file = Small.file_of(options.model)
     before = memory_mb()
     begin = time.perf_counter()
     policy = Small(str(file))
@@ -57,8 +62,13 @@ def main() -> None:
     print(f"loading        {loading * 1e3:7.1f} ms")
     print(f"decision       {median:7.2f} ms median   {period / median:6.1f} x faster than the {period:.0f} ms it has")
     print(f"               {slow:7.2f} ms p99      {period / slow:6.1f} x")
-    print(f"memory         {memory_mb():7.1f} MB, of which {before:.1f} MB before the model was loaded")
-    print(f"file           {file.stat().st_size / 1e6:7.2f} MB")
+    memory = memory_mb()
+    print(f"memory         {memory:7.1f} MB, of which {before:.1f} MB before the model was loaded")
+    size_mb = file.stat().st_size / 1e6
+    print(f"file           {size_mb:7.2f} MB")
+    times_ms = {"median_ms": float(median), "p99_ms": float(slow)}
+    row = {**times_ms, "loading_s": loading, "memory_mb": memory, "file_mb": size_mb}
+    keep(options.out, "Decisions of the small VLA on one core", [row], seed=0)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,6 @@ GPU it says so and runs the tiny networks on the same paths, which says nothing 
 from __future__ import annotations
 
 import argparse
-import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -31,6 +30,7 @@ import torch
 from openvla_gpu_report import Report, find_machine
 from openvla_gpu_together import together
 
+from cognitivedrone.benchmark.measurements import OUT_HELP, command_line
 from cognitivedrone.models.openvla.checkpoint import Quantisation
 from cognitivedrone.models.openvla.decode import Autoregressive, Decoder, Parallel, greedy_tokens
 from cognitivedrone.models.openvla.network import OpenVlaNetwork
@@ -130,12 +130,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--lora", action="store_true", help="measure fine-tuning as well")
     parser.add_argument("--together", action="store_true", help="measure policy and reasoner on one card as well")
     parser.add_argument("--seconds", type=float, default=60.0, help="of flight of policy and reasoner together")
-    parser.add_argument("--out", type=Path, help="Markdown file for the tables")
+    parser.add_argument("--out", type=Path, help=OUT_HELP)
     options = parser.parse_args(arguments)
     machine = find_machine()
     report = Report(machine, options.out)
     given = sys.argv[1:] if arguments is None else arguments
-    report.begin(shlex.join(["python", "benchmarks/openvla_gpu.py", *given]))
+    report.begin(command_line(["benchmarks/openvla_gpu.py", *given]))
     quantisations = options.quant or (get_args(Quantisation) if machine.large else ["none"])
     if options.steps:
         flying(report, quantisations, options.steps)

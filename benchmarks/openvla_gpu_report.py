@@ -1,4 +1,4 @@
-"""The tables of `openvla_gpu.py`, printed row by row and kept as Markdown, and the machine that they are of."""
+"""The tables of `openvla_gpu.py`, printed row by row and kept in a file of results, and the machine they are of."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import gc
 import platform
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import torch
 import transformers
 
+from cognitivedrone.benchmark.measurements import measurement, write_measurement
 from cognitivedrone.models.openvla.checkpoint import Quantisation
 from cognitivedrone.models.openvla.config import Config, tiny_config
 from cognitivedrone.models.openvla.network import OpenVlaNetwork
@@ -20,6 +22,7 @@ from cognitivedrone.models.openvla.weights import quantise, random_network
 
 FIRST_COLUMN = 44
 OTHER_COLUMNS = 14
+TINY = "The tiny network on the host: that each path runs, and nothing about the 7B"
 
 
 @dataclass(frozen=True)
@@ -69,31 +72,33 @@ def find_machine() -> Machine:
 
 @dataclass
 class Report:
-    """Tables, printed as they grow and, where `out` is given, in a Markdown file that is whole after every row."""
+    """Tables, printed as they grow and, where `out` is given, in a file of results that is whole after every row."""
 
     machine: Machine
     out: Path | None = None
-    _lines: list[str] = field(default_factory=list)
+    _command: str = ""
+    _title: str = ""
+    _columns: tuple[str, ...] = ()
+    _rows: list[dict[str, Any]] = field(default_factory=list)
 
     def begin(self, command: str) -> None:
         """Say where, when and by what is measured."""
-        versions = f"PyTorch {torch.__version__}, Transformers {transformers.__version__}"
-        if self.machine.large:
-            versions += f", CUDA {torch.version.cuda}"
-        self._say(f"{self.machine.name}, {versions}, {datetime.now(UTC):%Y-%m-%d}: `{command}`")
+        self._command = command
+        versions = ", ".join(f"{name} {version}" for name, version in self._versions().items())
+        print(f"{self.machine.name}, {versions}, {datetime.now(UTC):%Y-%m-%d}: {command}")
         if not self.machine.large:
-            self._say("**The tiny network on the host: that each path runs, and nothing about the 7B.**")
+            print(f"{TINY}.")
 
     def table(self, title: str, *columns: str) -> None:
         """Begin a table; its first column names the rows."""
-        self._say(f"{title}:")
+        self._title, self._columns = title, columns
+        print(f"{title}:")
         print(_aligned(("", *columns)))
-        self._lines += ["", f"| | {' | '.join(columns)} |", "|---|" + "---:|" * len(columns)]
 
-    def row(self, *cells: str) -> None:
+    def row(self, name: str, *cells: str) -> None:
         """Add a row to the newest table."""
-        print(_aligned(cells), flush=True)
-        self._lines.append(f"| {' | '.join(cells)} |")
+        print(_aligned((name, *cells)), flush=True)
+        self._rows.append({"table": self._title, "row": name, **dict(zip(self._columns, cells, strict=False))})
         self._write()
 
     @contextmanager
@@ -110,14 +115,17 @@ class Report:
         if failed is not None:
             self.row(name, failed)
 
-    def _say(self, text: str) -> None:
-        print(text, flush=True)
-        self._lines += ["", text]
-        self._write()
+    def _versions(self) -> dict[str, str]:
+        cuda = {"cuda": str(torch.version.cuda)} if self.machine.large else {}
+        return {"torch": torch.__version__, "transformers": transformers.__version__, **cuda}
 
     def _write(self) -> None:
         if self.out is not None:
-            self.out.write_text("\n".join(self._lines).lstrip() + "\n", encoding="utf-8")
+            made = measurement("OpenVLA-7B with random weights on a GPU", self._command, self._rows, seed=0)
+            where = f"{self.machine.name}, {made.machine}"
+            note = "" if self.machine.large else TINY
+            made = replace(made, machine=where, versions={**made.versions, **self._versions()}, note=note)
+            write_measurement(self.out, made)
 
 
 def _aligned(cells: tuple[str, ...]) -> str:

@@ -1,6 +1,7 @@
 """Policy at 10 Hz and reasoner at 2 Hz together in real time, and what the control loop itself costs.
 
 Run: python benchmarks/real_time.py [--policy small] [--reasoner small] [--seconds 60]
+    [--out results/real_time.json]
 
 Flies the simulator on the wall clock (it renders on the same cores, which a real drone would not) and prints how many
 control deadlines were missed by more than 10 ms, how long policy and reasoner took, and the age of the directives. Then
@@ -11,10 +12,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
 
+from cognitivedrone.benchmark.measurements import keep
 from cognitivedrone.control.async_reasoner import SimulatedReasoner, ThreadedReasoner
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
@@ -67,7 +71,8 @@ class TimedReasoner(Reasoner):
             self.took_s.append(time.perf_counter() - begin)
 
 
-def real_time(policy_name: str, reasoner_name: str, seconds: float) -> None:
+def real_time(policy_name: str, reasoner_name: str, seconds: float) -> dict[str, Any]:
+    """Fly and print; the figures."""
     suite = load_suite("open-v1:test")
     simulator = Simulator(1)
     track_runner = TrackRunner(simulator.world(0), load_pack("open-v1"), TrackConfig())
@@ -91,14 +96,17 @@ def real_time(policy_name: str, reasoner_name: str, seconds: float) -> None:
     simulator.close()
     print(f"{policy_name} at 10 Hz with {reasoner_name} at 2 Hz, {seconds:.0f} s on the wall clock, {episode} flights")
     print(f"deadlines missed by over 10 ms: {len(log.late_s)} of {log.steps} ({len(log.late_s) / log.steps:.2%})")
+    row: dict[str, Any] = {"missed": len(log.late_s), "deadlines": log.steps}
     for name, part in (("policy", policy), ("reasoner", reasoner)):
         if part is not None and part.took_s:
             median, slow = np.percentile(part.took_s, [50, 99]) * 1e3
             print(f"{name:9s} {median:7.1f} ms median  {slow:7.1f} ms p99")
+            row[f"{name}_ms"] = [float(median), float(slow)]
     if log.age_s:
         print(
             f"directives {np.mean(log.age_s) * 1e3:.0f} ms old on average, {log.answers / seconds:.2f} answers a second"
         )
+    return {**row, "answers_per_s": log.answers / seconds}
 
 
 class Nothing(Policy, Reasoner):
@@ -132,25 +140,29 @@ class Nothing(Policy, Reasoner):
         pass
 
 
-def overhead(steps: int = 20_000) -> None:
+def overhead(steps: int = 20_000) -> float:
+    """Microseconds a tick of the loop alone."""
     nothing = Nothing()
     begin = time.perf_counter()
     mission = lambda: Segment(0, "go") if nothing.time < steps / 10 - 1e-6 else None  # noqa: E731
     fly(nothing, nothing, nothing, mission, reasoner=SimulatedReasoner(nothing))
     each = (time.perf_counter() - begin) / steps
     print(f"loop alone: {each * 1e6:.0f} us a tick, {1e-3 / each:.0f} times less than 1 ms")
+    return each * 1e6
 
 
-def main(policy: str = "small", reasoner: str = "small", seconds: float = 60.0) -> None:
+def main(policy: str = "small", reasoner: str = "small", seconds: float = 60.0, out: Path | None = None) -> None:
     """Measure.
 
     Args:
         policy: Name of a policy.
         reasoner: Name of a reasoner.
         seconds: How long to fly.
+        out: File for the figures.
     """
-    overhead()
-    real_time(policy, reasoner, seconds)
+    loop_us = overhead()
+    row = {**real_time(policy, reasoner, seconds), "loop_us": loop_us}
+    keep(out, f"{policy} at 10 Hz with {reasoner} at 2 Hz on the wall clock, {seconds:g} s", [row])
 
 
 if __name__ == "__main__":

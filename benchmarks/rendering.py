@@ -9,9 +9,12 @@ import argparse
 import statistics
 import time
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.sim.camera import Cameras
 from cognitivedrone.sim.gl import renderer_name
@@ -25,19 +28,27 @@ WORLDS = 16
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=60)
-    rounds = parser.parse_args().rounds
+    parser.add_argument("--out", type=Path, help=OUT_HELP)
+    options = parser.parse_args()
+    rounds = options.rounds
     rng = np.random.default_rng(0)
     print(f"renderer: {renderer_name()}; 256x256 RGB, {WORLDS} worlds, medians of {rounds} rounds")
     looks = {"plain": [PLAIN] * WORLDS, "varied": [varied_appearance(rng) for _ in range(WORLDS)]}
     single = 0.0
+    rows: list[dict[str, Any]] = []
     for name, worlds in looks.items():
+        rates = []
         for threads in (1, 2):
             rate = frame_rate(worlds, threads, rounds, rng)
+            rates.append(rate)
             single = single or rate
             print(f"{name:7} {threads} thread(s): {rate:6.0f} frames/s, {rate / single:4.2f} x plain with one thread")
+        row = {"look": name, "frames_per_s_1": rates[0], "frames_per_s_2": rates[1], "ratio": rates[1] / rates[0]}
+        rows.append(row)
     for name, worlds in looks.items():
         change, first = stage_change(worlds, rounds, rng)
         print(f"{name:7} change of stage: {change:5.2f} ms, with the first frame {first:5.2f} ms")
+    keep(options.out, "Rendering alone: 16 worlds, 256x256 RGB, medians over rounds", rows, seed=0)
 
 
 def frame_rate(looks: list[Appearance], threads: int, rounds: int, rng: np.random.Generator) -> float:

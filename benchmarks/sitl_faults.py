@@ -1,6 +1,6 @@
 """What a real ArduCopter does when something goes wrong in a flight of ours: every case flown, its end judged.
 
-Run: ARDUCOPTER=path/to/arducopter python benchmarks/sitl_faults.py [--only NAME ...] [--at-once N] [--json FILE]
+Run: ARDUCOPTER=path/to/arducopter python benchmarks/sitl_faults.py [--only NAME ...] [--at-once N] [--out FILE]
 
 Every case is a fresh ArduCopter on our physics in real time, a guard process over UDP as a real vehicle has it (rules
 on the wall clock; parameters are set with consent unless the case says otherwise), and a pilot process that flies
@@ -14,7 +14,6 @@ A case is one entry of `CASES`.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import signal
 import subprocess
@@ -31,7 +30,9 @@ from typing import Literal
 import numpy as np
 from sitl_vehicle import MODES, Vehicle, come_first
 
+from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.errors import CognitiveDroneError
+from cognitivedrone.vehicles.sitl.arducopter import BINARY_VARIABLE
 
 TESTS = Path(__file__).parents[1] / "tests" / "vehicles"
 STILL_M_S, SOFT_M_S, FENCE_M, CEILING_M = 0.25, 1.0, 30.0, 10.0
@@ -457,7 +458,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--only", nargs="*", default=[], help="cases whose name holds one of these")
     parser.add_argument("--at-once", type=int, default=1)
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--out", type=Path, help=OUT_HELP)
     options = parser.parse_args()
     names = [name for name in CASES if not options.only or any(part in name for part in options.only)]
     print(f"{len(names)} cases, {options.at_once} at once")
@@ -473,8 +474,13 @@ def main() -> int:
                 f" {outcome.end}{f' ({outcome.who})' if outcome.who else ''}",
                 flush=True,
             )
-    if options.json:
-        options.json.write_text(json.dumps([asdict(outcome) for outcome in outcomes], indent=1) + "\n")
+    rows = [asdict(outcome) for outcome in outcomes]
+    keep(
+        options.out,
+        "Faults in flight on a real ArduCopter on our Iris, in real time",
+        rows,
+        variables=(BINARY_VARIABLE,),
+    )
     return 0 if all(outcome.good for outcome in outcomes) else 1
 
 

@@ -1,6 +1,6 @@
 """How fast ArduPilot SITL flies on our physics: the server alone, and a real ArduCopter where ARDUCOPTER names one.
 
-python benchmarks/sitl_speed.py
+python benchmarks/sitl_speed.py [--out results/sitl_speed.json]
 
 The server alone is asked in lock-step over a loopback socket, at 1200 Hz. ArduCopter is flown by a command ten times a
 second of its time, as a benchmark flies it, without rendering and with a 256x256 frame at every command.
@@ -8,6 +8,7 @@ second of its time, as a benchmark flies it, without rendering and with a 256x25
 
 from __future__ import annotations
 
+import argparse
 import os
 import socket
 import statistics
@@ -17,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.airframe import IRIS
@@ -39,6 +41,9 @@ HOVER = (1500,) * 4 + (0,) * 12
 
 def main() -> None:
     """Print the medians."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, help=OUT_HELP)
+    out = parser.parse_args().out
     ratio, busy_us = server_alone()
     print(f"the server alone: {ratio:.1f} times real time at {RATE_HZ} Hz")
     print(f"the server alone: {busy_us:.0f} us of CPU a frame, the asking side included")
@@ -46,8 +51,17 @@ def main() -> None:
     if not binary:
         print(f"ArduCopter: not measured; set {BINARY_VARIABLE} to its binary")
         return
-    for render in (False, True):
-        print(f"ArduCopter {'with' if render else 'without'} rendering: {arducopter(Path(binary), render):.1f} times")
+    rows = []
+    for render, what in ((False, "no rendering"), (True, "a 256x256 frame at every command")):
+        rows.append({"what": f"ArduCopter, {what}", "real_time": arducopter(Path(binary), render)})
+        print(f"{rows[-1]['what']}: {rows[-1]['real_time']:.1f} times")
+    alone = f"the server alone at {RATE_HZ} Hz, over UDP, queried by the same process: {busy_us:.0f} us of CPU a frame"
+    keep(
+        out,
+        "How fast ArduPilot SITL flies on our physics, medians",
+        [*rows, {"what": alone, "real_time": ratio}],
+        variables=(BINARY_VARIABLE,),
+    )
 
 
 def server_alone() -> tuple[float, float]:

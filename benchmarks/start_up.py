@@ -1,14 +1,19 @@
 """Time to import the package and to print help, in fresh processes.
 
-Run: python benchmarks/start_up.py
+Run: python benchmarks/start_up.py [--out results/start_up.json]
 """
 
 from __future__ import annotations
 
+import argparse
 import statistics
 import subprocess
 import sys
 import time
+from pathlib import Path
+from typing import Any
+
+from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 
 RUNS = 11
 
@@ -26,18 +31,23 @@ def seconds(*arguments: str) -> float:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, help=OUT_HELP)
+    out = parser.parse_args().out
     bare = seconds("-c", "pass")
     print(f"python alone                     {bare * 1e3:6.0f} ms")
     statements = ("import cognitivedrone", "import cognitivedrone.envs.gym", "import cognitivedrone.cli")
-    for statement in statements:
-        told(statement, seconds("-c", statement), bare)
+    rows = [shown(statement, seconds("-c", statement), bare) for statement in statements]
     for command in HELP:
         words = [*command.split(), "--help"]
-        told(f"cognitivedrone {' '.join(words)}", seconds("-m", "cognitivedrone", *words), bare)
+        rows.append(shown(f"cognitivedrone {' '.join(words)}", seconds("-m", "cognitivedrone", *words), bare))
+    keep(out, "Time to import the package and to print help, in fresh processes", rows)
 
 
-def told(what: str, took: float, bare: float) -> None:
+def shown(what: str, took: float, bare: float) -> dict[str, Any]:
+    """A row, printed."""
     print(f"{what:32s} {took * 1e3:6.0f} ms   {took / bare:4.1f} x python alone")
+    return {"what": what, "ms": 1e3 * took, "ratio": took / bare}
 
 
 if __name__ == "__main__":

@@ -11,9 +11,11 @@ import csv
 import math
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.sim.airframe import AIRFRAMES
 from cognitivedrone.sim.responses import ARDUCOPTER, STEPS, Figures, OwnMotion, Trace, fly, measure
 from cognitivedrone.types import FloatArray
@@ -32,11 +34,15 @@ FILES = {
 }
 
 
-def row(name: str, who: str, f: Figures) -> str:
-    return (
+def row(name: str, who: str, f: Figures) -> dict[str, Any]:
+    """A row, printed."""
+    print(
         f"| {name} | {who} | {f.t10:.2f} | {f.t50:.2f} | {f.t90:.2f} | {100 * f.overshoot:.1f} % |"
         f" {f.stop:.2f} | {math.degrees(f.max_tilt):.1f} |"
     )
+    times = {"t10_s": f.t10, "t50_s": f.t50, "t90_s": f.t90}
+    others = {"overshoot": f.overshoot, "stop": f.stop, "max_tilt_deg": math.degrees(f.max_tilt)}
+    return {"step": name, "who": who, **times, **others}
 
 
 def distance(trace: Trace, path: Path) -> str:
@@ -82,27 +88,35 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--traces", type=Path, help="folder of recorded responses")
     parser.add_argument("--plot", type=Path, help="SVG to write")
+    parser.add_argument("--out", type=Path, help=OUT_HELP)
     options = parser.parse_args()
     binary = os.environ.get(BINARY_VARIABLE)
     arducopter = SitlFlight(Path(binary)) if binary else None
     print("| step | who | t10 s | t50 s | t90 s | overshoot | stop m (yaw: rad) | max tilt deg |")
     print("|---|---|---|---|---|---|---|---|")
     distances: list[str] = []
+    rows = []
     curves: dict[str, dict[str, Trace]] = {}
     try:
         for name, step in STEPS.items():
-            print(row(name, "ArduCopter 4.6.3", ARDUCOPTER[name]))
+            rows.append(row(name, "ArduCopter 4.6.3", ARDUCOPTER[name]))
             traces = {frame: fly(step, OwnMotion(airframe)) for frame, airframe in AIRFRAMES.items()}
             if arducopter is not None:
                 traces["ArduCopter, flown now"] = fly(step, arducopter)
             for who, trace in traces.items():
-                print(row(name, who, measure(step, trace)))
+                rows.append(row(name, who, measure(step, trace)))
                 if options.traces:
                     distances.append(f"{name}, {who}: {distance(trace, options.traces / FILES[name])}")
             curves[name] = {who: trace for who, trace in traces.items() if who != "racer"}
     finally:
         if arducopter is not None:
             arducopter.close()
+    keep(
+        options.out,
+        "Step responses of our airframes beside ArduCopter's recorded ones",
+        rows,
+        variables=(BINARY_VARIABLE,),
+    )
     if distances:
         print("\nRMS distance to the recorded curves (m/s, rad/s), and the largest distance of headings:")
         print("\n".join(distances))

@@ -1,6 +1,7 @@
 """What a lesson is worth: a pilot before and after it, on tasks that the lesson lacked, and on the known suite.
 
-Run: python benchmarks/teaching.py --labels FOLDER --tasks FOLDER --out runs/taught [--start small] [--episodes 200]
+Run: python benchmarks/teaching.py --labels FOLDER --tasks FOLDER --folder runs/taught [--start small]
+    [--episodes 200] [--out results/teaching.json]
 
 A seventh of the tasks (by a hash of their content) is kept from the lesson and flown afterwards, by the policy alone
 and with its reasoner, as is `open-v1:test`. Resumes. Never give it tasks that are kept for an examination.
@@ -15,10 +16,12 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import tyro
 
 from cognitivedrone import evaluate
+from cognitivedrone.benchmark.measurements import keep
 
 
 @dataclass(frozen=True)
@@ -28,7 +31,8 @@ class Config:
     labels: Path
     tasks: Path
     """A task file, or a folder of them."""
-    out: Path
+    folder: Path
+    """Of the pilot and its flights."""
     start: str = "small"
     """The pilot: "small", or the folder of a taught one."""
     episodes: int = 200
@@ -37,25 +41,30 @@ class Config:
     """Tasks of open-v1:test that are flown."""
     processes: int = 2
     seed: int = 0
+    out: Path | None = None
+    """File for the figures."""
 
 
 def main(config: Config) -> None:
     """Split, teach, fly, print."""
-    lesson, kept = split(config.tasks, config.out / "split")
+    lesson, kept = split(config.tasks, config.folder / "split")
     began = time.monotonic()
     command = [
         sys.executable, "-m", "cognitivedrone", "train", "--recipe", "teach", "--labels", config.labels,
         "--tasks", lesson,
-        "--start", config.start, "--out", config.out / "pilot", "--processes", config.processes, "--seed", config.seed,
+        "--start", config.start, "--out", config.folder / "pilot", "--processes", config.processes,
+        "--seed", config.seed,
         "--resume",
     ]  # fmt: skip
     subprocess.run([str(part) for part in command], check=True)
-    print(f"taught in {(time.monotonic() - began) / 60:.1f} min")
+    minutes = (time.monotonic() - began) / 60
+    print(f"taught in {minutes:.1f} min")
+    rows: list[dict[str, Any]] = [{"lesson_min": minutes}]
     before = ("small", "small") if config.start == "small" else pilot(Path(config.start))
-    for name, (policy, reasoner) in {"before": before, "after": pilot(config.out / "pilot")}.items():
+    for name, (policy, reasoner) in {"before": before, "after": pilot(config.folder / "pilot")}.items():
         for with_reasoner in (None, reasoner):
             who = f"{name}, {'policy' if with_reasoner is None else 'R1'}"
-            folder = config.out / who.replace(", ", "-")
+            folder = config.folder / who.replace(", ", "-")
             for place, suite, labels, count in (
                 ("kept", kept, config.labels, config.episodes),
                 ("known", "open-v1:test", None, config.known),
@@ -73,6 +82,8 @@ def main(config: Config) -> None:
                 low, high = rate.ci95 or (0.0, 1.0)
                 families = {family: f"{each.rate:.0%}" for family, each in flown.summary.families.items()}
                 print(f"{who:16} {place:6} {rate.rate:6.1%} ({low:.1%} to {high:.1%})  {families}")
+                rows.append({"who": who, "tasks": place, "passed": rate.passed, "n": rate.n})
+    keep(config.out, "A pilot before and after a lesson", rows, seed=config.seed)
 
 
 def pilot(folder: Path) -> tuple[str, str]:

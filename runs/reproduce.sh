@@ -1,22 +1,31 @@
 #!/usr/bin/env bash
 # The whole system from nothing: data, the small models, every benchmark of the docs, the paper's figure and table.
 #
-#   runs/reproduce.sh [OUT]          about six hours on two cores; everything goes to OUT (default: out/reproduce)
+#   runs/reproduce.sh [OUT]          many hours on two cores; everything goes to OUT (default: out/reproduce)
 #   SIZE=tiny runs/reproduce.sh OUT  the same steps in minutes, with sizes that teach nothing: it shows that they work
 #
-# Stopped at any moment, it goes on when it is started again. Needs the extra `train`. The weights that are shipped come
-# out of this script, to the bit on one machine; OUT/manifest.json says recipe, seed, commit and hash of each.
+# Stopped at any moment, it goes on when it is started again. Needs the extras `train` and `mavlink`. The weights
+# that are shipped come out of this script, to the bit on one machine; OUT/manifest.json says recipe, seed, commit and
+# hash of each. OUT/results has a file for every table of README and docs that can be measured here:
+#
+#   cp OUT/results/*.json results/ && python scripts/render_tables.py
+#
+# Before the script: ARDUCOPTER=path/to/arducopter measures what needs that program, LESSON=FOLDER with labels/ and tasks/
+# a lesson, GPU=1 OpenVLA-7B on a graphics card.
 set -euo pipefail
 
 out=${1:-out/reproduce}
 size=${SIZE:-full}
 processes=${PROCESSES:-2}
 python=${PYTHON:-python3}
-mkdir -p "$out"
+here=$(dirname "$0")/..
+results=$out/results
+mkdir -p "$results"
 
+headline=(open-v2:words open-v2:pictures open-v1:unseen open-v2:layouts open-v2:absent open-v1:test open-v1:hard)
 case $size in
-  full) sets=(500 2000 8062) short=() episodes=() suites=all ;;
-  tiny) sets=(12) short=(--steps 3) episodes=(--episodes 3) suites=one ;;
+  full) sets=(500 2000 8062) short=() episodes=() everything=1 suites=("${headline[@]}" open-v2:test open-v1:track) ;;
+  tiny) sets=(12) short=(--steps 3) episodes=(--episodes 3) everything='' headline=(open-v1:test) suites=(open-v1:test) ;;
   *) echo "SIZE is $size; it must be full or tiny" >&2; exit 2 ;;
 esac
 
@@ -28,10 +37,18 @@ train() { # NAME RECIPE OPTIONS...
   touch "$out/$name/done"
 }
 
-bench() { # NAME SUITE OPTIONS...
-  local name=$1 suite=$2
+bench() { # PILOT SUITE[+VARIANT] OPTIONS...
+  local pilot=$1 suite=$2
   shift 2
-  cognitivedrone bench --suite "$suite" --out "$out/scores/$name/${suite//:/-}" --resume --clips 0 "${episodes[@]}" "$@"
+  cognitivedrone bench --suite "${suite%%+*}" --out "$out/scores/$pilot/${suite//:/-}" --resume --clips 0 \
+    "${episodes[@]}" "$@"
+}
+
+measure() { # NAME SCRIPT OPTIONS...
+  local name=$1 script=$2
+  shift 2
+  [[ -e $results/$name.json ]] && return
+  "$python" "$here/benchmarks/$script.py" "$@" --out "$results/$name.json"
 }
 
 # The pilot: reading panels, flying, language, the reasoner's choice; and the racing baseline without language.
@@ -44,28 +61,93 @@ train race race
 # What a fixed set of the expert's flights is worth against flights made during training; the paper has 8,062.
 for flights in "${sets[@]}"; do
   cognitivedrone collect --recipe paper --episodes "$flights" --out "$out/flights-$flights" --resume
-  train "recorded-$flights" small --start "$out/reader/reader.safetensors" --data "$out/flights-$flights"
+  train "recorded_$flights" small --start "$out/reader/reader.safetensors" --data "$out/flights-$flights"
 done
 
 policy=small:$out/language/model.onnx
 reasoner=small:$out/selector
 race=race:$out/race/model.onnx
 
-# Every suite: held-out ones first.
-names=(open-v2:words open-v2:pictures open-v1:unseen open-v1:test open-v2:test open-v2:layouts open-v2:absent open-v1:hard)
-[[ $suites == one ]] && names=(open-v1:test)
-for suite in "${names[@]}"; do
+# results/PILOT.json: every suite, held-out ones first; then the same pilot under other conditions. results/bench_time.json
+# has the wall times of those that were flown in one go.
+for suite in "${suites[@]}"; do
   bench small "$suite" --policy "$policy"
   bench r1 "$suite" --policy "$policy" --reasoner "$reasoner"
 done
-bench race open-v1:test --policy "$race"
+for suite in "${headline[@]}"; do
+  bench race "$suite" --policy "$race"
+  bench oracle "$suite" --policy oracle
+  bench colour_seeker_oracle "$suite" --policy colour_seeker --reasoner oracle
+  bench colour_seeker "$suite" --policy colour_seeker
+  bench hover "$suite" --policy hover
+done
 bench race open-v1:race --policy "$race"
+bench random open-v1:test --policy random
+bench small_oracle open-v1:test --policy "$policy" --reasoner oracle
+if [[ $everything ]]; then
+  bench small open-v1:test+varied --policy "$policy" --appearance varied
+  bench small open-v1:test+wind --policy "$policy" --wind 0.5
+  bench r1 open-v1:test+guard --policy "$policy" --reasoner "$reasoner" --guard
+  bench oracle open-v1:test+iris --policy oracle --airframe iris
+  bench colour_seeker_oracle open-v1:test+varied --policy colour_seeker --reasoner oracle --appearance varied
+  for suite in open-v1:track open-v1:race; do
+    bench oracle "$suite" --policy oracle
+    bench colour_seeker_oracle "$suite" --policy colour_seeker --reasoner oracle
+  done
+  bench colour_seeker open-v1:race --policy colour_seeker
+  # results/r1_latency.json
+  cognitivedrone sweep --policy "$policy" --reasoner "$reasoner" --suite open-v1:hard --out "$out/scores/r1_latency"
+fi
+
+# results/recorded_N.json, and results/stream.json to compare with: the same recipe, before the recipe `language`.
+bench stream open-v1:test --policy "small:$out/small/model.onnx"
 for flights in "${sets[@]}"; do
-  bench "recorded-$flights" open-v1:test --policy "small:$out/recorded-$flights/model.onnx"
+  bench "recorded_$flights" open-v1:test --policy "small:$out/recorded_$flights/model.onnx"
 done
 
-only=()
-[[ $size == tiny ]] && only=(--only "mirrored stage")
-cognitivedrone audit --policy "$policy" --reasoner "$reasoner" --out "$out/audit" "${episodes[@]}" "${only[@]}"
+# results/reasoner_alone.json
+for suite in "${suites[@]}"; do
+  answers=$out/reason/${suite//:/-}
+  [[ -e $answers/reason.json ]] && continue
+  cognitivedrone reason --reasoner "$reasoner" --suite "$suite" --out "$answers" --overwrite "${episodes[@]}"
+done
 
-"$python" "$(dirname "$0")/../scripts/paper_table.py" "$out"
+# results/audit_PILOT.json
+only=()
+[[ $everything ]] || only=(--only "mirrored stage")
+cognitivedrone audit --policy "$policy" --reasoner "$reasoner" --out "$out/audit/r1" "${episodes[@]}" "${only[@]}"
+[[ $everything ]] && cognitivedrone audit --policy "$policy" --out "$out/audit/small"
+
+# One file for each: speed, memory, faults.
+measure dynamics dynamics
+measure step_responses step_responses
+if [[ $everything ]]; then
+  measure environment environment
+  measure rendering rendering
+  measure start_up start_up
+  measure collection collection 300
+  measure inference inference "$out/language/model.onnx"
+  measure real_time real_time --policy "$policy" --reasoner "$reasoner" --seconds 60
+  pilot=(--policy "$policy" --reasoner "$reasoner" --episodes 60)
+  measure holding_test holding "${pilot[@]}"
+  measure holding_never holding "${pilot[@]}" --below 0
+  measure holding_hard holding "${pilot[@]}" --suite open-v1:hard
+  measure ablation ablation "$out/ablation" --processes "$processes"
+  measure first_score first_score "$python"
+  measure faults faults
+  measure fault_times fault_times --flights 100
+fi
+if [[ ${ARDUCOPTER:-} ]]; then
+  measure sitl_step_responses step_responses
+  measure sitl_speed sitl_speed
+  measure sitl_faults sitl_faults
+fi
+if [[ ${LESSON:-} ]]; then
+  measure teaching teaching --labels "$LESSON/labels" --tasks "$LESSON/tasks" --folder "$out/lesson" --start small
+fi
+if [[ ${GPU:-} ]]; then
+  measure openvla_gpu openvla_gpu --lora --together
+fi
+
+"$python" "$here/scripts/keep_results.py" "$out" "$results"
+"$python" "$here/scripts/paper_table.py" "$out"

@@ -12,6 +12,8 @@ import json
 import sys
 from pathlib import Path
 
+from score_tables import PAPER_SYSTEMS, paper_table
+
 from cognitivedrone import checkout
 from cognitivedrone.benchmark.published import PUBLISHED
 from cognitivedrone.benchmark.results import Results, read_results
@@ -19,8 +21,6 @@ from cognitivedrone.benchmark.scoring import Interval, Summary
 from cognitivedrone.files import digest_of_file
 from cognitivedrone.types import CATEGORIES
 
-SYSTEMS = {"CognitiveDrone-R1": "r1", "CognitiveDrone": "small", "RaceVLA": "race"}
-"""Names in the paper, and folders of scores."""
 WEIGHTS = (
     "reader/reader.safetensors", "small/model.onnx", "language/model.onnx", "selector/panel_reader.onnx",
     "selector/gate_selector.onnx", "race/model.onnx",
@@ -34,12 +34,13 @@ Bars = dict[str, list[tuple[float, Interval]]]
 
 def main(out: Path) -> None:
     """Write table, figure and manifest."""
-    results = {name: read_results(out / "scores" / folder / "open-v1-test") for name, folder in SYSTEMS.items()}
+    results = {name: read_results(out / "scores" / pilot / "open-v1-test") for name, pilot in PAPER_SYSTEMS.items()}
     bars = {name: bars_of(each) for name, each in results.items()}
-    (out / "paper.md").write_text(table(bars), encoding="utf-8")
+    table = paper_table({name: each.summary("through") for name, each in results.items()})
+    (out / "paper.md").write_text(str(table), encoding="utf-8")
     (out / "paper.svg").write_text(figure(bars), encoding="utf-8")
     (out / "manifest.json").write_text(json.dumps(manifest(out), indent=1) + "\n", encoding="utf-8")
-    print(table(bars))
+    print(table)
     print(out / "paper.svg", out / "manifest.json")
 
 
@@ -50,20 +51,6 @@ def bars_of(results: Results) -> list[tuple[float, Interval]]:
     every = [(score.rate or 0.0, score.ci95 or (0.0, 1.0)) if score else (0.0, (0.0, 1.0)) for score in scores]
     mean = summary.mean_of_categories
     return [*every, (mean.rate or 0.0, mean.ci95 or (0.0, 1.0))]
-
-
-def table(bars: Bars) -> str:
-    """Markdown: a row for each system, ours and the published one."""
-    heads = ["system", *(category.replace("_", " ") for category in CATEGORIES), "mean of categories"]
-    lines = [heads, ["---"] * len(heads)]
-    for published in PUBLISHED:
-        cells = [
-            f"{100 * rate:.1f} ({100 * low:.0f} to {100 * high:.0f})" for rate, (low, high) in bars[published.name]
-        ]
-        lines.append([f"{published.name}, ours on `open-v1:test`", *cells])
-        theirs = [published.categories[category] for category in CATEGORIES]
-        lines.append([f"{published.name}, published", *(f"{100 * rate:.1f}" for rate in (*theirs, published.overall))])
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines) + "\n"
 
 
 def figure(bars: Bars) -> str:

@@ -66,7 +66,7 @@ def test_where_the_peer_is_installed_both_fly_in_one_go(short, monkeypatch, caps
         monkeypatch.setitem(sys.modules, module.__name__, module)
     find(monkeypatch, package)
     monkeypatch.setattr(SlowAviary, "made", [])
-    environment.main()
+    environment.main([])
     printed = capsys.readouterr().out
     (theirs,) = SlowAviary.made
     assert theirs.options["obs"] == "rgb"
@@ -79,7 +79,7 @@ def test_where_the_peer_is_installed_both_fly_in_one_go(short, monkeypatch, caps
 
 def test_where_it_is_not_the_ratio_is_to_a_dated_figure(short, monkeypatch, capsys):
     find(monkeypatch, None)
-    environment.main()
+    environment.main([])
     printed = capsys.readouterr().out
     steps = environment.STEPS
     expected = [worlds * steps / environment.PEER_STEPS_S for worlds in (1, 4, 16)]

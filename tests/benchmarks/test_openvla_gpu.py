@@ -20,6 +20,8 @@ import openvla_gpu_lora as lora  # noqa: E402
 import openvla_gpu_together as beside  # noqa: E402
 from openvla_gpu_report import Machine, Report  # noqa: E402
 
+from cognitivedrone.benchmark.measurements import read_measurement  # noqa: E402
+
 HOST = Machine("cpu", torch.float32, "no GPU here")
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -28,14 +30,15 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 def test_every_path_runs_and_leaves_a_table(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(openvla_gpu, "find_machine", lambda: HOST)
     monkeypatch.setattr(lora, "STEPS", 3)
-    out = tmp_path / "table.md"
+    out = tmp_path / "openvla_gpu.json"
     openvla_gpu.main(["--steps", "1", "--seconds", "0.5", "--lora", "--together", "--out", str(out)])
-    text = out.read_text()
-    assert "no GPU here" in text
-    assert torch.__version__ in text
-    assert "nothing about the 7B" in text
-    rows = [line for line in text.splitlines() if line.startswith(("| none", "| batch"))]
-    names = [row.split(" | ")[0].removeprefix("| ") for row in rows]
+    made = read_measurement(out)
+    assert "no GPU here" in made.machine
+    assert made.versions["torch"] == torch.__version__
+    assert "nothing about the 7B" in made.note
+    assert made.command == "python benchmarks/openvla_gpu.py --steps 1 --seconds 0.5 --lora --together"
+    assert len({row["table"] for row in made.rows}) == 3
+    names = [row["row"] for row in made.rows]
     assert names == [
         "none, ar, without its graph",
         "none, ar",
@@ -51,12 +54,12 @@ def test_every_path_runs_and_leaves_a_table(tmp_path, monkeypatch, capsys):
             for size in ("1", "2 by 1")
         ),
     ]
-    assert "not measured" not in text
+    assert "not measured" not in out.read_text()
     assert all(name in capsys.readouterr().out for name in names[:1])
 
 
 def test_a_row_that_fails_is_told_of_and_the_rest_goes_on(tmp_path):
-    report = Report(HOST, tmp_path / "table.md")
+    report = Report(HOST, tmp_path / "some.json")
     report.table("Some", "number")
     with report.measuring("first"):
         raise RuntimeError("no\nkernel")
@@ -64,10 +67,10 @@ def test_a_row_that_fails_is_told_of_and_the_rest_goes_on(tmp_path):
         raise torch.OutOfMemoryError
     with report.measuring("third"):
         report.row("third", "3")
-    assert (tmp_path / "table.md").read_text().splitlines()[-3:] == [
-        "| first | not measured: RuntimeError no kernel |",
-        "| second | does not fit |",
-        "| third | 3 |",
+    assert [row["number"] for row in read_measurement(tmp_path / "some.json").rows] == [
+        "not measured: RuntimeError no kernel",
+        "does not fit",
+        "3",
     ]
 
 

@@ -6,6 +6,7 @@ run, so that anybody can repeat it.
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,15 +18,16 @@ import numpy as np
 from cognitivedrone.benchmark.codec import decode, dumps, encode
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.job import Job, preflight, prepare
+from cognitivedrone.benchmark.measurements import machine_of
 from cognitivedrone.benchmark.results import RunFacts, read_results, write_whole
-from cognitivedrone.benchmark.scoring import Interval, counts, mcnemar, mean_of, score
+from cognitivedrone.benchmark.scoring import Interval, Summary, counts, mcnemar, mean_of, score, summarize
 from cognitivedrone.benchmark.workers import RUNNER, InProcess, make_runner
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.printable import unprintable
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.tasks import SUITES, load_suite
-from cognitivedrone.types import CATEGORIES, Category, Outcome, StageResult
+from cognitivedrone.types import CATEGORIES, Category, EpisodeResult, Outcome, StageResult
 
 SCHEMA: Final = "cognitivedrone.submission/1"
 MAX_FILE_BYTES: Final = 16 * 2**20
@@ -73,6 +75,24 @@ class SubmittedRun:
     """Unweighted mean of the paper's three categories; none unless all three were flown."""
     flown: tuple[tuple[Ended, ...], ...]
     """Every stage of every episode."""
+    commit: str = field(default="", metadata={"json": "where set"})
+    """Of the source that flew it, if it was a checkout."""
+
+    @property
+    def summary(self) -> Summary:
+        """All scores that follow from how the stages ended; means of times and paths are not among them."""
+        stages = stages_of(self, self.run.suite.name)
+        return summarize(
+            [
+                EpisodeResult(index, 0, tuple(itertools.islice(stages, len(ends))), 0)
+                for index, ends in enumerate(self.flown)
+            ]
+        )
+
+    def flown_with(self, **options: object) -> bool:
+        """Whether its options are these, named as in `RunFacts.options`, and all others at their defaults."""
+        defaults = {name: default for name, (_, default) in Plan.identity_options().items() if name != "episodes"}
+        return all(self.run.option(name) == options.get(name, default) for name, default in defaults.items())
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +134,7 @@ def submission_of(folders: Sequence[Path], name: str, by: str, url: str = "") ->
     """A submission made from finished runs of one pilot, given as folders or results.json.
 
     Raises `RunError` for runs that cannot be compared: of different pilots, of tasks that are not shipped, of the same
-    suite twice, or not whole.
+    suite twice with the same options, or not whole.
     """
     for what, text in (("name", name), ("by", by)):
         if not text.strip() or len(text) > MAX_NAME or unprintable(text):
@@ -129,16 +149,19 @@ def submission_of(folders: Sequence[Path], name: str, by: str, url: str = "") ->
             raise RunError(f"{where} has {len(episodes)} episodes only; fly the whole suite, without --episodes")
         flown = tuple(tuple(Ended(stage.outcome, stage.chosen) for stage in each.stages) for each in episodes)
         facts = results.platform
-        machine = ", ".join(facts[key] for key in ("processor", "cores", "system") if key in facts)
         stages = [stage for each in episodes for stage in each.stages]
         overall, categories, mean = scores_of(stages)
         command, finished = facts.get("command", ""), results.timing.finished
-        runs.append(SubmittedRun(results.run, command, machine, finished, overall, categories, mean, flown))
+        commit = "" if facts.get("commit") == "none" else facts.get("commit", "")
+        runs.append(
+            SubmittedRun(results.run, command, machine_of(facts), finished, overall, categories, mean, flown, commit)
+        )
     if len({(run.run.policy, run.run.reasoner) for run in runs}) != 1:
         raise RunError("the runs are of different pilots; a submission is one pilot's: same policy, same reasoner")
     names = [run.run.suite.name for run in runs]
-    if len(set(names)) < len(names):
-        raise RunError(f"several runs of {max(names, key=names.count)}; give one run of each suite")
+    for index, made in enumerate(runs):
+        if any(other.run == made.run for other in runs[:index]):
+            raise RunError(f"several runs of {names[index]} with the same options; give one of them")
     return Submission(name, by, url, tuple(runs))
 
 
@@ -261,11 +284,12 @@ def _differences(run: SubmittedRun, job: Job) -> Iterator[str]:
 def leaderboard(submissions: Sequence[Submission], suites: Sequence[str]) -> list[list[str]]:
     """Rows of the leaderboard: name, by, and for every suite the rate with its interval; best first.
 
-    Sorted by the mean over the suites; a suite that was not flown is a dash, and counts as 0.
+    Sorted by the mean over the suites; a suite that was not flown is a dash, and counts as 0. Of several runs of a
+    suite, with different options, the first counts.
     """
     rows: list[tuple[float, list[str]]] = []
     for submission in submissions:
-        runs: dict[str, SubmittedRun] = {run.run.suite.name: run for run in submission.runs}
+        runs: dict[str, SubmittedRun] = {run.run.suite.name: run for run in reversed(submission.runs)}
         cells, total = [], 0.0
         for suite in suites:
             made = runs[suite].overall if suite in runs else None
@@ -281,12 +305,3 @@ def _cell(made: Rate | None) -> str:
         return "–"
     low, high = made.ci95
     return f"{100 * made.rate:.1f} ({100 * low:.0f} to {100 * high:.0f})"
-
-
-def markdown(rows: Sequence[Sequence[str]], suites: Sequence[str]) -> str:
-    """The leaderboard as a table of Markdown."""
-
-    def line(cells: Sequence[str]) -> str:
-        return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
-
-    return "\n".join([line(["pilot", "by", *suites]), line(["---"] * (len(suites) + 2)), *map(line, rows)]) + "\n"

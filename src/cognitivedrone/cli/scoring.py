@@ -149,7 +149,7 @@ def submit(
     out: Path,
     url: str = "",
 ) -> None:
-    """Make a file for the leaderboard from finished runs of one pilot, one for each suite.
+    """Make a file for the leaderboard from finished runs of one pilot, one for each suite or set of options.
 
     A stopped or partial run is refused. Examples:
 

@@ -1,0 +1,278 @@
+"""The tables of figures in README.md and docs/: one entry each, with its files, columns and order.
+
+A page has `<!-- table: NAME -->` and `<!-- end -->` where a table goes; `python scripts/render_tables.py` fills it in.
+runs/reproduce.sh has the commands of the files. In templates, a name is a figure of a row, and its format.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from score_tables import (
+    DRAWN_ANEW,
+    HELD_OUT,
+    all_runs,
+    audits,
+    by_suite,
+    categories,
+    families,
+    from_data,
+    latencies,
+    leaderboard_table,
+    lessons,
+    paper,
+    reasoner_worth,
+    runs_of,
+    sitl_scores,
+)
+from table_kinds import Description, Line, across, lines_of, rows_of, titled
+
+STEPS = {
+    "step": "{step}",
+    "who": "{who}",
+    "t10 s": "{t10_s:.2f}",
+    "t50 s": "{t50_s:.2f}",
+    "t90 s": "{t90_s:.2f}",
+    "overshoot": "{overshoot:.1%}",
+    "stop m (yaw: rad)": "{stop:.2f}",
+}
+ENVIRONMENT = "`benchmarks/environment.py`"
+RENDERING = ("{frames_per_s_1:,.0f} and {frames_per_s_2:,.0f} frames/s", "{ratio:.2f}", "`benchmarks/rendering.py`")
+START_UP = ("{ms:.0f} ms", "{ratio:.2g} x python alone", "`benchmarks/start_up.py`")
+OWN = "its own instruction: passed, wrong gate, other, hovered"
+ANOTHER = "instruction of a task with other kinds of panels: hovered, flew through a gate"
+HELD = ("{own_passed}, {own_wrong_gate}, {own_other}, **{own_hovered}**", "**{another_hovered}**, {another_through}")
+
+TABLES: Final[dict[str, Description]] = {
+    # README.md
+    "headline": by_suite(
+        ("r1", "small", "colour_seeker_oracle", "colour_seeker", "race", "oracle", "hover"), (*HELD_OUT, *DRAWN_ANEW)
+    ),
+    # docs/leaderboard.md
+    "leaderboard": leaderboard_table,
+    # docs/benchmark.md
+    "paper": paper,
+    "scores": all_runs,
+    "speed": lines_of(
+        ("what", "measured", "ratio", "printed by"),
+        Line(
+            "environment",
+            {"what": "vector of 16"},
+            (
+                "vector environment, 16 worlds, 256x256 frames, full dynamics",
+                "{steps_per_s:,.0f} control steps/s",
+                "{ratio:.2g} x gym-pybullet-drones ([how](gymnasium.md#speed))",
+                ENVIRONMENT,
+            ),
+        ),
+        Line(
+            "environment",
+            {"what": "one world"},
+            ("one world", "{steps_per_s:,.0f} control steps/s", "{ratio:.2g} x the same", ENVIRONMENT),
+        ),
+        Line(
+            "environment",
+            {"what": "task change"},
+            ("task change, reset to first frame", "{ms:.1f} ms", "", ENVIRONMENT),
+        ),
+        Line("rendering", {"look": "plain"}, ("rendering alone, 16 worlds, 1 and 2 threads", *RENDERING)),
+        Line("rendering", {"look": "varied"}, ("rendering alone, varied look, 1 and 2 threads", *RENDERING)),
+        Line(
+            "dynamics",
+            {"worlds": 16},
+            (
+                "flight of 16 worlds alone, one control step",
+                "{step_ms:.1f} ms",
+                "{real_time:.0f} x real time, all worlds",
+                "`benchmarks/dynamics.py`",
+            ),
+        ),
+        Line("start_up", {"what": "import cognitivedrone"}, ("`{what}`; loads no torch", *START_UP)),
+        Line("start_up", {"what": "import cognitivedrone.envs.gym"}, ("`{what}`", *START_UP)),
+    ),
+    "bench-time": rows_of("bench_time", {"pilot": "`{pilot}`", "wall time": "{wall_s:.0f} s", "workers": "{workers}"}),
+    # docs/small.md
+    "small-categories": categories("small", "CognitiveDrone"),
+    "small-families": families("small", ("open-v1:test", "open-v1:unseen", "open-v2:words", "open-v1:hard")),
+    "small-elsewhere": runs_of(
+        "small",
+        ["`cognitivedrone bench` with"],
+        {
+            "`--appearance varied`": ("open-v1:test", {"look": "varied"}),
+            "`--wind 0.5`": ("open-v1:test", {"wind_m_s": 0.5}),
+            "`--suite open-v1:track`: 20 tracks of 5 stages": ("open-v1:track", {}),
+        },
+    ),
+    "small-speed": lines_of(
+        ("a decision, median", "99th percentile", "loading", "memory of the process", "file"),
+        Line(
+            "inference",
+            {},
+            ("{median_ms:.1f} ms", "{p99_ms:.1f} ms", "{loading_s:.2f} s", "{memory_mb:.0f} MB", "{file_mb:.1f} MB"),
+        ),
+    ),
+    "race": runs_of(
+        "race",
+        ["`cognitivedrone bench --policy race` with"],
+        {
+            "`--suite open-v1:race`: 20 tracks of 5 single gates": ("open-v1:race", {}),
+            "`--suite open-v1:test`: a sentence and three gates": ("open-v1:test", {}),
+        },
+    ),
+    # docs/r1.md
+    "r1": reasoner_worth,
+    "r1-families": families("r1", ("open-v1:test", "open-v1:unseen", "open-v2:words", "open-v1:hard")),
+    "r1-latency": latencies,
+    "real-time": lines_of(
+        (
+            "deadlines missed by more than 10 ms",
+            "policy: median, p99",
+            "reasoner: median, p99",
+            "answers/s",
+            "the loop alone",
+        ),
+        Line(
+            "real_time",
+            {},
+            (
+                "{missed} of {deadlines}",
+                "{policy_ms:.1f} ms",
+                "{reasoner_ms:.1f} ms",
+                "{answers_per_s:.1f}",
+                "{loop_us:.0f} us a tick",
+            ),
+        ),
+    ),
+    # docs/audit.md, docs/teach.md
+    "audits": audits,
+    "lessons": lessons,
+    # docs/training.md
+    "from-data": from_data,
+    "ablations": rows_of(
+        "ablation",
+        {
+            "variant": "{variant}",
+            "instruction: passed": "{passed:.1%}",
+            "choice accuracy": "{choice_accuracy:.1%}",
+            "success given choice": "{pass_given_choice:.1%}",
+            "directive: passed": "{directive_passed:.1%}",
+            "L1 error": "{l1:.3f}",
+            "training, min": "{training_min:.0f}",
+        },
+    ),
+    # docs/flight.md, docs/gymnasium.md
+    "steps": rows_of("step_responses", {**STEPS, "max tilt deg": "{max_tilt_deg:.1f}"}),
+    "dynamics": rows_of(
+        "dynamics",
+        {
+            "worlds": "{worlds}",
+            "threads": "{threads}",
+            "control step ms": "{step_ms:.2f}",
+            "times real time, all worlds": "{real_time:.0f}",
+            "over bare physics": "{over_physics:.1f}",
+        },
+    ),
+    "environment": rows_of(
+        "environment",
+        {"what": "{what}", "control steps/s": "{steps_per_s:,.0f}", "date": "{date}", "ratio": "{ratio:.2g}"},
+        {"unit": "control steps/s"},
+    ),
+    # docs/data.md, docs/store.md, docs/formats.md
+    "collect-paper": lines_of(
+        ("`cognitivedrone collect --out paper-set --workers 2`", ""),
+        *(
+            Line("collect_paper", {}, cells)
+            for cells in (
+                ("episodes, control steps", "{episodes:,}, {steps:,} ({steps_per_episode:.1f} per episode)"),
+                ("wall time", "{wall_s:.0f} s, {episodes_per_s:.1f} episodes/s"),
+                ("memory of all processes together", "{memory_mb:.0f} MB"),
+                ("flights that did not pass", "{not_passed} of {episodes:,}"),
+                (
+                    "size on disk, PNG frames",
+                    "{size_gb:.2f} GB: {kb_per_episode:.0f} KB per episode, {kb_per_step:.1f} KB per step",
+                ),
+                ("every fiftieth episode replayed", "{replayed_equal} of {replayed} to the last bit"),
+            )
+        ),
+    ),
+    "collection": rows_of(
+        "collection",
+        {
+            "workers": "{workers}",
+            "episodes/s": "{episodes_per_s:.1f}",
+            "8,062 episodes, min": "{minutes_8062:.1f}",
+            "memory MB": "{memory_mb:.0f}",
+            "flights that passed": "{passed:.1%}",
+        },
+    ),
+    "faults": rows_of(
+        "faults",
+        {
+            "fault": "{fault}",
+            "tried": "{tried}",
+            "found": "{found} of {tried}",
+            "same end state": "{mended} of {tried}",
+            "stray files": "{stray}",
+        },
+    ),
+    "exports": rows_of(
+        "exports",
+        {"command": "`{command}`", "time": "{time_s:.0f} s", "size": "{size_gb:.1f} GB", "opened": "{opened}"},
+    ),
+    # docs/install.md, docs/integrations.md, docs/serving.md
+    "systems": rows_of("systems", {"system": "{system}", "Python": "{python}", "what": "{what}", "result": "{result}"}),
+    "first-score": rows_of(
+        "first_score",
+        {
+            "Python": "{python}",
+            "clone": "{clone_s:.1f}",
+            "install": "{install_s:.1f}",
+            "bench": "{bench_s:.1f}",
+            "total": "{total_s:.1f}",
+        },
+    ),
+    "harnesses": rows_of("harnesses", {"what was run": "{what}", "versions": "{versions}", "result": "{result}"}),
+    "serving": rows_of("serving", {"": "{what}", "figure": "{figure}", "command": "{command}"}),
+    # docs/real-drone.md
+    "holding": lines_of(
+        ("`--suite`", OWN, ANOTHER),
+        Line("holding_test", {}, ("`open-v1:test`", *HELD)),
+        Line("holding_never", {}, ("the same, `--below 0`", *HELD)),
+        Line("holding_hard", {}, ("`open-v1:hard`", *HELD)),
+    ),
+    "sitl-faults": rows_of(
+        "sitl_faults",
+        {
+            "case": "{name}",
+            "stopped": "{stopped_s:.1f}",
+            "mode changed": "{mode_s:.1f}",
+            "motors stopped": "{down_s:.1f}",
+            "how it ended": "{end}",
+        },
+    ),
+    "fault-times": rows_of(
+        "fault_times",
+        {
+            "fault": "{fault}",
+            "safe: median, worst, limit": "{safe_ms:.0f}",
+            "down: median, worst, limit": "{down_ms:.0f}",
+        },
+    ),
+    # docs/ardupilot.md
+    "sitl-scores": sitl_scores,
+    "sitl-steps": rows_of("sitl_step_responses", STEPS),
+    "sitl-speed": rows_of("sitl_speed", {"": "{what}", "times real time": "{real_time:.1f}"}),
+    # docs/openvla.md
+    "openvla-memory": across(
+        "openvla_memory", "", "`{quant}`", {"memory, computed from the tensors' shapes": "{memory_gb:.1f} GB"}
+    ),
+    "gpu-step": titled("openvla_gpu", "One control step"),
+    "gpu-together": titled("openvla_gpu", "Policy at 10 Hz"),
+    "gpu-lora": titled("openvla_gpu", "LoRA"),
+    "lora-memory": across(
+        "lora_memory",
+        "`--micro-batch`",
+        "{micro_batch}",
+        {"activations kept": "{kept_gb:.1f} GB", "activations recomputed": "{recomputed_gb:.1f} GB"},
+    ),
+}

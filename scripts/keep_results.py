@@ -1,0 +1,105 @@
+"""Files of results from the folders of runs: what `runs/reproduce.sh` flew becomes RESULTS/*.json.
+
+Run: python scripts/keep_results.py OUT RESULTS
+
+Each folder OUT/scores/PILOT with its runs becomes the submission RESULTS/PILOT.json, OUT/reason/* becomes
+RESULTS/reasoner_alone.json, and OUT/audit/PILOT becomes RESULTS/audit_PILOT.json; RESULTS/bench_time.json has the wall
+times of runs. Partial runs are left out, and named.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from cognitivedrone.audit.run import AUDIT_FILE
+from cognitivedrone.benchmark.measurements import Measurement, measurement, write_measurement
+from cognitivedrone.benchmark.reason import SUMMARY_FILE
+from cognitivedrone.benchmark.results import RESULTS_FILE, read_results
+from cognitivedrone.benchmark.submission import submission_of, write_submission
+from cognitivedrone.errors import RunError
+
+BY = "CognitiveDrone"
+TIMED = "open-v1-test"
+"""The folder of the runs whose wall times are kept."""
+WHOLE = 300
+"""Their tasks."""
+
+
+def main(out: Path, results: Path) -> None:
+    """Write the files."""
+    for folder in sorted((out / "scores").glob("*")):
+        keep_pilot(sorted(path.parent for path in folder.glob(f"*/{RESULTS_FILE}")), results / f"{folder.name}.json")
+    keep_times(sorted((out / "scores").glob(f"*/{TIMED}/{RESULTS_FILE}")), results / "bench_time.json")
+    keep_reasoner(sorted((out / "reason").glob(f"*/{SUMMARY_FILE}")), results / "reasoner_alone.json")
+    for path in sorted((out / "audit").glob(f"*/{AUDIT_FILE}")):
+        keep_audit(path, results / f"audit_{path.parent.name}.json")
+
+
+def keep_pilot(folders: list[Path], path: Path) -> None:
+    """A submission of the whole runs of a pilot."""
+    whole = []
+    for folder in folders:
+        try:
+            submission_of([folder], path.stem, BY)
+        except RunError as error:
+            print(error)
+        else:
+            whole.append(folder)
+    if whole:
+        write_submission(path, submission_of(whole, path.stem, BY))
+        print(path)
+
+
+def keep_times(paths: list[Path], path: Path) -> None:
+    """Wall times of the runs that were flown in one go."""
+    runs = {each.parents[1].name: read_results(each) for each in paths}
+    whole = {name: run for name, run in runs.items() if run.timing.episodes_flown == len(run.episodes) >= WHOLE}
+    rows = [{"pilot": name, "wall_s": run.timing.wall_s, "workers": run.timing.workers} for name, run in whole.items()]
+    if whole:
+        last = max(whole.values(), key=lambda run: run.timing.finished)
+        command = "cognitivedrone bench --suite open-v1:test --policy P --reasoner R"
+        facts, finished = last.platform, last.timing.finished
+        write(
+            path, measurement("Wall time of runs of 300 tasks", command, rows, seed=0, facts=facts, finished=finished)
+        )
+
+
+def keep_reasoner(paths: list[Path], path: Path) -> None:
+    """A reasoner's counts on every suite."""
+    documents = [json.loads(each.read_text(encoding="utf-8")) for each in paths]
+    rows = []
+    for document in documents:
+        overall = document["scores"]["overall"]
+        rows.append({"suite": document["suite"]["name"], "n": overall["n"], "right": overall["right"]})
+    if rows:
+        what, last = "The reasoner alone, from the first frame of every task", documents[-1]
+        command, facts = "cognitivedrone reason --reasoner small --suite S", last["platform"]
+        write(path, measurement(what, command, rows, seed=0, facts=facts, finished=last["finished"]))
+
+
+def keep_audit(source: Path, path: Path) -> None:
+    """The rows of an audit, with counts instead of rates."""
+    document = json.loads(source.read_text(encoding="utf-8"))
+    baseline = read_results(source.parent / "baseline")
+    pilot = f"--policy {document['policy']} --reasoner {document['reasoner']}"
+    command = f"cognitivedrone audit {pilot} --episodes {document['episodes']} --suite {document['suite']['name']}"
+    names = ("audit", "variant", "expected", "n", "declined", "chosen", "sound")
+    rows = [
+        {**{name: row[name] for name in names}, "right": round(row["n"] * (row["rate"] or 0))}
+        for row in document["rows"]
+    ]
+    facts, finished = baseline.platform, baseline.timing.finished
+    what = "A pilot under changes"
+    write(path, measurement(what, command, rows, seed=document["seed"], facts=facts, finished=finished))
+
+
+def write(path: Path, made: Measurement) -> None:
+    """Write and say so."""
+    write_measurement(path, made)
+    print(path)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -1,0 +1,113 @@
+"""Write the tables of README.md and docs/ from results/*.json and leaderboard/*.json. `doc_tables.py` describes them.
+
+Run: python scripts/render_tables.py [--check]
+
+With --check nothing is written; the exit code is 1 where a page is not up to date, and where a marker, a description or
+a file of results is left over.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from doc_tables import TABLES
+from table_kinds import Description, Store
+
+from cognitivedrone.benchmark.measurements import Measurement
+from cognitivedrone.benchmark.submission import Submission
+
+ROOT = Path(__file__).resolve().parents[1]
+_PLACE = re.compile(r"^( *)<!-- table: ([\w-]+) -->\n(.*?)^ *<!-- end -->$", re.DOTALL | re.MULTILINE)
+
+
+def pages_of(root: Path) -> list[Path]:
+    """README.md and every page of docs/."""
+    return [root / "README.md", *sorted((root / "docs").rglob("*.md"))]
+
+
+def names_in(text: str) -> list[str]:
+    """The tables that a page has markers for."""
+    return [found[1] for found in _PLACE.findall(text)]
+
+
+def rendered(text: str, store: Store, tables: Mapping[str, Description] = TABLES) -> str:
+    """A page with its tables. Raises `KeyError` for a marker without a description."""
+
+    def fill(found: re.Match[str]) -> str:
+        indent, name = found[1], found[2]
+        store.begin()
+        table = str(tables[name](store))
+        lines = [f"<!-- table: {name} -->", "", *table.splitlines(), "", *caption(store), "<!-- end -->"]
+        return "\n".join(f"{indent}{line}".rstrip() for line in lines)
+
+    return _PLACE.sub(fill, text)
+
+
+def caption(store: Store) -> Iterator[str]:
+    """The files below a table, each with command, machine, day and commit."""
+    if store.used:
+        files: dict[str, list[str]] = {}
+        for name, found in store.used.items():
+            files.setdefault(_facts(found), []).append(f"`results/{name}.json`")
+        yield "; ".join(f"{', '.join(names)}: {facts}" for facts, names in files.items()) + "."
+        yield ""
+
+
+def _facts(found: Measurement | Submission) -> str:
+    if isinstance(found, Measurement):
+        return ", ".join([f"`{found.command}`", found.machine, found.date, *_commit(found.commit)])
+    machines = dict.fromkeys(run.machine for run in found.runs)
+    days = sorted({run.finished[:10] for run in found.runs})
+    commits = dict.fromkeys(run.commit for run in found.runs)
+    commit = _commit(next(iter(commits))) if len(commits) == 1 else []
+    return ", ".join([*machines, " to ".join(dict.fromkeys([days[0], days[-1]])), *commit])
+
+
+def _commit(commit: str | None) -> list[str]:
+    return [f"commit {commit[:10]}"] if commit else []
+
+
+def problems(root: Path, tables: Mapping[str, Description] = TABLES) -> list[str]:
+    """What does not fit together, in sentences; empty if all does."""
+    store, found, used, shown = Store(root), [], set(), set()
+    for page in pages_of(root):
+        text = page.read_text(encoding="utf-8")
+        names = names_in(text)
+        if text.count("<!-- table:") != len(names):
+            found.append(f"{page.name} has a marker `table` that no `<!-- end -->` closes")
+        found += [
+            f"{page.name} has a marker for {name!r}, which nothing describes" for name in names if name not in tables
+        ]
+        shown |= {*names}
+        if {*names} <= {*tables} and rendered(text, store, tables) != text:
+            found.append(f"{page.name} does not show what results/ holds; run `python scripts/render_tables.py`")
+    for name, describe in tables.items():
+        if name not in shown:
+            found.append(f"no page has a marker for the table {name!r}")
+        store.begin()
+        describe(store)
+        used |= {*store.used}
+    files = {path.stem for path in (root / "results").glob("*.json")}
+    return [*found, *(f"results/{name}.json is in no table" for name in sorted(files - used))]
+
+
+def main() -> int:
+    """Write the pages, or compare them."""
+    if "--check" in sys.argv[1:]:
+        found = problems(ROOT)
+        print("\n".join(found))
+        return int(bool(found))
+    store = Store(ROOT)
+    for page in pages_of(ROOT):
+        text = page.read_text(encoding="utf-8")
+        if (new := rendered(text, store)) != text:
+            page.write_text(new, encoding="utf-8")
+            print(page)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,172 @@
+"""Kinds of tables in README.md and docs/, filled from results/*.json. `doc_tables.py` lists the tables themselves.
+
+Two kinds of files are read: what benchmarks measured (`cognitivedrone.benchmark.measurements`), and the runs of a
+pilot, made by `cognitivedrone submit`. What is not there yet is shown as "not measured".
+"""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cognitivedrone.benchmark.measurements import Measurement, markdown, read_measurement
+from cognitivedrone.benchmark.scoring import Summary
+from cognitivedrone.benchmark.submission import Submission, SubmittedRun, read_submission
+
+NOT_MEASURED = "not measured"
+
+
+class Store:
+    """The files of results and of the leaderboard, read once; remembers which were used since `begin`."""
+
+    def __init__(self, root: Path) -> None:
+        self.results, self.leaderboard = root / "results", root / "leaderboard"
+        self.used: dict[str, Measurement | Submission] = {}
+        self.asked: set[str] = set()
+        """Names of all files that were looked for, whether they are there or not."""
+        self._pilots: dict[str, Submission | None] = {}
+
+    def begin(self) -> None:
+        """Forget what was used."""
+        self.used = {}
+
+    def measured(self, name: str) -> Measurement:
+        """The figures in results/NAME.json."""
+        self.asked.add(name)
+        found = read_measurement(self.results / f"{name}.json")
+        self.used[name] = found
+        return found
+
+    def measured_rows(self, name: str) -> tuple[Mapping[str, Any], ...]:
+        """The rows of results/NAME.json; none where there is no such file yet."""
+        self.asked.add(name)
+        return self.measured(name).rows if (self.results / f"{name}.json").exists() else ()
+
+    def runs(self, pilot: str) -> tuple[SubmittedRun, ...]:
+        """The runs in results/PILOT.json; none where there is no such file yet."""
+        self.asked.add(pilot)
+        path = self.results / f"{pilot}.json"
+        if pilot not in self._pilots:
+            self._pilots[pilot] = read_submission(path) if path.exists() else None
+        found = self._pilots[pilot]
+        if found is None:
+            return ()
+        self.used[pilot] = found
+        return found.runs
+
+    def summary(self, pilot: str, suite: str, **options: object) -> Summary | None:
+        """The scores of a pilot on a suite with these options and no others; none if that was not flown."""
+        runs = [run for run in self.runs(pilot) if run.run.suite.name == suite and run.flown_with(**options)]
+        return runs[0].summary if runs else None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of text."""
+
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        return markdown(self.heads, self.rows)
+
+
+Description = Callable[[Store], Table]
+
+
+class _Missing(Exception):
+    """A row lacks a figure."""
+
+
+class _Cells(string.Formatter):
+    """Fills a template from a row: lists with commas, a dash for null, a blank before the per cent sign."""
+
+    def get_value(self, key: int | str, _args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
+        if key not in kwargs:
+            raise _Missing
+        return kwargs[key]
+
+    def format_field(self, value: Any, spec: str) -> str:
+        if value is None:
+            return "–"
+        if isinstance(value, str):
+            return value
+        if isinstance(value, list | tuple):
+            return ", ".join(self.format_field(each, spec) for each in value)
+        if spec.endswith("%"):
+            return f"{100 * value:{spec[:-1]}f} %"
+        return f"{value:{spec}}"
+
+
+def cell(template: str, row: Mapping[str, Any]) -> str:
+    """A template filled from a row; empty if the row lacks one of its figures."""
+    try:
+        return _Cells().vformat(template, (), row)
+    except _Missing:
+        return ""
+
+
+def rows_of(name: str, columns: Mapping[str, str], where: Mapping[str, Any] | None = None) -> Description:
+    """A line for every row of a file that has the values of `where`; columns by head, as templates."""
+
+    def describe(store: Store) -> Table:
+        rows = [row for row in store.measured(name).rows if _has(row, where or {})]
+        return Table([*columns], [[cell(template, row) for template in columns.values()] for row in rows])
+
+    return describe
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a table, from one row of a file."""
+
+    file: str
+    where: Mapping[str, Any]
+    cells: tuple[str, ...]
+    """Templates."""
+
+
+def lines_of(heads: Sequence[str], *lines: Line) -> Description:
+    """A table of chosen rows of one or several files. Where a file is not there yet, its lines say so."""
+
+    def describe(store: Store) -> Table:
+        return Table(heads, [_filled(store, line) for line in lines])
+
+    return describe
+
+
+def _filled(store: Store, line: Line) -> list[str]:
+    rows = [row for row in store.measured_rows(line.file) if _has(row, line.where)]
+    if rows:
+        return [cell(template, rows[0]) for template in line.cells]
+    return [template if "{" not in template else NOT_MEASURED for template in line.cells]
+
+
+def across(name: str, heading: str, key: str, lines: Mapping[str, str]) -> Description:
+    """A file's rows side by side: their values of `key` are the heads, and each line has a template."""
+
+    def describe(store: Store) -> Table:
+        rows = store.measured(name).rows
+        heads = [heading, *(cell(key, row) for row in rows)]
+        return Table(heads, [[title, *(cell(template, row) for row in rows)] for title, template in lines.items()])
+
+    return describe
+
+
+def titled(name: str, *titles: str) -> Description:
+    """The rows of the tables with these beginnings of their titles, as the benchmark itself named rows and columns."""
+
+    def describe(store: Store) -> Table:
+        rows = [row for row in store.measured_rows(name) if row["table"].startswith(titles)]
+        heads = list(dict.fromkeys(key for row in rows for key in row if key not in ("table", "row")))
+        cells = [[row["row"], *(cell(f"{{{head}}}", row) for head in heads)] for row in rows]
+        return Table(["", *heads], cells) if rows else Table([""], [[NOT_MEASURED]])
+
+    return describe
+
+
+def _has(row: Mapping[str, Any], values: Mapping[str, Any]) -> bool:
+    return all(row.get(key) == value for key, value in values.items())

@@ -1,0 +1,136 @@
+"""Measured figures and their files, results/NAME.json, from which the tables of README and docs are made.
+
+A benchmark gathers its rows and calls `keep`. Runs of `bench` have a file of their own: `benchmark/submission.py`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from cognitivedrone.benchmark.codec import decode, dumps, encode
+from cognitivedrone.benchmark.provenance import platform_facts
+from cognitivedrone.benchmark.results import versions, write_whole
+from cognitivedrone.errors import RunError
+from cognitivedrone.files import read_regular, reason_of
+
+SCHEMA: Final = "cognitivedrone.measurement/1"
+OUT_HELP: Final = "file for the figures, such as results/NAME.json"
+MAX_FILE_BYTES: Final = 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """What one command measured."""
+
+    what: str
+    """One line."""
+    command: str
+    """That measures it again."""
+    machine: str
+    """Processor, cores, what else ran."""
+    date: str
+    """Day, ISO 8601."""
+    commit: str | None
+    """Of the measured source; none where nobody wrote it down."""
+    seed: int | None
+    """None where nothing is drawn."""
+    versions: Mapping[str, str]
+    """Of what affects the figures."""
+    rows: tuple[Mapping[str, Any], ...]
+    """Named figures, with the unit in the name: numbers, text, or lists of them. A figure that was not measured is left
+    out; null says that what was waited for did not happen."""
+    note: str = field(default="", metadata={"json": "where set"})
+    """What else a reader of the file must know."""
+
+
+def keep(
+    path: Path | None,
+    what: str,
+    rows: Iterable[Mapping[str, Any]],
+    *,
+    seed: int | None = None,
+    variables: Sequence[str] = (),
+) -> None:
+    """Write what this program measured, with its command line, this machine, today and the commit.
+
+    Nothing is written without a path. `variables` are those of the environment that it needs where they are set.
+
+    Raises `RunError` if the file cannot be written.
+    """
+    if path is not None:
+        given = [f"{name}=..." for name in variables if name in os.environ]
+        command = " ".join([*given, command_line(sys.argv)])
+        write_measurement(path, measurement(what, command, rows, seed=seed))
+
+
+def measurement(
+    what: str,
+    command: str,
+    rows: Iterable[Mapping[str, Any]],
+    *,
+    seed: int | None = None,
+    facts: Mapping[str, str] | None = None,
+    finished: str = "",
+) -> Measurement:
+    """Figures that were measured here and now, unless a run's `facts` (its `platform`) and its end say otherwise."""
+    facts = platform_facts(command) if facts is None else facts
+    known = facts.get("commit", "none")
+    day = finished[:10] or datetime.now(UTC).date().isoformat()
+    commit = None if known == "none" else known
+    return Measurement(what, command, machine_of(facts), day, commit, seed, versions(), tuple(rows))
+
+
+def machine_of(facts: Mapping[str, str]) -> str:
+    """The machine in the facts of a run, as one line."""
+    return ", ".join([facts.get("processor", "unknown processor"), f"{facts.get('cores', '?')} cores"])
+
+
+def command_line(words: Sequence[str]) -> str:
+    """A benchmark's command, of its script and arguments; without `--out FILE`, which changes no figure."""
+    kept: list[str] = []
+    skip = False
+    for word in words:
+        if not skip and word != "--out" and not word.startswith("--out="):
+            kept.append(word)
+        skip = word == "--out"
+    return shlex.join(["python", *kept])
+
+
+def write_measurement(path: Path, made: Measurement) -> None:
+    """Write the file, atomically; a row in a line, so that a change of figures reads well in a diff."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    head = {"schema": SCHEMA, **encode(made)}
+    rows = ",\n  ".join(map(dumps, head.pop("rows")))
+    write_whole(path, f'{dumps(head, indent=1)[:-2]},\n "rows": [\n  {rows}\n ]\n}}\n')
+
+
+def read_measurement(path: Path) -> Measurement:
+    """Read and check a file. Raises `RunError` if it is missing or malformed."""
+    try:
+        document = json.loads(read_regular(path, MAX_FILE_BYTES).decode("utf-8"))
+    except OSError as error:
+        raise RunError(f"{path} cannot be read ({reason_of(error)}); measure it: see runs/reproduce.sh") from None
+    except (ValueError, RecursionError) as error:
+        raise RunError(f"{path} cannot be read: {error}") from None
+    if not isinstance(document, dict) or document.pop("schema", None) != SCHEMA:
+        raise RunError(f"{path} is no file of figures of this version (schema {SCHEMA})")
+    return decode(Measurement, document, str(path))
+
+
+def markdown(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of Markdown."""
+
+    def line(cells: Sequence[str]) -> str:
+        return (
+            "|" + "|".join(f" {cell} " if cell else " " for cell in (each.replace("|", "\\|") for each in cells)) + "|"
+        )
+
+    return "\n".join([line(heads), "|" + "---|" * len(heads), *map(line, rows)]) + "\n"

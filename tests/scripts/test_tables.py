@@ -1,0 +1,184 @@
+"""The tables of README and docs are made from committed files: pages, markers, descriptions and files fit together."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmark"))
+
+import keep_results
+import render_tables
+import table_kinds
+from doc_tables import TABLES
+from table_kinds import NOT_MEASURED, Store, Table, cell
+
+from cognitivedrone.audit.run import AUDIT_FILE
+from cognitivedrone.benchmark.config import Plan
+from cognitivedrone.benchmark.measurements import Measurement, read_measurement, write_measurement
+from cognitivedrone.benchmark.runner import run
+from cognitivedrone.benchmark.submission import read_submission
+
+ROOT = Path(__file__).resolve().parents[2]
+MADE = Measurement(
+    "Gates",
+    "python gates.py",
+    "a chip, 3 cores",
+    "2026-03-04",
+    "0123456789abcdef",
+    0,
+    {},
+    ({"gate": "red", "ms": 1.25},),
+)
+GATES = {"gates": table_kinds.rows_of("gates", {"gate": "{gate}", "time": "{ms:.1f} ms"})}
+PAGE = "# Gates\n\n<!-- table: gates -->\n<!-- end -->\n"
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """A small project with one table, rendered."""
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "README.md").write_text("# Nothing\n")
+    write_measurement(tmp_path / "results" / "gates.json", MADE)
+    page = tmp_path / "docs" / "gates.md"
+    page.write_text(render_tables.rendered(PAGE, Store(tmp_path), GATES))
+    return tmp_path
+
+
+def test_the_pages_show_the_committed_files() -> None:
+    assert render_tables.problems(ROOT) == []
+
+
+def test_every_file_that_a_table_needs_is_there_or_comes_out_of_the_script() -> None:
+    store = Store(ROOT)
+    for describe in TABLES.values():
+        describe(store)
+    script = (ROOT / "runs" / "reproduce.sh").read_text()
+    made = {*re.findall(r"^ *(?:measure|bench) (\w+) ", script, flags=re.MULTILINE)}
+    made |= {"reasoner_alone", "r1_latency", "bench_time"} & {*re.findall(r"results/(\w+)\.json", script)}
+    made |= {f"recorded_{flights}" for flights in re.search(r"sets=\((.*?)\)", script)[1].split()}
+    made |= {f"audit_{pilot}" for pilot in re.findall(r"/audit/(\w+)", script)}
+    there = {path.stem for path in (ROOT / "results").glob("*.json")}
+    assert store.asked <= made | there
+    for benchmark in re.findall(r"^ *measure \w+ (\w+)", script, flags=re.MULTILINE):
+        assert "--out" in (ROOT / "benchmarks" / f"{benchmark}.py").read_text(), benchmark
+
+
+def test_a_table_names_its_file_command_machine_day_and_commit(root: Path) -> None:
+    text = (root / "docs" / "gates.md").read_text()
+    assert "| gate | time |\n|---|---|\n| red | 1.2 ms |\n" in text
+    assert "`results/gates.json`: `python gates.py`, a chip, 3 cores, 2026-03-04, commit 0123456789." in text
+    assert render_tables.problems(root, GATES) == []
+    assert render_tables.rendered(text, Store(root), GATES) == text
+
+
+def test_a_changed_figure_is_found(root: Path) -> None:
+    write_measurement(root / "results" / "gates.json", replace(MADE, rows=({"gate": "red", "ms": 1.5},)))
+    assert [found for found in render_tables.problems(root, GATES) if "gates.md does not show" in found]
+
+
+def test_a_figure_changed_in_the_page_is_found(root: Path) -> None:
+    page = root / "docs" / "gates.md"
+    page.write_text(page.read_text().replace("1.2 ms", "0.2 ms"))
+    assert [found for found in render_tables.problems(root, GATES) if "gates.md does not show" in found]
+
+
+def test_what_is_left_over_is_found(root: Path) -> None:
+    write_measurement(root / "results" / "old.json", MADE)
+    assert render_tables.problems(root, GATES) == ["results/old.json is in no table"]
+    more = {**GATES, "unused": lambda _: Table([])}
+    assert "no page has a marker for the table 'unused'" in render_tables.problems(root, more)
+    page = root / "docs" / "gates.md"
+    page.write_text(PAGE.replace("gates -->", "others -->"))
+    assert any("'others', which nothing describes" in found for found in render_tables.problems(root, GATES))
+    page.write_text(PAGE.replace("<!-- end -->", ""))
+    assert any("no `<!-- end -->` closes" in found for found in render_tables.problems(root, GATES))
+
+
+def test_a_file_that_is_missing_is_an_error(root: Path) -> None:
+    (root / "results" / "gates.json").unlink()
+    with pytest.raises(Exception, match=r"gates\.json cannot be read"):
+        render_tables.problems(root, GATES)
+
+
+@pytest.mark.parametrize(
+    ("template", "row", "shown"),
+    [
+        ("{ms:.1f} ms", {"ms": 2}, "2.0 ms"),
+        ("{ms:.1f} ms", {}, ""),
+        ("{ms:.1f}", {"ms": None}, "–"),
+        ("{ms:.0f}", {"ms": [1.2, None, "none"]}, "1, –, none"),
+        ("{part:.1%}", {"part": 0.125}, "12.5 %"),
+        ("{n:,}", {"n": 8062}, "8,062"),
+    ],
+)
+def test_cells(template: str, row: dict, shown: str) -> None:
+    assert cell(template, row) == shown
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folders as the script leaves them: made-up flights of a whole suite, and a part of one."""
+    out = tmp_path_factory.mktemp("reproduce")
+    runs: dict[str, dict[str, Any]] = {
+        "open-v1-test": {},
+        "open-v1-test+wind": {"wind": 0.5},
+        "open-v1-hard": {"episodes": 2},
+    }
+    for name, options in runs.items():
+        plan = Plan.of(
+            policy="fake",
+            suite=name.partition("+")[0].replace("v1-", "v1:"),
+            workers=0,
+            clips=0,
+            out=out / "scores" / "small" / name,
+            **options,
+        )
+        run(plan, progress=False, runner="benchmark_fakes:FakeRunner")
+    audit = out / "audit" / "small"
+    audit.mkdir(parents=True)
+    (audit / "baseline").symlink_to(out / "scores" / "small" / "open-v1-test")
+    row = {"audit": "wind", "variant": "4 m/s", "expected": "as before", "n": 8, "rate": 0.25, "sound": False}
+    row |= {"declined": 0, "chosen": [1, 2, 3, 2]}
+    document = {"policy": "fake", "reasoner": "none", "episodes": 8, "suite": {"name": "open-v1:test"}, "seed": 0}
+    (audit / AUDIT_FILE).write_text(json.dumps({**document, "rows": [row]}))
+    return out
+
+
+def test_runs_become_files_and_tables(out: Path, tmp_path: Path, capsys) -> None:
+    keep_results.main(out, tmp_path / "results")
+    assert "2 episodes only" in capsys.readouterr().out
+    submission = read_submission(tmp_path / "results" / "small.json")
+    assert [made.run.option("wind_m_s") for made in submission.runs] == [0.0, 0.5]
+    times = read_measurement(tmp_path / "results" / "bench_time.json")
+    assert [row["pilot"] for row in times.rows] == ["small"]
+
+    store = Store(tmp_path)
+    plain = submission.runs[0].overall
+    headline = TABLES["headline"](store)
+    small = next(row for row in headline.rows if row[0].startswith("**`small`**"))
+    place = headline.heads.index("`open-v1:test`")
+    assert small[place].startswith(f"{100 * plain.rate:.1f} (")
+    assert {*small[1:place], *small[place + 1 :]} == {NOT_MEASURED}
+    flags = [row[0] for row in TABLES["scores"](store).rows]
+    assert flags == ["`--suite open-v1:test`", "`--suite open-v1:test --wind 0.5`"]
+    elsewhere = {row[0]: row[1] for row in TABLES["small-elsewhere"](store).rows}
+    assert elsewhere["`--wind 0.5`"] == f"{submission.runs[1].overall.passed} of 300"
+    assert elsewhere["`--appearance varied`"] == NOT_MEASURED
+    families = {row[0]: row[1] for row in TABLES["small-families"](store).rows}
+    assert families["attributes"].endswith(" of 50")
+    assert sum(int(text.split(" of ")[0]) for text in families.values()) == plain.passed
+    paper = TABLES["paper"](store).rows
+    assert [row[0].endswith("published") for row in paper] == [False, True] * 3
+    assert paper[2][-1].startswith(f"{100 * submission.runs[0].mean:.1f} (")
+    (audited,) = TABLES["audits"](store).rows
+    assert audited[:3] == ["wind", "4 m/s", ""]
+    assert audited[3].startswith("25.0 (")
+    assert "not as a sound pilot" in audited[3]
