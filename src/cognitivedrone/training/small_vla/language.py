@@ -20,7 +20,7 @@ from cognitivedrone.models.small_vla import SmallVLA, SmallVLAConfig
 from cognitivedrone.models.text import Lexicon
 from cognitivedrone.training.common.attributes import AttributeIndex
 from cognitivedrone.training.common.lexicon import training_lexicon, with_vectors
-from cognitivedrone.training.common.problems import NAMES, Problem, Problems
+from cognitivedrone.training.common.problems import ALONE, NAMES, Mix, Problem, Problems
 from cognitivedrone.training.common.readings import readings_of
 from cognitivedrone.training.common.sampling import Batch, TextMix, described
 from cognitivedrone.training.common.start import Start, read_start
@@ -54,7 +54,9 @@ class LanguageRecipe(Recipe):
         return LanguageTraining(self, origin, known.taught(new.words[2 : new.trained]))
 
 
-LANGUAGE = LanguageRecipe(name="language", steps=3_000, learning_rate=1e-3, decay_share=0.5)
+_MIX = TextMix(problems=Mix(families=ALONE | {"exclusion": 0.3}, lacking=0.4))
+LANGUAGE = LanguageRecipe(name="language", steps=4_000, learning_rate=1e-3, decay_share=0.5, mix=_MIX)
+"""More of what is learnt late: two features, of which one must be absent."""
 
 
 @dataclass(frozen=True)
