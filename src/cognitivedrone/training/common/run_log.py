@@ -71,13 +71,16 @@ def draw_curves(rows: Sequence[Row], path: Path) -> None:
         ("losses", "losses", None),
         ("closed-loop success", "success", None),
     )
-    figure, axes = plt.subplots(2, 3, figsize=(15, 8), constrained_layout=True)
+    if not any(row.get("cross-entropy") is not None for row in rows):  # a regression head has no tokens
+        panels = tuple(panel for panel in panels if panel[1] not in ("accuracy", "cross-entropy"))
+    columns = len(panels) // 2
+    figure, axes = plt.subplots(2, columns, figsize=(5 * columns, 8), constrained_layout=True)
     for axis, (title, name, baseline) in zip(axes.flat, panels, strict=True):
         axis.set_title(title)
         axis.set_xlabel("step")
         axis.grid(alpha=0.3)
         if name == "losses":
-            for part in ("heat", "place", "attributes", "panel_crops", "choice", "text"):
+            for part in ("heat", "place", "looks", "attributes", "panel_crops", "choice", "text", "action"):
                 _line(axis, rows, part, part)
             axis.set_yscale("log")
         elif name == "success":
