@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from cognitivedrone.models.gate_selector import STAGES
+from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES
+from cognitivedrone.tasks.people import FEATURES, parse_person
 from cognitivedrone.training.common.attributes import AttributeIndex
 from cognitivedrone.training.common.fact_questions import FACTS
 from cognitivedrone.training.common.places import PLACE_FAMILIES
@@ -167,6 +169,19 @@ def test_earlier_stages_that_say_nothing_have_their_share(varied: list[Problem])
         assert len(problem.before) < STAGES
         assert all(flown in (0, 1, 2) for _, flown in problem.before)
     assert not any(p.before for p in drawn(Mix(), 200) if p.family != "memory")
+
+
+def test_what_a_person_lacks_is_asked_for_alone() -> None:
+    mix = replace(PLAIN, families={"exclusion": 1.0})
+    never, always = (drawn(replace(mix, lacking=share), 200) for share in (0.0, 1.0))
+    for problem in always:
+        named = [feature for feature in FEATURES if feature.phrase in problem.sentence]
+        absent = max(named, key=lambda feature: len(feature.phrase))
+        holds = [absent.holds(parse_person(parse_reference(label).concept)) for label in problem.labels]
+        assert holds.pop(problem.target) is False, problem
+        assert holds == [True, True], problem
+    assert len({problem.sentence for problem in always}) > 150
+    assert not {problem.sentence for problem in never} & {problem.sentence for problem in always}
 
 
 def test_unknown_people_are_asked_for_by_an_unknown_name() -> None:

@@ -25,12 +25,12 @@ LEAST = {
     "frames": 400, "attributes": 120, "people": 150, "letters": 180, "digits": 200, "logos": 150, "animals": 200,
     "math": 150, "math_board": 200, "food": 180, "numbers_and_letters": 250, "association": 900, "conjunction": 50,
     "exclusion": 60, "relations": 150, "negation": 90, "counting": 100, "distraction": 60, "comparison": 180,
-    "two_step": 70, "memory": 70, "looks": 200, "places": 300, "beside": 90, "order": 120,
+    "two_step": 70, "memory": 70, "lacking": 50, "looks": 200, "places": 300, "beside": 90, "order": 120,
 }  # fmt: skip
 """Files of the corpus, and the least number of lines of each."""
 SLOTS = {
     "FRAMES": {"x"}, "ATTRIBUTES": {"x"}, "PEOPLE": {"x"}, "LETTERS": {"x"}, "DIGITS": {"x", "word"}, "LOGOS": {"x"},
-    "ANIMALS": {"x", "a"}, "MATH": {"x"}, "conjunction": {"x"}, "exclusion": {"present", "absent"},
+    "ANIMALS": {"x", "a"}, "MATH": {"x"}, "conjunction": {"x"}, "exclusion": {"present", "absent"}, "lacking": {"absent"},
     "relations between": {"x", "y"}, "negation neither": {"first", "second"}, "negation not": {"first"},
     "counting more": {"x", "y"}, "counting exactly": {"x", "n", "word"}, "distraction": {"right", "other", "third"},
     "two_step words": {"begin", "first", "then"}, "two_step brackets": {"x"}, "two_step more": {"n"},
