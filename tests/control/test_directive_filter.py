@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cognitivedrone.control.directive_filter import DirectiveFilter, FilterRule, meaning_of
+from cognitivedrone.tasks.directives import HOLD
 from cognitivedrone.types import Guidance
 
 RED, BLUE = "Fly through the big red round gate", "Fly through the small blue square gate"
@@ -51,3 +52,17 @@ def test_other_words_of_the_same_meaning_agree():
 def test_a_rule_without_memory_follows_every_answer():
     directive_filter = DirectiveFilter(FilterRule(fading=0.0))
     assert heard(directive_filter, (RED, 1.0), (BLUE, 0.5), (RED, 0.5)) == ["adopted"] * 3
+
+
+def test_only_several_answers_in_a_row_decline():
+    directive_filter = DirectiveFilter()
+    assert heard(directive_filter, (HOLD, 1.0), (HOLD, 1.0)) == ["kept", "kept"]
+    assert directive_filter.guidance(2.0) is None
+    assert heard(directive_filter, (HOLD, 1.0), (HOLD, 1.0)) == ["adopted", "agreed"]
+
+
+def test_an_answer_in_between_begins_the_count_anew():
+    directive_filter = DirectiveFilter()
+    assert heard(directive_filter, (HOLD, 1.0), (RED, 0.3), *[(HOLD, 1.0)] * 3)[1:] == [
+        "adopted", "kept", "kept", "adopted"
+    ]  # fmt: skip

@@ -300,12 +300,12 @@ class Answering(Reasoner):
 def test_the_drone_hovers_while_the_directive_declines_and_the_policy_is_not_asked():
     ground, policy, notes = Ground(), Counting(k=2), Declining()
     red = "Fly through the big red round gate"
-    reasoner = SimulatedReasoner(Answering("Hold position", "hold position.", red, red, red))
-    fly(ground, policy, ground, for_steps(ground, 25), reasoner=reasoner, recorder=notes)
+    reasoner = SimulatedReasoner(Answering("Hold position", "hold position.", "Hold position", red, red, red))
+    fly(ground, policy, ground, for_steps(ground, 30), reasoner=reasoner, recorder=notes)
     flown = [bool(action.any()) for _, action in ground.sent]
-    assert notes.events == [("declined", 0.0), ("resumed", 1.5)]
-    assert flown == [False] * 15 + [True] * 10
-    assert set(policy.texts) == {red}
+    assert notes.events == [("declined", 1.0), ("resumed", 2.0)]
+    assert flown == [True] * 10 + [False] * 10 + [True] * 10
+    assert policy.texts == ["go"] * 5 + [red] * 5
 
 
 def test_a_policy_declines_with_its_commands():
@@ -338,8 +338,8 @@ def test_a_users_policy_declines_by_an_attribute():
 
 def test_a_new_segment_begins_without_declining():
     ground, notes = Ground(), Declining()
-    reasoner = SimulatedReasoner(Answering("Hold position", "Fly through the red gate"))
-    mission = lambda: Segment(int(ground.time >= 0.3), "go") if ground.time < 0.5 else None  # noqa: E731
+    reasoner = SimulatedReasoner(Answering(*["Hold position"] * 3, "Fly through the red gate"))
+    mission = lambda: Segment(int(ground.time >= 1.3), "go") if ground.time < 1.5 else None  # noqa: E731
     fly(ground, Counting(), ground, mission, reasoner=reasoner, recorder=notes)
-    assert notes.events == [("declined", 0.0)]
-    assert [bool(action.any()) for _, action in ground.sent] == [False] * 3 + [True] * 2
+    assert notes.events == [("declined", 1.0)]
+    assert [bool(action.any()) for _, action in ground.sent] == [True] * 10 + [False] * 3 + [True] * 2

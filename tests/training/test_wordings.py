@@ -30,7 +30,8 @@ LEAST = {
 """Files of the corpus, and the least number of lines of each."""
 SLOTS = {
     "FRAMES": {"x"}, "ATTRIBUTES": {"x"}, "PEOPLE": {"x"}, "LETTERS": {"x"}, "DIGITS": {"x", "word"}, "LOGOS": {"x"},
-    "ANIMALS": {"x", "a"}, "MATH": {"x"}, "conjunction": {"x"}, "exclusion": {"present", "absent"}, "lacking": {"absent"},
+    "ANIMALS": {"x", "a"}, "MATH": {"x"}, "conjunction": {"x"}, "exclusion": {"present", "absent"},
+    "lacking": {"absent"},
     "relations between": {"x", "y"}, "negation neither": {"first", "second"}, "negation not": {"first"},
     "counting more": {"x", "y"}, "counting exactly": {"x", "n", "word"}, "distraction": {"right", "other", "third"},
     "two_step words": {"begin", "first", "then"}, "two_step brackets": {"x"}, "two_step more": {"n"},

@@ -26,6 +26,9 @@ class FilterRule:
     ratio: float = 1.5
     fading: float = 0.7
     """Factor applied to all evidence at each further answer."""
+    declines: int = 3
+    """Answers in a row that must decline before the drone hovers. Meanwhile it flies on, and sees the panels anew; one
+    that hovers at once would see the same frame, and its misreadings, for ever."""
 
 
 class DirectiveFilter:
@@ -36,6 +39,8 @@ class DirectiveFilter:
         self._evidence: dict[_Meaning, float] = {}
         self._current: Guidance | None = None
         self._seen_at = 0.0
+        self._declined = 0
+        """Answers in a row that declined."""
 
     def update(self, guidance: Guidance, seen_at: float) -> AnswerKind:
         """Process an answer about the frame taken at `seen_at`, s.
@@ -46,10 +51,13 @@ class DirectiveFilter:
         meaning = meaning_of(guidance.directive)
         self._evidence = {known: value * self.rule.fading for known, value in self._evidence.items()}
         self._evidence[meaning] = self._evidence.get(meaning, 0.0) + guidance.confidence
+        self._declined = self._declined + 1 if meaning == HOLD else 0
         present = None if self._current is None else meaning_of(self._current.directive)
         if present == meaning:
             self._current, self._seen_at = guidance, seen_at
             return "agreed"
+        if 0 < self._declined < self.rule.declines:
+            return "kept"
         if present is not None and self._evidence[meaning] <= self.rule.ratio * self._evidence[present]:
             return "kept"
         self._current, self._seen_at = guidance, seen_at
