@@ -184,6 +184,9 @@ class FakeGazebo:
             pose.name = name
             pose.position.x, pose.position.y, pose.position.z = x, y, z
             pose.orientation.w, pose.orientation.z = math.cos(yaw / 2), math.sin(yaw / 2)
+        # Then come links and visuals, relative to their parents and under names of their own, and lights.
+        for name in (*("link" for _ in self.poses), *("visual" for _ in self.poses), *self.lights):
+            message.pose.add(name=name).orientation.w = 1.0
         self.publish(f"/world/{self.world}/pose/info", message)
 
     def _do(self, end: str, request: Any) -> None:

@@ -50,17 +50,13 @@ class Studio:
     """Called when the world is loaded."""
     time: float = 0.0
     _drawn: dict[object, Image] = field(default_factory=dict)
-
-    @property
-    def started(self) -> list[str]:
-        """The process id of `gz sim`, its partition, and its arguments."""
-        return (self.folder / "started").read_text().split()
+    _cameras: Cameras | None = None
 
     def run(self, stopping: threading.Event) -> None:
-        while not (self.folder / "started").exists() or not self.started:
+        while not (words := started(self.folder)):
             if stopping.wait(0.01):
                 return
-        self.gazebo.load_world(Path(self.started[-1]))
+        self.gazebo.load_world(Path(words[-1]))
         self.loaded(self.gazebo)
         self.gazebo.silent.clear()
         frames = 0
@@ -96,10 +92,10 @@ class Studio:
         position, yaw = self.gazebo.poses[name]
         key = (stage, tuple(position), yaw)
         if key not in self._drawn:
-            with Cameras() as cameras:
-                scenery = scenery_of(stage, load_pack(), PLAIN)
-                cameras.set_stage(0, stage, scenery.panels, scenery.board)
-                picture = cameras.first_person(np.array([position]), quaternion_from_yaw(yaw)[None])[0]
+            self._cameras = self._cameras or Cameras()
+            scenery = scenery_of(stage, load_pack(), PLAIN)
+            self._cameras.set_stage(0, stage, scenery.panels, scenery.board)
+            picture = self._cameras.first_person(np.array([position]), quaternion_from_yaw(yaw)[None])[0]
             self._drawn[key] = self.develop(picture)
         return self._drawn[key]
 
@@ -111,24 +107,39 @@ class Studio:
 
 
 @contextmanager
-def studio(folder: Path, stages: Sequence[Stage], then: str = "sleep 1000 & sleep 1000") -> Iterator[Studio]:
-    """A machine with Gazebo, whose `gz sim` does `then`; its world answers once it has been started."""
+def installed(folder: Path, then: str) -> Iterator[None]:
+    """A machine with a command `gz`; its simulator writes `started`, then does `then`."""
     commands = folder / "bin"
     commands.mkdir(parents=True)
     (commands / "gz").write_text(SCRIPT.format(folder=folder, then=then))
     (commands / "gz").chmod(0o755)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PATH", f"{commands}:{os.environ['PATH']}")
+        yield
+
+
+def started(folder: Path) -> list[str]:
+    """The process id of `gz sim`, its partition, and its arguments; empty before it started."""
+    file = folder / "started"
+    return file.read_text().split() if file.exists() else []
+
+
+@contextmanager
+def studio(folder: Path, stages: Sequence[Stage], then: str = "sleep 1000 & sleep 1000") -> Iterator[Studio]:
+    """A machine with Gazebo, whose `gz sim` does `then`; its world answers once it has been started."""
     gazebo = FakeGazebo()
     gazebo.silent.add("worlds")
     running, stopping = Studio(gazebo, folder, stages), threading.Event()
     thread = threading.Thread(target=running.run, args=(stopping,))
     thread.start()
     try:
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setenv("PATH", f"{commands}:{os.environ['PATH']}")
+        with installed(folder, then):
             yield running
     finally:
         stopping.set()
         thread.join()
+        if running._cameras is not None:
+            running._cameras.close()
 
 
 def gone(pid: int, within_s: float = 30.0) -> bool:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ pytest.importorskip("pymavlink")
 from fake_gazebo import FakeGazebo
 from moving import PATIENT, Moving, moving
 from reading import models, read_world
-from studio import Studio, gone, studio
+from studio import Studio, gone, started, studio
 
 from cognitivedrone.cli import main
 from cognitivedrone.errors import GazeboError, LinkError
@@ -50,7 +52,7 @@ def run(machine: Studio, out: Path, monkeypatch: pytest.MonkeyPatch, *options: s
 def test_a_gazebo_as_it_should_be_passes_and_nothing_is_left_running(tmp_path, monkeypatch, capsys):
     with studio(tmp_path, STAGES) as machine:
         code, results = run(machine, tmp_path / "out", monkeypatch)
-        assert gone(int(machine.started[0]))
+        assert gone(int(started(tmp_path)[0]))
     assert code == 0
     assert tuple(results) == (*ON_THE_GROUND, *IN_FLIGHT, "log")
     assert {name for name, check in results.items() if check["outcome"] == "passed"} == {*ON_THE_GROUND, "log"}
@@ -117,7 +119,7 @@ def test_ctrl_c_ends_gazebo_and_keeps_what_is_known(tmp_path, monkeypatch):
     monkeypatch.setattr(selftest, "CHECKS", (("places", stop),))
     with studio(tmp_path, STAGES) as machine:
         code, results = run(machine, tmp_path / "out", monkeypatch)
-        assert gone(int(machine.started[0]))
+        assert gone(int(started(tmp_path)[0]))
     assert code == 130
     assert results["world"]["outcome"] == "passed"
     assert "places" not in results
@@ -155,6 +157,7 @@ def scene_of(machine: Studio, folder: Path, stack: ExitStack, config: LiveConfig
 
     exported = export("open-v1:track", track="0", out=folder / "world")
     scene = Scene(folder, exported.worlds, STAGES, load_pack())
+    stack.callback(scene.close)
     stack.enter_context(own_partition())
     server = stack.enter_context(GazeboServer(exported.worlds[0], folder / "gazebo.log"))
     bindings = load_bindings(load=machine.gazebo.load)
@@ -227,9 +230,16 @@ class FakeAutopilot:
 @pytest.fixture
 def scene(track_folder, tmp_path, monkeypatch):
     """The world of a vehicle that flies, and its autopilot."""
-    monkeypatch.setattr(checks_in_flight, "STOPPED_S", 0.2)
     fake = FakeGazebo(models=tuple(models(read_world(track_folder / "stage_1.sdf"))))
     with fake.running() as gazebo, moving(gazebo) as running, ExitStack() as stack:
+
+        def sleep(seconds: float) -> None:
+            """Until the vehicle's time has passed, if it passes at all."""
+            end = running.vehicle.time + seconds / 4
+            while running.vehicle.time < min(end, running.limit):
+                time.sleep(0.005)
+
+        monkeypatch.setattr(checks_in_flight, "time", SimpleNamespace(sleep=sleep))
         scene = Scene(tmp_path, (), STAGES, load_pack())
         bindings = load_bindings(load=gazebo.load)
         scene.open(stack.enter_context(GazeboWorld(tmp_path / "spawned", PATIENT, bindings)), None)

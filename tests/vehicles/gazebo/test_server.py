@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 import pytest
-from studio import gone, studio
+from studio import gone, installed, started
 
 from cognitivedrone.errors import GazeboError
 from cognitivedrone.vehicles.gazebo.server import GazeboServer, own_partition
@@ -19,14 +19,21 @@ def test_it_runs_without_a_window_in_its_own_partition_and_ends_with_its_childre
     world = tmp_path / "w" / "world.sdf"
     world.parent.mkdir()
     world.touch()
-    with studio(tmp_path, []) as machine, own_partition() as partition:
-        machine.gazebo.load_world = lambda file: None
-        with GazeboServer(world, tmp_path / "gazebo.log") as server:
-            server.connect(lambda: machine.started if (tmp_path / "started").exists() else refuse())
-            pid, found, *arguments = machine.started
-            assert found == partition
-            assert arguments == ["sim", "-s", "-r", "--headless-rendering", "-v", "3", str(world)]
-        assert gone(int(pid))
+
+    def answer() -> list[str]:
+        if not started(tmp_path):
+            raise GazeboError("no Gazebo answers")
+        return started(tmp_path)
+
+    with (
+        installed(tmp_path, "sleep 1000 & sleep 1000"),
+        own_partition() as partition,
+        GazeboServer(world, tmp_path / "gazebo.log") as server,
+    ):
+        pid, found, *arguments = server.connect(answer)
+        assert found == partition
+        assert arguments == ["sim", "-s", "-r", "--headless-rendering", "-v", "3", str(world)]
+    assert gone(int(pid))
 
 
 def test_a_partition_lasts_as_long_as_its_block(monkeypatch):
@@ -46,7 +53,7 @@ def test_a_partition_lasts_as_long_as_its_block(monkeypatch):
 
 def test_what_ends_at_once_is_told_with_its_last_words(tmp_path):
     with (
-        studio(tmp_path, [], then="echo no display >&2; exit 3"),
+        installed(tmp_path, "echo no display >&2; exit 3"),
         GazeboServer(tmp_path / "world.sdf", tmp_path / "gazebo.log") as server,
         pytest.raises(GazeboError, match="gz sim ended with 3, its last line of output: no display"),
     ):
@@ -70,7 +77,7 @@ def test_warnings_and_errors_of_every_release_are_found(tmp_path):
         "Errors are not expected",
     ]
     then = "; ".join(f"printf '{line}\\n'" for line in lines)
-    with studio(tmp_path, [], then=then), GazeboServer(tmp_path / "w.sdf", tmp_path / "gazebo.log") as server:
+    with installed(tmp_path, then), GazeboServer(tmp_path / "w.sdf", tmp_path / "gazebo.log") as server:
         with pytest.raises(GazeboError):
             server.connect(refuse)
         told = server.complaints()

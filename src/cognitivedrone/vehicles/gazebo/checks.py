@@ -21,6 +21,7 @@ from cognitivedrone.errors import GazeboError
 from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw, wrap_angle, yaw_of
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.sim.camera import Cameras
+from cognitivedrone.sim.drone_world import Scenery
 from cognitivedrone.sim.views import first_person_view
 from cognitivedrone.types import DroneState, FloatArray, Image, Stage
 from cognitivedrone.vehicles.gazebo.check import check, find_checker
@@ -82,10 +83,22 @@ class Scene:
         """Number of complaints that a check has already reported."""
         self.shown = 0
         """Index of the stage in Gazebo."""
+        self._cameras: Cameras | None = None
 
     def open(self, world: GazeboWorld, server: GazeboServer) -> None:
         """Gazebo runs."""
         self.world, self.server, self.opened = world, server, True
+
+    def render(self, scenery: Scenery, state: DroneState) -> Image:
+        """Our picture of the stage in Gazebo."""
+        self._cameras = self._cameras or Cameras()
+        self._cameras.set_stage(0, self.stages[self.shown], scenery.panels, scenery.board)
+        return self._cameras.first_person(state.position[None], state.quaternion[None])[0]
+
+    def close(self) -> None:
+        """Free our renderer."""
+        if self._cameras is not None:
+            self._cameras.close()
 
 
 def parsing(scene: Scene) -> Finding:
@@ -224,9 +237,7 @@ def _look(scene: Scene, where: str) -> Likeness:
     world.move(_STAND, tuple(position), yaw + stage.yaw)
     theirs = _photograph(world, state)
     scenery = scenery_of(stage, scene.labels, PLAIN)
-    with Cameras() as cameras:
-        cameras.set_stage(0, stage, scenery.panels, scenery.board)
-        ours = cameras.first_person(state.position[None], state.quaternion[None])[0]
+    ours = scene.render(scenery, state)
     folder = scene.out / "pictures"
     folder.mkdir(exist_ok=True)
     for who, image in (("gazebo", theirs), ("ours", ours)):

@@ -127,6 +127,7 @@ def selftest(
     report = Report(tell)
     with ExitStack() as stack:
         stack.callback(lambda: _save(report, out, bindings))
+        stack.callback(scene.close)
         report.run("parser", lambda: parsing(scene))
         stack.enter_context(own_partition())
         server = stack.enter_context(GazeboServer(exported.worlds[0], out / "gazebo.log"))
