@@ -191,6 +191,23 @@ def test_a_stage_that_comes_late_is_told(tmp_path):
         assert found.values["slowest_s"] > 0.9
 
 
+@pytest.mark.parametrize(
+    ("line", "problem"),
+    [
+        ("[Wrn] [ArduPilotPlugin.cc:1605] Duplicate input frame", ""),
+        ("[Wrn] [ArduPilotPlugin.cc:1620] Missed 3 input frames", ""),
+        ("[Err] [UserCommands.cc:1] no such model", "Gazebo says: [Err] [UserCommands.cc:1] no such model"),
+    ],
+)
+def test_frames_that_a_slow_autopilot_repeats_are_counted_and_other_complaints_fail(tmp_path, line, problem):
+    scene = Scene(tmp_path, (), STAGES, load_pack())
+    scene.server = SimpleNamespace(complaints=lambda: ["[Wrn] [Mesh.cc:1] told already", line])
+    scene.heard = 1
+    found = checks.leftovers(scene)
+    assert found.problem == problem
+    assert found.values["repeated_frames"] == (not problem)
+
+
 def test_a_model_that_is_missing_and_time_stamps_that_repeat_are_told(tmp_path):
     with studio(tmp_path, STAGES) as machine, ExitStack() as stack:
         machine.loaded = lambda gazebo: gazebo.poses.pop("panel_3")
