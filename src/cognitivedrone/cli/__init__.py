@@ -39,6 +39,7 @@ COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
         "sim": ("flying:sim", "serve the simulator as a MAVLink vehicle"),
         "gazebo export": ("flying:export_world", "write tasks as worlds for Gazebo"),
         "gazebo check": ("flying:check_world", "check worlds with Gazebo's own parser"),
+        "gazebo selftest": ("flying:selftest", "check the Gazebo of this machine"),
         "gazebo import": ("flying:import_models", "import the published Gazebo tasks"),
     },
     "serve": {
@@ -134,7 +135,7 @@ def help_text(first_word: str = "") -> str:
     for heading, commands in COMMANDS.items():
         shown = {name: text for name, (_, text) in commands.items() if first_word in ("", name.partition(" ")[0])}
         if shown:
-            lines += ["", f"{heading}:", *(f"  {name:<15}{text}" for name, text in shown.items())]
+            lines += ["", f"{heading}:", *(f"  {name:<17}{text}" for name, text in shown.items())]
     lines += ["", "COMMAND --help lists its options; --version shows the installed version."]
     return "\n".join(lines)
 

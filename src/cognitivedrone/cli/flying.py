@@ -13,6 +13,9 @@ from tyro.conf import OmitArgPrefixes as Flat
 from cognitivedrone.apps.config import FlyPlan, SimPlan
 from cognitivedrone.printable import visible
 
+OUTCOMES = ("passed", "failed", "skipped")
+"""Of a check of `gazebo selftest`."""
+
 
 def fly(plan: Annotated[Flat[FlyPlan], tyro.conf.arg(name="")]) -> None:
     """Fly a drone by an instruction, in real time: our simulator, ArduPilot SITL or a vehicle over MAVLink.
@@ -116,3 +119,36 @@ def import_models(source: tyro.conf.Positional[Path], out: Path) -> None:
     for kind, (tasks, pictures) in done.counts.items():
         print(visible(f"{kind}: {tasks} tasks, {pictures} labels"))  # noqa: T201
     print(visible(f"fly them: cognitivedrone bench --tasks {done.tasks} --labels {done.labels}"))  # noqa: T201
+
+
+def selftest(
+    out: Path,
+    suite: str = "open-v1:track",
+    track: str = "0",
+    arducopter: Path | None = None,
+) -> None:
+    """Start Gazebo on this machine, check all that a flight in it depends on, and end it.
+
+    Prints a line for every check; the folder gets selftest.json, pictures from Gazebo beside ours, and the logs. Exit
+    code 0: no check failed; 1: one did; 2: Gazebo or its Python bindings are missing. For example:
+
+      cognitivedrone gazebo selftest --out selftest --arducopter ~/ardupilot/build/sitl/bin/arducopter
+
+    Args:
+        out: New folder to write.
+        suite: Name of a suite with the track to show.
+        track: Number of the track, from 0.
+        arducopter: ArduCopter binary for SITL; by default the environment variable ARDUCOPTER. Without one, the checks
+            in flight are skipped.
+    """
+    from cognitivedrone.vehicles.gazebo.selftest import Check
+    from cognitivedrone.vehicles.gazebo.selftest import selftest as run_checks
+
+    def tell(check: Check) -> None:
+        text = ": ".join(part for part in (check.figure, check.reason) if part)
+        print(visible(f"{check.name:<10} {check.outcome:<8} {text}"), flush=True)  # noqa: T201
+
+    report = run_checks(out, suite=suite, track=track, arducopter=arducopter, tell=tell)
+    counts = {outcome: sum(check.outcome == outcome for check in report.checks) for outcome in OUTCOMES}
+    print(visible(f"{', '.join(f'{n} {outcome}' for outcome, n in counts.items())}; see {out}"))  # noqa: T201
+    sys.exit(1 if report.failed else 0)

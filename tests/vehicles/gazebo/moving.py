@@ -94,6 +94,8 @@ def pose(vehicle: SimulatedVehicle):
     one.position.x, one.position.y, one.position.z = map(float, state.position)
     o = one.orientation
     o.w, o.x, o.y, o.z = map(float, state.quaternion)
+    for link in ("base_link", *(f"rotor_{index}" for index in range(4))):  # relative to the model
+        message.pose.add(name=link).orientation.w = 1.0
     return message
 
 

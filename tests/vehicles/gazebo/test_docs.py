@@ -36,11 +36,13 @@ def test_the_export_command_of_the_page_works(tmp_path, capsys):
         (("bench", "--link", "gazebo"), "Python bindings are not installed"),
         (("fly",), "Python bindings are not installed"),
         (("gazebo", "import"), "is not a folder"),
+        (("gazebo", "selftest"), "there is no command `gz`"),
         (("bench", "--tasks"), "published/tasks.json"),
     ],
 )
 def test_the_other_commands_are_understood_and_say_what_is_missing(start, says, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(SystemExit) as stop:
         main(command(*start))
     assert stop.value.code == 2

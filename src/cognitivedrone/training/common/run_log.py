@@ -63,7 +63,7 @@ def draw_curves(rows: Sequence[Row], path: Path) -> None:
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    panels = (
+    panels: tuple[tuple[str, str, str | None], ...] = (
         ("L1 error, m/s and rad/s", "l1", "baseline l1"),
         ("action accuracy (256 tokens)", "accuracy", "baseline accuracy"),
         ("cross-entropy of actions", "cross-entropy", None),

@@ -75,15 +75,20 @@ def load_bindings(release: str | None = None, load: Callable[[str], Any] = impor
 
 
 def installed_releases() -> frozenset[str]:
-    """Names of the installed simulator releases, from `gz sim --versions`; empty without Gazebo."""
+    """Names of the installed simulator releases; empty without Gazebo."""
+    majors = {int(version.partition(".")[0]) for version in simulator_versions()}
+    return frozenset(release.name for release in RELEASES.values() if release.sim in majors)
+
+
+def simulator_versions() -> tuple[str, ...]:
+    """The installed versions of the simulator, as `gz sim --versions` prints them; empty without Gazebo."""
     command = shutil.which("gz")
     if command is None:
-        return frozenset()
+        return ()
     try:
         done = subprocess.run(  # noqa: S603 - no part of the command comes from outside
             (command, "sim", "--versions"), check=False, capture_output=True, text=True, timeout=_VERSIONS_S
         )
     except (OSError, subprocess.TimeoutExpired):
-        return frozenset()
-    majors = {int(major) for major in re.findall(r"^(\d+)\.\d+", done.stdout, flags=re.MULTILINE)}
-    return frozenset(release.name for release in RELEASES.values() if release.sim in majors)
+        return ()
+    return tuple(re.findall(r"^(\d+\.\d+\S*)", done.stdout, flags=re.MULTILINE))

@@ -160,18 +160,59 @@ class GazeboWorld:
         self._sure = False
         steps = plan(self._standing, wanted)
         for name, prop in steps.moves:
-            self._move(name, prop)
+            self.move(name, prop.position, prop.yaw)
             self._standing[name] = prop
         for prop in steps.spawns:
             name = self._new_name(prop.name)
-            self._spawn(name, prop_model(prop, f"file://{self._folder}/"))
+            self.spawn(name, prop_model(prop, f"file://{self._folder}/"))
             self._standing[name] = prop
         for name in steps.removals:
-            self._remove(name, MODEL)
+            self.remove(name, MODEL)
             del self._standing[name]
         self._shine(sun(stage, appearance))
         self._await_places()
         self._sure = True
+
+    def spawn(self, name: str, element: ET.Element) -> None:
+        """Order a model or light under a name that is not used yet. Raises `GazeboError`, as all changes do."""
+        element.set("name", name)
+        request = self.bindings.message("EntityFactory")()
+        request.sdf = document(element)
+        request.name = name
+        request.allow_renaming = False
+        self._command("create", request, f"spawn {name}")
+
+    def remove(self, name: str, kind: int = MODEL) -> None:
+        """Order the removal of a model, or of a light."""
+        request = self.bindings.message("Entity")()
+        request.name = name
+        request.type = kind
+        self._command("remove", request, f"remove {name}")
+
+    def move(self, name: str, position: Sequence[float], yaw: float) -> None:
+        """Order a model to a position (3,), m, upright, with a heading, rad."""
+        request = self.bindings.message("Pose")()
+        request.name = name
+        request.position.x, request.position.y, request.position.z = position
+        request.orientation.w, request.orientation.z = math.cos(yaw / 2), math.sin(yaw / 2)
+        self._command("set_pose", request, f"move {name}")
+
+    def entities(self) -> frozenset[str]:
+        """Names of the models and lights in the scene."""
+        delivered, scene = self._request(f"/world/{self.config.world}/scene/info", "Empty", "Scene")
+        if not delivered:
+            raise GazeboError(
+                f"Gazebo did not report its scene within {self.config.answer_s:g} s; does the world load the system"
+                " gz-sim-scene-broadcaster-system?"
+            )
+        return frozenset(entity.name for entity in (*scene.model, *scene.light))
+
+    def places(self) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Position (3,) in m and quaternion (4,) w, x, y, z of all entities now, by name."""
+        if self._poses is None:
+            topic = f"/world/{self.config.world}/pose/info"
+            self._poses = Topic(self.bindings, topic, "Pose_V", places_of, self.config.first_s)
+        return self._poses.newest(self.config.silence_s)[0]
 
     def state(self) -> DroneState:
         """The vehicle's true state; rates are finite differences over 0.1 s."""
@@ -212,7 +253,7 @@ class GazeboWorld:
 
     def _look_around(self) -> None:
         """Read the current entities: at the start, and after a stage that failed."""
-        self._known = self._entities()
+        self._known = self.entities()
         if self.config.vehicle not in self._known:
             raise GazeboError(
                 f"the world {self.config.world!r} has no model {self.config.vehicle!r}; start one made by:"
@@ -240,31 +281,10 @@ class GazeboWorld:
         text = document(light)
         if text != self._light:
             name = self._new_name(SUN)
-            self._spawn(name, light)
+            self.spawn(name, light)
             if self._sun is not None:
-                self._remove(self._sun, LIGHT)
+                self.remove(self._sun, LIGHT)
             self._sun, self._light = name, text
-
-    def _spawn(self, name: str, element: ET.Element) -> None:
-        element.set("name", name)
-        request = self.bindings.message("EntityFactory")()
-        request.sdf = document(element)
-        request.name = name
-        request.allow_renaming = False
-        self._command("create", request, f"spawn {name}")
-
-    def _remove(self, name: str, kind: int) -> None:
-        request = self.bindings.message("Entity")()
-        request.name = name
-        request.type = kind
-        self._command("remove", request, f"remove {name}")
-
-    def _move(self, name: str, prop: Prop) -> None:
-        request = self.bindings.message("Pose")()
-        request.name = name
-        request.position.x, request.position.y, request.position.z = prop.position
-        request.orientation.w, request.orientation.z = math.cos(prop.yaw / 2), math.sin(prop.yaw / 2)
-        self._command("set_pose", request, f"move {name}")
 
     def _command(self, service: str, request: Any, what: str) -> None:
         """Request a change of the world."""
@@ -283,23 +303,11 @@ class GazeboWorld:
         )
         return bool(delivered), reply
 
-    def _entities(self) -> frozenset[str]:
-        """Names of the models and lights in the scene."""
-        delivered, scene = self._request(f"/world/{self.config.world}/scene/info", "Empty", "Scene")
-        if not delivered:
-            raise GazeboError(
-                f"Gazebo did not report its scene within {self.config.answer_s:g} s; does the world load the system"
-                " gz-sim-scene-broadcaster-system?"
-            )
-        return frozenset(entity.name for entity in (*scene.model, *scene.light))
-
     def _await_places(self) -> None:
         """Wait until exactly the wanted entities of ours are in place."""
-        if self._poses is None:
-            topic = f"/world/{self.config.world}/pose/info"
-            self._poses = Topic(self.bindings, topic, "Pose_V", places_of, self.config.first_s)
+        self.places()
         end = time.monotonic() + self.config.answer_s
-        while problem := differences(self._poses.newest(self.config.silence_s)[0], self._standing):
+        while problem := differences(self.places(), self._standing):
             if time.monotonic() > end:
                 raise GazeboError(
                     f"{self.config.answer_s:g} s after the stage was ordered, {problem}; is the simulation running?"

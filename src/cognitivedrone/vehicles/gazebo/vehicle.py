@@ -18,7 +18,7 @@ from cognitivedrone.sim.airframe import GRAVITY, IRIS, ROTORS, Airframe
 from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.types import IMAGE_SIZE
 from cognitivedrone.vehicles.gazebo.sdf import add, material, numbers
-from cognitivedrone.world.appearance import RGB, Appearance
+from cognitivedrone.world.appearance import PLAIN, RGB, Appearance
 
 NAME: Final = "iris"
 CAMERA_TOPIC: Final = "/cognitivedrone/camera"
@@ -62,7 +62,7 @@ def iris(position: tuple[float, float], yaw: float, appearance: Appearance, airf
         add(add(add(arm, "geometry"), "box"), "size", numbers(2 * airframe.arm, 0.03, 0.02))
         arm.append(material(_DARK, 0.2))
     base.append(_imu())
-    base.append(_camera(appearance))
+    base.append(_camera(appearance, CAMERA_TOPIC))
     for index, (forward, left, _) in enumerate(ROTORS):
         _add_rotor(model, index, forward * side, left * side)
     for index, (_, _, torque) in enumerate(ROTORS):
@@ -129,12 +129,20 @@ def _imu() -> ET.Element:
     return sensor
 
 
-def _camera(appearance: Appearance) -> ET.Element:
+def camera_stand(name: str, topic: str) -> ET.Element:
+    """A static `<model>` of nothing but the vehicle's camera, where it is on a vehicle at the same pose."""
+    model = ET.Element("model", name=name)
+    add(model, "static", "true")
+    add(model, "link", name="link").append(_camera(PLAIN, topic))
+    return model
+
+
+def _camera(appearance: Appearance, topic: str) -> ET.Element:
     sensor = ET.Element("sensor", name="camera", type="camera")
     add(sensor, "pose", numbers(*MOUNT, 0.0, 0.0, 0.0))
     add(sensor, "always_on", "true")
     add(sensor, "update_rate", numbers(CAMERA_HZ))
-    add(sensor, "topic", CAMERA_TOPIC)
+    add(sensor, "topic", topic)
     camera = add(sensor, "camera")
     add(camera, "horizontal_fov", numbers(FIELD_OF_VIEW))
     image = add(camera, "image")

@@ -9,17 +9,16 @@ from __future__ import annotations
 
 import math
 import os
+import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TypeVar
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.sim.airframe import IRIS, Airframe
+from cognitivedrone.vehicles.program import Program
 from cognitivedrone.vehicles.sitl.physics import LINEAR_THRUST
 
 T = TypeVar("T")
@@ -52,10 +51,6 @@ FIRST_PORT, PORT_STEP = 5760, 10
 """TCP port of the first autopilot, and from one instance to the next."""
 START_S = 60.0
 """For the process to open its port, s."""
-_STARTER = "import ctypes, os, sys; ctypes.CDLL(None).prctl(1, 9); os.execv(sys.argv[1], sys.argv[1:])"
-_DIES_WITH_US = (sys.executable, "-I", "-S", "-c", _STARTER) if sys.platform == "linux" else ()
-"""What starts a program that Linux kills when we end, however we end (PR_SET_PDEATHSIG): left alone, ArduCopter would
-wait for its next step of physics for ever, and keep its ports."""
 
 
 def find_binary(named: Path | None, way_out: str) -> Path:
@@ -129,8 +124,9 @@ class ArduCopter:
     """A running process. Use it as a context manager, or call `close`.
 
     `folder` is where it leaves its files, and what it prints in `arducopter.log`. It has `defaults`, parameter files,
-    then what our plant and `airframe` need, then the lines in `parameters`. `speed` is how many times as fast as the
-    wall clock it flies at most. Raises `LinkError` where it cannot be started.
+    then what our plant and `airframe` need, then the lines in `parameters`; with other physics than ours, `airframe` is
+    none. `speed` is how many times as fast as the wall clock it flies at most. Raises `LinkError` where it cannot be
+    started.
     """
 
     def __init__(
@@ -140,7 +136,7 @@ class ArduCopter:
         *,
         instance: int = 0,
         defaults: Sequence[Path] = (),
-        airframe: Airframe = IRIS,
+        airframe: Airframe | None = IRIS,
         parameters: str = "",
         speed: float = 1.0,
     ) -> None:
@@ -152,27 +148,18 @@ class ArduCopter:
         """Where it listens for MAVLink; it starts with the first connection."""
         self.output = folder.resolve() / OUTPUT_FILE
         ours = folder.resolve() / PARAMETERS_FILE
-        ours.write_text(PARAMETERS + tuning(airframe) + parameters)
+        ours.write_text(("" if airframe is None else PARAMETERS + tuning(airframe)) + parameters)
         options = {
             "model": "JSON:127.0.0.1",
             "instance": f"{instance}",
             "speedup": f"{speed:g}",
             "defaults": ",".join(str(path) for path in (*(path.resolve() for path in defaults), ours)),
         }
-        command = [
-            *_DIES_WITH_US,
-            str(binary),
-            *(word for name, value in options.items() for word in (f"--{name}", value)),
-        ]
-        with ExitStack() as undo:
-            output = undo.enter_context(self.output.open("wb"))
-            try:
-                # A session of its own: ctrl-C is for us, and lands it, before the autopilot may end.
-                self._process = subprocess.Popen(  # noqa: S603
-                    command, cwd=folder, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
-                )
-            except OSError as error:
-                raise LinkError(f"cannot run {binary}: {error.strerror}") from None
+        command = [str(binary), *(word for name, value in options.items() for word in (f"--{name}", value))]
+        try:
+            self._program = Program(command, folder, self.output)
+        except OSError as error:
+            raise LinkError(f"cannot run {binary}: {error.strerror}") from None
 
     def __enter__(self) -> ArduCopter:
         return self
@@ -182,15 +169,21 @@ class ArduCopter:
 
     def check(self) -> None:
         """Raise `LinkError`, with its last line of output, where the process has ended."""
-        if self._process.poll() is not None:
-            code = self._process.returncode
+        code = self._program.exit_code
+        if code is not None:
             raise LinkError(f"{self.binary} ended with {code}{self.last_words()}")
 
     def last_words(self) -> str:
         """The last line that it printed, as a clause to end an error with."""
-        lines = self.output.read_text(encoding="utf-8", errors="replace").split("\n")
-        printed = [line.strip() for line in lines if line.strip()]
-        return f", its last line of output: {printed[-1]}" if printed else ""
+        return self._program.last_words()
+
+    def pause(self) -> None:
+        """Stop the process; `resume` lets it go on."""
+        self._program.send(signal.SIGSTOP)
+
+    def resume(self) -> None:
+        """Let a stopped process go on."""
+        self._program.send(signal.SIGCONT)
 
     def connect(self, make: Callable[[str], T]) -> T:
         """What `make(url)` makes, tried again while it raises `LinkError` and the process is still opening its port."""
@@ -206,9 +199,4 @@ class ArduCopter:
 
     def close(self) -> None:
         """End the process."""
-        self._process.terminate()
-        try:
-            self._process.wait(5.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self._program.close()
