@@ -32,11 +32,13 @@ def looks_of(gate):
     return np.array([*told, *(gate.size == name for name in SIZES)], np.float32)
 
 
-def reading_of(labels, *, order=(0, 1, 2), board=None, heights=(30, 30, 30), scores=(1, 1, 1), strength=12.0):
+def reading_of(
+    labels, *, order=(0, 1, 2), board=None, board_v=40, heights=(30, 30, 30), scores=(1, 1, 1), strength=12.0
+):
     """A panel reader's output, the gates' slots in any order."""
     attributes = [logits_of(labels[i], strength) for i in order]
     attributes.append(logits_of(board) if board else np.zeros(len(ATTRIBUTES), np.float32))
-    boxes = [(50 + 80 * i, 100, heights[i], scores[i]) for i in order] + [(128, 40, 50, 0.9 if board else 0.1)]
+    boxes = [(50 + 80 * i, 100, heights[i], scores[i]) for i in order] + [(128, board_v, 50, 0.9 if board else 0.1)]
     return PanelReading(
         np.stack(attributes), np.stack([looks_of(GATES[i]) for i in order]), np.array(boxes, np.float32)
     )
@@ -111,6 +113,16 @@ def test_a_gate_that_has_left_the_view_is_remembered(made):
     for _ in range(2):
         reasoner.refine(FRAME, "to the letter A")
     assert shown(parts.asked[1]["panels"][0], "letter/A@inter") > 0.95
+
+
+def test_a_board_that_leaves_the_view_is_not_read_anew(made):
+    labels = ("number/12@inter", "number/6@inter", "number/3@inter")
+    cut = reading_of(labels, board="sum/1+5@inter", board_v=10)
+    parts = Scripted(reading_of(labels, board="sum/7+5@inter"), *[cut] * 5)
+    reasoner = made(parts)
+    for _ in range(6):
+        reasoner.refine(FRAME, "the sum on the board")
+    assert parts.asked[-1]["values"].tolist()[3] == 12
 
 
 def test_it_calculates_what_is_asked_and_what_stands_on_the_board(made):
@@ -214,7 +226,7 @@ def test_where_no_gate_shows_it_it_says_so_and_holds(made):
 
 
 def test_a_flight_is_not_ended_by_a_guess_that_it_is_not_there(made):
-    reasoner = made(Scripted(reading_of(LETTERS), answer=(0.2, 0.1, 0.05, 0.65)))
+    reasoner = made(Scripted(reading_of(LETTERS), answer=(0.33, 0.2, 0.1, 0.37)))
     with pytest.raises(ReasonerError, match="no answer is likely") as error:
         reasoner.refine(FRAME, "to the letter Q")
     assert error.value.kind == "unsure"
@@ -223,10 +235,18 @@ def test_a_flight_is_not_ended_by_a_guess_that_it_is_not_there(made):
 def test_panels_that_are_too_far_to_read_are_not_taken_for_wrong_ones(made):
     absent = (0.02, 0.02, 0.01, 0.95)
     reasoner = made(Scripted(reading_of(LETTERS, heights=(30, 30, 6)), reading_of(LETTERS), answer=absent))
-    with pytest.raises(ReasonerError, match="not every panel is near enough; I see") as error:
+    with pytest.raises(ReasonerError, match="not every panel can be read; I see") as error:
         reasoner.refine(FRAME, "to the letter Q")
     assert error.value.kind == "unsure"
     assert reasoner.refine(FRAME, "to the letter Q").directive == HOLD
+
+
+def test_a_picture_that_it_cannot_read_may_be_what_is_asked_for(made):
+    labels = ("unknown/picture", "letter/A@inter", "letter/B@inter")
+    reasoner = made(Scripted(reading_of(labels), answer=(0.02, 0.02, 0.01, 0.95)))
+    with pytest.raises(ReasonerError, match="not every panel can be read; I see something that I cannot read") as error:
+        reasoner.refine(FRAME, "to the letter Q")
+    assert error.value.kind == "unsure"
 
 
 def test_a_gate_that_was_declined_is_not_remembered_as_flown(made):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, ReasonerError
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.models.attributes import SUM_GROUPS
+from cognitivedrone.models.attributes import SUM_GROUPS, UNKNOWN
 from cognitivedrone.models.reasoner_file import (
     FORMER_FILES,
     LOOKS,
@@ -37,8 +37,9 @@ from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate, Gu
 
 LARGEST_VALUE = 20
 _SEEN = 0.3  # minimum score of a visible gate or board
-_UNSURE = 0.5  # a choice less likely than this is no answer
-_ABSENT = 0.7  # to decline needs more: a wrong "it is not there" ends a flight
+_UNSURE = 0.5  # a gate less likely than this is no answer
+_ABSENT = 0.4  # nor is "it is not there", which also needs that every panel was read
+_READ = 0.3  # a picture whose likeliest reading is less likely than this was not read
 _READABLE = 0.5  # a thing less likely than this is not named
 _LEGIBLE_PX = 8.0  # panels lower than this are illegible
 _STAGES = REMEMBERED // 3
@@ -146,8 +147,9 @@ class SmallReasoner(Reasoner):
         if chosen[best] < (_ABSENT if best == len(gates) else _UNSURE):
             raise ReasonerError("unsure", f"no answer is likely; I see {self._described(panels)}")
         if best == len(gates):
-            if any(gate.height < _LEGIBLE_PX for _, gate in gates):
-                raise ReasonerError("unsure", f"not every panel is near enough; I see {self._described(panels)}")
+            # What was not read may be what is asked for.
+            if any(gate.height < _LEGIBLE_PX for _, gate in gates) or min(map(self._legibility, panels)) < _READ:
+                raise ReasonerError("unsure", f"not every panel can be read; I see {self._described(panels)}")
             self._stage.chosen = None
             return Guidance(HOLD, None, float(chosen[best]), present=1 - float(chosen[best]))
         self._stage.chosen = gates[best][0]
@@ -160,6 +162,13 @@ class SmallReasoner(Reasoner):
             self._named = {instruction: self._attributes_named(instruction)}
         named = self._named[instruction]
         return None if named is None else min(1.0, float(panels[:, named].sum(axis=1).max()))
+
+    def _legibility(self, panel: Floats) -> float:
+        """Probability of what a panel (F,) most likely shows: of its concept, or that it is of any known kind."""
+        kind = self._names[self._best("kind", panel)].partition("/")[2]
+        if kind in ("person", "sum", "several"):
+            return 1 - float(panel[self._names.index(UNKNOWN)])
+        return float(panel[self._groups["concept"]].max())
 
     def _described(self, panels: Floats) -> str:
         """What the panels (n, F) show, in words, gates from left to right."""
@@ -215,8 +224,10 @@ class SmallReasoner(Reasoner):
             gate.attributes += weight * known[slot]
             gate.weight += weight
             gate.u, gate.height = u, max(gate.height, height)
-        if reading.boxes[3, 3] >= 0.5:
-            weight = float(reading.boxes[3, 3] * reading.boxes[3, 2])
+        _, v, height, score = reading.boxes[3].tolist()
+        if score >= 0.5:
+            # A sum cut by the image's edge, as the drone flies below it, reads as another.
+            weight = score * height * (1.0 if v > height / 2 else 0.01)
             self._stage.board += weight * known[3]
             self._stage.board_weight += weight
 
