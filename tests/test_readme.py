@@ -5,8 +5,10 @@ from __future__ import annotations
 import ast
 import re
 import shlex
+import socket
 import subprocess
 import sys
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -39,26 +41,44 @@ def test_no_page_installs_from_an_index():
 
 
 def test_its_commands_run(tmp_path):
-    """In the README's order, in a folder of their own; `make` is what runs this test, apt-get what came before."""
+    """In the README's order, in a folder of their own; apt-get, make and pip came before."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     bench = next(line for line in (ROOT / "Makefile").read_text().splitlines() if "cognitivedrone bench" in line)
-    lines = [bench.split("/", 1)[1], *(line for line in shell_lines() if not line.startswith(("make", "sudo")))]
-    assert len(lines) >= 5
-    for line in lines:
-        words = shlex.split(line.replace(".venv/bin/cognitivedrone", "cognitivedrone"))
-        environment = dict(word.split("=", 1) for word in words if "=" in word and not word.startswith("-"))
-        arguments = words[words.index("cognitivedrone") + 1 :]
-        done = subprocess.run(
-            [sys.executable, "-m", "cognitivedrone", *arguments],
-            cwd=tmp_path,
-            env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), **environment},
-            capture_output=True,
-            text=True,
-            timeout=300,
-            check=False,
-        )
-        assert done.returncode == 0, f"{line}\n{done.stderr}"
+    before = ("make", "sudo", ".venv/bin/pip")
+    lines = [bench.split("/", 1)[1], *(line for line in shell_lines() if not line.startswith(before))]
+    assert len(lines) >= 7
+    with ExitStack() as servers:
+        port = free_port()
+        for line in lines:
+            words = shlex.split(line.replace(".venv/bin/cognitivedrone", "cognitivedrone").replace(":8000", f":{port}"))
+            environment = dict(word.split("=", 1) for word in words if "=" in word and not word.startswith("-"))
+            command = [sys.executable, "-m", "cognitivedrone", *words[words.index("cognitivedrone") + 1 :]]
+            settings = {"cwd": tmp_path, "env": {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), **environment}}
+            if command[-1] == "&":
+                servers.enter_context(served([*command[:-1], "--port", str(port)], settings))
+                continue
+            done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, **settings)
+            assert done.returncode == 0, f"{line}\n{done.stderr}"
     assert (tmp_path / "view.png").exists()
+    assert (tmp_path / "results" / "remote" / "report.html").exists()
+
+
+@contextmanager
+def served(command, settings):
+    """A server in the background; the bench that follows waits for it."""
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **settings)
+    try:
+        yield
+        assert process.poll() is None
+    finally:
+        process.terminate()
+        process.wait(30)
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
 
 
 @pytest.mark.parametrize("page", sorted(set(re.findall(r"\]\(((?:docs|examples)/[^)#]+)\)", README))))

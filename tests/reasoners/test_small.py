@@ -217,12 +217,12 @@ def test_it_tells_whether_what_is_named_is_shown_at_all(made, labels, instructio
 
 
 def test_where_no_gate_shows_it_it_says_so_and_holds(made):
-    reasoner = made(Scripted(reading_of(LETTERS), answer=(0.1, 0.1, 0.05, 0.75)))
+    reasoner = made(Scripted(reading_of(LETTERS), answer=(0.02, 0.02, 0.01, 0.95)))
     guidance = reasoner.refine(FRAME, "to the letter Q")
     assert guidance.directive == HOLD
     assert guidance.gate is None
-    assert guidance.confidence == pytest.approx(0.75)
-    assert guidance.present == pytest.approx(0.25)
+    assert guidance.confidence == pytest.approx(0.95)
+    assert guidance.present == pytest.approx(0.05)
 
 
 def test_a_flight_is_not_ended_by_a_guess_that_it_is_not_there(made):

@@ -16,6 +16,7 @@ from cognitivedrone.models.finder import LOOK_GROUPS
 from cognitivedrone.models.gate_selector import SelectorConfig
 from cognitivedrone.models.panel_reader import PanelReader
 from cognitivedrone.models.reasoner_file import LOOKS, REMEMBERED, GateSelectorModel, PanelReaderModel
+from cognitivedrone.models.sentence import TextLayer
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.training.common import calibration, trainer
@@ -32,7 +33,7 @@ from cognitivedrone.training.reasoner.reader import ReaderTraining
 from cognitivedrone.training.reasoner.selector import SELECTOR, Encoder, SelectorTraining, look_of
 from cognitivedrone.training.reasoner.trained import trained_selector
 from cognitivedrone.training.recipes import ALL_RECIPES
-from cognitivedrone.training.small_vla.trained import load_trained
+from cognitivedrone.training.small_vla.trained import load_trained, trained
 from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate
 
 SMALL_SELECTOR = replace(
@@ -184,6 +185,42 @@ def test_a_readers_doubts_and_lost_words_reach_the_gate_selector(training_task: 
     for batch in (sure, noisy):
         assert (batch["panels"] >= 0).all()
         assert (batch["panels"][..., kinds].sum(-1) <= 1.001).all()
+
+
+def test_strange_words_take_the_place_of_others(training_task: SelectorTraining) -> None:
+    recipe = replace(training_task.recipe, strange_words=0.5, lost_words=0.0, token_noise=0.0)
+    encoder = replace(training_task, recipe=recipe)._encoder()
+    (problem,) = drawn(Mix(families={"letters": 1.0}), 1)[:1]
+    plain = encoder.encode(np.random.default_rng(0), [problem], noise=False)["tokens"][0]
+    noisy = encoder.encode(np.random.default_rng(0), [problem] * 50, noise=True)["tokens"]
+    there = plain[:, 0] > 0
+    assert not noisy[:, ~there].any()
+    changed = (noisy[:, there] != plain[there]).any(-1)
+    assert 0.35 < changed.mean() < 0.65
+    assert (noisy[:, there, 0][changed] >= training_task.lexicon.trained).all()
+
+
+def test_a_gate_selector_starts_with_the_language_of_the_policy(training_task: SelectorTraining) -> None:
+    policy, known = trained(training_task.start)
+    config = SelectorConfig(width=policy.config.text_width, layers=policy.config.text_layers, heads=4)
+    task = replace(
+        training_task,
+        recipe=replace(training_task.recipe, network=replace(config, words=training_task.recipe.network.words)),
+    )
+    network, language = task.network(), policy.language
+    assert network.words.hidden == task.recipe.hidden_words
+    both = set(task.lexicon.words[2 : task.lexicon.trained]) & set(known.words[2 : known.trained])
+    assert len(both) > 100
+    for word in sorted(both)[:20]:
+        own = network.words.own.weight[task.lexicon.words.index(word)]
+        assert torch.equal(own, language.words.own.weight[known.words.index(word)])
+    assert torch.equal(network.words.meaning.weight, language.words.meaning.weight)
+    mine, theirs = network.layers[-1], language.layers[-1]
+    assert isinstance(mine, TextLayer)
+    assert isinstance(theirs, TextLayer)
+    assert torch.equal(mine.qkv.weight, theirs.qkv.weight)
+    length = min(len(network.places), len(language.places))
+    assert torch.equal(network.places[:length], language.places[:length])
 
 
 def test_a_look_is_one_of_each() -> None:

@@ -20,6 +20,7 @@ from torch.nn import functional as F  # noqa: N812
 from cognitivedrone.models.gate_selector import GateSelector, SelectorConfig
 from cognitivedrone.models.reasoner_file import REMEMBERED, SELECTOR_FILE
 from cognitivedrone.models.sentence import WordConfig
+from cognitivedrone.models.small_vla import Language
 from cognitivedrone.models.text import TOKEN, Lexicon
 from cognitivedrone.reasoners.calculator import calculate, evaluate
 from cognitivedrone.reasoners.small import value_index
@@ -31,6 +32,7 @@ from cognitivedrone.training.common.readings import Readings, readings_of
 from cognitivedrone.training.common.sampling import Batch, token_noise
 from cognitivedrone.training.common.start import Start, read_start
 from cognitivedrone.training.common.training_task import Batches, Given, Learner, Recipe, Row, to_tensors
+from cognitivedrone.training.small_vla.trained import trained
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 
 _VALIDATION = 10**6
@@ -51,6 +53,11 @@ class SelectorRecipe(Recipe):
     """Share of attributes that are read with the reader's own doubts."""
     lost_words: float = 0.03
     """Share of words that are not understood at all."""
+    strange_words: float = 0.05
+    """Share of words in whose place a word stands that no training sentence has: that a sentence is not understood is
+    no sign that what it asks for is not there."""
+    hidden_words: float = 0.25
+    """Share of words that are read by their word vector and spelling alone, as synonyms are that were never trained."""
     token_noise: float = 0.3
     """Share of sentences with token noise: words lost, left out and added."""
 
@@ -69,6 +76,7 @@ class Encoder:
 
     def __init__(self, recipe: SelectorRecipe, lexicon: Lexicon, readings: Readings) -> None:
         self._recipe, self._lexicon, self._readings = recipe, lexicon, readings
+        self._strange = np.array([lexicon.encode(word, 1)[0] for word in lexicon.words[lexicon.trained :]])
 
     def encode(self, rng: np.random.Generator, problems: list[Problem], *, noise: bool) -> Batch:
         """A batch; with `noise`, words are lost."""
@@ -108,6 +116,9 @@ class Encoder:
         lost = (rng.random(len(tokens)) < self._recipe.lost_words) & (tokens[:, 0] > 0)
         tokens[lost] = 0
         tokens[lost, 0] = 1
+        if len(self._strange):
+            strange = (rng.random(len(tokens)) < self._recipe.strange_words) & (tokens[:, 0] > 0)
+            tokens[strange] = self._strange[rng.integers(len(self._strange), size=int(strange.sum()))]
         return token_noise(rng, tokens) if rng.random() < self._recipe.token_noise else tokens
 
 
@@ -159,6 +170,20 @@ class SelectorLoss(nn.Module):
         return logits.float()
 
 
+def take_language(network: GateSelector, lexicon: Lexicon, language: Language, known: Lexicon) -> None:
+    """Start a gate selector with what a policy's language, for the words `known`, has learnt of words and sentences."""
+    rows = {word: row for row, word in enumerate(known.words[: known.trained])}
+    with torch.no_grad():
+        for row, word in enumerate(lexicon.words[: lexicon.trained]):
+            if word in rows:
+                network.words.own.weight[row] = language.words.own.weight[rows[word]]
+        network.words.groups.load_state_dict(language.words.groups.state_dict())
+        network.words.meaning.load_state_dict(language.words.meaning.state_dict())
+        length = min(len(network.places), len(language.places))
+        network.places[:length] = language.places[:length]
+        network.layers.load_state_dict(language.layers.state_dict())
+
+
 @dataclass(frozen=True)
 class SelectorTraining:
     """Training task of the gate selector."""
@@ -182,9 +207,13 @@ class SelectorTraining:
         }
 
     def network(self) -> GateSelector:
-        """A new gate selector."""
+        """A new gate selector, which knows the policy's language already."""
         network = GateSelector(self.recipe.network, len(self.start.facts["attributes"]))
         with_vectors(network.words, self.lexicon)
+        network.words.hidden = self.recipe.hidden_words
+        policy, known = trained(self.start)
+        if (policy.config.text_width, policy.config.text_layers) == (self.recipe.network.width, len(network.layers)):
+            take_language(network, self.lexicon, policy.language, known)
         return network
 
     def loss_module(self, network: nn.Module) -> SelectorLoss:
