@@ -17,6 +17,7 @@ from score_tables import (
     categories,
     families,
     from_data,
+    gazebo_scores,
     latencies,
     leaderboard_table,
     lessons,
@@ -262,6 +263,8 @@ TABLES: Final[dict[str, Description]] = {
     "sitl-scores": sitl_scores,
     "sitl-steps": rows_of("sitl_step_responses", STEPS),
     "sitl-speed": rows_of("sitl_speed", {"": "{what}", "times real time": "{real_time:.1f}"}),
+    # docs/gazebo.md
+    "gazebo-scores": gazebo_scores,
     # docs/openvla.md
     "openvla-memory": across(
         "openvla_memory", "", "`{quant}`", {"memory, computed from the tensors' shapes": "{memory_gb:.1f} GB"}

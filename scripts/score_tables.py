@@ -255,6 +255,25 @@ def sitl_scores(store: Store) -> Table:
     )
 
 
+def gazebo_scores(store: Store) -> Table:
+    """The same tasks in Gazebo and in our simulator; their intervals follow from the counts."""
+
+    def score(passed: int, n: int) -> list[str]:
+        return [f"{passed} of {n}", interval(wilson(passed, n))]
+
+    return Table(
+        ["tasks", "pilot", "passed in Gazebo", "95 % interval", "in our simulator", "95 % interval"],
+        [
+            [
+                *(cell(template, row) for template in ("{tasks}", "{pilot}")),
+                *score(row["passed"], row["n"]),
+                *(score(row["ours_passed"], row["ours_n"]) if "ours_n" in row else ["", ""]),
+            ]
+            for row in store.measured("gazebo_scores").rows
+        ],
+    )
+
+
 def leaderboard_table(store: Store) -> Table:
     """The submissions in leaderboard/, best first."""
     submissions = [read_submission(path) for path in sorted(store.leaderboard.glob("*.json"))]

@@ -138,7 +138,7 @@ def gazebo_with_camera(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeGazebo]:
         while not stopping.wait(0.02):
             gazebo.publish(TOPIC, message)
 
-    monkeypatch.setattr(session, "load_bindings", lambda: load_bindings(load=gazebo.load))
+    monkeypatch.setattr(session, "load_bindings", lambda: gazebo.bindings())
     thread = threading.Thread(target=film)
     thread.start()
     try:

@@ -19,7 +19,7 @@ from typing import Any
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from reading import models, parse, read_world, values
 
-from cognitivedrone.vehicles.gazebo.bindings import MODULES
+from cognitivedrone.vehicles.gazebo.bindings import MODULES, Bindings, load_bindings
 from cognitivedrone.vehicles.gazebo.release import RELEASES
 
 FIELD = descriptor_pb2.FieldDescriptorProto
@@ -101,6 +101,8 @@ class FakeGazebo:
         """Ends of services that answer yes and do nothing."""
         self.lag = 2
         """Steps of the simulation before a command is carried out."""
+        self.callers = 0
+        """Processes that call services."""
         self.broken: list[Exception] = []
         self._running = threading.Event()
         self.listeners: dict[str, list[tuple[Any, Callable[[Any], None]]]] = {}
@@ -120,6 +122,10 @@ class FakeGazebo:
             if module == f"{self.release.messages}.{file}":
                 return SimpleNamespace(**{name: MESSAGES[name]})
         raise ModuleNotFoundError(f"No module named {module!r}", name=module)
+
+    def bindings(self) -> Bindings:
+        """This release's bindings in our process, with another one to call services."""
+        return load_bindings(load=self.load, services=lambda release: OtherProcess(self))
 
     def publish(self, topic: str, message: Any) -> None:
         """Send a message to whoever listens."""
@@ -236,7 +242,10 @@ class Node:
         return True
 
     def request(self, service: str, request: Any, asks: Any, answers: Any, timeout: int) -> tuple[bool, Any]:
+        """It keeps the interpreter's lock, and the reply waits behind any message for us, which needs it."""
         assert isinstance(timeout, int)
+        if any(self._gazebo.listeners.values()):
+            return False, answers()
         sent = asks()
         sent.ParseFromString(request.SerializeToString())
         reply = answers()
@@ -244,3 +253,19 @@ class Node:
         if said is not None:
             reply.ParseFromString(said.SerializeToString())
         return said is not None, reply
+
+
+class OtherProcess:
+    """As `ServiceProcess`: a process that subscribes to nothing."""
+
+    def __init__(self, gazebo: FakeGazebo) -> None:
+        self._gazebo = gazebo
+        gazebo.callers += 1
+
+    def request(self, service: str, request: bytes, asks: str, answers: str, timeout_ms: int) -> bytes | None:
+        assert isinstance(timeout_ms, int)
+        said = self._gazebo.answer(service, MESSAGES[asks].FromString(request), answers)
+        return None if said is None else said.SerializeToString()
+
+    def close(self) -> None:
+        self._gazebo.callers -= 1

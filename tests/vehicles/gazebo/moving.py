@@ -16,7 +16,6 @@ from fake_gazebo import MESSAGES, FakeGazebo
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.vehicles.gazebo import pilot
-from cognitivedrone.vehicles.gazebo.bindings import load_bindings
 from cognitivedrone.vehicles.gazebo.flight import GazeboFlight
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
 from cognitivedrone.vehicles.gazebo.pilot import open_gazebo
@@ -115,7 +114,7 @@ def opened(running: Moving, config: LiveConfig = PATIENT) -> Iterator[GazeboFlig
 
         patch.setattr(TruePath, "until", asked)
         patch.setattr(pilot, "take_off", free)
-        with open_gazebo(running.url, config, load_bindings(load=running.gazebo.load)) as flight:
+        with open_gazebo(running.url, config, running.gazebo.bindings()) as flight:
             try:
                 yield flight
             finally:

@@ -44,6 +44,13 @@ def nearest(points: np.ndarray, others: np.ndarray) -> float:
     return float(np.linalg.norm(points[:, None] - others[None], axis=-1).min(axis=1).max())
 
 
+def seen(model, towards: float) -> np.ndarray:
+    """(3,) what a linear renderer shows of a face, sRGB 0 to 1; `towards` is the cosine of its angle to the light."""
+    emissive, diffuse = (np.array(values(model, f".//material/{tag}")[:3]) for tag in ("emissive", "diffuse"))
+    light = np.minimum(emissive + towards * diffuse, 1.0)
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
 @pytest.mark.parametrize("first", range(len(VARIANTS)))
 def test_every_gate_variant_stands_in_every_place_as_in_our_world(track_folder, first):
     stage = stage_with(first)
@@ -59,8 +66,7 @@ def test_every_gate_variant_stands_in_every_place_as_in_our_world(track_folder, 
         assert nearest(corners, in_plane) < MM
         turned = values(model, "pose")[5] - yaws[place]
         assert abs(math.remainder(turned, 2 * math.pi)) < TENTH_OF_DEGREE
-        emissive, diffuse = (np.array(values(model, f".//material/{tag}")[:3]) for tag in ("emissive", "diffuse"))
-        assert emissive + diffuse == pytest.approx(PLAIN.gate_colors[COLORS.index(gate.color)])
+        assert seen(model, towards=1.0).argmax() == COLORS.index(gate.color)
         assert model.findtext("static") == "true"
 
 
@@ -123,6 +129,13 @@ def test_faces_look_outwards_and_carry_their_normals(track_folder):
             assert volume == pytest.approx(area * geometry.BAR_DEPTH, rel=1e-3)
 
 
+def test_every_mesh_has_a_material_which_gazebo_warns_of_otherwise(track_folder):
+    for file in sorted((track_folder / "meshes").glob("*.obj")):
+        words = dict(line.split(maxsplit=1) for line in file.read_text().splitlines() if line.split()[0] != "f")
+        materials = (file.parent / words["mtllib"]).read_text().splitlines()
+        assert f"newmtl {words['usemtl']}" in materials
+
+
 def polygon_area(corners: np.ndarray) -> float:
     x, y = corners.T
     return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) / 2)
@@ -134,8 +147,24 @@ def test_the_light_is_ours_and_turns_with_the_stage():
     direction = element_pose(light)[:3, :3] @ values(light, "direction")
     assert direction == pytest.approx(rotate_yaw(np.array(PLAIN.light_direction), YAW), abs=1e-6)
     assert light.findtext("cast_shadows") == world.findtext("scene/shadows") == "false"
-    assert values(light, "diffuse")[:3] == [PLAIN.diffuse] * 3
-    assert values(world, "scene/ambient")[:3] == [PLAIN.ambient] * 3
+    assert values(light, "diffuse")[:3] == [1, 1, 1]
+    assert values(world, "scene/ambient")[:3] == [0, 0, 0]
+
+
+@pytest.mark.parametrize("appearance", [PLAIN, *(varied_appearance(np.random.default_rng(seed)) for seed in range(5))])
+def test_faces_towards_and_away_from_the_light_are_as_bright_as_ours(appearance):
+    found = models(world_with(stage_with(0), appearance))
+    gate = np.array(appearance.gate_colors[COLORS.index(stage_with(0).gates[0].color)])
+    for name, color, glow in (
+        ("gate_1", gate, 0.4),
+        ("floor", np.array(appearance.floor), 0.0),
+        ("room", np.array(appearance.surroundings), appearance.surroundings_glow),
+        ("panel_1", np.array([appearance.panel_brightness] * 3), 1.0),
+    ):
+        for towards in (0.0, 1.0):
+            light = appearance.ambient + towards * appearance.diffuse
+            ours = np.minimum(glow * color + (1 - glow) * color * light, 1.0)
+            assert seen(found[name], towards) == pytest.approx(ours, abs=1e-3), (name, towards)
 
 
 def test_the_camera_is_ours():
@@ -145,6 +174,8 @@ def test_the_camera_is_ours():
     assert values(sensor, "camera/horizontal_fov") == pytest.approx([FIELD_OF_VIEW], abs=1e-6)
     assert [sensor.findtext(f"camera/image/{side}") for side in ("width", "height")] == ["256", "256"]
     assert sensor.find("camera/noise") is None
+    mask = int(sensor.findtext("camera/visibility_mask"))
+    assert mask == 2**30 - 1  # the two highest bits are ogre2's own: it warns of them
 
 
 def test_a_varied_look_brings_its_colours_patterns_and_noise():
@@ -156,7 +187,7 @@ def test_a_varied_look_brings_its_colours_patterns_and_noise():
     world = world_with(stage_with(0), appearance)
     floor, sensor = models(world)["floor"], models(world)["iris"].find(".//sensor[@type='camera']")
     assert floor.findtext(".//albedo_map") == f"textures/pattern_{appearance.floor_pattern}.png"
-    assert values(floor, ".//diffuse")[:3] == pytest.approx(appearance.floor)
+    assert floor.findtext(".//emissive_map") == floor.findtext(".//albedo_map")
     assert values(sensor, "camera/noise/stddev") == pytest.approx([appearance.noise / 255])
     assert models(world)["panel_1"].findtext(".//emissive_map") == "textures/a.png"
 

@@ -23,10 +23,11 @@ from cognitivedrone.vehicles.gazebo.bindings import load_bindings
 from cognitivedrone.vehicles.gazebo.export import stages_of
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig, plan
 from cognitivedrone.vehicles.gazebo.release import RELEASES, GazeboError
-from cognitivedrone.vehicles.gazebo.sdf import Prop
+from cognitivedrone.vehicles.gazebo.sdf import Prop, paint
 from cognitivedrone.vehicles.gazebo.sensing import GazeboCamera, PoseTrack
 from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC
 from cognitivedrone.world import geometry
+from cognitivedrone.world.appearance import PLAIN
 
 QUICK = LiveConfig(answer_s=0.3, first_s=0.3, silence_s=0.3)
 PACK = load_pack()
@@ -40,7 +41,7 @@ def gazebo(track_folder) -> Iterator[FakeGazebo]:
 
 
 def connect(gazebo: FakeGazebo, folder, config: LiveConfig = QUICK) -> GazeboWorld:
-    return GazeboWorld(folder, config, load_bindings(load=gazebo.load))
+    return GazeboWorld(folder, config, gazebo.bindings())
 
 
 def stages():
@@ -56,7 +57,7 @@ def standing_places(gazebo: FakeGazebo) -> dict[str, tuple[list[float], float]]:
 @pytest.mark.parametrize("release", RELEASES)
 def test_the_bindings_of_every_release_are_found(release, tmp_path):
     gazebo = FakeGazebo(release, models=("iris",))
-    bindings = load_bindings(load=gazebo.load)
+    bindings = gazebo.bindings()
     assert bindings.release.name == release
     assert bindings.message("EntityFactory") is MESSAGES["EntityFactory"]
     with GazeboWorld(tmp_path, QUICK, bindings) as world:
@@ -121,9 +122,28 @@ def test_a_gate_alone_and_then_three(gazebo, tmp_path):
         assert sum(name.startswith(("gate", "panel")) for name in gazebo.poses) == 6
 
 
+def test_services_are_called_from_a_process_that_subscribes_to_nothing(gazebo, tmp_path):
+    # gz-transport's Python holds the interpreter's lock during a call, and the reply waits behind what we subscribe to.
+    with connect(gazebo, tmp_path) as world:
+        world.places()
+        kind = MESSAGES["Empty"]
+        node = gazebo.bindings().new_node()
+        assert not node.request("/gazebo/worlds", kind(), kind, MESSAGES["StringMsg_V"], 300)[0]
+        world.show(stages()[1], PACK)
+        assert gazebo.callers == 1
+    assert gazebo.callers == 0
+
+
+def test_a_world_that_cannot_be_used_leaves_no_process_behind(tmp_path):
+    gazebo = FakeGazebo(world="shapes", models=("box",))
+    with pytest.raises(GazeboError, match="already runs"):
+        connect(gazebo, tmp_path)
+    assert gazebo.callers == 0
+
+
 def test_a_plan_moves_what_is_the_same_and_replaces_the_rest():
-    red = Prop("gate_1", "gate_big_round", (1.0, 2.0, 0.9), 0.0, (1.0, 0.0, 0.0), 0.4)
-    blue = replace(red, name="gate_2", color=(0.0, 0.0, 1.0))
+    red = Prop("gate_1", "gate_big_round", (1.0, 2.0, 0.9), 0.0, paint((1.0, 0.0, 0.0), 0.4, PLAIN))
+    blue = replace(red, name="gate_2", paint=paint((0.0, 0.0, 1.0), 0.4, PLAIN))
     steps = plan({"a": red, "b": blue, "c": None}, [replace(red, yaw=1.0), replace(blue, mesh="gate_small_round")])
     assert [(name, prop.yaw) for name, prop in steps.moves] == [("a", 1.0)]
     assert [prop.mesh for prop in steps.spawns] == ["gate_small_round"]
@@ -180,7 +200,7 @@ def test_the_camera_gives_the_newest_frame(gazebo, tmp_path):
 def test_a_camera_of_another_kind_is_told_of(gazebo, options, says):
     thread = publishing(gazebo, CAMERA_TOPIC, image_message(np.zeros((256, 256, 3), np.uint8), **options))
     with pytest.raises(CameraError, match=says):
-        GazeboCamera(load_bindings(load=gazebo.load), CAMERA_TOPIC, first_s=1.0)
+        GazeboCamera(gazebo.bindings(), CAMERA_TOPIC, first_s=1.0)
     thread.join()
     assert gazebo.listeners[CAMERA_TOPIC] == []
 

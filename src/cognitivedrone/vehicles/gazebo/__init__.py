@@ -2,7 +2,7 @@
 
 Export: `sdf.py` builds worlds from a `Stage`, `meshes.py` writes meshes, `vehicle.py` is the Iris, `export.py` writes
 the folder, `check.py` runs libsdformat, `classic.py` reads the published collector's models. A running Gazebo:
-`live.py` swaps the gates, `sensing.py` reads camera and poses, `flight.py` and `pilot.py` are the benchmark's drone,
-`server.py` starts it. Selftest: `selftest.py` runs the checks of `checks.py` and `checks_in_flight.py`; `comparison.py`
-compares pictures.
+`live.py` swaps the gates by services that `services.py` calls, `sensing.py` reads camera and poses, `flight.py` and
+`pilot.py` are the benchmark's drone, `server.py` starts it. Selftest: `selftest.py` runs the checks of `checks.py` and
+`checks_in_flight.py`; `comparison.py` compares pictures.
 """

@@ -1,7 +1,7 @@
 """gz-transport's Python bindings, for every supported release of Gazebo.
 
     bindings = load_bindings()             # the newest installed ones
-    node = bindings.new_node()
+    node = bindings.new_node()             # to subscribe; services are called by `services.py`
     Pose = bindings.message("Pose")
 
 Interface: https://gazebosim.org/api/transport/13/python.html; the messages are protobuf classes of gz-msgs.
@@ -15,10 +15,12 @@ import shutil
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from cognitivedrone.errors import GazeboError
 from cognitivedrone.vehicles.gazebo.release import RELEASES, Release, release_named
+from cognitivedrone.vehicles.gazebo.services import ServiceProcess, Services
 
 MODULES = {
     "Boolean": "boolean_pb2",
@@ -41,18 +43,25 @@ class Bindings:
 
     release: Release
     new_node: Callable[[], Any]
-    """A `gz.transport` node: `subscribe`, `unsubscribe` and `request`."""
+    """A `gz.transport` node: `subscribe` and `unsubscribe`."""
     load: Callable[[str], Any]
+    new_services: Callable[[], Services]
+    """What calls services: a node of ours cannot while it, or another, is subscribed to a topic."""
 
     def message(self, name: str) -> Any:
         """The class of a message, one of `MODULES`."""
         return getattr(self.load(f"{self.release.messages}.{MODULES[name]}"), name)
 
 
-def load_bindings(release: str | None = None, load: Callable[[str], Any] = importlib.import_module) -> Bindings:
+def load_bindings(
+    release: str | None = None,
+    load: Callable[[str], Any] = importlib.import_module,
+    services: Callable[[str], Services] = ServiceProcess,
+) -> Bindings:
     """The bindings of a release, or the newest installed ones.
 
-    `load` imports a module by name. Raises `GazeboError` that says what to install.
+    `load` imports a module by name, `services` makes what calls the services of a release. Raises `GazeboError` that
+    says what to install.
     """
     asked = list(RELEASES.values()) if release is None else [release_named(release)]
     for candidate in asked:
@@ -66,7 +75,7 @@ def load_bindings(release: str | None = None, load: Callable[[str], Any] = impor
                 f"the Python bindings of Gazebo {candidate.name.capitalize()} are installed, but this Python cannot"
                 f" load them ({error}); use the Python that they were built for, with its protobuf: /usr/bin/python3"
             ) from None
-        return Bindings(candidate, transport.Node, load)
+        return Bindings(candidate, transport.Node, load, partial(services, candidate.name))
     wanted = "; ".join(f"{r.name.capitalize()}: apt-get install {r.bindings}" for r in asked)
     raise GazeboError(
         f"gz-transport's Python bindings are not installed; they come with Gazebo's own packages ({wanted}), and a"

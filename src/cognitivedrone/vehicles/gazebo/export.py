@@ -28,7 +28,7 @@ from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import Suite, open_suite
 from cognitivedrone.types import Image, Stage, Task, Track
-from cognitivedrone.vehicles.gazebo.meshes import obj_text, world_meshes
+from cognitivedrone.vehicles.gazebo.meshes import MATERIALS, MATERIALS_FILE, obj_text, world_meshes
 from cognitivedrone.vehicles.gazebo.release import Release, release_named
 from cognitivedrone.vehicles.gazebo.sdf import Picture, Prop, document, pattern_file, props_of, world
 from cognitivedrone.vehicles.gazebo.vehicle import iris, parameters
@@ -135,6 +135,7 @@ def write_meshes(out: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in _mesh_texts().items():
         (folder / f"{name}.obj").write_text(text, encoding="ascii")
+    (folder / MATERIALS_FILE).write_text(MATERIALS, encoding="ascii")
 
 
 def write_pictures(stage: Stage, labels: LabelPack, appearance: Appearance, out: Path) -> tuple[Prop, ...]:

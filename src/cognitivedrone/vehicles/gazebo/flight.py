@@ -38,8 +38,14 @@ HOVER_S: Final = 30.0
 """Time limit to reach a hover, s of Gazebo's time."""
 CLIMB_M_S: Final = 1.0
 """Vertical speed on the way to the next start."""
-STARTS: Final = 2
+STARTS: Final = 3
 """Attempts to hover at the start of a flight."""
+LANDS_S: Final = 60.0
+"""Time in which a vehicle that was given up lands by its own failsafe, s of Gazebo's time."""
+RESTS_S: Final = 3.0
+"""A vehicle that has not moved for this long, s, is on the ground: ArduCopter disarms before."""
+REST_M_S, REST_M = 0.05, 0.2
+"""Maximum speed and height of a vehicle on the ground."""
 FRESH_FRAMES: Final = 2
 """Frames to wait for after a stage is placed; the first may have been rendered before."""
 LATE_S: Final = 0.05
@@ -82,6 +88,7 @@ class GazeboFlight(ExternalFlight):
                 self._hover(self._drone, start.position[2])
             except LinkError as error:
                 self._give_up(error)
+                self._await_ground()
                 continue
             self._placement = placed(self._path.newest().state, np.array(start.position), start.yaw)
             self.diverged, self._ticks = False, 0
@@ -168,6 +175,18 @@ class GazeboFlight(ExternalFlight):
             moving = max(float(np.linalg.norm(state.velocity)), abs(float(state.body_rates[2])), abs(lacking))
             still = still + 1 if moving < STILL_M_S else 0
         drone.send(np.zeros(4, dtype=np.float32))
+
+    def _await_ground(self) -> None:
+        """Wait for a vehicle that was given up to land: one that is armed cannot be taken over."""
+        since = None
+        deadline = self._path.newest().time + LANDS_S
+        while (sample := self._path.newest()).time < deadline:
+            state = sample.state
+            rests = float(np.linalg.norm(state.velocity)) < REST_M_S and float(state.position[2]) < REST_M
+            since = (sample.time if since is None else since) if rests else None
+            if since is not None and sample.time - since >= RESTS_S:
+                return
+            self._path.until(sample.time + 1 / CONTROL_HZ)
 
     def _await_stage(self) -> None:
         """Wait until the last ordered stage is in place."""

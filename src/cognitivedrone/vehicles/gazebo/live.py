@@ -16,6 +16,7 @@ import math
 import re
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,11 +55,12 @@ class LiveConfig:
     camera_topic: str = CAMERA_TOPIC
     release: str | None = None
     """Release of the bindings; the newest installed ones by default."""
-    answer_s: float = 5.0
-    """Time limit for a service to answer, and for a stage to be in place."""
-    first_s: float = 10.0
+    answer_s: float = 20.0
+    """Time limit for a service to answer, and for a stage to be in place, s of the wall clock, as all limits here: a
+    busy machine without a GPU stands still for seconds while it loads meshes or ArduPilot starts."""
+    first_s: float = 30.0
     """Time limit for the first message of a topic."""
-    silence_s: float = 3.0
+    silence_s: float = 20.0
     """A topic without messages for this long counts as broken."""
 
 
@@ -122,7 +124,6 @@ class GazeboWorld:
         self.config = config or LiveConfig()
         self.bindings = bindings or load_bindings(self.config.release)
         self._folder = folder.resolve()
-        self._node = self.bindings.new_node()
         self._serial = 0
         self._path: TruePath | None = None
         self._poses: Topic[dict[str, tuple[FloatArray, FloatArray]]] | None = None
@@ -132,12 +133,16 @@ class GazeboWorld:
         self._light = ""
         self._sure = False
         """Whether this record is still valid; false after a stage that failed."""
-        self._meet()
-        self._look_around()
-        try:
-            write_meshes(self._folder)
-        except OSError as error:
-            raise GazeboError(f"cannot write into {self._folder}: {error.strerror or error}") from None
+        self._services = self.bindings.new_services()
+        with ExitStack() as undo:
+            undo.callback(self.close)
+            self._meet()
+            self._look_around()
+            try:
+                write_meshes(self._folder)
+            except OSError as error:
+                raise GazeboError(f"cannot write into {self._folder}: {error.strerror or error}") from None
+            undo.pop_all()
 
     def __enter__(self) -> GazeboWorld:
         return self
@@ -148,8 +153,7 @@ class GazeboWorld:
     def show(self, stage: Stage, labels: LabelPack, appearance: Appearance = PLAIN) -> None:
         """Replace the current stage, including its light; returns once the new one is in place.
 
-        The ambient light remains that of the world, whatever the appearance. Raises `LabelError`, or `GazeboError` if
-        Gazebo refuses or takes too long.
+        Raises `LabelError`, or `GazeboError` if Gazebo refuses or takes too long.
         """
         try:
             wanted = write_pictures(stage, labels, appearance, self._folder)
@@ -232,11 +236,12 @@ class GazeboWorld:
         )
 
     def close(self) -> None:
-        """Unsubscribe; the stage remains in Gazebo."""
+        """Unsubscribe, and call no more; the stage remains in Gazebo."""
         for topic in (self._path, self._poses):
             if topic is not None:
                 topic.close()
         self._path = self._poses = None
+        self._services.close()
 
     def _meet(self) -> None:
         """Check that Gazebo runs our world."""
@@ -297,11 +302,11 @@ class GazeboWorld:
     def _request(self, service: str, request: Any, answer: str) -> tuple[bool, Any]:
         """Call a service: whether it answered in time, and the answer. `request` is a message, or its type if empty."""
         message = self.bindings.message(request)() if isinstance(request, str) else request
-        timeout_ms = round(1000 * self.config.answer_s)
-        delivered, reply = self._node.request(
-            service, message, type(message), self.bindings.message(answer), timeout_ms
-        )
-        return bool(delivered), reply
+        asks, timeout_ms = type(message).DESCRIPTOR.name, round(1000 * self.config.answer_s)
+        data = self._services.request(service, message.SerializeToString(), asks, answer, timeout_ms)
+        reply = self.bindings.message(answer)()
+        reply.ParseFromString(data or b"")
+        return data is not None, reply
 
     def _await_places(self) -> None:
         """Wait until exactly the wanted entities of ours are in place."""

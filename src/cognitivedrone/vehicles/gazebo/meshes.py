@@ -18,6 +18,10 @@ from cognitivedrone.world.assets import Assets, Placed, build_assets
 PANEL: Final = "panel"
 FLOOR: Final = "floor"
 ROOM: Final = "room"
+MATERIALS_FILE: Final = "white.mtl"
+MATERIALS: Final = "newmtl white\nKd 1 1 1\n"
+"""What every mesh is made of, until the SDF file says otherwise: Gazebo warns of a mesh without a material."""
+_MATERIAL: Final = "white"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +56,7 @@ def obj_text(name: str, mesh: Mesh) -> str:
     corners = mesh.vertices[mesh.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    lines = [f"o {name}"]
+    lines = [f"mtllib {MATERIALS_FILE}", f"o {name}", f"usemtl {_MATERIAL}"]
     lines += [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.vertices]
     lines += [f"vt {u:.6f} {1.0 - v:.6f}" for u, v in mesh.texture]
     lines += [f"vn {x:.6f} {y:.6f} {z:.6f}" for x, y, z in normals]

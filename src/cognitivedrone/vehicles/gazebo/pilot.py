@@ -29,11 +29,14 @@ VEHICLE: Final = MavlinkConfig(
     takeoff_height_m=1.5,
     clock="vehicle",
     set_parameters=True,
-    ready_timeout_s=180.0,
-    takeoff_timeout_s=90.0,
+    heartbeat_timeout_s=60.0,
+    ready_timeout_s=900.0,
+    takeoff_timeout_s=300.0,
+    landing_timeout_s=180.0,
     only=frozenset({"FS_GCS_ENABLE", "battery", "camera"}),
     put_back=False,
 )
+"""Its time limits are of the wall clock, and Gazebo's time may pass at a tenth of that on a busy machine."""
 SIMULATION_PARAMETER: Final = "SIM_SPEEDUP"
 """Parameter that only software-in-the-loop builds of ArduPilot have."""
 

@@ -33,6 +33,9 @@ _SYSTEMS: Final = (
     ("gz-sim-scene-broadcaster-system", "gz::sim::systems::SceneBroadcaster"),
     ("gz-sim-imu-system", "gz::sim::systems::Imu"),
 )
+_SCATTERED: Final = 1.51
+"""Intensity of the light that makes up for ogre2's diffuse reflection, after Disney: a rough surface that is seen along
+the light sends back 1/1.51 (https://seblagarde.files.wordpress.com/2015/07/course_notes_moving_frostbite_to_pbr_v32.pdf)."""
 _HOME: Final = (-35.363262, 149.165237, 584.0)  # ArduPilot's default place: latitude and longitude in degrees, m
 
 
@@ -47,6 +50,35 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True)
+class Paint:
+    """A matt colour as Gazebo's renderer takes it: linear, where ours has sRGB, and without ambient light.
+
+    Ours adds up emission, ambient and directional light in sRGB. What does not depend on the direction becomes emission
+    here, so a face away from the light looks the same in both; so does one that faces it.
+    """
+
+    emissive: RGB
+    """Linear."""
+    diffuse: RGB
+    """Linear; what a light of intensity 1 adds to a face towards it."""
+
+
+def paint(color: RGB, glow: float, appearance: Appearance) -> Paint:
+    """The paint of a colour (sRGB) of which the share `glow` (0 to 1) is emission and the rest is lit."""
+    away = glow + (1.0 - glow) * appearance.ambient
+    towards = away + (1.0 - glow) * appearance.diffuse
+    red, green, blue = ((linear(away * part), linear(towards * part)) for part in color)
+    dark, lit = (red[0], green[0], blue[0]), (red[1], green[1], blue[1])
+    return Paint(dark, (lit[0] - dark[0], lit[1] - dark[1], lit[2] - dark[2]))
+
+
+def linear(value: float) -> float:
+    """The light of an sRGB value, both 0 to 1 (IEC 61966-2-1); larger values are cut, as on a screen."""
+    value = min(value, 1.0)
+    return value / 12.92 if value <= 0.04045 else float(((value + 0.055) / 1.055) ** 2.4)
+
+
+@dataclass(frozen=True, slots=True)
 class Prop:
     """A static mesh in the world, without collision, like the gates of our world."""
 
@@ -57,9 +89,7 @@ class Prop:
     """World, m."""
     yaw: float
     """rad."""
-    color: RGB
-    glow: float
-    """Emissive share of the colour, 0 to 1."""
+    paint: Paint
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     texture: str | None = None
     """File name in the folder of textures; multiplied by the colour."""
@@ -79,14 +109,14 @@ def props_of(
     """
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
     home = (float(stage.origin[0]), float(stage.origin[1]), 0.0)
-    paper: RGB = (appearance.panel_brightness,) * 3
+    paper = paint((appearance.panel_brightness,) * 3, 1.0, appearance)
     props: list[Prop] = []
     for index in geometry.standing(stage):
         gate = stage.gates[index]
         x, y, z = (float(value) for value in centers[index])
-        color = appearance.gate_colors[COLORS.index(gate.color)]
+        color = paint(appearance.gate_colors[COLORS.index(gate.color)], _GATE_GLOW, appearance)
         mesh = gate_mesh(gate.size, gate.shape)
-        props.append(Prop(f"gate_{index + 1}", mesh, (x, y, z), float(yaws[index]), color, _GATE_GLOW))
+        props.append(Prop(f"gate_{index + 1}", mesh, (x, y, z), float(yaws[index]), color))
     panels = geometry.panel_centers(stage)
     for index in geometry.panelled(stage):
         x, y, z = (float(value) for value in panels[index])
@@ -96,13 +126,10 @@ def props_of(
     if board is not None:
         x, y, z = (float(value) for value in np.array(home) + rotate_yaw(geometry.BOARD_CENTER, stage.yaw))
         props.append(_panel("board", board, (x, y, z), stage.yaw, geometry.BOARD_HEIGHT, paper))
-    props.append(
-        Prop(FLOOR, FLOOR, home, stage.yaw, appearance.floor, 0.0, texture=pattern_file(appearance.floor_pattern))
-    )
-    surroundings = pattern_file(appearance.surroundings_pattern)
-    props.append(
-        Prop(ROOM, ROOM, home, stage.yaw, appearance.surroundings, appearance.surroundings_glow, texture=surroundings)
-    )
+    floor = paint(appearance.floor, 0.0, appearance)
+    props.append(Prop(FLOOR, FLOOR, home, stage.yaw, floor, texture=pattern_file(appearance.floor_pattern)))
+    room = paint(appearance.surroundings, appearance.surroundings_glow, appearance)
+    props.append(Prop(ROOM, ROOM, home, stage.yaw, room, texture=pattern_file(appearance.surroundings_pattern)))
     return tuple(props)
 
 
@@ -133,23 +160,22 @@ def prop_model(prop: Prop, folder: str = "") -> ET.Element:
     mesh = add(add(visual, "geometry"), "mesh")
     add(mesh, "uri", f"{folder}meshes/{prop.mesh}.obj")
     add(mesh, "scale", numbers(*prop.scale))
-    visual.append(material(prop.color, prop.glow, prop.texture and f"{folder}textures/{prop.texture}"))
+    visual.append(material(prop.paint, prop.texture and f"{folder}textures/{prop.texture}"))
     return model
 
 
-def material(color: RGB, glow: float, texture: str | None = None) -> ET.Element:
-    """A matt `<material>`: `glow` (0 to 1) of its colour is emissive, the rest is lit."""
+def material(paint: Paint, texture: str | None = None) -> ET.Element:
+    """A `<material>` of this paint, multiplied by the texture's colours."""
     element = ET.Element("material")
-    lit = numbers(*((1.0 - glow) * part for part in color), 1.0)
-    add(element, "ambient", lit)
-    add(element, "diffuse", lit)
+    diffuse = numbers(*paint.diffuse, 1.0)
+    add(element, "ambient", diffuse)
+    add(element, "diffuse", diffuse)
     add(element, "specular", "0 0 0 1")
-    add(element, "emissive", numbers(*(glow * part for part in color), 1.0))
+    add(element, "emissive", numbers(*paint.emissive, 1.0))
     metal = add(add(element, "pbr"), "metal")
     if texture is not None:
         add(metal, "albedo_map", texture)
-        if glow > 0.0:
-            add(metal, "emissive_map", texture)
+        add(metal, "emissive_map", texture)
     add(metal, "metalness", "0")
     add(metal, "roughness", "1")
     return element
@@ -173,7 +199,7 @@ def world(stage: Stage, props: Sequence[Prop], appearance: Appearance, vehicle: 
         add(place, tag, numbers(value))
     add(place, "heading_deg", "0")
     scene = add(element, "scene")
-    add(scene, "ambient", numbers(*(appearance.ambient,) * 3, 1.0))
+    add(scene, "ambient", "0 0 0 1")  # is part of the paint
     add(scene, "background", numbers(*appearance.surroundings, 1.0))
     add(scene, "grid", "false")
     add(scene, "shadows", "false")
@@ -190,8 +216,9 @@ def sun(stage: Stage, appearance: Appearance) -> ET.Element:
     light = ET.Element("light", name=SUN, type="directional")
     add(light, "pose", numbers(*stage.origin, 10.0, 0.0, 0.0, stage.yaw))
     add(light, "cast_shadows", "false")
-    add(light, "diffuse", numbers(*(appearance.diffuse,) * 3, 1.0))
+    add(light, "diffuse", "1 1 1 1")  # its intensity is part of the paint
     add(light, "specular", "0 0 0 1")
+    add(light, "intensity", numbers(_SCATTERED))
     attenuation = add(light, "attenuation")
     for tag, value in (("range", 1000.0), ("constant", 1.0), ("linear", 0.0), ("quadratic", 0.0)):
         add(attenuation, tag, numbers(value))
@@ -212,10 +239,10 @@ def numbers(*values: float) -> str:
 
 
 def _panel(
-    name: str, picture: Picture, place: tuple[float, float, float], yaw: float, height: float, paper: RGB
+    name: str, picture: Picture, place: tuple[float, float, float], yaw: float, height: float, paper: Paint
 ) -> Prop:
     scale = (1.0, picture.aspect * height, height)
-    return Prop(name, PANEL, place, yaw, paper, 1.0, scale, picture.file)
+    return Prop(name, PANEL, place, yaw, paper, scale, picture.file)
 
 
 def _ground() -> ET.Element:

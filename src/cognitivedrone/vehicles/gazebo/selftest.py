@@ -37,7 +37,7 @@ from cognitivedrone.vehicles.gazebo.checks import (
 )
 from cognitivedrone.vehicles.gazebo.checks_in_flight import FLIGHT_CHECKS, Airborne, Autopilot
 from cognitivedrone.vehicles.gazebo.export import PARAMETERS_FILE, find_track, stages_of, write
-from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
+from cognitivedrone.vehicles.gazebo.live import GazeboWorld
 from cognitivedrone.vehicles.gazebo.release import RELEASES
 from cognitivedrone.vehicles.gazebo.server import NO_PLUGIN, GazeboServer, find_gazebo, own_partition
 from cognitivedrone.vehicles.sitl.arducopter import BINARY_VARIABLE, ArduCopter, find_binary, port_is_free
@@ -53,8 +53,6 @@ CHECKS: Final[tuple[tuple[str, Callable[[Scene], Finding]], ...]] = (
     ("stages", stages),
 )
 """Of a running world, in order."""
-PATIENT: Final = LiveConfig(answer_s=20.0, first_s=30.0, silence_s=20.0)
-"""A busy machine, or one without a GPU, is slow; that is not what is checked."""
 _WAY_OUT: Final = f"name one by --arducopter PATH or {BINARY_VARIABLE}=PATH"
 
 
@@ -134,7 +132,7 @@ def selftest(
         server = stack.enter_context(GazeboServer(exported.worlds[0], out / "gazebo.log"))
 
         def load() -> Finding:
-            world = server.connect(lambda: GazeboWorld(out / "spawned", PATIENT, bindings))
+            world = server.connect(lambda: GazeboWorld(out / "spawned", bindings=bindings))
             scene.open(stack.enter_context(world), server)
             return loading(scene)
 

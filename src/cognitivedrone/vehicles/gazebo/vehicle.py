@@ -17,7 +17,7 @@ from xml.etree import ElementTree as ET
 from cognitivedrone.sim.airframe import GRAVITY, IRIS, ROTORS, Airframe
 from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.types import IMAGE_SIZE
-from cognitivedrone.vehicles.gazebo.sdf import add, material, numbers
+from cognitivedrone.vehicles.gazebo.sdf import add, material, numbers, paint
 from cognitivedrone.world.appearance import PLAIN, RGB, Appearance
 
 NAME: Final = "iris"
@@ -38,9 +38,11 @@ _ATTACK_ANGLE, _LIFT_SLOPE = 0.3, 4.25  # rad; lift coefficient per rad
 _ROTOR_MASS, _ROTOR_RADIUS, _ROTOR_HEIGHT = 0.025, 0.1, 0.01  # kg, m, m
 _ROTOR_INERTIA = (9.75e-6, 1.67e-4, 1.67e-4)  # of a two-bladed propeller, kg m2
 _NEAR, _FAR = 0.03, 200.0  # m, as in our world
+_ALL_VISIBLE = 0x3FFFFFFF  # ogre2 has uses of its own for the two highest bits, and warns of the default, all 32
 _DARK: RGB = (0.15, 0.15, 0.17)
 _FRONT: RGB = (1.0, 0.55, 0.0)
 _REAR: RGB = (0.35, 0.35, 0.4)
+_GLOW = 0.2
 
 
 def iris(position: tuple[float, float], yaw: float, appearance: Appearance, airframe: Airframe = IRIS) -> ET.Element:
@@ -60,11 +62,11 @@ def iris(position: tuple[float, float], yaw: float, appearance: Appearance, airf
         arm = add(base, "visual", name=f"arm_{number}")
         add(arm, "pose", numbers(0.0, 0.0, 0.0, 0.0, 0.0, quarter * math.pi / 4))
         add(add(add(arm, "geometry"), "box"), "size", numbers(2 * airframe.arm, 0.03, 0.02))
-        arm.append(material(_DARK, 0.2))
+        arm.append(material(paint(_DARK, _GLOW, appearance)))
     base.append(_imu())
     base.append(_camera(appearance, CAMERA_TOPIC))
     for index, (forward, left, _) in enumerate(ROTORS):
-        _add_rotor(model, index, forward * side, left * side)
+        _add_rotor(model, index, forward * side, left * side, appearance)
     for index, (_, _, torque) in enumerate(ROTORS):
         for blade in (1, -1):
             model.append(_blade(airframe, index, turning=-torque, blade=blade))
@@ -149,6 +151,7 @@ def _camera(appearance: Appearance, topic: str) -> ET.Element:
     add(image, "width", numbers(IMAGE_SIZE))
     add(image, "height", numbers(IMAGE_SIZE))
     add(image, "format", "R8G8B8")
+    add(camera, "visibility_mask", str(_ALL_VISIBLE))
     clip = add(camera, "clip")
     add(clip, "near", numbers(_NEAR))
     add(clip, "far", numbers(_FAR))
@@ -160,7 +163,7 @@ def _camera(appearance: Appearance, topic: str) -> ET.Element:
     return sensor
 
 
-def _add_rotor(model: ET.Element, index: int, forward: float, left: float) -> None:
+def _add_rotor(model: ET.Element, index: int, forward: float, left: float, appearance: Appearance) -> None:
     """Add a link with a disc, and its revolute joint."""
     link = add(model, "link", name=f"rotor_{index}")
     add(link, "pose", numbers(forward, left, 0.0, 0.0, 0.0, 0.0))
@@ -169,7 +172,7 @@ def _add_rotor(model: ET.Element, index: int, forward: float, left: float) -> No
     disc = add(add(visual, "geometry"), "cylinder")
     add(disc, "radius", numbers(_ROTOR_RADIUS))
     add(disc, "length", numbers(_ROTOR_HEIGHT))
-    visual.append(material(_FRONT if forward > 0 else _REAR, 0.2))
+    visual.append(material(paint(_FRONT if forward > 0 else _REAR, _GLOW, appearance)))
     joint = add(model, "joint", name=f"rotor_{index}_joint", type="revolute")
     add(joint, "parent", "base_link")
     add(joint, "child", f"rotor_{index}")
