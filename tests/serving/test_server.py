@@ -337,9 +337,9 @@ class TestPilot:
 
     def test_the_directive_hold_holds(self, pilot):
         with Client(pilot) as client:
-            answer = client.ask(observation("nothing"))
-            assert answer["actions"].tolist() == [[0, 0, 0, 0]]
-            assert answer["declines"] is True
+            answers = [client.ask(observation("nothing", time=seconds)) for seconds in (0.0, 0.5, 1.0)]
+            assert [answer["declines"] for answer in answers] == [False, False, True]
+            assert answers[-1]["actions"].tolist() == [[0, 0, 0, 0]]
 
     def test_without_an_answer_the_prompt_counts(self, pilot):
         with Client(pilot) as client:

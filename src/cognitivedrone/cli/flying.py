@@ -123,8 +123,6 @@ def import_models(source: tyro.conf.Positional[Path], out: Path) -> None:
 
 def selftest(
     out: Path,
-    suite: str = "open-v1:track",
-    track: str = "0",
     arducopter: Path | None = None,
 ) -> None:
     """Start Gazebo on this machine, check all that a flight in it depends on, and end it.
@@ -136,8 +134,6 @@ def selftest(
 
     Args:
         out: New folder to write.
-        suite: Name of a suite with the track to show.
-        track: Number of the track, from 0.
         arducopter: ArduCopter binary for SITL; by default the environment variable ARDUCOPTER. Without one, the checks
             in flight are skipped.
     """
@@ -148,7 +144,7 @@ def selftest(
         text = ": ".join(part for part in (check.figure, check.reason) if part)
         print(visible(f"{check.name:<10} {check.outcome:<8} {text}"), flush=True)  # noqa: T201
 
-    report = run_checks(out, suite=suite, track=track, arducopter=arducopter, tell=tell)
+    report = run_checks(out, arducopter=arducopter, tell=tell)
     counts = {outcome: sum(check.outcome == outcome for check in report.checks) for outcome in OUTCOMES}
     print(visible(f"{', '.join(f'{n} {outcome}' for outcome, n in counts.items())}; see {out}"))  # noqa: T201
     sys.exit(1 if report.failed else 0)
