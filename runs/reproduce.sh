@@ -5,7 +5,7 @@
 #   SIZE=tiny runs/reproduce.sh OUT  the same steps in minutes, with sizes that teach nothing: it shows that they work
 #
 # Stopped at any moment, it goes on when it is started again. Needs the extras `train` and `mavlink`. The weights
-# that are shipped come out of this script, to the bit on one machine; OUT/manifest.json says recipe, seed, commit and
+# that are shipped, but for the racing baseline's, come out of this script, to the bit on one machine; OUT/manifest.json says recipe, seed, commit and
 # hash of each. OUT/results has a file for every table of README and docs that can be measured here:
 #
 #   cp OUT/results/*.json results/ && python scripts/render_tables.py

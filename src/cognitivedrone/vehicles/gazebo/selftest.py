@@ -45,6 +45,7 @@ from cognitivedrone.vehicles.sitl.arducopter import BINARY_VARIABLE, ArduCopter,
 Outcome = Literal["passed", "failed", "skipped"]
 
 RESULTS_FILE: Final = "selftest.json"
+_SUITE: Final = "open-v1:track"
 CHECKS: Final[tuple[tuple[str, Callable[[Scene], Finding]], ...]] = (
     ("places", places),
     ("clock", clock),
@@ -104,8 +105,6 @@ class Report:
 def selftest(
     out: Path,
     *,
-    suite: str = "open-v1:track",
-    track: str = "0",
     arducopter: Path | None = None,
     tell: Callable[[Check], None] = lambda _: None,
     bindings: Bindings | None = None,
@@ -120,7 +119,7 @@ def selftest(
     find_gazebo()
     bindings = bindings or load_bindings()
     start, lacking = (autopilot, "") if autopilot else _autopilot(arducopter)
-    found = find_track(open_suite(suite), track=track)
+    found = find_track(open_suite(_SUITE), track="0")
     exported = write(found, out / "world", load_pack(), RELEASES[bindings.release.name])
     scene = Scene(out, exported.worlds, stages_of(found), load_pack())
     report = Report(tell)
