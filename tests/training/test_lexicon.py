@@ -12,7 +12,7 @@ from cognitivedrone.models.word_vectors import word_vectors
 from cognitivedrone.tasks.directives import write_directive
 from cognitivedrone.training.common.lexicon import training_lexicon, with_vectors
 from cognitivedrone.training.common.problems import Mix, Problems
-from cognitivedrone.training.common.unknown_people import UNKNOWN_PERSON
+from cognitivedrone.training.common.unknown_people import UNKNOWN_NAMES
 from cognitivedrone.types import Gate
 
 pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
@@ -22,12 +22,12 @@ def test_all_that_is_trained_has_words_and_the_rest_has_vectors() -> None:
     lexicon = training_lexicon(Mix(), ("a zorblax in the garden",))
     own = set(lexicon.words[: lexicon.trained])
     assert {"zorblax", "garden", "neither"} <= own
-    assert UNKNOWN_PERSON not in lexicon.words
+    assert not own & {word for name in UNKNOWN_NAMES for word in words_of(name)}
     assert set(words_of(write_directive(Gate("big", "round", "red")))) <= own
     assert set(lexicon.words[lexicon.trained :]) <= set(word_vectors().words)
     assert set(word_vectors().words) <= set(lexicon.words)
-    rng, problems = np.random.default_rng(9), Problems(Mix(slips=0.0))
-    sentences = [problem.sentence.replace(UNKNOWN_PERSON, "") for _ in range(200) for problem in problems.draw(rng)]
+    rng, problems = np.random.default_rng(9), Problems(Mix(slips=0.0, unknown_people=0.0))
+    sentences = [problem.sentence for _ in range(200) for problem in problems.draw(rng)]
     unknown = [word for sentence in sentences for word in lexicon.unknown(sentence)]
     assert len(unknown) < 0.02 * sum(len(words_of(sentence)) for sentence in sentences), unknown
     assert training_lexicon(Mix()) == training_lexicon(Mix())

@@ -11,12 +11,12 @@ import pytest
 from cognitivedrone.models.gate_selector import STAGES
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES
-from cognitivedrone.tasks.people import FEATURES, parse_person
+from cognitivedrone.tasks.people import CAST, FEATURES, parse_person
 from cognitivedrone.training.common.attributes import AttributeIndex
 from cognitivedrone.training.common.fact_questions import FACTS
 from cognitivedrone.training.common.places import PLACE_FAMILIES
 from cognitivedrone.training.common.problems import ABSENT, ALONE, NAMES, SHARES, Mix, Problem, Problems
-from cognitivedrone.training.common.unknown_people import UNKNOWN_PERSON
+from cognitivedrone.training.common.unknown_people import UNKNOWN_NAMES
 from cognitivedrone.training.reasoner.selector import values_of
 
 PLAIN = Mix(
@@ -174,7 +174,7 @@ def test_earlier_stages_that_say_nothing_have_their_share(varied: list[Problem])
 def test_what_a_person_lacks_is_asked_for_alone() -> None:
     mix = replace(PLAIN, families={"exclusion": 1.0})
     never, always = (drawn(replace(mix, lacking=share), 200) for share in (0.0, 1.0))
-    for problem in always:
+    for problem in drawn(replace(mix, lacking=1.0, typed=0.0), 200):
         named = [feature for feature in FEATURES if feature.phrase in problem.sentence]
         absent = max(named, key=lambda feature: len(feature.phrase))
         holds = [absent.holds(parse_person(parse_reference(label).concept)) for label in problem.labels]
@@ -186,5 +186,10 @@ def test_what_a_person_lacks_is_asked_for_alone() -> None:
 
 def test_unknown_people_are_asked_for_by_an_unknown_name() -> None:
     mix = replace(PLAIN, families={"people": 1.0}, unknown_people=0.5)
-    asked = [UNKNOWN_PERSON in problem.sentence for problem in drawn(mix, 200)]
-    assert np.mean(asked) == pytest.approx(0.5, abs=0.1)
+    problems = drawn(mix, 300)
+    known = [any(name in problem.sentence for name in CAST) for problem in problems]
+    assert np.mean(known) == pytest.approx(0.5, abs=0.1)
+    strange = [p for p, cast in zip(problems, known, strict=True) if not cast]
+    listed = [any(name in problem.sentence for name in UNKNOWN_NAMES) for problem in strange]
+    assert 0.5 < np.mean(listed) < 0.9
+    assert not {*UNKNOWN_NAMES} & {*CAST}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -11,13 +12,24 @@ import pytest
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, facts, wording
 from cognitivedrone.tasks.generate import HELD_OUT, TRAIN, Draw
+from cognitivedrone.tasks.hard import KINDS
 from cognitivedrone.tasks.memory import memory_track
-from cognitivedrone.tasks.people import HELD_OUT_CAST
+from cognitivedrone.tasks.people import FEATURES, HELD_OUT_CAST
 from cognitivedrone.tasks.suites import drawn_task
-from cognitivedrone.tasks.vocabulary import HELD_OUT_FONTS, HELD_OUT_STYLES
+from cognitivedrone.tasks.symbols import logo_name
+from cognitivedrone.tasks.vocabulary import HELD_OUT_FONTS, HELD_OUT_STYLES, LETTERS, LOGOS
 from cognitivedrone.training.common.phrasing import SPOKEN
 from cognitivedrone.training.common.questions import ask, families
-from cognitivedrone.training.common.wordings import LISTS, TYPED, Heading, corpus, slots_of, wordings_of
+from cognitivedrone.training.common.wordings import (
+    COLORED,
+    LISTS,
+    SHOWN,
+    TYPED,
+    Heading,
+    corpus,
+    slots_of,
+    wordings_of,
+)
 from cognitivedrone.types import Gate
 
 LINES = [(name, head, line) for name, file in corpus().items() for head, lines in file.items() for line in lines]
@@ -26,6 +38,7 @@ LEAST = {
     "math": 150, "math_board": 200, "food": 180, "numbers_and_letters": 250, "association": 900, "conjunction": 50,
     "exclusion": 60, "relations": 150, "negation": 90, "counting": 100, "distraction": 60, "comparison": 180,
     "two_step": 70, "memory": 70, "lacking": 50, "looks": 200, "places": 300, "beside": 90, "order": 120,
+    "features": 450, "kinds": 30, "letter_names": 500, "number_names": 120, "logo_names": 250, "names": 300,
 }  # fmt: skip
 """Files of the corpus, and the least number of lines of each."""
 SLOTS = {
@@ -38,6 +51,7 @@ SLOTS = {
     "two_step less": {"n"}, "memory named": {"x"}, "memory nth": {"nth"}, "memory stage": {"n"},
     "comparison number first": {"n"}, "comparison number last": {"n"}, "look": {"x", "not1", "not2"},
     "look exclusive": {"not1", "not2"}, "look odd": {"not1"}, "look shape": {"x"},
+    "worn": {"x"}, **{f"the person with a {{color}} {worn}": {"color"} for worn in COLORED},
     "beside next": {"x"}, "beside next but not": {"x", "y"}, "beside opposite": {"x"}, "order count mid": {"x"},
     **{f"relations {side}": {"x"} for side in ("left", "right", "directly left", "directly right", "two left",
                                                "two right", "farthest")},
@@ -74,10 +88,49 @@ def test_slots_are_legal() -> None:
 def test_every_heading_extends_something() -> None:
     headings = {head for _, head, _ in LINES}
     lists = {*LISTS.values()}
-    assert {head.name for head in headings if not head.whole} <= lists | {"FRAMES"}
+    renamed = {*SHOWN, *KINDS}
+    filled = {phrases[0].format(**slots) for phrases, slots in _filled()}
+    colored = {f"the person with a {{color}} {worn}" for worn in COLORED}
+    known = lists | renamed | filled | colored | {"FRAMES", "NAMES", "worn"}
+    assert {head.name for head in headings if not head.whole} <= known
+    assert renamed <= {head.name for head in headings}
     for name in lists:
         assert wordings_of(name, whole=False), name
         assert wordings_of(name, whole=True), name
+
+
+def _filled() -> Iterator[tuple[tuple[str, ...], dict[str, str]]]:
+    """Lists of synonymous phrases, and what their slots can be filled with."""
+    yield from ((wording.ATTRIBUTES, {"x": feature.phrase}) for feature in FEATURES)
+    yield from ((wording.LETTERS, {"x": letter}) for letter in LETTERS)
+    yield from ((wording.DIGITS, {"x": str(number), "word": word}) for number, word in enumerate(wording.NUMBER_WORDS))
+    yield from ((wording.LOGOS, {"x": logo_name(logo)}) for logo in LOGOS)
+
+
+def test_a_phrase_can_have_wordings_of_its_own() -> None:
+    redhead, hat, both = (
+        TYPED.wordings(wording.ATTRIBUTES, {"x": described})
+        for described in ("red hair", "a blue hat", "glasses and a blue hat")
+    )
+    assert "the redhead" in redhead
+    assert "the {color} hat" not in hat
+    assert {"that blue hat", "the one wearing {x}"} <= {*hat}
+    assert "that blue hat" not in both
+    assert "the one wearing {x}" in both
+    for every in (redhead, hat):
+        own = [line for line in every if line not in TYPED.wordings(wording.ATTRIBUTES)]
+        assert 0.2 < len(own) / len(every) < 0.45
+    lists = _filled()
+    assert sum(len(TYPED.wordings(phrases, slots)) > len(TYPED.wordings(phrases)) for phrases, slots in lists) > 180
+
+
+def test_what_people_show_and_kinds_have_other_names() -> None:
+    texts = [drawn_task("attributes", np.random.default_rng([4, i]), "task", TYPED).instruction for i in range(600)]
+    assert any("specs" in text or "spectacles" in text for text in texts)
+    assert any("glasses" in text for text in texts)
+    assert any(re.search(r"\ba (red|blue|green|yellow|black|white) (wool|knit)", text) for text in texts)
+    texts = [drawn_task("negation", np.random.default_rng([4, i]), "task", TYPED).instruction for i in range(200)]
+    assert any("edible" in text for text in texts)
 
 
 def said(phrase: str) -> str:
@@ -143,7 +196,8 @@ def test_questions_are_asked_in_typed_words_too() -> None:
     labels = ("logo/go@color", "logo/php@color", "logo/java@color")
     texts = {ask(np.random.default_rng(i), labels, None, gates, 1, None, TYPED).text for i in range(1500)}
     assert len(texts) > 120
-    assert all("PHP" in text for text in texts)
+    known_for = wordings_of("the PHP logo", whole=False)
+    assert all("PHP" in text or any(line in text for line in known_for) for text in texts)
     assert any("Java" in text for text in texts)
     assert any(re.search(r"\bred\b|\bblue\b", text) for text in texts)
     assert families(labels, None, gates, 1) == ("logos",)

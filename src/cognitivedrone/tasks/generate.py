@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
@@ -21,6 +22,10 @@ T = TypeVar("T")
 def held_out_pair(a: int, b: int) -> bool:
     """Whether two operands are held out for `unseen`: about one pair in seven, in either order."""
     return (3 * min(a, b) + 5 * max(a, b)) % 7 == 2
+
+
+NO_SLOTS: Mapping[str, str] = MappingProxyType({})
+"""For phrases that are asked for without filling them."""
 
 
 class Scene(NamedTuple):
@@ -45,8 +50,8 @@ class Pools:
     cast: tuple[str, ...]
     """Names that the instruction may ask for."""
 
-    def wordings(self, phrases: Sequence[str]) -> Sequence[str]:
-        """The allowed ones of synonymous phrases: the last one is held out."""
+    def wordings(self, phrases: Sequence[str], slots: Mapping[str, str] = NO_SLOTS) -> Sequence[str]:  # noqa: ARG002
+        """The allowed ones of synonymous phrases, to be filled with `slots`: the last one is held out."""
         return phrases[-1:] if self.held_out else phrases[:-1]
 
     def pair_allowed(self, a: int, b: int) -> bool:
@@ -156,7 +161,7 @@ class Draw:
 
     def noun(self, phrases: Sequence[str], **words: str) -> str:
         """One of several synonymous noun phrases, filled in."""
-        return self.pick(self.pools.wordings(phrases)).format(**words)
+        return self.pick(self.pools.wordings(phrases, words)).format(**words)
 
     def glyph(self, kind: str, concept: str | int) -> Panel:
         """A letter, a number or a sum in a random allowed font."""

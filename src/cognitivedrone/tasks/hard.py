@@ -85,7 +85,7 @@ def relations(draw: Draw) -> Puzzle:
     return Puzzle(sentence, (a, b, c))
 
 
-_KINDS = ("an animal", "a letter", "a number", "something to eat", "a musical instrument")
+KINDS = ("an animal", "a letter", "a number", "something to eat", "a musical instrument")
 
 
 def _member(draw: Draw, kind: str) -> Panel:
@@ -103,7 +103,7 @@ def _member(draw: Draw, kind: str) -> Panel:
 
 def negation(draw: Draw) -> Puzzle:
     """Negation: neither of two kinds, or not of the kind of both others."""
-    right, first, second = draw.sample(_KINDS, 3)
+    right, first, second = draw.sample(KINDS, 3)
     if draw.chance(0.5):
         sentence = draw.say(
             "negation neither",

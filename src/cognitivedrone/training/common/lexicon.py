@@ -13,7 +13,6 @@ from cognitivedrone.models.word_vectors import SIZE, word_vectors
 from cognitivedrone.tasks.directives import write_directive
 from cognitivedrone.tasks.racing import INSTRUCTIONS
 from cognitivedrone.training.common.problems import Mix, Problems
-from cognitivedrone.training.common.unknown_people import UNKNOWN_PERSON
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 
 SENTENCES = 30_000
@@ -23,12 +22,11 @@ _SEED = 10**6 + 1
 
 def training_lexicon(mix: Mix, more: tuple[str, ...] = ()) -> Lexicon:
     """The words of problems, directives and races, and of the sentences `more`."""
-    # A typing error is no word: it is to be understood by its spelling.
-    rng, problems = np.random.default_rng((0, _SEED)), Problems(replace(mix, slips=0.0))
+    # A typing error is no word, and the name of somebody unknown none that could be known.
+    rng, problems = np.random.default_rng((0, _SEED)), Problems(replace(mix, slips=0.0, unknown_people=0.0))
     sentences = [problem.sentence for _ in range(SENTENCES) for problem in problems.draw(rng)]
     plain = [write_directive(Gate(size, shape, color)) for size in SIZES for shape in SHAPES for color in COLORS]
-    known = [sentence.replace(UNKNOWN_PERSON, "") for sentence in (*sentences, *plain, *INSTRUCTIONS, *more)]
-    return Lexicon.of(known, word_vectors().words)
+    return Lexicon.of((*sentences, *plain, *INSTRUCTIONS, *more), word_vectors().words)
 
 
 def with_vectors(embedding: WordEmbedding, lexicon: Lexicon) -> None:

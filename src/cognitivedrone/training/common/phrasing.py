@@ -6,10 +6,10 @@ is among them, neither whole nor in part.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
-from cognitivedrone.tasks.generate import TRAIN, Pools
+from cognitivedrone.tasks.generate import NO_SLOTS, TRAIN, Pools
 
 MORE_FRAMES: tuple[str, ...] = (
     "Pass through the gate with {x}",
@@ -245,7 +245,7 @@ MORE: dict[str, tuple[str, ...]] = {
 class Spoken(Pools):
     """The training ingredients with additional wordings."""
 
-    def wordings(self, phrases: Sequence[str]) -> Sequence[str]:
+    def wordings(self, phrases: Sequence[str], slots: Mapping[str, str] = NO_SLOTS) -> Sequence[str]:  # noqa: ARG002
         """The training phrases among synonymous ones, and additional ones."""
         return (*TRAIN.wordings(phrases), *MORE.get(phrases[0], ()))
 

@@ -7,7 +7,12 @@ lines below it extend:
     [ANIMALS: sentences]   whole sentences for the same list
     [the animal that barks: sentences]   the same for a fact, by its first phrase
     [relations left: sentences]          whole sentences for a name that a family passes to `Draw.say`
+    [the letter B]         the same for a phrase whose slots are filled in; {color} stands for any colour
+    [worn]                 noun phrases for a person, where {x} can be worn
+    [beanie]               other names of what people show; they take its place in sentences about people
+    [an animal]            other names of the kinds of pictures; they take its place in other sentences
     [FRAMES]               sentence frames, with {x} for the noun phrase
+    [NAMES]                names of people that nobody in the training pictures has
 
 Slots are those of the list or family ({x}, {a}, {word}, ...). In addition `{other}` is the name of what another panel
 shows, and `{gate}` the look of another gate, as in "not the {other}, I meant the {x}".
@@ -30,7 +35,9 @@ from cognitivedrone.reasoners.calculator import calculate, evaluate
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks import symbols, wording
 from cognitivedrone.tasks.facts import FACTS
-from cognitivedrone.tasks.generate import TRAIN, Pools, Scene, words
+from cognitivedrone.tasks.generate import NO_SLOTS, TRAIN, Pools, Scene, words
+from cognitivedrone.tasks.hard import KINDS
+from cognitivedrone.tasks.people import FEATURES
 from cognitivedrone.training.common.phrasing import SPOKEN
 from cognitivedrone.training.common.sums import in_words, said
 from cognitivedrone.types import Gate
@@ -41,6 +48,10 @@ _SENTENCES = ": sentences"
 _SUM = re.compile(r"[(\d][\d()+*-]*[+*-][\d()+*-]*[)\d]")
 _SPOKEN_SUMS, _OTHER_SUMS = 0.6, 0.35
 """Share of sums said in words, and share of these that are said as another phrase of the same value."""
+_OWN = 0.35
+"""Share of the wordings of one phrase alone, "the redhead", where there are such."""
+_RENAMED = 0.5
+"""Share of what people show that is called by another name."""
 
 
 class Heading(NamedTuple):
@@ -105,6 +116,21 @@ def _later(text: str) -> str:
     return text.replace("{other}", "{{other}}").replace("{gate}", "{{gate}}")
 
 
+_COLOR = re.compile(r"\b(?:red|blue|green|yellow|black|white|gray|pink)\b")
+COLORED = ("hat", "beanie", "turban", "headscarf", "hoodie", "T-shirt")
+_WORN = (*COLORED, "a blazer", "overalls", "round glasses", "sunglasses", "glasses", "an eyepatch")
+SHOWN = (*_WORN, *(feature.phrase for feature in FEATURES if not feature.phrase.endswith((*COLORED, *_WORN))))
+"""What people show, without the colour of clothes."""
+
+
+def _any_of(names: Sequence[str]) -> re.Pattern[str]:
+    return re.compile(rf"(?<![\w-])(?:{'|'.join(map(re.escape, names))})(?![\w-])")
+
+
+_ANY_SHOWN, _ANY_KIND = _any_of(SHOWN), _any_of(KINDS)
+_ALL_WORN = re.compile(rf"(?:(?:, | and )?(?:a )?(?:{_COLOR.pattern} )?(?:{'|'.join(map(re.escape, _WORN))}))+")
+
+
 @functools.cache
 def _typed(first: str) -> tuple[str, ...]:
     name = LISTS.get(first, first)
@@ -112,13 +138,47 @@ def _typed(first: str) -> tuple[str, ...]:
     return (*map(_later, wordings_of(name, whole=False)), *whole)
 
 
+@functools.lru_cache(maxsize=4096)
+def _phrases(phrases: tuple[str, ...], slots: tuple[tuple[str, str], ...]) -> tuple[str, ...]:
+    """All wordings of synonymous phrases; those for the filled slots alone often enough to be a share of `_OWN`."""
+    every = (*SPOKEN.wordings(phrases), *_typed(phrases[0]))
+    own = _own(phrases[0], dict(slots)) if slots else ()
+    return every + own * round(len(every) * _OWN / (1 - _OWN) / len(own)) if own else every
+
+
+def _own(phrase: str, slots: dict[str, str]) -> tuple[str, ...]:
+    """The wordings of a phrase with these slots, such as "the person with a red hat"."""
+    asked = phrase.format(**slots)
+    lines = _typed(asked)
+    if phrase != wording.ATTRIBUTES[0]:
+        return lines
+    if found := _COLOR.search(asked):
+        colored = _typed(asked[: found.start()] + "{color}" + asked[found.end() :])
+        lines += tuple(line.replace("{color}", found[0]) for line in colored)
+    return lines + _typed("worn") if _ALL_WORN.fullmatch(slots["x"]) else lines
+
+
+def _shows_person(scene: Scene) -> bool:
+    return scene.labels[scene.target].startswith("person/")
+
+
+def _renamed(rng: np.random.Generator, sentence: str, named: re.Pattern[str]) -> str:
+    """The sentence with other names for what is `named`: "a woolly hat" for "a beanie"."""
+
+    def other(found: re.Match[str]) -> str:
+        names = wordings_of(found[0], whole=False)
+        return names[int(rng.integers(len(names)))] if names and rng.random() < _RENAMED else found[0]
+
+    return named.sub(other, sentence)
+
+
 @dataclass(frozen=True, slots=True)
 class Typed(Pools):
     """The training ingredients in wordings as people type them, in addition to those of `SPOKEN`."""
 
-    def wordings(self, phrases: Sequence[str]) -> Sequence[str]:
-        """The phrases of `SPOKEN` among synonymous ones, and those of the corpus."""
-        return (*SPOKEN.wordings(phrases), *_typed(phrases[0]))
+    def wordings(self, phrases: Sequence[str], slots: Mapping[str, str] = NO_SLOTS) -> Sequence[str]:
+        """The phrases of `SPOKEN` among synonymous ones, those of the corpus, and those for the filled slots."""
+        return _phrases(tuple(phrases), tuple(slots.items()))
 
     def sentences(self, name: str, given: Sequence[str]) -> Sequence[str]:
         """The given sentences, and those of the corpus."""
@@ -131,6 +191,7 @@ class Typed(Pools):
     def completed(self, rng: np.random.Generator, sentence: str, scene: Scene) -> str:
         """The sentence with `{other}` and `{gate}` filled in, and sums often in words."""
         sentence = _spoken_sum(rng, sentence, scene.labels[scene.target])
+        sentence = _renamed(rng, sentence, _ANY_SHOWN if _shows_person(scene) else _ANY_KIND)
         if "{" not in sentence:
             return sentence
         others = [index for index in range(3) if index != scene.target]

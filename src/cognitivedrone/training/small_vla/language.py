@@ -54,9 +54,10 @@ class LanguageRecipe(Recipe):
         return LanguageTraining(self, origin, known.taught(new.words[2 : new.trained]))
 
 
-_MIX = TextMix(problems=Mix(families=ALONE | {"exclusion": 0.3}, lacking=0.4))
-LANGUAGE = LanguageRecipe(name="language", steps=4_000, learning_rate=1e-3, decay_share=0.5, mix=_MIX)
-"""More of what is learnt late: two features, of which one must be absent."""
+_FAMILIES = ALONE | {"exclusion": 0.2, "attributes": 0.16, "letters": 0.04, "digits": 0.04, "logos": 0.05}
+_MIX = TextMix(problems=Mix(families=_FAMILIES, lacking=0.4))
+LANGUAGE = LanguageRecipe(name="language", steps=8_000, learning_rate=1e-3, decay_share=0.5, mix=_MIX)
+"""More of what is learnt late: two features, of which one must be absent, and what has many names."""
 
 
 @dataclass(frozen=True)
