@@ -11,6 +11,7 @@ from cognitivedrone.training.common.sampling import StreamRecipe
 from cognitivedrone.training.common.training_task import Recipe
 from cognitivedrone.training.reasoner.reader import READER
 from cognitivedrone.training.reasoner.selector import SELECTOR
+from cognitivedrone.training.small_vla.flight import FLIGHT
 from cognitivedrone.training.small_vla.language import LANGUAGE
 from cognitivedrone.training.small_vla.policy import TrainRecipe
 from cognitivedrone.training.teach.training import TEACH
@@ -72,12 +73,13 @@ training path in seconds, for tests. `ablation-*`: a ninth of `small`, all but t
 ALL_RECIPES: dict[str, Recipe] = {
     **RECIPES,
     "language": LANGUAGE,
+    "flight": FLIGHT,
     "selector": SELECTOR,
     "reader": READER,
     "teach": TEACH,
 }
-"""`reader`: reads panels, the first part of a pilot. `language`: teaches a trained policy more language. `selector`:
-the reasoner's choice. `teach`: teaches a trained pilot a user's pictures and words."""
+"""`reader`: reads panels, the first part of a pilot. `language`: teaches a trained policy more language. `flight`:
+more flying. `selector`: the reasoner's choice. `teach`: teaches a trained pilot a user's pictures and words."""
 FORMER_RECIPES = {"mind": "selector"}
 
 

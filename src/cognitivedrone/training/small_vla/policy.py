@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import torch
 from torch import nn
@@ -110,7 +110,7 @@ class PolicyTraining:
         """A batched policy, if flights are made and the recipe lets the network fly some."""
         return self._pilot(network) if self.data is None and self.recipe.stream.learner > 0 else None
 
-    def share(self, processes: int) -> PolicyTraining:
+    def share(self, processes: int) -> Self:
         """Processes share frames and sentences."""
         stream = self.recipe.stream
         if stream.batch % processes:
