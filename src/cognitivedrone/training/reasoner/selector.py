@@ -27,7 +27,7 @@ from cognitivedrone.reasoners.small import value_index
 from cognitivedrone.training.common.attributes import AttributeIndex
 from cognitivedrone.training.common.calibration import calibration_crops, temperature_of
 from cognitivedrone.training.common.lexicon import training_lexicon, with_vectors
-from cognitivedrone.training.common.problems import NAMES, Mix, Problem, Problems
+from cognitivedrone.training.common.problems import NAMES, SHARES, Mix, Problem, Problems
 from cognitivedrone.training.common.readings import Readings, readings_of
 from cognitivedrone.training.common.sampling import Batch, token_noise
 from cognitivedrone.training.common.start import Start, read_start
@@ -46,8 +46,8 @@ class SelectorRecipe(Recipe):
     batch: int = 256
     """Tasks; processes share them."""
     validation_tasks: int = 3000
-    mix: Mix = field(default_factory=lambda: Mix(earlier=0.3))
-    earlier_from: int = 2_500
+    mix: Mix = field(default_factory=lambda: Mix(families=SHARES | {"memory": 0.6}, earlier=0.15))
+    earlier_from: int = 4_000
     """First step with earlier stages: from the start, they would teach to ignore the memory before it is understood."""
     doubt: float = 0.5
     """Share of attributes that are read with the reader's own doubts."""
@@ -315,4 +315,4 @@ class SelectorTraining:
         return Encoder(self.recipe, self.lexicon, readings_of(self.start, index))
 
 
-SELECTOR = SelectorRecipe(name="selector", steps=6_000, learning_rate=1e-3, warmup_steps=300)
+SELECTOR = SelectorRecipe(name="selector", steps=7_000, learning_rate=1e-3, warmup_steps=300)
