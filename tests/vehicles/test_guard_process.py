@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -28,6 +29,7 @@ from pymavlink import mavutil
 from cognitivedrone.control.safety import SafetyConfig, Timeouts
 from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
+from cognitivedrone.vehicles.mavlink.client.preflight import FRESH_S
 from cognitivedrone.vehicles.mavlink.client.transport import LARGEST_BACKLOG, open_transport
 from cognitivedrone.vehicles.mavlink.guard import process
 from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
@@ -94,6 +96,7 @@ import numpy as np
 from peer import StillCamera
 from cognitivedrone.control.safety import SafetyConfig
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
+from cognitivedrone.vehicles.mavlink.client.preflight import FRESH_S
 from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
 safety, config = SafetyConfig(land_after_brake_s=0.2), MavlinkConfig(takeoff_timeout_s=20)
 drone = GuardedDrone("udpout:127.0.0.1:{port}", StillCamera(), safety, config)
@@ -161,6 +164,16 @@ def test_a_flight_from_arming_to_landing(tmp_path):
         assert abs(message._timestamp - time.time()) < 60
     reader.close()
     assert {(1, "ATTITUDE"), (255, "SET_POSITION_TARGET_LOCAL_NED"), (255, "COMMAND_LONG"), (1, "COMMAND_ACK")} <= kinds
+
+
+def test_the_camera_is_as_fresh_when_the_vehicle_needs_long_to_be_ready():
+    with playing(prearm=False) as peer, connected(peer, config=replace(FAST, ready_timeout_s=20)) as drone:
+        timer = threading.Timer(2 * FRESH_S, setattr, (peer.part, "prearm", True))
+        timer.start()
+        lists: list[str] = []
+        drone.take_off(lambda checklist: lists.append(str(checklist)) or True)  # type: ignore[func-returns-value]
+        timer.join()
+    assert re.search(r"\[ ok \] camera +newest frame is 0\.\d s old", lists[0]), lists[0]
 
 
 def test_what_is_not_fit_to_fly_is_said_as_it_is_in_this_process():

@@ -291,7 +291,7 @@ class GuardedDrone:
                 # A reply arrives before the snapshot that shows the same.
                 self._wait(lambda: (kind != "flying" or self._snapshot.phase != "climbing") or None, START_S)
                 return reply
-            if kind == "flying":
+            if kind in ("checklist", "flying"):  # a vehicle may take minutes until it is ready
                 self._tell_of_the_camera()
         raise LinkError(f"the guard process has not answered in {timeout_s:g} s")
 
