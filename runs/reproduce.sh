@@ -51,10 +51,11 @@ measure() { # NAME SCRIPT OPTIONS...
   "$python" "$here/benchmarks/$script.py" "$@" --out "$results/$name.json"
 }
 
-# The pilot: reading panels, flying, language, the reasoner's choice; and the racing baseline without language.
+# The pilot: reading panels, flying, language, flying anywhere, the reasoner's choice; and the baseline without language.
 train reader reader
 train small small --start "$out/reader/reader.safetensors"
 train language language --start "$out/small/checkpoint.safetensors"
+train flight flight --start "$out/language/checkpoint.safetensors"
 train selector selector --start "$out/language/checkpoint.safetensors"
 train race race
 
@@ -64,7 +65,7 @@ for flights in "${sets[@]}"; do
   train "recorded_$flights" small --start "$out/reader/reader.safetensors" --data "$out/flights-$flights"
 done
 
-policy=small:$out/language/model.onnx
+policy=small:$out/flight/model.onnx
 reasoner=small:$out/selector
 race=race:$out/race/model.onnx
 
@@ -99,7 +100,7 @@ if [[ $everything ]]; then
   cognitivedrone sweep --policy "$policy" --reasoner "$reasoner" --suite open-v1:hard --out "$out/scores/r1_latency"
 fi
 
-# results/recorded_N.json, and results/stream.json to compare with: the same recipe, before the recipe `language`.
+# results/recorded_N.json, and results/stream.json to compare with: the same recipe, before the recipes `language` and `flight`.
 bench stream open-v1:test --policy "small:$out/small/model.onnx"
 for flights in "${sets[@]}"; do
   bench "recorded_$flights" open-v1:test --policy "small:$out/recorded_$flights/model.onnx"
@@ -126,7 +127,7 @@ if [[ $everything ]]; then
   measure rendering rendering
   measure start_up start_up
   measure collection collection 300
-  measure inference inference "$out/language/model.onnx"
+  measure inference inference "$out/flight/model.onnx"
   measure real_time real_time --policy "$policy" --reasoner "$reasoner" --seconds 60
   pilot=(--policy "$policy" --reasoner "$reasoner" --episodes 60)
   measure holding_test holding "${pilot[@]}"
