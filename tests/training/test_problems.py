@@ -10,8 +10,9 @@ import pytest
 
 from cognitivedrone.models.gate_selector import STAGES
 from cognitivedrone.references import parse_reference
-from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES
+from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, load_suite
 from cognitivedrone.tasks.people import CAST, FEATURES, parse_person
+from cognitivedrone.training.common import held_out
 from cognitivedrone.training.common.attributes import AttributeIndex
 from cognitivedrone.training.common.fact_questions import FACTS
 from cognitivedrone.training.common.places import PLACE_FAMILIES
@@ -193,3 +194,20 @@ def test_unknown_people_are_asked_for_by_an_unknown_name() -> None:
     listed = [any(name in problem.sentence for name in UNKNOWN_NAMES) for problem in strange]
     assert 0.5 < np.mean(listed) < 0.9
     assert not {*UNKNOWN_NAMES} & {*CAST}
+
+
+def test_what_is_held_out_is_drawn_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = [problem.sentence for problem in drawn(PLAIN, 300)]
+    kept = frozenset(held_out.plain(sentence) for sentence in before[:200])
+    monkeypatch.setattr(held_out, "held_out_sentences", lambda: kept)
+    after = [problem.sentence for problem in drawn(PLAIN, 300)]
+    assert not kept & {held_out.plain(sentence) for sentence in after}
+
+
+def test_the_sentences_of_the_typed_suite_are_held_out() -> None:
+    sentences = [task.instruction for track in load_suite("open-v2:words").tracks for task in track]
+    assert len(sentences) == 300
+    assert all(
+        held_out.is_held_out(variant) for text in sentences for variant in (text, text.upper() + "!", f"{text}.")
+    )
+    assert not held_out.is_held_out("Fly through the small red round gate")

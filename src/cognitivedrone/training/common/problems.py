@@ -20,6 +20,7 @@ from cognitivedrone.tasks.memory import memory_track
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.training.common.fact_questions import FACTS, FactQuestions
+from cognitivedrone.training.common.held_out import is_held_out
 from cognitivedrone.training.common.lacking import lacking
 from cognitivedrone.training.common.places import PLACE_FAMILIES, ask_place
 from cognitivedrone.training.common.questions import ask
@@ -101,10 +102,10 @@ class Problems:
         self._past: deque[tuple[tuple[str, ...], int]] = deque(maxlen=STAGES - 1)
 
     def draw(self, rng: np.random.Generator) -> list[Problem]:
-        """One problem, or all problems of a memory track."""
-        problems = self._draw(rng)
-        if rng.random() < self.mix.slips:
-            problems = [replace(problem, sentence=typed(problem.sentence, rng)) for problem in problems]
+        """One problem, or all problems of a memory track; never with a sentence that is held out."""
+        problems = self._worded(rng)
+        while any(is_held_out(problem.sentence) for problem in problems):
+            problems = self._worded(rng)
         if problems[0].family == "memory":
             return problems
         problem = self._varied(rng, problems[0])
@@ -113,6 +114,12 @@ class Problems:
         if problem.target != ABSENT:
             self._past.append((problem.labels, problem.target))
         return [problem]
+
+    def _worded(self, rng: np.random.Generator) -> list[Problem]:
+        problems = self._draw(rng)
+        if rng.random() < self.mix.slips:
+            problems = [replace(problem, sentence=typed(problem.sentence, rng)) for problem in problems]
+        return problems
 
     def _draw(self, rng: np.random.Generator) -> list[Problem]:
         pools = TYPED if rng.random() < self.mix.typed else TRAIN

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from cognitivedrone.models.text import TOKEN, Lexicon
 from cognitivedrone.policies.expert import ExpertConfig
+from cognitivedrone.tasks.directives import write_directive
 from cognitivedrone.tasks.generate import TRAIN, Pools
 from cognitivedrone.training.common.attributes import AttributeIndex, gate_looks
 from cognitivedrone.training.common.ground_truth import Poses, Truths, truths
+from cognitivedrone.training.common.held_out import is_held_out
 from cognitivedrone.training.common.problems import ABSENT, ALONE, Mix, Problem, Problems
 from cognitivedrone.training.common.questions import ask, families
 from cognitivedrone.training.common.readings import Readings, readings_of
@@ -188,7 +190,7 @@ class Sampler:
             if family == "math_board" and not known.legible[row, 3] and target != each.flown:
                 # The answer is unknowable: ask for something visible.
                 text = ask(rng, each.stage.labels, None, task.gates, target, None, pools).text
-            yield text, target
+            yield write_directive(task.gates[target]) if is_held_out(text) else text, target
 
     def _pools(self, rng: np.random.Generator) -> Pools:
         """The ingredients of the next sentence; a recipe with a share of zero draws nothing for it."""
