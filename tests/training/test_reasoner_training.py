@@ -231,13 +231,12 @@ def test_a_look_is_one_of_each() -> None:
 
 
 def test_earlier_stages_that_say_nothing_come_later_in_the_training(training_task: SelectorTraining) -> None:
-    recipe = replace(training_task.recipe, batch=256, round_steps=10, earlier_from=20)
+    recipe = replace(training_task.recipe, batch=512, round_steps=10, earlier_from=20)
     made = replace(training_task, recipe=recipe).batches()
     first, last, after = (next(made((0, 0, round_))) for round_ in (0, 1, 2))
     on_tracks = [float((batch["stages"][:, 0, 0] >= 0).mean()) for batch in (first, last, after)]
-    assert on_tracks[0] < 0.15
-    assert on_tracks[1] < 0.15
-    assert on_tracks[2] > 0.25
+    assert max(on_tracks[:2]) < 0.2
+    assert on_tracks[2] > 1.5 * max(on_tracks[:2])
 
 
 @pytest.mark.parametrize("family", ["letters", "exclusion", "absent"])
