@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import socket
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,6 +25,7 @@ from peer import CALM, MODES, PARAMETERS, Peer, StillCamera, playing
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 from cognitivedrone.control.safety import Guard, SafetyConfig, Timeouts
+from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.camera import Camera, ChangingCamera, Shot
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
@@ -140,6 +142,22 @@ def test_a_fault_of_the_vehicle_lands(fault, rules, words, within_s):
         until(drone, lambda: flies(drone), 1.0)
         fault(peer)
         lands(peer, drone, words, within_s)
+
+
+def test_a_vehicle_that_has_not_answered_yet_is_given_time():
+    with playing(quiet=frozenset({"TIMESYNC"})) as peer:
+        answering = threading.Timer(0.4, change(quiet=frozenset()), (peer,))
+        answering.start()
+        with flying(peer, watching()) as drone:
+            until(drone, lambda: flies(drone), 1.0)
+        answering.join()
+
+
+def test_a_vehicle_that_never_answers_is_not_flown():
+    with playing(quiet=frozenset({"TIMESYNC"})) as peer:
+        with pytest.raises(LinkError, match=r"\[bad \] answers +never"), flying(peer, watching()):
+            pytest.fail("it took off")
+        assert not peer.part.armed
 
 
 class StoppingCamera:

@@ -29,7 +29,7 @@ from cognitivedrone.vehicles.mavlink.client.guard import Decision, Guard
 from cognitivedrone.vehicles.mavlink.client.handshake import HOME_POSITION, MavlinkConfig, Met, meet
 from cognitivedrone.vehicles.mavlink.client.health import OWN_TARGETS_S, Asked, Baseline, health_of
 from cognitivedrone.vehicles.mavlink.client.parameters import ParameterChanges, journal_of
-from cognitivedrone.vehicles.mavlink.client.preflight import Checklist, Facts, build_checklist, corrections
+from cognitivedrone.vehicles.mavlink.client.preflight import FRESH_S, Checklist, Facts, build_checklist, corrections
 from cognitivedrone.vehicles.mavlink.client.setpoints import SETPOINT_S, STREAM_FIRST_S, climb, fields_of
 from cognitivedrone.vehicles.mavlink.client.transport import open_transport
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, last_words
@@ -132,6 +132,8 @@ class FlightCore:
         self._changes.make(self.link, values, changed)
         values |= changed
         self._guided_timeout_s = values[autopilot.timeout]
+        # One that was heard only just now may not have been asked yet: give it as long as an answer may take.
+        self.link.until(lambda: self.link.traffic.answered_at > -math.inf, FRESH_S)
         return build_checklist(
             Facts(
                 now=monotonic(),
