@@ -1,5 +1,6 @@
 # make bench         environment, install, the smoke suite, table and HTML report
 # make test          environment, all checks, all tests
+# make test-smoke    runs/smoke.sh: every step of runs/reproduce.sh in tiny sizes (needs PyTorch: make test TORCH=1)
 # make docs          the documentation as a site: build/site/index.html
 # make test-wheel    the built wheel in a fresh environment of PYTHON=python3.13: smoke suite, fast tests
 # make test-sdist    the same from the source archive
@@ -7,7 +8,7 @@
 PYTHON ?= python3
 RUN := .venv/bin
 
-.PHONY: bench test check docs format test-wheel test-sdist test-lowest
+.PHONY: bench test test-smoke check docs format test-wheel test-sdist test-lowest
 
 bench:
 	@$(PYTHON) scripts/setup.py
@@ -23,6 +24,9 @@ check:
 
 test: check
 	$(RUN)/pytest -n 2 --dist worksteal
+
+test-smoke:
+	SMOKE=1 $(RUN)/pytest tests/scripts/test_smoke.py
 
 docs:
 	@$(PYTHON) scripts/setup.py docs

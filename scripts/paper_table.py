@@ -22,8 +22,8 @@ from cognitivedrone.files import digest_of_file
 from cognitivedrone.types import CATEGORIES
 
 WEIGHTS = (
-    "reader/reader.safetensors", "small/model.onnx", "language/model.onnx", "selector/panel_reader.onnx",
-    "selector/gate_selector.onnx", "race/model.onnx",
+    "reader/reader.safetensors", "small/model.onnx", "language/model.onnx", "flight/model.onnx",
+    "selector/panel_reader.onnx", "selector/gate_selector.onnx", "race/model.onnx",
 )  # fmt: skip
 WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 720, 330, 50, 40, 60
 COLORS = {"CognitiveDrone-R1": "#3b5bdb", "CognitiveDrone": "#7f96ec", "RaceVLA": "#b9bfcd"}
