@@ -124,6 +124,7 @@ def write_onnx(network: nn.Module, example: Mapping[str, Tensor], outputs: Seque
             optimize=False,  # keeps every weight under its own name, so that a training can start from the file
         )
     model = onnx.load(str(path))
+    cast_to_known_types(model)
     _halve(model)
     _forget_the_making(model)
     onnx.save(model, str(path))
@@ -149,6 +150,23 @@ def action_statistics(network: SmallVLA, stream: StreamRecipe, data: Path | None
         q01=four(np.quantile(actions, 0.01, axis=0)),
         q99=four(np.quantile(actions, 0.99, axis=0)),
     )
+
+
+def cast_to_known_types(model: Any) -> None:
+    """Replace casts to the type of another tensor by casts to that type.
+
+    The exporter makes the absent biases of convolutions as zeros of the input's type. As long as that depends on a
+    frame, the runtime cannot fold them, and neither merges convolutions with normalisations nor uses its fast layout.
+    """
+    graph = model.graph
+    values = [*onnx.shape_inference.infer_shapes(model).graph.value_info, *graph.input]
+    types = {value.name: value.type.tensor_type.elem_type for value in values}
+    types |= {tensor.name: tensor.data_type for tensor in graph.initializer}
+    for node in graph.node:
+        if node.op_type == "CastLike":
+            node.op_type = "Cast"
+            node.attribute.append(onnx.helper.make_attribute("to", types[node.input[1]]))
+            del node.input[1:]
 
 
 def _halve(model: Any) -> None:
