@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -78,6 +80,18 @@ def test_large_weights_are_stored_in_half_precision(exported):
     assert words.data_type == onnx.TensorProto.INT8  # as they come with the package
     full = 4 * sum(parameter.numel() for parameter in network.parameters())
     assert path.stat().st_size < 0.75 * full + network.config.words.words * (64 + 12) + 200_000
+
+
+def test_the_runtime_merges_every_normalisation_with_its_convolution(exported, tmp_path):
+    _, path, _ = exported
+    assert "BatchNormalization" in {node.op_type for node in onnx.load(str(path)).graph.node}
+    runtime: Any = import_module("onnxruntime")
+    options = runtime.SessionOptions()
+    options.optimized_model_filepath = str(tmp_path / "optimised.onnx")
+    options.graph_optimization_level = runtime.GraphOptimizationLevel.ORT_ENABLE_EXTENDED
+    runtime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    optimised = onnx.load(options.optimized_model_filepath)
+    assert not {"BatchNormalization", "CastLike"} & {node.op_type for node in optimised.graph.node}
 
 
 def test_the_file_names_no_source_file(exported):
