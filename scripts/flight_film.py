@@ -11,15 +11,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import tyro
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.episode import PilotRunner
-from cognitivedrone.benchmark.film import compose
+from cognitivedrone.benchmark.film import WIDTH, compose
 from cognitivedrone.benchmark.job import prepare
+from cognitivedrone.envs.captions import font
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "flight.webp"
+ASKED_PX = 40
+"""Height of the line with the instruction."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ def main(config: Config) -> None:
     runner.close()
     track = job.suite.tracks[config.episode]
     shown = [frame for frame in flown.film or () if frame.stage < config.stages][:: config.every]
-    pictures = [Image.fromarray(compose(frame, len(track))) for frame in shown]
+    pictures = [under(track[frame.stage].instruction, compose(frame, len(track))) for frame in shown]
     height = round(pictures[0].height * config.width / pictures[0].width)
     first, *others = [picture.resize((config.width, height), Image.Resampling.LANCZOS) for picture in pictures]
     first.save(
@@ -62,6 +66,14 @@ def main(config: Config) -> None:
     print(f"{config.out}: {len(pictures)} frames, {config.out.stat().st_size / 1e6:.2f} MB")
     for task, stage in zip(track, flown.result.stages, strict=True):
         print(f"{task.instruction}: {stage.outcome}")
+
+
+def under(instruction: str, frame: np.ndarray) -> Image.Image:
+    """A frame of the film with what was asked for above it."""
+    picture = Image.new("RGB", (WIDTH, frame.shape[0] + ASKED_PX), "white")
+    picture.paste(Image.fromarray(frame), (0, ASKED_PX))
+    ImageDraw.Draw(picture).text((14, ASKED_PX / 2), instruction, (18, 21, 32), font(17), anchor="lm")
+    return picture
 
 
 if __name__ == "__main__":

@@ -15,8 +15,8 @@ def test_the_small_reasoner_knows_the_gate_from_the_first_frame(tmp_path):
 
 
 def test_policy_and_reasoner_fly_what_the_policy_alone_does_not_understand(tmp_path):
-    hard = Plan.of(policy="small", reasoner="small", suite="open-v1:hard", episodes=10, out=tmp_path / "r1", clips=0)
-    assert run(hard, progress=False).summary().overall.rate >= 0.8
+    hard = Plan.of(policy="small", reasoner="small", suite="open-v1:hard", episodes=20, out=tmp_path / "r1", clips=0)
+    assert run(hard, progress=False).summary().overall.rate >= 0.75
 
 
 def test_the_racer_races(tmp_path):
