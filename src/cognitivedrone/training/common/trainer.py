@@ -22,6 +22,7 @@ from cognitivedrone.errors import TrainingError
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.terminal import console
 from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint
+from cognitivedrone.training.common.precision import precision
 from cognitivedrone.training.common.prefetch import PrefetchQueue, learner_path
 from cognitivedrone.training.common.run_log import RunLog
 from cognitivedrone.training.common.sampling import Batch
@@ -59,7 +60,7 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
     the same machine as an uninterrupted one. Raises `TrainingError`.
     """
     torch.set_num_threads(config.threads)
-    accelerator = Accelerator(mixed_precision="bf16", cpu=not torch.cuda.is_available())
+    accelerator = Accelerator(mixed_precision=precision(), cpu=not torch.cuda.is_available())
     training_task, out = config.training_task, config.out
     schedule = training_task.recipe
     torch.manual_seed(config.seed)

@@ -1,0 +1,30 @@
+"""The number format of a training's networks: bfloat16 where the hardware multiplies it, float32 elsewhere."""
+
+from __future__ import annotations
+
+import functools
+import re
+from pathlib import Path
+from typing import Final, Literal
+
+import torch
+
+Precision = Literal["bf16", "no"]
+"""As Accelerate names it: mixed precision with bfloat16, or none."""
+_PROCESSOR: Final = Path("/proc/cpuinfo")
+
+
+@functools.cache
+def precision() -> Precision:
+    """Of this machine. Processors without bfloat16 only emulate it, several times slower than float32."""
+    return "bf16" if torch.cuda.is_available() or multiplies_bf16(_PROCESSOR) else "no"
+
+
+def multiplies_bf16(processor: Path) -> bool:
+    """Whether Linux lists bfloat16 among a processor's instructions: avx512_bf16 or amx_bf16 (x86), bf16 (Arm)."""
+    try:
+        text = processor.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return False
+    flags = " ".join(re.findall(r"^(?:flags|Features)\s*:(.*)$", text, flags=re.MULTILINE))
+    return any(flag.endswith("bf16") for flag in flags.split())
