@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import shlex
 import sys
@@ -10,12 +11,17 @@ from importlib import metadata
 import pytest
 from packaging.requirements import Requirement
 
-from cognitivedrone.errors import MissingExtra, import_extra, install_command
+from cognitivedrone.errors import MissingExtra, ReasonerError, import_extra, install_command
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 EDITABLE = {"url": "file:///home/me/my%20drones", "dir_info": {"editable": True}}
 WHEEL = {"url": "file:///tmp/cognitivedrone-0.1-py3-none-any.whl", "archive_info": {}}
 REPOSITORY = {"url": "https://example.org/drone.git", "vcs_info": {"vcs": "git", "commit_id": COMMIT}}
+
+
+def test_a_reasoners_error_survives_the_way_between_processes():
+    error = copy.copy(ReasonerError("unsure", "no", "trace", certainty=0.5))
+    assert (str(error), error.kind, error.trace, error.certainty) == ("no", "unsure", "trace", 0.5)
 
 
 @pytest.mark.parametrize(

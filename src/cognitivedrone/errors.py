@@ -30,6 +30,7 @@ CognitiveDroneError
 from __future__ import annotations
 
 import difflib
+import functools
 import importlib
 import json
 import shlex
@@ -120,14 +121,17 @@ class PolicyRaised(PolicyError):
 class ReasonerError(CognitiveDroneError):
     """A reasoner's answer that is missing or unusable: counted by `kind`, and the flight continues."""
 
-    def __init__(self, kind: ReasonerFault, message: str, trace: str = "") -> None:
+    def __init__(self, kind: ReasonerFault, message: str, trace: str = "", *, certainty: float | None = None) -> None:
         super().__init__(message)
         self.kind: ReasonerFault = kind
         self.trace = trace
         """The traceback, where the reasoner raised an exception of its own."""
+        self.certainty = certainty
+        """Of a reasoner that saw the scene and is undecided: how likely what is asked for is there, and its best answer
+        right, 0 to 1."""
 
-    def __reduce__(self) -> tuple[type[ReasonerError], tuple[ReasonerFault, str, str]]:
-        return ReasonerError, (self.kind, str(self), self.trace)
+    def __reduce__(self) -> tuple[Any, ...]:
+        return functools.partial(ReasonerError, certainty=self.certainty), (self.kind, str(self), self.trace)
 
 
 class MessageError(CognitiveDroneError):

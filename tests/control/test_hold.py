@@ -19,8 +19,8 @@ def answer(confidence, present=None, segment=0):
     return Answer(Question(segment, "the bird", FRAME, 0.0), guidance)
 
 
-def fault(kind, segment=0):
-    return Answer(Question(segment, "the bird", FRAME, 0.0), None, kind, "it said so")
+def fault(kind, segment=0, certainty=None):
+    return Answer(Question(segment, "the bird", FRAME, 0.0), None, kind, "it said so", certainty=certainty)
 
 
 def after(*answers, rule=None):
@@ -51,6 +51,13 @@ def test_not_being_able_to_tell_is_unsure_until_something_was_read():
     assert after(fault("unsure"), fault("unsure")) == [False, True]
     # Before the gate what was read has left the view: it is flown through all the same.
     assert after(answer(0.9), *[fault("unsure")] * 5) == [False] * 6
+
+
+def test_an_undecided_reasoner_counts_as_much_as_it_is_certain():
+    assert after(*[fault("unsure", certainty=0.7)] * 3) == [False] * 3
+    assert after(*[fault("unsure", certainty=0.1)] * 2) == [False, True]
+    assert after(answer(0.9), *[fault("unsure", certainty=0.1)] * 2) == [False, False, True]
+    assert after(fault("unsure", certainty=0.7), *[fault("unsure")] * 5) == [False] * 6
 
 
 @pytest.mark.parametrize("kind", ["unreachable", "timeout", "garbage", "http"])

@@ -47,7 +47,7 @@ def reading_of(
 class Scripted:
     """A panel reader with a given output, and a gate selector that records its inputs and gives a set answer."""
 
-    def __init__(self, *sights, answer=(0.1, 0.8, 0.1, 0.0)):
+    def __init__(self, *sights, answer=(0.05, 0.9, 0.05, 0.0)):
         self.attributes, self.sights, self.answer, self.asked = AttributeSchema(ATTRIBUTES), list(sights), answer, []
 
     def see(self, image):
@@ -86,7 +86,22 @@ def test_gates_are_told_from_left_to_right_whatever_slot_they_were_found_in(made
     (asked,) = parts.asked
     assert [shown(panel, label) > 0.95 for panel, label in zip(asked["panels"], LETTERS, strict=True)] == [True] * 3
     assert guidance.directive == "Fly through the small green square gate"
-    assert (guidance.gate, guidance.confidence) == (1, pytest.approx(0.8))
+    assert (guidance.gate, guidance.confidence) == (1, pytest.approx(0.9))
+
+
+def test_an_answer_that_is_likely_but_not_enough_leaves_the_policy_its_own(made):
+    parts = Scripted(*[reading_of(LETTERS)] * 3, answer=(0.1, 0.8, 0.1, 0.0))
+    reasoner = made(parts)
+    with pytest.raises(ReasonerError, match=r"likely enough; I see the letter A, the letter B, the letter C") as caught:
+        reasoner.refine(FRAME, "to the letter B")
+    assert (caught.value.kind, caught.value.certainty) == ("unsure", pytest.approx(0.8, abs=0.02))
+    with pytest.raises(ReasonerError, match="likely enough") as caught:
+        reasoner.refine(FRAME, "to the letter Q")  # which is not there
+    assert caught.value.certainty < 0.1
+    parts.answer = (0.4, 0.5, 0.1, 0.0)
+    with pytest.raises(ReasonerError, match="no answer is likely;") as caught:
+        reasoner.refine(FRAME, "to the letter B")
+    assert caught.value.certainty is None
 
 
 def test_what_does_not_belong_to_a_kind_of_picture_is_not_told(made):
@@ -206,7 +221,7 @@ PEOPLE = ("person/skin=tan,hat=hat@sky", "person/skin=dark@sky", "person/skin=li
 )
 def test_it_tells_whether_what_is_named_is_shown_at_all(made, labels, instruction, present):
     guidance = made(Scripted(reading_of(labels))).refine(FRAME, instruction)
-    assert guidance.confidence == pytest.approx(0.8)
+    assert guidance.confidence == pytest.approx(0.9)
     if present is None:
         assert guidance.present is None
     else:

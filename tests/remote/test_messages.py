@@ -142,15 +142,30 @@ def test_another_version_and_another_session_are_refused():
 
 @pytest.mark.parametrize(
     "error",
-    [PolicyError("no"), ActionError("no"), NonFiniteAction("no"), ReasonerError("unsure", "no")],
-    ids=lambda error: type(error).__name__,
+    [
+        PolicyError("no"),
+        ActionError("no"),
+        NonFiniteAction("no"),
+        ReasonerError("unsure", "no"),
+        ReasonerError("unsure", "no", certainty=0.75),
+    ],
 )
 def test_a_policys_error_is_raised_as_what_it_was(error):
-    frame = error_frame(code_of(error), str(error), getattr(error, "kind", None))
+    told = {"fault": getattr(error, "kind", None), "certainty": getattr(error, "certainty", None)}
+    frame = error_frame(code_of(error), str(error), **told)
     with pytest.raises(type(error), match=r"^no$") as caught:
         raise_error(frame, "here")
     assert type(caught.value) is type(error)
-    assert getattr(caught.value, "kind", None) == getattr(error, "kind", None)
+    assert getattr(caught.value, "kind", None) == told["fault"]
+    assert getattr(caught.value, "certainty", None) == told["certainty"]
+
+
+@pytest.mark.parametrize("strange", [2, -0.5, "0.5", None, [], float("nan")])
+def test_a_certainty_that_is_no_share_is_none(strange):
+    frame = json.dumps({"error": {"code": "no_answer", "message": "no", "fault": "unsure", "certainty": strange}})
+    with pytest.raises(ReasonerError) as caught:
+        raise_error(frame, "here")
+    assert caught.value.certainty is None
 
 
 def test_an_exception_of_a_policys_own_is_a_policy_error():

@@ -51,6 +51,8 @@ class Answer:
     message: str = ""
     trace: str = ""
     """Traceback, if the reasoner raised an exception of its own."""
+    certainty: float | None = None
+    """Of a fault: as `ReasonerError.certainty`."""
 
 
 class AsyncReasoner(Protocol):
@@ -168,7 +170,7 @@ class _Thinker:
                 guidance = self._ask(question)
             return Answer(question, check_guidance(guidance))
         except ReasonerError as error:
-            return Answer(question, None, error.kind, str(error), error.trace)
+            return Answer(question, None, error.kind, str(error), error.trace, error.certainty)
 
     def _ask(self, question: Question) -> Guidance:
         reasoner = self._reasoner

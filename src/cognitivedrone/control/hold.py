@@ -25,8 +25,9 @@ class HoldRule:
     """When the drone hovers, and when it flies on.
 
     The certainty of an answer is its confidence times the probability that the scene shows what is asked for, 0 to 1.
-    Answers are averaged; newer ones weigh more. The fault "unsure" (the view is too poor) counts as 0 until the first
-    answer; not later, because close to a gate the panels have left the view.
+    A fault may have a certainty too. Answers are averaged; newer ones weigh more. The fault "unsure" without one (the
+    view is too poor) counts as 0 until the first answer; not later, because close to a gate the panels have left the
+    view.
     """
 
     below: float = 0.5
@@ -65,6 +66,9 @@ class Hold:
             return
         if guidance is not None:
             value = guidance.confidence * (1.0 if guidance.present is None else guidance.present)
+            self._answered = True
+        elif answer.certainty is not None:
+            value = answer.certainty
             self._answered = True
         elif answer.fault == "unsure" and not self._answered:
             value = 0.0

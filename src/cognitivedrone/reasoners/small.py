@@ -38,6 +38,7 @@ from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate, Gu
 LARGEST_VALUE = 20
 _SEEN = 0.3  # minimum score of a visible gate or board
 _UNSURE = 0.6  # a gate less likely than this is no answer
+_OVERRULES = 0.85  # nor does one less likely than this overrule the policy, which alone is right as often, or more
 _ABSENT = 0.7  # nor is "it is not there", which also needs that every panel was read
 _READ = 0.3  # a picture whose likeliest reading is less likely than this was not read
 _READABLE = 0.5  # a thing less likely than this is not named
@@ -120,7 +121,8 @@ class SmallReasoner(Reasoner):
         """The directive for the selected gate, from all frames of this stage so far.
 
         It declines where most likely no gate shows what is asked for. Raises `ReasonerError` if fewer than three gates
-        have been seen, or nothing is likely enough: then the policy knows no less.
+        have been seen, or nothing is likely enough: then the policy knows no less. The error of an answer that is
+        likely, but not enough to overrule the policy, has its `certainty`.
         """
         self._add(self.reader.see(image))
         gates = _by_place(self._stage)
@@ -153,8 +155,13 @@ class SmallReasoner(Reasoner):
             self._stage.chosen = None
             return Guidance(HOLD, None, float(chosen[best]), present=1 - float(chosen[best]))
         self._stage.chosen = gates[best][0]
-        directive = write_directive(gate_of(looks[best]))
-        return Guidance(directive, best, float(chosen[best]), present=self._presence(instruction, panels))
+        present = self._presence(instruction, panels)
+        if chosen[best] < _OVERRULES:
+            certainty = float(chosen[best]) * (1.0 if present is None else present)
+            raise ReasonerError(
+                "unsure", f"no answer is likely enough; I see {self._described(panels)}", certainty=certainty
+            )
+        return Guidance(write_directive(gate_of(looks[best])), best, float(chosen[best]), present=present)
 
     def _presence(self, instruction: str, panels: Floats) -> float | None:
         """Probability that one of the panels (n, F) shows what the instruction names; none if it names nothing."""

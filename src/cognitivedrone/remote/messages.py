@@ -173,10 +173,13 @@ def read_guidance(reply: Message) -> Guidance:
         raise ReasonerError("schema", f"the server's answer has no {error.args[0]!r}") from None
 
 
-def error_frame(code: MessageFault, message: str, fault: str | None = None) -> str:
-    """An error as a text frame, or as the body of an HTTP response. `fault` is the kind of a reasoner's fault."""
-    error = {"code": code, "message": message} | ({} if fault is None else {"fault": fault})
-    return json.dumps({"error": error})
+def error_frame(code: MessageFault, message: str, **more: object) -> str:
+    """An error as a text frame, or as the body of an HTTP response.
+
+    `more`, where it is not None: of a reasoner's error, `fault` (its kind) and `certainty`.
+    """
+    given = {name: value for name, value in more.items() if value is not None}
+    return json.dumps({"error": {"code": code, "message": message, **given}})
 
 
 def raise_error(frame: str, where: str) -> None:
@@ -192,7 +195,7 @@ def raise_error(frame: str, where: str) -> None:
         last = (frame.strip().splitlines() or ["an empty text"])[-1]
         raise ServerError(f"the policy server at {where} failed: {last[:300]}") from None
     if code == "no_answer":
-        raise ReasonerError(fault or "raised", message)
+        raise ReasonerError(fault or "raised", message, certainty=_share(error.get("certainty")))
     if code in _RAISED:
         raise _RAISED[code](message)
     raise ServerError(f"the policy server at {where} refused the message ({code}): {message[:300]}")
@@ -207,6 +210,11 @@ def code_of(error: CognitiveDroneError) -> MessageFault:
     if isinstance(error, NonFiniteAction):
         return "non_finite_action"
     return "bad_action" if isinstance(error, ActionError) else "policy_error"
+
+
+def _share(value: object) -> float | None:
+    """A number from 0 to 1; none for anything else."""
+    return float(value) if isinstance(value, int | float) and 0 <= value <= 1 else None
 
 
 def _field(message: Message, name: str, kind: type) -> Any:

@@ -195,7 +195,8 @@ def told(error: Exception, client: str, level: int = logging.DEBUG) -> tuple[str
         code = code_of(error)
         trace = error.trace if isinstance(error, PolicyRaised | ReasonerError) else ""
         log.log(logging.ERROR if trace else level, "%s: %s: %s%s", client, code, error, f"\n{trace}" if trace else "")
-        return error_frame(code, str(error), error.kind if isinstance(error, ReasonerError) else None), code
+        more = {"fault": error.kind, "certainty": error.certainty} if isinstance(error, ReasonerError) else {}
+        return error_frame(code, str(error), **more), code
     if isinstance(error, asyncio.TimeoutError):
         return error_frame("busy", "the client was silent, or did not read, for too long"), "busy"
     log.error("%s: unexpected error", client, exc_info=error)

@@ -166,8 +166,10 @@ class TeachTraining:
     def validation(self, seed: int) -> list[Batch]:
         """Pictures and problems of the lesson alone, of another seed."""
         rng, makers = np.random.default_rng((seed, _VALIDATION)), self._makers()
-        only = replace(self, recipe=replace(self.recipe, share=1.0))._makers()
-        policy, selector = only.problems(self.recipe.mix.problems), only.problems(self.recipe.selector.mix)
+        policy, selector = (
+            LessonProblems(self.lesson, Problems(mix), 1.0)
+            for mix in (self.recipe.mix.problems, self.recipe.selector.mix)
+        )
         count = -(-self.recipe.validation_problems // self.recipe.batch)
         return [makers.batch(rng, policy, selector, self.recipe.batch, 1.0) for _ in range(count)]
 
