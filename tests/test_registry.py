@@ -98,12 +98,20 @@ def test_a_run_is_identified_by_the_file_of_the_users_own_plug_in(tmp_path):
     assert registry.file_of("policy", "plain", TABLE) is None
 
 
+def test_a_file_of_that_is_inherited_with_other_arguments_says_nothing():
+    assert registry.file_of("policy", f"{__name__}:Bolder:0.5", {}) is None
+
+
 class WithFile:
     def __init__(self, weights: Path) -> None: ...
 
     @classmethod
     def file_of(cls, weights: Path) -> Path:
         return weights
+
+
+class Bolder(WithFile):
+    def __init__(self, limit: float = 0.5) -> None: ...
 
 
 @pytest.mark.parametrize(

@@ -99,14 +99,25 @@ def make(kind: str, text: str, table: Mapping[str, str]) -> Any:
 def file_of(kind: str, text: str, table: Mapping[str, str]) -> Path | None:
     """The file that the plug-in depends on, from its `file_of`, called with the same arguments; none if it has none.
 
-    Raises `PluginError` if the file is missing.
+    One that is inherited by a class with other arguments says nothing of it. Raises `PluginError` if the file is
+    missing.
     """
     if text not in table and ":" not in text:
         return None  # making it reports the unknown name
     call = call_of(kind, text, table)
     ask = getattr(call.factory, "file_of", None)
-    found: Path | None = ask(**call.arguments) if ask else None
+    if ask is None or not _takes(ask, call.arguments):
+        return None
+    found: Path | None = ask(**call.arguments)
     return found
+
+
+def _takes(function: Callable[..., Any], arguments: Mapping[str, Any]) -> bool:
+    try:
+        inspect.signature(function).bind(**arguments)
+    except TypeError:
+        return False
+    return True
 
 
 def usage(name: str, factory: Callable[..., Any]) -> str:
