@@ -1,11 +1,12 @@
 """How a pilot that knows things by drawings only does with photographs of them.
 
-Run: python benchmarks/photographs.py --labels FOLDER [--policy small] [--reasoner small] [--tasks 200] [--out DIR]
+Run: python benchmarks/photographs.py --labels FOLDER [--policy small] [--reasoner small] [--tasks 200]
+    [--folder runs/photographs] [--out results/photographs.json]
 
 `FOLDER` holds pictures named after things of the vocabulary (`.../cat.jpg`, `.../red panda_2.png`), in any folders
 below it; pictures of other names are not used. The tasks are made as those of `open-v2:pictures`, with these pictures
 on the panels.
-Prints how many of them the policy passes, R1 passes, and the reasoner alone names right. Resumes with `--out`.
+Prints how many of them the policy passes, R1 passes, and the reasoner alone names right. Resumes with `--folder`.
 """
 
 from __future__ import annotations
@@ -16,11 +17,13 @@ import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import tyro
 
 from cognitivedrone import evaluate
 from cognitivedrone.benchmark.config import ReasonPlan
+from cognitivedrone.benchmark.measurements import keep
 from cognitivedrone.benchmark.reason import score_reasoner
 from cognitivedrone.errors import CognitiveDroneError, TaskError
 from cognitivedrone.labels import load_pack
@@ -41,15 +44,18 @@ class Config:
     policy: str = "small"
     reasoner: str = "small"
     tasks: int = 200
-    out: Path | None = None
+    folder: Path | None = None
+    """Of the flights."""
     seed: int = 0
+    out: Path | None = None
+    """File for the figures."""
 
 
 def main(config: Config) -> None:
     """Make the tasks, fly them, print."""
     with tempfile.TemporaryDirectory() as temporary:
-        out = config.out or Path(temporary)
-        pictures, tasks = out / "pictures", out / "tasks.json"
+        folder = config.folder or Path(temporary)
+        pictures, tasks = folder / "pictures", folder / "tasks.json"
         names = sorted_by_kind(config.labels, pictures)
         families = []
         for family in PICTURE_FAMILIES:
@@ -65,18 +71,28 @@ def main(config: Config) -> None:
         )
         tasks.write_text(json.dumps([task_to_json(task) for (task,) in suite.tracks]), encoding="utf-8")
         print(f"{len(names)} things, {len(suite.tracks)} tasks: {', '.join(families)}")
+        rows: list[dict[str, Any]] = []
         for who, reasoner in (("policy", None), ("R1", config.reasoner)):
             flown = evaluate(
-                config.policy, tasks, reasoner=reasoner, labels=pictures, out=out / who, resume=config.out is not None
+                config.policy,
+                tasks,
+                reasoner=reasoner,
+                labels=pictures,
+                out=folder / who,
+                resume=config.folder is not None,
             )
             rate = flown.summary.overall
             low, high = rate.ci95 or (0.0, 1.0)
             print(f"{who:10} {rate.rate:6.1%} ({low:.1%} to {high:.1%})")
+            rows.append({"who": who, "passed": rate.passed, "n": rate.n})
         plan = ReasonPlan(
-            Scenario(tasks=tasks, labels=pictures), config.reasoner, frames=3, out=out / "reasoner", overwrite=True
+            Scenario(tasks=tasks, labels=pictures), config.reasoner, frames=3, out=folder / "reasoner", overwrite=True
         )
         alone = score_reasoner(plan).summary.overall
         print(f"{'reasoner':10} {alone.rate:6.1%}, {dict(alone.faults)}")
+    rows.append({"who": "the reasoner alone", "passed": alone.right, "n": alone.n})
+    things = f"{len(names)} things, tasks of {', '.join(families)}"
+    keep(config.out, f"Photographs of things known by drawings only: {things}", rows, seed=config.seed)
 
 
 def sorted_by_kind(labels: Path, out: Path) -> set[str]:

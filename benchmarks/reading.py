@@ -1,6 +1,7 @@
 """How well a panel reader reads drawings of each set, and whether its probabilities mean what they say.
 
-Run: python benchmarks/reading.py [--reader runs/reader/reader.safetensors] [--sets calibration] [--crops 40]
+Run: python benchmarks/reading.py [--reader runs/reader/reader.safetensors] [--sets calibration] [--crops 600]
+    [--photographic] [--out results/reading.json]
 
 For each set: how often the most likely thing is the right one among all (top 1) and among three (choice), how often a
 picture is taken for something unknown, and the expected calibration error of the most likely thing. Panels are 22 to
@@ -10,15 +11,17 @@ look at them once, when nothing will be changed any more.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
 import tyro
 from PIL import Image
 
+from cognitivedrone.benchmark.measurements import keep
 from cognitivedrone.benchmark.reason_scoring import calibration_error
 from cognitivedrone.labels.extended import extended_pack
 from cognitivedrone.models.panel_reader import Reader, ReaderConfig
@@ -36,6 +39,7 @@ SETS: dict[Sets, tuple[str, ...]] = {
     "calibration": vocabulary.CALIBRATION_PICTURE_SETS,
     "held-out": vocabulary.HELD_OUT_PICTURE_SETS,
 }
+MEASURES = ("top_1", "choice", "unknown", "calibration_error")
 UNKNOWN: dict[Sets, str] = {"train": OTHERS, "calibration": OTHERS, "held-out": "others-held-out"}
 
 
@@ -51,6 +55,8 @@ class Config:
     photographic: bool = False
     """Whether pictures are changed as photographs would show them; otherwise they are drawn on white."""
     seed: int = 0
+    out: Path | None = None
+    """File for the figures."""
 
 
 def main(config: Config) -> None:
@@ -63,18 +69,28 @@ def main(config: Config) -> None:
     panel_crops.HEIGHTS = (22.0, 60.0)
     print(f"{config.sets}, {config.crops} crops a set{', photographic' if config.photographic else ''}")
     print(f"{'set':18} {'things':>6} {'top 1':>7} {'choice':>7} {'unknown':>8} {'error':>6}")
-    every = []
+    rows: list[dict[str, Any]] = []
     for style in SETS[config.sets]:
         shares, names = read(config, reader, index, style)
-        every.append(row(style, shares, names, index))
-    print(f"{'mean':18} {'':6} " + " ".join(f"{value:7.1%}" for value in np.mean(every, axis=0)))
+        rows.append({"set": style, "things": len(set(names)), **measures(shares, names, index)})
+        show(rows[-1])
+    mean = {name: float(np.mean([row[name] for row in rows])) for name in MEASURES}
+    rows.append({"set": "mean of the sets", **mean})
+    show(rows[-1])
     shares, _ = read(config, reader, index, UNKNOWN[config.sets], unknown=True)
     unknown = index.schema.names.index("kind/unknown")
-    print(f"{'other things':18} taken for unknown {float((shares[:, unknown] > 0.5).mean()):.1%}")
+    rows.append({"set": "other things", "unknown": float((shares[:, unknown] > 0.5).mean())})
+    print(f"{'other things':18} taken for unknown {rows[-1]['unknown']:.1%}")
+    keep(config.out, f"A panel reader on the sets {config.sets}, {config.crops} crops each", rows, seed=config.seed)
 
 
-def row(style: str, shares: np.ndarray, names: list[str], index: AttributeIndex) -> tuple[float, float, float, float]:
-    """Print and return the measures of a set."""
+def show(row: Mapping[str, Any]) -> None:
+    """Print a line."""
+    print(f"{row['set']:18} {row.get('things', ''):6} " + " ".join(f"{row[name]:7.1%}" for name in MEASURES))
+
+
+def measures(shares: np.ndarray, names: list[str], index: AttributeIndex) -> dict[str, float]:
+    """The measures of a set."""
     span = index.groups["concept"]
     places = np.array([index.schema.names.index(name) - span.start for name in names])
     concepts = shares[:, span]
@@ -87,9 +103,8 @@ def row(style: str, shares: np.ndarray, names: list[str], index: AttributeIndex)
         chosen.append(concepts[number, place] > concepts[number, two].max())
     unknown = shares[:, index.schema.names.index("kind/unknown")] > 0.5
     error = calibration_error(concepts.max(1), best == places) or 0.0
-    measures = float((best == places).mean()), float(np.mean(chosen)), float(unknown.mean()), error
-    print(f"{style:18} {len(set(names)):6} " + " ".join(f"{value:7.1%}" for value in measures))
-    return measures
+    values = float((best == places).mean()), float(np.mean(chosen)), float(unknown.mean()), error
+    return dict(zip(MEASURES, values, strict=True))
 
 
 @torch.no_grad()

@@ -71,8 +71,11 @@ def keep_reasoner(paths: list[Path], path: Path) -> None:
     documents = [json.loads(each.read_text(encoding="utf-8")) for each in paths]
     rows = []
     for document in documents:
-        overall = document["scores"]["overall"]
-        rows.append({"suite": document["suite"]["name"], "n": overall["n"], "right": overall["right"]})
+        scores = document["scores"]
+        row = {"suite": document["suite"]["name"], "n": scores["overall"]["n"], "right": scores["overall"]["right"]}
+        if scores["calibration_error"] is not None:
+            row |= {"confidences": scores["rated"], "calibration_error": scores["calibration_error"]}
+        rows.append(row)
     if rows:
         what, last = "The reasoner alone, from the first frame of every task", documents[-1]
         command, facts = "cognitivedrone reason --reasoner small --suite S", last["platform"]
