@@ -30,12 +30,12 @@ class LessonCrops:
 
     def __init__(self, lesson: Lesson, index: AttributeIndex, crop_size: int) -> None:
         self._index, self._crop_size = index, crop_size
-        self._names = lesson.names
         pack = load_pack(str(lesson.folder))
-        self._pictures = {
-            name: [PillowImage.fromarray(pack.image(reference)).convert("RGB") for reference in references]
+        self._pictures = [
+            (name, PillowImage.fromarray(pack.image(reference)).convert("RGB"))
             for name, references in lesson.pictures.items()
-        }
+            for reference in references
+        ]
         self._known = PanelCrops(crop_size, index.of, wider=WiderWorld())
 
     def draw(self, rng: np.random.Generator, count: int, share: float) -> tuple[Image, NDArray[np.int64]]:
@@ -46,9 +46,9 @@ class LessonCrops:
             images, attributes = self._known.draw(rng, count - taught)
             crops, rows = [images], [attributes]
         for _ in range(taught):
-            name = self._names[int(rng.integers(len(self._names)))]
-            pictures = self._pictures[name]
-            picture = varied(pictures[int(rng.integers(len(pictures)))], rng, mirror=name.startswith("concept/thing:"))
+            # All pictures alike: "healthy food" may be twenty, which take more practice than one.
+            name, picture = self._pictures[int(rng.integers(len(self._pictures)))]
+            picture = varied(picture, rng, mirror=name.startswith("concept/thing:"))
             crops.append(panel_image_of(picture, self._crop_size, rng)[None])
             rows.append(self._index.named(name)[None])
         return np.concatenate(crops), np.concatenate(rows)

@@ -19,7 +19,7 @@ from cognitivedrone.models.text import Lexicon
 from cognitivedrone.terminal import console
 from cognitivedrone.training.common.attributes import AttributeIndex
 from cognitivedrone.training.common.problems import Problem, Problems
-from cognitivedrone.training.common.readings import readings_of
+from cognitivedrone.training.common.readings import Readings, readings_of
 from cognitivedrone.training.common.sampling import Batch, TextMix, described
 from cognitivedrone.training.common.start import Start, read_start
 from cognitivedrone.training.common.training_task import Batches, Given, Learner, Recipe, Row, to_tensors
@@ -39,10 +39,10 @@ class TeachRecipe(Recipe):
 
     batch: int = 96
     """Panel crops, and sentences for the policy and for the reasoner; processes share them."""
-    share: float = 0.5
+    share: float = 0.4
     """Share of crops and sentences about the lesson; the others keep what was known."""
-    steps_for_each: float = 4.0
-    """Further steps for each concept."""
+    steps_for_each: float = 4.4
+    """Further steps for each picture."""
     most_steps: int = 2_000
     mix: TextMix = field(default_factory=TextMix)
     selector: SelectorRecipe = field(default_factory=lambda: SelectorRecipe(name="selector", steps=0))
@@ -60,10 +60,12 @@ class TeachRecipe(Recipe):
             )
         lesson = read_lesson(given.labels, given.tasks)
         policy, selector = pilot_of(given.start)
-        steps = min(self.most_steps, self.steps + round(self.steps_for_each * len(lesson.names)))
+        steps = min(self.most_steps, self.steps + round(self.steps_for_each * sum(map(len, lesson.pictures.values()))))
         if os.environ.get("RANK", "0") == "0":  # one of several processes
             console().print(summary_of(lesson, tuple(policy.facts["attributes"])))
-        return TeachTraining(replace(self, steps=steps), lesson, policy, selector)
+            console().print("reading panels of what was known, half a minute")
+        readings = readings_of(policy, AttributeIndex(policy.facts["attributes"]))
+        return TeachTraining(replace(self, steps=steps), lesson, policy, selector, readings)
 
 
 def summary_of(lesson: Lesson, known: tuple[str, ...]) -> str:
@@ -103,6 +105,8 @@ class TeachTraining:
     lesson: Lesson
     policy: Start
     selector: Start
+    readings: Readings
+    """How the panels of what was known are read; made once, because it takes as long as 50 steps."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -207,7 +211,7 @@ class _Makers:
     def __init__(self, training: TeachTraining) -> None:
         self.training = training
         index = AttributeIndex(training.names)
-        readings = readings_of(training.policy, AttributeIndex(training.policy.facts["attributes"])).moved(index)
+        readings = training.readings.moved(index)
         config = training.policy.facts["recipe"]["network"]
         self._readings = readings
         self._words = training.lexicon(training.policy)
@@ -276,8 +280,8 @@ class TeachLoss(nn.Module):
 
 TEACH = TeachRecipe(
     name="teach",
-    steps=250,
-    learning_rate=5e-4,
+    steps=150,
+    learning_rate=4e-4,
     warmup_steps=30,
     decay_share=0.5,
     round_steps=100,
