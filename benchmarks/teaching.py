@@ -1,6 +1,6 @@
 """What a lesson is worth: a pilot before and after it, on tasks that the lesson lacked, and on the known suite.
 
-Run: python benchmarks/teaching.py --labels FOLDER --tasks FOLDER --folder runs/taught [--start small]
+Run: python benchmarks/teaching.py --labels FOLDER [--tasks FOLDER] --folder runs/taught [--start small]
     [--episodes 200] [--out results/teaching.json]
 
 A seventh of the tasks (by a hash of their content) is kept from the lesson. Some of them, whose pictures are all there,
@@ -16,6 +16,7 @@ import subprocess
 import sys
 import time
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ import tyro
 
 from cognitivedrone import evaluate
 from cognitivedrone.benchmark.measurements import keep
+from cognitivedrone.labels.images import SUFFIXES
 from cognitivedrone.tasks.format import task_to_json
 from cognitivedrone.training.teach.lesson import read_lesson
 
@@ -34,10 +36,10 @@ class Config:
     """What is taught and flown."""
 
     labels: Path
-    tasks: Path
-    """A task file, or a folder of them."""
     folder: Path
     """Of the pilot and its flights."""
+    tasks: Path | None = None
+    """A task file, or a folder of them. Without any, nothing is flown, and the minutes alone are measured."""
     start: str = "small"
     """The pilot: "small", or the folder of a taught one."""
     episodes: int = 200
@@ -52,12 +54,21 @@ class Config:
 
 def main(config: Config) -> None:
     """Split, teach, fly, print."""
-    lesson, kept = split(config.tasks, config.folder / "split")
+    config.folder.mkdir(parents=True, exist_ok=True)
+    lesson, kept = split(config.tasks, config.folder / "split") if config.tasks else (None, None)
+    minutes = teach(config, lesson)
+    pictures = sum(path.suffix.lower() in SUFFIXES for path in config.labels.rglob("*"))
+    print(f"{pictures} pictures, taught in {minutes:.1f} min")
+    rows: list[dict[str, Any]] = [{"pictures": pictures, "lesson_min": minutes}]
+    if kept is not None:
+        rows += list(flown(config, kept))
+    keep(config.out, "A pilot before and after a lesson", rows, seed=config.seed)
+
+
+def flown(config: Config, kept: Path) -> Iterator[dict[str, Any]]:
+    """What the pilot passes before and after the lesson."""
     drawn = config.folder / "kept.json"
     drawn.write_text(json.dumps(draw(kept, config)), encoding="utf-8")
-    minutes = teach(config, lesson)
-    print(f"taught in {minutes:.1f} min")
-    rows: list[dict[str, Any]] = [{"lesson_min": minutes}]
     before = ("small", "small") if config.start == "small" else pilot(Path(config.start))
     for name, (policy, reasoner) in {"before": before, "after": pilot(config.folder / "pilot")}.items():
         for with_reasoner in (None, reasoner):
@@ -67,7 +78,7 @@ def main(config: Config) -> None:
                 ("kept", drawn, config.labels, config.episodes),
                 ("known", "open-v1:test", None, config.known),
             ):
-                flown = evaluate(
+                done = evaluate(
                     policy,
                     suite,
                     reasoner=with_reasoner,
@@ -76,15 +87,14 @@ def main(config: Config) -> None:
                     out=folder / place,
                     resume=True,
                 )
-                rate = flown.summary.overall
+                rate = done.summary.overall
                 low, high = rate.ci95 or (0.0, 1.0)
-                families = {family: f"{each.rate:.0%}" for family, each in flown.summary.families.items()}
+                families = {family: f"{each.rate:.0%}" for family, each in done.summary.families.items()}
                 print(f"{who:16} {place:6} {rate.rate:6.1%} ({low:.1%} to {high:.1%})  {families}")
-                rows.append({"who": who, "tasks": place, "passed": rate.passed, "n": rate.n})
-    keep(config.out, "A pilot before and after a lesson", rows, seed=config.seed)
+                yield {"who": who, "tasks": place, "passed": rate.passed, "n": rate.n}
 
 
-def teach(config: Config, lesson: Path) -> float:
+def teach(config: Config, lesson: Path | None) -> float:
     """Train unless that was done; the minutes of all starts together."""
     taught = config.folder / "minutes"
     minutes = float(taught.read_text(encoding="utf-8")) if taught.exists() else 0.0
@@ -93,7 +103,7 @@ def teach(config: Config, lesson: Path) -> float:
     began = time.monotonic()
     command = [
         sys.executable, "-m", "cognitivedrone", "train", "--recipe", "teach", "--labels", config.labels,
-        "--tasks", lesson, "--start", config.start, "--out", config.folder / "pilot",
+        *(["--tasks", lesson] if lesson else []), "--start", config.start, "--out", config.folder / "pilot",
         "--processes", config.processes, "--seed", config.seed, "--resume",
     ]  # fmt: skip
     try:
