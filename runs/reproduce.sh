@@ -10,8 +10,9 @@
 #
 #   cp OUT/results/*.json results/ && python scripts/render_tables.py
 #
-# Before the script: ARDUCOPTER=path/to/arducopter measures what needs that program, LESSON=FOLDER with labels/ and tasks/
-# a lesson, GPU=1 OpenVLA-7B on a graphics card.
+# Before the script: ARDUCOPTER=path/to/arducopter measures what needs that program, LESSON=FOLDER a lesson with labels/
+# and tasks/, and one with the pictures in few/, PHOTOGRAPHS=FOLDER flights past pictures named after known things, GPU=1
+# OpenVLA-7B on a graphics card.
 set -euo pipefail
 
 out=${1:-out/reproduce}
@@ -128,6 +129,7 @@ if [[ $everything ]]; then
   measure start_up start_up
   measure collection collection 300
   measure inference inference "$out/flight/model.onnx"
+  measure reading reading --reader "$out/flight/checkpoint.safetensors" --sets held-out
   measure real_time real_time --policy "$policy" --reasoner "$reasoner" --seconds 60
   pilot=(--policy "$policy" --reasoner "$reasoner" --episodes 60)
   measure holding_test holding "${pilot[@]}"
@@ -145,6 +147,10 @@ if [[ ${ARDUCOPTER:-} ]]; then
 fi
 if [[ ${LESSON:-} ]]; then
   measure teaching teaching --labels "$LESSON/labels" --tasks "$LESSON/tasks" --folder "$out/lesson" --start small
+  measure teaching_20 teaching --labels "$LESSON/few" --folder "$out/lesson-few"
+fi
+if [[ ${PHOTOGRAPHS:-} ]]; then
+  measure photographs photographs --labels "$PHOTOGRAPHS" --policy "$policy" --reasoner "$reasoner"
 fi
 if [[ ${GPU:-} ]]; then
   measure openvla_gpu openvla_gpu --lora --together

@@ -22,6 +22,7 @@ from score_tables import (
     leaderboard_table,
     lessons,
     paper,
+    photographs,
     reasoner_worth,
     runs_of,
     sitl_scores,
@@ -112,6 +113,18 @@ TABLES: Final[dict[str, Description]] = {
             ("{median_ms:.1f} ms", "{p99_ms:.1f} ms", "{loading_s:.2f} s", "{memory_mb:.0f} MB", "{file_mb:.1f} MB"),
         ),
     ),
+    "reading": rows_of(
+        "reading",
+        {
+            "drawings by": "{set}",
+            "things": "{things}",
+            "top 1 of all": "{top_1:.1%}",
+            "choice of three": "{choice:.1%}",
+            "taken for unknown": "{unknown:.1%}",
+            "calibration error": "{calibration_error:.1%}",
+        },
+    ),
+    "photographs": photographs,
     "race": runs_of(
         "race",
         ["`cognitivedrone bench --policy race` with"],
@@ -146,6 +159,11 @@ TABLES: Final[dict[str, Description]] = {
     ),
     # docs/audit.md, docs/teach.md
     "audits": audits,
+    "lesson-times": lines_of(
+        ("pictures", "training, min"),
+        Line("teaching_20", {}, ("{pictures}", "{lesson_min:.1f}")),
+        Line("teaching", {}, ("{pictures}, with sentences of tasks", "{lesson_min:.1f}")),
+    ),
     "lessons": lessons,
     # docs/training.md
     "from-data": from_data,

@@ -147,7 +147,8 @@ def reasoner_worth(store: Store) -> Table:
         r1, policy = store.summary("r1", suite), store.summary("small", suite)
         thought = f"{100 * alone[suite]['right'] / alone[suite]['n']:.1f} %" if suite in alone else NOT_MEASURED
         policy_alone = share(policy.overall.rate) if policy else NOT_MEASURED
-        rows.append([f"`{suite}`", *passed(r1 and r1.overall), policy_alone, thought])
+        error = cell("{calibration_error:.1%}", alone.get(suite, {}))
+        rows.append([f"`{suite}`", *passed(r1 and r1.overall), policy_alone, thought, error])
     heads = [
         "suite",
         "R1 passed",
@@ -155,6 +156,7 @@ def reasoner_worth(store: Store) -> Table:
         "95 % interval",
         "the policy alone",
         "the reasoner alone names the right gate",
+        "calibration error of its confidences",
     ]
     return Table(heads, rows)
 
@@ -237,6 +239,16 @@ def lessons(store: Store) -> Table:
         if "n" in row
     ]
     return Table(heads, rows or [[NOT_MEASURED, *[""] * 3]])
+
+
+def photographs(store: Store) -> Table:
+    """A pilot past photographs of things that it knows by drawings."""
+    rows = [
+        [row["who"], f"{row['passed']} of {row['n']}", share(row["passed"] / row["n"]),
+         interval(wilson(row["passed"], row["n"]))]
+        for row in store.measured_rows("photographs")
+    ]  # fmt: skip
+    return Table(["pilot", "right", "rate", "95 % interval"], rows or [[NOT_MEASURED, "", "", ""]])
 
 
 def sitl_scores(store: Store) -> Table:

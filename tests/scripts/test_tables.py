@@ -21,10 +21,12 @@ from doc_tables import TABLES
 from table_kinds import NOT_MEASURED, Store, Table, cell
 
 from cognitivedrone.audit.run import AUDIT_FILE
-from cognitivedrone.benchmark.config import Plan
+from cognitivedrone.benchmark.config import Plan, ReasonPlan
 from cognitivedrone.benchmark.measurements import Measurement, read_measurement, write_measurement
+from cognitivedrone.benchmark.reason import score_reasoner
 from cognitivedrone.benchmark.runner import run
 from cognitivedrone.benchmark.submission import read_submission
+from cognitivedrone.plan import Scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 MADE = Measurement(
@@ -149,6 +151,10 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     row |= {"declined": 0, "chosen": [1, 2, 3, 2]}
     document = {"policy": "fake", "reasoner": "none", "episodes": 8, "suite": {"name": "open-v1:test"}, "seed": 0}
     (audit / AUDIT_FILE).write_text(json.dumps({**document, "rows": [row]}))
+    answers = out / "reason" / "open-v1-test"
+    score_reasoner(
+        ReasonPlan(Scenario(suite="open-v1:test"), "noisy-oracle:accuracy=0.5", episodes=4, out=answers), progress=False
+    )
     return out
 
 
@@ -159,6 +165,9 @@ def test_runs_become_files_and_tables(out: Path, tmp_path: Path, capsys) -> None
     assert [made.run.option("wind_m_s") for made in submission.runs] == [0.0, 0.5]
     times = read_measurement(tmp_path / "results" / "bench_time.json")
     assert [row["pilot"] for row in times.rows] == ["small"]
+    (alone,) = read_measurement(tmp_path / "results" / "reasoner_alone.json").rows
+    assert (alone["suite"], alone["n"], alone["confidences"]) == ("open-v1:test", 4, 4)
+    assert 0 <= alone["calibration_error"] <= 1
 
     store = Store(tmp_path)
     plain = submission.runs[0].overall
@@ -172,6 +181,11 @@ def test_runs_become_files_and_tables(out: Path, tmp_path: Path, capsys) -> None
     elsewhere = {row[0]: row[1] for row in TABLES["small-elsewhere"](store).rows}
     assert elsewhere["`--wind 0.5`"] == f"{submission.runs[1].overall.passed} of 300"
     assert elsewhere["`--appearance varied`"] == NOT_MEASURED
+    worth = {row[0]: row[-2:] for row in TABLES["r1"](store).rows}
+    assert worth["`open-v1:test`"] == [
+        f"{alone['right'] / 4:.1%}".replace("%", " %"),
+        f"{alone['calibration_error']:.1%}".replace("%", " %"),
+    ]
     families = {row[0]: row[1] for row in TABLES["small-families"](store).rows}
     assert families["attributes"].endswith(" of 50")
     assert sum(int(text.split(" of ")[0]) for text in families.values()) == plain.passed
