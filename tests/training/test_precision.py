@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
-import pytest
+from dataclasses import replace
 
-from cognitivedrone.training.common.precision import multiplies_bf16, precision
+import pytest
+import torch
+from accelerate import Accelerator
+from quick_trainings import QuickPolicyTraining
+from torch.nn.modules.module import register_module_forward_hook
+
+from cognitivedrone.training.common import trainer
+from cognitivedrone.training.common.precision import multiplies_bf16
+from cognitivedrone.training.common.training_task import Given
+from cognitivedrone.training.recipes import RECIPES
+
+pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
 INTEL = "processor : 0\nmodel name : bf16 in name alone\nflags\t\t: fpu sse2 avx512f avx512_bf16 sha_ni\n"
 ARM = "processor : 0\nFeatures\t: fp asimd sve bf16 i8mm\n"
@@ -31,5 +42,20 @@ def test_a_system_that_does_not_say_is_taken_for_one_that_does_not(tmp_path):
     assert not multiplies_bf16(tmp_path / "cpuinfo")
 
 
-def test_this_machine_has_a_precision():
-    assert precision() in ("bf16", "no")
+@pytest.mark.parametrize("casts", [True, False])
+def test_a_training_computes_in_what_suits_the_machine(tmp_path, monkeypatch, reader_checkpoint, casts):
+    monkeypatch.setattr(trainer, "trains_in_bf16", lambda: casts)
+    task = QuickPolicyTraining.of(replace(RECIPES["debug"], steps=1).training(Given(start=reader_checkpoint)))
+    seen = set()
+
+    def note(module, _, output):
+        if isinstance(module, torch.nn.Linear) and module.training:
+            seen.add(output.dtype)
+
+    hook = register_module_forward_hook(note)
+    try:
+        trainer.train(trainer.TrainConfig(tmp_path, task), lambda _: None)
+    finally:
+        hook.remove()
+    assert seen == {torch.bfloat16 if casts else torch.float32}
+    Accelerator(mixed_precision="bf16", cpu=True)  # as the next training of this process asks for it

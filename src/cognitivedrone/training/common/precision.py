@@ -5,19 +5,17 @@ from __future__ import annotations
 import functools
 import re
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import torch
 
-Precision = Literal["bf16", "no"]
-"""As Accelerate names it: mixed precision with bfloat16, or none."""
 _PROCESSOR: Final = Path("/proc/cpuinfo")
 
 
 @functools.cache
-def precision() -> Precision:
-    """Of this machine. Processors without bfloat16 only emulate it, several times slower than float32."""
-    return "bf16" if torch.cuda.is_available() or multiplies_bf16(_PROCESSOR) else "no"
+def trains_in_bf16() -> bool:
+    """Whether this machine does. Processors without bfloat16 only emulate it, several times slower than float32."""
+    return torch.cuda.is_available() or multiplies_bf16(_PROCESSOR)
 
 
 def multiplies_bf16(processor: Path) -> bool:

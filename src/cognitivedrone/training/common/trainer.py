@@ -15,6 +15,7 @@ from typing import Any
 
 import torch
 from accelerate import Accelerator
+from accelerate.utils import AutocastKwargs
 from rich.progress import Progress, SpinnerColumn, TaskID, TimeElapsedColumn
 from torch import nn
 
@@ -22,7 +23,7 @@ from cognitivedrone.errors import TrainingError
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.terminal import console
 from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint
-from cognitivedrone.training.common.precision import precision
+from cognitivedrone.training.common.precision import trains_in_bf16
 from cognitivedrone.training.common.prefetch import PrefetchQueue, learner_path
 from cognitivedrone.training.common.run_log import RunLog
 from cognitivedrone.training.common.sampling import Batch
@@ -60,7 +61,9 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
     the same machine as an uninterrupted one. Raises `TrainingError`.
     """
     torch.set_num_threads(config.threads)
-    accelerator = Accelerator(mixed_precision=precision(), cpu=not torch.cuda.is_available())
+    # Accelerate allows one precision in a process; where bfloat16 is slow, it is the casting that is switched off.
+    casting = AutocastKwargs(enabled=trains_in_bf16())
+    accelerator = Accelerator(mixed_precision="bf16", cpu=not torch.cuda.is_available(), kwargs_handlers=[casting])
     training_task, out = config.training_task, config.out
     schedule = training_task.recipe
     torch.manual_seed(config.seed)

@@ -16,7 +16,7 @@ from cognitivedrone.models.text import Lexicon
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite
 from cognitivedrone.training.common.ground_truth import Poses
-from cognitivedrone.training.common.precision import precision
+from cognitivedrone.training.common.precision import trains_in_bf16
 from cognitivedrone.types import FloatArray, Image, StageResult
 
 
@@ -36,7 +36,7 @@ class NetworkPilot:
         arrays = (np.ascontiguousarray(images), states, tokens)
         training = network.training
         network.eval()
-        with torch.no_grad(), torch.autocast(device.type, torch.bfloat16, enabled=precision() == "bf16"):
+        with torch.no_grad(), torch.autocast(device.type, torch.bfloat16, enabled=trains_in_bf16()):
             actions, *_ = network(*(torch.from_numpy(array).to(device) for array in arrays))
         network.train(training)
         first: FloatArray = actions[:, 0].float().cpu().numpy()
