@@ -15,14 +15,16 @@ from cognitivedrone.tasks.people import CAST, FEATURES, parse_person
 from cognitivedrone.training.common import held_out
 from cognitivedrone.training.common.attributes import AttributeIndex
 from cognitivedrone.training.common.fact_questions import FACTS
+from cognitivedrone.training.common.named_things import NAMED
 from cognitivedrone.training.common.places import PLACE_FAMILIES
 from cognitivedrone.training.common.problems import ABSENT, ALONE, NAMES, SHARES, Mix, Problem, Problems
 from cognitivedrone.training.common.unknown_people import UNKNOWN_NAMES
 from cognitivedrone.training.reasoner.selector import values_of
 
 PLAIN = Mix(
-    slips=0.0, facts=0.0, places=0.0, directives=0.0, relabelled=0.0, unknown_people=0.0, absent=0.0, unreadable=0.0
-)
+    slips=0.0, facts=0.0, named=0.0, places=0.0, directives=0.0, relabelled=0.0, unknown_people=0.0, absent=0.0,
+    unreadable=0.0,
+)  # fmt: skip
 INDEX = AttributeIndex()
 
 
@@ -69,12 +71,14 @@ def test_a_network_that_sees_each_gate_alone_is_asked_no_more_than_it_can_tell()
     assert set(SHARES) >= {*BASE_FAMILIES, *HARD_FAMILIES, "memory", "absent"}
 
 
-@pytest.mark.parametrize(("name", "families"), [("facts", {FACTS}), ("places", set(PLACE_FAMILIES))])
-def test_facts_and_places_have_their_shares(name: str, families: set[str]) -> None:
+@pytest.mark.parametrize(
+    ("name", "families"), [("facts", {FACTS}), ("named", {NAMED}), ("places", set(PLACE_FAMILIES))]
+)
+def test_facts_names_and_places_have_their_shares(name: str, families: set[str]) -> None:
     mix = replace(PLAIN, families={"animals": 0.8, "counting": 0.2}, **{name: 0.3})
     problems = drawn(mix, 600)
     # Places are asked for among the panels of base families alone.
-    share = 0.3 if name == "facts" else 0.3 * 0.8
+    share = 0.3 * 0.8 if name == "places" else 0.3
     assert np.mean([problem.family in families for problem in problems]) == pytest.approx(share, abs=0.06)
     assert not any(problem.target == ABSENT for problem in problems)
     assert {problem.family for problem in problems} <= families | {"animals", "counting"}

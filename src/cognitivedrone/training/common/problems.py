@@ -22,6 +22,7 @@ from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.training.common.fact_questions import FACTS, FactQuestions
 from cognitivedrone.training.common.held_out import is_held_out
 from cognitivedrone.training.common.lacking import lacking
+from cognitivedrone.training.common.named_things import NAMED, named_thing
 from cognitivedrone.training.common.places import PLACE_FAMILIES, ask_place
 from cognitivedrone.training.common.questions import ask
 from cognitivedrone.training.common.typing_noise import typed
@@ -59,6 +60,8 @@ class Mix:
     """Share of sentences with typing noise (`typing_noise.typed`)."""
     facts: float = 0.2
     """Share of problems from the table of facts."""
+    named: float = 0.08
+    """Share of problems that ask for an animal, food or object by its name."""
     places: float = 0.06
     """Share of problems that ask by a gate's place, its look, or the order of what panels show."""
     directives: float = 0.06
@@ -126,8 +129,10 @@ class Problems:
         chance = rng.random()
         if chance < self.mix.facts:
             return [problem_of(drawn_task("association", rng, FACTS, pools, make=_fact_questions().puzzle), FACTS)]
+        if chance < self.mix.facts + self.mix.named:
+            return [problem_of(drawn_task("animals", rng, NAMED, pools, make=named_thing), NAMED)]
         family = self._families[int(rng.choice(len(self._families), p=self._shares))]
-        if chance < self.mix.facts + self.mix.places and family in BASE_FAMILIES:
+        if chance < self.mix.facts + self.mix.named + self.mix.places and family in BASE_FAMILIES:
             problem = problem_of(drawn_task(family, rng, family, pools))
             question = ask_place(rng, problem.labels, problem.gates, int(rng.integers(3)))
             return [replace(problem, sentence=question.text, target=question.target, family=question.family)]
@@ -174,9 +179,11 @@ def problem_of(task: Task, family: str | None = None) -> Problem:
     return Problem(task.instruction, family or task.family, task.labels, task.gates, task.board, target)
 
 
-NAMES: tuple[str, ...] = (*FAMILIES, "directive", FACTS, *PLACE_FAMILIES, "taught")
+NAMES: tuple[str, ...] = (*FAMILIES, "directive", FACTS, NAMED, *PLACE_FAMILIES, "taught")
 """Families of problems."""
-_BY_CONTENT = frozenset(BASE_FAMILIES) | {FACTS} | {"exclusion", "negation", "distraction", "conjunction", "two_step"}
+_BY_CONTENT = (
+    frozenset(BASE_FAMILIES) | {FACTS, NAMED} | {"exclusion", "negation", "distraction", "conjunction", "two_step"}
+)
 """Families whose wrong panels are wrong by themselves, whatever the others show."""
 
 
