@@ -5,8 +5,8 @@
 #   SIZE=tiny runs/reproduce.sh OUT  the same steps in minutes, with sizes that teach nothing: it shows that they work
 #
 # Stopped at any moment, it goes on when it is started again. Needs the extras `train` and `mavlink`. The weights
-# that are shipped, but for the racing baseline's, come out of this script, to the bit on one machine; OUT/manifest.json says recipe, seed, commit and
-# hash of each. OUT/results has a file for every table of README and docs that can be measured here:
+# that are shipped, but for the racing baseline's, come out of this script, to the bit on one machine; OUT/manifest.json says recipe,
+# seed, commit and hash of each. OUT/results has a file for every table of README and docs that can be measured here:
 #
 #   cp OUT/results/*.json results/ && python scripts/render_tables.py
 #
@@ -34,7 +34,7 @@ train() { # NAME RECIPE OPTIONS...
   local name=$1 recipe=$2
   shift 2
   [[ -e $out/$name/done ]] && return
-  cognitivedrone train --recipe "$recipe" --out "$out/$name" --processes "$processes" --resume "${short[@]}" "$@"
+  cognitivedrone train --recipe "$recipe" --out "$out/$name" --processes "$processes" --resume "$@" "${short[@]}"
   touch "$out/$name/done"
 }
 
@@ -57,14 +57,15 @@ train reader reader
 train small small --start "$out/reader/reader.safetensors"
 train language language --start "$out/small/checkpoint.safetensors"
 train flight flight --start "$out/language/checkpoint.safetensors"
-train selector selector --start "$out/language/checkpoint.safetensors"
+train selector selector --start "$out/flight/checkpoint.safetensors"
 train race race
 
 # What a fixed set of the expert's flights is worth against flights made during training; the paper has 8,062.
 for flights in "${sets[@]}"; do
   cognitivedrone collect --recipe paper --episodes "$flights" --out "$out/flights-$flights" --resume
-  train "recorded_$flights" small --start "$out/reader/reader.safetensors" --data "$out/flights-$flights"
+  train "recorded_$flights" small --start "$out/reader/reader.safetensors" --steps 1000 --data "$out/flights-$flights"
 done
+train stream small --start "$out/reader/reader.safetensors" --steps 1000
 
 policy=small:$out/flight/model.onnx
 reasoner=small:$out/selector
@@ -101,8 +102,8 @@ if [[ $everything ]]; then
   cognitivedrone sweep --policy "$policy" --reasoner "$reasoner" --suite open-v1:hard --out "$out/scores/r1_latency"
 fi
 
-# results/recorded_N.json, and results/stream.json to compare with: the same recipe, before the recipes `language` and `flight`.
-bench stream open-v1:test --policy "small:$out/small/model.onnx"
+# results/recorded_N.json, and results/stream.json to compare with: the same recipe and steps, without a fixed set.
+bench stream open-v1:test --policy "small:$out/stream/model.onnx"
 for flights in "${sets[@]}"; do
   bench "recorded_$flights" open-v1:test --policy "small:$out/recorded_$flights/model.onnx"
 done

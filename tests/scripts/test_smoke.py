@@ -1,6 +1,6 @@
 """`runs/smoke.sh`: every step of `runs/reproduce.sh` in tiny sizes, from nothing to the paper's table.
 
-It trains seven models and flies with them, which takes minutes: `make test-smoke` runs it, `make test` leaves it out.
+It trains eight models and flies with them, which takes minutes: `make test-smoke` runs it, `make test` leaves it out.
 """
 
 from __future__ import annotations
