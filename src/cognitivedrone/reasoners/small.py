@@ -38,7 +38,7 @@ from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate, Gu
 LARGEST_VALUE = 20
 _SEEN = 0.3  # minimum score of a visible gate or board
 _UNSURE = 0.6  # a gate less likely than this is no answer
-_OVERRULES = 0.85  # nor does one less likely than this overrule the policy, which alone is right as often, or more
+_OVERRULES = 0.75  # nor does one less likely than this overrule the policy, which alone is right as often, or more
 _ABSENT = 0.7  # nor is "it is not there", which also needs that every panel was read
 _READ = 0.3  # a picture whose likeliest reading is less likely than this was not read
 _READABLE = 0.5  # a thing less likely than this is not named
