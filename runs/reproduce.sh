@@ -4,9 +4,9 @@
 #   runs/reproduce.sh [OUT]          many hours on two cores; everything goes to OUT (default: out/reproduce)
 #   SIZE=tiny runs/reproduce.sh OUT  the same steps in minutes, with sizes that teach nothing: it shows that they work
 #
-# Stopped at any moment, it goes on when it is started again. Needs the extras `train` and `mavlink`. The weights
-# that are shipped, but for the racing baseline's, come out of this script, to the bit on one machine; OUT/manifest.json says recipe,
-# seed, commit and hash of each. OUT/results has a file for every table of README and docs that can be measured here:
+# Stopped at any moment, it goes on when it is started again. Needs the extras `train` and `mavlink`. On one
+# machine its weights are the same to the bit each time; OUT/manifest.json says recipe, seed, commit and hash of each.
+# The weights that ship were trained with the same recipes, but not in one go (docs/training.md). OUT/results has a file for every table of README and docs that can be measured here:
 #
 #   cp OUT/results/*.json results/ && python scripts/render_tables.py
 #
