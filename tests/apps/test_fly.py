@@ -193,8 +193,11 @@ def through(monkeypatch: pytest.MonkeyPatch) -> list[GateEvent]:
 
 
 SERVED = SimPlan.of(
-    mavlink=True, links=("tcpin:127.0.0.1:0",), camera_port=0, camera_hz=30, episode=EPISODE, speed=3
+    mavlink=True, links=("tcpin:127.0.0.1:0",), camera_port=0, camera_hz=30, episode=EPISODE, speed=1.5
 )  # fmt: skip
+PATIENCE = 2.0
+"""Seconds without a command that are forgiven where the landing of a silent pilot is not what is tested: a machine
+that tests on every core may keep the pilot waiting for longer than the default allows."""
 
 
 def test_on_a_vehicle_the_pilot_sees_by_itself_that_the_gate_is_passed(tmp_path, through):
@@ -202,10 +205,10 @@ def test_on_a_vehicle_the_pilot_sees_by_itself_that_the_gate_is_passed(tmp_path,
         config = FlyPlan.of(
             instruction=vehicle.task.directive, link="mavlink:tcp:" + vehicle.links[0].partition(":")[2],
             camera=vehicle.camera_url, policy="colour_seeker", reasoner="none", clock="vehicle", set_parameters=True,
-            out=tmp_path / "f",
+            out=tmp_path / "f", policy_patience=PATIENCE,
         )  # fmt: skip
         summary = fly_mission(config, console=quiet(), keyboard=nobody())
-    assert (summary.ending.kind, summary.exit_code) == ("flown", 0)
+    assert (summary.ending.kind, summary.exit_code) == ("flown", 0), summary.ending.reason
     assert summary.ending.reason == "flew through a gate by its own estimate (not judged)"
     assert [event.gate for event in through if event.kind == "gate"][:1] == [vehicle.task.target]
     events = pq.read_table(tmp_path / "f" / "events.parquet").to_pylist()
@@ -228,7 +231,7 @@ def test_another_process_flies_the_served_vehicle_through_a_gate_and_ctrl_c_land
             *(sys.executable, "-m", "cognitivedrone", "fly", vehicle.task.directive),
             *("--link", f"mavlink:tcp:{host}:{port}", "--camera", vehicle.camera_url, "--out", out),
             *("--policy", "colour_seeker", "--reasoner", "none", "--clock", "vehicle", "--set-parameters"),
-            *("--gates", "0"),
+            *("--gates", "0", "--policy-patience", PATIENCE),
         ]
         flight = subprocess.Popen(list(map(str, command)), stdout=subprocess.PIPE, text=True, stdin=subprocess.DEVNULL)
         began = time.monotonic()
