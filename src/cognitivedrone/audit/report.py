@@ -6,13 +6,13 @@ import itertools
 from collections.abc import Sequence
 from typing import Final
 
-import jinja2
 from rich.console import RenderableType
 
 from cognitivedrone.audit.catalogue import AUDITS, CHANCE
 from cognitivedrone.audit.config import AuditPlan
 from cognitivedrone.audit.run import Row
 from cognitivedrone.benchmark.tables import interval, new_table, percent
+from cognitivedrone.pages import render_page
 
 PAGE_FILE: Final = "audit.html"
 EXPECTED: Final = {"as before": "as before, to 10 points", "follows": "at least 95 %", "chance": "33 %, to 7 points"}
@@ -38,16 +38,11 @@ def audit_table(plan: AuditPlan, rows: Sequence[Row]) -> RenderableType:
 
 def render_audit(plan: AuditPlan, rows: Sequence[Row]) -> str:
     """The page; it loads nothing, and all text in it is escaped."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("cognitivedrone.audit"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"percent": percent, "interval": interval}
     groups = [(name, list(part)) for name, part in itertools.groupby(rows, key=lambda row: row.audit)]
-    return environment.get_template("audit.html.j2").render(
+    return render_page(
+        "cognitivedrone.audit",
+        "audit.html.j2",
+        {"percent": percent, "interval": interval},
         plan=plan,
         groups=groups,
         questions={each.name: each.question for each in AUDITS},

@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import base64
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
-
-import jinja2
 
 from cognitivedrone.benchmark import drawing
 from cognitivedrone.benchmark.clips import Clip
@@ -21,6 +19,7 @@ from cognitivedrone.benchmark.run_types import Trace
 from cognitivedrone.benchmark.scoring import OUTCOMES, PUBLISHED_REACH_M, RULES, Score, Summary, score
 from cognitivedrone.benchmark.tables import DASH, interval, percent, words
 from cognitivedrone.envs.captions import readable
+from cognitivedrone.pages import render_page
 from cognitivedrone.plan import Rule
 from cognitivedrone.types import Category, EpisodeResult, Outcome, StageResult, Track
 
@@ -90,14 +89,7 @@ def render_report(
     summary = results.summary()
     films = [_film_view(clip) for clip in _within_budget(clips)]
     failures = list(_failures(results.episodes, tracks))
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("cognitivedrone.benchmark"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {
+    filters: dict[str, Callable[..., object]] = {
         "words": words,
         "option": readable,
         "percent": percent,
@@ -105,7 +97,10 @@ def render_report(
         "hundred": _hundred,
         "number": _number,
     }
-    return environment.get_template("report.html.j2").render(
+    return render_page(
+        "cognitivedrone.benchmark",
+        "report.html.j2",
+        filters,
         results=results,
         run=results.run,
         rule=results.rule,

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import jinja2
 import numpy as np
 from PIL import Image
 
@@ -21,6 +20,7 @@ from cognitivedrone.data.overview import ACTION_NAMES, FamilyCount, Histogram, m
 from cognitivedrone.data.shards import write_text
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
+from cognitivedrone.pages import render_page
 
 STRIP_FRAMES: Final = 6
 SHOWN_SHARE: Final = 0.87
@@ -68,15 +68,11 @@ def render_card(store: Store) -> str:
     if not len(store):
         raise DataError(f"{store.path}: holds no episode; there is nothing to show")
     seen = overview(store)
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("cognitivedrone.data"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"words": lambda name: str(name).replace("_", " "), "megabytes": megabytes}
-    return environment.get_template("card.html.j2").render(
+    filters = {"words": lambda name: str(name).replace("_", " "), "megabytes": megabytes}
+    return render_page(
+        "cognitivedrone.data",
+        "card.html.j2",
+        filters,
         seen=seen,
         manifest=seen.manifest,
         charts=[_chart(shape) for shape in seen.actions],

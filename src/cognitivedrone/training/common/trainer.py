@@ -230,7 +230,7 @@ class _Keeper:
         row |= {"step": step, "steps_per_s": self._count / (time.monotonic() - self._since)}
         if step % schedule.validate_every == 0 or last:
             row |= self._subject.validate(loss_module, self._batches, self._accelerator.autocast)
-        if step % schedule.fly_every == 0 or last:
+        if schedule.fly_every and (step % schedule.fly_every == 0 or last):
             row |= self._subject.trial(loss_module.network)
         self._log.write(row)
         facts = self._facts | {"step": step}

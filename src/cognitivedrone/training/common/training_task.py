@@ -41,7 +41,7 @@ class Schedule:
     validate_every: int = 500
     """Steps between points of the learning curves; a multiple of `round_steps` or equal to it."""
     fly_every: int = 2000
-    """Steps between trials; a multiple of `validate_every`."""
+    """Steps between trials, and one at the end; a multiple of `validate_every`. 0: none at all."""
 
     def of_length(self, steps: int) -> Self:
         """The same training with so many steps; raises `TrainingError` for fewer than one."""
@@ -50,8 +50,8 @@ class Schedule:
         shorter = replace(self, steps=steps, warmup_steps=min(self.warmup_steps, steps // 5))
         if steps >= self.round_steps:
             return shorter
-        # One round, and no trial in flight.
-        return replace(shorter, round_steps=steps, validate_every=steps, fly_every=8 * steps)
+        # One round, and no trial: dozens of flights would take far longer than the steps.
+        return replace(shorter, round_steps=steps, validate_every=steps, fly_every=0)
 
     def facts(self) -> dict[str, Any]:
         """As JSON gives them back: tuples as lists."""
