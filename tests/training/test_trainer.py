@@ -24,8 +24,8 @@ from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoin
 from cognitivedrone.training.common.prefetch import PrefetchQueue, learner_path
 from cognitivedrone.training.common.run_log import DIMENSIONS, METRICS, draw_curves, read_rows
 from cognitivedrone.training.common.trainer import TrainConfig, learning_rate, train, what_is_left
-from cognitivedrone.training.common.training_task import Given, Watched
-from cognitivedrone.training.recipes import RECIPES, find_recipe
+from cognitivedrone.training.common.training_task import Given, Watched, to_tensors
+from cognitivedrone.training.recipes import ALL_RECIPES, RECIPES, find_recipe
 from cognitivedrone.training.small_vla.policy import TrainRecipe
 from cognitivedrone.training.small_vla.trained import load_trained
 from cognitivedrone.training.small_vla.validation import action_measures
@@ -374,6 +374,22 @@ def test_a_buffer_tells_how_it_fills(start: Given) -> None:
     assert made[0] == 0
     assert made == sorted(made)
     assert made[-1] == size
+
+
+@pytest.mark.parametrize("name", [name for name in ALL_RECIPES if name != "teach"])
+def test_whatever_may_learn_gets_a_gradient(name: str) -> None:
+    """Processes that share a training wait for every gradient; one that never comes ends it."""
+    recipe = ALL_RECIPES[name]
+    if isinstance(recipe, TrainRecipe):
+        stream = replace(recipe.stream, batch=6, worlds=3, texts=min(recipe.stream.texts, 16), learner=0.0)
+        recipe = replace(recipe, stream=stream)
+    task = recipe.training(Given())
+    batches = task.batches()((0, 0))
+    loss_module = task.loss_module(task.network()).train()
+    loss, _ = loss_module(to_tensors(next(batches)))
+    loss.backward()
+    without = [name for name, value in loss_module.named_parameters() if value.requires_grad and value.grad is None]
+    assert not without
 
 
 def test_a_recipe_of_another_length_keeps_everything_else():

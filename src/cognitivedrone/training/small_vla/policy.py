@@ -98,6 +98,8 @@ class PolicyTraining:
         if self.start is not None and network.reader is not None:
             restore_part(self.start, "reader", network.reader)
             network.reader.requires_grad_(requires_grad=False)
+        if not self.recipe.stream.texts:  # which alone teach it; processes that train together wait for every gradient
+            network.language.absent.requires_grad_(requires_grad=False)
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return network
 
