@@ -62,12 +62,12 @@ def _facts(found: Measurement | Submission) -> str:
     machines = dict.fromkeys(run.machine for run in found.runs)
     days = sorted({run.finished[:10] for run in found.runs})
     commits = dict.fromkeys(run.commit for run in found.runs)
-    commit = _commit(next(iter(commits))) if len(commits) == 1 else []
-    return ", ".join([*machines, " to ".join(dict.fromkeys([days[0], days[-1]])), *commit])
+    return ", ".join([*machines, " to ".join(dict.fromkeys([days[0], days[-1]])), *_commit(*commits)])
 
 
-def _commit(commit: str | None) -> list[str]:
-    return [f"commit {commit[:10]}"] if commit else []
+def _commit(*commits: str | None) -> list[str]:
+    known = [commit[:10] for commit in commits if commit]
+    return [f"commit{'s' if len(known) > 1 else ''} {' and '.join(known)}"] if known else []
 
 
 def problems(root: Path, tables: Mapping[str, Description] = TABLES) -> list[str]:

@@ -289,4 +289,4 @@ def gazebo_scores(store: Store) -> Table:
 def leaderboard_table(store: Store) -> Table:
     """The submissions in leaderboard/, best first."""
     submissions = [read_submission(path) for path in sorted(store.leaderboard.glob("*.json"))]
-    return Table(["pilot", "by", *LEADERBOARD], leaderboard(submissions, LEADERBOARD))
+    return Table(["pilot", "by", "policy", "reasoner", *LEADERBOARD], leaderboard(submissions, LEADERBOARD))

@@ -112,10 +112,10 @@ def test_other_weights_are_refused(file: Path) -> None:
 def test_the_leaderboard_is_sorted(folder: Path) -> None:
     good = submission_of([folder], "a|b", "Us", "https://example.org")
     rows = leaderboard([good], ["open-v1:smoke", "open-v1:test"])
-    assert rows == [["[a|b](https://example.org)", "Us", "100.0 (89 to 100)", "–"]]
+    assert rows == [["[a|b](https://example.org)", "Us", "`oracle`", "`none`", "100.0 (89 to 100)", "–"]]
 
 
-def test_runs_of_one_suite_differ_in_their_options_and_the_first_counts(folder: Path, tmp_path: Path) -> None:
+def test_the_leaderboard_counts_runs_with_default_options_alone(folder: Path, tmp_path: Path) -> None:
     windy = tmp_path / "results.json"
     document = json.loads((folder / "results.json").read_text())
     document["options"]["wind_m_s"] = 4.0
@@ -125,8 +125,9 @@ def test_runs_of_one_suite_differ_in_their_options_and_the_first_counts(folder: 
     assert still.flown_with()
     assert not still.flown_with(wind_m_s=4.0)
     assert moved.flown_with(wind_m_s=4.0)
-    changed = replace(submission, runs=(still, replace(moved, overall=Rate(30, 0, 0.0, (0.0, 0.1)))))
-    assert leaderboard([changed], ["open-v1:smoke"])[0][2] == "100.0 (89 to 100)"
+    lower = replace(still, overall=Rate(30, 15, 0.5, (0.3, 0.7)))
+    for runs, shown in (((moved, lower), "50.0 (30 to 70)"), ((lower, moved), "50.0 (30 to 70)"), ((moved,), "–")):
+        assert leaderboard([replace(submission, runs=runs)], ["open-v1:smoke"])[0][4] == shown
 
 
 def test_a_run_has_its_scores_by_family_and_the_commit_that_flew_it(folder: Path) -> None:

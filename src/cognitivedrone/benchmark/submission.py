@@ -282,21 +282,23 @@ def _differences(run: SubmittedRun, job: Job) -> Iterator[str]:
 
 
 def leaderboard(submissions: Sequence[Submission], suites: Sequence[str]) -> list[list[str]]:
-    """Rows of the leaderboard: name, by, and for every suite the rate with its interval; best first.
+    """Rows of the leaderboard: name, by, policy, reasoner, and for every suite the rate with its interval; best first.
 
-    Sorted by the mean over the suites; a suite that was not flown is a dash, and counts as 0. Of several runs of a
-    suite, with different options, the first counts.
+    Sorted by the mean over the suites. Only runs with all options at their defaults count: the same seed, scene and
+    rules for everyone. A suite that was not flown so is a dash, and counts as 0.
     """
     rows: list[tuple[float, list[str]]] = []
     for submission in submissions:
-        runs: dict[str, SubmittedRun] = {run.run.suite.name: run for run in reversed(submission.runs)}
+        runs = {run.run.suite.name: run for run in submission.runs if run.flown_with()}
         cells, total = [], 0.0
         for suite in suites:
             made = runs[suite].overall if suite in runs else None
             total += (made.rate or 0.0) if made else 0.0
             cells.append(_cell(made))
         name = f"[{submission.name}]({submission.url})" if submission.url else submission.name
-        rows.append((total / max(len(suites), 1), [name, submission.by, *cells]))
+        pilot = submission.runs[0].run
+        row = [name, submission.by, f"`{pilot.policy}`", f"`{pilot.reasoner}`", *cells]
+        rows.append((total / max(len(suites), 1), row))
     return [row for _, row in sorted(rows, key=lambda each: (-each[0], each[1]))]
 
 
