@@ -147,6 +147,8 @@ def main() -> None:
     if sys.version_info < (3, 11):  # noqa: UP036 - the reader's Python may be any
         sys.exit(f"Python 3.11 or newer is needed; this is {sys.version.split()[0]}.")
     extras = sorted(sys.argv[1:])
+    if any(extra.startswith("-") for extra in extras):
+        sys.exit(__doc__)
     make_venv()
     install(with_torch(extras) if "dev" in extras else extras)
     ensure_opengl()

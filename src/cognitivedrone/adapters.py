@@ -99,6 +99,11 @@ class _AdaptedPolicy(_Adapted, Policy):
     def declines(self) -> bool:  # type: ignore[override]
         return getattr(self._part, "declines", False) is True
 
+    @property
+    def present(self) -> float | None:  # type: ignore[override]
+        present = getattr(self._part, "present", None)
+        return float(present) if isinstance(present, int | float) else None
+
     def act(self, observation: Observation) -> ActionChunk:
         with self._explained():
             chunk: ActionChunk = self._part.act(observation)

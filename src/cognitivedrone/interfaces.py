@@ -65,6 +65,10 @@ class Policy(PlugIn, ABC):
     declines: bool = False
     """Whether the policy says, with its latest commands, that no gate shows what is asked for. It must then hover."""
 
+    present: float | None = None
+    """Its own probability, 0 to 1, that a gate shows what the sentence asks for, with its latest commands; none if it
+    has no opinion. A reasoner's "Hold position" counts while the policy doubts it, too (`control.FilterRule`)."""
+
     trouble: str = ""
     """Why its latest commands only hold the position, such as a server that does not answer; empty otherwise."""
 

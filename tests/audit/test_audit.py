@@ -83,6 +83,7 @@ def test_a_filtered_pilot_is_its_pilot():
     policy = FilteredPolicy("oracle", light=0.5)
     assert policy.needs_ground_truth
     assert not policy.declines
+    assert policy.present is None
     reasoner = FilteredReasoner("noisy-oracle:0.8")
     assert reasoner.needs_ground_truth
     policy.close()

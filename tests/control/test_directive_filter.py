@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from cognitivedrone.control.directive_filter import DirectiveFilter, FilterRule, meaning_of
@@ -66,3 +68,28 @@ def test_an_answer_in_between_begins_the_count_anew():
     assert heard(directive_filter, (HOLD, 1.0), (RED, 0.3), *[(HOLD, 1.0)] * 3)[1:] == [
         "adopted", "kept", "kept", "adopted"
     ]  # fmt: skip
+
+
+def test_nothing_is_declined_while_the_policy_is_sure_that_it_is_there():
+    directive_filter = DirectiveFilter()
+    directive_filter.policy_says(0.97)
+    assert heard(directive_filter, *[(HOLD, 1.0)] * 5) == ["kept"] * 5
+    directive_filter.policy_says(0.94)
+    assert heard(directive_filter, *[(HOLD, 1.0)] * 3) == ["kept", "kept", "adopted"]
+    directive_filter.policy_says(0.97)
+    assert heard(directive_filter, (HOLD, 1.0)) == ["agreed"]
+
+
+@pytest.mark.parametrize("present", [None, math.nan])
+def test_a_policy_without_an_opinion_keeps_nobody_from_declining(present):
+    directive_filter = DirectiveFilter()
+    directive_filter.policy_says(present)
+    assert heard(directive_filter, *[(HOLD, 1.0)] * 3)[-1] == "adopted"
+
+
+def test_what_a_policy_says_of_a_directive_does_not_count():
+    directive_filter = DirectiveFilter()
+    directive_filter.policy_says(0.5)
+    assert heard(directive_filter, (RED, 0.3)) == ["adopted"]
+    directive_filter.policy_says(1.0)
+    assert heard(directive_filter, *[(HOLD, 1.0)] * 3) == ["kept", "kept", "adopted"]

@@ -336,6 +336,29 @@ def test_a_users_policy_declines_by_an_attribute():
     assert notes.events == [("declined", 0.0)]
 
 
+@pytest.mark.parametrize(("present", "declined"), [(0.99, False), (0.5, True), (None, True)])
+def test_a_policy_that_is_sure_is_not_stopped(present, declined):
+    class Users:
+        def reset(self, context):
+            pass
+
+        def act(self, observation):
+            self.present = present
+            return np.full((1, 4), 0.1, np.float32)
+
+    ground, notes = Ground(), Declining()
+    reasoner = SimulatedReasoner(Answering(*["Hold position"] * 4))
+    fly(
+        ground,
+        TimedPolicy(as_policy("mine", Users())),
+        ground,
+        for_steps(ground, 15),
+        reasoner=reasoner,
+        recorder=notes,
+    )
+    assert notes.events == ([("declined", 1.0)] if declined else [])
+
+
 def test_a_new_segment_begins_without_declining():
     ground, notes = Ground(), Declining()
     reasoner = SimulatedReasoner(Answering(*["Hold position"] * 3, "Fly through the red gate"))

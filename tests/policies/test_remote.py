@@ -65,6 +65,7 @@ def test_a_served_policy_answers_to_the_bit_as_a_local_one(name, pilot, tiny_mod
                 assert answered.dtype == expected.dtype == np.float32
                 assert np.array_equal(answered, expected)
                 assert there.declines == here.declines
+                assert there.present == here.present
     here.close()
 
 

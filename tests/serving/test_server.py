@@ -341,6 +341,12 @@ class TestPilot:
             assert [answer["declines"] for answer in answers] == [False, False, True]
             assert answers[-1]["actions"].tolist() == [[0, 0, 0, 0]]
 
+    def test_a_policy_that_is_sure_is_not_stopped(self, pilot):
+        with Client(pilot) as client:
+            answers = [client.ask(observation("surely nothing", time=seconds)) for seconds in (0.0, 0.5, 1.0, 1.5)]
+            assert [answer["declines"] for answer in answers] == [False, False, False, False]
+            assert answers[-1]["present"] == 0.99
+
     def test_without_an_answer_the_prompt_counts(self, pilot):
         with Client(pilot) as client:
             assert client.ask(observation("unsure"))["actions"][0, 2] == len("unsure")

@@ -30,6 +30,7 @@ class Counting(Policy):
     def act(self, observation):
         self.seen += 1
         self.declines = "decline" in observation.instruction
+        self.present = 0.99 if "surely" in observation.instruction else None
         return np.array([[self.stage, self.seen, len(observation.instruction), observation.height]], np.float32)
 
 
@@ -99,6 +100,6 @@ class Stages(Reasoner):
         self.asked += 1
         if instruction == "unsure":
             raise ReasonerError("unsure", "only 2 of 3 gates have been in view")
-        if instruction == "nothing":
+        if "nothing" in instruction:
             return Guidance("Hold position", None, 0.9, present=0.1)
         return Guidance(f"stages {self.stages}, question {self.asked}", 1, 0.75)

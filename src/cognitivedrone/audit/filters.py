@@ -60,6 +60,11 @@ class FilteredPolicy(Policy):
         """As the policy."""
         return self._policy.declines
 
+    @property
+    def present(self) -> float | None:  # type: ignore[override]
+        """As the policy."""
+        return self._policy.present
+
     def reset(self, context: EpisodeContext) -> None:
         """As the policy."""
         self._policy.reset(context)

@@ -29,6 +29,9 @@ class FilterRule:
     declines: int = 3
     """Answers in a row that must decline before the drone hovers. Meanwhile it flies on, and sees the panels anew; one
     that hovers at once would see the same frame, and its misreadings, for ever."""
+    sure: float = 0.95
+    """An answer declines nothing where the policy's own probability that it is there is at least this. Policy and
+    reasoner rarely both fail to recognise what is there; found with flights of training tasks."""
 
 
 class DirectiveFilter:
@@ -41,6 +44,12 @@ class DirectiveFilter:
         self._seen_at = 0.0
         self._declined = 0
         """Answers in a row that declined."""
+        self._present: float | None = None
+
+    def policy_says(self, present: float | None) -> None:
+        """Take a policy's `present`, until it is given a directive: then it is about that one."""
+        if self._current is None:
+            self._present = present
 
     def update(self, guidance: Guidance, seen_at: float) -> AnswerKind:
         """Process an answer about the frame taken at `seen_at`, s.
@@ -51,12 +60,13 @@ class DirectiveFilter:
         meaning = meaning_of(guidance.directive)
         self._evidence = {known: value * self.rule.fading for known, value in self._evidence.items()}
         self._evidence[meaning] = self._evidence.get(meaning, 0.0) + guidance.confidence
-        self._declined = self._declined + 1 if meaning == HOLD else 0
+        doubted = self._present is None or not self._present >= self.rule.sure
+        self._declined = self._declined + 1 if meaning == HOLD and doubted else 0
         present = None if self._current is None else meaning_of(self._current.directive)
         if present == meaning:
             self._current, self._seen_at = guidance, seen_at
             return "agreed"
-        if 0 < self._declined < self.rule.declines:
+        if meaning == HOLD and self._declined < self.rule.declines:
             return "kept"
         if present is not None and self._evidence[meaning] <= self.rule.ratio * self._evidence[present]:
             return "kept"

@@ -50,6 +50,11 @@ class TimedPolicy(Policy):
         return self.policy.declines
 
     @property
+    def present(self) -> float | None:  # type: ignore[override]
+        """The policy's probability that what is asked for is there."""
+        return self.policy.present
+
+    @property
     def trouble(self) -> str:  # type: ignore[override]
         """Why the policy only holds the position."""
         return self.policy.trouble

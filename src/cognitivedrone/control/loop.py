@@ -156,6 +156,7 @@ def fly(
         elif not pending:
             begin = time.perf_counter()
             pending = list(check_chunk(policy.act(observation)))
+            directive_filter.policy_says(policy.present)
             if latency_model is not None:
                 clock.sleep_until(clock.now() + latency_model(time.perf_counter() - begin))
         if declined != (held or policy.declines):

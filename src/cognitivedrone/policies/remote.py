@@ -40,7 +40,7 @@ class Remote(Policy):
             raise PluginError(f"policy 'remote': rows is {rows}; it must be at least 1")
         self.connection = Connection(url)
         self.trouble = ""
-        self.declines = False
+        self.declines, self.present = False, None
         self._deadline_s, self._rows = deadline, rows
         self._stages: list[EpisodeContext] = []
         """The stages of this flight; a new connection is told all of them."""
@@ -59,7 +59,7 @@ class Remote(Policy):
         if context.stage == 0:
             self._stages, self._told = [], 0
         self._stages.append(context)
-        self.declines, self.trouble = False, ""
+        self.declines, self.present, self.trouble = False, None, ""
 
     def act(self, observation: Observation) -> ActionChunk:
         """The server's commands (k, 4), or zeros (1, 4) while it does not answer in time.
@@ -75,7 +75,7 @@ class Remote(Policy):
             return self._asked(observation, time.monotonic() + limit_s)
         except (Late, Gone) as error:
             self._report(str(error), real_time=real_time)
-            self.declines = False
+            self.declines, self.present = False, None
             return np.zeros((1, 4), np.float32)
 
     def close(self) -> None:
@@ -99,6 +99,8 @@ class Remote(Policy):
         if self.trouble:
             self._report("", real_time=self._stages[-1].real_time)
         self.declines = reply.get("declines") is True
+        present = reply.get("present")
+        self.present = float(present) if isinstance(present, int | float) else None
         return self._commands(reply)
 
     def _message(self, observation: Observation) -> Message:

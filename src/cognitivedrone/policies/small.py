@@ -84,6 +84,11 @@ class Small(Policy):
         self._words_told: set[str] = set()
         self._sentences_told = 0
 
+    @property
+    def present(self) -> float | None:  # type: ignore[override]
+        """Mean over the frames so far that show three gates; none before the first, and for weights without it."""
+        return self._presence.mean if self._presence.frames else None
+
     @classmethod
     def file_of(cls, path: Path | str | None = None, *, stack: int = 1) -> Path:  # noqa: ARG003
         """The model file of a policy made with `path`; raises `PolicyError` if it does not exist."""

@@ -183,7 +183,8 @@ class PolicyServer:
         done = await self._engine.act(session, contexts, seen)
         session.time_s += len(done.actions) / CONTROL_HZ
         timing |= {"infer_ms": 1e3 * done.infer_s, "wait_ms": 1e3 * done.wait_s}
-        return {"actions": done.actions, "declines": done.declines}, timing
+        answer = {"actions": done.actions, "declines": done.declines}
+        return answer | ({} if done.present is None else {"present": done.present}), timing
 
 
 def told(error: Exception, client: str, level: int = logging.DEBUG) -> tuple[str, str]:

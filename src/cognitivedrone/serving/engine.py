@@ -25,6 +25,7 @@ class Done:
 
     actions: ActionChunk
     declines: bool
+    present: float | None
     infer_s: float
     """Of the whole batch."""
     wait_s: float
@@ -100,18 +101,18 @@ class Engine:
                 if isinstance(result, Exception):
                     turn.done.set_exception(result)
                 else:
-                    actions, declined = result
-                    turn.done.set_result(Done(actions, declined, took_s, began - turn.since))
+                    turn.done.set_result(Done(*result, took_s, began - turn.since))
 
-    def _act(self, turns: Sequence[_Turn]) -> list[tuple[ActionChunk, bool] | Exception]:
+    def _act(self, turns: Sequence[_Turn]) -> list[tuple[ActionChunk, bool, float | None] | Exception]:
         """Start stages and act; an error stays with its own turn."""
         begun = [attempt(turn.session.reset_policy, turn.contexts) for turn in turns]
         acting = [turn for turn, error in zip(turns, begun, strict=True) if error is None]
         chunks = iter(
             self.served.act([turn.session for turn in acting], [turn.observation for turn in acting]) if acting else []
         )
-        results: list[tuple[ActionChunk, bool] | Exception] = []
+        results: list[tuple[ActionChunk, bool, float | None] | Exception] = []
         for turn, error in zip(turns, begun, strict=True):
             chunk = next(chunks) if error is None else error
-            results.append(chunk if isinstance(chunk, Exception) else (chunk, turn.session.policy.declines))
+            policy = turn.session.policy
+            results.append(chunk if isinstance(chunk, Exception) else (chunk, policy.declines, policy.present))
         return results

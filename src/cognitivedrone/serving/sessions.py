@@ -131,7 +131,7 @@ class Session:
             self.guide.begin(context.stage)
         if self.guide is None:
             self.guide = Guide(self.reasoner, 0)
-        return self.guide.apply(observation)
+        return self.guide.apply(observation, None if contexts else self.policy.present)
 
     def close(self) -> None:
         """Free what this session alone has."""
@@ -151,9 +151,10 @@ class Guide:
         """Start a stage."""
         self._stage, self._filter, self._next_s = stage, DirectiveFilter(), -np.inf
 
-    def apply(self, observation: Observation) -> Observation | None:
-        """See `Session.guided`."""
+    def apply(self, observation: Observation, present: float | None) -> Observation | None:
+        """See `Session.guided`; `present` is the policy's, from its last commands of this stage."""
         now = observation.time
+        self._filter.policy_says(present)
         if now >= self._next_s:
             self._next_s = now + 1 / Rates().reasoner_hz - 0.5 / CONTROL_HZ  # frames are not exactly in time
             self._reasoner.ask(Question(self._stage, observation.instruction, observation.image, now))
