@@ -105,4 +105,6 @@ def write(path: Path, made: Measurement) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 3 or sys.argv[1].startswith("-"):
+        sys.exit(__doc__)
     main(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -36,7 +36,7 @@ def main(out: Path) -> None:
     """Write table, figure and manifest."""
     results = {name: read_results(out / "scores" / pilot / "open-v1-test") for name, pilot in PAPER_SYSTEMS.items()}
     bars = {name: bars_of(each) for name, each in results.items()}
-    table = paper_table({name: each.summary("through") for name, each in results.items()})
+    table = paper_table({name: {"open-v1:test": each.summary("through")} for name, each in results.items()})
     (out / "paper.md").write_text(str(table), encoding="utf-8")
     (out / "paper.svg").write_text(figure(bars), encoding="utf-8")
     (out / "manifest.json").write_text(json.dumps(manifest(out), indent=1) + "\n", encoding="utf-8")
@@ -104,4 +104,6 @@ def manifest(out: Path) -> dict[str, object]:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2 or sys.argv[1].startswith("-"):
+        sys.exit(__doc__)
     main(Path(sys.argv[1]))
