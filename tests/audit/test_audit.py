@@ -26,7 +26,7 @@ def plan_of(tmp_path, *only, policy="oracle", reasoner="none", episodes=2):
 
 
 def test_a_pilot_that_knows_the_answer_is_found_out_by_the_missing_question(tmp_path):
-    plan = plan_of(tmp_path, "no question", episodes=3)
+    plan = plan_of(tmp_path, "no question", episodes=6)
     rows = audit(plan, progress=False)
     assert [row.variant for row in rows] == ["as it is", "blank", "random words", "random letters"]
     assert all(row.rate == 1.0 for row in rows)

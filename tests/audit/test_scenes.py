@@ -97,6 +97,7 @@ def test_sentences_keep_their_words_or_lose_all():
     for change in (scenes.blank, scenes.random_words, scenes.random_letters):
         words = set(change(RNG(0), task).instruction.lower().split())
         assert not words & {"fly", "gate", "elephant", "elephant."}
+        assert change(RNG(0), replace(task, board="3 + 4")) is None
 
 
 def test_gates_move_by_as_much_as_is_said():

@@ -32,19 +32,23 @@ _POLITE = ("{x}", "Could you please {y}?", "Hello, {y}. Thank you!", "If you don
 _LAYOUTS = 200
 
 
-def blank(_: np.random.Generator, task: Task) -> Task:
-    """No words."""
-    return replace(task, instruction=BLANK)
+def blank(_: np.random.Generator, task: Task) -> Task | None:
+    """No words. A sum on a board is left out: it asks by itself."""
+    return None if task.board is not None else replace(task, instruction=BLANK)
 
 
-def random_words(rng: np.random.Generator, task: Task) -> Task:
-    """As many words as before, which mean nothing together and name nothing."""
+def random_words(rng: np.random.Generator, task: Task) -> Task | None:
+    """As many words as before, which mean nothing together and name nothing; none beside a board."""
+    if task.board is not None:
+        return None
     words = rng.choice(_WORDS, size=max(3, len(task.instruction.split())))
     return replace(task, instruction=" ".join(words.tolist()))
 
 
-def random_letters(rng: np.random.Generator, task: Task) -> Task:
-    """As many words as before, of random letters."""
+def random_letters(rng: np.random.Generator, task: Task) -> Task | None:
+    """As many words as before, of random letters; none beside a board."""
+    if task.board is not None:
+        return None
     lengths = rng.integers(3, 9, size=max(3, len(task.instruction.split())))
     letters = np.array(list(string.ascii_lowercase))
     return replace(task, instruction=" ".join("".join(rng.choice(letters, size=size)) for size in lengths))
