@@ -128,3 +128,11 @@ def test_the_version_that_is_asked_about_is_the_one_of_the_extra(setup):
 
     told = tomllib.loads((FILE.parents[1] / "pyproject.toml").read_text())
     assert setup.TORCH in told["project"]["optional-dependencies"]["dev-torch"]
+
+
+@pytest.mark.parametrize("flag", ["--help", "-e"])
+def test_a_flag_shows_how_to_use_it_and_installs_nothing(setup, ran, monkeypatch, flag):
+    monkeypatch.setattr(setup.sys, "argv", ["setup.py", flag])
+    with pytest.raises(SystemExit, match=r"setup.py \[EXTRA"):
+        setup.main()
+    assert ran == []
