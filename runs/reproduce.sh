@@ -120,7 +120,10 @@ done
 only=()
 [[ $everything ]] || only=(--only "mirrored stage")
 cognitivedrone audit --policy "$policy" --reasoner "$reasoner" --out "$out/audit/r1" "${episodes[@]}" "${only[@]}"
-[[ $everything ]] && cognitivedrone audit --policy "$policy" --out "$out/audit/small"
+if [[ $everything ]]; then
+  cognitivedrone audit --policy "$policy" --out "$out/audit/small"
+  cognitivedrone audit --policy "$policy" --reasoner "$reasoner" --out "$out/audit/r1_300" --episodes 300 --only "no question"
+fi
 
 # One file for each: speed, memory, faults.
 measure dynamics dynamics

@@ -13,6 +13,7 @@ import json
 import sys
 from pathlib import Path
 
+from cognitivedrone.audit.catalogue import AUDITS
 from cognitivedrone.audit.run import AUDIT_FILE
 from cognitivedrone.benchmark.measurements import Measurement, measurement, write_measurement
 from cognitivedrone.benchmark.reason import SUMMARY_FILE
@@ -87,7 +88,11 @@ def keep_audit(source: Path, path: Path) -> None:
     document = json.loads(source.read_text(encoding="utf-8"))
     baseline = read_results(source.parent / "baseline")
     pilot = f"--policy {document['policy']} --reasoner {document['reasoner']}"
-    command = f"cognitivedrone audit {pilot} --episodes {document['episodes']} --suite {document['suite']['name']}"
+    suite = document["suite"]["name"].partition("[")[0]
+    command = f"cognitivedrone audit {pilot} --episodes {document['episodes']} --suite {suite}"
+    made = {row["audit"] for row in document["rows"]} - {"baseline"}
+    if len(made) < len(AUDITS):
+        command += " --only " + " ".join(f'"{each.name}"' for each in AUDITS if each.name in made)
     names = ("audit", "variant", "expected", "n", "declined", "chosen", "sound")
     rows = [
         {**{name: row[name] for name in names}, "right": round(row["n"] * (row["rate"] or 0))}
