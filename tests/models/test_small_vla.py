@@ -24,7 +24,7 @@ F = len(SCHEMA.names)
 CONFIG = SmallVLAConfig(
     words=WordConfig(20, 15),
     text_length=10,
-    backbone=(8, 8, 16),
+    backbone=(16, 16, 16),
     blocks=1,
     reader=ReaderConfig(crop_size=32, panel_encoder=(8, 8, 8, 8), embedding=16),
     embedding=16,

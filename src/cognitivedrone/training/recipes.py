@@ -52,7 +52,8 @@ RECIPES: dict[str, TrainRecipe] = {
         steps=6,
         stream=StreamRecipe(batch=4, sentences=2, texts=4, worlds=4, sampled=0.5, pool=2, learner=0.5),
         network=SmallVLAConfig(
-            backbone=(8, 8, 16),
+            # PyTorch 2.13 crashes in the gradient of 1x1 convolutions of fewer than 16 channels (AVX-512, float32).
+            backbone=(16, 16, 16),
             blocks=1,
             embedding=16,
             text_width=16,
