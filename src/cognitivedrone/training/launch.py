@@ -28,8 +28,7 @@ class TrainOptions:
     recipe: str = "small"
     """Recipe: small, race, base or debug; language; reader or selector (the reasoner's networks); or an ablation."""
     data: Path | None = None
-    """A data set made by `collect`, instead of flights made during training (which train better, because the network
-    flies some of them and no two frames are alike)."""
+    """A data set made by `collect`, instead of flights made during training."""
     start: Path | None = None
     """Trained weights to start from: a checkpoint, a model file, or "small" for those that are shipped."""
     seed: int = 0
