@@ -1,4 +1,6 @@
-"""Random frames a second from a store, as training reads them: python benchmarks/data_reading.py [STORE].
+"""Random frames a second from a store, as training reads them.
+
+Run: python benchmarks/data_reading.py [STORE] [--out results/data_reading.json]
 
 Prints medians over repetitions of batches of 64 random steps (frame decoded, action, state, instruction), processor
 time a frame, and the ratio to decoding alone, from memory and in one thread; of a given store, also the rate of two
@@ -19,6 +21,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
+from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.data.episode import Conditions, Encoding, Episode, decode_image, encode_image
 from cognitivedrone.data.store import Store
 from cognitivedrone.data.store_writer import StoreWriter
@@ -84,10 +87,13 @@ def rate(work: Callable[[], object]) -> float:
     return BATCH / statistics.median(times)
 
 
-def measure(store: Store) -> None:
+def measure(store: Store) -> list[dict[str, object]]:
+    """One row for each number of threads."""
+    rows: list[dict[str, object]] = []
     rng = np.random.default_rng(1)
     first = store.episode(store.indices()[0])
-    kilobytes = np.mean([len(image) for image in first.images]) / 1024
+    kilobytes = float(np.mean([len(image) for image in first.images])) / 1024
+    of_store = {"encoding": first.encoding, "kb_per_frame": round(kilobytes, 1), "episodes": len(store)}
     one_frame = [first.images[0]] * BATCH
     bare = rate(lambda: [decode_image(image) for image in one_frame])
     for threads in (1, 2):
@@ -95,8 +101,14 @@ def measure(store: Store) -> None:
         before = time.process_time()
         got = rate(lambda threads=threads: store.steps(rng.integers(0, store.n_steps, BATCH), threads))  # type: ignore[misc]
         cpu = 1e3 * (time.process_time() - before) / (REPEATS * BATCH)
-        of_store = f"| {first.encoding} | {kilobytes:.1f} | {len(store):,} | {threads} "
-        print(f"{of_store}| {got:,.0f} | {cpu:.2f} | {got / bare:.2f} |")
+        print(
+            f"| {first.encoding} | {kilobytes:.1f} | {len(store):,} | {threads} | {got:,.0f} | {cpu:.2f} "
+            f"| {got / bare:.2f} |"
+        )
+        readers = f"{threads} thread{'s' * (threads > 1)}"
+        measured = {"frames_per_s": round(got), "cpu_ms": round(cpu, 3), "over_decoding": round(got / bare, 2)}
+        rows.append({"readers": readers, **of_store, **measured})
+    return rows
 
 
 def read_batches(path: Path, seed: int) -> tuple[float, float]:
@@ -110,27 +122,31 @@ def read_batches(path: Path, seed: int) -> tuple[float, float]:
     return start, time.perf_counter()
 
 
-def measure_processes(path: Path, processes: int = 2) -> None:
+def measure_processes(path: Path, processes: int = 2) -> dict[str, object]:
     """As data loaders of training frameworks read: each process for itself."""
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         times = list(pool.map(read_batches, [path] * processes, range(processes)))
     seconds = max(end for _, end in times) - min(start for start, _ in times)
-    print(f"{processes} processes of one thread: {processes * 2 * REPEATS * BATCH / seconds:,.0f} random frames/s")
+    got = processes * 2 * REPEATS * BATCH / seconds
+    print(f"{processes} processes of one thread: {got:,.0f} random frames/s")
+    return {"readers": f"{processes} processes", "frames_per_s": round(got)}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("store", nargs="?", type=Path)
-    path = parser.parse_args().store
+    parser.add_argument("--out", type=Path, help=OUT_HELP)
+    given = parser.parse_args()
     print("| encoding | KB a frame | episodes | threads | random frames/s | CPU ms a frame | over bare decoding |")
     print("|---|---|---|---|---|---|---|")
-    if path is not None:
-        measure(Store.open(path))
-        measure_processes(path)
-        return
-    for encoding in ENCODINGS:
-        with tempfile.TemporaryDirectory() as folder:
-            measure(made_store(Path(folder) / "store", encoding))
+    rows: list[dict[str, object]] = []
+    if given.store is not None:
+        rows = [*measure(Store.open(given.store)), measure_processes(given.store)]
+    else:
+        for encoding in ENCODINGS:
+            with tempfile.TemporaryDirectory() as folder:
+                rows += measure(made_store(Path(folder) / "store", encoding))
+    keep(given.out, "Random frames read from a data set", rows, seed=0)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """How well the pilot's own estimate sees that a gate was passed; the simulator's ground truth, hidden, judges it.
 
 Run: python benchmarks/mission_end.py [--suite open-v1:test] [--episodes 200] [--policy small] [--reasoner small]
+    [--out results/mission_end.json]
 
 Flies the first stage of each task in simulated time, with what `fly` shows the pilot of a real vehicle: frames,
 velocity, height, yaw rate. The flight goes on for 3 s after what the gate monitor saw, so that a late estimate is seen,
@@ -11,10 +12,12 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import tyro
 
+from cognitivedrone.benchmark.measurements import keep
 from cognitivedrone.choices import AppearanceName
 from cognitivedrone.control.async_reasoner import SimulatedReasoner
 from cognitivedrone.control.loop import Segment, fly
@@ -44,6 +47,8 @@ class Config:
     reasoner: str = "small"
     appearance: AppearanceName = "plain"
     seed: int = 0
+    out: Path | None = None
+    """File for the figures."""
 
 
 class Unjudged(SimulatedDrone):
@@ -121,6 +126,11 @@ def main(config: Config) -> None:
         f"{n}: at {one.early_s[0]:.1f} s, {one.kind} at {one.event_s:.1f} s" for n, one in flown.items() if one.early_s
     ]
     print("; ".join([f"noticed where no gate had been passed: {len(wrong)} of {len(flown)} flights", *wrong]))
+    row: dict[str, object] = {"suite": config.suite, "pilot": f"{config.policy} with {config.reasoner}"}
+    row |= {"flights": len(flown), "passed": ends["gate"], "noticed": in_time, "wrong": len(wrong)}
+    if delays:
+        row |= {"median_s": round(float(np.median(delays)), 2), "longest_s": round(max(delays), 2)}
+    keep(config.out, "Passages through gates, as the pilot notices them by itself", [row], seed=config.seed)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Flights of the simulated vehicle with a random fault every 20 s: no unsafe end, and no memory that grows.
 
 Run: python benchmarks/random_faults.py [--minutes 60] [--at-once 1] [--every 20] [--seed 0]
+    [--out results/random_faults.json]
 
 A guard process flies the simulated vehicle over UDP, in real time, through a relay that loses, cuts and adds packets.
 A pilot asks for a random velocity ten times a second, up to twice what the limits allow, and back to its take-off
@@ -40,6 +41,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "vehicles"))
 from peer import StillCamera
 from sitl_vehicle import come_first
 
+from cognitivedrone.benchmark.measurements import keep
 from cognitivedrone.control.fence import Fence, outside_by
 from cognitivedrone.control.safety import SafetyConfig
 from cognitivedrone.errors import LinkError
@@ -68,6 +70,8 @@ class Config:
     at_once: int = 1
     every: float = 20.0
     seed: int = 0
+    out: Path | None = None
+    """File for the figures."""
 
 
 class Relay:
@@ -387,6 +391,16 @@ def main(config: Config) -> int:
         )
     for each in unsafe:
         print(f"UNSAFE {each}")
+    row: dict[str, object] = {
+        "air_min": round(air_min, 1),
+        "flights": flights,
+        "faults": faults.total(),
+        "kinds": len(+faults),
+    }
+    row |= {"fenced": fenced, "unsafe": len(unsafe), "guard_mb": round(max(ends), 1), "grown_mb": round(max(grown), 1)}
+    row |= {"settled_mb": [round(r.own_mb[len(r.own_mb) // 4], 1) for r in results]}
+    row |= {"last_mb": [round(r.own_mb[-1], 1) for r in results]}
+    keep(config.out, "Flights with a random fault every few seconds", [row], seed=config.seed)
     return 1 if unsafe else 0
 
 

@@ -186,7 +186,7 @@ PAPER_SYSTEMS = {"CognitiveDrone-R1": "r1", "CognitiveDrone": "small", "RaceVLA"
 """The paper's systems, and our pilots that stand for them."""
 
 
-PAPER_SUITES = ("open-v1:test", "open-v2:pictures", "open-v1:unseen", "open-v2:words")
+PAPER_SUITES = ("open-v1:test", "open-v2:layouts", "open-v2:pictures", "open-v1:unseen", "open-v2:words")
 
 
 def paper_table(summaries: Mapping[str, Mapping[str, Summary | None]]) -> Table:

@@ -165,7 +165,13 @@ def test_what_a_lesson_in_language_cannot_use_is_said(tmp_path: Path, options: d
 def test_every_flag_reaches_all_processes(tmp_path: Path) -> None:
     options = TrainOptions(tmp_path / "out", "language", start=tmp_path / "start", resume=True, processes=2)
     command = command_of(options)
-    assert command[1:3] == ["-m", "torch.distributed.run"]
+    assert command[1:3] == ["-m", "cognitivedrone.training.processes"]
     parsed = parse_args(command[3:])
     assert parsed.training_script == "cognitivedrone.training.launch"
     assert tyro.cli(TrainOptions, args=parsed.training_script_args) == replace(options, processes=1)
+
+
+def test_a_users_error_in_several_processes_is_told_once(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(TrainingError, match=r"^there is no model file none\.onnx$"):
+        run(TrainOptions(tmp_path, "language", start=Path("none.onnx"), processes=2))
+    assert capfd.readouterr().err == ""

@@ -1,12 +1,11 @@
-"""Training on several processes of this machine: `python -m torch.distributed.run ... -m` this module.
+"""Training: in this process, or on several of this machine (`processes`).
 
-The same module runs on several machines or GPUs; the launcher gives each process its rank.
+`torchrun ... -m` this module runs it on several machines or GPUs; the launcher gives each process its rank.
 """
 
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +13,8 @@ from pathlib import Path
 import tyro
 
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
-from cognitivedrone.printable import visible
 from cognitivedrone.training.common.training_task import Given, Recipe
+from cognitivedrone.training.processes import fail, run_processes
 from cognitivedrone.training.recipes import find_recipe
 
 
@@ -54,19 +53,17 @@ def run(options: TrainOptions) -> Path:
     if options.processes < 1:
         raise TrainingError(f"{options.processes} processes cannot train; give at least 1")
     try:
-        done = subprocess.run(command_of(options), env={"OMP_NUM_THREADS": "1", **os.environ}, check=False)  # noqa: S603
+        run_processes(command_of(options))
     except KeyboardInterrupt:
         from cognitivedrone.training.common.trainer import what_is_left
 
         raise KeyboardInterrupt(what_is_left(options.out)) from None
-    if done.returncode:
-        raise TrainingError(f"the training ended with exit code {done.returncode}; its messages are above")
     return options.out / recipe.model_file
 
 
 def command_of(options: TrainOptions) -> list[str]:
     """The command that starts all processes of a training on this machine."""
-    launcher = ["torch.distributed.run", "--standalone", "--nproc-per-node", str(options.processes)]
+    launcher = ["cognitivedrone.training.processes", "--standalone", "--nproc-per-node", str(options.processes)]
     flags = ["--out", options.out, "--recipe", options.recipe, "--seed", options.seed, "--threads", options.threads]
     for name in ("data", "start", "labels", "tasks", "steps"):
         if getattr(options, name) is not None:
@@ -118,8 +115,7 @@ def main() -> None:
     try:
         _work(tyro.cli(TrainOptions))
     except CognitiveDroneError as error:
-        print(visible(f"cognitivedrone: {error}"), file=sys.stderr)  # noqa: T201
-        sys.exit(2)
+        fail(error)
     except KeyboardInterrupt:
         sys.exit(130)  # the launching process reports the state of the training
 
