@@ -34,8 +34,7 @@ RECIPES: dict[str, TrainRecipe] = {
     "small": SMALL,
     "race": replace(
         SMALL,
-        name="race",
-        steps=2_000,
+        name="race",  # with the steps of the policy that it is compared with
         stream=StreamRecipe(suite="race", crowded=0.5, token_noise=0.7, sentences=2, texts=0),
         network=replace(SMALL.network, reader=None),
     ),
@@ -68,7 +67,7 @@ RECIPES: dict[str, TrainRecipe] = {
     ),
 } | {recipe.name: recipe for recipe in _ABLATION}
 """`small`: the shipped policy. `race`: the baseline without language. `base`: larger, for a GPU. `debug`: the whole
-training path in seconds, for tests. `ablation-*`: a ninth of `small`, all but the first with one change."""
+training path in seconds, for tests. `ablation-*`: a quarter of `small`, all but the first with one change."""
 
 
 ALL_RECIPES: dict[str, Recipe] = {

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import check_regular, reason_of, replacing
-from cognitivedrone.models.checksum import BLANK, Finding, check_own, seal
+from cognitivedrone.models.checksum import BLANK, Finding, check, seal
 
 CHECKPOINT = "checkpoint.safetensors"
 """Name of the file in the folder of a run."""
@@ -71,7 +71,7 @@ def _finding(path: Path) -> Finding:
     if not path.stat().st_size:
         return "unknown"  # safetensors reports the error of an empty file
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        return check_own(content)
+        return check(content)
 
 
 def restore(tensors: dict[str, Tensor], network: nn.Module, optimizer: torch.optim.Optimizer | None) -> None:

@@ -104,4 +104,5 @@ def draw_curves(rows: Sequence[Row], path: Path) -> None:
 def _line(axis: Any, rows: Sequence[Row], key: str, label: str, *, style: str = "-", width: float = 1) -> None:
     points = [(row["step"], row[key]) for row in rows if row.get(key) is not None]
     if points:
-        axis.plot(*zip(*points, strict=True), style, label=label, linewidth=width)
+        alone = "o" if len(points) == 1 else None  # a line needs two
+        axis.plot(*zip(*points, strict=True), style, label=label, linewidth=width, marker=alone)
