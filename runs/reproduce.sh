@@ -125,7 +125,7 @@ if [[ $everything ]]; then
   cognitivedrone audit --policy "$policy" --reasoner "$reasoner" --out "$out/audit/r1_300" --episodes 300 --only "no question"
 fi
 
-# One file for each: speed, memory, faults.
+# One file for each: speed, memory, faults. What the trainings took: results/training_times.json.
 measure dynamics dynamics
 measure step_responses step_responses
 if [[ $everything ]]; then
@@ -135,6 +135,8 @@ if [[ $everything ]]; then
   measure collection collection 300
   measure inference inference "$out/flight/model.onnx"
   measure reading reading --reader "$out/flight/checkpoint.safetensors" --sets held-out
+  measure data_reading data_reading "$out/flights-${sets[-1]}"
+  measure mission_end mission_end --policy "$policy" --reasoner "$reasoner"
   measure real_time real_time --policy "$policy" --reasoner "$reasoner" --seconds 60
   pilot=(--policy "$policy" --reasoner "$reasoner" --episodes 60)
   measure holding_test holding "${pilot[@]}"
@@ -144,6 +146,7 @@ if [[ $everything ]]; then
   measure first_score first_score "$python"
   measure faults faults
   measure fault_times fault_times --flights 100
+  measure random_faults random_faults --minutes 60 --at-once 2
 fi
 if [[ ${ARDUCOPTER:-} ]]; then
   measure sitl_step_responses step_responses

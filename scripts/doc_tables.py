@@ -167,6 +167,17 @@ TABLES: Final[dict[str, Description]] = {
     "lessons": lessons,
     # docs/training.md
     "from-data": from_data,
+    "training-times": rows_of(
+        "training_times",
+        {
+            "run": "{run}",
+            "recipe": "`{recipe}`",
+            "steps": "{steps:,}",
+            "steps/s": "{steps_per_s:.1f}",
+            "time, min": "{minutes:.0f}",
+            "remarks": "{remarks}",
+        },
+    ),
     "ablations": rows_of(
         "ablation",
         {
@@ -196,7 +207,24 @@ TABLES: Final[dict[str, Description]] = {
         {"what": "{what}", "control steps/s": "{steps_per_s:,.0f}", "date": "{date}", "ratio": "{ratio:.2g}"},
         {"unit": "control steps/s"},
     ),
+    # docs/tasks.md
+    "looks": rows_of(
+        "looks",
+        {"look": "{look}", "pilot": "{pilot}"}
+        | {f"`{name}`": f"{{{name}:.0%}}" for name in ("words", "pictures", "unseen", "layouts", "absent")},
+    ),
     # docs/data.md, docs/store.md, docs/formats.md
+    "data-reading": rows_of(
+        "data_reading",
+        {
+            "readers": "{readers}",
+            "frames/s": "{frames_per_s:,.0f}",
+            "over decoding alone, in one thread": "{over_decoding:.2f}",
+            "processor time a frame": "{cpu_ms:.2f} ms",
+            "a frame's size": "{kb_per_frame:.1f} KB",
+            "flights": "{episodes:,}",
+        },
+    ),
     "collect-paper": lines_of(
         ("`cognitivedrone collect --out paper-set --workers 2`", ""),
         *(
@@ -258,6 +286,27 @@ TABLES: Final[dict[str, Description]] = {
         Line("holding_test", {}, ("`open-v1:test`", *HELD)),
         Line("holding_never", {}, ("the same, `--below 0`", *HELD)),
         Line("holding_hard", {}, ("`open-v1:hard`", *HELD)),
+    ),
+    "mission-end": rows_of(
+        "mission_end",
+        {
+            "`--suite`": "`{suite}`",
+            "pilot": "`{pilot}`",
+            "gates passed": "{passed} in {flights} flights",
+            "noticed within 1.5 s": "{noticed}",
+            "after: median, longest": "{median_s:.2f} s, {longest_s:.2f} s",
+            "noticed where no gate was passed": "{wrong}",
+        },
+    ),
+    "random-faults": rows_of(
+        "random_faults",
+        {
+            "in the air": "{air_min:.0f} min, {flights} flights",
+            "faults": "{faults} of {kinds} kinds",
+            "unsafe ends": "{unsafe}",
+            "memory of the guard": "{guard_mb:.1f} MB, {grown_mb:+.1f} MB",
+            "of vehicle and pilot": "{settled_mb:.1f} MB; {last_mb:.1f} MB",
+        },
     ),
     "sitl-faults": rows_of(
         "sitl_faults",

@@ -4,7 +4,7 @@ Run: python scripts/keep_results.py OUT RESULTS
 
 Each folder OUT/scores/PILOT with its runs becomes the submission RESULTS/PILOT.json, OUT/reason/* becomes
 RESULTS/reasoner_alone.json, and OUT/audit/PILOT becomes RESULTS/audit_PILOT.json; RESULTS/bench_time.json has the wall
-times of runs. Partial runs are left out, and named.
+times of runs, RESULTS/training_times.json those of the trainings in OUT. Partial runs are left out, and named.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ from cognitivedrone.errors import RunError
 BY = "CognitiveDrone"
 TIMED = "open-v1-test"
 """The folder of the runs whose wall times are kept."""
+TAUGHT = ("recorded", "stream")
+"""Pilots that differ from others by their training alone, and take the same time."""
 WHOLE = 300
 """Their tasks."""
 
@@ -33,6 +35,7 @@ def main(out: Path, results: Path) -> None:
     for folder in sorted((out / "scores").glob("*")):
         keep_pilot(sorted(path.parent for path in folder.glob(f"*/{RESULTS_FILE}")), results / f"{folder.name}.json")
     keep_times(sorted((out / "scores").glob(f"*/{TIMED}/{RESULTS_FILE}")), results / "bench_time.json")
+    keep_trainings(sorted(out.glob("*/metrics.jsonl")), results / "training_times.json")
     keep_reasoner(sorted((out / "reason").glob(f"*/{SUMMARY_FILE}")), results / "reasoner_alone.json")
     for path in sorted((out / "audit").glob(f"*/{AUDIT_FILE}")):
         keep_audit(path, results / f"audit_{path.parent.name}.json")
@@ -56,6 +59,7 @@ def keep_pilot(folders: list[Path], path: Path) -> None:
 def keep_times(paths: list[Path], path: Path) -> None:
     """Wall times of the runs that were flown in one go."""
     runs = {each.parents[1].name: read_results(each) for each in paths}
+    runs = {name: run for name, run in runs.items() if not name.startswith(TAUGHT)}
     whole = {name: run for name, run in runs.items() if run.timing.episodes_flown == len(run.episodes) >= WHOLE}
     rows = [{"pilot": name, "wall_s": run.timing.wall_s, "workers": run.timing.workers} for name, run in whole.items()]
     if whole:
@@ -81,6 +85,25 @@ def keep_reasoner(paths: list[Path], path: Path) -> None:
         what, last = "The reasoner alone, from the first frame of every task", documents[-1]
         command, facts = "cognitivedrone reason --reasoner small --suite S", last["platform"]
         write(path, measurement(what, command, rows, seed=0, facts=facts, finished=last["finished"]))
+
+
+def keep_trainings(paths: list[Path], path: Path) -> None:
+    """Steps and times of trainings by the rates of their rounds, so without the pauses between a stop and going on."""
+    rows = []
+    for each in paths:
+        rounds = [json.loads(line) for line in each.read_text(encoding="utf-8").splitlines()]
+        recipe = json.loads((each.parent / "recipe.json").read_text(encoding="utf-8"))["recipe"]
+        ends = [0, *(row["step"] for row in rounds)]
+        seconds = sum(
+            (end - start) / row["steps_per_s"] for start, end, row in zip(ends, ends[1:], rounds, strict=False)
+        )
+        if ends[-1] < recipe["steps"]:
+            print(f"{each.parent} is not finished: {ends[-1]} of {recipe['steps']} steps")
+            continue
+        row = {"run": each.parent.name, "recipe": recipe["name"], "steps": ends[-1]}
+        rows.append({**row, "steps_per_s": round(ends[-1] / seconds, 2), "minutes": round(seconds / 60, 1)})
+    if rows:
+        write(path, measurement("Times of trainings", "runs/reproduce.sh", rows, seed=0))
 
 
 def keep_audit(source: Path, path: Path) -> None:

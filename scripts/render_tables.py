@@ -1,4 +1,6 @@
-"""Write the tables of README.md and docs/ from results/*.json and leaderboard/*.json. `doc_tables.py` describes them.
+"""Write the tables of README.md and docs/, and the paper's figure, from results/*.json and leaderboard/*.json.
+
+`doc_tables.py` describes the tables.
 
 Run: python scripts/render_tables.py [--check]
 
@@ -14,11 +16,19 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from doc_tables import TABLES
+from paper_figure import figure
+from score_tables import PAPER_SYSTEMS
 from table_kinds import Description, Store
 
 from cognitivedrone.benchmark.measurements import Measurement
+from cognitivedrone.benchmark.scoring import Summary
 from cognitivedrone.benchmark.submission import Submission
 
+FIGURE = "docs/images/paper.svg"
+FIGURE_SUITES = {
+    "open-v1:test": "open-v1:test, drawn like the training tasks",
+    "open-v1:unseen": "open-v1:unseen, styles, fonts, people and wordings held out",
+}
 ROOT = Path(__file__).resolve().parents[1]
 _PLACE = re.compile(r"^( *)<!-- table: ([\w-]+) -->\n(.*?)^ *<!-- end -->$", re.DOTALL | re.MULTILINE)
 
@@ -70,6 +80,19 @@ def _commit(*commits: str | None) -> list[str]:
     return [f"commit{'s' if len(known) > 1 else ''} {' and '.join(known)}"] if known else []
 
 
+def drawn(store: Store) -> str:
+    """The paper's figure; empty where a system has not flown one of its suites."""
+    suites: dict[str, dict[str, Summary]] = {}
+    for suite, title in FIGURE_SUITES.items():
+        suites[title] = {}
+        for name, pilot in PAPER_SYSTEMS.items():
+            summary = store.summary(pilot, suite)
+            if summary is None:
+                return ""
+            suites[title][name] = summary
+    return figure(suites)
+
+
 def problems(root: Path, tables: Mapping[str, Description] = TABLES) -> list[str]:
     """What does not fit together, in sentences; empty if all does."""
     store, found, used, shown = Store(root), [], set(), set()
@@ -91,6 +114,8 @@ def problems(root: Path, tables: Mapping[str, Description] = TABLES) -> list[str
         describe(store)
         used |= {*store.used}
     files = {path.stem for path in (root / "results").glob("*.json")}
+    if (root / FIGURE).exists() and (root / FIGURE).read_text(encoding="utf-8") != drawn(store):
+        found.append(f"{FIGURE} does not show what results/ holds; run `python scripts/render_tables.py`")
     return [*found, *(f"results/{name}.json is in no table" for name in sorted(files - used))]
 
 
@@ -106,6 +131,9 @@ def main() -> int:
         if (new := rendered(text, store)) != text:
             page.write_text(new, encoding="utf-8")
             print(page)
+    if (picture := drawn(store)) != (ROOT / FIGURE).read_text(encoding="utf-8"):
+        (ROOT / FIGURE).write_text(picture, encoding="utf-8")
+        print(ROOT / FIGURE)
     return 0
 
 

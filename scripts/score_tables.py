@@ -283,12 +283,18 @@ def gazebo_scores(store: Store) -> Table:
         return [f"{passed} of {n}", interval(wilson(passed, n))]
 
     return Table(
-        ["tasks", "pilot", "passed in Gazebo", "95 % interval", "in our simulator", "95 % interval"],
+        [
+            *("tasks", "pilot", "passed in Gazebo", "95 % interval", "in our simulator", "95 % interval"),
+            *("time of a passed task, clearance", "in our simulator", "commands late"),
+        ],
         [
             [
                 *(cell(template, row) for template in ("{tasks}", "{pilot}")),
                 *score(row["passed"], row["n"]),
                 *(score(row["ours_passed"], row["ours_n"]) if "ours_n" in row else ["", ""]),
+                cell("{time_s:.2f} s, {clearance_cm} cm", row),
+                cell("{ours_time_s:.2f} s, {ours_clearance_cm} cm", row),
+                cell("{late} of {commands:,}", row),
             ]
             for row in store.measured("gazebo_scores").rows
         ],

@@ -151,6 +151,12 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     row |= {"declined": 0, "chosen": [1, 2, 3, 2]}
     document = {"policy": "fake", "reasoner": "none", "episodes": 8, "suite": {"name": "open-v1:test"}, "seed": 0}
     (audit / AUDIT_FILE).write_text(json.dumps({**document, "rows": [row]}))
+    for name, steps in {"flight": 20, "stopped": 10}.items():
+        training = out / name
+        training.mkdir()
+        (training / "recipe.json").write_text(json.dumps({"recipe": {"name": "flight", "steps": 20}, "seed": 0}))
+        rounds = [{"step": step, "steps_per_s": step / 20} for step in range(10, steps + 1, 10)]
+        (training / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rounds))
     answers = out / "reason" / "open-v1-test"
     score_reasoner(
         ReasonPlan(Scenario(suite="open-v1:test"), "noisy-oracle:accuracy=0.5", episodes=4, out=answers), progress=False
@@ -160,11 +166,15 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_runs_become_files_and_tables(out: Path, tmp_path: Path, capsys) -> None:
     keep_results.main(out, tmp_path / "results")
-    assert "2 episodes only" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "2 episodes only" in said
+    assert "stopped is not finished: 10 of 20 steps" in said
     submission = read_submission(tmp_path / "results" / "small.json")
     assert [made.run.option("wind_m_s") for made in submission.runs] == [0.0, 0.5]
     times = read_measurement(tmp_path / "results" / "bench_time.json")
     assert [row["pilot"] for row in times.rows] == ["small"]
+    (training,) = read_measurement(tmp_path / "results" / "training_times.json").rows
+    assert training == {"run": "flight", "recipe": "flight", "steps": 20, "steps_per_s": 0.67, "minutes": 0.5}
     (alone,) = read_measurement(tmp_path / "results" / "reasoner_alone.json").rows
     assert (alone["suite"], alone["n"], alone["confidences"]) == ("open-v1:test", 4, 4)
     assert 0 <= alone["calibration_error"] <= 1

@@ -1,0 +1,37 @@
+"""The manifest beside the shipped weights is of these files."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+
+import weights_manifest
+from weights_manifest import MANIFEST, WEIGHTS, main
+
+
+def test_the_manifest_is_of_the_shipped_files() -> None:
+    assert main(["--check"]) == 0
+    files = json.loads((WEIGHTS / MANIFEST).read_text(encoding="utf-8"))
+    assert set(files) == {"race.onnx", "small.onnx", "reasoner/gate_selector.onnx", "reasoner/panel_reader.onnx"}
+    for facts in files.values():
+        assert len(facts["commit"]) == 40, "trained from a commit, with nothing changed"
+        assert facts["steps"] > 0
+
+
+def test_other_weights_are_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    weights = tmp_path / "weights"
+    shutil.copytree(WEIGHTS, weights)
+    monkeypatch.setattr(weights_manifest, "WEIGHTS", weights)
+    shutil.copyfile(weights / "small.onnx", weights / "race.onnx")
+    assert main(["--check"]) == 1
+    assert "python scripts/weights_manifest.py" in capsys.readouterr().err
+    main([])
+    assert main(["--check"]) == 0
