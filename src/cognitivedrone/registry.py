@@ -53,7 +53,7 @@ def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
     module_name, colon, attribute = target.partition(":")
     if not colon:
         raise PluginError(
-            f"unknown {kind} {name!r}; {did_you_mean(name, table)} Your own is given as module:attribute."
+            f"unknown {kind} {name!r} (your own is given as module:attribute); {did_you_mean(name, table)}"
         )
     try:
         factory = getattr(importlib.import_module(module_name), attribute)

@@ -228,7 +228,9 @@ def _notes(results: Results, rule: Rule) -> list[Text]:
         causes = ", ".join(f"{name} {sum(getattr(guard, name) for guard in guards)}" for name in GUARDED)
         notes.append(Text(f"guard: changed {commands} commands in {flights} of {len(guards)} episodes ({causes})"))
     flown, wall = results.timing.episodes_flown, results.timing.wall_s
-    notes.append(Text(f"{flown} episodes in {wall:.1f} s, {results.timing.workers} workers", style="dim"))
+    workers = results.timing.workers
+    work = f"{flown} episode{'s' * (flown != 1)} in {wall:.1f} s, {workers} worker{'s' * (workers != 1)}"
+    notes.append(Text(work, style="dim"))
     return notes
 
 
