@@ -122,6 +122,7 @@ only=()
 cognitivedrone audit --policy "$policy" --reasoner "$reasoner" --out "$out/audit/r1" "${episodes[@]}" "${only[@]}"
 if [[ $everything ]]; then
   cognitivedrone audit --policy "$policy" --out "$out/audit/small"
+  cognitivedrone audit --policy "$race" --out "$out/audit/race"
   cognitivedrone audit --policy "$policy" --reasoner "$reasoner" --out "$out/audit/r1_300" --episodes 300 --only "no question"
 fi
 

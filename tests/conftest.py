@@ -1,9 +1,10 @@
-"""Fixtures that several rooms' tests share."""
+"""Settings and fixtures that all tests share."""
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
+import signal
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -22,6 +23,10 @@ importlib.import_module("typechecked").install()
 # A busy machine makes no example wrong.
 settings.register_profile("no deadline", deadline=None)
 settings.load_profile("no deadline")
+
+# A shell starts background jobs with Ctrl-C ignored, and so would be the programs that the tests start and interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 OPTIONAL: tuple[str, ...] = ("accelerate", "httpx", "matplotlib", "peft", "pymavlink", "rosbags", "safetensors")
 OPTIONAL += ("msgpack", "serial", "starlette", "tensorboard", "tokenizers", "torch", "torchao", "transformers")
