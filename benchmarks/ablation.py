@@ -25,6 +25,14 @@ from cognitivedrone.training.recipes import RECIPES
 
 PREFIX = "ablation-"
 SUITE = "open-v1:test"
+CHANGES = {
+    "regression": "unchanged",
+    "tokens": "256 bins, no values",
+    "chunk2": "two actions at once",
+    "chunk4": "four",
+    "128px": "the backbone gets half the resolution",
+    "instructions": "no directives taught",
+}
 
 
 @dataclass(frozen=True)
@@ -70,7 +78,7 @@ def row(line: Line) -> dict[str, Any]:
     """Its figures."""
     told, directed = line.told.summary().overall, line.directed.summary().overall
     return {
-        "variant": f"`{line.name}`",
+        "variant": f"`{line.name}`: {CHANGES[line.name]}",
         "passed": told.rate,
         "choice_accuracy": told.choice_accuracy,
         "pass_given_choice": told.pass_given_choice,
