@@ -92,7 +92,8 @@ def measure(store: Store) -> list[dict[str, object]]:
     rows: list[dict[str, object]] = []
     rng = np.random.default_rng(1)
     first = store.episode(store.indices()[0])
-    kilobytes = float(np.mean([len(image) for image in first.images])) / 1024
+    drawn = rng.choice(store.indices(), min(len(store), 50), replace=False).tolist()
+    kilobytes = float(np.mean([len(image) for index in drawn for image in store.episode(index).images])) / 1000
     of_store = {"encoding": first.encoding, "kb_per_frame": round(kilobytes, 1), "episodes": len(store)}
     one_frame = [first.images[0]] * BATCH
     bare = rate(lambda: [decode_image(image) for image in one_frame])

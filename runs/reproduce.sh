@@ -13,7 +13,8 @@
 #
 # Before the script: ARDUCOPTER=path/to/arducopter measures what needs that program, LESSON=FOLDER a lesson with labels/
 # and tasks/, and one with the pictures in few/, PHOTOGRAPHS=FOLDER flights past pictures named after known things, GPU=1
-# OpenVLA-7B on a graphics card.
+# OpenVLA-7B on a graphics card. Measured by hand, by the commands that their files name: gazebo_scores, sitl_scores,
+# harnesses, systems, serving, lora_memory, openvla_memory. looks is a history.
 set -euo pipefail
 
 out=${1:-out/reproduce}
@@ -134,6 +135,10 @@ if [[ $everything ]]; then
   measure rendering rendering
   measure start_up start_up
   measure collection collection 300
+  [[ -e $results/collect_paper.json ]] || rm -rf "$out/paper-set"
+  measure collect_paper collect_paper "$out/paper-set"
+  [[ -e $results/exports.json ]] || rm -rf "$out/exports"
+  measure exports exports "$out/paper-set" "$out/exports"
   measure inference inference "$out/flight/model.onnx"
   measure reading reading --reader "$out/flight/checkpoint.safetensors" --sets held-out
   measure data_reading data_reading "$out/flights-${sets[-1]}"
@@ -147,7 +152,7 @@ if [[ $everything ]]; then
   measure first_score first_score "$python"
   measure faults faults
   measure fault_times fault_times --flights 100
-  measure random_faults random_faults --minutes 60 --at-once 2
+  measure random_faults random_faults --minutes 30 --at-once 2
 fi
 if [[ ${ARDUCOPTER:-} ]]; then
   measure sitl_step_responses step_responses
