@@ -8,6 +8,7 @@ Exports STORE to FOLDER/FORMAT, which stays, and reads each export to its end by
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from pathlib import Path
 
@@ -38,7 +39,8 @@ def main() -> None:
         lengths = [len(episode) for _, episode in import_(folder, name)]
         rows.append({**row, "read_episodes": len(lengths), "read_steps": sum(lengths)})
         print(rows[-1], flush=True)
-        assert sum(lengths) == store.n_steps
+        if sum(lengths) != store.n_steps:
+            sys.exit(f"{name} lost steps: {sum(lengths)} of {store.n_steps} were read back")
     keep(options.out, f"Exports of the {len(store):,} episodes ({store.n_steps:,} steps) of the recipe paper", rows)
 
 
