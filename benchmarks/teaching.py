@@ -75,8 +75,8 @@ def flown(config: Config, kept: Path) -> Iterator[dict[str, Any]]:
             who = f"{name}, {'policy' if with_reasoner is None else 'R1'}"
             folder = config.folder / who.replace(", ", "-")
             for place, suite, labels, count in (
-                ("kept", drawn, config.labels, config.episodes),
-                ("known", "open-v1:test", None, config.known),
+                ("held back", drawn, config.labels, config.episodes),
+                ("known before", "open-v1:test", None, config.known),
             ):
                 done = evaluate(
                     policy,
@@ -84,13 +84,13 @@ def flown(config: Config, kept: Path) -> Iterator[dict[str, Any]]:
                     reasoner=with_reasoner,
                     labels=labels,
                     episodes=count,
-                    out=folder / place,
+                    out=folder / place.replace(" ", "-"),
                     resume=True,
                 )
                 rate = done.summary.overall
                 low, high = rate.ci95 or (0.0, 1.0)
                 families = {family: f"{each.rate:.0%}" for family, each in done.summary.families.items()}
-                print(f"{who:16} {place:6} {rate.rate:6.1%} ({low:.1%} to {high:.1%})  {families}")
+                print(f"{who:16} {place:12} {rate.rate:6.1%} ({low:.1%} to {high:.1%})  {families}")
                 yield {"who": who, "tasks": place, "passed": rate.passed, "n": rate.n}
 
 

@@ -15,6 +15,7 @@ from score_tables import (
     audits,
     by_suite,
     categories,
+    false_alarms,
     families,
     from_data,
     gazebo_scores,
@@ -135,6 +136,7 @@ TABLES: Final[dict[str, Description]] = {
     ),
     # docs/r1.md
     "r1": reasoner_worth,
+    "false-alarms": false_alarms,
     "r1-families": families("r1", ("open-v1:test", "open-v1:unseen", "open-v2:words", "open-v1:hard")),
     "r1-latency": latencies,
     "real-time": lines_of(
@@ -210,7 +212,7 @@ TABLES: Final[dict[str, Description]] = {
     # docs/tasks.md
     "looks": rows_of(
         "looks",
-        {"look": "{look}", "pilot": "{pilot}"}
+        {"look": "{look}", "day": "{date}", "pilot": "{pilot}"}
         | {f"`{name}`": f"{{{name}:.0%}}" for name in ("words", "pictures", "unseen", "layouts", "absent")},
     ),
     # docs/data.md, docs/store.md, docs/formats.md
@@ -264,7 +266,12 @@ TABLES: Final[dict[str, Description]] = {
     ),
     "exports": rows_of(
         "exports",
-        {"command": "`{command}`", "time": "{time_s:.0f} s", "size": "{size_gb:.1f} GB", "opened": "{opened}"},
+        {
+            "command": "`{command}`",
+            "time": "{time_s:.0f} s",
+            "size": "{size_gb:.1f} GB",
+            "read back": "{read_episodes:,} episodes, {read_steps:,} steps",
+        },
     ),
     # docs/install.md, docs/integrations.md, docs/serving.md
     "systems": rows_of("systems", {"system": "{system}", "Python": "{python}", "what": "{what}", "result": "{result}"}),

@@ -68,7 +68,8 @@ def caption(store: Store) -> Iterator[str]:
 
 def _facts(found: Measurement | Submission) -> str:
     if isinstance(found, Measurement):
-        return ", ".join([f"`{found.command}`", found.machine, found.date, *_commit(found.commit)])
+        commit = _commit(found.commit) or ["commit not known"]
+        return ", ".join([f"`{found.command}`", found.machine, found.date, *commit])
     machines = dict.fromkeys(run.machine for run in found.runs)
     days = sorted({run.finished[:10] for run in found.runs})
     commits = dict.fromkeys(run.commit for run in found.runs)

@@ -18,7 +18,7 @@ PILOTS = {
     "small": "**`small`**: our small VLA, from the raw instruction",
     "colour_seeker_oracle": "`colour_seeker` with gold directives (`--reasoner oracle`): flies, need not choose",
     "colour_seeker": "`colour_seeker` with the raw instruction: chooses at random",
-    "race": "`race`: the same network without language, the paper's baseline",
+    "race": "`race`: flies gates at the published places, without language; the paper's baseline",
     "oracle": "`oracle`: uses privileged state",
     "hover": "`hover`",
     "random": "`random`",
@@ -159,6 +159,23 @@ def reasoner_worth(store: Store) -> Table:
         "calibration error of its confidences",
     ]
     return Table(heads, rows)
+
+
+def false_alarms(store: Store) -> Table:
+    """How often R1 and the policy alone declined although a gate was right, which in `absent` none is."""
+    pilots = {"r1": "R1", "small": "the policy alone"}
+    rows = []
+    for suite in (*HELD_OUT, *DRAWN_ANEW, "open-v1:track"):
+        if suite != "open-v2:absent":
+            rows.append([f"`{suite}`", *(_declined(store.summary(pilot, suite)) for pilot in pilots)])
+    return Table(["suite", *pilots.values()], rows)
+
+
+def _declined(summary: Summary | None) -> str:
+    if summary is None:
+        return NOT_MEASURED
+    alarms = summary.false_alarms
+    return f"{alarms.alarms} of {alarms.n}" if alarms else f"0 of {summary.overall.n}"
 
 
 def latencies(store: Store) -> Table:
