@@ -31,7 +31,7 @@ CHANGES = {
     "chunk2": "two actions at once",
     "chunk4": "four",
     "128px": "the backbone gets half the resolution",
-    "instructions": "no directives taught",
+    "instructions": "no flights with directives",
 }
 
 
