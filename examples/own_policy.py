@@ -9,7 +9,7 @@ from cognitivedrone.types import ActionChunk, EpisodeContext, Observation
 
 
 class Straight:
-    """Flies straight ahead at the gates' height: through the middle gate, whatever it is asked."""
+    """Flies straight ahead at the gates' height, whatever it is asked; passes the middle gate if it starts in line."""
 
     def reset(self, context: EpisodeContext) -> None:
         """A stage begins: `context.instruction` says what to do."""

@@ -58,9 +58,9 @@ def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
     try:
         factory = getattr(importlib.import_module(module_name), attribute)
     except ModuleNotFoundError as error:
-        near = difflib.get_close_matches(module_name, table, n=1)
-        hint = f"did you mean '{near[0]}:{attribute}'?" if near else "is its folder on PYTHONPATH?"
-        raise PluginError(f"{kind} {name!r}: no module {error.name!r}; {hint}") from None
+        raise PluginError(
+            f"{kind} {name!r}: no module {error.name!r}; {_hint_for(module_name, attribute, table)}"
+        ) from None
     except AttributeError:
         raise PluginError(f"{kind} {name!r}: module {module_name!r} has no {attribute!r}") from None
     except (Exception, SystemExit) as error:
@@ -69,6 +69,15 @@ def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
         raise PluginError(f"{kind} {name!r}: {attribute!r} is not a class or function that makes a {kind}")
     result: Callable[..., Any] = factory
     return result
+
+
+def _hint_for(module: str, attribute: str, table: Mapping[str, str]) -> str:
+    """What may be meant by the name of a module that does not exist."""
+    if module.endswith(".py"):
+        file = Path(module)
+        return f"name the module, not its file: PYTHONPATH={file.parent} ... {file.stem}:{attribute}"
+    near = difflib.get_close_matches(module, table, n=1)
+    return f"did you mean '{near[0]}:{attribute}'?" if near else "is its folder on PYTHONPATH?"
 
 
 def call_of(kind: str, text: str, table: Mapping[str, str]) -> Call:

@@ -191,8 +191,9 @@ def test_what_a_rerun_needs_is_told(pieces):
         "command": "PYTHONPATH='my code' cognitivedrone bench --policy mine:Mine",
         "commit": "0123abcd-dirty",
         "policy_file": "my code/mine.py",
-        "policy_sha256": "feed" * 16,
     }
+    options = {**results.run.options, "policy_code": "feed" * 16}
+    results = replace(results, run=replace(results.run, options=options))
     text = html.unescape(render_report(replace(results, platform={**results.platform, **facts}), traces, clips))
     for part in (facts["command"], "0123abcd</code> <strong>with uncommitted changes", "my code/mine.py", "feed" * 16):
         assert part in text

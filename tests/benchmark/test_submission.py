@@ -13,6 +13,7 @@ from cognitivedrone.benchmark.results import read_results
 from cognitivedrone.benchmark.runner import run
 from cognitivedrone.benchmark.submission import (
     Rate,
+    Verified,
     leaderboard,
     read_submission,
     submission_of,
@@ -21,6 +22,14 @@ from cognitivedrone.benchmark.submission import (
 )
 from cognitivedrone.cli import main
 from cognitivedrone.errors import RunError
+
+STRAIGHT = """
+import numpy as np
+
+class Straight:
+    def reset(self, context): pass
+    def act(self, observation): return np.array([[1.0, 0, 0, 0]])
+"""
 
 
 @pytest.fixture(scope="module")
@@ -83,12 +92,14 @@ def test_what_cannot_be_submitted(folder: Path, tmp_path: Path) -> None:
 def test_a_sample_is_flown_again(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (checked,) = verify(read_submission(file), 2, progress=False)
     assert (checked.flown, checked.equal, checked.passed, checked.submitted) == (2, 2, 2, 2)
-    assert checked.confirmed
+    assert checked.verdict == "confirmed"
     main(["verify", str(file), "--sample", "1"])
     assert "confirmed" in capsys.readouterr().out
 
 
-def test_a_pilot_that_passes_less_often_is_not_confirmed(folder: Path, tmp_path: Path, monkeypatch) -> None:
+def test_a_pilot_that_passes_less_often_is_not_confirmed(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     submission = submission_of([folder], "Mine", "Us")
     path = tmp_path / "other.json"
     write_submission(path, submission)
@@ -98,7 +109,44 @@ def test_a_pilot_that_passes_less_often_is_not_confirmed(folder: Path, tmp_path:
     path.write_text(json.dumps(document))
     (checked,) = verify(read_submission(path), 8, progress=False)
     assert checked.passed == 0
-    assert not checked.confirmed
+    assert checked.verdict == "refuted"
+    with pytest.raises(SystemExit, match="1"):
+        main(["verify", str(path), "--sample", "7"])
+    assert "undecided: too few flights to tell this from chance; give more than --sample 7" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("passed", "submitted", "p", "verdict"),
+    [
+        (20, 20, 1.0, "confirmed"),
+        (21, 20, 1.0, "confirmed"),
+        (0, 0, 1.0, "confirmed"),
+        (18, 20, 0.5, "confirmed"),  # of so many, two may be chance
+        (12, 20, 0.0078, "refuted"),
+        (6, 7, 1.0, "undecided"),
+        (0, 7, 0.0156, "undecided"),
+        (0, 8, 0.0078, "refuted"),
+    ],
+)
+def test_a_sample_confirms_refutes_or_is_too_small(passed: int, submitted: int, p: float, verdict: str) -> None:
+    assert Verified("open-v1:test", 20, 20, passed, submitted, p, ()).verdict == verdict
+
+
+def test_other_code_of_an_own_policy_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = tmp_path / "steering.py"
+    module.write_text(STRAIGHT)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    plan = Plan.of(policy="steering:Straight", suite="open-v1:smoke", workers=0, clips=0, out=tmp_path / "run")
+    run(plan, progress=False)
+    file = tmp_path / "mine.json"
+    write_submission(file, submission_of([tmp_path / "run"], "Mine", "Us"))
+    (checked,) = verify(read_submission(file), 2, progress=False)
+    assert checked.verdict == "confirmed"
+    module.write_text(STRAIGHT + "# edited\n")
+    with pytest.raises(RunError, match=r"policy_code is another file here .*; get the submission's code"):
+        verify(read_submission(file), 2, progress=False)
+    with pytest.raises(RunError, match=r"contains another run: .*policy_code"):
+        run(plan.changed(resume=True), progress=False)
 
 
 def test_other_weights_are_refused(file: Path) -> None:
@@ -112,7 +160,7 @@ def test_other_weights_are_refused(file: Path) -> None:
 def test_the_leaderboard_is_sorted(folder: Path) -> None:
     good = submission_of([folder], "a|b", "Us", "https://example.org")
     rows = leaderboard([good], ["open-v1:smoke", "open-v1:test"])
-    assert rows == [["[a|b](https://example.org)", "Us", "`oracle`", "`none`", "100.0 (89 to 100)", "–"]]
+    assert rows == [["[a|b](https://example.org)", "Us", "`oracle` (ground truth)", "`none`", "100.0 (89 to 100)", "–"]]
 
 
 def test_the_leaderboard_counts_runs_with_default_options_alone(folder: Path, tmp_path: Path) -> None:

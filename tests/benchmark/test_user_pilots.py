@@ -20,9 +20,9 @@ def lasting(folder):
     [
         ("raise", r"the policy raised RuntimeError: CUDA out of memory (user_pilots.py, line", "in misbehave"),
         ("exit", "the policy raised SystemExit: 0 (user_pilots.py, line", "in misbehave"),
-        ("shape", "the policy returned an action of shape (4,)", "check_chunk"),
+        ("shape", "rate in rad/s; return one action as [[vx, vy, vz, yaw_rate]]", "check_chunk"),
         ("words", "the policy returned 'str', not an array of numbers", "check_chunk"),
-        ("nothing", "the policy returned", "check_chunk"),
+        ("nothing", "the policy returned None, not an array of numbers", "check_chunk"),
         ("nan", "not all of it is a finite number", "check_chunk"),
     ],
 )
@@ -36,7 +36,9 @@ def test_a_mistake_is_a_policy_error_with_its_traceback(tmp_path, how, says, tra
         assert episode.steps == 2
     kept = (tmp_path / "run" / "errors" / "episode-0001.txt").read_text()
     assert trace in kept
-    assert "policy errors, counted as not passed: 2" in " ".join(evaluation.table().split())
+    table = " ".join(evaluation.table().split())
+    assert "policy errors, counted as not passed: 2" in table
+    assert "all in the folder errors; --fail-fast stops at the first" in table
 
 
 @pytest.mark.parametrize("how", ["raise", "quit", "hang"])

@@ -186,7 +186,7 @@ def test_progress_goes_to_the_error_stream(tmp_path, monkeypatch, capfd):
         ({"episodes_per_shard": 0}, DataError, "--episodes-per-shard 0"),
         ({"executor": "rai"}, DataError, "unknown executor"),
         ({"suite": "open-v1:smok"}, TaskError, "did you mean 'open-v1:smoke'"),
-        ({"suite": "open-v1:test", "episodes": 5000}, DataError, "has 300 tasks"),
+        ({"suite": "open-v1:test", "episodes": 5000}, DataError, "has 300 tasks only; give --episodes 300, or fewer"),
         ({"suite": "open-v1:track", "episodes": 2}, DataError, "tracks"),
     ],
 )

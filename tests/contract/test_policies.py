@@ -229,6 +229,7 @@ class Nothing:
     [
         ("hoover", "did you mean 'hover'"),
         ("no_such_module:Thing", "no module 'no_such_module'"),
+        ("mine/seek.py:Seek", r"name the module, not its file: PYTHONPATH=mine \.\.\. seek:Seek"),
         ("cognitivedrone.policies.baselines:Hoover", "has no 'Hoover'"),
         ("cognitivedrone.types:COLORS", "is not a class or function"),
         ("cognitivedrone.reasoners.oracle:Oracle", r"has no method act\(\)"),

@@ -152,8 +152,9 @@ def _call_of(plan: Plan) -> str:
 
 def _one_process(what: str, workers: int | None, progress: bool) -> None:
     why = (
-        f"the {what} can only be used in this process, because other processes cannot import it; to use workers,"
-        " pass a class or function of a module, or its name as module:attribute"
+        f"the {what} can only be used in this process, because other processes cannot import an object, or what is"
+        " defined in this script or notebook; to use workers, pass a class or function of a module, or its name as"
+        " module:attribute"
     )
     if workers not in (None, 0, 1):
         raise RunError(f"workers={workers}, but {why}")

@@ -6,14 +6,15 @@ import math
 from dataclasses import dataclass
 
 from cognitivedrone.benchmark.config import Plan
+from cognitivedrone.benchmark.provenance import own_module
 from cognitivedrone.benchmark.results import REQUIRED, RunFacts, SuiteFacts, versions
 from cognitivedrone.benchmark.shard import parse_shard
 from cognitivedrone.control.latency import Delays, parse_delays
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import digest_of_file, digest_of_folder
 from cognitivedrone.labels import load_pack
-from cognitivedrone.policies import model_file
-from cognitivedrone.reasoners import reasoner_file
+from cognitivedrone.policies import POLICIES, model_file
+from cognitivedrone.reasoners import REASONERS, reasoner_file
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.tasks import SUITES, Suite
 from cognitivedrone.tasks.scenario import suite_of
@@ -54,8 +55,9 @@ def prepare(plan: Plan, *, named: bool = True) -> Job:
     labels = plan.scenario.labels
     resolved = {"labels": None if labels is None else digest_of_folder(labels), "latency": delays.identity}
     options = plan.identity(resolved) | {"model": None if model is None else digest_of_file(model)}
-    options |= {} if answers is None else {"reasoner_model": digest_of_file(answers)}
-    options |= {} if autopilot is None else {"autopilot": digest_of_file(autopilot)}
+    own = {"policy_code": own_module(policy, POLICIES), "reasoner_code": own_module(reasoner, REASONERS)}
+    optional = {"reasoner_model": answers, **(own if named else {}), "autopilot": autopilot}
+    options |= {key: digest_of_file(file) for key, file in optional.items() if file is not None}
     facts = RunFacts(
         suite=SuiteFacts(suite.name, suite.digest, suite.n_tasks),
         policy=policy,

@@ -12,7 +12,6 @@ from functools import lru_cache
 from pathlib import Path
 
 from cognitivedrone import checkout
-from cognitivedrone.files import digest_of_file
 from cognitivedrone.policies import POLICIES
 from cognitivedrone.reasoners import REASONERS
 
@@ -20,8 +19,8 @@ from cognitivedrone.reasoners import REASONERS
 def platform_facts(command: str, policy: str = "", reasoner: str = "") -> dict[str, str]:
     """The machine, the source and the command, as text.
 
-    For a user's own policy or reasoner ("module:attribute") this includes the file of its module with its SHA-256, and
-    the command includes the PYTHONPATH that finds it.
+    For a user's own policy or reasoner ("module:attribute") this includes the file of its module, and the command
+    includes the PYTHONPATH that finds it.
     """
     facts = {
         "command": command,
@@ -37,7 +36,6 @@ def platform_facts(command: str, policy: str = "", reasoner: str = "") -> dict[s
         if file is None:
             continue
         facts[f"{kind}_file"] = _shown(file)
-        facts[f"{kind}_sha256"] = digest_of_file(file)
         root = _root(file, name.partition(":")[0])
         roots += [_shown(root)] if root not in _installed() and _shown(root) not in roots else []
     if roots:
@@ -52,7 +50,7 @@ def own_module(name: str, table: Mapping[str, str]) -> Path | None:
         return None
     try:
         spec = importlib.util.find_spec(module)
-    except (ImportError, ValueError):
+    except (Exception, SystemExit):  # whatever the user's package raises; making the plug-in reports it
         return None
     if spec is None or spec.origin is None or not Path(spec.origin).is_file():
         return None

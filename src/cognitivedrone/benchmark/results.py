@@ -20,9 +20,9 @@ from cognitivedrone.plan import Rule
 from cognitivedrone.types import EpisodeResult
 from cognitivedrone.vehicles.external import LinkReport
 
-FILES: Final = ("labels", "model", "reasoner_model", "autopilot")
+FILES: Final = ("labels", "model", "reasoner_model", "policy_code", "reasoner_code", "autopilot")
 """Options whose value is the SHA-256 of a file: label images, the policy's weights, the reasoner's weights or answers,
-the autopilot program; null if there is none."""
+the modules of a user's own policy and reasoner, the autopilot program; null if there is none."""
 _OPTIONS: Final = Plan.identity_options() | dict.fromkeys(FILES, (str | None, None))
 REQUIRED: Final = ("seed", "track", "episodes", "look", "airframe", "labels", "wind_m_s", "model")
 """Options in every results file; options added later are omitted at their defaults."""

@@ -11,7 +11,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -24,8 +24,11 @@ from cognitivedrone.benchmark.scoring import Interval, Summary, counts, mcnemar,
 from cognitivedrone.benchmark.workers import RUNNER, InProcess, make_runner
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import read_regular, reason_of
+from cognitivedrone.policies import POLICIES
 from cognitivedrone.printable import unprintable
 from cognitivedrone.progress import progress_bar
+from cognitivedrone.reasoners import REASONERS
+from cognitivedrone.registry import load
 from cognitivedrone.tasks import SUITES, load_suite
 from cognitivedrone.types import CATEGORIES, Category, EpisodeResult, Outcome, StageResult
 
@@ -35,7 +38,7 @@ MAX_NAME: Final = 60
 """Longest name of a pilot, in characters."""
 DOUBT: Final = 0.01
 """A sample that is so unlikely to differ by chance does not confirm a submission."""
-_NOT_REPEATED: Final = frozenset({"model", "reasoner_model", "autopilot"})
+_NOT_REPEATED: Final = ("model", "reasoner_model", "policy_code", "reasoner_code", "autopilot")
 """Options that are hashes of files, which follow from the names."""
 
 
@@ -125,9 +128,16 @@ class Verified:
     """In what this installation differs from the submission's, such as versions."""
 
     @property
-    def confirmed(self) -> bool:
-        """Whether the sample passes as often as submitted, as far as it can tell."""
-        return self.passed >= self.submitted or self.p >= DOUBT
+    def verdict(self) -> Literal["confirmed", "refuted", "undecided"]:
+        """Whether the sample passes as often as submitted, beyond chance.
+
+        Undecided if it passes less often and is so small that it could not refute a pilot that passes nothing.
+        """
+        if self.passed >= self.submitted:
+            return "confirmed"
+        if mcnemar(self.submitted, 0) >= DOUBT:
+            return "undecided"
+        return "confirmed" if self.p >= DOUBT else "refuted"
 
 
 def submission_of(folders: Sequence[Path], name: str, by: str, url: str = "") -> Submission:
@@ -265,11 +275,12 @@ def _job(run: SubmittedRun) -> Job:
     names = Plan.identity_names()
     given = {names[key]: value for key, value in facts.options.items() if key in names and key != "episodes"}
     job = prepare(Plan.of(policy=facts.policy, reasoner=facts.reasoner, suite=facts.suite.name, **given))
-    for key in sorted(_NOT_REPEATED):
+    for key in _NOT_REPEATED:
         if facts.option(key) != job.facts.option(key):
+            what = "code" if key.endswith("_code") else "weights"
             raise RunError(
                 f"{facts.suite.name}: {key} is another file here ({str(job.facts.option(key))[:12]} instead of"
-                f" {str(facts.option(key))[:12]}); get the submission's weights, and try again"
+                f" {str(facts.option(key))[:12]}); get the submission's {what}, and try again"
             )
     preflight(job)
     return job
@@ -284,6 +295,7 @@ def _differences(run: SubmittedRun, job: Job) -> Iterator[str]:
 def leaderboard(submissions: Sequence[Submission], suites: Sequence[str]) -> list[list[str]]:
     """Rows of the leaderboard: name, by, policy, reasoner, and for every suite the rate with its interval; best first.
 
+    A policy or reasoner of the package's that needs the ground truth is marked so.
     Sorted by the mean over the suites. Only runs with all options at their defaults count: the same seed, scene and
     rules for everyone. A suite that was not flown so is a dash, and counts as 0.
     """
@@ -297,9 +309,15 @@ def leaderboard(submissions: Sequence[Submission], suites: Sequence[str]) -> lis
             cells.append(_cell(made))
         name = f"[{submission.name}]({submission.url})" if submission.url else submission.name
         pilot = submission.runs[0].run
-        row = [name, submission.by, f"`{pilot.policy}`", f"`{pilot.reasoner}`", *cells]
+        row = [name, submission.by, _part(pilot.policy, POLICIES), _part(pilot.reasoner, REASONERS), *cells]
         rows.append((total / max(len(suites), 1), row))
     return [row for _, row in sorted(rows, key=lambda each: (-each[0], each[1]))]
+
+
+def _part(name: str, table: Mapping[str, str]) -> str:
+    target = table.get(name.partition(":")[0])
+    privileged = target is not None and getattr(load("pilot", target, table), "needs_ground_truth", False)
+    return f"`{name}`" + (" (ground truth)" if privileged else "")
 
 
 def _cell(made: Rate | None) -> str:

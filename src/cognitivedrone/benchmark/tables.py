@@ -47,7 +47,8 @@ def results_table(results: Results, rule: Rule | None = None) -> RenderableType:
     table.add_row("overall", *_score_cells(summary.overall), style="bold", end_section=not mean.categories)
     if mean.categories:
         cells = ("", "", percent(mean.rate), interval(mean.ci95), "", "")
-        table.add_row(f"mean of {mean.categories} categories", *cells, end_section=True)
+        name = "category" if mean.categories == 1 else "categories"
+        table.add_row(f"mean of {mean.categories} {name}", *cells, end_section=True)
     add_parts(table, summary.categories, summary.families, _score_cells)
     return Group(table, "", *_reasoning(summary), *_confusions(summary), *_notes(results, rule))
 
@@ -209,7 +210,10 @@ def _notes(results: Results, rule: Rule) -> list[Text]:
     if overall.outcomes["policy_error"]:
         first = next(e for e in results.episodes if any(s.outcome == "policy_error" for s in e.stages))
         count = overall.outcomes["policy_error"]
-        text = f"policy errors, counted as not passed: {count}; the first in episode {first.episode}: {first.message}"
+        text = (
+            f"policy errors, counted as not passed: {count}; the first in episode {first.episode}: {first.message};"
+            " all in the folder errors; --fail-fast stops at the first"
+        )
         notes.append(Text(text, style="yellow"))
     if (alarms := summary.false_alarms) is not None:
         text = f"false alarms: {alarms.alarms} of {alarms.n} tasks whose answer is there"

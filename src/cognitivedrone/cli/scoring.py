@@ -174,8 +174,8 @@ def submit(
 def verify(file: tyro.conf.Positional[Path], sample: int = 20, seed: int = 0) -> None:
     """Check a leaderboard file, and fly a random sample of every run again, in this process.
 
-    Scores that do not follow from the flights, other tasks, and other weights are errors. Exit code 1 if a sample
-    passes less often than submitted, beyond chance.
+    Scores that do not follow from the flights, other tasks, other weights, and other code of the user's own are errors.
+    Exit code 1 if a sample passes less often than submitted, beyond chance, or is too small to tell.
 
     Args:
         file: A file made by `submit`.
@@ -186,16 +186,21 @@ def verify(file: tyro.conf.Positional[Path], sample: int = 20, seed: int = 0) ->
     from cognitivedrone.benchmark.submission import verify as fly_sample
 
     checked = fly_sample(read_submission(file), sample, seed)
+    said = {
+        "confirmed": "confirmed",
+        "refuted": "NOT confirmed",
+        "undecided": f"undecided: too few flights to tell this from chance; give more than --sample {sample}",
+    }
     for run in checked:
         print(  # noqa: T201
             visible(
                 f"{run.suite}: {run.equal} of {run.flown} stages ended as submitted; {run.passed} passed, "
-                f"{run.submitted} submitted: {'confirmed' if run.confirmed else 'NOT confirmed'}"
+                f"{run.submitted} submitted: {said[run.verdict]}"
             )
         )
         if run.differences:
             print(visible(f"  other versions here: {', '.join(run.differences)}"))  # noqa: T201
-    if not all(run.confirmed for run in checked):
+    if any(run.verdict != "confirmed" for run in checked):
         raise SystemExit(1)
 
 

@@ -100,7 +100,8 @@ def open_suite(job: Job) -> Suite:
         raise DataError(f"suite {source.suite!r} is only for testing; collect from 'open-v1:train' or your own --tasks")
     suite = tasks.open_suite(source.suite, source.tasks, size=job.episodes, seed=source.seed)
     if len(suite.tracks) < job.episodes:
-        raise DataError(f"suite {source.title!r} has {len(suite.tracks)} tasks; ask for that many episodes or fewer")
+        there = f"{len(suite.tracks)} task{'s' * (len(suite.tracks) != 1)}"
+        raise DataError(f"suite {source.title!r} has {there} only; give --episodes {len(suite.tracks)}, or fewer")
     tracks = suite.tracks[: job.episodes] if suite.name != tasks.TRAIN_NAME else ()
     absent = next((track[0].id for track in tracks if track[0].target is None), None)
     if absent is not None:

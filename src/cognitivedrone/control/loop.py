@@ -68,6 +68,8 @@ def check_chunk(chunk: object) -> ActionChunk:
 
     Raises `ActionError` if it has another shape, `NonFiniteAction` if a number is NaN or infinite.
     """
+    if chunk is None:
+        raise ActionError("the policy returned None, not an array of numbers; expected (k, 4) float32")
     try:
         array = np.asarray(chunk, dtype=np.float32)
     except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor that is not on the host
@@ -75,9 +77,10 @@ def check_chunk(chunk: object) -> ActionChunk:
             f"the policy returned {type(chunk).__name__!r}, not an array of numbers; expected (k, 4) float32"
         ) from None
     if array.ndim != 2 or array.shape[0] < 1 or array.shape[1] != 4:
+        hint = "; return one action as [[vx, vy, vz, yaw_rate]]" if array.shape == (4,) else ""
         raise ActionError(
             f"the policy returned an action of shape {array.shape};"
-            " expected (k, 4): vx, vy, vz in m/s and yaw rate in rad/s"
+            f" expected (k, 4): vx, vy, vz in m/s and yaw rate in rad/s{hint}"
         )
     if not np.isfinite(array).all():
         raise NonFiniteAction(f"the policy returned {array[0].tolist()}: not all of it is a finite number")

@@ -79,7 +79,7 @@ def scenery_of(stage: Stage, labels: LabelPack, appearance: Appearance) -> Scene
 
 
 def draw_start(rng: np.random.Generator, hull_radius: float, wind_m_s: float = 0.0) -> Start:
-    """The published start: (-1, 0, 0.75) m plus up to 1 m on each axis, facing along x.
+    """The published start: uniformly within 1 m of (-1, 0, 0.75) m on each axis, facing along x.
 
     Never below 0.2 m, and never closer to the floor than a large hull allows.
     """

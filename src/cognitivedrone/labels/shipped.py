@@ -20,6 +20,7 @@ from cognitivedrone.references import Reference, parse_reference
 PACKS: tuple[str, ...] = ("open-v1",)
 """Names of the shipped packs."""
 
+OWN = "(Pictures of your own are given with --labels FOLDER.)"
 _FOLDER = Path(__file__).parent / "packs"
 _TEXT_KINDS = ("letter", "number", "sum")
 _LETTERS = tuple("ABCDEFGHIJKLMNOPQRSTUVWXYZ")
@@ -84,7 +85,7 @@ class ShippedPack:
         else:
             if concept not in self._concepts[kind]:
                 hint = did_you_mean(concept, self._concepts[kind])
-                raise LabelError(f"label {text!r} is not in pack {self.name!r}; {hint}")
+                raise LabelError(f"label {text!r} is not in pack {self.name!r}; {hint} {OWN}")
             image = Image.open(self._folder / "pictures" / kind / f"{concept}@{style}.webp").convert("RGB")
             image = image.resize((SIDE, SIDE), Image.Resampling.BICUBIC)
         return frozen_array(image)
@@ -116,7 +117,7 @@ class ShippedPack:
     def _check_kind(self, kind: str, text: str) -> None:
         if kind not in self._styles:
             hint = did_you_mean(kind, self._styles)
-            raise LabelError(f"label {text!r}: pack {self.name!r} has no kind {kind!r}; {hint}")
+            raise LabelError(f"label {text!r}: pack {self.name!r} has no kind {kind!r}; {hint} {OWN}")
 
     def _read_layer(self, name: str) -> tuple[Image.Image, tuple[int, int]]:
         with Image.open(self._folder / "people" / f"{name}.webp") as image:
