@@ -189,9 +189,8 @@ class Recorded:
     def _likeliest(self, states: Tensor, mask: Tensor | None, positions: Tensor) -> Tensor:
         rotation = self._text.rotary_emb(states, positions)
         for layer in self._text.layers:
-            states = layer(
-                states, attention_mask=mask, position_embeddings=rotation, past_key_values=self._memory, use_cache=True
-            )
+            # By place: the name of the last one differs between versions of transformers.
+            states = layer(states, mask, None, self._memory, use_cache=True, position_embeddings=rotation)
         token: Tensor = self._model.lm_head(self._text.norm(states[:, -1:])).argmax(-1)
         return token
 

@@ -10,7 +10,7 @@ own high-priority stream, ahead of a reasoner that runs on the same GPU in anoth
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 import torch
@@ -126,8 +126,11 @@ class KeyValues:
         self.place: Tensor | None = None
         """Position of each text's next token, (B,); None for the initial ones, which go to the beginning."""
 
-    def update(self, keys: Tensor, values: Tensor, layer: int) -> tuple[Tensor, Tensor]:
-        """Store a layer's keys and values (B, heads, tokens, width); returns those to attend to."""
+    def update(self, keys: Tensor, values: Tensor, layer: int, *_: Any, **__: Any) -> tuple[Tensor, Tensor]:
+        """Store a layer's keys and values (B, heads, tokens, width); returns those to attend to.
+
+        What else versions of transformers say, each in its way, is for their own caches.
+        """
         if self.place is None:
             count = keys.shape[2]
             self._keys[layer, :, :, :count], self._values[layer, :, :, :count] = keys, values

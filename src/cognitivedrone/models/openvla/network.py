@@ -109,11 +109,13 @@ class OpenVlaNetwork(nn.Module):
             positions = torch.arange(embedded.shape[1], device=embedded.device)[None]
         rotation = llama.rotary_emb(embedded, position_ids=positions)
         for layer in llama.layers:
-            run = partial(layer, attention_mask=mask, position_embeddings=rotation, past_key_values=memory)
+            run = partial(layer, position_embeddings=rotation)
+            # By place: the name of the last one differs between versions of transformers.
+            inputs = (embedded, mask, None, memory)
             if self.checkpointing and self.training and torch.is_grad_enabled():
-                embedded = checkpoint(run, embedded, use_reentrant=False)
+                embedded = checkpoint(run, *inputs, use_reentrant=False)
             else:
-                embedded = run(embedded)
+                embedded = run(*inputs)
         result: Tensor = llama.norm(embedded)
         return result
 
