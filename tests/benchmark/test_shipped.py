@@ -15,7 +15,9 @@ def test_the_small_reasoner_knows_the_gate_from_the_first_frame(tmp_path):
     assert len(scored.answers) == 30
     answered = [answer for answer in scored.answers if answer.fault is None]
     assert len(answered) >= 24
-    assert sum(bool(answer.right.gate) for answer in answered) >= 0.9 * len(answered)
+    named = [answer for answer in answered if answer.gate is not None]
+    assert len(named) >= 20
+    assert sum(bool(answer.right.gate) for answer in named) >= 0.95 * len(named)
 
 
 def test_policy_and_reasoner_fly_what_the_policy_alone_does_not_understand(tmp_path):

@@ -10,7 +10,7 @@ from cognitivedrone.benchmark.runner import run
 from cognitivedrone.serving.config import ServePlan
 from cognitivedrone.serving.server import serving
 
-SUITE = {"suite": "open-v1:smoke", "episodes": 1, "overwrite": True}
+SUITE = {"suite": "open-v1:smoke", "episodes": 3, "overwrite": True}
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def test_scores_do_not_depend_on_where_the_pilot_runs(address, tmp_path):
     remote = f"remote:ws://{address}"
     there = run(plan.changed(policy=remote, reasoner=remote, out=tmp_path / "there"), progress=False)
     assert here.episodes
-    assert here.episodes[0].stages[0].reasoner.answers > 0
+    assert any(stage.reasoner.answers > 0 for episode in here.episodes for stage in episode.stages)
     assert there.episodes == here.episodes
 
 
