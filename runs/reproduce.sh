@@ -6,8 +6,8 @@
 #
 # Stopped at any moment, it goes on when it is started again. Needs the extras `train` and `mavlink`. On one
 # machine its weights are the same to the bit each time; OUT/manifest.json says recipe, seed, commit and hash of each.
-# The weights that ship were trained with the same recipes, but not in one go (docs/training.md). OUT/results has a file
-# for every table of README and docs that can be measured here:
+# The weights that ship are those of one run of it (docs/training.md). OUT/results has a file for every table of README
+# and docs that can be measured here:
 #
 #   cp OUT/results/*.json results/ && python scripts/render_tables.py
 #
