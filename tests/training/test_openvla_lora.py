@@ -357,13 +357,14 @@ def test_the_7b_is_adapted_as_published() -> None:
 
 def test_memory_grows_with_what_is_kept_and_shrinks_with_sharding(base: Path, flights: Path) -> None:
     whole = replace(FineTuning(base, flights, Path("unused")).checkpoint, config=Config(), stored_bytes=2)
-    needed = needed_bytes(whole, PAPER, 1, sharded=False)
+    needed = needed_bytes(Config(), PAPER)
     assert 17e9 < needed < 40e9
-    assert needed < needed_bytes(whole, replace(PAPER, checkpointing=False), 1, sharded=False)
-    assert needed < needed_bytes(whole, replace(PAPER, micro_batch=16), 1, sharded=False) < 80e9
+    assert needed < needed_bytes(Config(), replace(PAPER, checkpointing=False))
+    assert needed < needed_bytes(Config(), replace(PAPER, micro_batch=16)) < 80e9
+    assert needed < needed_bytes(Config(), PAPER, stored=4)
     # Before they are spread, the weights alone lie on each GPU.
     weights = 2 * elements(used_tensors(Config()).values())
-    assert weights == needed_bytes(whole, PAPER, 8, sharded=True) < needed
+    assert weights == needed_bytes(Config(), PAPER, 8, sharded=True) < needed
     check_machine(needed, 80_000_000_000, "cuda", base)
     # Kept where there is room, and recomputed where not, unless the recipe says which.
     free = {80: 80_000_000_000, 40: 40_000_000_000}

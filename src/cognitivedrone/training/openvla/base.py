@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.openvla.actions import ActionStatistics
@@ -15,10 +16,11 @@ from cognitivedrone.training.openvla.recipes import LoraRecipe
 
 BYTES_PER_TRAINED = 16
 """Bytes per trained number: the adapter's number, its gradient and two moments, in float32."""
+WORKSPACE = 1_500_000_000
+"""Bytes of a GPU used by PyTorch and its libraries."""
 SMALL = 2_000_000_000
 """Maximum bytes of a network that is fine-tuned without a GPU."""
 _TEXT = 64  # tokens of prompt and answer, somewhat more than an instruction has
-_WORKSPACE = 1_500_000_000  # bytes of a GPU used by PyTorch and its libraries
 _TAIL = 2**20  # bytes at the end of a file that distinguish it from another of the same shapes
 
 
@@ -53,15 +55,17 @@ def trained_weights(config: Config, rank: int) -> int:
     return total
 
 
-def needed_bytes(base: Checkpoint, recipe: LoraRecipe, processes: int, *, sharded: bool) -> int:
+def needed_bytes(
+    config: Config, recipe: LoraRecipe, processes: int = 1, *, stored: int = 2, sharded: bool = False
+) -> int:
     """Memory that fine-tuning needs on each GPU: a conservative estimate from the shapes.
 
-    Stored weights; adapters with gradients and moments; activations of a micro-batch: the inputs of every layer, and
+    Weights of `stored` bytes each; adapters with gradients and moments; activations of a micro-batch: the inputs of every layer, and
     the activations inside one (inside all, if `checkpointing` is False). For sharding, all weights must briefly be on
     one GPU.
     """
-    config, language, each = base.config, base.config.language, base.stored_bytes
-    weights = elements(used_tensors(config).values()) * each
+    language = config.language
+    weights = elements(used_tensors(config).values()) * stored
     held = weights + trained_weights(config, recipe.rank) * BYTES_PER_TRAINED
     if sharded:  # a part of everything, and one complete layer
         held = held // processes + held // language.num_hidden_layers
@@ -69,9 +73,9 @@ def needed_bytes(base: Checkpoint, recipe: LoraRecipe, processes: int, *, sharde
     stacks = [(tower.width, tower.hidden, tower.depth) for tower in (config.dino, config.siglip)]
     stacks.append((language.hidden_size, 2 * language.intermediate_size, language.num_hidden_layers))
     # Twice as much as a plain layer keeps, because adapters take their inputs in float32.
-    inside = [tokens * (24 * width + 8 * hidden) * each for width, hidden, _ in stacks]
+    inside = [tokens * (24 * width + 8 * hidden) * stored for width, hidden, _ in stacks]
     if recipe.checkpointing is not False:
-        sample = sum(tokens * width * each * depth for width, _, depth in stacks) + max(inside)
+        sample = sum(tokens * width * stored * depth for width, _, depth in stacks) + max(inside)
     else:
         sample = sum(one * depth for one, (_, _, depth) in zip(inside, stacks, strict=True))
     micro = min(recipe.micro_batch, max(recipe.batch // processes, 1))
@@ -83,11 +87,12 @@ def recomputes(base: Checkpoint, recipe: LoraRecipe, processes: int, free: int, 
 
     `free` is the free memory of the fullest GPU, or of the host, in bytes. Raises `TrainingError` like `check_machine`.
     """
-    recompute, spare = recipe.checkpointing is not False, _WORKSPACE if device == "cuda" else 0
+    recompute, spare = recipe.checkpointing is not False, WORKSPACE if device == "cuda" else 0
+    options: dict[str, Any] = {"stored": base.stored_bytes, "sharded": sharded}
     if recipe.checkpointing is None:
-        keeping = needed_bytes(base, replace(recipe, checkpointing=False), processes, sharded=sharded)
+        keeping = needed_bytes(base.config, replace(recipe, checkpointing=False), processes, **options)
         recompute = keeping + spare > free
-    needed = needed_bytes(base, replace(recipe, checkpointing=recompute), processes, sharded=sharded)
+    needed = needed_bytes(base.config, replace(recipe, checkpointing=recompute), processes, **options)
     check_machine(needed, free, device, base.folder)
     return recompute
 
@@ -95,7 +100,7 @@ def recomputes(base: Checkpoint, recipe: LoraRecipe, processes: int, free: int, 
 def check_machine(needed: int, free: int, device: str, folder: Path) -> None:
     """Raise `TrainingError` if a fine-tuning that needs this many bytes does not fit, or there is no GPU for it."""
     if device == "cuda":
-        needed += _WORKSPACE
+        needed += WORKSPACE
     told = f"fine-tuning {folder} needs {needed / 1e9:.1f} GB"
     if device == "cpu" and needed > SMALL:
         raise TrainingError(
