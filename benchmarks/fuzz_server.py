@@ -1,6 +1,6 @@
 """Sends hostile messages to a policy server, and checks that each is answered with an error code or closed.
 
-Run: python benchmarks/fuzz_server.py [--messages 10000] [--seed 0]
+Run: python benchmarks/fuzz_server.py [--messages 10000] [--seed 0] [--out results/serving_hostile.json]
 
 The messages are made from the wire grammar (`hostile_messages.py`), with something wrong at one level: the HTTP
 request, websocket frames, msgpack, the observation's fields, REST's JSON. Meanwhile a witness keeps flying on a session
@@ -22,6 +22,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,7 @@ from hostile_messages import (
 )
 from served import memory_mb, server_process
 
+from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.remote.codec import pack, unpack
 
 ANSWER_S = 60.0
@@ -313,11 +315,21 @@ def fuzz(port: int, messages: int, seed: int) -> tuple[Counter[tuple[str, str]],
     return counts, witness
 
 
+def summed(by_outcome: Counter[str]) -> dict[str, int]:
+    """The outcomes in four sums."""
+    sums = dict.fromkeys(("with_code", "closed", "with_status", "answered"), 0)
+    for how, count in by_outcome.items():
+        first = how.split()[0]
+        sums[{"closed": "closed", "status": "with_status", "answered": "answered"}.get(first, "with_code")] += count
+    return sums
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--messages", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--policy", default="small")
+    parser.add_argument("--out", type=Path, help=OUT_HELP)
     arguments = parser.parse_args()
     with server_process("--policy", arguments.policy) as (port, process):
         before = memory_mb(process.pid)
@@ -340,6 +352,14 @@ def main() -> None:
     median, slow = np.percentile(witness.took_s, [50, 99]) * 1e3
     print(f"witness: {len(witness.took_s)} answers, all right, {median:.1f} ms median, {slow:.1f} ms p99")
     print(f"memory of the server: {before:.0f} MB before, {after:.0f} MB after")
+    row = {
+        "messages": counts.total(),
+        **summed(by_outcome),
+        "witness_answers": len(witness.took_s),
+        "witness_ms": [round(float(median), 1), round(float(slow), 1)],
+        "memory_mb": [round(before), round(after)],
+    }
+    keep(arguments.out, "Hostile messages to a policy server", [row], seed=arguments.seed)
 
 
 if __name__ == "__main__":
