@@ -130,6 +130,7 @@ fi
 # One file for each: speed, memory, faults. What the trainings took: results/training_times.json.
 measure dynamics dynamics
 measure step_responses step_responses
+measure openvla_memory openvla_memory
 if [[ $everything ]]; then
   measure environment environment
   measure rendering rendering
@@ -150,6 +151,10 @@ if [[ $everything ]]; then
   measure holding_hard holding "${pilot[@]}" --suite open-v1:hard
   measure ablation ablation "$out/ablation" --processes "$processes"
   measure first_score first_score "$python"
+  measure systems systems --wheel "$python"
+  measure serving serving
+  measure serving_load serving --load 1200
+  measure serving_hostile fuzz_server
   measure faults faults
   measure fault_times fault_times --flights 100
   measure random_faults random_faults --minutes 30 --at-once 2

@@ -43,8 +43,8 @@ ENVIRONMENT = "`benchmarks/environment.py`"
 RENDERING = ("{frames_per_s_1:,.0f} and {frames_per_s_2:,.0f} frames/s", "{ratio:.2f}", "`benchmarks/rendering.py`")
 START_UP = ("{ms:.0f} ms", "{ratio:.2g} x python alone", "`benchmarks/start_up.py`")
 OWN = "its own instruction: passed, wrong gate, other, hovered"
-ANOTHER = "instruction of a task with other kinds of panels: hovered, flew through a gate"
-HELD = ("{own_passed}, {own_wrong_gate}, {own_other}, **{own_hovered}**", "**{another_hovered}**, {another_through}")
+ANOTHER = "instruction of a task with other kinds of panels: hovered, flew through a gate, other"
+HELD = ("{own_passed}, {own_wrong_gate}, {own_other}, **{own_hovered}**", "**{another_hovered}**, {another_through}, {another_other}")
 
 TABLES: Final[dict[str, Description]] = {
     # README.md
@@ -93,7 +93,16 @@ TABLES: Final[dict[str, Description]] = {
         Line("start_up", {"what": "import cognitivedrone"}, ("`{what}`; loads no torch", *START_UP)),
         Line("start_up", {"what": "import cognitivedrone.envs.gym"}, ("`{what}`", *START_UP)),
     ),
-    "bench-time": rows_of("bench_time", {"pilot": "`{pilot}`", "wall time": "{wall_s:.0f} s", "workers": "{workers}"}),
+    "bench-time": rows_of(
+        "bench_time",
+        {
+            "pilot": "`{pilot}`",
+            "wall time": "{wall_s:.0f} s",
+            "workers": "{workers}",
+            "date": "{date}",
+            "commit": "{commit}",
+        },
+    ),
     # docs/small.md
     "small-categories": categories("small", "CognitiveDrone"),
     "small-families": families("small", ("open-v1:test", "open-v1:unseen", "open-v2:words", "open-v1:hard")),
@@ -207,7 +216,7 @@ TABLES: Final[dict[str, Description]] = {
     "environment": rows_of(
         "environment",
         {"what": "{what}", "control steps/s": "{steps_per_s:,.0f}", "date": "{date}", "ratio": "{ratio:.2g}"},
-        {"unit": "control steps/s"},
+        having="steps_per_s",
     ),
     # docs/tasks.md
     "looks": rows_of(
@@ -286,7 +295,44 @@ TABLES: Final[dict[str, Description]] = {
         },
     ),
     "harnesses": rows_of("harnesses", {"what was run": "{what}", "versions": "{versions}", "result": "{result}"}),
-    "serving": rows_of("serving", {"": "{what}", "figure": "{figure}", "command": "{command}"}),
+    "serving": rows_of(
+        "serving",
+        {
+            "policy": "`{policy}`",
+            "clients at 10 Hz": "{clients}",
+            "round trip over the policy's own time: median, p99": "{beyond_ms:.1f} ms",
+            "of that in the server, median": "{server_ms:.2f} ms",
+            "the server's processor time a request": "{cpu_ms:.2f} ms",
+        },
+        having="policy",
+    ),
+    "serving-sessions": rows_of(
+        "serving",
+        {"`small`, 16 sessions": "{way}", "frames/s": "{frames_per_s:.0f}", "ratio": "{ratio:.2f}"},
+        having="way",
+    ),
+    "serving-load": rows_of(
+        "serving_load",
+        {
+            "clients as fast as they can": "{clients}",
+            "time": "{minutes:.0f} min",
+            "requests": "{requests:,}",
+            "requests/s": "{per_s:.0f}",
+            "memory, and growth after the first tenth": "{memory_mb:.0f} MB, {grown:+.1%}",
+        },
+    ),
+    "serving-hostile": rows_of(
+        "serving_hostile",
+        {
+            "hostile messages": "{messages:,}",
+            "answered with an error code": "{with_code:,}",
+            "connection closed": "{closed:,}",
+            "HTTP status": "{with_status:,}",
+            "harmless, answered": "{answered:,}",
+            "right answers to another session meanwhile": "{witness_answers:,}",
+            "memory before, after": "{memory_mb:.0f} MB",
+        },
+    ),
     # docs/real-drone.md
     "holding": lines_of(
         ("`--suite`", OWN, ANOTHER),
@@ -347,7 +393,7 @@ TABLES: Final[dict[str, Description]] = {
     "gpu-together": titled("openvla_gpu", "Policy at 10 Hz"),
     "gpu-lora": titled("openvla_gpu", "LoRA"),
     "lora-memory": across(
-        "lora_memory",
+        "openvla_memory",
         "`--micro-batch`",
         "{micro_batch}",
         {"activations kept": "{kept_gb:.1f} GB", "activations recomputed": "{recomputed_gb:.1f} GB"},

@@ -61,7 +61,16 @@ def keep_times(paths: list[Path], path: Path) -> None:
     runs = {each.parents[1].name: read_results(each) for each in paths}
     runs = {name: run for name, run in runs.items() if not name.startswith(TAUGHT)}
     whole = {name: run for name, run in runs.items() if run.timing.episodes_flown == len(run.episodes) >= WHOLE}
-    rows = [{"pilot": name, "wall_s": run.timing.wall_s, "workers": run.timing.workers} for name, run in whole.items()]
+    rows = [
+        {
+            "pilot": name,
+            "wall_s": run.timing.wall_s,
+            "workers": run.timing.workers,
+            "date": run.timing.finished[:10],
+            "commit": run.platform.get("commit", "none")[:10],
+        }
+        for name, run in whole.items()
+    ]
     if whole:
         last = max(whole.values(), key=lambda run: run.timing.finished)
         command = "cognitivedrone bench --suite open-v1:test --policy P --reasoner R"

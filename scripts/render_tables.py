@@ -57,12 +57,14 @@ def rendered(text: str, store: Store, tables: Mapping[str, Description] = TABLES
 
 
 def caption(store: Store) -> Iterator[str]:
-    """The files below a table, each with command, machine, day and commit."""
+    """The files below a table, each with command, machine, day and commit, and what else must be known of them."""
     if store.used:
         files: dict[str, list[str]] = {}
         for name, found in store.used.items():
-            files.setdefault(_facts(found), []).append(f"`results/{name}.json`")
-        yield "; ".join(f"{', '.join(names)}: {facts}" for facts, names in files.items()) + "."
+            files.setdefault(_facts(found), []).append(f"`{name}`")
+        notes = [found.note for found in store.used.values() if isinstance(found, Measurement) and found.note]
+        sources = "; ".join(f"{', '.join(names)}: {facts}" for facts, names in files.items()) + "."
+        yield " ".join([sources, *notes])
         yield ""
 
 
@@ -77,7 +79,7 @@ def _facts(found: Measurement | Submission) -> str:
 
 
 def _commit(*commits: str | None) -> list[str]:
-    known = [commit[:10] for commit in commits if commit]
+    known = [commit[:10] + ("-dirty" if commit.endswith("-dirty") else "") for commit in commits if commit]
     return [f"commit{'s' if len(known) > 1 else ''} {' and '.join(known)}"] if known else []
 
 
@@ -114,10 +116,10 @@ def problems(root: Path, tables: Mapping[str, Description] = TABLES) -> list[str
         store.begin()
         describe(store)
         used |= {*store.used}
-    files = {path.stem for path in (root / "results").glob("*.json")}
+    files = {f"results/{path.name}" for path in (root / "results").glob("*.json")}
     if (root / FIGURE).exists() and (root / FIGURE).read_text(encoding="utf-8") != drawn(store):
         found.append(f"{FIGURE} does not show what results/ holds; run `python scripts/render_tables.py`")
-    return [*found, *(f"results/{name}.json is in no table" for name in sorted(files - used))]
+    return [*found, *(f"{name} is in no table" for name in sorted(files - used))]
 
 
 def main() -> int:

@@ -10,7 +10,7 @@ from table_kinds import NOT_MEASURED, Description, Store, Table, cell
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.published import PUBLISHED
 from cognitivedrone.benchmark.scoring import Interval, Score, Summary, wilson
-from cognitivedrone.benchmark.submission import SubmittedRun, leaderboard, read_submission
+from cognitivedrone.benchmark.submission import SubmittedRun, leaderboard
 from cognitivedrone.types import CATEGORIES
 
 PILOTS = {
@@ -27,6 +27,7 @@ PILOTS = {
 """Files of submissions, and how tables name the pilots."""
 HELD_OUT = ("open-v2:words", "open-v2:pictures", "open-v1:unseen", "open-v2:layouts", "open-v2:absent")
 DRAWN_ANEW = ("open-v1:test", "open-v1:hard")
+MORE = ("open-v2:test", "open-v1:track")
 LEADERBOARD = ("open-v2:words", "open-v2:pictures", "open-v1:unseen", "open-v1:test", "open-v1:hard")
 """Columns: held-out suites first."""
 FROM_DATA = {"recorded_500": "500", "recorded_2000": "2,000", "recorded_8062": "8,062"}
@@ -143,7 +144,7 @@ def reasoner_worth(store: Store) -> Table:
     """R1, the policy alone, and the reasoner alone, by suite."""
     alone = {row["suite"]: row for row in store.measured_rows("reasoner_alone")}
     rows = []
-    for suite in (*HELD_OUT, *DRAWN_ANEW, "open-v1:track"):
+    for suite in (*HELD_OUT, *DRAWN_ANEW, *MORE):
         r1, policy = store.summary("r1", suite), store.summary("small", suite)
         thought = f"{100 * alone[suite]['right'] / alone[suite]['n']:.1f} %" if suite in alone else NOT_MEASURED
         policy_alone = share(policy.overall.rate) if policy else NOT_MEASURED
@@ -165,7 +166,7 @@ def false_alarms(store: Store) -> Table:
     """How often R1 and the policy alone declined although a gate was right, which in `absent` none is."""
     pilots = {"r1": "R1", "small": "the policy alone"}
     rows = []
-    for suite in (*HELD_OUT, *DRAWN_ANEW, "open-v1:track"):
+    for suite in (*HELD_OUT, *DRAWN_ANEW, *MORE):
         if suite != "open-v2:absent":
             rows.append([f"`{suite}`", *(_declined(store.summary(pilot, suite)) for pilot in pilots)])
     return Table(["suite", *pilots.values()], rows)
@@ -320,5 +321,4 @@ def gazebo_scores(store: Store) -> Table:
 
 def leaderboard_table(store: Store) -> Table:
     """The submissions in leaderboard/, best first."""
-    submissions = [read_submission(path) for path in sorted(store.leaderboard.glob("*.json"))]
-    return Table(["pilot", "by", "policy", "reasoner", *LEADERBOARD], leaderboard(submissions, LEADERBOARD))
+    return Table(["pilot", "by", "policy", "reasoner", *LEADERBOARD], leaderboard(store.submissions(), LEADERBOARD))

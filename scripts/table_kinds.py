@@ -25,6 +25,7 @@ class Store:
     def __init__(self, root: Path) -> None:
         self.results, self.leaderboard = root / "results", root / "leaderboard"
         self.used: dict[str, Measurement | Submission] = {}
+        """By their paths in the project."""
         self.asked: set[str] = set()
         """Names of all files that were looked for, whether they are there or not."""
         self._pilots: dict[str, Submission | None] = {}
@@ -37,7 +38,7 @@ class Store:
         """The figures in results/NAME.json."""
         self.asked.add(name)
         found = read_measurement(self.results / f"{name}.json")
-        self.used[name] = found
+        self.used[f"results/{name}.json"] = found
         return found
 
     def measured_rows(self, name: str) -> tuple[Mapping[str, Any], ...]:
@@ -54,8 +55,14 @@ class Store:
         found = self._pilots[pilot]
         if found is None:
             return ()
-        self.used[pilot] = found
+        self.used[f"results/{pilot}.json"] = found
         return found.runs
+
+    def submissions(self) -> list[Submission]:
+        """The files in leaderboard/."""
+        found = {path.name: read_submission(path) for path in sorted(self.leaderboard.glob("*.json"))}
+        self.used |= {f"leaderboard/{name}": submission for name, submission in found.items()}
+        return [*found.values()]
 
     def summary(self, pilot: str, suite: str, **options: object) -> Summary | None:
         """The scores of a pilot on a suite with these options and no others; none if that was not flown."""
@@ -109,11 +116,11 @@ def cell(template: str, row: Mapping[str, Any]) -> str:
         return ""
 
 
-def rows_of(name: str, columns: Mapping[str, str], where: Mapping[str, Any] | None = None) -> Description:
-    """A line for every row of a file that has the values of `where`; columns by head, as templates."""
+def rows_of(name: str, columns: Mapping[str, str], *, having: str | None = None) -> Description:
+    """A line for every row of a file, or those with the figure `having`; columns by head, as templates."""
 
     def describe(store: Store) -> Table:
-        rows = [row for row in store.measured(name).rows if _has(row, where or {})]
+        rows = [row for row in store.measured(name).rows if having is None or having in row]
         return Table([*columns], [[cell(template, row) for template in columns.values()] for row in rows])
 
     return describe
@@ -146,10 +153,10 @@ def _filled(store: Store, line: Line) -> list[str]:
 
 
 def across(name: str, heading: str, key: str, lines: Mapping[str, str]) -> Description:
-    """A file's rows side by side: their values of `key` are the heads, and each line has a template."""
+    """A file's rows that have the figure `key`, side by side: it is their head, and each line has a template."""
 
     def describe(store: Store) -> Table:
-        rows = store.measured(name).rows
+        rows = [row for row in store.measured(name).rows if cell(key, row)]
         heads = [heading, *(cell(key, row) for row in rows)]
         return Table(heads, [[title, *(cell(template, row) for row in rows)] for title, template in lines.items()])
 

@@ -22,7 +22,7 @@ PILOTS = (
     "colour_seeker", "colour_seeker_oracle", "hover", "oracle", "r1", "race", "random", "recorded_12", "small",
     "small_oracle", "stream",
 )  # fmt: skip
-MEASURED = ("audit_r1", "dynamics", "reasoner_alone", "step_responses")
+MEASURED = ("audit_r1", "dynamics", "openvla_memory", "reasoner_alone", "step_responses")
 
 pytestmark = pytest.mark.skipif(os.environ.get("SMOKE") != "1", reason="takes minutes: make test-smoke")
 

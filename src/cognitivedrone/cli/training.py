@@ -31,13 +31,14 @@ def train(
       cognitivedrone train --recipe reader --out runs/reader --processes 2
       cognitivedrone train --recipe small --start runs/reader/reader.safetensors --out runs/small --processes 2
       cognitivedrone train --recipe small --out runs/recorded --processes 2 --data flights
-      cognitivedrone train --recipe selector --start runs/small/model.onnx --out runs/selector --processes 2
+      cognitivedrone train --recipe flight --start runs/language/checkpoint.safetensors --out runs/flight --processes 2
+      cognitivedrone train --recipe selector --start runs/flight/checkpoint.safetensors --out runs/selector
 
     Args:
         out: Folder of the run: checkpoint, curves.png, TensorBoard logs and, at the end, the model files.
         recipe: teach, which teaches a trained pilot the pictures in --labels; reader, which reads panels; small, the
-            policy, which flies with a reader; race, base or debug, other policies; language, which teaches a trained
-            policy more language; selector, the small reasoner.
+            policy, which flies with a reader; race, base or debug, other policies; language and flight, which train a
+            policy's language or its flying further; selector, the small reasoner.
         data: A data set made by `collect`, used instead of flights made during training.
         start: Trained weights to start from: a checkpoint, a model file, the folder of a taught pilot, or "small" for
             those that are shipped, the default.
