@@ -2,8 +2,8 @@
 
 Run: python benchmarks/openvla_memory.py [--out results/openvla_memory.json]
 
-The same on every machine; for LoRA with what PyTorch itself takes of a GPU. `fly`, `serve` and `train-openvla` compare these figures with what is free before they load
-a weight.
+The same on every machine; for LoRA with what PyTorch itself takes of a GPU. `fly`, `serve` and `train-openvla` compare
+these figures with what is free before they load a weight.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def main() -> None:
         )
         rows.append({"micro_batch": micro_batch, "kept_gb": kept, "recomputed_gb": recomputed})
     for row in rows:
-        print(*(f"{name} {value:.1f}" if isinstance(value, float) else f"{name} {value}" for name, value in row.items()))
+        print(*(f"{key} {value:.1f}" if isinstance(value, float) else f"{key} {value}" for key, value in row.items()))
     keep(out, "Memory of OpenVLA-7B, computed from the shapes of its tensors", rows)
 
 

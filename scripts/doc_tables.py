@@ -44,7 +44,10 @@ RENDERING = ("{frames_per_s_1:,.0f} and {frames_per_s_2:,.0f} frames/s", "{ratio
 START_UP = ("{ms:.0f} ms", "{ratio:.2g} x python alone", "`benchmarks/start_up.py`")
 OWN = "its own instruction: passed, wrong gate, other, hovered"
 ANOTHER = "instruction of a task with other kinds of panels: hovered, flew through a gate, other"
-HELD = ("{own_passed}, {own_wrong_gate}, {own_other}, **{own_hovered}**", "**{another_hovered}**, {another_through}, {another_other}")
+HELD = (
+    "{own_passed}, {own_wrong_gate}, {own_other}, **{own_hovered}**",
+    "**{another_hovered}**, {another_through}, {another_other}",
+)
 
 TABLES: Final[dict[str, Description]] = {
     # README.md

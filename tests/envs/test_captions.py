@@ -32,7 +32,9 @@ def test_what_does_not_fit_ends_in_an_ellipsis_and_long_words_are_broken():
     [
         ("polar_bear", "polar bear"),
         ("animal/cat=3+food/apple=1", "cat 3, apple 1"),
-        ("hair=bun,hair_color=red", "hair bun, hair color red"),
+        ("hair=bun,hair_color=red,beard=full", "red bun, full beard, blue T-shirt, smiling"),
+        ("hat=hijab,hat_color=yellow,glasses=round,expression=sad", "yellow headscarf, round glasses, sad"),
+        ("price=high", "price high"),
         ("14/7", "7"),
     ],
 )

@@ -6,9 +6,12 @@ import re
 import textwrap
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 
 from PIL import ImageFont
+
+from cognitivedrone.tasks.people import describe_person
 
 Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 ELLIPSIS = "..."
@@ -59,8 +62,10 @@ def _wrap(text: str, width: float, length: Callable[[str], float], lines: int) -
 def readable(option: str, length: int = 70) -> str:
     """An option in readable form, cut after `length` characters.
 
-    "polar_bear" becomes "polar bear", "animal/cat=3+food/apple=1" "cat 3, apple 1", "hair=bun,beard=none" "hair bun,
-    beard none".
+    "polar_bear" becomes "polar bear", "animal/cat=3+food/apple=1" "cat 3, apple 1", and "hair=bun,beard=full" says in
+    words what is seen of a person.
     """
+    with suppress(ValueError):
+        option = describe_person(option)
     read = re.sub(r"\w+/(?=\w)", "", option).replace("_", " ").replace("+", ", ").replace("=", " ")
     return textwrap.shorten(re.sub(r",\s*", ", ", read), length, placeholder=" " + ELLIPSIS)

@@ -48,6 +48,31 @@ def seen(person: Mapping[str, str]) -> Person:
     return full
 
 
+_WORDS = {
+    "hijab": "headscarf", "round": "round glasses", "full": "full beard", "tshirt": "T-shirt", "overall": "overalls",
+    "vneck": "V-neck shirt", "smile": "smiling", "wink": "winking", "shaved_sides": "shaved sides",
+    "short": "short hair", "curly": "curly hair", "long": "long hair",
+}  # fmt: skip
+"""Values that read badly alone."""
+
+
+def describe_person(concept: str) -> str:
+    """What a viewer sees of a person, in plain words: "green hat, full beard, yellow overalls, sad".
+
+    As in all tasks, nothing is said about skin. Raises `ValueError` if the concept is not a person's.
+    """
+    person = parse_person(concept)
+    if not person.keys() <= PERSON_ATTRIBUTES.keys():
+        raise ValueError(f"{concept!r} is not a person")
+    full, words = seen(person), []
+    for name in ("hat", "hair", "glasses", "beard", "clothes", "expression"):
+        value = full[name]
+        if value not in ("none", "hidden"):
+            color = full.get(f"{name}_color", "hidden")
+            words.append((f"{color} " if color != "hidden" else "") + _WORDS.get(value, value))
+    return ", ".join(words)
+
+
 @dataclass(frozen=True, slots=True)
 class Feature:
     """A visible property of a person, phrased to follow "with"."""

@@ -60,9 +60,9 @@ def needed_bytes(
 ) -> int:
     """Memory that fine-tuning needs on each GPU: a conservative estimate from the shapes.
 
-    Weights of `stored` bytes each; adapters with gradients and moments; activations of a micro-batch: the inputs of every layer, and
-    the activations inside one (inside all, if `checkpointing` is False). For sharding, all weights must briefly be on
-    one GPU.
+    Weights of `stored` bytes each; adapters with gradients and moments; activations of a micro-batch: the inputs of
+    every layer, and the activations inside one (inside all, if `checkpointing` is False). For sharding, all weights
+    must briefly be on one GPU.
     """
     language = config.language
     weights = elements(used_tensors(config).values()) * stored
