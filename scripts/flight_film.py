@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageOps
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.episode import PilotRunner
@@ -22,6 +22,7 @@ from cognitivedrone.benchmark.job import prepare
 from cognitivedrone.envs.captions import font
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "flight.webp"
+BORDER = (200, 204, 214)
 ASKED_PX = 40
 """Height of the line with the instruction."""
 
@@ -52,7 +53,9 @@ def main(config: Config) -> None:
     shown = [frame for frame in flown.film or () if frame.stage < config.stages][:: config.every]
     pictures = [under(track[frame.stage].instruction, compose(frame, len(track))) for frame in shown]
     height = round(pictures[0].height * config.width / pictures[0].width)
-    first, *others = [picture.resize((config.width, height), Image.Resampling.LANCZOS) for picture in pictures]
+    small = [picture.resize((config.width, height), Image.Resampling.LANCZOS) for picture in pictures]
+    # The floor is white, as pages are.
+    first, *others = [ImageOps.expand(picture, border=1, fill=BORDER) for picture in small]
     first.save(
         config.out,
         save_all=True,

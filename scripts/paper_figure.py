@@ -8,7 +8,9 @@ from cognitivedrone.benchmark.published import PUBLISHED
 from cognitivedrone.benchmark.scoring import Interval, Summary
 from cognitivedrone.types import CATEGORIES
 
-WIDTH, HEIGHT, LEFT, TOP, BOTTOM, LEGEND = 720, 300, 50, 40, 40, 30
+WIDTH, HEIGHT, LEFT, TOP, BOTTOM, LEGEND = 720, 300, 64, 40, 40, 50
+ROLES = {"RaceVLA": "ours: race", "CognitiveDrone": "ours: small", "CognitiveDrone-R1": "ours: small with reasoner (R1)"}
+"""Our pilots in the roles of the paper's systems."""
 COLORS = {"CognitiveDrone-R1": "#3b5bdb", "CognitiveDrone": "#7f96ec", "RaceVLA": "#b9bfcd"}
 PUBLISHED_COLOR = "#c2306f"
 
@@ -26,12 +28,13 @@ def figure(suites: Mapping[str, Mapping[str, Summary]]) -> str:
     for number, (suite, summaries) in enumerate(suites.items()):
         bars = {name: bars_of(summary) for name, summary in summaries.items()}
         parts += [f'<g transform="translate(0 {HEIGHT * number})">', *chart(suite, bars), "</g>"]
-    for number, published in enumerate(reversed(PUBLISHED)):
-        x = LEFT + 170 * number
-        parts.append(f'<rect x="{x}" y="{height - 22}" width="12" height="12" fill="{COLORS[published.name]}"/>')
-        parts.append(f'<text x="{x + 18}" y="{height - 12}">{published.name}</text>')
-    end = f'x="{WIDTH - 4}" y="{height - 12}" text-anchor="end"'
-    parts.append(f'<text {end} fill="{PUBLISHED_COLOR}">line: published</text>')
+    for number, (name, role) in enumerate(ROLES.items()):
+        x = LEFT + 120 * number
+        parts.append(f'<rect x="{x}" y="{height - 42}" width="12" height="12" fill="{COLORS[name]}"/>')
+        parts.append(f'<text x="{x + 18}" y="{height - 32}">{role}</text>')
+    line = "red line: the paper's system in this role, on its own simulator and tasks"
+    parts.append(f'<text x="{LEFT}" y="{height - 12}" fill="{PUBLISHED_COLOR}">{line}</text>')
+    parts.append(f'<text x="{WIDTH - 4}" y="{height - 12}" text-anchor="end">black line: 95 % interval</text>')
     return "\n".join([*parts, "</svg>\n"])
 
 
@@ -47,7 +50,11 @@ def chart(title: str, bars: Mapping[str, Bars]) -> list[str]:
     """Bars with intervals, and a line across each for the published score."""
     names = [*(category.replace("_", " ") for category in CATEGORIES), "mean"]
     group = (WIDTH - LEFT) / len(names)
-    parts = [f'<text x="{LEFT}" y="22" font-weight="bold">{title}</text>']
+    middle = (y_of(0) + y_of(1)) / 2
+    parts = [
+        f'<text x="{LEFT}" y="22" font-weight="bold">{title}</text>',
+        f'<text transform="translate(14 {middle:.0f}) rotate(-90)" text-anchor="middle">success rate</text>',
+    ]
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         parts.append(f'<line x1="{LEFT}" x2="{WIDTH}" y1="{y_of(share):.1f}" y2="{y_of(share):.1f}" stroke="#ddd"/>')
         parts.append(f'<text x="{LEFT - 6}" y="{y_of(share) + 4:.1f}" text-anchor="end">{share:.0%}</text>')

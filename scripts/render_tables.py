@@ -26,8 +26,8 @@ from cognitivedrone.benchmark.submission import Submission
 
 FIGURE = "docs/images/paper.svg"
 FIGURE_SUITES = {
-    "open-v1:test": "open-v1:test, drawn like the training tasks",
-    "open-v1:unseen": "open-v1:unseen, styles, fonts, people and wordings held out",
+    "open-v1:test": "open-v1:test: drawn from the training distribution",
+    "open-v1:unseen": "open-v1:unseen: styles, fonts, people and wordings held out from training",
 }
 ROOT = Path(__file__).resolve().parents[1]
 _PLACE = re.compile(r"^( *)<!-- table: ([\w-]+) -->\n(.*?)^ *<!-- end -->$", re.DOTALL | re.MULTILINE)
