@@ -10,6 +10,7 @@ import argparse
 import csv
 import math
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,12 @@ from cognitivedrone.vehicles.sitl.arducopter import BINARY_VARIABLE
 from cognitivedrone.vehicles.sitl.flight import SitlFlight
 
 COLORS = ("#1f77b4", "#d62728")
+WHO = {"iris": "our autopilot", "ArduCopter, flown now": "ArduCopter"}
+"""Names in the plot."""
+WIDTH, HEIGHT, GAP = 300, 170, 34
+"""Of the plot's panels, px."""
+YAW = 3
+"""Place of the yaw rate in an action."""
 
 FILES = {
     "forward 1 m/s": "a_forward_1.csv",
@@ -60,28 +67,66 @@ def distance(trace: Trace, path: Path) -> str:
 
 def plot(curves: dict[str, dict[str, Trace]]) -> str:
     """An SVG with a panel a step: the measured component of each response over time."""
-    width, height, gap = 300, 170, 34
     parts = []
     for place, (name, traces) in enumerate(curves.items()):
-        left, top = gap + place % 3 * (width + gap), gap + place // 3 * (height + gap)
+        left, top = corner(place)
         step = STEPS[name]
         wanted, seconds = step.action[step.axis], next(iter(traces.values())).time[-1]
 
         def points(x: FloatArray, y: FloatArray) -> str:
-            across, down = left + x / seconds * width, top + height * (1.55 - y / wanted) / 2.1  # noqa: B023
+            across, down = left + x / seconds * WIDTH, height_of(y / wanted, top)  # noqa: B023
             return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(across, down, strict=True))
 
         asked = points(np.array([0, 0, step.duration, step.duration, seconds]), np.array([0, wanted, wanted, 0, 0]))
-        parts.append(f'<text x="{left}" y="{top - 6}">{name}, {seconds:g} s</text>')
+        parts += axes(place, name, wanted, "rad/s" if step.axis == YAW else "m/s", seconds)
         parts.append(f'<polyline points="{asked}" fill="none" stroke="#bbb"/>')
         for color, trace in zip(COLORS, traces.values(), strict=False):
             line = points(trace.time, trace.response[:, step.axis])
             parts.append(f'<polyline points="{line}" fill="none" stroke="{color}" stroke-width="1.5"/>')
-    for place, (color, who) in enumerate(zip(COLORS, next(iter(curves.values())), strict=False)):
-        parts.append(f'<text x="{gap + 200 * place}" y="{2 * (height + gap) + gap}" fill="{color}">{who}</text>')
-    size = f"{3 * (width + gap) + gap} {2 * (height + gap) + 2 * gap}"
+    parts += legend(next(iter(curves.values())))
+    size = f"{3 * (WIDTH + GAP) + GAP} {2 * (HEIGHT + GAP) + 2 * GAP}"
     head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size}" font-family="sans-serif" font-size="12">'
     return "\n".join([head, '<rect width="100%" height="100%" fill="white"/>', *parts, "</svg>\n"])
+
+
+def corner(place: int) -> tuple[int, int]:
+    """The upper left corner of a panel."""
+    return GAP + place % 3 * (WIDTH + GAP), GAP + place // 3 * (HEIGHT + GAP)
+
+
+def height_of(share: Any, top: int) -> Any:
+    """Where a share of the commanded value is in a panel."""
+    return top + HEIGHT * (1.55 - share) / 2.1
+
+
+def axes(place: int, name: str, wanted: float, unit: str, seconds: float) -> list[str]:
+    """A panel's title, its zero line with a mark each second, and its commanded value."""
+    left, top = corner(place)
+    zero, bottom = height_of(0, top), top + HEIGHT
+    parts = [
+        f'<text x="{left}" y="{top - 6}" font-weight="bold">{name}</text>',
+        f'<line x1="{left}" x2="{left + WIDTH}" y1="{zero:.1f}" y2="{zero:.1f}" stroke="#ddd"/>',
+        f'<text x="{left - 4}" y="{zero + 4:.1f}" text-anchor="end">0</text>',
+        f'<text x="{left - 4}" y="{height_of(1, top) + 4:.1f}" text-anchor="end">{wanted:g}</text>',
+        f'<text x="{left - 4}" y="{height_of(1, top) + 18:.1f}" text-anchor="end" font-size="9">{unit}</text>',
+    ]
+    for second in range(int(seconds) + 1):
+        x = left + second / seconds * WIDTH
+        parts.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{bottom - 14}" y2="{bottom - 10}" stroke="#888"/>')
+        unit_of_time = " s" if second == int(seconds) else ""
+        parts.append(
+            f'<text x="{x:.1f}" y="{bottom}" font-size="10" text-anchor="middle">{second}{unit_of_time}</text>'
+        )
+    return parts
+
+
+def legend(names: Iterable[str]) -> list[str]:
+    """Whose curves these are."""
+    shown = [("#888", "command"), *((color, WHO.get(who, who)) for color, who in zip(COLORS, names, strict=False))]
+    y = 2 * (HEIGHT + GAP) + GAP + 16
+    return [
+        f'<text x="{GAP + 160 * place}" y="{y}" fill="{color}">{who}</text>' for place, (color, who) in enumerate(shown)
+    ]
 
 
 def main() -> None:

@@ -104,12 +104,22 @@ def page_of(path: Path) -> str:
 
 
 def notebook_page(cells: list[dict[str, Any]]) -> str:
-    """The cells of a notebook; its outputs are left out."""
-    texts = ["".join(cell["source"]) for cell in cells]
-    return "\n\n".join(
-        text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```"
-        for cell, text in zip(cells, texts, strict=True)
-    )
+    """The cells of a notebook, each with what it printed and showed."""
+    parts = []
+    for cell in cells:
+        text = "".join(cell["source"])
+        parts.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
+        parts += [output_of(each) for each in cell.get("outputs", [])]
+    return "\n\n".join(parts)
+
+
+def output_of(output: dict[str, Any]) -> str:
+    """One output of a notebook's cell: a picture, or text."""
+    data = output.get("data", {})
+    if "image/png" in data:
+        return f'<img alt="Output" src="data:image/png;base64,{"".join(data["image/png"].split())}">'
+    text = "".join(output.get("text", "") or data.get("text/plain", ""))
+    return f"```text\n{text.rstrip()}\n```"
 
 
 def python_page(name: str) -> str:

@@ -66,19 +66,20 @@ def plot(points: Points, config: SweepPlan) -> str:
     for x, (ms, _) in zip(xs, points, strict=True):
         parts.append(f'<text x="{x:.1f}" y="{_HEIGHT - 30}" text-anchor="middle">{ms:g}</text>')
     middle = (_LEFT + _WIDTH - _RIGHT) / 2
-    parts.append(f'<text x="{middle}" y="{_HEIGHT - 10}" text-anchor="middle">latency of the {config.part}, ms</text>')
+    below = f"latency of the {config.part}, ms; vertical lines: 95 % intervals"
+    parts.append(f'<text x="{middle}" y="{_HEIGHT - 10}" text-anchor="middle">{below}</text>')
     for x, score in zip(xs, scores, strict=True):
         if score.ci95 is not None:
             low, high = (_y(limit) for limit in score.ci95)
             parts.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{low:.1f}" y2="{high:.1f}" stroke="#1f77b4"/>')
     success = [score.rate if score.rate is not None else math.nan for score in scores]
     choice = [score.choice_accuracy if score.choice_accuracy is not None else math.nan for score in scores]
-    for name, color, values, at in (("passed", "#1f77b4", success, 0), ("right gate", "#ff7f0e", choice, 80)):
+    for name, color, values, at in (("success rate", "#1f77b4", success, 0), ("choice accuracy", "#ff7f0e", choice, 90)):
         known = [(x, _y(value)) for x, value in zip(xs, values, strict=True) if math.isfinite(value)]
         line = " ".join(f"{x:.1f},{y:.1f}" for x, y in known)
         parts.append(f'<polyline points="{line}" fill="none" stroke="{color}" stroke-width="2"/>')
         parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{color}"/>' for x, y in known]
-        parts.append(f'<text x="{_WIDTH - 170 + at}" y="20" fill="{color}">{name}</text>')
+        parts.append(f'<text x="{_WIDTH - 200 + at}" y="20" fill="{color}">{name}</text>')
     return "\n".join([*parts, "</svg>\n"])
 
 
