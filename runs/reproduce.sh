@@ -13,8 +13,9 @@
 #
 # Before the script: ARDUCOPTER=path/to/arducopter measures what needs that program, LESSON=FOLDER a lesson with labels/
 # and tasks/, and one with the pictures in few/, PHOTOGRAPHS=FOLDER flights past pictures named after known things, GPU=1
-# OpenVLA-7B on a graphics card. Measured by hand, by the commands that their files name: gazebo_scores, sitl_scores,
-# harnesses, systems, serving, lora_memory, openvla_memory. looks is a history.
+# OpenVLA-7B on a graphics card, HARNESSES=1 the flights under vla-eval and LeRobot, whichever is installed
+# (docs/integrations.md). Measured by hand, by the commands that their files name: gazebo_scores, sitl_scores, systems,
+# serving, lora_memory, openvla_memory. looks is a history.
 set -euo pipefail
 
 out=${1:-out/reproduce}
@@ -158,6 +159,9 @@ if [[ $everything ]]; then
   measure faults faults
   measure fault_times fault_times --flights 100
   measure random_faults random_faults --minutes 30 --at-once 2
+  if [[ ${HARNESSES:-} ]]; then
+    measure harnesses harnesses
+  fi
 fi
 if [[ ${ARDUCOPTER:-} ]]; then
   measure sitl_step_responses step_responses

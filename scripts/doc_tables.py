@@ -300,7 +300,17 @@ TABLES: Final[dict[str, Description]] = {
             "total": "{total_s:.1f}",
         },
     ),
-    "harnesses": rows_of("harnesses", {"what was run": "{what}", "versions": "{versions}", "result": "{result}"}),
+    "harnesses": rows_of(
+        "harnesses",
+        {
+            "what was run": "{what}",
+            "versions": "{versions}",
+            "flights": "{flights}",
+            "equal": "{equal}",
+            "passed": "{passed}",
+            "remarks": "{remarks}",
+        },
+    ),
     "serving": rows_of(
         "serving",
         {
