@@ -349,7 +349,7 @@ TABLES: Final[dict[str, Description]] = {
             "memory before, after": "{memory_mb:.0f} MB",
         },
     ),
-    # docs/real-drone.md
+    # docs/fly.md, docs/failure-handling.md
     "holding": lines_of(
         ("`--suite`", OWN, ANOTHER),
         Line("holding_test", {}, ("`open-v1:test`", *HELD)),

@@ -1,6 +1,7 @@
 """What can go wrong in flight, each fault injected over a real socket: noticed, and something safe done, in time.
 
-Rows of the hazard table in docs/real-drone.md. The limits are those of `SafetyConfig`, with leeway for a busy machine.
+Rows of the tables of faults in docs/failure-handling.md. The limits are those of `SafetyConfig`, with leeway for a busy
+machine.
 """
 
 from __future__ import annotations

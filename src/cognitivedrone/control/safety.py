@@ -88,7 +88,7 @@ class Timeouts:
 
 @dataclass(frozen=True, slots=True)
 class SafetyConfig:
-    """Every number of the rules; `docs/real-drone.md` explains them to who flies."""
+    """Every number of the rules; `docs/failure-handling.md` explains them."""
 
     limits: Limits = field(default_factory=Limits)
     fence: Fence = field(default_factory=Fence)
