@@ -25,7 +25,7 @@ ELSEWHERE = {
     "store.md": "data/test_store.py",
 }
 """Pages whose Python another test runs, with what it needs."""
-TUTORIALS = ("score", "data", "task", "policy", "reasoner", "labels")
+TUTORIALS = ("fly", "score", "data", "task", "policy", "reasoner", "labels")
 """Those whose commands take seconds. The others train, or need a vehicle; test_docs.py checks their flags."""
 
 
