@@ -15,7 +15,7 @@
 # and tasks/, and one with the pictures in few/, PHOTOGRAPHS=FOLDER flights past pictures named after known things, GPU=1
 # OpenVLA-7B on a graphics card, HARNESSES=1 the flights under vla-eval and LeRobot, whichever is installed
 # (docs/integrations.md). Measured by hand, by the commands that their files name: gazebo_scores, sitl_scores, systems,
-# serving, lora_memory, openvla_memory. looks is a history.
+# serving, lora_memory, openvla_memory. evaluations is a history.
 set -euo pipefail
 
 out=${1:-out/reproduce}

@@ -11,6 +11,7 @@ from typing import Final
 from score_tables import (
     DRAWN_ANEW,
     HELD_OUT,
+    MORE,
     README_SUITES,
     all_runs,
     audits,
@@ -23,6 +24,7 @@ from score_tables import (
     latencies,
     leaderboard_table,
     lessons,
+    other_conditions,
     paper,
     photographs,
     reasoner_worth,
@@ -49,18 +51,18 @@ HELD = (
     "{own_passed}, {own_wrong_gate}, {own_other}, **{own_hovered}**",
     "**{another_hovered}**, {another_through}, {another_other}",
 )
+PILOTS_AND_BASELINES = ("r1", "small", "colour_seeker_oracle", "colour_seeker", "race", "oracle", "hover")
 
 TABLES: Final[dict[str, Description]] = {
     # README.md
     "headline": by_suite(("r1", "small", "race"), README_SUITES),
-    # docs/scores.md
-    "baselines": by_suite(
-        ("r1", "small", "colour_seeker_oracle", "colour_seeker", "race", "oracle", "hover"), (*HELD_OUT, *DRAWN_ANEW)
-    ),
     # docs/leaderboard.md
     "leaderboard": leaderboard_table,
-    # docs/benchmark.md
+    # docs/scores.md
     "paper": paper,
+    "held-out": by_suite(PILOTS_AND_BASELINES, HELD_OUT),
+    "in-distribution": by_suite(PILOTS_AND_BASELINES, (*DRAWN_ANEW, *MORE, "open-v1:race")),
+    "conditions": other_conditions("r1", "small", "oracle"),
     "scores": all_runs,
     "speed": lines_of(
         ("what", "measured", "ratio", "printed by"),
@@ -85,7 +87,7 @@ TABLES: Final[dict[str, Description]] = {
             ("task change, reset to first frame", "{ms:.1f} ms", "", ENVIRONMENT),
         ),
         Line("rendering", {"look": "plain"}, ("rendering alone, 16 worlds, 1 and 2 threads", *RENDERING)),
-        Line("rendering", {"look": "varied"}, ("rendering alone, varied look, 1 and 2 threads", *RENDERING)),
+        Line("rendering", {"look": "varied"}, ("rendering alone, varied appearance, 1 and 2 threads", *RENDERING)),
         Line(
             "dynamics",
             {"worlds": 16},
@@ -224,10 +226,10 @@ TABLES: Final[dict[str, Description]] = {
         {"what": "{what}", "control steps/s": "{steps_per_s:,.0f}", "date": "{date}", "ratio": "{ratio:.2g}"},
         having="steps_per_s",
     ),
-    # docs/tasks.md
-    "looks": rows_of(
-        "looks",
-        {"look": "{look}", "day": "{date}", "pilot": "{pilot}"}
+    # docs/suites.md
+    "evaluations": rows_of(
+        "evaluations",
+        {"evaluation": "{evaluation}", "day": "{date}", "pilot": "{pilot}"}
         | {f"`{name}`": f"{{{name}:.0%}}" for name in ("words", "pictures", "unseen", "layouts", "absent")},
     ),
     # docs/data.md, docs/store.md, docs/formats.md

@@ -79,8 +79,27 @@ def all_runs(store: Store) -> Table:
             score = run.summary.overall
             given = share(score.pass_given_choice)
             rows.append([f"`{flags_of(run)}`", f"`{pilot}`", *passed(score), given, run.finished[:10]])
-    heads = ["`cognitivedrone bench` with", "pilot", "passed", "rate", "95 % interval", "pass given choice", "date"]
+    heads = ["`cognitivedrone bench` with", "pilot", "passed", "rate", "95 % interval", "success given choice", "date"]
     return Table(heads, rows or [[NOT_MEASURED, *[""] * 6]])
+
+
+def other_conditions(*pilots: str) -> Description:
+    """Runs of pilots with other options than the default, beside the rate of the same pilot and suite without them."""
+
+    def describe(store: Store) -> Table:
+        rows = []
+        for pilot in pilots:
+            for run in store.runs(pilot):
+                flags, suite = flags_of(run), run.run.suite.name
+                if flags == f"--suite {suite}":
+                    continue
+                usual = store.summary(pilot, suite)
+                without = share(usual.overall.rate) if usual else NOT_MEASURED
+                rows.append([f"`{flags}`", f"`{pilot}`", *passed(run.summary.overall), without])
+        heads = ["`cognitivedrone bench` with", "pilot", "passed", "rate", "95 % interval", "rate without"]
+        return Table(heads, rows or [[NOT_MEASURED, *[""] * 5]])
+
+    return describe
 
 
 def flags_of(run: SubmittedRun) -> str:
@@ -191,7 +210,7 @@ def latencies(store: Store) -> Table:
 
 
 def from_data(store: Store) -> Table:
-    """Trainings on a fixed set of flights, and on the stream."""
+    """Training runs on a fixed set of flights, and on the stream."""
     rows = []
     for pilot, flights in {**FROM_DATA, "stream": "a stream of new flights"}.items():
         found = store.summary(pilot, "open-v1:test")
@@ -235,7 +254,7 @@ def paper(store: Store) -> Table:
 
 
 def audits(store: Store) -> Table:
-    """Rates under every change, of the shipped pilots."""
+    """Rates under every change, of the packaged pilots."""
     runs = {"R1": "audit_r1", "`small`": "audit_small", "`race`": "audit_race", "R1, 300 tasks": "audit_r1_300"}
     pilots = {title: store.measured_rows(name) for title, name in runs.items()}
     variants = dict.fromkeys((row["audit"], row["variant"]) for rows in pilots.values() for row in rows)
