@@ -55,8 +55,8 @@ def test_every_link_leads_to_a_page_of_the_site(page):
         ("own_policy.md", "[e](../examples/own_policy.py)", "[e](examples/own_policy.md)"),
         (
             "index.md",
-            "![p](docs/images/a.webp) [d](docs/data.md#measured)",
-            "![p](images/a.webp) [d](data.md#measured)",
+            "![p](docs/images/a.webp) [d](docs/data.md#time-and-size)",
+            "![p](images/a.webp) [d](data.md#time-and-size)",
         ),
         ("project/contributing.md", "[a](docs/architecture.md)", "[a](../architecture.md)"),
         ("data.md", "```\n[x](../examples/own_policy.py)\n```", "```\n[x](../examples/own_policy.py)\n```"),
