@@ -28,6 +28,8 @@ class Variant:
     """Of the run, such as wind."""
     camera: Mapping[str, float] = field(default_factory=dict)
     """Of the picture: the fields of `filters.Filter`."""
+    seed_name: str = ""
+    """Seeds the draws of `change` in place of the names of audit and variant: a renamed variant draws as before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,13 +60,13 @@ AUDITS: tuple[Audit, ...] = (
         ),
     ),
     Audit(
-        "another question",
+        "other question",
         "Asked for another gate of the same scene, does it fly there?",
         "follows",
         (
             Variant("the same gate, plainly", scenes.ask_plainly),
             Variant("the next gate", scenes.ask_for_another(1)),
-            Variant("the one after it", scenes.ask_for_another(2)),
+            Variant("the gate after that", scenes.ask_for_another(2)),
         ),
     ),
     Audit(
@@ -72,14 +74,14 @@ AUDITS: tuple[Audit, ...] = (
         "When the panels change places, does it follow the right one?",
         "follows",
         (
-            Variant("one on", scenes.turned_panels(1)),
-            Variant("two on", scenes.turned_panels(2)),
+            Variant("by one gate", scenes.turned_panels(1)),
+            Variant("by two gates", scenes.turned_panels(2)),
             Variant("outer two", scenes.mirrored_panels),
         ),
     ),
     Audit(
-        "looks swapped",
-        "The gates exchange their looks, which no sentence mentions. Does that matter?",
+        "appearance swapped",
+        "The gates exchange their appearance, which no sentence mentions. Does that matter?",
         "as before",
         (
             Variant("colours", scenes.turned_looks("color")),
@@ -95,7 +97,7 @@ AUDITS: tuple[Audit, ...] = (
         (
             Variant("polite", scenes.polite),
             Variant("no punctuation", scenes.unpunctuated),
-            Variant("a slip of the finger", scenes.misspelt),
+            Variant("typing error", scenes.misspelt, seed_name="paraphrases/a slip of the finger"),
         ),
     ),
     Audit(

@@ -46,7 +46,7 @@ class Row:
     baseline: float | None
     """The pilot's rate on the same tasks as they are."""
     declined: int
-    """Flights that said that what is asked for is not there."""
+    """Flights that reported that no gate matches the instruction."""
     chosen: tuple[int, int, int, int]
     """Flights at gate 1, 2, 3 and none."""
     sound: bool
@@ -99,7 +99,7 @@ def _is_choice(task: Task) -> bool:
 
 def _changed(seed: int, tasks: Iterable[Task], each: Audit, variant: Variant) -> Iterator[Task]:
     for index, task in enumerate(tasks):
-        key = zlib.crc32(f"{each.name}/{variant.name}".encode())
+        key = zlib.crc32((variant.seed_name or f"{each.name}/{variant.name}").encode())
         rng = np.random.default_rng([6, seed, key, index])
         changed = task if variant.change is None else variant.change(rng, task)
         if changed is not None:
