@@ -1,11 +1,11 @@
-"""What the choices of the small VLA are worth: one short training for each, flown from instructions and directives.
+"""What the choices of the small VLA are worth: one short training run for each, flown from instructions and directives.
 
 Run: python benchmarks/ablation.py FOLDER [--processes 2] [--out results/ablation.json]
 
 Trains the recipes `ablation-*`, each but the first with one thing changed, flies `open-v1:test` with each twice (as the
-user says it, and given the gold directive) and prints a table. All trainings are equally short, far shorter than that
-of the shipped model, so the rows compare with each other and with nothing else. A stopped run continues when started
-again.
+user says it, and given the gold directive) and prints a table. All training runs are equally short, far shorter than
+that of the packaged model, so the rows compare with each other and with nothing else. A stopped run continues when
+started again.
 """
 
 from __future__ import annotations
@@ -103,14 +103,14 @@ def main(folder: tyro.conf.Positional[Path], processes: int = 2, out: Path | Non
     """Train, fly, and print the table.
 
     Args:
-        folder: Folder of the trainings and of the flights' results.
-        processes: That share each training: CPU cores, or GPUs.
+        folder: Folder of the training runs and of the flights' results.
+        processes: That share each training run: CPU cores, or GPUs.
         out: File for the figures, such as results/ablation.json.
     """
     names = [name for name in RECIPES if name.startswith(PREFIX)]
     rows = [row(measure(name, folder, processes)) for name in names]
     print(table(rows))
-    keep(out, "The choices of the small VLA: short trainings, each with one change", rows, seed=0)
+    keep(out, "The choices of the small VLA: short training runs, each with one change", rows, seed=0)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ Run: python benchmarks/faults_input.py [--tasks 1000] [--weights 100] [--seed 0]
 
 A task file is mutated in its JSON (keys and values) or in its bytes. It is either rejected with one sentence, by the
 loader or by the check of its labels, or what would fly is exactly what the file says: every field is compared with an
-independent reading of it, every panel is drawn, and the flight begins. A weight file is a shipped one, or one
+independent reading of it, every panel is drawn, and the flight begins. A weight file is a packaged one, or one
 that `describe` wrote, with bits, bytes, blocks or its description changed; it is found where it is refused at load.
 """
 
@@ -285,7 +285,7 @@ def judge_weights(path: Path, load: Callable[[Path], object]) -> str:
 
 
 def _written_anew(path: Path) -> Path:
-    """The shipped policy as this version writes it, with a checksum of its own."""
+    """The packaged policy as this version writes it, with a checksum of its own."""
     path.write_bytes((WEIGHTS / "small.onnx").read_bytes())
     describe(path, read_description(path))
     return path

@@ -48,7 +48,7 @@ class Config:
     """What is read."""
 
     reader: Path | None = None
-    """A reader's or a policy's file; the shipped policy by default."""
+    """A reader's or a policy's file; the packaged policy by default."""
     sets: Sets = "calibration"
     crops: int = 600
     """Crops of every set."""

@@ -6,7 +6,7 @@
 #
 # Stopped at any moment, it goes on when it is started again. Needs the extras `train` and `mavlink`. On one
 # machine its weights are the same to the bit each time; OUT/manifest.json says recipe, seed, commit and hash of each.
-# The weights that ship are those of one run of it (docs/training.md). OUT/results has a file for every table of README
+# The packaged weights are those of one run of it (docs/training.md). OUT/results has a file for every table of README
 # and docs that can be measured here:
 #
 #   cp OUT/results/*.json results/ && python scripts/render_tables.py
@@ -128,7 +128,7 @@ if [[ $everything ]]; then
   cognitivedrone audit --policy "$policy" --reasoner "$reasoner" --out "$out/audit/r1_300" --episodes 300 --only "no question"
 fi
 
-# One file for each: speed, memory, faults. What the trainings took: results/training_times.json.
+# One file for each: speed, memory, faults. What the training runs took: results/training_times.json.
 measure dynamics dynamics
 measure step_responses step_responses
 measure openvla_memory openvla_memory

@@ -4,7 +4,7 @@ Run: python scripts/keep_results.py OUT RESULTS
 
 Each folder OUT/scores/PILOT with its runs becomes the submission RESULTS/PILOT.json, OUT/reason/* becomes
 RESULTS/reasoner_alone.json, and OUT/audit/PILOT becomes RESULTS/audit_PILOT.json; RESULTS/bench_time.json has the wall
-times of runs, RESULTS/training_times.json those of the trainings in OUT. Partial runs are left out, and named.
+times of runs, RESULTS/training_times.json those of the training runs in OUT. Partial runs are left out, and named.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def keep_reasoner(paths: list[Path], path: Path) -> None:
 
 
 def keep_trainings(paths: list[Path], path: Path) -> None:
-    """Steps and times of trainings by the rates of their rounds, so without the pauses between a stop and going on."""
+    """Steps and times of training runs by the rates of their rounds, so without the pauses after a stop."""
     rows = []
     for each in paths:
         rounds = [json.loads(line) for line in each.read_text(encoding="utf-8").splitlines()]
@@ -112,7 +112,7 @@ def keep_trainings(paths: list[Path], path: Path) -> None:
         row = {"run": each.parent.name, "recipe": recipe["name"], "steps": ends[-1]}
         rows.append({**row, "steps_per_s": round(ends[-1] / seconds, 2), "minutes": round(seconds / 60, 1)})
     if rows:
-        write(path, measurement("Times of trainings", "runs/reproduce.sh", rows, seed=0))
+        write(path, measurement("Times of training runs", "runs/reproduce.sh", rows, seed=0))
 
 
 def keep_audit(source: Path, path: Path) -> None:

@@ -1,9 +1,9 @@
-"""The manifest of the weights that ship: recipe, steps, start, seed, commit, time and hash of each file.
+"""The manifest of the packaged weights: recipe, steps, start, seed, commit, time and hash of each file.
 
 Run: python scripts/weights_manifest.py           writes src/cognitivedrone/models/weights/manifest.json
      python scripts/weights_manifest.py --check   says whether it is up to date; exit code 1 if not
 
-Everything but the seed stands in the files themselves, in the description that a training writes.
+Everything but the seed stands in the files themselves, in the description that a training run writes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from cognitivedrone.models.onnx_file import KEY
 WEIGHTS = Path(str(resources.files("cognitivedrone.models") / "weights"))
 MANIFEST = "manifest.json"
 SEED = 0
-"""Of all trainings whose weights ship."""
+"""Of all training runs whose weights are packaged."""
 
 
 def manifest(folder: Path) -> str:

@@ -26,7 +26,7 @@ KINDS = {"animal": drawings.ANIMALS, "food": drawings.FOODS, "object": drawings.
 
 @dataclass(frozen=True)
 class PictureSet:
-    """A set of drawings by one hand, as one package has it."""
+    """A set of drawings by one artist, as one package has it."""
 
     package: str
     prefix: str = ""

@@ -58,8 +58,8 @@ EventKind = (
     | ReasonerFault
 )
 """What happened in a flight: a new instruction, a question, an answer to an earlier instruction, a missed deadline,
-what the filter did with an answer, the pilot says that what is asked for is not there (`declined`), and no longer says
-so (`resumed`), the policy only holds the position because its server does not answer (`lost`), and no longer does
+what the filter did with an answer, the pilot reports that no gate matches the instruction (`declined`), and no longer
+does (`resumed`), the policy only holds the position because its server does not answer (`lost`), and no longer does
 (`back`). `fly` adds the safety rules' decisions, `hold` and `sure` (it hovers because the
 reasoner is unsure, and flies on), and the flight's end."""
 

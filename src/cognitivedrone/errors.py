@@ -20,7 +20,7 @@ CognitiveDroneError
 ├── MessageError     a message between a policy server and a client that is malformed or refused
 ├── RunError         a benchmark run that cannot start, continue or be read
 ├── DataError        a data set that cannot be written, read or trusted
-├── TrainingError    a training that cannot start or continue, or a checkpoint that cannot be read
+├── TrainingError    a training run that cannot start or continue, or a checkpoint that cannot be read
 ├── LinkError        a vehicle that cannot be reached, refuses a command, or cannot be flown
 ├── GazeboError      a Gazebo world that cannot be exported or checked, or a Gazebo that does not answer
 ├── CameraError      a camera that cannot be opened, stopped sending frames, or reached the end of its file
@@ -127,8 +127,8 @@ class ReasonerError(CognitiveDroneError):
         self.trace = trace
         """The traceback, where the reasoner raised an exception of its own."""
         self.certainty = certainty
-        """Of a reasoner that saw the scene and is undecided: how likely what is asked for is there, and its best answer
-        right, 0 to 1."""
+        """Of a reasoner that saw the scene and is undecided: how likely a gate matches the instruction, and its best
+        answer right, 0 to 1."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         return functools.partial(ReasonerError, certainty=self.certainty), (self.kind, str(self), self.trace)
@@ -154,7 +154,7 @@ class DataError(CognitiveDroneError):
 
 
 class TrainingError(CognitiveDroneError):
-    """A training that cannot start or continue, or a checkpoint that cannot be read."""
+    """A training run that cannot start or continue, or a checkpoint that cannot be read."""
 
 
 class LinkError(CognitiveDroneError):

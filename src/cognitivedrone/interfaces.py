@@ -63,7 +63,8 @@ class Policy(PlugIn, ABC):
     """Image and text in, velocity commands out. `reset` is called at the start of every stage."""
 
     declines: bool = False
-    """Whether the policy says, with its latest commands, that no gate shows what is asked for. It must then hover."""
+    """Whether the policy reports, with its latest commands, that no gate matches the instruction. It must then
+    hover."""
 
     present: float | None = None
     """Its own probability, 0 to 1, that a gate shows what the sentence asks for, with its latest commands; none if it
@@ -90,7 +91,7 @@ class Policy(PlugIn, ABC):
 class Reasoner(PlugIn, ABC):
     """Turns the user's instruction and an image of the scene into a plain directive.
 
-    It declines by the directive "Hold position": no gate shows what is asked for, and the drone hovers.
+    It declines by the directive "Hold position": no gate matches the instruction, and the drone hovers.
 
     `reset` is called before the first question of a stage. If `context.stage` is above 0, the last answer was the one
     for the previous stage.

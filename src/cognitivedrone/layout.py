@@ -1,4 +1,4 @@
-"""Where the gates of a stage are: the sizes and places of the published stage, and random layouts.
+"""Where the gates of a stage are: the sizes and places of the published stage, and random gate layouts.
 
 Frames and units as in `types`; all places are in the stage frame. Source of the published numbers: the stage of
 CognitiveDroneBench (arXiv 2503.01378). `world.geometry` computes with them.

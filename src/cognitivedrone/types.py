@@ -73,8 +73,8 @@ Outcome = Literal[
     "hesitated",
     "false_alarm",
 ]
-"""How a stage ended. `hesitated`: nothing that was asked for is there, and the pilot flew through no gate but did not
-say so. `false_alarm`: the pilot said that it is not there, but it is."""
+"""How a stage ended. `hesitated`: no gate matches the instruction, and the pilot flew through none but did not
+report so. `false_alarm`: the pilot reported that no gate matches the instruction, but one does."""
 
 CATEGORIES: tuple[Category, ...] = ("human_recognition", "symbol_understanding", "reasoning")
 """The paper's three categories, each a choice among gates."""
@@ -115,7 +115,7 @@ class GatePlace:
 
 
 Layout: TypeAlias = tuple[GatePlace, GatePlace, GatePlace]
-"""The places of the gates of a stage, left to right as seen from the start."""
+"""The gate layout of a stage, left to right as seen from the start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +135,8 @@ class Task:
     labels: tuple[str, str, str]
     """Label references `kind/concept@style`, one above each gate, left to right as gates 1, 2, 3."""
     target: int | None
-    """Index of the right gate, 0 to 2; `correct` in task files is this plus one. None in the family `absent`: no panel
-    shows what is asked for."""
+    """Index of the right gate, 0 to 2; `correct` in task files is this plus one. None in the family `absent`: no gate
+    matches the instruction."""
     gates: tuple[Gate, Gate, Gate]
     board: str | None = None
     """Label reference of the sum on the board in the scene, for families that have one."""
@@ -235,7 +235,7 @@ class Guidance:
 
     directive: str
     """Plain sentence for the policy, such as "Fly through the small red round gate". "Hold position" declines: no gate
-    shows what is asked for (`tasks.directives.HOLD`)."""
+    matches the instruction (`tasks.directives.HOLD`)."""
     gate: int | None
     """Index of the gate, 0 to 2 from left to right, if the reasoner reports it."""
     confidence: float
@@ -289,7 +289,7 @@ class StageResult:
     category: Category
     family: str
     target: int | None
-    """Index of the right gate, 0 to 2; none if what was asked for is not there."""
+    """Index of the right gate, 0 to 2; none if no gate matches the instruction."""
     outcome: Outcome
     chosen: int | None
     """Index of the gate flown at, 0 to 2; none if the flight favoured no gate."""

@@ -1,4 +1,4 @@
-"""Trainings in seconds: tiny networks, few words, a small bank of readings, and batches made in the same process."""
+"""Training runs in seconds: tiny networks, few words, a small bank of readings, batches made in the same process."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def killed_at(step: int) -> Iterator[Callable[[str], None]]:
 
 
 def saved(task: TrainingTask, folder: Path) -> Path:
-    """A checkpoint of a training of which no step was made yet."""
+    """A checkpoint of a training run of which no step was made yet."""
     torch.manual_seed(0)
     path = folder / CHECKPOINT
     save_checkpoint(path, task.network(), None, {**task.identity(), **task.facts(), "seed": 0, "step": 6})

@@ -439,13 +439,13 @@ class TestBeforeAnythingHeavyIsLoaded:
             fine_tune(FineTuning(base, flights, tmp_path / "run", RECIPE, shard=True))
 
     def test_a_run_that_is_there(self, runs: Runs) -> None:
-        with pytest.raises(TrainingError, match="holds a training already; go on with --resume"):
+        with pytest.raises(TrainingError, match="holds a training run already; go on with --resume"):
             fine_tune(runs.whole)
 
     def test_a_run_of_another_making(self, runs: Runs, tmp_path: Path) -> None:
         other_base = write_checkpoint(tmp_path / "base", seed=4)
         for change, named in (({"seed": 4}, "seed"), ({"base": other_base}, "base"), ({"key": "x"}, "key")):
-            with pytest.raises(TrainingError, match=f"holds a training of another {named}; choose another folder"):
+            with pytest.raises(TrainingError, match=f"holds a training run of another {named}; choose another folder"):
                 fine_tune(replace(runs.resumed, **change))
         with pytest.raises(TrainingError, match="another recipe"):
             fine_tune(replace(runs.resumed, recipe=replace(RECIPE, steps=8)))

@@ -210,7 +210,7 @@ def test_a_finished_training_has_nothing_left_to_do(runs: Runs, start: Given) ->
 
 
 def test_a_training_is_not_begun_over_another(runs: Runs, start: Given) -> None:
-    with pytest.raises(TrainingError, match="holds a training already; go on with --resume or choose another folder"):
+    with pytest.raises(TrainingError, match="holds a training run already; go on with --resume or choose another"):
         train(TrainConfig(runs.whole, training_of(start), seed=3))
 
 
@@ -222,7 +222,7 @@ def test_a_training_is_not_begun_over_another(runs: Runs, start: Given) -> None:
 def test_a_training_does_not_go_on_by_another_recipe_or_seed(
     runs: Runs, start: Given, recipe: TrainRecipe, seed: int
 ) -> None:
-    with pytest.raises(TrainingError, match="a training by another recipe, seed or data; choose another folder"):
+    with pytest.raises(TrainingError, match="a training run by another recipe, seed or data; choose another folder"):
         train(TrainConfig(runs.whole, training_of(start, recipe), seed=seed, resume=True))
 
 

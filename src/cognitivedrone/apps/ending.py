@@ -57,13 +57,13 @@ def _in_words(result: StageResult, *, judged: bool) -> str:
     if not judged and result.chosen is not None and result.outcome in ("passed", "wrong_gate"):
         return f"flew through gate {result.chosen + 1} (not judged), after {result.time_s:.1f} s"
     if not judged and result.outcome == "false_alarm":
-        return f"declined: what was asked for is not there (not judged), after {result.time_s:.1f} s"
+        return f"declined: no gate matches the instruction (not judged), after {result.time_s:.1f} s"
     gate = "no gate" if result.chosen is None else f"gate {result.chosen + 1}"
     right = "none was right" if result.target is None else f"the right one was {result.target + 1}"
     how = {
-        "passed": f"through {gate}" if result.target is not None else "declined: what was asked for is not there",
+        "passed": f"through {gate}" if result.target is not None else "declined: no gate matches the instruction",
         "wrong_gate": f"through {gate}, {right}",
-        "hesitated": "hovered, but did not say that what was asked for is not there",
+        "hesitated": "hovered, but did not report that no gate matches the instruction",
         "false_alarm": f"declined, but gate {result.target + 1} is right" if result.target is not None else "",
         "collision": f"collided, flying at {gate}",
         "missed": f"flew past the gates, at {gate}",

@@ -60,7 +60,7 @@ class Answer:
     expected: str
     """The gold directive."""
     target: int | None
-    """Index of the right gate, 0 to 2; none if what is asked for is not there."""
+    """Index of the right gate, 0 to 2; none if no gate matches the instruction."""
     right: Judgement
     """Which parts of the directive are right."""
     image_sha256: str

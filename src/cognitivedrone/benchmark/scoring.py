@@ -105,7 +105,7 @@ class CategoryMean:
 
 @dataclass(frozen=True, slots=True)
 class FalseAlarms:
-    """How often the pilot said that something is not there although it was."""
+    """How often the pilot reported that no gate matches the instruction although one does."""
 
     n: int
     """Counted stages with a right gate."""
@@ -132,7 +132,7 @@ class Summary:
     """Confusion matrix of counted and reached stages: rows are the right gate, 1 to 3; columns the gate flown at, 1 to
     3, then none. Off-diagonal entries show mistakes and any preference of the policy."""
     false_alarms: FalseAlarms | None = field(default=None, metadata={"json": "where set"})
-    """None if the pilot never said that something is not there, and no task asks for such a thing."""
+    """None if the pilot never reported that no gate matches the instruction, and in every task one does."""
 
 
 def passes(stage: StageResult, rule: Rule) -> bool:

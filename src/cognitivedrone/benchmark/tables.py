@@ -216,7 +216,7 @@ def _notes(results: Results, rule: Rule) -> list[Text]:
         )
         notes.append(Text(text, style="yellow"))
     if (alarms := summary.false_alarms) is not None:
-        text = f"false alarms: {alarms.alarms} of {alarms.n} tasks whose answer is there"
+        text = f"false alarms: {alarms.alarms} of {alarms.n} tasks where a gate matches the instruction"
         notes.append(Text(f"{text}, {percent(alarms.rate)} (95 % CI {interval(alarms.ci95)})"))
     if comparable(results):
         published = ", ".join(f"{score.name} {percent(score.overall)}" for score in PUBLISHED)

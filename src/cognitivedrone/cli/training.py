@@ -41,7 +41,7 @@ def train(
             policy's language or its flying further; selector, the small reasoner.
         data: A data set made by `collect`, used instead of flights made during training.
         start: Trained weights to start from: a checkpoint, a model file, the folder of a taught pilot, or "small" for
-            those that are shipped, the default.
+            the packaged ones, the default.
         labels: A folder of pictures such as my-labels/birds/robin.jpg, for recipe teach; one a concept is enough.
         tasks: A task file, or a folder of them, whose sentences are taught as well.
         steps: Steps, instead of the recipe's: fewer to try something, more where there is time.

@@ -51,7 +51,7 @@ class TimedPolicy(Policy):
 
     @property
     def present(self) -> float | None:  # type: ignore[override]
-        """The policy's probability that what is asked for is there."""
+        """The policy's probability that a gate matches the instruction."""
         return self.policy.present
 
     @property

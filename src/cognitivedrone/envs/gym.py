@@ -78,7 +78,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         self.simulator.close()
 
     def decline(self, declined: bool = True) -> None:
-        """Say that what is asked for is not there, or cease to; after 3 s in a row the stage ends (`absent`)."""
+        """Report that no gate matches the instruction, or cease to; after 3 s in a row the stage ends (`absent`)."""
         self.track_runner.decline(declined)
 
     def truth(self) -> GroundTruth:

@@ -101,7 +101,7 @@ def _heading(task: Task, where: str) -> PillowImage.Image:
         pen.text((_GAP, top + 2), line, _SOFT, font(24))
         top += 32
     if task.target is None:
-        pen.text((_GAP, top + 8), "No gate is right: what is asked for is not there", _RIGHT, font(26))
+        pen.text((_GAP, top + 8), "No gate matches the instruction", _RIGHT, font(26))
         top += 40
     top += 14
     for index in range(3):

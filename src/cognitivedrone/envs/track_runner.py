@@ -96,8 +96,8 @@ class TrackRunner:
     A stage that is passed, or left through a wrong gate, leads to the next one behind that gate; anything else ends
     the flight, and the stages that were not reached count as such.
 
-    The pilot may decline (`decline`): it says that no gate shows what is asked for. It is right where the task has no
-    target; the stage is then passed, and the next one, if any, is at the same place.
+    The pilot may decline (`decline`): it reports that no gate matches the instruction. It is right where the task has
+    no target; the stage is then passed, and the next one, if any, is at the same place.
     """
 
     def __init__(self, world: DroneWorld, labels: LabelPack, config: TrackConfig) -> None:
@@ -151,7 +151,7 @@ class TrackRunner:
         return GroundTruth(self.task, self.stage, self.world.state)
 
     def decline(self, declined: bool) -> None:
-        """Note that the pilot begins or ceases to say that what is asked for is not there."""
+        """Note that the pilot begins or ceases to report that no gate matches the instruction."""
         if not declined:
             self._declined_at = None
         elif self._declined_at is None:

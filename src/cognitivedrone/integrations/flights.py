@@ -88,7 +88,7 @@ class Flights:
         """Fly one control period, 0.1 s: the view after it, the reward, and whether the episode is over.
 
         `action` is (4,) numbers: vx, vy, vz in m/s and yaw rate in rad/s. Anything else, and NaN, ends the episode as
-        `policy_error`, as in the benchmark. `declines` says that no gate shows what is asked for.
+        `policy_error`, as in the benchmark. `declines` reports that no gate matches the instruction.
         """
         env = self._env
         if env is None or self._view is None:

@@ -120,7 +120,7 @@ class CognitiveDrone(StepBenchmark):
         return view
 
     def step(self, action: dict[str, Any]) -> StepResult:
-        """Fly `action["actions"]`, (4,), for 0.1 s; `action["declines"]` says that no gate shows what is asked for."""
+        """Fly `action["actions"]`, (4,), for 0.1 s; `action["declines"]`: no gate matches the instruction."""
         commands = action.get("actions", action.get("action"))
         view, reward, done = self.flights.step(commands, declines=action.get("declines") is True)
         self._recorder.record_video(view.image)
@@ -239,7 +239,7 @@ class PolicyServer(PredictModelServer):
         return policy
 
     def predict(self, obs: dict[str, Any], ctx: SessionContext) -> dict[str, Any]:
-        """The next action, (4,); with `declines` where the policy says that no gate shows what is asked for."""
+        """The next action, (4,); with `declines` where the policy reports that no gate matches the instruction."""
         session = self._sessions[ctx.session_id]
         instruction, stage = obs["task_description"], obs.get("stage", 0)
         if stage != session.stage:

@@ -103,7 +103,7 @@ class Language(nn.Module):
     def forward(self, tokens: Tensor, board: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
         """From tokens (n, length, TOKEN), probabilities on the board (n, F), seen (n,), 1 if a board is in view.
 
-        Returns queries (n, E), and logits (n,) that no gate shows what is asked for.
+        Returns queries (n, E), and logits (n,) that no gate matches the instruction.
         """
         n = tokens.shape[0]
         words = self.words(tokens) + self.places[: tokens.shape[1]]

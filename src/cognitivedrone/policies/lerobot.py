@@ -76,7 +76,7 @@ class LeRobot(Policy):
 def read_config(folder: Path) -> dict[str, Any]:
     """config.json of a checkpoint; raises `ModelError` if the folder is no checkpoint."""
     if (folder / "pretrained_model").is_dir():
-        raise ModelError(f"{folder} is a folder of a training; give {folder / 'pretrained_model'}")
+        raise ModelError(f"{folder} is a folder of a training run; give {folder / 'pretrained_model'}")
     if missing := [name for name in FILES if not (folder / name).is_file()]:
         raise ModelError(
             f"{folder} is no LeRobot checkpoint: it has no {missing[0]}; give the folder pretrained_model that"

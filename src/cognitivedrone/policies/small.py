@@ -35,7 +35,7 @@ _SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 
 @dataclass(slots=True)
 class Presence:
-    """Whether what is asked for is there, from the network's answers to all frames so far that show three gates."""
+    """Whether a gate matches the instruction, from the network's answers to all frames so far that show three gates."""
 
     frames: int = 0
     mean: float = 1.0
@@ -59,7 +59,7 @@ class Small(Policy):
     """Flies a small model: the packaged one, or the file at `path`.
 
     Its actions depend on the current observation only, but for one thing: it declines, and hovers, when the frames of a
-    second agree that no gate shows what is asked for. Raises `PolicyError` if the file is missing or unusable.
+    second agree that no gate matches the instruction. Raises `PolicyError` if the file is missing or unusable.
 
     For several flights at once it uses all cores, one frame at a time, so that each answer is that of `act` to the bit.
     With `stack`, up to so many frames go through the network together: faster, but rounded differently.

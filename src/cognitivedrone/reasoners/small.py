@@ -39,7 +39,7 @@ LARGEST_VALUE = 20
 _SEEN = 0.3  # minimum score of a visible gate or board
 _UNSURE = 0.6  # a gate less likely than this is no answer
 _OVERRULES = 0.75  # nor does one less likely than this overrule the policy, which alone is right as often, or more
-_ABSENT = 0.7  # nor is "it is not there", which also needs that every panel was read
+_ABSENT = 0.7  # nor is "no gate matches", which also needs that every panel was read
 _READ = 0.3  # a picture whose likeliest reading is less likely than this was not read
 _READABLE = 0.5  # a thing less likely than this is not named
 _LEGIBLE_PX = 8.0  # panels lower than this are illegible
@@ -120,7 +120,7 @@ class SmallReasoner(Reasoner):
     def refine(self, image: Image, instruction: str) -> Guidance:
         """The directive for the selected gate, from all frames of this stage so far.
 
-        It declines where most likely no gate shows what is asked for. Raises `ReasonerError` if fewer than three gates
+        It declines where most likely no gate matches the instruction. Raises `ReasonerError` if fewer than three gates
         have been seen, or nothing is likely enough: then the policy knows no less. The error of an answer that is
         likely, but not enough to overrule the policy, has its `certainty`.
         """

@@ -1,4 +1,4 @@
-"""What is asked for is not there: instructions of the base families over panels none of which fits.
+"""No gate matches the instruction: instructions of the base families over panels none of which fits.
 
 Right is to fly through no gate, and to say so. The instruction clearly holds for none of the panels, by the rules that
 keep an ordinary task from having two right answers: features that clearly do not hold, animals that are not easily

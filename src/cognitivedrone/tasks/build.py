@@ -128,7 +128,7 @@ def _choices(name: str, rng: np.random.Generator, dealer: Dealer) -> list[list[T
 
 
 def _absent(rng: np.random.Generator, dealer: Dealer) -> list[list[Task]]:
-    """Tasks whose answer is not there, no two with the same question and the same options."""
+    """Tasks where no gate matches the instruction, no two with the same question and the same options."""
     asked: set[tuple[str, frozenset[str]]] = set()
     tasks = []
     for kind in KINDS:

@@ -20,7 +20,7 @@ _COLORS: dict[str, Color] = {"red": "red", "green": "green", "blue": "blue"}
 
 
 HOLD = "Hold position"
-"""The directive that declines: no gate shows what is asked for, so none is to be flown through."""
+"""The directive that declines: no gate matches the instruction, so none is to be flown through."""
 
 
 def declines(directive: str) -> bool:

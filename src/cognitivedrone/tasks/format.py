@@ -3,7 +3,7 @@
 Published keys are `prompt`, `prompt_simpler`, `options`, `correct` (1 to 3), `gates` (a dict keyed "1" to "3", or a
 list of `{"gate": "1", ...}`), `background`, and for sums on the board `task: {d1, operator, d2}`. Our optional keys
 are `id`, `category`, `family`, `labels`, `board`, for a gate that stands alone its number `only`, and `layout` with the
-places of the gates, keyed "1" to "3" as well. In the family `absent`, `correct` is null.
+gate layout, keyed "1" to "3" as well. In the family `absent`, `correct` is null.
 """
 
 from __future__ import annotations

@@ -50,10 +50,10 @@ ABOUT: dict[str, str] = {
     "open-v1:hard": "practised: families that training draws anew; most sentences recur",
     "open-v1:race": "practised: tracks of single gates",
     "open-v2:test": "practised ingredients, drawn anew",
-    "open-v2:layouts": "held out: where the gates are; the rest as test",
-    "open-v2:absent": "held out: what is asked for is not there",
+    "open-v2:layouts": "held out: the gate layouts; the rest as test",
+    "open-v2:absent": "held out: no gate matches the instruction",
     "open-v2:words": "held out: sentences as people type them",
-    "open-v2:pictures": "held out: whole sets of drawings, each by other hands",
+    "open-v2:pictures": "held out: whole sets of drawings, each by other artists",
 }
 """What each suite tests: what is held out from training, or that its tasks are practised."""
 

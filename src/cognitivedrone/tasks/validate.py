@@ -17,7 +17,7 @@ MAX_TEXT = 1000
 def right_gate(task: Task) -> int:
     """Index of the right gate, 0 to 2; raises `TaskError` for a task without one."""
     if task.target is None:
-        raise TaskError(f"{task.id}: no gate is right, because what is asked for is not there; take other tasks")
+        raise TaskError(f"{task.id}: no gate matches the instruction; take other tasks")
     return task.target
 
 

@@ -89,8 +89,8 @@ TRAIN_PICTURE_SETS: tuple[str, ...] = (
 CALIBRATION_PICTURE_SETS: tuple[str, ...] = ("streamline", "streamline-color", "vscode-icons")
 """Sets that no network is trained with, and by which the probabilities of trained ones are calibrated."""
 HELD_OUT_PICTURE_SETS: tuple[str, ...] = ("openmoji", "fxemoji", "icon-park", "openclipart", "devicon", "cib")
-"""Sets of drawings, each by other hands, that only tests show: two emoji sets, two-coloured line icons, the clip art of
-many artists, and two sets of logos."""
+"""Sets of drawings, each by other artists, that only tests show: two emoji sets, two-coloured line icons, the clip art
+of many artists, and two sets of logos."""
 
 LOGO_STYLE = "color"
 

@@ -20,7 +20,7 @@ from cognitivedrone.training.recipes import find_recipe
 
 @dataclass(frozen=True, slots=True)
 class TrainOptions:
-    """Options of a training."""
+    """Options of a training run."""
 
     out: Path
     """Folder of the run: checkpoint, curves, TensorBoard logs and, at the end, model.onnx."""
@@ -29,7 +29,7 @@ class TrainOptions:
     data: Path | None = None
     """A data set made by `collect`, instead of flights made during training."""
     start: Path | None = None
-    """Trained weights to start from: a checkpoint, a model file, or "small" for those that are shipped."""
+    """Trained weights to start from: a checkpoint, a model file, or "small" for the packaged ones."""
     seed: int = 0
     resume: bool = False
     """Continue from the checkpoint in the folder."""
@@ -62,7 +62,7 @@ def run(options: TrainOptions) -> Path:
 
 
 def command_of(options: TrainOptions) -> list[str]:
-    """The command that starts all processes of a training on this machine."""
+    """The command that starts all processes of a training run on this machine."""
     launcher = ["cognitivedrone.training.processes", "--standalone", "--nproc-per-node", str(options.processes)]
     flags = ["--out", options.out, "--recipe", options.recipe, "--seed", options.seed, "--threads", options.threads]
     for name in ("data", "start", "labels", "tasks", "steps"):
@@ -105,7 +105,7 @@ def _work(options: TrainOptions) -> Path:
         training.export(checkpoint, options.out)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
-            f"stopped while {model} was written; the training is complete, the same command with --resume writes it"
+            f"stopped while {model} was written; the training run is complete, the same command with --resume writes it"
         ) from None
     return model
 

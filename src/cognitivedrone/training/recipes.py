@@ -66,7 +66,7 @@ RECIPES: dict[str, TrainRecipe] = {
         fly_tasks=2,
     ),
 } | {recipe.name: recipe for recipe in _ABLATION}
-"""`small`: the shipped policy. `race`: the baseline without language. `base`: larger, for a GPU. `debug`: the whole
+"""`small`: the packaged policy. `race`: the baseline without language. `base`: larger, for a GPU. `debug`: the whole
 training path in seconds, for tests. `ablation-*`: a quarter of `small`, all but the first with one change."""
 
 

@@ -1,1 +1,1 @@
-"""Shared parts of all trainings: the trainer, checkpoints, curves, samples and their ground truth."""
+"""Shared parts of all training runs: the trainer, checkpoints, curves, samples and their ground truth."""

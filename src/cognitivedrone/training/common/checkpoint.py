@@ -97,5 +97,5 @@ def restore(tensors: dict[str, Tensor], network: nn.Module, optimizer: torch.opt
 
 
 def origin_of(facts: dict[str, Any]) -> str:
-    """A description of the origin of a training that starts from a checkpoint with these facts."""
+    """A description of the origin of a training run that starts from a checkpoint with these facts."""
     return f"from {facts['recipe']['name']}, step {facts['step']}, seed {facts['seed']}"

@@ -53,7 +53,7 @@ FacetsOf = Callable[[str], NDArray[np.int64]]
 
 @dataclass(frozen=True)
 class WiderWorld:
-    """Shows labels by many hands and as photographs do, instead of in the style that the label names."""
+    """Shows labels by many artists and as photographs do, instead of in the style that the label names."""
 
     pictures: TrainingPictures = field(default_factory=TrainingPictures)
     photographic: Photographic = field(default_factory=Photographic)
@@ -122,7 +122,7 @@ class PanelCrops:
         draw_label: DrawLabel | None = None,
         wider: WiderWorld | None = None,
     ) -> None:
-        """With `wider`, labels are shown by many hands and as photographs do."""
+        """With `wider`, labels are shown by many artists and as photographs do."""
         self._wider = wider
         self._labels = load_pack(PACK)
         self._glimpse = crop_size

@@ -1,4 +1,4 @@
-"""The number format of a training's networks: bfloat16 where the hardware multiplies it, float32 elsewhere."""
+"""The number format of a training run's networks: bfloat16 where the hardware multiplies it, float32 elsewhere."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def learner_path(out: Path, round_: int) -> Path:
 class PrefetchQueue:
     """The batches of one training process, round by round, made by one generating process beside it.
 
-    They are a function of recipe, seed, rank and the weights of earlier rounds, so a training that continues after
+    They are a function of recipe, seed, rank and the weights of earlier rounds, so a training run that continues after
     a kill sees the same batches.
     """
 
@@ -99,7 +99,7 @@ def _generate(
     rank: int,
     first_round: int,
 ) -> None:
-    """Fill the queue, round by round, until the training is complete."""
+    """Fill the queue, round by round, until the training run is complete."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     torch.set_num_threads(1)
     schedule, batches_of, network = training_task.recipe, training_task.batches(), training_task.network()

@@ -31,7 +31,7 @@ from cognitivedrone.training.common.wordings import TYPED
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task
 
 ABSENT = SLOTS
-"""The right answer if no gate shows what is asked for."""
+"""The right answer if no gate matches the instruction."""
 
 SHARES: dict[str, float] = {
     **dict.fromkeys(BASE_FAMILIES, 1.0),

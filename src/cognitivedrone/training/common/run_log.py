@@ -1,4 +1,4 @@
-"""The log of a training: a row of measures every so often, as JSON lines, in TensorBoard, as curves and in words."""
+"""The log of a training run: a row of measures every so often: JSON lines, TensorBoard, curves and words."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DIMENSIONS = ("vx", "vy", "vz", "yaw_rate")
 
 
 class RunLog:
-    """Writes metrics.jsonl, curves.png and tensorboard/ into the folder of a training, and a line for people."""
+    """Writes metrics.jsonl, curves.png and tensorboard/ into the folder of a training run, and a line for people."""
 
     def __init__(self, out: Path, report: Callable[[str], None], rate: str, headlines: Mapping[str, str]) -> None:
         self._out, self._report = out, report
@@ -57,7 +57,7 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def draw_curves(rows: Sequence[Row], path: Path) -> None:
-    """Plot the rows of a training into a PNG."""
+    """Plot the rows of a training run into a PNG."""
     import matplotlib as mpl  # takes a second to import
 
     mpl.use("Agg")

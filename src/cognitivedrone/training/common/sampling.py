@@ -80,7 +80,7 @@ class StreamRecipe:
     directives: bool = True
     """Whether some sentences are directives."""
     layouts: float = 0.0
-    """Share of flights whose gates are at other places than the published ones (`cognitivedrone.layout`)."""
+    """Share of flights with other gate layouts than the published one (`cognitivedrone.layout`)."""
     varied: float = 0.5
     """Share of flights with varied appearance."""
     rolling: float = 0.2

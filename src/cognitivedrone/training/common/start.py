@@ -1,4 +1,4 @@
-"""What a training starts from: a checkpoint, a model file, or the shipped weights."""
+"""What a training run starts from: a checkpoint, a model file, or the packaged weights."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cognitivedrone.training.common.checkpoint import origin_of, read_checkpoint
 
 Part = Literal["policy", "reader", "selector"]
 SHIPPED = "small"
-"""The name of the shipped weights, as in `--start small`."""
+"""The name of the packaged weights, as in `--start small`."""
 _FILES = {"policy": "small.onnx", "reader": "small.onnx", "selector": f"reasoner/{SELECTOR_FILE}"}
 _KINDS = {"policy": KIND, "reader": KIND, "selector": SELECTOR}
 
@@ -50,7 +50,7 @@ class Start:
 
 
 def read_start(path: Path | None, part: Part) -> Start:
-    """A start from a checkpoint or a model file; None, or "small", is the shipped file of that part.
+    """A start from a checkpoint or a model file; None, or "small", is the packaged file of that part.
 
     A policy has a reader as well. Raises `TrainingError`.
     """

@@ -35,7 +35,7 @@ _HEADLINES = {"train loss": "loss", **{name: name for name in _VALIDATED}}
 
 @dataclass(frozen=True, slots=True)
 class TrainConfig:
-    """Configuration of one training."""
+    """Configuration of one training run."""
 
     out: Path
     """Folder of the run."""
@@ -57,8 +57,8 @@ def learning_rate(schedule: Schedule, step: int) -> float:
 def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
     """Train by a recipe; returns the checkpoint. Every process of a distributed training calls this.
 
-    A training stopped at any moment continues from the last full round with `resume`, and ends with the same weights on
-    the same machine as an uninterrupted one. Raises `TrainingError`.
+    A training run stopped at any moment continues from the last full round with `resume`, and ends with the same
+    weights on the same machine as an uninterrupted one. Raises `TrainingError`.
     """
     torch.set_num_threads(config.threads)
     # Accelerate allows one precision in a process; where bfloat16 is slow, it is the casting that is switched off.
@@ -112,10 +112,14 @@ def _begin(config: TrainConfig, network: nn.Module, optimizer: torch.optim.Optim
     path, identity = config.out / CHECKPOINT, _identity(config)
     if path.exists():
         if not config.resume:
-            raise TrainingError(f"{config.out} holds a training already; go on with --resume or choose another folder")
+            raise TrainingError(
+                f"{config.out} holds a training run already; go on with --resume or choose another folder"
+            )
         tensors, found = read_checkpoint(path)
         if {name: found[name] for name in _IDENTITY if name in found} != identity:
-            raise TrainingError(f"{config.out} holds a training by another recipe, seed or data; choose another folder")
+            raise TrainingError(
+                f"{config.out} holds a training run by another recipe, seed or data; choose another folder"
+            )
         restore(tensors, network, optimizer)
         return int(found["step"])
     if main:

@@ -24,7 +24,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Schedule:
-    """Duration and learning rate of a training."""
+    """Duration and learning rate of a training run."""
 
     name: str
     steps: int
@@ -61,10 +61,10 @@ class Schedule:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Given:
-    """What a training is given beside its recipe; which of it is used depends on the recipe."""
+    """What a training run is given beside its recipe; which of it is used depends on the recipe."""
 
     start: Path | None = None
-    """Trained weights: a checkpoint, a model file, the folder of a taught pilot, or "small" for the shipped ones."""
+    """Trained weights: a checkpoint, a model file, the folder of a taught pilot, or "small" for the packaged ones."""
     data: Path | None = None
     """A data set of flights."""
     labels: Path | None = None
@@ -75,12 +75,12 @@ class Given:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe(Schedule, ABC):
-    """Everything that decides what comes out of a training, but its start, its data, processes and seed."""
+    """Everything that decides what comes out of a training run, but its start, its data, processes and seed."""
 
     model_file: ClassVar[str] = "model.onnx"
     """What is written at the end."""
     needs_start: ClassVar[bool] = False
-    """Whether it starts from trained weights; by default the shipped ones."""
+    """Whether it starts from trained weights; by default the packaged ones."""
     takes_data: ClassVar[bool] = False
     """Whether it can learn from a data set."""
     needs_labels: ClassVar[bool] = False
@@ -100,7 +100,7 @@ class Learner(Protocol):
 
 
 class Batches(Protocol):
-    """Endless source of batches: the same for the same seed and policy. A training's seed ends with its round."""
+    """Endless source of batches: the same for the same seed and policy. A training run's seed ends with its round."""
 
     def __call__(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
         """If there are flights, the `learner` flies some of them."""
@@ -139,7 +139,7 @@ class TrainingTask(Protocol):
         ...
 
     def identity(self) -> dict[str, Any]:
-        """The identity of a training, as plain JSON values: `resume` requires an equal one."""
+        """The identity of a training run, as plain JSON values: `resume` requires an equal one."""
         ...
 
     def facts(self) -> dict[str, Any]:

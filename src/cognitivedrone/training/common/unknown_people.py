@@ -13,8 +13,8 @@ from cognitivedrone.training.common.wordings import wordings_of
 from cognitivedrone.types import Task
 
 UNKNOWN_NAMES = wordings_of("NAMES", whole=False)
-"""Names of unknown people. No vocabulary of a training has them among its trained words, so that another unknown name
-is read alike: by its word vector and its spelling."""
+"""Names of unknown people. No vocabulary of a training run has them among its trained words, so that another unknown
+name is read alike: by its word vector and its spelling."""
 _INVENTED = 0.3  # share of unknown people with a name that nobody has
 _SYLLABLES = [consonant + vowel for consonant in "bdfgklmnprstvz" for vowel in "aeio"]
 _ALIKE = 0.6  # share of unknown identities that look much like a known person

@@ -106,7 +106,7 @@ def _steps_of(steps: Steps, split: Split, category: Category | None) -> Numbers:
 def rows_of_step(numbers: Numbers, batch: int, seed: int, step: int) -> Numbers:
     """(batch,) the samples of an optimiser step: all of `numbers` in a new random order, again and again.
 
-    A function of its arguments alone, so that a training that continues after a kill sees the same samples.
+    A function of its arguments alone, so that a training run that continues after a kill sees the same samples.
     """
     places = np.arange(step * batch, (step + 1) * batch)
     epochs, within = np.divmod(places, len(numbers))

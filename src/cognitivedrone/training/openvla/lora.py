@@ -2,11 +2,11 @@
 
     OUT/
       checkpoint.safetensors   adapters, the optimiser's moments and the step; `resume` continues from it
-      recipe.json              the identity of this training
+      recipe.json              the identity of this training run
       metrics.jsonl            one row every `save_every` steps; curves.png and tensorboard/ show the same
       merged/                  at the end: a complete checkpoint, for `--policy openvla:OUT/merged`
 
-All randomness is a function of seed and step, so a training that continues after a kill sees the same samples.
+All randomness is a function of seed and step, so a training run that continues after a kill sees the same samples.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class FineTuning:
 
     @cached_property
     def identity(self) -> dict[str, Any]:
-        """The identity of a training, as plain JSON values: `resume` requires an equal one."""
+        """The identity of a training run, as plain JSON values: `resume` requires an equal one."""
         return {
             "recipe": self.recipe.facts(),
             "seed": self.seed,
@@ -167,11 +167,13 @@ def _found(config: FineTuning, *, resume: bool) -> Found | None:
     if not path.exists():
         return None
     if not resume:
-        raise TrainingError(f"{config.out} holds a training already; go on with --resume or choose another folder")
+        raise TrainingError(f"{config.out} holds a training run already; go on with --resume or choose another folder")
     tensors, facts = read_checkpoint(path)
     other = [name for name in _IDENTITY if facts.get(name) != identity[name]]
     if other:
-        raise TrainingError(f"{config.out} holds a training of another {' and '.join(other)}; choose another folder")
+        raise TrainingError(
+            f"{config.out} holds a training run of another {' and '.join(other)}; choose another folder"
+        )
     return tensors, facts
 
 

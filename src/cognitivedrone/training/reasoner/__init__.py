@@ -1,1 +1,1 @@
-"""Trainings of the small reasoner: its panel reader and its gate selector."""
+"""Training runs of the small reasoner: its panel reader and its gate selector."""

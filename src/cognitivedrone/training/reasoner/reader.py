@@ -25,7 +25,7 @@ _VALIDATION = 10**6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReaderRecipe(Recipe):
-    """Everything that determines a training of the reader, except its start, processes and seed."""
+    """Everything that determines a training run of the reader, except its start, processes and seed."""
 
     network: ReaderConfig = field(default_factory=ReaderConfig)
     batch: int = 192

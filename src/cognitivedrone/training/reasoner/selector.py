@@ -40,7 +40,7 @@ _VALIDATION = 10**6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SelectorRecipe(Recipe):
-    """Everything that determines a training of the gate selector, except its start, processes and seed."""
+    """Everything that determines a training run of the gate selector, except its start, processes and seed."""
 
     network: SelectorConfig = field(default_factory=SelectorConfig)
     batch: int = 256
@@ -55,7 +55,7 @@ class SelectorRecipe(Recipe):
     """Share of words that are not understood at all."""
     strange_words: float = 0.05
     """Share of words in whose place a word stands that no training sentence has: that a sentence is not understood is
-    no sign that what it asks for is not there."""
+    no sign that no gate matches the instruction."""
     hidden_words: float = 0.25
     """Share of words that are read by their word vector and spelling alone, as synonyms are that were never trained."""
     token_noise: float = 0.3
@@ -291,7 +291,7 @@ class SelectorTraining:
         export_panel_reader(self.start, folder)
 
     def temperature(self, network: GateSelector) -> float:
-        """The temperature at which a trained gate selector's probabilities are right, for panels drawn by hands that
+        """The temperature at which a trained gate selector's probabilities are right, for panels drawn by artists that
         were never trained, all of them read with their doubts.
         """
         index = AttributeIndex(self.start.facts["attributes"])

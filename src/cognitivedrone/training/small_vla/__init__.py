@@ -1,1 +1,1 @@
-"""Trainings of the small VLA: the network from flights, and language alone."""
+"""Training runs of the small VLA: the network from flights, and language alone."""

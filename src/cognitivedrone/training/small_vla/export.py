@@ -86,7 +86,7 @@ def provenance_of(facts: Mapping[str, Any], scores: Mapping[str, Any] | None = N
 def stream_of(facts: Mapping[str, Any]) -> StreamRecipe:
     """The rollout stream that a policy was trained from; the default one where that is not known."""
     told = facts["recipe"].get("stream")
-    if told is None:  # a language training that started from a model file
+    if told is None:  # a training run on language that started from a model file
         return StreamRecipe()
     return StreamRecipe(
         **{name: value for name, value in told.items() if name not in ("expert", "text_mix")},
@@ -121,7 +121,7 @@ def write_onnx(network: nn.Module, example: Mapping[str, Tensor], outputs: Seque
             input_names=list(example),
             output_names=list(outputs),
             verbose=False,
-            optimize=False,  # keeps every weight under its own name, so that a training can start from the file
+            optimize=False,  # keeps every weight under its own name, so that a training run can start from the file
         )
     model = onnx.load(str(path))
     cast_to_known_types(model)

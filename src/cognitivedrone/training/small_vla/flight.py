@@ -24,7 +24,7 @@ from cognitivedrone.training.small_vla.trained import trained
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightRecipe(TrainRecipe):
-    """Everything that determines a training on flying alone, except its start, processes and seed."""
+    """Everything that determines a training run on flying alone, except its start, processes and seed."""
 
     needs_start: ClassVar[bool] = True
 

@@ -35,7 +35,7 @@ _VALIDATION = 10**6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LanguageRecipe(Recipe):
-    """Everything that determines a training on language alone, except its start, processes and seed."""
+    """Everything that determines a training run on language alone, except its start, processes and seed."""
 
     batch: int = 256
     """Number of sentences; processes share them."""

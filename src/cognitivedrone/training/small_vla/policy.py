@@ -34,7 +34,7 @@ _VALIDATION = 10**6  # rank of the generator of validation frames: no training p
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainRecipe(Recipe):
-    """Everything that determines a training of the small VLA, except processes and seed."""
+    """Everything that determines a training run of the small VLA, except processes and seed."""
 
     network: SmallVLAConfig = field(default_factory=SmallVLAConfig)
     stream: StreamRecipe = field(default_factory=StreamRecipe)
@@ -47,7 +47,7 @@ class TrainRecipe(Recipe):
     takes_data: ClassVar[bool] = True
 
     def training(self, given: Given) -> PolicyTraining:
-        """A new policy, with the panel reader of the start, by default the shipped one; a racing policy has none."""
+        """A new policy, with the panel reader of the start, by default the packaged one; a racing policy has none."""
         if self.network.reader is None:
             lexicon = Lexicon.of(INSTRUCTIONS)
             names: tuple[str, ...] = ATTRIBUTES

@@ -12,7 +12,7 @@ from cognitivedrone.training.common.start import Start, read_start
 
 
 def load_trained(path: Path | None) -> tuple[SmallVLA, Lexicon, Start]:
-    """A policy from its checkpoint or model file, or the shipped one; ready to fly, with the words that it knows."""
+    """A policy from its checkpoint or model file, or the packaged one; ready to fly, with the words that it knows."""
     start = read_start(path, "policy")
     return (*trained(start), start)
 

@@ -81,7 +81,7 @@ def summary_of(lesson: Lesson, known: tuple[str, ...]) -> str:
 
 
 def pilot_of(start: Path | None) -> tuple[Start, Start]:
-    """Policy and gate selector of the shipped pilot, or of the folder of an earlier lesson."""
+    """Policy and gate selector of the packaged pilot, or of the folder of an earlier lesson."""
     if start is not None and start.is_dir():
         from cognitivedrone.models.reasoner_file import SELECTOR_FILE
 
