@@ -9,7 +9,11 @@ from cognitivedrone.benchmark.scoring import Interval, Summary
 from cognitivedrone.types import CATEGORIES
 
 WIDTH, HEIGHT, LEFT, TOP, BOTTOM, LEGEND = 720, 300, 64, 40, 40, 50
-ROLES = {"RaceVLA": "ours: race", "CognitiveDrone": "ours: small", "CognitiveDrone-R1": "ours: small with reasoner (R1)"}
+ROLES = {
+    "RaceVLA": "ours: race",
+    "CognitiveDrone": "ours: small",
+    "CognitiveDrone-R1": "ours: small with reasoner (R1)",
+}
 """Our pilots in the roles of the paper's systems."""
 COLORS = {"CognitiveDrone-R1": "#3b5bdb", "CognitiveDrone": "#7f96ec", "RaceVLA": "#b9bfcd"}
 PUBLISHED_COLOR = "#c2306f"

@@ -27,7 +27,14 @@ PILOTS = {
 """Files of submissions, and how tables name the pilots."""
 HELD_OUT = ("open-v2:words", "open-v2:pictures", "open-v1:unseen", "open-v2:layouts", "open-v2:absent")
 DRAWN_ANEW = ("open-v1:test", "open-v1:hard")
-README_SUITES = ("open-v1:test", "open-v1:hard", "open-v2:layouts", "open-v1:unseen", "open-v2:words", "open-v2:pictures")
+README_SUITES = (
+    "open-v1:test",
+    "open-v1:hard",
+    "open-v2:layouts",
+    "open-v1:unseen",
+    "open-v2:words",
+    "open-v2:pictures",
+)
 MORE = ("open-v2:test", "open-v1:track")
 LEADERBOARD = ("open-v2:words", "open-v2:pictures", "open-v1:unseen", "open-v1:test", "open-v1:hard")
 """Columns: held-out suites first."""

@@ -74,7 +74,10 @@ def plot(points: Points, config: SweepPlan) -> str:
             parts.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{low:.1f}" y2="{high:.1f}" stroke="#1f77b4"/>')
     success = [score.rate if score.rate is not None else math.nan for score in scores]
     choice = [score.choice_accuracy if score.choice_accuracy is not None else math.nan for score in scores]
-    for name, color, values, at in (("success rate", "#1f77b4", success, 0), ("choice accuracy", "#ff7f0e", choice, 90)):
+    for name, color, values, at in (
+        ("success rate", "#1f77b4", success, 0),
+        ("choice accuracy", "#ff7f0e", choice, 90),
+    ):
         known = [(x, _y(value)) for x, value in zip(xs, values, strict=True) if math.isfinite(value)]
         line = " ".join(f"{x:.1f},{y:.1f}" for x, y in known)
         parts.append(f'<polyline points="{line}" fill="none" stroke="{color}" stroke-width="2"/>')
