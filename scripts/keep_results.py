@@ -128,6 +128,7 @@ def keep_audit(source: Path, path: Path) -> None:
     names = ("audit", "variant", "expected", "n", "declined", "chosen", "sound")
     rows = [
         {**{name: row[name] for name in names}, "right": round(row["n"] * (row["rate"] or 0))}
+        | {name: row[name] for name in ("outcomes",) if name in row}  # not in older audits
         for row in document["rows"]
     ]
     facts, finished = baseline.platform, baseline.timing.finished

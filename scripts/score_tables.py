@@ -281,6 +281,8 @@ def _audited(rows: Iterator[Mapping[str, Any]]) -> str:
         return ""
     ci95 = wilson(row["right"], row["n"])
     text = f"{100 * row['right'] / row['n']:.1f} ({interval(ci95, 0)})" if row["n"] else "none chosen"
+    if row["sound"] is None:
+        return f"{text}, too few flights"
     return text if row["sound"] else f"{text}, **not as a sound pilot**"
 
 

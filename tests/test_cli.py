@@ -266,7 +266,7 @@ def test_a_suite_may_still_be_a_file(capsys, tmp_path, own_tasks):
         main(["bench", option, str(own_tasks), "--policy", "hover", "--workers", "1", "--episodes", "1",
               "--clips", "0", "--out", str(out)])  # fmt: skip
         said = capsys.readouterr().out
-        assert "mine.json: hover" in said
+        assert "tasks of mine.json" in said
         assert "the paper" not in said  # own tasks are not compared with it
 
 

@@ -7,13 +7,15 @@ import json
 import numpy as np
 import pytest
 
+from cognitivedrone.audit import run as run_module
 from cognitivedrone.audit.catalogue import AUDITS
 from cognitivedrone.audit.config import AuditPlan
 from cognitivedrone.audit.filters import Filter, FilteredPolicy, FilteredReasoner
 from cognitivedrone.audit.report import audit_table, render_audit
-from cognitivedrone.audit.run import Row, audit, folder_of
+from cognitivedrone.audit.run import FEWEST_FLIGHTS, Row, audit, folder_of, is_sound
+from cognitivedrone.benchmark.scoring import wilson
 from cognitivedrone.benchmark.tables import as_text
-from cognitivedrone.cli import main
+from cognitivedrone.cli import main, scoring
 from cognitivedrone.errors import RunError
 from cognitivedrone.plan import PilotSpec, TaskSource
 
@@ -25,7 +27,8 @@ def plan_of(tmp_path, *only, policy="oracle", reasoner="none", episodes=2):
     )
 
 
-def test_a_pilot_that_knows_the_answer_is_found_out_by_the_missing_question(tmp_path):
+def test_a_pilot_that_knows_the_answer_is_found_out_by_the_missing_question(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_module, "FEWEST_FLIGHTS", 5)
     plan = plan_of(tmp_path, "no question", episodes=6)
     rows = audit(plan, progress=False)
     assert [row.variant for row in rows] == ["as it is", "blank", "random words", "random letters"]
@@ -34,16 +37,43 @@ def test_a_pilot_that_knows_the_answer_is_found_out_by_the_missing_question(tmp_
     document = json.loads((plan.out / "audit.json").read_text())
     assert document["policy"] == "oracle"
     assert len(document["rows"]) == len(rows)
+    assert document["rows"][0]["outcomes"] == {"passed": 6}
     before = (plan.out / "baseline" / "episodes.jsonl").stat().st_mtime_ns
     assert audit(plan, progress=False) == rows  # nothing is flown again
     assert (plan.out / "baseline" / "episodes.jsonl").stat().st_mtime_ns == before
 
 
-def test_a_pilot_that_hovers_gives_nothing_away(tmp_path):
+def test_a_pilot_that_hovers_gives_nothing_away(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_module, "FEWEST_FLIGHTS", 1)
     rows = audit(plan_of(tmp_path, "no question", policy="hover", episodes=1), progress=False)
     assert all(row.chosen == (0, 0, 0, 1) for row in rows)
+    assert all(row.outcomes == {"timeout": 1} for row in rows)
     assert all(row.sound for row in rows)
     assert rows[1].rate is None
+
+
+def test_too_few_flights_are_neither_sound_nor_not(tmp_path):
+    plan = plan_of(tmp_path, "mirrored stage", policy="hover", episodes=1)
+    assert [row.sound for row in audit(plan, progress=False)] == [None, None]
+    document = json.loads((plan.out / "audit.json").read_text())
+    assert [row["sound"] for row in document["rows"]] == [None, None]
+
+
+@pytest.mark.parametrize(
+    ("expected", "right", "n", "sound"),
+    [
+        ("as before", 70, 100, True),  # before: 80
+        ("as before", 69, 100, False),
+        ("follows", 91, 100, True),  # the interval reaches 95 %
+        ("follows", 88, 100, False),
+        ("chance", 49, 100, True),  # the interval reaches 40 %
+        ("chance", 50, 100, False),
+        ("chance", 18, 100, True),
+        ("chance", 17, 100, False),
+    ],
+)
+def test_what_a_row_must_reach(expected, right, n, sound):
+    assert is_sound(expected, right / n, wilson(right, n), 0.8) is sound
 
 
 def test_options_and_cameras_reach_the_flight(tmp_path):
@@ -65,6 +95,12 @@ def test_what_cannot_be_audited_is_said(tmp_path):
     with pytest.raises(RunError, match="no task with three gates"):
         audit(AuditPlan(source=TaskSource("open-v1:race"), out=tmp_path), progress=False)
     assert str(folder_of(AuditPlan())) == "results/audit-open-v1-test-small-none"
+
+
+def test_the_help_says_how_many_runs_all_audits_are():
+    runs = 1 + sum(len(each.variants) for each in AUDITS)
+    assert f"All audits are {runs} runs" in (scoring.audit.__doc__ or "")
+    assert f"{runs * AuditPlan().episodes:,} by default" in (scoring.audit.__doc__ or "")
 
 
 def test_a_filter_changes_what_it_says():
@@ -92,16 +128,36 @@ def test_a_filtered_pilot_is_its_pilot():
 
 def test_the_table_and_the_page_say_what_is_not_sound():
     rows = [
-        Row("baseline", "as it is", "as before", 4, 1.0, (0.5, 1.0), 1.0, 0, (2, 1, 1, 0), sound=True),
-        Row("no question", "blank", "chance", 4, 1.0, (0.5, 1.0), 1.0, 0, (2, 1, 1, 0), sound=False),
-        Row("no question", "random words", "chance", 0, None, None, None, 4, (0, 0, 0, 4), sound=True),
+        Row("baseline", "as it is", "as before", 40, 1.0, (0.9, 1.0), 1.0, 0, (20, 10, 10, 0), True, {"passed": 40}),
+        Row("no question", "blank", "chance", 40, 1.0, (0.9, 1.0), 1.0, 0, (20, 10, 10, 0), False, {"passed": 40}),
+        Row("no question", "random words", "chance", 0, None, None, None, 40, (0, 0, 0, 40), True, {"false_alarm": 40}),
+        Row("wind", "4 m/s", "as before", 4, 1.0, (0.5, 1.0), 1.0, 0, (2, 1, 1, 0), None, {"passed": 4}),
     ]
     plan = AuditPlan(PilotSpec("<b>mine</b>", "oracle"))
-    assert "NO" in as_text(audit_table(plan, rows), width=120)
+    lines = [line.split() for line in as_text(audit_table(plan, rows)).splitlines()]
+    assert ["no", "question"] in lines
+    assert ["blank", "40", "100.0", "%", "90.0", "to", "100.0", "100.0", "%", "0", "NO"] in lines
+    assert ["4", "m/s", "4", "100.0", "%", "50.0", "to", "100.0", "100.0", "%", "0", "too", "few"] in lines
     page = render_audit(plan, rows)
     assert "<b>mine" not in page
-    assert "1 of 3 runs are not" in page
+    assert "<title>&lt;b&gt;mine&lt;/b&gt;, audit on open-v1:test – CognitiveDrone</title>" in page
+    assert "1 of 4 runs are not" in page
+    assert f"1 of 4 runs have fewer than {FEWEST_FLIGHTS} flights" in page
+    assert page.count("too few flights</span>") == 1
     assert AUDITS[0].question in page
+
+
+def test_the_table_cuts_no_number_in_80_columns():
+    names = [(each.name, variant.name) for each in AUDITS for variant in each.variants]
+    rows = [
+        Row(*name, "as before", 1000, 1.0, (0.999, 1.0), 1.0, 1000, (500, 400, 100, 0), None, {"passed": 1000})
+        for name in [*names, ("another audit", "a variant with a name that does not fit")]
+    ]
+    text = as_text(audit_table(AuditPlan(), rows))
+    assert "…" not in text
+    assert text.count(" 1000  100.0 %  99.9 to 100.0  100.0 %      1000  too few") == len(rows)
+    for each in AUDITS:
+        assert [line.strip() for line in text.splitlines()].count(each.name) == 1
 
 
 def test_the_command_prints_the_table_and_writes_the_page(tmp_path, capsys):
@@ -123,5 +179,8 @@ def test_the_command_prints_the_table_and_writes_the_page(tmp_path, capsys):
             str(out),
         ],
     )
-    assert "mirrored stage" in capsys.readouterr().out
+    shown = capsys.readouterr()
+    assert "mirrored stage" in shown.out
+    assert "audit 1/2: baseline, as it is\n" in shown.err
+    assert "audit 2/2: mirrored stage, mirrored\n" in shown.err
     assert (out / "audit.html").read_text().startswith("<!doctype html>")

@@ -98,12 +98,41 @@ def test_tables_fit_a_terminal_and_say_the_scores(two):
     text = text_of(results_table(a))
     assert f"{100 * a.summary().overall.rate:.1f} %" in text
     assert "open-v1:smoke" in text
-    for family in a.summary().families:
-        assert family.replace("_", " ") in text
+    for category in a.summary().categories:
+        assert category.replace("_", " ") in text
     assert "…" not in text
     text = text_of(comparison_table(compare(path_a, path_b)))
     assert "p (McNemar)" in text
     assert "…" not in text
+
+
+def test_the_result_comes_first_in_a_sentence(two):
+    results = two[0]
+    overall = results.summary().overall
+    low, high = (f"{100 * limit:.0f}" for limit in overall.ci95)
+    said = " ".join(text_of(results_table(results)).partition("choice  pass|choice")[0].split())
+    assert said.startswith(
+        f"fake passes {overall.passed} of {overall.n} tasks of open-v1:smoke, {100 * overall.rate:.1f} % (95 % interval"
+        f" {low} to {high} %); random choice gives a third"
+    )
+    thinking = replace(results, run=replace(results.run, reasoner="oracle"))
+    assert "fake with the reasoner oracle passes" in text_of(results_table(thinking))
+    assert "by the rule within_1m, " in " ".join(text_of(results_table(results, "within_1m")).split())
+
+
+def test_families_have_rows_from_ten_tasks_on(two):
+    results = two[0]
+    text = text_of(results_table(results))
+    for family in results.summary().families:
+        assert f"  {family.replace('_', ' ')} " not in text
+    assert f"{len(results.summary().families)} families of fewer than 10 tasks: in the report" in text
+    episodes = tuple(
+        replace(episode, stages=tuple(replace(stage, family="people") for stage in episode.stages))
+        for episode in results.episodes
+    )
+    text = text_of(results_table(replace(results, episodes=episodes)))
+    assert text.count("\n  people ") == 2  # scores and endings
+    assert "in the report" not in text
 
 
 def test_errors_of_the_policy_and_of_the_physics_stand_below_the_table(two):

@@ -18,6 +18,7 @@ from cognitivedrone.benchmark.drawing import episode_map, overlay, stage_flights
 from cognitivedrone.benchmark.job import prepare
 from cognitivedrone.benchmark.report import render_report
 from cognitivedrone.benchmark.runner import run
+from cognitivedrone.benchmark.scoring import OUTCOMES
 from cognitivedrone.benchmark.tables import results_table, words
 from cognitivedrone.tasks.scenario import suite_of
 
@@ -88,11 +89,12 @@ def test_confusions_are_shown_where_something_failed(pieces):
     console = Console(width=100, record=True, file=io.StringIO())
     console.print(results_table(results))
     table = console.export_text()
-    for family, score in summary.families.items():
+    for category, score in summary.categories.items():
         counts = [str(count) for count in score.outcomes.values() if count]
-        row = next(line for line in table.partition("endings")[2].splitlines() if words(family) in line)
-        assert row.replace(words(family), "").split() == counts
-        failed = [f"{n} {words(o)}" for o, n in score.outcomes.items() if n and o != "passed"]
+        row = next(line for line in table.partition("endings")[2].splitlines() if words(category) in line)
+        assert row.replace(words(category), "").split() == counts
+    for family, score in summary.families.items():
+        failed = [f"{n} {words(o)}".replace(" ", "\xa0") for o, n in score.outcomes.items() if n and o != "passed"]
         shown = re.search(rf'<tr class="family"><td>{words(family)}</td>(.*?)</tr>', text, flags=re.DOTALL)
         assert (", ".join(failed) in shown.group(1)) if failed else shown is None
     for gate, row in enumerate(summary.choices, start=1):
@@ -100,6 +102,29 @@ def test_confusions_are_shown_where_something_failed(pieces):
         assert line.split()[2:] == [str(count) for count in row]
         row_shown = re.search(rf"<tr><th>right: gate {gate}</th>(.*?)</tr>", text).group(1)
         assert re.findall(r">(\d+)<", row_shown) == [str(count) for count in row if count]
+
+
+def test_the_outcomes_that_are_shown_are_told(pieces):
+    results, traces, clips = pieces
+    text = html.unescape(render_report(results, traces, clips))
+    told = re.search(r'<p class="soft outcomes">(.*?)</p>', text).group(1)
+    seen = {outcome for outcome, count in results.summary().overall.outcomes.items() if count}
+    assert set(re.findall(r"<strong>([\w ]+)</strong>: \w", told)) == {words(outcome) for outcome in seen - {"passed"}}
+    for outcome in seen:
+        assert f'title="{report.MEANINGS[outcome]}"' in text
+    assert set(report.MEANINGS) == set(OUTCOMES)
+    assert 'class="soft outcomes"' not in render_report(without_failures(results), traces, clips)
+
+
+@pytest.mark.parametrize(("errors", "rows"), [(0, "--wide: 5; --narrow: 5"), (1, "--wide: 6; --narrow: 3")])
+def test_headline_figures_fill_their_rows(pieces, errors, rows):
+    results, traces, clips = pieces
+    stages = (replace(results.episodes[0].stages[0], outcome="policy_error"),)
+    episodes = (replace(results.episodes[0], stages=stages), *results.episodes[1:])
+    text = render_report(replace(results, episodes=episodes) if errors else results, traces, clips)
+    figures = text.partition('<dl class="stats"')[2].partition("</dl>")[0]
+    assert rows in figures
+    assert figures.count("<dt>") == 5 + errors
 
 
 def without_failures(results):
@@ -155,10 +180,11 @@ def test_families_that_passed_everything_share_a_row(pieces):
         assert f"{score.passed} / {score.n}" in row
 
 
-def test_films_stand_over_the_tables_failures_first_and_loop(config):
+def test_clips_stand_below_the_scores_failures_first_and_loop(config):
     run(config.changed(clips=12), progress=False, runner=RUNNER)
     text = (config.out / "report.html").read_text()
-    assert text.index("<video") < text.index("<h3>Passed") < text.index("<table")
+    assert text.index("<table") < text.index("<h2>Clips") < text.index("<video") < text.index("<h3>Passed")
+    assert text.index("<h3>Passed") < text.index("What went wrong")
     assert text.index("<h3>Not passed") < text.index("<h3>Passed")
     for tag in re.findall(r"<video [^>]*>", text):
         assert {"loop", "muted", "autoplay", "playsinline"} <= set(tag.split())

@@ -13,10 +13,12 @@ import pytest
 from factory import make_episode
 from made_stores import write_store
 
+from cognitivedrone.cli import main
 from cognitivedrone.data.card import card
 from cognitivedrone.data.drawing import HEIGHT, WIDTH, columns, flight_map, traces
 from cognitivedrone.data.episode import Episode
-from cognitivedrone.data.overview import ACTION_NAMES, Histogram
+from cognitivedrone.data.overview import ACTION_NAMES, Histogram, overview
+from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
 from cognitivedrone.tasks import BASE_FAMILIES
 
@@ -50,6 +52,23 @@ def test_card_shows_every_family_and_loads_nothing(sound_store: Path, tmp_path: 
     assert all(source is not None and source.startswith("data:image/jpeg;base64,") for source in sources)
     assert not {"script", "link", "iframe"} & {tag for tag, _ in page.tags}
     assert not re.search(r"url\(|https?://", (tmp_path / "card.html").read_text())
+
+
+def test_flights_below_an_hour_are_told_in_minutes(sound_store: Path, tmp_path: Path, flights: list[Episode]) -> None:
+    card(sound_store, tmp_path / "card.html")
+    minutes = sum(map(len, flights)) / 10 / 60
+    assert f"{minutes:.1f} min of flight" in Page(tmp_path / "card.html").text
+    seen = overview(Store.open(sound_store))
+    assert [replace(seen, hours=hours).flown for hours in (0.99, 1.0, 12.34)] == ["59.4 min", "1.0 h", "12.3 h"]
+
+
+def test_the_command_says_where_the_card_is(
+    sound_store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    main(["data", "report", str(sound_store)])
+    assert capsys.readouterr().out == f"report: {tmp_path / 'card.html'}\n"
+    assert (tmp_path / "card.html").exists()
 
 
 def test_the_same_store_has_the_same_card(sound_store: Path, tmp_path: Path) -> None:

@@ -150,7 +150,8 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     row = {"audit": "wind", "variant": "4 m/s", "expected": "as before", "n": 8, "rate": 0.25, "sound": False}
     row |= {"declined": 0, "chosen": [1, 2, 3, 2]}
     document = {"policy": "fake", "reasoner": "none", "episodes": 8, "suite": {"name": "open-v1:test"}, "seed": 0}
-    (audit / AUDIT_FILE).write_text(json.dumps({**document, "rows": [row]}))
+    fewer = row | {"variant": "2 m/s", "sound": None, "outcomes": {"passed": 2, "missed": 6}}
+    (audit / AUDIT_FILE).write_text(json.dumps({**document, "rows": [row, fewer]}))
     for name, steps in {"flight": 20, "stopped": 10}.items():
         training = out / name
         training.mkdir()
@@ -203,7 +204,10 @@ def test_runs_become_files_and_tables(out: Path, tmp_path: Path, capsys) -> None
     assert sum(name.endswith("published") for name in paper) == 3
     assert paper["CognitiveDrone, ours on `open-v1:test`"][-1].startswith(f"{100 * submission.runs[0].mean:.1f} (")
     assert set(paper["RaceVLA, ours on `open-v2:words`"]) == {NOT_MEASURED}
-    (audited,) = TABLES["audits"](store).rows
+    kept = read_measurement(tmp_path / "results" / "audit_small.json").rows
+    assert [each.get("outcomes") for each in kept] == [None, {"passed": 2, "missed": 6}]
+    audited, fewer = TABLES["audits"](store).rows
+    assert fewer[3].endswith(", too few flights")
     assert audited[:3] == ["wind", "4 m/s", ""]
     assert audited[3].startswith("25.0 (")
     assert "not as a sound pilot" in audited[3]

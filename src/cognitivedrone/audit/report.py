@@ -6,34 +6,47 @@ import itertools
 from collections.abc import Sequence
 from typing import Final
 
-from rich.console import RenderableType
+from rich.console import Group, RenderableType
+from rich.text import Text
 
 from cognitivedrone.audit.catalogue import AUDITS, CHANCE
 from cognitivedrone.audit.config import AuditPlan
-from cognitivedrone.audit.run import Row
+from cognitivedrone.audit.run import FEWEST_FLIGHTS, Row
 from cognitivedrone.benchmark.tables import interval, new_table, percent
 from cognitivedrone.pages import render_page
 
 PAGE_FILE: Final = "audit.html"
-EXPECTED: Final = {"as before": "as before, to 10 points", "follows": "at least 95 %", "chance": "33 %, to 7 points"}
+EXPECTED: Final = {
+    "as before": "the rate falls by at most 10 points",
+    "follows": "at least 95 %, or an interval that reaches it",
+    "chance": "33 %, to 7 points, or an interval that reaches that",
+}
+VERDICTS: Final = {True: "yes", False: "NO", None: "too few"}
 
 
 def audit_table(plan: AuditPlan, rows: Sequence[Row]) -> RenderableType:
-    """The rows, one a variant."""
+    """The rows, one a variant, below the names of their audits. In 80 columns; names wrap where they do not fit."""
     title = f"audit of {plan.pilot.policy}, reasoner {plan.pilot.reasoner}, on {plan.source.title}"
-    table = new_table(title, "", "", "n", "rate", "95 % CI", "as it is", "declined", "sound")
-    for row in rows:
+    table = new_table(title, "", "n", "rate", "95 % CI", "before", "declined", "sound")
+    table.columns[0].no_wrap = False
+    for row, last in zip(rows, [None, *rows], strict=False):
+        if last is None or row.audit != last.audit:
+            table.add_row(Text(row.audit, style="bold"))
         table.add_row(
-            row.audit,
-            row.variant,
+            Text(f"  {row.variant}"),
             str(row.n),
             percent(row.rate),
             interval(row.ci95),
             percent(row.baseline),
             str(row.declined),
-            "yes" if row.sound else "NO",
+            VERDICTS[row.sound],
         )
-    return table
+    few = any(row.sound is None for row in rows)
+    notes = [
+        "before: the same tasks as they are; declined: the pilot said that nothing fits",
+        *([f"too few: below {FEWEST_FLIGHTS} flights, which show neither a sound pilot nor another"] if few else []),
+    ]
+    return Group(table, "", *(Text(note, style="dim") for note in notes))
 
 
 def render_audit(plan: AuditPlan, rows: Sequence[Row]) -> str:
@@ -48,6 +61,8 @@ def render_audit(plan: AuditPlan, rows: Sequence[Row]) -> str:
         questions={each.name: each.question for each in AUDITS},
         expected=EXPECTED,
         chance=CHANCE,
-        unsound=[row for row in rows if not row.sound],
+        unsound=[row for row in rows if row.sound is False],
+        too_few=sum(row.sound is None for row in rows),
+        fewest=FEWEST_FLIGHTS,
         runs=len(rows),
     )

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import re
 import zlib
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -16,17 +18,20 @@ from cognitivedrone.audit.config import AuditPlan
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.results import Results, write_whole
 from cognitivedrone.benchmark.runner import results_folder, run
-from cognitivedrone.benchmark.scoring import Interval, wilson
+from cognitivedrone.benchmark.scoring import OUTCOMES, Interval, wilson
 from cognitivedrone.errors import RunError, did_you_mean
 from cognitivedrone.files import safe_name
 from cognitivedrone.reasoners import NONE
 from cognitivedrone.tasks import Suite, open_suite
 from cognitivedrone.tasks.format import task_to_json
-from cognitivedrone.types import StageResult, Task
+from cognitivedrone.terminal import console
+from cognitivedrone.types import Outcome, StageResult, Task
 
 BASELINE = "as it is"
 AUDIT_FILE = "audit.json"
 SCHEMA = "cognitivedrone.audit/1"
+FEWEST_FLIGHTS: Final = 30
+"""A row of fewer flights has no verdict: with 10, a pilot that only flies straight on is sound in most rows."""
 _BY_PLACE = frozenset({"relations", "memory", "race", "absent"})
 """Families that are left out: a sentence about places does not follow its panels, and the others are no choice."""
 
@@ -49,8 +54,11 @@ class Row:
     """Flights that reported that no gate matches the instruction."""
     chosen: tuple[int, int, int, int]
     """Flights at gate 1, 2, 3 and none."""
-    sound: bool
-    """Whether it is as expected; for rates within 95 % of doubt, in the pilot's favour."""
+    sound: bool | None
+    """Whether it is as expected: `as before` compares the rates, the others fail if the interval excludes what is
+    required. None if there are fewer than `FEWEST_FLIGHTS`."""
+    outcomes: Mapping[Outcome, int]
+    """Flights by outcome, in the order of `OUTCOMES`."""
 
 
 def audit(plan: AuditPlan, *, progress: bool = True) -> list[Row]:
@@ -64,19 +72,24 @@ def audit(plan: AuditPlan, *, progress: bool = True) -> list[Row]:
     tasks = [task for track in suite.tracks for task in track if _is_choice(task)][: plan.episodes]
     if not tasks:
         raise RunError(f"{plan.source.title} has no task with three gates and a right one; audits need choices")
+    runs = [
+        (each, variant, changed)
+        for each in chosen
+        for variant in each.variants
+        if (changed := list(_changed(plan.source.seed, tasks, each, variant)))
+    ]
+    screen = console(stderr=True, quiet=not progress)
+    screen.print(f"audit 1/{len(runs) + 1}: baseline, {BASELINE}")
     before = _fly(plan, folder / "baseline", tasks, Variant(BASELINE), progress)
     passed = {stage.task_id: stage.outcome == "passed" for stage in _stages(before)}
     rows = [_row(Audit("baseline", "", "as before", ()), Variant(BASELINE), _stages(before), passed)]
     _write(folder, plan, suite, rows)
-    for each in chosen:
-        for variant in each.variants:
-            changed = list(_changed(plan.source.seed, tasks, each, variant))
-            if not changed:
-                continue
-            name = safe_name(re.sub(r"\W+", "-", f"{each.name}-{variant.name}").strip("-"))
-            results = _fly(plan, folder / name, changed, variant, progress)
-            rows.append(_row(each, variant, _stages(results), passed))
-            _write(folder, plan, suite, rows)
+    for number, (each, variant, changed) in enumerate(runs, start=2):
+        screen.print(f"audit {number}/{len(runs) + 1}: {each.name}, {variant.name}")
+        name = safe_name(re.sub(r"\W+", "-", f"{each.name}-{variant.name}").strip("-"))
+        results = _fly(plan, folder / name, changed, variant, progress)
+        rows.append(_row(each, variant, _stages(results), passed))
+        _write(folder, plan, suite, rows)
     return rows
 
 
@@ -153,11 +166,15 @@ def _row(each: Audit, variant: Variant, stages: list[StageResult], before: dict[
     baseline = sum(usual) / len(usual) if usual else None
     places = [stage.chosen for stage in stages]
     chosen = places.count(0), places.count(1), places.count(2), places.count(None)
-    sound = _is_sound(each.expected, rate, ci95, baseline)
-    return Row(each.name, variant.name, each.expected, n, rate, ci95, baseline, declined, chosen, sound)
+    enough = len(stages) >= FEWEST_FLIGHTS and (n == 0 or n >= FEWEST_FLIGHTS)
+    sound = is_sound(each.expected, rate, ci95, baseline) if enough else None
+    tally = Counter(stage.outcome for stage in stages)
+    outcomes = {outcome: tally[outcome] for outcome in OUTCOMES if tally[outcome]}
+    return Row(each.name, variant.name, each.expected, n, rate, ci95, baseline, declined, chosen, sound, outcomes)
 
 
-def _is_sound(expected: Expected, rate: float | None, ci95: Interval | None, baseline: float | None) -> bool:
+def is_sound(expected: Expected, rate: float | None, ci95: Interval | None, baseline: float | None) -> bool:
+    """Whether rates are as expected; the interval is that of `rate`, both none if no gate was chosen."""
     if rate is None or ci95 is None:
         return True  # nothing was chosen: nothing gave the answer away
     low, high = ci95
@@ -165,7 +182,7 @@ def _is_sound(expected: Expected, rate: float | None, ci95: Interval | None, bas
         return low <= CHANCE + CHANCE_BAND and high >= CHANCE - CHANCE_BAND
     if expected == "follows":
         return high >= FOLLOWED
-    return baseline is None or rate >= baseline - FALL
+    return baseline is None or round(baseline - rate, 9) <= FALL  # 0.8 - 0.7 is more than 0.1 in floating point
 
 
 def _write(folder: Path, plan: AuditPlan, suite: Suite, rows: list[Row]) -> None:

@@ -6,8 +6,9 @@ Equal results, traces and clips give an identical page. All values are computed 
 from __future__ import annotations
 
 import base64
+import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,7 +17,7 @@ from cognitivedrone.benchmark.clips import Clip
 from cognitivedrone.benchmark.published import PUBLISHED, comparable
 from cognitivedrone.benchmark.results import Results
 from cognitivedrone.benchmark.run_types import Trace
-from cognitivedrone.benchmark.scoring import OUTCOMES, PUBLISHED_REACH_M, RULES, Score, Summary, score
+from cognitivedrone.benchmark.scoring import OUTCOMES, PUBLISHED_REACH_M, RULES, Score, Summary, chance_of, score
 from cognitivedrone.benchmark.tables import DASH, interval, percent, words
 from cognitivedrone.envs.captions import readable
 from cognitivedrone.pages import render_page
@@ -30,8 +31,32 @@ PATHS_PER_MAP: Final = 60
 FAILURES_LISTED: Final = 200
 FAILURES_OPEN: Final = 12
 """Number of failures shown at once; a longer list is collapsed."""
-CHANCE: Final = 1 / 3
-"""Success rate of a random choice among three gates; not shown for runs of single gates only."""
+
+MEANINGS: Final[Mapping[Outcome, str]] = {
+    "passed": "flew through the right gate, or declined where none is right",
+    "wrong_gate": "flew through another gate",
+    "collision": "touched a frame, a panel or the floor",
+    "missed": "crossed the nearest gate's plane outside the opening, or flew past the only gate",
+    "out_of_bounds": "left the stage",
+    "timeout": "30 s went by",
+    "invalid": "the physics diverged or the vehicle was lost; not counted",
+    "policy_error": "the policy raised an exception, hung or crashed",
+    "not_reached": "a later stage of a flight that had ended",
+    "hesitated": "flew through no gate where none is right, but did not decline",
+    "false_alarm": "declined although a gate is right",
+}
+"""What an outcome says, in the page's words."""
+ONE_ROW: Final = (6, 5)
+"""Number of headline figures that fit into one row of a wide and of a narrower page; more are laid out in two."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A headline figure."""
+
+    name: str
+    value: str
+    note: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +70,7 @@ class Row:
     """Families of a category that have no rows of their own: a single one, or all without failures."""
     score: Score
     failed: str
-    """Outcomes of the failed stages, such as "2 wrong gate, 1 timeout"."""
+    """Outcomes of the failed stages, such as "2 wrong gate, 1 timeout", with no-break spaces in each part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +114,9 @@ def render_report(
     summary = results.summary()
     films = [_film_view(clip) for clip in _within_budget(clips)]
     failures = list(_failures(results.episodes, tracks))
+    chance = chance_of(summary)
+    figures = list(_figures(summary, results.episodes, chance))
+    across = [len(figures) if len(figures) <= most else math.ceil(len(figures) / 2) for most in ONE_ROW]
     filters: dict[str, Callable[..., object]] = {
         "words": words,
         "option": readable,
@@ -107,7 +135,10 @@ def render_report(
         reach=PUBLISHED_REACH_M,
         summary=summary,
         overall=summary.overall,
-        chance=CHANCE if summary.mean_of_categories.categories and not summary.categories.get("absent") else None,
+        chance=chance,
+        figures=figures,
+        across=across,
+        meanings=MEANINGS,
         rows=list(_rows(summary, results.episodes, results.rule)),
         outcomes=OUTCOMES,
         segments=_segments(summary.overall),
@@ -122,8 +153,32 @@ def render_report(
         failures_open=len(failures) <= FAILURES_OPEN,
         n_failures=len(failures),
         messages=[(episode.episode, episode.message) for episode in results.episodes if episode.message],
-        on_tracks=any(len(episode.stages) > 1 for episode in results.episodes),
     )
+
+
+def _figures(summary: Summary, episodes: Sequence[EpisodeResult], chance: float | None) -> Iterator[Figure]:
+    """The headline figures, those that apply to the run."""
+    overall = summary.overall
+    if chance is not None:
+        note = f"flew at the right gate; random choice gives {percent(chance)}"
+        yield Figure("choice accuracy", percent(overall.choice_accuracy), note)
+    yield Figure("success given choice", percent(overall.pass_given_choice), "of those that flew at the right gate")
+    if overall.reasoner:
+        yield Figure("reasoner's accuracy", percent(overall.reasoner.gate), "the last directive fits the right gate")
+    if any(len(episode.stages) > 1 for episode in episodes):
+        completed = f"{summary.episodes_completed} of {summary.episodes}"
+        yield Figure("episodes completed", completed, "every stage passed")
+    median = _number(overall.median_time_s, "{:.1f} s")
+    yield Figure("time to the gate", _number(overall.mean_time_s, "{:.1f} s"), f"over passed stages; median {median}")
+    yield Figure("path ratio", _number(overall.mean_path_ratio, "{:.2f}"), "path over the straight line")
+    yield Figure("clearance", _number(overall.mean_clearance_m, "{:.2f} m"), "between hull and frame")
+    if (alarms := summary.false_alarms) is not None:
+        note = f"declined, of {alarms.n} tasks where a gate matches the instruction"
+        yield Figure("false alarms", percent(alarms.rate), note)
+    if errors := overall.outcomes["policy_error"]:
+        yield Figure("policy errors", str(errors), "counted as not passed")
+    if invalid := overall.outcomes["invalid"]:
+        yield Figure("not counted", str(invalid), "invalid physics, or a lost vehicle")
 
 
 def _rows(summary: Summary, episodes: Sequence[EpisodeResult], rule: Rule) -> Iterator[Row]:
@@ -151,7 +206,10 @@ def _rows(summary: Summary, episodes: Sequence[EpisodeResult], rule: Rule) -> It
 
 def _row(name: str, level: str, part: Score, families: str = "") -> Row:
     ended = {outcome: count for outcome, count in part.outcomes.items() if count and outcome != "passed"}
-    return Row(name, level, families, part, ", ".join(f"{count} {words(outcome)}" for outcome, count in ended.items()))
+    failed = ", ".join(
+        f"{count} {words(outcome)}".replace(" ", "\N{NO-BREAK SPACE}") for outcome, count in ended.items()
+    )
+    return Row(name, level, families, part, failed)
 
 
 def _segments(part: Score) -> list[Segment]:

@@ -36,6 +36,9 @@ PUBLISHED_REACH_M: Final = 1.0
 """Distance to the right gate's centre at which the published benchmark gives the point, m."""
 Z_95: Final = statistics.NormalDist().inv_cdf(0.975)
 
+CHANCE: Final = 1 / 3
+"""Success rate of a random choice among three gates."""
+
 Interval = tuple[float, float]
 
 
@@ -214,6 +217,11 @@ def summarize(episodes: Sequence[EpisodeResult], rule: Rule = "through") -> Summ
         choices=choices_of(stages),
         false_alarms=false_alarms_of(stages),
     )
+
+
+def chance_of(summary: Summary) -> float | None:
+    """The rate of a random choice; none for runs of single gates only, and where there may be no right gate."""
+    return CHANCE if summary.mean_of_categories.categories and not summary.categories.get("absent") else None
 
 
 def false_alarms_of(stages: Iterable[StageResult]) -> FalseAlarms | None:

@@ -15,8 +15,9 @@ from rich.text import Text
 from cognitivedrone.benchmark.comparison import Comparison, Difference
 from cognitivedrone.benchmark.published import PUBLISHED, comparable
 from cognitivedrone.benchmark.results import Results
-from cognitivedrone.benchmark.scoring import Interval, Score, Summary
+from cognitivedrone.benchmark.scoring import Interval, Score, Summary, chance_of
 from cognitivedrone.plan import Rule
+from cognitivedrone.reasoners import NONE
 from cognitivedrone.terminal import console
 from cognitivedrone.types import Category
 
@@ -25,6 +26,8 @@ GUARDED = ("speed", "slew", "fence")
 """Causes in a `GuardReport`."""
 REASONS = 3
 """At most so many different reasons are shown."""
+FAMILY_TASKS = 10
+"""Families of fewer tasks have no row: their intervals say next to nothing."""
 Part = TypeVar("Part")
 
 
@@ -37,29 +40,57 @@ def as_text(table: RenderableType, width: int = 80) -> str:
 
 
 def results_table(results: Results, rule: Rule | None = None) -> RenderableType:
-    """The scores of a run, with outcomes below; by the run's own rule by default."""
+    """The result in a sentence, then the scores of a run, with outcomes below; by the run's own rule by default."""
     rule = rule or results.rule
     summary = results.summary(rule)
-    run = results.run
-    title = f"{run.suite.name}: {run.policy}, reasoner {run.reasoner}"
-    table = new_table(title, "", "n", "passed", "rate", "95 % CI", "choice", "pass|choice")
+    table = new_table("", "", "n", "passed", "rate", "95 % CI", "choice", "pass|choice")
     mean = summary.mean_of_categories
     table.add_row("overall", *_score_cells(summary.overall), style="bold", end_section=not mean.categories)
     if mean.categories:
         cells = ("", "", percent(mean.rate), interval(mean.ci95), "", "")
         name = "category" if mean.categories == 1 else "categories"
         table.add_row(f"mean of {mean.categories} {name}", *cells, end_section=True)
-    add_parts(table, summary.categories, summary.families, _score_cells)
-    return Group(table, "", *_reasoning(summary), *_confusions(summary), *_notes(results, rule))
+    families = {name: score for name, score in summary.families.items() if score.n >= FAMILY_TASKS}
+    add_parts(table, summary.categories, families, _score_cells)
+    explained = [Text("choice: flew at the right gate; pass|choice: of those, flew through it", style="dim")]
+    if len(families) < len(summary.families):
+        left_out = len(summary.families) - len(families)
+        noun = "family" if left_out == 1 else "families"
+        explained.append(Text(f"{left_out} {noun} of fewer than {FAMILY_TASKS} tasks: in the report", style="dim"))
+    return Group(
+        _sentence(results, summary, rule),
+        "",
+        table,
+        *explained,
+        "",
+        *_reasoning(summary, families),
+        *_confusions(summary, families),
+        *_notes(results, rule),
+    )
 
 
-def _reasoning(summary: Summary) -> Iterator[RenderableType]:
+def _sentence(results: Results, summary: Summary, rule: Rule) -> Text:
+    """What the run has shown."""
+    run, overall = results.run, summary.overall
+    pilot = run.policy if run.reasoner == NONE else f"{run.policy} with the reasoner {run.reasoner}"
+    what = "stages" if any(len(episode.stages) > 1 for episode in results.episodes) else "tasks"
+    by = "" if rule == "through" else f" by the rule {rule}"
+    said = f"{pilot} passes {overall.passed} of {overall.n} {what} of {run.suite.name}{by}"
+    if overall.rate is not None and overall.ci95 is not None:
+        low, high = overall.ci95
+        said += f", {percent(overall.rate)} (95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
+    if chance_of(summary) is not None:
+        said += "; random choice gives a third"
+    return Text(said, style="bold")
+
+
+def _reasoning(summary: Summary, families: Mapping[str, Score]) -> Iterator[RenderableType]:
     """The reasoner's scores, independent of the flying."""
     thought = summary.overall.reasoner
     if thought is None:
         return
     table = new_table("the reasoner's directives", "", "n", "right gate", "95 % CI", "size", "colour", "shape")
-    rows = [("overall", summary.overall), *summary.categories.items(), *summary.families.items()]
+    rows = [("overall", summary.overall), *summary.categories.items(), *families.items()]
     for name, score in rows:
         reasoner = score.reasoner
         if reasoner is not None:
@@ -68,7 +99,7 @@ def _reasoning(summary: Summary) -> Iterator[RenderableType]:
                 interval(reasoner.gate_ci95),
                 *map(percent, (reasoner.size, reasoner.color, reasoner.shape)),
             )
-            indent = "  " if name in summary.families else ""
+            indent = "  " if name in families else ""
             table.add_row(
                 Text(indent + words(name)), str(reasoner.n), *parts, style="bold" if name == "overall" else ""
             )
@@ -83,14 +114,18 @@ def _reasoning(summary: Summary) -> Iterator[RenderableType]:
     yield ""
 
 
-def _confusions(summary: Summary) -> Iterator[RenderableType]:
-    """Outcomes of families with failures, and which gates were flown at."""
+def _confusions(summary: Summary, families: Mapping[str, Score]) -> Iterator[RenderableType]:
+    """Outcomes by category and family where something failed, and which gates were flown at."""
     seen = [outcome for outcome, count in summary.overall.outcomes.items() if count]
     if seen in ([], ["passed"]):
         return
     endings = new_table("endings", "", *(words(outcome) for outcome in seen))
-    for family, score in summary.families.items():
-        endings.add_row(words(family), *(str(score.outcomes.get(outcome) or "") for outcome in seen))
+    add_parts(
+        endings,
+        summary.categories,
+        families,
+        lambda score: [str(score.outcomes.get(outcome) or "") for outcome in seen],
+    )
     yield endings
     yield ""
     choices = new_table("gates flown at", "right", "1", "2", "3", "none")

@@ -53,12 +53,12 @@ def report_card(folder: tyro.conf.Positional[Path], out: Path = Path("card.html"
 
     Args:
         folder: The data set.
-        out: Page to write.
+        out: Page to write, in the current folder by default: a data set's own folder holds no other files.
     """
     from cognitivedrone.data.card import card
 
     card(folder, out)
-    print(visible(str(out)))  # noqa: T201
+    print(visible(f"report: {out.resolve()}"))  # noqa: T201
 
 
 def verify(folder: tyro.conf.Positional[Path]) -> None:

@@ -106,8 +106,9 @@ def audit(plan: Annotated[Flat[AuditPlan], tyro.conf.arg(name="")]) -> None:
     """Fly a pilot again and again with one thing changed, to see why it passes a benchmark.
 
     No question or a meaningless one, another question about the same scene, panels or the gates' appearance swapped, a
-    mirrored stage, paraphrases, gates moved, light, wind, a shifted or turned camera, latency. Writes audit.json and
-    audit.html; a stopped audit continues when it is started again. Examples:
+    mirrored stage, paraphrases, gates moved, light, wind, a shifted or turned camera, latency. All audits are 35 runs
+    of up to --episodes flights each; fewer than 30 flights are too few to tell. Writes audit.json and audit.html; a
+    stopped audit continues when it is started again. Examples:
 
       cognitivedrone audit --policy small --reasoner small
       cognitivedrone audit --policy my_module:MyPolicy --episodes 50 --only "no question" wind

@@ -62,6 +62,11 @@ class Overview:
     hours: float
     """Hours of flight."""
 
+    @property
+    def flown(self) -> str:
+        """The time of flight as text, below an hour in minutes."""
+        return f"{self.hours:.1f} h" if self.hours >= 1 else f"{60 * self.hours:.1f} min"
+
 
 def overview(store: Store) -> Overview:
     """The overview of a store, without reading frames. Raises `DataError` if a shard or the statistics are broken."""

@@ -30,8 +30,7 @@ def _headline(path: Path, seen: Overview) -> RenderableType:
     grid = Table.grid(padding=(0, 2))
     grid.add_row("data set", Text(str(path), style="bold"))
     grid.add_row("made by", f"recipe {recipe}, suite {manifest['suite']['name']}, seed {manifest['seed']}")
-    flown = f"{seen.hours:.1f} h" if seen.hours >= 1 else f"{60 * seen.hours:.1f} min"
-    grid.add_row("holds", f"{manifest['episodes']:,} episodes, {manifest['steps']:,} steps, {flown} of flight")
+    grid.add_row("holds", f"{manifest['episodes']:,} episodes, {manifest['steps']:,} steps, {seen.flown} of flight")
     grid.add_row(
         "on disk", f"{megabytes(seen.bytes_on_disk)}; {megabytes(seen.frame_bytes)} a step, frames as {encodings}"
     )
