@@ -30,7 +30,7 @@ test-smoke:
 
 docs:
 	@$(PYTHON) scripts/setup.py docs
-	$(RUN)/mkdocs build --strict --quiet
+	$(RUN)/mkdocs build --strict
 	@echo "build/site/index.html; with its search: $(RUN)/mkdocs serve"
 
 test-wheel:

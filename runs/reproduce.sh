@@ -14,8 +14,9 @@
 # Before the script: ARDUCOPTER=path/to/arducopter measures what needs that program, LESSON=FOLDER a lesson with labels/
 # and tasks/, and one with the pictures in few/, PHOTOGRAPHS=FOLDER flights past pictures named after known things, GPU=1
 # OpenVLA-7B on a graphics card, HARNESSES=1 the flights under vla-eval and LeRobot, whichever is installed
-# (docs/integrations.md). Measured by hand, by the commands that their files name: gazebo_scores, sitl_scores, systems,
-# serving, lora_memory, openvla_memory. evaluations is a history.
+# (docs/integrations.md), SYSTEMS="FOLDER ..." the README's commands in folders of whole systems (benchmarks/systems.py).
+# Measured by hand, by the commands that their files name: gazebo_scores, sitl_scores, systems_earlier. evaluations is a
+# history.
 set -euo pipefail
 
 out=${1:-out/reproduce}
@@ -152,7 +153,8 @@ if [[ $everything ]]; then
   measure holding_hard holding "${pilot[@]}" --suite open-v1:hard
   measure ablation ablation "$out/ablation" --processes "$processes"
   measure first_score first_score "$python"
-  measure systems systems --wheel "$python"
+  read -ra roots <<< "${SYSTEMS:-}"
+  measure systems systems --wheel "$python" ${roots[@]:+--root "${roots[@]}"}
   measure serving serving
   measure serving_load serving --load 1200
   measure serving_hostile fuzz_server

@@ -45,6 +45,7 @@ STEPS = {
 ENVIRONMENT = "`benchmarks/environment.py`"
 RENDERING = ("{frames_per_s_1:,.0f} and {frames_per_s_2:,.0f} frames/s", "{ratio:.2f}", "`benchmarks/rendering.py`")
 START_UP = ("{ms:.0f} ms", "{ratio:.2g} x python alone", "`benchmarks/start_up.py`")
+SYSTEMS = {"system": "{system}", "Python": "{python}", "what": "{what}", "result": "{result}"}
 OWN = "its own instruction: passed, wrong gate, other, hovered"
 ANOTHER = "instruction of a task with other kinds of panels: hovered, flew through a gate, other"
 HELD = (
@@ -291,7 +292,8 @@ TABLES: Final[dict[str, Description]] = {
         },
     ),
     # docs/install.md, docs/integrations.md, docs/serving.md
-    "systems": rows_of("systems", {"system": "{system}", "Python": "{python}", "what": "{what}", "result": "{result}"}),
+    "systems": rows_of("systems", SYSTEMS | {"wall time": "{wall_s:.0f} s"}),
+    "systems-earlier": rows_of("systems_earlier", SYSTEMS),
     "first-score": rows_of(
         "first_score",
         {
