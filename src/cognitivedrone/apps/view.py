@@ -10,6 +10,7 @@ import math
 import statistics
 from collections import deque
 from collections.abc import Callable, Sequence
+from typing import get_args
 
 from rich.console import Console, Group
 from rich.panel import Panel
@@ -17,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cognitivedrone.apps.values import Step, Summary
-from cognitivedrone.choices import DecisionKind, EventKind
+from cognitivedrone.choices import AnswerKind, DecisionKind, EventKind, ReasonerFault
 from cognitivedrone.printable import visible
 from cognitivedrone.types import Event, FloatArray
 
@@ -28,6 +29,8 @@ GOOD_FRAME_S, GOOD_LINK_S = 0.5, 0.15
 """Older data are shown in yellow; the safety rules hold the drone at the same ages."""
 SILENT: frozenset[EventKind] = frozenset({"asked", "agreed", "late"})
 """Kinds of events that are logged and counted but not shown."""
+_ANSWERS = frozenset((*get_args(AnswerKind), *get_args(ReasonerFault)))
+"""Kinds of events that are the reasoner's answers, twice a second."""
 _STYLES: dict[DecisionKind, str] = {
     "fly": "green",
     "hold": "yellow",
@@ -110,18 +113,24 @@ class Instruments:
 
 
 class Printer:
-    """Writes events line by line, where there is no terminal to draw on."""
+    """Writes events line by line, where there is no terminal to draw on; an answer like the last one is left out."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
+        self._answer: tuple[str, str] = ("", "")
 
     def step(self, step: Step) -> None:
         """Do nothing: ten lines a second are of no use."""
 
     def event(self, event: Event) -> None:
         """Write a line."""
-        if event.kind not in SILENT:
-            self._console.print(visible(event_line(event)), markup=False, highlight=False, soft_wrap=True)
+        if event.kind in SILENT:
+            return
+        if event.kind in _ANSWERS or event.kind == "leg":
+            before, self._answer = self._answer, (event.kind, event.text)
+            if event.kind in _ANSWERS and before == self._answer:
+                return
+        self._console.print(visible(event_line(event)), markup=False, highlight=False, soft_wrap=True)
 
 
 def summary_table(summary: Summary) -> Table:
