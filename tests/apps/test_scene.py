@@ -1,4 +1,4 @@
-"""What is flown at and how it is judged: the scene that holds what is asked, hovering in doubt, "not judged"."""
+"""What is flown at and how it is judged: the scene that holds what is asked, hovering in doubt, "you judge"."""
 
 from __future__ import annotations
 
@@ -218,9 +218,10 @@ def flown(capsys: pytest.CaptureFixture[str], out: Path, *words: str) -> tuple[i
 
 def test_a_flight_that_nobody_can_judge_says_so(tmp_path, capsys):
     code, said = flown(capsys, tmp_path / "f", "Fly wherever you like")
-    target = SMOKE.tracks[EPISODE][0].target
+    task = SMOKE.tracks[EPISODE][0]
     assert code == 0
-    assert f"ended  flew through gate {target + 1} (not judged), after" in said
+    assert f"ended  flew through gate {task.target + 1} ({task.options[task.target]}; you judge), after" in said
+    assert f"film{tmp_path}/f/flight.mp4" in "".join(said.split())
     assert "passed" not in said
     assert json.loads((tmp_path / "f" / "flight.json").read_text())["end"]["ending"] == "flown"
 

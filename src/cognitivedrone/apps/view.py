@@ -17,8 +17,10 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from cognitivedrone.apps.log import FILM_FILE
 from cognitivedrone.apps.values import Step, Summary
 from cognitivedrone.choices import AnswerKind, DecisionKind, EventKind, ReasonerFault
+from cognitivedrone.control.loop import LATE_S
 from cognitivedrone.printable import visible
 from cognitivedrone.types import Event, FloatArray
 
@@ -140,11 +142,14 @@ def summary_table(summary: Summary) -> Table:
     table.add_column(overflow="fold")
     kind, reason = summary.ending.kind, summary.ending.reason
     table.add_row("ended", _told(reason if kind == "flown" else f"{kind}: {reason}"))
-    table.add_row("flown", f"{summary.seconds:.1f} s, {summary.steps} commands, {summary.late} late")
+    late = f"{summary.late} of them more than {LATE_S * 1000:.0f} ms late"
+    table.add_row("flown", f"{summary.seconds:.1f} s, {summary.steps} commands, {late}")
     for who, (median, p95) in (("policy", summary.policy_ms), ("reasoner", summary.reasoner_ms)):
         if not math.isnan(median):
             table.add_row(who, f"{median:.0f} ms (median), {p95:.0f} ms (95 %)")
     table.add_row("log", _told(str(summary.out)))
+    if (film := summary.out / FILM_FILE).is_file():
+        table.add_row("film", _told(str(film)))
     return table
 
 
