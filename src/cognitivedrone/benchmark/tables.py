@@ -37,7 +37,7 @@ def as_text(table: RenderableType, width: int = 80) -> str:
 
 
 def results_table(results: Results, rule: Rule | None = None) -> RenderableType:
-    """The scores of a run, with outcomes below; by the run's own rule by default."""
+    """The scores of a run, with outcomes below; by the run's own rule by default. A failure of all comes first."""
     rule = rule or results.rule
     summary = results.summary(rule)
     run = results.run
@@ -50,7 +50,9 @@ def results_table(results: Results, rule: Rule | None = None) -> RenderableType:
         name = "category" if mean.categories == 1 else "categories"
         table.add_row(f"mean of {mean.categories} {name}", *cells, end_section=True)
     add_parts(table, summary.categories, summary.families, _score_cells)
-    return Group(table, "", *_reasoning(summary), *_confusions(summary), *_notes(results, rule))
+    failed = f"every episode ended in an error of the policy: {results.policy_failure}"
+    first: list[RenderableType] = [Text(failed, style="bold red"), ""] if results.policy_failure else []
+    return Group(*first, table, "", *_reasoning(summary), *_confusions(summary), *_notes(results, rule))
 
 
 def _reasoning(summary: Summary) -> Iterator[RenderableType]:

@@ -19,7 +19,7 @@ def bench(plan: Annotated[Flat[Plan], tyro.conf.arg(name="")]) -> None:
     """Fly a policy through a suite of tasks and score it: without arguments, the small VLA through the test suite.
 
     Writes results.json, one record per episode, and a self-contained report.html. A stopped run continues with
-    --resume. Examples:
+    --resume. Exit code 1 if every episode ended in an error of the policy. Examples:
 
       cognitivedrone bench
       cognitivedrone bench --suite open-v1:smoke --policy colour_seeker --reasoner oracle
@@ -34,10 +34,13 @@ def bench(plan: Annotated[Flat[Plan], tyro.conf.arg(name="")]) -> None:
     screen = console()
     if notice := how_many(plan.scenario, plan.episodes):
         screen.print(notice)
-    screen.print(results_table(run(plan, progress=True)))
+    results = run(plan, progress=True)
+    screen.print(results_table(results))
     screen.print(f"report: {out_of(plan) / 'report.html'}")
     if plan.shard is not None:
         screen.print(f"This is shard {plan.shard} alone; 'cognitivedrone merge' joins the folders of all shards.")
+    if results.policy_failure:
+        raise SystemExit(1)
 
 
 def merge(
