@@ -260,6 +260,11 @@ def test_tasks_are_flown_asked_drawn_and_exported(capsys, tmp_path, own_tasks):
     assert first.instruction in said
 
 
+def test_view_says_in_words_who_is_right(capsys, tmp_path):
+    said = printed(capsys, "view", "--episode", "0", "--out", str(tmp_path / "view.png"))
+    assert "(right: gate 3, blond bob, glasses, pink sweater, smiling)" in said
+
+
 def test_a_suite_may_still_be_a_file(capsys, tmp_path, own_tasks):
     for option in ("--tasks", "--suite"):
         out = tmp_path / option[2:]

@@ -220,6 +220,7 @@ class ViewPlan(Options):
 
 def view(plan: Annotated[Flat[ViewPlan], tyro.conf.arg(name="")]) -> None:
     """Draw what the drone sees at the start of a task, with a chase view and a top view."""
+    from cognitivedrone.envs.captions import readable
     from cognitivedrone.envs.snapshot import snapshot
     from cognitivedrone.tasks.scenario import suite_of
 
@@ -227,7 +228,7 @@ def view(plan: Annotated[Flat[ViewPlan], tyro.conf.arg(name="")]) -> None:
     task = snapshot(suite, plan.episode, plan.out, plan.scenario)
     right = "(right: no gate)"
     if task.target is not None:
-        right = f"(right: gate {task.target + 1}, {task.options[task.target]})"
+        right = f"(right: gate {task.target + 1}, {readable(task.options[task.target])})"
     print(visible(f"{plan.out}: {task.instruction}  {right}"))  # noqa: T201
 
 
