@@ -189,16 +189,17 @@ def verify(file: tyro.conf.Positional[Path], sample: int = 20, seed: int = 0) ->
     from cognitivedrone.benchmark.submission import verify as fly_sample
 
     checked = fly_sample(read_submission(file), sample, seed)
-    said = {
-        "confirmed": "confirmed",
-        "refuted": "NOT confirmed",
-        "undecided": f"undecided: too few flights to tell this from chance; give more than --sample {sample}",
-    }
+    few = f"the sample has too few passes to judge the score; give more than --sample {sample}"
     for run in checked:
+        said = {
+            "confirmed": "confirmed" if run.telling else f"not refuted, but {few}",
+            "refuted": "NOT confirmed",
+            "undecided": f"undecided: {few}",
+        }
         print(  # noqa: T201
             visible(
                 f"{run.suite}: {run.equal} of {run.flown} stages ended as submitted; {run.passed} passed, "
-                f"{run.submitted} submitted: {said[run.verdict]}"
+                f"{run.submitted} submitted as passed: {said[run.verdict]}"
             )
         )
         if run.differences:
