@@ -111,8 +111,8 @@ def sweep_table(points: Sequence[tuple[float, Results]], part: str) -> Renderabl
 
 
 def comparison_table(comparison: Comparison) -> RenderableType:
-    """Rates side by side and their difference, then the two-by-two tables."""
-    title = f"{comparison.suite}: A = {comparison.name_a}, B = {comparison.name_b}"
+    """Rates side by side and their difference, then the two-by-two tables, and the verdict."""
+    title = f"{comparison.suite}\nA: {comparison.name_a}\nB: {comparison.name_b}"
     rates = new_table(title, "", "n", "A", "B", "B - A", "95 % CI", "p (McNemar)")
     counts = new_table("stages passed", "", "by both", "only A", "only B", "neither")
     rows = {"overall": comparison.overall, **{words(name): part for name, part in comparison.categories.items()}}
@@ -122,11 +122,12 @@ def comparison_table(comparison: Comparison) -> RenderableType:
         rates.add_row(name, *_difference_cells(difference), style=style)
         cells = (table.both, table.only_a, table.only_b, table.neither)
         counts.add_row(name, *(str(cell) for cell in cells), style=style)
-    notes = [f"rule: {comparison.rule}"]
+    notes = [f"scored by the rule {comparison.rule}"]
     if comparison.left_out:
         notes.append(f"left out, invalid in either run: {comparison.left_out}")
     notes += [f"the runs also differ in {difference}" for difference in comparison.other_differences]
-    return Group(rates, "", counts, "", *(Text(note, style="dim") for note in notes))
+    verdict = Text(comparison.verdict, style="bold")
+    return Group(rates, "", counts, "", *(Text(note, style="dim") for note in notes), verdict)
 
 
 def words(name: str) -> str:
