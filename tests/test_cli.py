@@ -220,6 +220,19 @@ def test_ctrl_c_without_words_says_that_it_stopped(capsys, monkeypatch):
     assert capsys.readouterr().err == "cognitivedrone: stopped\n"
 
 
+@pytest.mark.parametrize("name", ["bench", "collect", "fly", "train", "serve"])
+def test_help_has_no_two_blank_lines(capsys, name):
+    printed = printed_help(capsys, name)
+    assert "Examples:\n  cognitivedrone " in printed
+    assert "\n\n\n" not in printed
+
+
+def printed_help(capsys: pytest.CaptureFixture[str], name: str) -> str:
+    with pytest.raises(SystemExit):
+        main([name, "--help"])
+    return re.sub(" +\n", "\n", capsys.readouterr().out)
+
+
 WITH_TASKS = ("bench", "reason", "sweep", "collect", "view", "fly", "sim", "gazebo export", "audit")
 
 
