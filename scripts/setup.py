@@ -88,10 +88,18 @@ def installed(extras: list[str]) -> bool:
     return stamp.exists() and stamp.read_text() == stamp_of(extras)
 
 
+def announce(extras: list[str]) -> None:
+    """Say what will happen before the first silent step; nothing where all is installed already."""
+    if installed(extras) or ("dev" in extras and installed(sorted([*extras, "dev-torch"]))):
+        return
+    named = f"cognitivedrone[{','.join(extras)}]" if extras else "cognitivedrone"
+    more = ", longer if PyTorch comes too" if "dev" in extras else ""
+    print(f"Installing {named} and its dependencies into {VENV}: this takes a minute or two{more}.", flush=True)
+
+
 def install(extras: list[str]) -> None:
     if installed(extras):
         return
-    print("Installing cognitivedrone and its dependencies into .venv ...", flush=True)
     target = f"{ROOT}[{','.join(extras)}]" if extras else str(ROOT)
     if not run(PYTHON, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-e", target):
         sys.exit("The installation failed; the lines above say why.")
@@ -149,6 +157,7 @@ def main() -> None:
     extras = sorted(sys.argv[1:])
     if any(extra.startswith("-") for extra in extras):
         sys.exit(__doc__)
+    announce(extras)
     make_venv()
     install(with_torch(extras) if "dev" in extras else extras)
     ensure_opengl()

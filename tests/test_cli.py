@@ -220,6 +220,19 @@ def test_ctrl_c_without_words_says_that_it_stopped(capsys, monkeypatch):
     assert capsys.readouterr().err == "cognitivedrone: stopped\n"
 
 
+@pytest.mark.parametrize("name", ["bench", "collect", "fly", "train", "serve"])
+def test_help_has_no_two_blank_lines(capsys, name):
+    printed = printed_help(capsys, name)
+    assert "Examples:\n  cognitivedrone " in printed
+    assert "\n\n\n" not in printed
+
+
+def printed_help(capsys: pytest.CaptureFixture[str], name: str) -> str:
+    with pytest.raises(SystemExit):
+        main([name, "--help"])
+    return re.sub(" +\n", "\n", capsys.readouterr().out)
+
+
 WITH_TASKS = ("bench", "reason", "sweep", "collect", "view", "fly", "sim", "gazebo export", "audit")
 
 
@@ -258,6 +271,11 @@ def test_tasks_are_flown_asked_drawn_and_exported(capsys, tmp_path, own_tasks):
     out = tmp_path / "gazebo"
     said = printed(capsys, "gazebo", "export", "--tasks", str(own_tasks), "--task", first.id, "--out", str(out))
     assert first.instruction in said
+
+
+def test_view_says_in_words_who_is_right(capsys, tmp_path):
+    said = printed(capsys, "view", "--episode", "0", "--out", str(tmp_path / "view.png"))
+    assert "(right: gate 3, blond bob, glasses, pink sweater, smiling)" in said
 
 
 def test_a_suite_may_still_be_a_file(capsys, tmp_path, own_tasks):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Literal
 
@@ -90,6 +91,56 @@ def test_a_module_that_fails_while_it_is_imported_is_one_sentence(tmp_path, monk
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(PolicyError, match=r"module 'failing_plugin' cannot be imported: JSONDecodeError: .*line"):
         make_policy("failing_plugin:Policy")
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("imports_notalib:Policy", "'imports_notalib:Policy': imports_notalib.py imports 'notalib', which is not"),
+        (
+            "imports_it:Policy",
+            "'imports_it:Policy': imports_notalib.py imports 'notalib', which is not installed in this",
+        ),
+        ("nowhere:Policy", "no module 'nowhere'; is its folder on PYTHONPATH?"),
+        ("nowhere.inside:Policy", "no module 'nowhere'; is its folder on PYTHONPATH?"),
+        ("nowhere.py:Policy", "no module 'nowhere'; name the module, not its file: PYTHONPATH=. ... nowhere:Policy"),
+    ],
+)
+def test_a_module_that_is_missing_is_told_from_one_that_it_imports(tmp_path, monkeypatch, name, says):
+    (tmp_path / "imports_notalib.py").write_text("import notalib\n")
+    (tmp_path / "imports_it.py").write_text("import imports_notalib\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PolicyError, match=re.escape(says)):
+        make_policy(name)
+
+
+def test_a_syntax_error_is_told_with_its_file_and_line(tmp_path, monkeypatch):
+    (tmp_path / "bad_syntax.py").write_text("import json\nclass Policy\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PolicyError, match=r"SyntaxError: expected ':' \(bad_syntax.py, line 2\)$"):
+        make_policy("bad_syntax:Policy")
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("./mine.py", "policy './mine.py' is a file's name; name a class in it: PYTHONPATH=. ... mine:A or mine:B"),
+        ("mine", "policy 'mine' is a file's name; name a class in it: PYTHONPATH=. ... mine:A or mine:B"),
+        (
+            "sub/no_class.py",
+            "'sub/no_class.py' is a file's name; name a class in it: PYTHONPATH=sub ... no_class:CLASS",
+        ),
+        ("./gone.py", "policy './gone.py': there is no such file; your own is written gone:CLASS"),
+        ("gone", "unknown policy 'gone' (your own is given as module:attribute); known: "),
+    ],
+)
+def test_a_file_without_its_class_is_answered_with_the_form_to_write(tmp_path, monkeypatch, name, says):
+    (tmp_path / "mine.py").write_text("raise SystemExit\nclass A: ...\nclass B: ...\n")
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "no_class.py").write_text("x = (\n")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(PolicyError, match=re.escape(says)):
+        make_policy(name)
 
 
 def test_a_run_is_identified_by_the_file_of_the_users_own_plug_in(tmp_path):

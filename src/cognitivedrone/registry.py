@@ -15,13 +15,16 @@ quotes.
 
 from __future__ import annotations
 
+import ast
 import csv
 import difflib
 import importlib
 import inspect
+import sys
 import traceback
 import types
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -29,6 +32,8 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 from cognitivedrone.errors import PluginError, did_you_mean
 
 _SWITCH = {"yes": True, "true": True, "on": True, "1": True, "no": False, "false": False, "off": False, "0": False}
+_CLASSES_SHOWN = 4
+"""At most so many classes of a file are named."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,14 +58,17 @@ def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
     module_name, colon, attribute = target.partition(":")
     if not colon:
         raise PluginError(
-            f"unknown {kind} {name!r} (your own is given as module:attribute); {did_you_mean(name, table)}"
+            _hint_for_file(kind, name)
+            or f"unknown {kind} {name!r} (your own is given as module:attribute); {did_you_mean(name, table)}"
         )
     try:
         factory = getattr(importlib.import_module(module_name), attribute)
     except ModuleNotFoundError as error:
-        raise PluginError(
-            f"{kind} {name!r}: no module {error.name!r}; {_hint_for(module_name, attribute, table)}"
-        ) from None
+        if error.name is None or f"{module_name}.".startswith(f"{error.name}."):
+            what = f"no module {error.name!r}; {_hint_for(module_name, attribute, table)}"
+        else:
+            what = f"{_file_in(error)} imports {error.name!r}, which is not installed in this environment"
+        raise PluginError(f"{kind} {name!r}: {what}") from None
     except AttributeError:
         raise PluginError(f"{kind} {name!r}: module {module_name!r} has no {attribute!r}") from None
     except (Exception, SystemExit) as error:
@@ -78,6 +86,27 @@ def _hint_for(module: str, attribute: str, table: Mapping[str, str]) -> str:
         return f"name the module, not its file: PYTHONPATH={file.parent} ... {file.stem}:{attribute}"
     near = difflib.get_close_matches(module, table, n=1)
     return f"did you mean '{near[0]}:{attribute}'?" if near else "is its folder on PYTHONPATH?"
+
+
+def _hint_for_file(kind: str, name: str) -> str:
+    """How to write the user's own plug-in that is named by its file or module alone; empty if there is no such file."""
+    stem = Path(name).stem if name.endswith(".py") else name
+    places = [Path(name)] if name.endswith(".py") else [Path(place) / f"{name}.py" for place in ("", *sys.path)]
+    file = next((place for place in places if place.is_file()), None)
+    if file is None:
+        return f"{kind} {name!r}: there is no such file; your own is written {stem}:CLASS" if stem != name else ""
+    classes = ["CLASS"]
+    with suppress(OSError, SyntaxError, ValueError):
+        found = [node.name for node in ast.parse(file.read_bytes()).body if isinstance(node, ast.ClassDef)]
+        classes = found[:_CLASSES_SHOWN] or classes
+    written = " or ".join(f"{stem}:{name}" for name in classes)
+    return f"{kind} {name!r} is a file's name; name a class in it: PYTHONPATH={file.parent} ... {written}"
+
+
+def _file_in(error: BaseException) -> str:
+    """Name of the file in which an error of an import arose."""
+    files = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
+    return Path(next(file for file in reversed(files) if not file.startswith("<"))).name
 
 
 def call_of(kind: str, text: str, table: Mapping[str, str]) -> Call:
@@ -242,5 +271,7 @@ def _converted(what: str, text: str, hint: Any) -> Any:
 def one_line(error: BaseException) -> str:
     """An error of a user's own code in one line, with the place where it arose."""
     frames = traceback.extract_tb(error.__traceback__)
+    if isinstance(error, SyntaxError):
+        frames.clear()  # its text names file and line; the frames are those of the import
     place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
     return " ".join(f"{type(error).__name__}: {error}".split())[:300] + place

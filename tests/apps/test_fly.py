@@ -384,7 +384,7 @@ def test_arducopter_is_started_on_our_physics_and_flown(tmp_path):
     binary = played_arducopter(tmp_path)
     instance = free_instance()
     config = FlyPlan.of(
-        link="sitl", policy="hover", reasoner="oracle", sitl=binary, sitl_instance=instance, time_limit=1,
+        link="sitl", policy="hover", reasoner="oracle", sitl=binary, sitl_instance=instance, time_limit=1, episode=0,
         out=tmp_path / "f", takeoff_height=0.5,
     )  # fmt: skip
     summary = fly_mission(config, console=quiet(), keyboard=nobody())

@@ -106,12 +106,35 @@ def test_without_a_terminal_there_is_a_line_for_each_event_that_matters():
     ]  # fmt: skip
 
 
+def test_without_a_terminal_an_answer_is_a_line_only_when_it_changes():
+    console = Console(record=True, width=40, file=open(os.devnull, "w"))  # noqa: PTH123, SIM115
+    printer = Printer(console)
+    with console.file:
+        for time_s, kind, said in (
+            (0.0, "leg", "to the cat"), (0.1, "unsure", "I see a dog"), (0.6, "unsure", "I see a dog"),
+            (0.7, "hold", "hovering"), (1.1, "unsure", "I see a dog"), (1.6, "unsure", "I see a cat"),
+            (2.1, "adopted", "Fly left"), (2.6, "unsure", "I see a cat"), (3.0, "leg", "to the cat"),
+            (3.0, "leg", "to the cat"), (3.1, "unsure", "I see a cat"),
+        ):  # fmt: skip
+            printer.event(Event(time_s, kind, said, time_s / 100))
+    times = [line.split()[0] for line in console.export_text().splitlines()]
+    assert times == ["0.0", "0.1", "0.7", "1.6", "2.1", "2.6", "3.0", "3.0", "3.1"]
+
+
 def test_the_summary_leaves_out_who_never_thought():
     nan = float("nan")
     text = drawn(summary_table(Summary(Ending("time", "over"), 7, 0.7, 2, (20.4, 31.0), (nan, nan), Path("f"))))
-    assert "7 commands, 2 late" in text
+    assert "7 commands, 2 of them more than 10 ms late" in text
     assert "20 ms (median), 31 ms (95 %)" in text
     assert "reasoner" not in text
+
+
+def test_the_summary_names_the_film_that_was_written(tmp_path):
+    ending, nan = Ending("flown", "flew through gate 2 (cat; you judge), after 4.0 s"), float("nan")
+    summary = Summary(ending, 7, 0.7, 2, (20.4, 31.0), (nan, nan), tmp_path)
+    assert "film" not in drawn(summary_table(summary))
+    (tmp_path / "flight.mp4").touch()
+    assert f"film{tmp_path}/flight.mp4" in "".join(drawn(summary_table(summary)).split())
 
 
 def test_what_is_typed():

@@ -1,4 +1,4 @@
-"""What is flown at and how it is judged: the scene that holds what is asked, hovering in doubt, "not judged"."""
+"""What is flown at and how it is judged: the scene that holds what is asked, hovering in doubt, "you judge"."""
 
 from __future__ import annotations
 
@@ -43,6 +43,14 @@ def chosen(words: str, **options: object) -> tuple[str, int, str]:
     return scene.suite.name, scene.episode, scene.told
 
 
+def test_without_a_word_the_packaged_pilot_flies_a_scene_that_it_is_sure_of(tmp_path):
+    console = quiet()
+    summary = fly_mission(FlyPlan.of(out=tmp_path / "f"), console=console, keyboard=io.StringIO())
+    assert (summary.ending.kind, summary.exit_code) == ("passed", 0), summary.ending.reason
+    assert "scene: episode 27 of open-v1:smoke, with helicopter, sailboat and car" in console.file.getvalue()
+    assert "hold" not in events(tmp_path / "f")
+
+
 def test_an_own_instruction_gets_a_scene_that_holds_it():
     suite, episode, told = chosen("Fly through the gate with the bird")
     task = load_suite(suite).tracks[episode][0]
@@ -85,7 +93,9 @@ def test_where_nothing_holds_it_that_is_said():
 
 def test_what_is_named_is_flown_whatever_is_asked():
     assert chosen("the bird", episode=3)[:2] == ("open-v1:smoke", 3)
-    assert chosen("", suite="open-v1:test")[:2] == ("open-v1:test", 0)
+    assert chosen("", episode=0)[:2] == ("open-v1:smoke", 0)
+    for named in ("open-v1:test", "open-v1:smoke"):
+        assert chosen("", suite=named)[:2] == (named, 0)
     suite, episode, _ = chosen("Fly to a koala", suite="open-v1:smoke")
     assert "koala" in load_suite(suite).tracks[episode][0].options
     with pytest.raises(TaskError, match="has episodes 0 to 29, not 99"):
@@ -208,9 +218,10 @@ def flown(capsys: pytest.CaptureFixture[str], out: Path, *words: str) -> tuple[i
 
 def test_a_flight_that_nobody_can_judge_says_so(tmp_path, capsys):
     code, said = flown(capsys, tmp_path / "f", "Fly wherever you like")
-    target = SMOKE.tracks[EPISODE][0].target
+    task = SMOKE.tracks[EPISODE][0]
     assert code == 0
-    assert f"ended  flew through gate {target + 1} (not judged), after" in said
+    assert f"ended  flew through gate {task.target + 1} ({task.options[task.target]}; you judge), after" in said
+    assert f"film{tmp_path}/f/flight.mp4" in "".join(said.split())
     assert "passed" not in said
     assert json.loads((tmp_path / "f" / "flight.json").read_text())["end"]["ending"] == "flown"
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -8,6 +9,7 @@ from rich.console import Console
 from cognitivedrone.benchmark.comparison import compare
 from cognitivedrone.benchmark.results import read_results, write_results
 from cognitivedrone.benchmark.runner import run
+from cognitivedrone.benchmark.scoring import Paired, mcnemar
 from cognitivedrone.benchmark.tables import comparison_table, results_table
 from cognitivedrone.errors import RunError
 
@@ -101,8 +103,12 @@ def test_tables_fit_a_terminal_and_say_the_scores(two):
     for category in a.summary().categories:
         assert category.replace("_", " ") in text
     assert "…" not in text
-    text = text_of(comparison_table(compare(path_a, path_b)))
+    comparison = compare(path_a, path_b)
+    text = text_of(comparison_table(comparison))
     assert "p (McNemar)" in text
+    assert f"A: policy {a.run.policy}, reasoner none\n" in re.sub(" +\n", "\n", text)
+    assert "B: policy other, reasoner none\n" in re.sub(" +\n", "\n", text)
+    assert text.splitlines()[-1].strip() == comparison.verdict
     assert "…" not in text
 
 
@@ -133,6 +139,27 @@ def test_families_have_rows_from_ten_tasks_on(two):
     text = text_of(results_table(replace(results, episodes=episodes)))
     assert text.count("\n  people ") == 2  # scores and endings
     assert "in the report" not in text
+
+
+@pytest.mark.parametrize(
+    ("only_a", "only_b", "said"),
+    [
+        (1, 2, "B passes 1 more of 30 tasks; no significant difference (McNemar, p = 1)"),
+        (2, 2, "A and B pass equally many of 30 tasks; no significant difference (McNemar, p = 1)"),
+        (9, 1, "A passes 8 more of 30 tasks; a significant difference (McNemar, p = 0.0215)"),
+    ],
+)
+def test_the_verdict_is_one_sentence(two, only_a, only_b, said):
+    comparison = compare(two[2], two[3])
+    table = Paired(20, only_a, only_b, 10 - only_a - only_b)
+    overall = replace(comparison.overall, table=table, p=mcnemar(only_a, only_b))
+    assert replace(comparison, overall=overall).verdict == said
+
+
+def test_nothing_to_compare_is_said(two):
+    comparison = compare(two[2], two[3])
+    nothing = replace(comparison.overall, table=Paired(0, 0, 0, 0))
+    assert replace(comparison, overall=nothing).verdict == "no task counts in both runs, so they cannot be compared"
 
 
 def test_errors_of_the_policy_and_of_the_physics_stand_below_the_table(two):

@@ -69,9 +69,14 @@ def test_a_policy_of_the_former_contract_flies_the_same_with_a_warning():
 
 def test_objects_stay_in_one_process_and_that_is_said(capsys):
     evaluate(user_pilots.Straight(), episodes=1)
-    assert "the policy can only be used in this process" in capsys.readouterr().err
-    with pytest.raises(RunError, match="workers=2, but the policy can only be used in this process"):
+    said = "flying in one process, because the policy is an object; pass a class of a module to use more cores\n"
+    assert said in capsys.readouterr().err
+    with pytest.raises(RunError, match="workers=2, but the policy is an object; pass a class of a module to use more"):
         score(user_pilots.Straight(), workers=2)
+    with pytest.raises(RunError, match="but the policy's function is defined where no other process can"):
+        score(lambda: user_pilots.Straight(), workers=2)
+    with pytest.raises(RunError, match="the policy is an object and the reasoner is an object; pass a class of a mod"):
+        score(user_pilots.Straight(), reasoner=Oracle(), workers=2)
 
 
 def test_a_task_file_is_a_suite(tmp_path):
@@ -106,3 +111,5 @@ def test_a_script_of_three_lines_scores_its_own_class(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "overall" in done.stdout
     assert done.stdout.splitlines()[-1] == "1"
+    why = "because the policy's class is defined in the script itself; put it into a module to use more cores"
+    assert f"flying in one process, {why}\n" in done.stderr

@@ -94,7 +94,14 @@ def test_a_sample_is_flown_again(file: Path, capsys: pytest.CaptureFixture[str])
     assert (checked.flown, checked.equal, checked.passed, checked.submitted) == (2, 2, 2, 2)
     assert checked.verdict == "confirmed"
     main(["verify", str(file), "--sample", "1"])
-    assert "confirmed" in capsys.readouterr().out
+    assert capsys.readouterr().out == (
+        "open-v1:smoke: 1 of 1 stages ended as submitted; 1 passed, 1 submitted as passed: not refuted, but the sample"
+        " has too few passes to judge the score; give more than --sample 1\n"
+    )
+    main(["verify", str(file), "--sample", "8"])
+    assert capsys.readouterr().out == (
+        "open-v1:smoke: 8 of 8 stages ended as submitted; 8 passed, 8 submitted as passed: confirmed\n"
+    )
 
 
 def test_a_pilot_that_passes_less_often_is_not_confirmed(
@@ -112,7 +119,8 @@ def test_a_pilot_that_passes_less_often_is_not_confirmed(
     assert checked.verdict == "refuted"
     with pytest.raises(SystemExit, match="1"):
         main(["verify", str(path), "--sample", "7"])
-    assert "undecided: too few flights to tell this from chance; give more than --sample 7" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "undecided: the sample has too few passes to judge the score; give more than --sample 7" in said
 
 
 @pytest.mark.parametrize(

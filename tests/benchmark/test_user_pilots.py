@@ -7,6 +7,7 @@ import json
 import pytest
 
 from cognitivedrone import evaluate
+from cognitivedrone.cli import main
 from cognitivedrone.errors import PolicyError, RunError
 
 
@@ -37,8 +38,22 @@ def test_a_mistake_is_a_policy_error_with_its_traceback(tmp_path, how, says, tra
     kept = (tmp_path / "run" / "errors" / "episode-0001.txt").read_text()
     assert trace in kept
     table = " ".join(evaluation.table().split())
+    assert table.startswith("every episode ended in an error of the policy: the policy ")
     assert "policy errors, counted as not passed: 2" in table
     assert "all in the folder errors; --fail-fast stops at the first" in table
+
+
+def test_a_run_in_which_every_episode_fails_is_written_and_ends_with_exit_code_1(tmp_path, capsys):
+    arguments = ["--suite", "open-v1:smoke", "--episodes", "2", "--workers", "0", "--clips", "0"]
+    with pytest.raises(SystemExit) as end:
+        main(["bench", "--policy", "user_pilots:Faulty", *arguments, "--out", str(tmp_path / "all")])
+    assert end.value.code == 1
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "every episode ended in an error of the policy: the policy raised RuntimeError: CUDA out" in printed
+    assert (tmp_path / "all" / "results.json").exists()
+    main(["bench", "--policy", "user_pilots:FaultyOnce", *arguments, "--out", str(tmp_path / "one")])
+    assert lasting(tmp_path / "one")["scores"]["through"]["overall"]["outcomes"]["policy_error"] == 1
+    assert "every episode" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("how", ["raise", "quit", "hang"])

@@ -54,6 +54,18 @@ class Faulty(Straight):
         return {"shape": np.zeros(4), "words": "left", "nan": [[np.nan] * 4], "nothing": None}[self.how]
 
 
+class FaultyOnce(Faulty):
+    """Fails in its first flight alone."""
+
+    failed = False
+
+    def misbehave(self, observation):
+        if self.failed:
+            return Straight.act(self, observation)
+        self.failed = True
+        return super().misbehave(observation)
+
+
 class Reasons:
     """Returns what is no answer, or raises."""
 

@@ -224,6 +224,11 @@ def test_a_place_that_cannot_be_a_folder_is_refused(tmp_path: Path) -> None:
 def test_unfinished_and_foreign_folders_do_not_open(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="is not a data set"):
         Store.open(tmp_path)
+    for path in (tmp_path / "nosuch", Path(__file__)):
+        with pytest.raises(DataError, match="there is no such folder; give that of a data set"):
+            Store.open(path)
+        with pytest.raises(DataError, match="there is no such folder; give that of a data set"):
+            verify(path)
     writer_at(tmp_path / "store")
     with pytest.raises(DataError, match=r"is not finished; go on with .*--resume"):
         Store.open(tmp_path / "store")

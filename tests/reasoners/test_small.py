@@ -12,7 +12,7 @@ from cognitivedrone.models.reasoner_file import FORMER_FILES, PanelReading
 from cognitivedrone.models.text import Lexicon, Vocabulary
 from cognitivedrone.reasoners.small import SmallReasoner, gate_of, value_index
 from cognitivedrone.tasks.directives import HOLD
-from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
+from cognitivedrone.training.common.attributes import ATTRIBUTES, PERSON_GROUPS, AttributeIndex
 from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate
 
 INDEX = AttributeIndex()
@@ -277,7 +277,15 @@ def test_a_gate_that_was_declined_is_not_remembered_as_flown(made):
     ("labels", "said"),
     [
         (("animal/polar_bear@noto", "letter/B@inter", "number/7@inter"), "polar bear, the letter B, the number 7"),
-        ((PEOPLE[0], "sum/3*3@inter", "several/animal/cat=3@noto"), "a person, a sum, several things"),
+        (
+            (PEOPLE[0], "sum/3*3@inter", "several/animal/cat=3@noto"),
+            "a person (red hat, blue T-shirt, smiling), a sum, several things",
+        ),
+        (
+            ("person/hair=bald,beard=full@toon-head-sky", "person/hat=hijab,expression=sad@sky", PEOPLE[2]),
+            "a person (bald, full beard, blue T-shirt, smiling), a person (red headscarf, sad), "
+            "a person (brown short hair, eyepatch, blue T-shirt, smiling)",
+        ),
         (
             ("unknown/picture", "logo/apple@color", "letter/B@inter"),
             "something that I cannot read, apple, the letter B",
@@ -294,6 +302,15 @@ def test_what_is_read_with_doubt_is_not_named(made):
     with pytest.raises(ReasonerError) as error:
         made(Scripted(reading_of(LETTERS, strength=1.0), answer=(0.3, 0.3, 0.3, 0.1))).refine(FRAME, "go")
     assert str(error.value).endswith("I see " + ", ".join(["something that I cannot read"] * 3))
+
+
+def test_of_a_person_it_says_only_what_it_read(made):
+    reading = reading_of(PEOPLE)
+    for group in set(PERSON_GROUPS) - {"hat", "hat_color"}:
+        reading.attributes[:, AttributeSchema(ATTRIBUTES).groups[group]] = 0
+    with pytest.raises(ReasonerError) as error:
+        made(Scripted(reading, answer=(0.3, 0.3, 0.3, 0.1))).refine(FRAME, "go")
+    assert str(error.value).endswith("I see a person (red hat), a person, a person")
 
 
 # ---- whole files

@@ -136,3 +136,27 @@ def test_a_flag_shows_how_to_use_it_and_installs_nothing(setup, ran, monkeypatch
     with pytest.raises(SystemExit, match=r"setup.py \[EXTRA"):
         setup.main()
     assert ran == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ([], "Installing cognitivedrone and its dependencies into {}: this takes a minute or two.\n"),
+        (
+            ["dev"],
+            "Installing cognitivedrone[dev] and its dependencies into {}: this takes a minute or two, longer if PyTorch"
+            " comes too.\n",
+        ),
+    ],
+)
+def test_what_is_installed_and_where_is_said_before_anything_runs(setup, ran, monkeypatch, capsys, arguments, told):
+    monkeypatch.setattr(setup, "PYTHON", setup.VENV / "bin" / "python")
+    monkeypatch.setattr(setup, "ensure_sdformat", lambda: None)
+    monkeypatch.setattr(setup, "with_torch", lambda extras: extras)
+    monkeypatch.setattr(setup.sys, "argv", ["setup.py", *arguments])
+    monkeypatch.setattr(setup.shutil, "rmtree", lambda *_, **__: None)
+    setup.main()
+    assert ran[0][1] == told.format(setup.VENV)
+    before = ran[-1][1] + capsys.readouterr().out
+    setup.main()  # installed by now
+    assert ran[-1][1] + capsys.readouterr().out == before

@@ -96,10 +96,30 @@ def test_a_key_that_stands_twice_is_ambiguous(tmp_path: Path) -> None:
         read_tasks(path)
 
 
-@pytest.mark.parametrize("key", ["Labels", "only ", "board\x1b", "PROMPT"])
-def test_a_misspelled_key_is_not_overlooked(tmp_path: Path, key: str) -> None:
-    with pytest.raises(TaskError, match=r"unknown key .*; did you mean"):
+@pytest.mark.parametrize(
+    ("key", "meant"),
+    [
+        ("Labels", "labels"), ("only ", "only"), ("board\x1b", "board"), ("PROMPT", "prompt"), ("lables", "labels"),
+        ("prompt_simple", "prompt_simpler"), ("layot", "layout"), ("catagory", "category"), ("bord", "board"),
+    ],
+)  # fmt: skip
+def test_a_misspelled_key_is_not_overlooked(tmp_path: Path, key: str, meant: str) -> None:
+    with pytest.raises(TaskError, match=r"tasks.json\[1\] has the unknown key .*; did you mean") as told:
         read_tasks(written(tmp_path, TASK | {key: "x"}))
+    assert str(told.value).endswith(f"; did you mean {meant!r}?")
+
+
+def test_a_misspelled_key_explains_one_that_is_missing(tmp_path: Path) -> None:
+    task = {"promt" if key == "prompt" else key: value for key, value in TASK.items()}
+    with pytest.raises(TaskError, match="has the unknown key 'promt'; did you mean 'prompt'"):
+        read_tasks(written(tmp_path, task))
+
+
+@pytest.mark.parametrize(
+    "key", ["prompt_id", "task_id", "category_id", "idx", "name", "note", "difficulty", "gate_types"]
+)
+def test_another_key_is_not_taken_for_a_misspelling(tmp_path: Path, key: str) -> None:
+    read_tasks(written(tmp_path, TASK | {key: "x"}))
 
 
 def test_keys_of_others_are_left_alone(tmp_path: Path) -> None:

@@ -28,7 +28,8 @@ class FlyPlan(Options):
     safety: SafetySpec = SafetySpec()
     episode: int | None = None
     """Task of the suite, from 0; by default the first, or, for an instruction of your own, the one that fits it best.
-    The suite auto means open-v1:smoke, or, for an instruction of your own, a suite that shows what it asks for."""
+    The suite auto means open-v1:smoke, by default its task 27, or, for an instruction of your own, a suite that shows
+    what it asks for."""
     hold_below: float = 0.5
     """Hover while the reasoner's certainty that the scene shows what is asked for is below this, 0 to 1; 0 never
     hovers."""

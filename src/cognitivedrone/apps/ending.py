@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from cognitivedrone.apps.values import Ending
+from cognitivedrone.envs.captions import readable
 from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.tasks.matching import asks_the_same
-from cognitivedrone.types import StageResult
+from cognitivedrone.types import StageResult, Task
 from cognitivedrone.vehicles.contract import Vehicle
 
 _UNJUDGED = ("wrong_gate", "false_alarm")
@@ -42,22 +43,23 @@ def out_of_time(vehicle: Vehicle, seconds: float) -> Ending:
 
 def _judged(track: TrackRunner, instruction: str) -> Ending:
     flown = [
-        (result, not instruction or asks_the_same(instruction, task))
+        (result, task, not instruction or asks_the_same(instruction, task))
         for result, task in zip(track.results, track.track, strict=True)
         if result.outcome != "not_reached"
     ]
-    text = "; ".join(_in_words(result, judged=judged) for result, judged in flown)
-    if any(result.outcome != "passed" and (judged or result.outcome not in _UNJUDGED) for result, judged in flown):
+    text = "; ".join(_in_words(result, task, judged=judged) for result, task, judged in flown)
+    if any(result.outcome != "passed" and (judged or result.outcome not in _UNJUDGED) for result, _, judged in flown):
         return Ending("missed", text)
-    return Ending("passed" if all(judged for _, judged in flown) else "flown", text)
+    return Ending("passed" if all(judged for *_, judged in flown) else "flown", text)
 
 
-def _in_words(result: StageResult, *, judged: bool) -> str:
+def _in_words(result: StageResult, task: Task, *, judged: bool) -> str:
     """How a stage ended, in words."""
     if not judged and result.chosen is not None and result.outcome in ("passed", "wrong_gate"):
-        return f"flew through gate {result.chosen + 1} (not judged), after {result.time_s:.1f} s"
+        shown = "" if task.only is not None else f"{readable(task.options[result.chosen].removesuffix('.dae'))}; "
+        return f"flew through gate {result.chosen + 1} ({shown}you judge), after {result.time_s:.1f} s"
     if not judged and result.outcome == "false_alarm":
-        return f"declined: no gate matches the instruction (not judged), after {result.time_s:.1f} s"
+        return f"declined: no gate matches the instruction (you judge), after {result.time_s:.1f} s"
     gate = "no gate" if result.chosen is None else f"gate {result.chosen + 1}"
     right = "none was right" if result.target is None else f"the right one was {result.target + 1}"
     how = {

@@ -14,6 +14,8 @@ from cognitivedrone.tasks.suites import TRAIN_NAME, suite_of_tasks
 from cognitivedrone.types import Task, Track
 
 DEFAULT = "open-v1:smoke"
+DEFAULT_EPISODE = 27
+"""Flown where nothing is asked for; unlike the first one, the packaged pilot is sure of it."""
 SEARCHED = "open-v1:test"
 """The suite that is searched first."""
 TRAINED = 2000
@@ -40,14 +42,17 @@ def choose_scene(plan: FlyPlan) -> ChosenScene:
 
     With --episode, that episode. Otherwise, for an instruction of the user's own, a scene that shows what it asks for:
     from the given suite or task file; else from `SEARCHED`; else made for it, if it names a thing; else from the
-    training suite. Otherwise the first episode. Raises `TaskError`.
+    training suite. Otherwise the first episode of the given suite or task file, or else `DEFAULT_EPISODE`. Raises
+    `TaskError`.
     """
     scenario, seed = plan.scenario, plan.scenario.seed
     named = scenario.suite != AUTO or scenario.tasks is not None
-    suite = suite_of(scenario if named else scenario.changed(suite=DEFAULT), (plan.episode or 0) + 1)
     asked = plan.instruction.strip()
+    first = 0 if named or asked else DEFAULT_EPISODE
+    episode = first if plan.episode is None else plan.episode
+    suite = suite_of(scenario if named else scenario.changed(suite=DEFAULT), episode + 1)
     if plan.episode is not None or not asked:
-        return _named(suite, plan.episode or 0)
+        return _named(suite, episode)
     calculated = calculate(asked)
     wanted = asked if calculated is None else f"the number {calculated}"
     best = _best(wanted, suite if named else load_suite(SEARCHED), seed)

@@ -10,14 +10,17 @@ import math
 import statistics
 from collections import deque
 from collections.abc import Callable, Sequence
+from typing import get_args
 
 from rich.console import Console, Group
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from cognitivedrone.apps.log import FILM_FILE
 from cognitivedrone.apps.values import Step, Summary
-from cognitivedrone.choices import DecisionKind, EventKind
+from cognitivedrone.choices import AnswerKind, DecisionKind, EventKind, ReasonerFault
+from cognitivedrone.control.loop import LATE_S
 from cognitivedrone.printable import visible
 from cognitivedrone.types import Event, FloatArray
 
@@ -28,6 +31,8 @@ GOOD_FRAME_S, GOOD_LINK_S = 0.5, 0.15
 """Older data are shown in yellow; the safety rules hold the drone at the same ages."""
 SILENT: frozenset[EventKind] = frozenset({"asked", "agreed", "late"})
 """Kinds of events that are logged and counted but not shown."""
+_ANSWERS = frozenset((*get_args(AnswerKind), *get_args(ReasonerFault)))
+"""Kinds of events that are the reasoner's answers, twice a second."""
 _STYLES: dict[DecisionKind, str] = {
     "fly": "green",
     "hold": "yellow",
@@ -110,18 +115,24 @@ class Instruments:
 
 
 class Printer:
-    """Writes events line by line, where there is no terminal to draw on."""
+    """Writes events line by line, where there is no terminal to draw on; an answer like the last one is left out."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
+        self._answer: tuple[str, str] = ("", "")
 
     def step(self, step: Step) -> None:
         """Do nothing: ten lines a second are of no use."""
 
     def event(self, event: Event) -> None:
         """Write a line."""
-        if event.kind not in SILENT:
-            self._console.print(visible(event_line(event)), markup=False, highlight=False, soft_wrap=True)
+        if event.kind in SILENT:
+            return
+        if event.kind in _ANSWERS or event.kind == "leg":
+            before, self._answer = self._answer, (event.kind, event.text)
+            if event.kind in _ANSWERS and before == self._answer:
+                return
+        self._console.print(visible(event_line(event)), markup=False, highlight=False, soft_wrap=True)
 
 
 def summary_table(summary: Summary) -> Table:
@@ -131,11 +142,14 @@ def summary_table(summary: Summary) -> Table:
     table.add_column(overflow="fold")
     kind, reason = summary.ending.kind, summary.ending.reason
     table.add_row("ended", _told(reason if kind == "flown" else f"{kind}: {reason}"))
-    table.add_row("flown", f"{summary.seconds:.1f} s, {summary.steps} commands, {summary.late} late")
+    late = f"{summary.late} of them more than {LATE_S * 1000:.0f} ms late"
+    table.add_row("flown", f"{summary.seconds:.1f} s, {summary.steps} commands, {late}")
     for who, (median, p95) in (("policy", summary.policy_ms), ("reasoner", summary.reasoner_ms)):
         if not math.isnan(median):
             table.add_row(who, f"{median:.0f} ms (median), {p95:.0f} ms (95 %)")
     table.add_row("log", _told(str(summary.out)))
+    if (film := summary.out / FILM_FILE).is_file():
+        table.add_row("film", _told(str(film)))
     return table
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from cognitivedrone.benchmark.results import Results, read_results
 from cognitivedrone.benchmark.scoring import (
@@ -19,6 +20,9 @@ from cognitivedrone.benchmark.scoring import (
 from cognitivedrone.errors import RunError
 from cognitivedrone.plan import Rule
 from cognitivedrone.types import ALL_CATEGORIES, Category, StageResult
+
+SIGNIFICANT: Final = 0.05
+"""A difference less probable than this by chance is called significant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +53,19 @@ class Comparison:
     """Stages that are invalid in either run."""
     other_differences: tuple[str, ...]
     """Options and versions in which the runs differ, besides the pilot."""
+
+    @property
+    def verdict(self) -> str:
+        """The overall difference in one sentence."""
+        table, p = self.overall.table, self.overall.p
+        if table.n == 0:
+            return "no task counts in both runs, so they cannot be compared"
+        more = abs(table.only_b - table.only_a)
+        said = f"{'B' if table.only_b > table.only_a else 'A'} passes {more} more of {table.n} tasks"
+        if more == 0:
+            said = f"A and B pass equally many of {table.n} tasks"
+        significant = "a significant difference" if p < SIGNIFICANT else "no significant difference"
+        return f"{said}; {significant} (McNemar, p = {p:.3g})"
 
 
 def compare(a: Path, b: Path, *, rule: Rule = "through") -> Comparison:
@@ -115,8 +132,7 @@ def _by_task(results: Results, name: str) -> dict[str, StageResult]:
 
 
 def _pilot(results: Results) -> str:
-    run = results.run
-    return run.policy if run.reasoner == "none" else f"{run.policy} + {run.reasoner}"
+    return f"policy {results.run.policy}, reasoner {results.run.reasoner}"
 
 
 def _other_differences(a: Results, b: Results) -> tuple[str, ...]:

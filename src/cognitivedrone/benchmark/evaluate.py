@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -111,7 +111,7 @@ def evaluate(
     with ExitStack() as undo:
         pilot, command = None, ""
         if here:
-            _one_process(" and ".join(here), workers, progress)
+            _one_process({kind: {"policy": policy, "reasoner": reasoner}[kind] for kind in here}, workers, progress)
             plan = plan.changed(workers=0)
             pilot, command = _pilot(policy, reasoner, undo), _call_of(plan)
         if out is None:
@@ -150,16 +150,25 @@ def _call_of(plan: Plan) -> str:
     return f"evaluate({', '.join([pilot.policy, where, *reasoner, *options])})"
 
 
-def _one_process(what: str, workers: int | None, progress: bool) -> None:
-    why = (
-        f"the {what} can only be used in this process, because other processes cannot import an object, or what is"
-        " defined in this script or notebook; to use workers, pass a class or function of a module, or its name as"
-        " module:attribute"
-    )
+def _one_process(here: Mapping[str, object], workers: int | None, progress: bool) -> None:
+    """Say why what is given for policy or reasoner flies in this process; more workers raise `RunError`."""
+    objects = any(not hasattr(part, "__qualname__") for part in here.values())
+    why = " and ".join(_why_here(kind, part) for kind, part in here.items())
+    way_out = "pass a class of a module" if objects else "put it into a module"
     if workers not in (None, 0, 1):
-        raise RunError(f"workers={workers}, but {why}")
+        raise RunError(f"workers={workers}, but {why}; {way_out} to use more than one process")
     if progress:
-        print(visible(why), file=sys.stderr)  # noqa: T201
+        said = f"flying in one process, because {why}; {way_out} to use more cores"
+        print(visible(said), file=sys.stderr)  # noqa: T201
+
+
+def _why_here(kind: str, part: object) -> str:
+    """Why other processes cannot import a policy or reasoner."""
+    if not hasattr(part, "__qualname__"):
+        return f"the {kind} is an object"
+    what = "class" if isinstance(part, type) else "function"
+    where = "in the script itself" if part.__module__ == "__main__" else "where no other process can import it"
+    return f"the {kind}'s {what} is defined {where}"
 
 
 def _pilot(policy: Any, reasoner: Any, undo: ExitStack) -> Pilot:

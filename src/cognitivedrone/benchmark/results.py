@@ -93,6 +93,12 @@ class Results:
         """The scores by a rule; the run's own by default."""
         return summarize(self.episodes, rule or self.rule)
 
+    @property
+    def policy_failure(self) -> str:
+        """The first error, if every episode ended in an error of the policy; empty otherwise."""
+        failed = [any(stage.outcome == "policy_error" for stage in episode.stages) for episode in self.episodes]
+        return self.episodes[0].message if failed and all(failed) else ""
+
 
 def versions() -> dict[str, str]:
     """Versions of the packages that affect a result."""

@@ -128,14 +128,19 @@ class Verified:
     """In what this installation differs from the submission's, such as versions."""
 
     @property
+    def telling(self) -> bool:
+        """Whether so many stages were submitted as passed that the sample could refute a pilot that passes nothing."""
+        return mcnemar(self.submitted, 0) < DOUBT
+
+    @property
     def verdict(self) -> Literal["confirmed", "refuted", "undecided"]:
         """Whether the sample passes as often as submitted, beyond chance.
 
-        Undecided if it passes less often and is so small that it could not refute a pilot that passes nothing.
+        Undecided if it passes less often and is not `telling`.
         """
         if self.passed >= self.submitted:
             return "confirmed"
-        if mcnemar(self.submitted, 0) >= DOUBT:
+        if not self.telling:
             return "undecided"
         return "confirmed" if self.p >= DOUBT else "refuted"
 

@@ -40,7 +40,10 @@ def as_text(table: RenderableType, width: int = 80) -> str:
 
 
 def results_table(results: Results, rule: Rule | None = None) -> RenderableType:
-    """The result in a sentence, then the scores of a run, with outcomes below; by the run's own rule by default."""
+    """The result in a sentence, then the scores of a run, with outcomes below; by the run's own rule by default.
+
+    A failure of all episodes comes first.
+    """
     rule = rule or results.rule
     summary = results.summary(rule)
     table = new_table("", "", "n", "passed", "rate", "95 % CI", "choice", "pass|choice")
@@ -57,7 +60,10 @@ def results_table(results: Results, rule: Rule | None = None) -> RenderableType:
         left_out = len(summary.families) - len(families)
         noun = "family" if left_out == 1 else "families"
         explained.append(Text(f"{left_out} {noun} of fewer than {FAMILY_TASKS} tasks: in the report", style="dim"))
+    failed = f"every episode ended in an error of the policy: {results.policy_failure}"
+    first: list[RenderableType] = [Text(failed, style="bold red"), ""] if results.policy_failure else []
     return Group(
+        *first,
         _sentence(results, summary, rule),
         "",
         table,
@@ -144,8 +150,8 @@ def sweep_table(points: Sequence[tuple[float, Results]], part: str) -> Renderabl
 
 
 def comparison_table(comparison: Comparison) -> RenderableType:
-    """Rates side by side and their difference, then the two-by-two tables."""
-    title = f"{comparison.suite}: A = {comparison.name_a}, B = {comparison.name_b}"
+    """Rates side by side and their difference, then the two-by-two tables, and the verdict."""
+    title = f"{comparison.suite}\nA: {comparison.name_a}\nB: {comparison.name_b}"
     rates = new_table(title, "", "n", "A", "B", "B - A", "95 % CI", "p (McNemar)")
     counts = new_table("stages passed", "", "by both", "only A", "only B", "neither")
     rows = {"overall": comparison.overall, **{words(name): part for name, part in comparison.categories.items()}}
@@ -155,11 +161,12 @@ def comparison_table(comparison: Comparison) -> RenderableType:
         rates.add_row(name, *_difference_cells(difference), style=style)
         cells = (table.both, table.only_a, table.only_b, table.neither)
         counts.add_row(name, *(str(cell) for cell in cells), style=style)
-    notes = [f"rule: {comparison.rule}"]
+    notes = [f"scored by the rule {comparison.rule}"]
     if comparison.left_out:
         notes.append(f"left out, invalid in either run: {comparison.left_out}")
     notes += [f"the runs also differ in {difference}" for difference in comparison.other_differences]
-    return Group(rates, "", counts, "", *(Text(note, style="dim") for note in notes))
+    verdict = Text(comparison.verdict, style="bold")
+    return Group(rates, "", counts, "", *(Text(note, style="dim") for note in notes), verdict)
 
 
 def words(name: str) -> str:

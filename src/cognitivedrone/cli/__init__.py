@@ -103,7 +103,10 @@ def _run(arguments: list[str]) -> None:
     if name is None:
         _explain(arguments)
         return
-    tyro.cli(load(name), prog=f"{PROGRAM} {name}", args=_renamed(arguments[len(name.split()) :]))
+    command = load(name)
+    if command.__doc__ is not None:
+        command.__doc__ = command.__doc__.replace(":\n\n", ":\n")  # of which tyro's help would make two blank lines
+    tyro.cli(command, prog=f"{PROGRAM} {name}", args=_renamed(arguments[len(name.split()) :]))
 
 
 def _renamed(arguments: list[str]) -> list[str]:

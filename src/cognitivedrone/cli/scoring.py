@@ -19,7 +19,7 @@ def bench(plan: Annotated[Flat[Plan], tyro.conf.arg(name="")]) -> None:
     """Fly a policy through a suite of tasks and score it: without arguments, the small VLA through the test suite.
 
     Writes results.json, one record per episode, and a self-contained report.html. A stopped run continues with
-    --resume. Examples:
+    --resume. Exit code 1 if every episode ended in an error of the policy. Examples:
 
       cognitivedrone bench
       cognitivedrone bench --suite open-v1:smoke --policy colour_seeker --reasoner oracle
@@ -34,10 +34,13 @@ def bench(plan: Annotated[Flat[Plan], tyro.conf.arg(name="")]) -> None:
     screen = console()
     if notice := how_many(plan.scenario, plan.episodes):
         screen.print(notice)
-    screen.print(results_table(run(plan, progress=True)))
+    results = run(plan, progress=True)
+    screen.print(results_table(results))
     screen.print(f"report: {out_of(plan) / 'report.html'}")
     if plan.shard is not None:
         screen.print(f"This is shard {plan.shard} alone; 'cognitivedrone merge' joins the folders of all shards.")
+    if results.policy_failure:
+        raise SystemExit(1)
 
 
 def merge(
@@ -107,8 +110,8 @@ def audit(plan: Annotated[Flat[AuditPlan], tyro.conf.arg(name="")]) -> None:
 
     No question or a meaningless one, another question about the same scene, panels or the gates' appearance swapped, a
     mirrored stage, paraphrases, gates moved, light, wind, a shifted or turned camera, latency. All audits are 35 runs
-    of up to --episodes flights each; fewer than 30 flights are too few to tell. Writes audit.json and audit.html; a
-    stopped audit continues when it is started again. Examples:
+    of up to --episodes flights each, 3,500 by default; fewer than 30 flights are too few to tell. Writes audit.json
+    and audit.html; a stopped audit continues when it is started again. Examples:
 
       cognitivedrone audit --policy small --reasoner small
       cognitivedrone audit --policy my_module:MyPolicy --episodes 50 --only "no question" wind
@@ -187,16 +190,17 @@ def verify(file: tyro.conf.Positional[Path], sample: int = 20, seed: int = 0) ->
     from cognitivedrone.benchmark.submission import verify as fly_sample
 
     checked = fly_sample(read_submission(file), sample, seed)
-    said = {
-        "confirmed": "confirmed",
-        "refuted": "NOT confirmed",
-        "undecided": f"undecided: too few flights to tell this from chance; give more than --sample {sample}",
-    }
+    few = f"the sample has too few passes to judge the score; give more than --sample {sample}"
     for run in checked:
+        said = {
+            "confirmed": "confirmed" if run.telling else f"not refuted, but {few}",
+            "refuted": "NOT confirmed",
+            "undecided": f"undecided: {few}",
+        }
         print(  # noqa: T201
             visible(
                 f"{run.suite}: {run.equal} of {run.flown} stages ended as submitted; {run.passed} passed, "
-                f"{run.submitted} submitted: {said[run.verdict]}"
+                f"{run.submitted} submitted as passed: {said[run.verdict]}"
             )
         )
         if run.differences:
@@ -218,6 +222,7 @@ class ViewPlan(Options):
 
 def view(plan: Annotated[Flat[ViewPlan], tyro.conf.arg(name="")]) -> None:
     """Draw what the drone sees at the start of a task, with a chase view and a top view."""
+    from cognitivedrone.envs.captions import readable
     from cognitivedrone.envs.snapshot import snapshot
     from cognitivedrone.tasks.scenario import suite_of
 
@@ -225,7 +230,7 @@ def view(plan: Annotated[Flat[ViewPlan], tyro.conf.arg(name="")]) -> None:
     task = snapshot(suite, plan.episode, plan.out, plan.scenario)
     right = "(right: no gate)"
     if task.target is not None:
-        right = f"(right: gate {task.target + 1}, {task.options[task.target]})"
+        right = f"(right: gate {task.target + 1}, {readable(task.options[task.target])})"
     print(visible(f"{plan.out}: {task.instruction}  {right}"))  # noqa: T201
 
 

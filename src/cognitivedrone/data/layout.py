@@ -31,6 +31,8 @@ HEAD: Final = ("format", "version", "recipe", "suite", "seed", "episodes_per_sha
 
 def read_manifest(path: Path) -> dict[str, Any]:
     """The manifest of a finished store of this version; raises `DataError`, also if its checksum is wrong."""
+    if not path.is_dir():
+        raise DataError(f"{path}: there is no such folder; give that of a data set, made by `cognitivedrone collect`")
     if not (path / MANIFEST).exists():
         raise DataError(f"{path}: is not a data set: it has no {MANIFEST}; make one with `cognitivedrone collect`")
     manifest: dict[str, Any] = read_json(path / MANIFEST)

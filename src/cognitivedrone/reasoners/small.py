@@ -30,9 +30,11 @@ from cognitivedrone.models.reasoner_file import (
     PanelReading,
 )
 from cognitivedrone.reasoners.calculator import calculate
+from cognitivedrone.references import PERSON_ATTRIBUTES
 from cognitivedrone.tasks.directives import HOLD, write_directive
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.matching import asked_concepts, asked_kinds
+from cognitivedrone.tasks.people import described, seen
 from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate, Guidance, Image
 
 LARGEST_VALUE = 20
@@ -186,12 +188,18 @@ class SmallReasoner(Reasoner):
         concept = self._best("concept", panel)
         name = self._names[concept].partition("/")[2].partition(":")[2].replace("_", " ")
         if kind == "person":
-            return "a person"
+            return f"a person ({look})" if (look := self._look(panel)) else "a person"
         if kind == "sum" or kind == "several":
             return "a sum" if kind == "sum" else "several things"
         if kind == "unknown" or panel[concept] < _READABLE:
             return "something that I cannot read"
         return f"the {kind} {name}" if kind in ("letter", "number") else name
+
+    def _look(self, panel: Floats) -> str:
+        """What was read of a person, in words; what was read with doubt is left out."""
+        best = {name: self._best(name, panel) for name in PERSON_ATTRIBUTES if name in self._groups}
+        look = seen({name: self._names[index].partition("/")[2] for name, index in best.items()})
+        return described({name: look[name] for name, index in best.items() if panel[index] >= _READABLE})
 
     def _attributes_named(self, instruction: str) -> NDArray[np.intp] | None:
         """Attributes of the things, or else the kinds, that an instruction names, and of kinds that show anything."""

@@ -8,6 +8,7 @@ gate layout, keyed "1" to "3" as well. In the family `absent`, `correct` is null
 
 from __future__ import annotations
 
+import difflib
 import json
 import re
 from collections.abc import Iterable, Mapping
@@ -43,6 +44,8 @@ _SUM_IN_PROMPT = re.compile(r"\d\s*[-+*]\s*\d")
 _KEYS = ("prompt", "prompt_simpler", "options", "correct", "gates", "background")
 _OPTIONAL = ("task", "id", "category", "family", "labels", "board", "only", "layout")
 _PLACE = tuple(GatePlace.__dataclass_fields__)
+_MISSPELT = 0.82
+"""A key that is so similar to a known one (difflib, 0 to 1) is a misspelling: `lables` is, `idx` is not."""
 _PLAIN = {re.sub("[^a-z]", "", key): key for key in (*_KEYS, *_OPTIONAL)}
 
 
@@ -80,10 +83,10 @@ def task_from_json(obj: object, *, where: str, kind: str | None = None, default_
     """
     if not isinstance(obj, dict):
         raise TaskError(f"{where}: a task must be a JSON object, not {type(obj).__name__}")
+    _check_keys(obj, where)
     for key in _KEYS:
         if key not in obj:
             raise TaskError(f"{where}: key {key!r} is missing; a task has {', '.join(_KEYS)}")
-    _check_keys(obj, where)
     correct = obj["correct"]
     if correct is not None and (type(correct) is not int or not 1 <= correct <= 3):
         raise TaskError(f"{where}: correct is {correct!r}; it must be 1, 2 or 3, the number of the right gate")
@@ -116,11 +119,20 @@ def task_from_json(obj: object, *, where: str, kind: str | None = None, default_
 def _check_keys(obj: Mapping[str, Any], where: str) -> None:
     """Raise `TaskError` for a key that looks like a misspelling of a known one; other unknown keys are ignored."""
     for key in obj:
-        known = _PLAIN.get(re.sub("[^a-z]", "", key.casefold()))
-        if known is not None and key != known:
-            raise TaskError(f"{where}: unknown key {key[:40]!r}; did you mean {known!r}?")
+        if key not in _PLAIN.values() and (known := _meant_by(key)) is not None:
+            raise TaskError(f"{where} has the unknown key {key[:40]!r}; did you mean {known!r}?")
         if problem := unprintable(key):
             raise TaskError(f"{where}: the key {key[:40]!r} contains {problem}; remove it")
+
+
+def _meant_by(key: str) -> str | None:
+    """The known key that an unknown one resembles; a name of more words, such as `prompt_id`, is another."""
+    plain = re.sub("[^a-z]", "", key[:40].casefold())
+    if plain in _PLAIN:
+        return _PLAIN[plain]
+    near = difflib.get_close_matches(plain, _PLAIN, n=1, cutoff=_MISSPELT)
+    known = _PLAIN[near[0]] if near else None
+    return None if known is None or len(re.split(r"[\s_-]", key)) > len(known.split("_")) else known
 
 
 def _three(value: object, what: str, where: str) -> tuple[str, str, str]:

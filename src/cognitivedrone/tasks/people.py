@@ -64,11 +64,16 @@ def describe_person(concept: str) -> str:
     person = parse_person(concept)
     if not person.keys() <= PERSON_ATTRIBUTES.keys():
         raise ValueError(f"{concept!r} is not a person")
-    full, words = seen(person), []
+    return described(seen(person))
+
+
+def described(look: Mapping[str, str]) -> str:
+    """The same for a person as a viewer sees it (see `seen`), where attributes may be missing."""
+    words = []
     for name in ("hat", "hair", "glasses", "beard", "clothes", "expression"):
-        value = full[name]
+        value = look.get(name, "hidden")
         if value not in ("none", "hidden"):
-            color = full.get(f"{name}_color", "hidden")
+            color = look.get(f"{name}_color", "hidden")
             words.append((f"{color} " if color != "hidden" else "") + _WORDS.get(value, value))
     return ", ".join(words)
 
