@@ -60,3 +60,10 @@ def test_no_module_makes_a_console_of_its_own() -> None:
         if re.search(r"\bConsole\(", path.read_text(encoding="utf-8"))
     ]
     assert not made
+
+
+def test_a_file_gets_plain_text_also_in_a_notebook(monkeypatch):
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    file = io.StringIO()
+    console(file=file).print(Text("passed", style="bold"))
+    assert file.getvalue() == "passed\n"

@@ -11,7 +11,7 @@ NOTEBOOK = Path(__file__).resolve().parents[1] / "examples" / "tour.ipynb"
 
 
 def test_it_is_kept_with_the_outputs_of_a_whole_run():
-    """`jupyter execute --inplace examples/tour.ipynb` makes them."""
+    """`python scripts/run_notebook.py` makes them."""
     cells = [cell for cell in json.loads(NOTEBOOK.read_text())["cells"] if cell["cell_type"] == "code"]
     assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
     outputs = [output for cell in cells for output in cell["outputs"]]

@@ -7,7 +7,7 @@ styles, nor may an escape sequence reach the terminal.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import IO
+from typing import IO, Any
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
@@ -32,6 +32,9 @@ def console(
 ) -> Console:
     """A console on standard output, standard error or a file, without markup, emoji codes or number highlighting.
 
-    `quiet` prints nothing; `width` is in characters, by default the terminal's.
+    `quiet` prints nothing; `width` is in characters, by default the terminal's. A file gets plain text, also in a
+    notebook, which otherwise counts as a terminal.
     """
-    return _PlainConsole(stderr=stderr, quiet=quiet, width=width, file=file, markup=False, emoji=False, highlight=False)
+    plain: dict[str, Any] = {"color_system": None, "force_jupyter": False} if file is not None else {}
+    options = {"markup": False, "emoji": False, "highlight": False, **plain}
+    return _PlainConsole(stderr=stderr, quiet=quiet, width=width, file=file, **options)
