@@ -82,7 +82,7 @@ def bench_in(root: Path) -> dict[str, Any]:
 def run_in(root: Path, command: str) -> subprocess.CompletedProcess[str]:
     """Run a shell command as the new user of another system."""
     shared = {name: value for name, value in os.environ.items() if name.startswith(("PIP_", "SSL_"))}
-    words = ["/usr/sbin/chroot", f"--userspec={USER}:{USER}", root, "/bin/sh", "-c", command]
+    words: list[str | Path] = ["/usr/sbin/chroot", f"--userspec={USER}:{USER}", root, "/bin/sh", "-c", command]
     environment = {"HOME": f"/{HOME}", "PATH": PATH, "LANG": "C.UTF-8", **shared}
     return subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
 

@@ -159,7 +159,7 @@ if [[ $everything ]]; then
   measure serving_load serving --load 1200
   measure serving_hostile fuzz_server
   measure faults faults
-  measure fault_times fault_times --flights 100
+  measure fault_times fault_times --flights 20 --at-once 8
   measure random_faults random_faults --minutes 30 --at-once 2
   if [[ ${HARNESSES:-} ]]; then
     measure harnesses harnesses

@@ -30,7 +30,7 @@ from cognitivedrone.apps.values import Ending, Status, Step, Summary
 from cognitivedrone.apps.vehicle import until_interrupted
 from cognitivedrone.apps.view import EVENTS_SHOWN, Instruments, Printer, summary_table
 from cognitivedrone.errors import CameraError, LinkError, RunError
-from cognitivedrone.types import Event, Guidance, Observation
+from cognitivedrone.types import Event, EventKind, Guidance, Observation
 from cognitivedrone.vehicles.camera import open_camera
 
 ACTION = np.array([1.25, -0.5, 0.25, 0.4], dtype=np.float32)
@@ -109,13 +109,14 @@ def test_without_a_terminal_there_is_a_line_for_each_event_that_matters():
 def test_without_a_terminal_an_answer_is_a_line_only_when_it_changes():
     console = Console(record=True, width=40, file=open(os.devnull, "w"))  # noqa: PTH123, SIM115
     printer = Printer(console)
+    events: tuple[tuple[float, EventKind, str], ...] = (
+        (0.0, "leg", "to the cat"), (0.1, "unsure", "I see a dog"), (0.6, "unsure", "I see a dog"),
+        (0.7, "hold", "hovering"), (1.1, "unsure", "I see a dog"), (1.6, "unsure", "I see a cat"),
+        (2.1, "adopted", "Fly left"), (2.6, "unsure", "I see a cat"), (3.0, "leg", "to the cat"),
+        (3.0, "leg", "to the cat"), (3.1, "unsure", "I see a cat"),
+    )  # fmt: skip
     with console.file:
-        for time_s, kind, said in (
-            (0.0, "leg", "to the cat"), (0.1, "unsure", "I see a dog"), (0.6, "unsure", "I see a dog"),
-            (0.7, "hold", "hovering"), (1.1, "unsure", "I see a dog"), (1.6, "unsure", "I see a cat"),
-            (2.1, "adopted", "Fly left"), (2.6, "unsure", "I see a cat"), (3.0, "leg", "to the cat"),
-            (3.0, "leg", "to the cat"), (3.1, "unsure", "I see a cat"),
-        ):  # fmt: skip
+        for time_s, kind, said in events:
             printer.event(Event(time_s, kind, said, time_s / 100))
     times = [line.split()[0] for line in console.export_text().splitlines()]
     assert times == ["0.0", "0.1", "0.7", "1.6", "2.1", "2.6", "3.0", "3.0", "3.1"]
