@@ -101,7 +101,12 @@ def test_nan_actions_are_counted_apart(tmp_path):
         "        return np.full((1, 4), np.nan if self.steps > 3 else 0.1, np.float32)\n"
     )
     env = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    results = bench(tmp_path / "nan", "--suite", "open-v1:smoke", "--policy", "broken:Broken", "--episodes", 2, env=env)
+    out = tmp_path / "nan"
+    arguments = ("--suite", "open-v1:smoke", "--policy", "broken:Broken", "--episodes", 2)
+    done = run("bench", "--out", out, *arguments, env=env)
+    assert done.returncode == 1  # nothing was flown by the policy
+    assert "every episode ended in an error of the policy" in done.stdout
+    results = read_results(out / "results.json")
     assert results.summary().overall.outcomes["policy_error"] == 2
 
 

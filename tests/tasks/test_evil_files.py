@@ -140,11 +140,13 @@ def test_brackets_are_no_markup(tmp_path: Path, capsys: pytest.CaptureFixture[st
     evil = "[/f] [bold]x[/bold] [link=http://x]y"
     folder = tmp_path / "[bold]"
     folder.mkdir()
-    path = written(folder, TASK | {"id": evil, "prompt": evil, "family": evil, "background": evil}, name="[red].json")
+    task = TASK | {"prompt": evil, "family": evil, "background": evil}
+    # Ten of a family have a row in the table.
+    path = written(folder, *(task | {"id": f"{evil}{number}"} for number in range(10)), name="[red].json")
     out = str(tmp_path / "[out]")
     main(["bench", "--policy", "hover", "--tasks", str(path), "--out", out, "--workers", "1", "--clips", "0"])
     printed = capsys.readouterr().out
-    assert "[red].json: hover, reasoner none" in printed
+    assert "hover passes 0 of 11 tasks of [red].json" in printed
     assert evil in printed
     assert "[out]" in printed
     main(["view", "--suite", str(path), "--episode", "1", "--out", str(tmp_path / "view.png")])
