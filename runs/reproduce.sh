@@ -156,7 +156,7 @@ if [[ $everything ]]; then
   read -ra roots <<< "${SYSTEMS:-}"
   measure systems systems --wheel "$python" ${roots[@]:+--root "${roots[@]}"}
   measure serving serving
-  measure serving_load serving --load 1200
+  measure serving_load serving --load 600
   measure serving_hostile fuzz_server
   measure faults faults
   measure fault_times fault_times --flights 20 --at-once 8
