@@ -13,8 +13,7 @@ Expected = Literal["as before", "follows", "chance"]
 """`as before`: the rate falls by at most `FALL`. `follows`: the gate that is now right, in at least `FOLLOWED` of the
 flights. `chance`: of the flights that chose a gate, a third at the right one, to within `CHANCE_BAND`."""
 
-FALL, FOLLOWED = 0.10, 0.95
-CHANCE, CHANCE_BAND = 1 / 3, 0.07
+FALL, FOLLOWED, CHANCE_BAND = 0.10, 0.95, 0.07
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,10 @@ from typing import Final
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from cognitivedrone.audit.catalogue import AUDITS, CHANCE
+from cognitivedrone.audit.catalogue import AUDITS
 from cognitivedrone.audit.config import AuditPlan
 from cognitivedrone.audit.run import FEWEST_FLIGHTS, Row
+from cognitivedrone.benchmark.scoring import CHANCE
 from cognitivedrone.benchmark.tables import interval, new_table, percent
 from cognitivedrone.pages import render_page
 

@@ -13,12 +13,12 @@ from typing import Final
 
 import numpy as np
 
-from cognitivedrone.audit.catalogue import AUDITS, CHANCE, CHANCE_BAND, FALL, FOLLOWED, Audit, Expected, Variant
+from cognitivedrone.audit.catalogue import AUDITS, CHANCE_BAND, FALL, FOLLOWED, Audit, Expected, Variant
 from cognitivedrone.audit.config import AuditPlan
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.results import Results, write_whole
 from cognitivedrone.benchmark.runner import results_folder, run
-from cognitivedrone.benchmark.scoring import OUTCOMES, Interval, wilson
+from cognitivedrone.benchmark.scoring import CHANCE, OUTCOMES, Interval, wilson
 from cognitivedrone.errors import RunError, did_you_mean
 from cognitivedrone.files import safe_name
 from cognitivedrone.reasoners import NONE
