@@ -24,9 +24,12 @@ importlib.import_module("typechecked").install()
 settings.register_profile("no deadline", deadline=None)
 settings.load_profile("no deadline")
 
-# A shell starts background jobs with Ctrl-C ignored, and so would be the programs that the tests start and interrupt.
+# A shell starts background jobs with Ctrl-C ignored, and nohup starts all with hang-ups ignored; the programs that the
+# tests start and signal would inherit that. A handler, which is not inherited, keeps the tests themselves going.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, lambda number, frame: None)
 
 OPTIONAL: tuple[str, ...] = ("accelerate", "httpx", "matplotlib", "peft", "pymavlink", "rosbags", "safetensors")
 OPTIONAL += ("msgpack", "serial", "starlette", "tensorboard", "tokenizers", "torch", "torchao", "transformers")

@@ -45,48 +45,53 @@ def repeatable(out: Path):
 
 def test_smoke_with_the_gold_directive_and_on_any_number_of_workers(tmp_path):
     arguments = ("--suite", "open-v1:smoke", "--policy", "colour_seeker", "--reasoner", "oracle")
-    results = bench(tmp_path / "two", *arguments, "--workers", 2)
+    results = bench(tmp_path / "whole", *arguments, "--clips", 1)
     assert results.summary().overall.passed >= 29
-    assert (tmp_path / "two" / "report.html").stat().st_size > 100_000
-    bench(tmp_path / "one", *arguments, "--workers", 1)
+    assert (tmp_path / "whole" / "report.html").stat().st_size > 100_000
+    for workers in ("one", "two"):
+        bench(tmp_path / workers, *arguments, "--episodes", 5, "--workers", 1 + (workers == "two"))
     assert repeatable(tmp_path / "one") == repeatable(tmp_path / "two")
 
 
 def test_without_a_directive_the_seeker_flies_well_and_chooses_at_chance(tmp_path):
-    score = bench(tmp_path / "raw", "--suite", "open-v1:smoke", "--policy", "colour_seeker").summary().overall
+    arguments = ("--suite", "open-v1:smoke", "--policy", "colour_seeker", "--clips", 0)
+    score = bench(tmp_path / "raw", *arguments).summary().overall
     assert 3 <= score.passed <= 18
     assert score.pass_given_choice == 1.0
 
 
 def test_the_oracle_flies_tracks_to_their_end(tmp_path):
-    results = bench(tmp_path / "track", "--suite", "open-v1:track", "--policy", "oracle", "--episodes", 3)
-    assert results.summary().overall.passed == 15
+    arguments = ("--suite", "open-v1:track", "--policy", "oracle", "--episodes", 2, "--clips", 1)
+    results = bench(tmp_path / "track", *arguments)
+    assert results.summary().overall.passed == 10
 
 
 def test_single_tasks_can_be_chained_into_tracks(tmp_path):
-    results = bench(tmp_path / "t", "--suite", "open-v1:smoke", "--policy", "oracle", "--track", "--episodes", 1)
+    arguments = ("--suite", "open-v1:smoke", "--policy", "oracle", "--track", "--episodes", 1, "--clips", 0)
+    results = bench(tmp_path / "t", *arguments)
     assert results.summary().overall.passed == 5
 
 
 def test_a_killed_run_goes_on_where_it_was(tmp_path):
-    arguments = ("bench", "--suite", "open-v1:smoke", "--policy", "oracle", "--workers", 1, "--out", tmp_path / "run")
+    flown = ("--suite", "open-v1:smoke", "--policy", "oracle", "--episodes", 12, "--clips", 2)
+    arguments = ("bench", *flown, "--workers", 1, "--out", tmp_path / "run")
     with subprocess.Popen(command(*arguments), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         records = tmp_path / "run" / "episodes.jsonl"
         deadline = time.monotonic() + 60
         while time.monotonic() < deadline and not (records.exists() and records.read_bytes().count(b"\n") >= 5):
             os.sched_yield()
         process.send_signal(signal.SIGKILL)
-    assert 5 <= records.read_bytes().count(b"\n") < 30
+    assert 5 <= records.read_bytes().count(b"\n") < 12
     assert run(*arguments).returncode == 2
     assert run(*arguments, "--resume").returncode == 0
-    whole = bench(tmp_path / "whole", "--suite", "open-v1:smoke", "--policy", "oracle", "--workers", 2)
+    whole = bench(tmp_path / "whole", *flown, "--workers", 2)
     assert repeatable(tmp_path / "run") == repeatable(tmp_path / "whole")
-    assert len(whole.episodes) == 30
+    assert len(whole.episodes) == 12
 
 
 def test_a_policy_of_ones_own_is_scored(tmp_path):
     straight = bench(
-        tmp_path / "own", "--suite", "open-v1:smoke", "--policy", "own_policy:Straight", "--episodes", 6, env=EXAMPLES
+        tmp_path / "own", "--suite", "open-v1:smoke", "--policy", "own_policy:Straight", "--episodes", 4, env=EXAMPLES
     )
     assert {stage.chosen for episode in straight.episodes for stage in episode.stages} <= {1, None}
 
@@ -144,7 +149,7 @@ def test_list_names_what_there_is():
 
 
 def test_two_runs_are_compared(tmp_path):
-    arguments = ("--suite", "open-v1:smoke", "--policy", "colour_seeker", "--episodes", 6)
+    arguments = ("--suite", "open-v1:smoke", "--policy", "colour_seeker", "--episodes", 4, "--clips", 0)
     bench(tmp_path / "a", *arguments)
     bench(tmp_path / "b", *arguments, "--reasoner", "oracle")
     done = run("compare", tmp_path / "a", tmp_path / "b")

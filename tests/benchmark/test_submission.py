@@ -28,7 +28,7 @@ import numpy as np
 
 class Straight:
     def reset(self, context): pass
-    def act(self, observation): return np.array([[1.0, 0, 0, 0]])
+    def act(self, observation): return np.array([[4.0, 0, 0, 0]])
 """
 
 

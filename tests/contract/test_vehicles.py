@@ -21,7 +21,7 @@ from arducopters import played_arducopter
 from fake_gazebo import FakeGazebo
 from moving import moving, opened
 from px4_peer import playing_px4
-from reading import models, read_world
+from sdf_reading import models, read_world
 
 from cognitivedrone.apps.config import SimPlan
 from cognitivedrone.apps.vehicle import Served, serve_vehicle

@@ -17,7 +17,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-from reading import models, parse, read_world, values
+from sdf_reading import models, parse, read_world, values
 
 from cognitivedrone.vehicles.gazebo.bindings import MODULES, Bindings, load_bindings
 from cognitivedrone.vehicles.gazebo.release import RELEASES

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from reading import models, read_world
+from sdf_reading import models, read_world
 
 from cognitivedrone.cli import main
 from cognitivedrone.errors import GazeboError, LabelError, TaskError

@@ -15,7 +15,7 @@ pytest.importorskip("pymavlink")
 
 from fake_gazebo import FakeGazebo
 from moving import PATIENT, Moving, moving, opened
-from reading import models, read_world
+from sdf_reading import models, read_world
 
 from cognitivedrone.cli import main
 from cognitivedrone.control.loop import Segment, fly

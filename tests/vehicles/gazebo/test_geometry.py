@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image as Pictures
-from reading import cast, element_pose, model_mesh, models, parse, read_obj, read_world, values
+from sdf_reading import cast, element_pose, model_mesh, models, parse, read_obj, read_world, values
 
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.labels import load_pack

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fake_gazebo import MESSAGES, FakeGazebo
-from reading import models, parse, read_world, values
+from sdf_reading import models, parse, read_world, values
 
 from cognitivedrone.errors import CameraError
 from cognitivedrone.frames import quaternion_from_yaw

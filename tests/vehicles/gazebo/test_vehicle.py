@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from reading import element_pose, parse, values
+from sdf_reading import element_pose, parse, values
 
 from cognitivedrone.sim.airframe import IRIS, ROTORS
 from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
