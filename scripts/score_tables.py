@@ -18,10 +18,10 @@ PILOTS = {
     "small": "**`small`**: our small VLA, from the raw instruction",
     "colour_seeker_oracle": "`colour_seeker` with gold directives (`--reasoner oracle`): flies, need not choose",
     "colour_seeker": "`colour_seeker` with the raw instruction: chooses at random",
-    "race": "`race`: flies gates at the published places, without language; the paper's baseline",
+    "race": "`race`: the paper's baseline, without language: flies through the middle gate of three",
     "oracle": "`oracle`: uses privileged state",
-    "hover": "`hover`",
-    "random": "`random`",
+    "hover": "`hover`: stays where it is",
+    "random": "`random`: a new random velocity every second",
     "small_oracle": "`small` with `--reasoner oracle`: from gold directives",
 }
 """Files of submissions, and how tables name the pilots."""

@@ -21,7 +21,8 @@ def fly(plan: Annotated[Flat[FlyPlan], tyro.conf.arg(name="")]) -> None:
     """Fly a drone by an instruction, in real time: our simulator, ArduPilot SITL or a vehicle over MAVLink.
 
     During the flight, type a new instruction, or "land"; ctrl-C lands, too. Steps, events and a film are recorded. Exit
-    code 0: through a gate, or landed by order; 1: any other end; 130: ctrl-C. Examples:
+    code 0: through the right gate or one that only you can judge, declined rightly, or landed by order; 1: any other
+    end; 130: ctrl-C. Examples:
 
       cognitivedrone fly --policy colour_seeker --reasoner oracle --suite open-v1:test --episode 3
       cognitivedrone fly --policy colour_seeker --reasoner none "Fly through the red gate"
