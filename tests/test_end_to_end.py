@@ -48,9 +48,9 @@ def test_smoke_with_the_gold_directive_and_on_any_number_of_workers(tmp_path):
     results = bench(tmp_path / "whole", *arguments, "--clips", 1)
     assert results.summary().overall.passed >= 29
     assert (tmp_path / "whole" / "report.html").stat().st_size > 100_000
-    for workers in ("one", "two"):
-        bench(tmp_path / workers, *arguments, "--episodes", 5, "--workers", 1 + (workers == "two"))
-    assert repeatable(tmp_path / "one") == repeatable(tmp_path / "two")
+    for workers in (1, 2):
+        bench(tmp_path / str(workers), *arguments, "--episodes", 5, "--workers", workers)
+    assert repeatable(tmp_path / "1") == repeatable(tmp_path / "2")
 
 
 def test_without_a_directive_the_seeker_flies_well_and_chooses_at_chance(tmp_path):

@@ -74,8 +74,7 @@ def draw_curves(rows: Sequence[Row], path: Path) -> None:
     if not any(row.get("cross-entropy") is not None for row in rows):  # a regression head has no tokens
         panels = tuple(panel for panel in panels if panel[1] not in ("accuracy", "cross-entropy"))
     columns = len(panels) // 2
-    figure, axes = plt.subplots(2, columns, figsize=(5 * columns, 8))
-    figure.subplots_adjust(0.05, 0.06, 0.99, 0.95, hspace=0.25)
+    figure, axes = plt.subplots(2, columns, figsize=(5 * columns, 8), constrained_layout=True)
     for axis, (title, name, baseline) in zip(axes.flat, panels, strict=True):
         axis.set_title(title)
         axis.set_xlabel("step")
