@@ -18,7 +18,7 @@ PILOTS = {
     "small": "**`small`**: our small VLA, from the raw instruction",
     "colour_seeker_oracle": "`colour_seeker` with gold directives (`--reasoner oracle`): flies, need not choose",
     "colour_seeker": "`colour_seeker` with the raw instruction: chooses at random",
-    "race": "`race`: the paper's baseline, without language: flies through the middle gate of three",
+    "race": "`race`: the paper's baseline, without language: flies at the middle one of three gates",
     "oracle": "`oracle`: uses privileged state",
     "hover": "`hover`: stays where it is",
     "random": "`random`: a new random velocity every second",
