@@ -18,10 +18,10 @@ import tyro
 
 from cognitivedrone.benchmark import Plan, Results, run
 from cognitivedrone.benchmark.measurements import keep, markdown
-from cognitivedrone.training.common.run_log import METRICS, read_rows
-from cognitivedrone.training.launch import TrainOptions
+from cognitivedrone.training.config import TrainPlan
 from cognitivedrone.training.launch import run as train
 from cognitivedrone.training.recipes import RECIPES
+from cognitivedrone.training.trainer.run_log import METRICS, read_rows
 
 PREFIX = "ablation-"
 SUITE = "open-v1:test"
@@ -54,7 +54,7 @@ def measure(recipe: str, out: Path, processes: int) -> Line:
     """Train a variant and fly it, or continue with that."""
     model = out / recipe / "model.onnx"
     if not model.exists():
-        train(TrainOptions(out / recipe, recipe, resume=True, processes=processes))
+        train(TrainPlan(out / recipe, recipe, resume=True, processes=processes))
     told, directed = (
         run(
             Plan.of(

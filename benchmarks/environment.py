@@ -46,8 +46,8 @@ def single() -> Callable[[], object]:
     return lambda: env.step(ACTION)
 
 
-def vector(worlds: int) -> Callable[[], object]:
-    env = gymnasium.make_vec(ID, num_envs=worlds, copy=False)
+def vector(worlds: int, **options: Any) -> Callable[[], object]:
+    env = gymnasium.make_vec(ID, num_envs=worlds, copy=False, **options)
     env.reset(seed=0)
     actions = np.tile(ACTION, (worlds, 1))
     return lambda: env.step(actions)
@@ -108,7 +108,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     cores = len(os.sched_getaffinity(0))
     print(f"{platform.machine()}, {cores} cores, {renderer_name()}, {os.getloadavg()[0]:.1f} processes running already")
     contenders = {"one world": single(), "vector of 4": vector(4), "vector of 16": vector(16)}
-    worlds = dict(zip(contenders, (1, 4, 16), strict=True))
+    contenders["vector of 16, obstacles"] = vector(16, suite="open-v3:clutter")
+    worlds = dict(zip(contenders, (1, 4, 16, 16), strict=True))
     together = importlib.util.find_spec("gym_pybullet_drones") is not None
     if together:
         contenders[PEER] = peer()

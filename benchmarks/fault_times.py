@@ -113,13 +113,13 @@ class Flight:
 
     def landing(self, since: float) -> float | None:
         """When the first order to land since then arrived, or the first velocity straight down."""
-        orders = [(at, c) for at, c in list(self.peer.heard) if c.get_type() == "COMMAND_LONG"]
+        orders = [(at, c) for at, c in list(self.peer.received) if c.get_type() == "COMMAND_LONG"]
         modes = [at for at, c in orders if c.command == 176 and c.param2 == MODES["LAND"]]
         downwards = [at for at, s in self._setpoints() if s.vz > 0 and not any((s.vx, s.vy, s.yaw_rate))]
         return min((at for at in modes + downwards if at >= since), default=None)
 
     def _setpoints(self) -> list[tuple[float, Any]]:
-        return [(at, s) for at, s in list(self.peer.heard) if s.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+        return [(at, s) for at, s in list(self.peer.received) if s.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
 
     def stopped(self, since: float) -> float | None:
         """When the first zero velocity since then arrived."""

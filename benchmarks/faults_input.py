@@ -25,12 +25,14 @@ import numpy as np
 from rich.table import Table
 
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.job import preflight, prepare
+from cognitivedrone.benchmark.runs.job import resolve
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import CognitiveDroneError, PolicyError
 from cognitivedrone.labels import load_pack
-from cognitivedrone.models.reasoner_file import GateSelectorModel, PanelReaderModel
+from cognitivedrone.models.picture_classifier import PictureClassifier
+from cognitivedrone.models.reasoner_file import GateSelectorModel, LanguageModel, PanelReaderModel
 from cognitivedrone.models.small_file import SmallModel, describe, read_description
+from cognitivedrone.models.text_encoder import TextEncoderModel
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite, load_suite, task_to_json
 from cognitivedrone.terminal import console
@@ -80,9 +82,7 @@ def judge_tasks(path: Path, track_runner: TrackRunner) -> str:
     """`rejected`, `same meaning`, or what is wrong: `misread`, `not one sentence` or `error in flight`."""
     config = Plan.of(policy="hover", tasks=path)
     try:
-        job = prepare(config)
-        preflight(job)
-        suite = job.suite
+        suite = resolve(config).suite
     except CognitiveDroneError as error:
         return "not one sentence" if "\n" in str(error) or not str(error).isprintable() else "rejected"
     except Exception as error:
@@ -253,6 +253,9 @@ def weight_files(count: int, seed: int, folder: Path) -> dict[str, Counter[str]]
         WEIGHTS / "race.onnx": SmallModel.load,
         WEIGHTS / "reasoner" / "panel_reader.onnx": PanelReaderModel.load,
         WEIGHTS / "reasoner" / "gate_selector.onnx": GateSelectorModel.load,
+        WEIGHTS / "picture_classifier.onnx": PictureClassifier.load,
+        WEIGHTS / "reasoner" / "language.onnx": LanguageModel.load,
+        WEIGHTS / "text_encoder.onnx": TextEncoderModel.load,
         _written_anew(folder / "written.onnx"): SmallModel.load,
     }
     sources = list(loaders)
@@ -338,11 +341,15 @@ def _description_of_another(rng: Rng, content: bytes) -> bytes:
 
 def _zeroed(rng: Rng, content: bytes) -> bytes:
     at = int(rng.integers(len(content) - 4096))
+    while not any(content[at : at + 4096]):  # a table that is mostly zero
+        at = int(rng.integers(len(content) - 4096))
     return content[:at] + bytes(4096) + content[at + 4096 :]
 
 
 def _blocks_swapped(rng: Rng, content: bytes) -> bytes:
-    a, b = sorted(int(at) * 4096 for at in rng.choice(len(content) // 4096, size=2, replace=False))
+    a = b = 0
+    while content[a : a + 4096] == content[b : b + 4096]:
+        a, b = sorted(int(at) * 4096 for at in rng.choice(len(content) // 4096, size=2, replace=False))
     return content[:a] + content[b : b + 4096] + content[a + 4096 : b] + content[a : a + 4096] + content[b + 4096 :]
 
 

@@ -16,7 +16,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from cognitivedrone.benchmark.results import read_results
+from cognitivedrone.benchmark.scores.results import read_results
 
 ROOT = Path(__file__).resolve().parents[1]
 SUITE = "open-v1:smoke"

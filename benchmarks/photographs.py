@@ -24,7 +24,7 @@ import tyro
 from cognitivedrone import evaluate
 from cognitivedrone.benchmark.config import ReasonPlan
 from cognitivedrone.benchmark.measurements import keep
-from cognitivedrone.benchmark.reason import score_reasoner
+from cognitivedrone.benchmark.reasoning.reason import score_reasoner
 from cognitivedrone.errors import CognitiveDroneError, TaskError
 from cognitivedrone.labels import load_pack
 from cognitivedrone.labels.images import SUFFIXES

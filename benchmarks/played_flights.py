@@ -10,23 +10,24 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from hashlib import sha256
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.episode import PilotRunner
-from cognitivedrone.benchmark.job import prepare
-from cognitivedrone.benchmark.run_types import Rollout
-from cognitivedrone.benchmark.runner import run as bench
-from cognitivedrone.collect import executors
+from cognitivedrone.benchmark.runs.episode import PilotRunner
+from cognitivedrone.benchmark.runs.job import resolve
+from cognitivedrone.benchmark.runs.runner import run as bench
+from cognitivedrone.benchmark.scores.run_types import Rollout
+from cognitivedrone.collect import collector
 from cognitivedrone.collect.collector import collect
 from cognitivedrone.collect.config import CollectPlan
-from cognitivedrone.collect.executors import Job, fly_here
 from cognitivedrone.collect.fleet import FlownEpisode
+from cognitivedrone.collect.job import Job
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.plan import TaskSource
 
@@ -44,12 +45,12 @@ def record_collection(folder: Path) -> None:
         for seed in (0, 1)
     }
     for seed, job in jobs.items():
-        dump(folder / f"collect-{seed}", {each.episode.index: each for each in fly_here(job, range(EPISODES))})
+        dump(folder / f"collect-{seed}", {each.episode.index: each for each in job.open().fly(range(EPISODES))})
 
 
 def record_run(folder: Path) -> None:
     """Fly the benchmark run that is played back."""
-    runner = PilotRunner(prepare(_bench_config(folder)))
+    runner = PilotRunner(resolve(_bench_config(folder)))
     dump(folder / "bench", {episode: _short_film(runner.fly(episode, film=True)) for episode in range(BENCH_EPISODES)})
     dump(folder / "renderer", runner.renderer)
 
@@ -58,8 +59,8 @@ def _short_film(flown: Rollout) -> Rollout:
     return replace(flown, film=(flown.film or [])[:3])
 
 
-def play_back(job: Job, batches: Sequence[Sequence[int]], workers: int) -> Iterator[FlownEpisode]:
-    """An executor that flies nothing."""
+def play_back(job: Job, batches: Sequence[Sequence[int]]) -> Iterator[FlownEpisode]:
+    """Fly nothing."""
     flights = load(Path(os.environ[WHERE]) / f"collect-{job.source.seed}")
     return (flights[index] for batch in batches for index in batch)
 
@@ -80,9 +81,14 @@ class PlayedRunner:
         pass
 
 
-def collect_into(out: Path, executor: Callable[..., Iterator[FlownEpisode]] = play_back, seed: int = 0) -> None:
+def collect_into(out: Path, play: Callable[..., Iterator[FlownEpisode]] = play_back, seed: int = 0) -> None:
     """A small collection, or what is left of it."""
-    executors.fly_local = executor
+
+    @contextmanager
+    def pool_of(job: Job, config: CollectPlan, most: int) -> Iterator[Any]:
+        yield SimpleNamespace(fly=lambda batches: ((flown, "") for flown in play(job, batches)))
+
+    collector.pool_of = pool_of  # type: ignore[assignment]
     config = CollectPlan.of(
         out=out, recipe="debug", episodes=EPISODES, seed=seed, workers=1, resume=True, episodes_per_shard=PER_SHARD
     )
@@ -152,10 +158,11 @@ def _bench_config(out: Path, episodes: int = BENCH_EPISODES) -> Plan:
     )
 
 
-def fly_all(job: Job, batches: Sequence[Sequence[int]], workers: int) -> Iterator[FlownEpisode]:
-    """An executor in this process, which can be forked."""
+def fly_all(job: Job, batches: Sequence[Sequence[int]]) -> Iterator[FlownEpisode]:
+    """Fly in this process, which can be forked."""
+    fleet = job.open()
     for batch in batches:
-        yield from fly_here(job, batch)
+        yield from fleet.fly(batch)
 
 
 def bench_for_real(out: Path) -> None:

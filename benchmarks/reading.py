@@ -22,16 +22,16 @@ import tyro
 from PIL import Image
 
 from cognitivedrone.benchmark.measurements import keep
-from cognitivedrone.benchmark.reason_scoring import calibration_error
+from cognitivedrone.benchmark.reasoning.reason_scoring import calibration_error
 from cognitivedrone.labels.extended import extended_pack
 from cognitivedrone.models.panel_reader import Reader, ReaderConfig
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks import vocabulary
-from cognitivedrone.training.common import panel_crops
-from cognitivedrone.training.common.attributes import AttributeIndex, concept_name
-from cognitivedrone.training.common.photographic import Photographic
-from cognitivedrone.training.common.pictures import OTHERS, PACK
-from cognitivedrone.training.common.start import read_start, restore_part
+from cognitivedrone.training.perception import panel_crops
+from cognitivedrone.training.perception.attributes import AttributeIndex, concept_name
+from cognitivedrone.training.perception.photographic import Photographic
+from cognitivedrone.training.perception.pictures import OTHERS, PACK
+from cognitivedrone.training.trainer.start import read_start, restore_part
 
 Sets = Literal["train", "calibration", "held-out"]
 SETS: dict[Sets, tuple[str, ...]] = {

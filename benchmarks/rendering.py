@@ -43,7 +43,7 @@ def main() -> None:
             rates.append(rate)
             single = single or rate
             print(f"{name:7} {threads} thread(s): {rate:6.0f} frames/s, {rate / single:4.2f} x plain with one thread")
-        row = {"look": name, "frames_per_s_1": rates[0], "frames_per_s_2": rates[1], "ratio": rates[1] / rates[0]}
+        row = {"appearance": name, "frames_per_s_1": rates[0], "frames_per_s_2": rates[1], "ratio": rates[1] / rates[0]}
         rows.append(row)
     for name, worlds in looks.items():
         change, first = stage_change(worlds, rounds, rng)

@@ -22,6 +22,8 @@ def server_process(*options: str) -> Iterator[tuple[int, subprocess.Popen[str]]]
         finally:
             process.terminate()
             process.wait(60)
+            if process.stdout:
+                process.stdout.close()
 
 
 def memory_mb(pid: int) -> float:

@@ -1,6 +1,7 @@
 """What a real ArduCopter does when something goes wrong in a flight of ours: every case flown, its end judged.
 
-Run: ARDUCOPTER=path/to/arducopter python benchmarks/sitl_faults.py [--only NAME ...] [--at-once N] [--out FILE]
+Run: ARDUCOPTER=path/to/arducopter python benchmarks/sitl_faults.py [--core | --only NAME ...] [--times N] [--at-once N]
+[--out FILE]
 
 Every case is a fresh ArduCopter on our physics in real time, a guard process over UDP as a real vehicle has it (rules
 on the wall clock; parameters are set with consent unless the case says otherwise), and a pilot process that flies
@@ -319,6 +320,19 @@ CASES: dict[str, Case] = {
         nothing, "refused", before={**GOOD, "ARMING_CHECK": 0}
     ),
 }
+CORE = (
+    "nothing goes wrong",
+    "take-over into LOITER",
+    "pilot process killed (-9) in the flight",
+    "guard killed (-9) in the flight",
+    "both killed (-9) in the flight",
+    "link silent both ways",
+    "GPS lost",
+    "battery: charge below 20 %",
+    "ARMING_CHECK 0 at start, without consent",
+    "FS_GCS_ENABLE 1 and RTL_ALT 300, both killed (-9)",
+)
+"""The cases that a release of ArduCopter has to pass before the program is said to fly it: one of each kind."""
 
 
 def fly(name: str) -> Outcome:
@@ -457,10 +471,13 @@ def _until(holds: Callable[[], bool], timeout_s: float) -> bool:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--only", nargs="*", default=[], help="cases whose name holds one of these")
+    parser.add_argument("--core", action="store_true", help="the cases of CORE alone")
+    parser.add_argument("--times", type=int, default=1, help="how often each is flown")
     parser.add_argument("--at-once", type=int, default=1)
     parser.add_argument("--out", type=Path, help=OUT_HELP)
     options = parser.parse_args()
     names = [name for name in CASES if not options.only or any(part in name for part in options.only)]
+    names = (list(CORE) if options.core else names) * options.times
     print(f"{len(names)} cases, {options.at_once} at once")
     print(f"{'case':<48} {'stopped':>7} {'mode':>6} {'down':>6} {'way':>5}  end")
     outcomes = []

@@ -24,6 +24,7 @@ from pymavlink.dialects.v20 import ardupilotmega as m
 from cognitivedrone.errors import LinkError
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.types import FloatArray
+from cognitivedrone.vehicles.mavlink.renames import RENAMED, with_both_names
 from cognitivedrone.vehicles.sitl.arducopter import FIRST_PORT, PORT_STEP, ArduCopter, find_binary
 from cognitivedrone.vehicles.sitl.json_interface import serving
 from cognitivedrone.vehicles.sitl.physics import Plant, Sensed
@@ -141,7 +142,12 @@ class Observer:
             self._mav.command_long_send(1, 1, m.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, 50_000, 0, 0, 0, 0, 0)
 
     def set(self, name: str, value: float) -> bool:
-        """Set a parameter; false where the vehicle does not have it."""
+        """Set a parameter of 4.6, by the name that the vehicle has for it; false where it has none."""
+        if self._set(name, value):
+            return True
+        return name in RENAMED and self._set(RENAMED[name].name, RENAMED[name].newer(value))
+
+    def _set(self, name: str, value: float) -> bool:
         self.parameters.pop(name, None)
         for _ in range(10):
             self._mav.param_set_send(1, 1, name.encode(), value, m.MAV_PARAM_TYPE_REAL32)
@@ -226,7 +232,8 @@ class Vehicle:
     def __init__(self, folder: Path, parameters: dict[str, float]) -> None:
         binary = find_binary(None, "set ARDUCOPTER to its path")
         self.plant = SampledPlant()
-        lines = "LOG_BACKEND_TYPE 0\n" + "".join(f"{name} {value:g}\n" for name, value in parameters.items())
+        values = with_both_names({"LOG_BACKEND_TYPE": 0, **parameters})
+        lines = "".join(f"{name} {value:.7g}\n" for name, value in values.items())
         with ExitStack() as undo:
             server, instance = open_server(self.plant)
             undo.callback(server.close)

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from cognitivedrone.benchmark.measurements import OUT_HELP, keep
-from cognitivedrone.benchmark.results import RESULTS_FILE, read_results
+from cognitivedrone.benchmark.scores.results import RESULTS_FILE, read_results
 
 PROJECT = Path(__file__).resolve().parents[1]
 USER = 1000

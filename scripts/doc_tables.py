@@ -31,7 +31,7 @@ from score_tables import (
     runs_of,
     sitl_scores,
 )
-from table_kinds import Description, Line, across, lines_of, rows_of, titled
+from table_kinds import Description, Line, across, lines_of, repeated, rows_of, titled
 
 STEPS = {
     "step": "{step}",
@@ -52,12 +52,20 @@ HELD = (
     "{own_passed}, {own_wrong_gate}, {own_other}, **{own_hovered}**",
     "**{another_hovered}**, {another_through}, {another_other}",
 )
+PAST_OBSTACLES = (
+    "{passed} of {n}",
+    "{choice_accuracy:.0%}",
+    "{collisions}, {touched}",
+    "{collisions_per_100_m:.1f}",
+    "{smallest_passed_m:.2f} m",
+    "{spl:.2f}",
+)
 PILOTS_AND_BASELINES = ("r1", "small", "colour_seeker_oracle", "colour_seeker", "race", "oracle", "hover")
 
 TABLES: Final[dict[str, Description]] = {
     # README.md
     "headline": by_suite(("r1", "small", "race"), README_SUITES),
-    # docs/leaderboard.md
+    # docs/audit.md
     "leaderboard": leaderboard_table,
     # docs/scores.md
     "paper": paper,
@@ -87,8 +95,10 @@ TABLES: Final[dict[str, Description]] = {
             {"what": "task change"},
             ("task change, reset to first frame", "{ms:.1f} ms", "", ENVIRONMENT),
         ),
-        Line("rendering", {"look": "plain"}, ("rendering alone, 16 worlds, 1 and 2 threads", *RENDERING)),
-        Line("rendering", {"look": "varied"}, ("rendering alone, varied appearance, 1 and 2 threads", *RENDERING)),
+        Line("rendering", {"appearance": "plain"}, ("rendering alone, 16 worlds, 1 and 2 threads", *RENDERING)),
+        Line(
+            "rendering", {"appearance": "varied"}, ("rendering alone, varied appearance, 1 and 2 threads", *RENDERING)
+        ),
         Line(
             "dynamics",
             {"worlds": 16},
@@ -119,7 +129,7 @@ TABLES: Final[dict[str, Description]] = {
         "small",
         ["`cognitivedrone bench` with"],
         {
-            "`--appearance varied`": ("open-v1:test", {"look": "varied"}),
+            "`--appearance varied`": ("open-v1:test", {"appearance": "varied"}),
             "`--wind 0.5`": ("open-v1:test", {"wind_m_s": 0.5}),
             "`--suite open-v1:track`: 20 tracks of 5 stages": ("open-v1:track", {}),
         },
@@ -177,7 +187,7 @@ TABLES: Final[dict[str, Description]] = {
             ),
         ),
     ),
-    # docs/audit.md, docs/teach.md
+    # docs/audit.md, docs/training.md
     "audits": audits,
     "lesson-times": lines_of(
         ("pictures", "training, min"),
@@ -210,7 +220,7 @@ TABLES: Final[dict[str, Description]] = {
             "training, min": "{training_min:.0f}",
         },
     ),
-    # docs/flight.md, docs/gymnasium.md
+    # docs/vehicles.md, docs/gymnasium.md
     "steps": rows_of("step_responses", {**STEPS, "max tilt deg": "{max_tilt_deg:.1f}"}),
     "dynamics": rows_of(
         "dynamics",
@@ -233,7 +243,7 @@ TABLES: Final[dict[str, Description]] = {
         {"evaluation": "{evaluation}", "day": "{date}", "pilot": "{pilot}"}
         | {f"`{name}`": f"{{{name}:.0%}}" for name in ("words", "pictures", "unseen", "layouts", "absent")},
     ),
-    # docs/data.md, docs/store.md, docs/formats.md
+    # docs/data.md
     "data-reading": rows_of(
         "data_reading",
         {
@@ -291,9 +301,11 @@ TABLES: Final[dict[str, Description]] = {
             "read back": "{read_episodes:,} episodes, {read_steps:,} steps",
         },
     ),
-    # docs/install.md, docs/integrations.md, docs/serving.md
+    # docs/install.md, docs/gymnasium.md, docs/own_policy.md
+    "attacks": rows_of("attacks", {"attacks": "{kind}", "tried": "{attacks}", "held": "{held}", "fell": "{fell}"}),
     "systems": rows_of("systems", SYSTEMS | {"wall time": "{wall_s:.0f} s"}),
     "systems-earlier": rows_of("systems_earlier", SYSTEMS),
+    "systems-arm64": rows_of("systems_arm64", SYSTEMS | {"wall time, emulated": "{wall_s:.0f} s"}),
     "first-score": rows_of(
         "first_score",
         {
@@ -353,12 +365,39 @@ TABLES: Final[dict[str, Description]] = {
             "memory before, after": "{memory_mb:.0f} MB",
         },
     ),
-    # docs/fly.md, docs/failure-handling.md
+    # docs/fly.md, docs/real-drone.md
     "holding": lines_of(
         ("`--suite`", OWN, ANOTHER),
         Line("holding_test", {}, ("`open-v1:test`", *HELD)),
         Line("holding_never", {}, ("the same, `--below 0`", *HELD)),
         Line("holding_hard", {}, ("`open-v1:hard`", *HELD)),
+    ),
+    # docs/suites.md
+    "missions": rows_of(
+        "missions",
+        {
+            "pilot": "{pilot}",
+            "generated missions, whole": "{generated_whole} of {generated_missions}",
+            "their sub-goals": "{generated_done} of {generated_sub_goals}",
+            "typed missions, whole": "{typed_whole} of {typed_missions}",
+            "their sub-goals ": "{typed_done} of {typed_sub_goals}",
+            "went wrong: mind, flying": "{mind}, {flying}",
+            "collisions per 100 m": "{collisions_per_100_m:.1f}",
+        },
+    ),
+    "clutter": lines_of(
+        ("pilot", "passed", "right gate", "collisions, with obstacles", "a 100 m", "smallest clearance, passed", "SPL"),
+        *(Line("clutter", {"pilot": name}, (f"`{name}`", *PAST_OBSTACLES)) for name in ("oracle", "small", "r1")),
+    ),
+    # docs/play.md
+    "live-page": rows_of(
+        "live_page",
+        {
+            "flights": "{what}",
+            "deadlines missed": "{late_steps} of {steps}",
+            "frames of the chase view": "{chase_frames_per_s:.1f} /s",
+            "first frame, after the command": "{first_frame_s:.1f} s",
+        },
     ),
     "mission-end": rows_of(
         "mission_end",
@@ -391,6 +430,7 @@ TABLES: Final[dict[str, Description]] = {
             "how it ended": "{end}",
         },
     ),
+    "sitl-core": repeated({"sitl_core_46": "4.6.3", "sitl_core_47": "4.7-dev"}),
     "fault-times": rows_of(
         "fault_times",
         {
@@ -399,7 +439,7 @@ TABLES: Final[dict[str, Description]] = {
             "down: median, worst, limit": "{down_ms:.0f}",
         },
     ),
-    # docs/ardupilot.md
+    # docs/vehicles.md
     "sitl-scores": sitl_scores,
     "sitl-steps": rows_of("sitl_step_responses", STEPS),
     "sitl-speed": rows_of("sitl_speed", {"": "{what}", "times real time": "{real_time:.1f}"}),

@@ -1,30 +1,26 @@
-"""Film a flight of policy and reasoner for the README: docs/images/flight.webp.
+"""The README's moving picture, docs/images/flight.webp: the film of a recorded or a new flight of the packaged pilot.
 
 Run: python scripts/flight_film.py [--suite open-v1:track] [--episode 0] [--policy small] [--reasoner small]
 
-The frames are those of the report's clips: instruction and directive over the drone's view. The same version of package
-and renderer gives the same film.
+The pictures are those of `cognitivedrone film`. The same version of package and renderer gives the same picture.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import tyro
-from PIL import Image, ImageDraw, ImageOps
+from PIL import Image
 
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.episode import PilotRunner
-from cognitivedrone.benchmark.film import WIDTH, compose
-from cognitivedrone.benchmark.job import prepare
-from cognitivedrone.envs.captions import font
+from cognitivedrone.benchmark.runs.episode import PilotRunner
+from cognitivedrone.benchmark.runs.job import resolve
+from cognitivedrone.film.frame import Film, scenes_of, verdict_of
+from cognitivedrone.film.movie import FPS, pictures
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "flight.webp"
-BORDER = (200, 204, 214)
-ASKED_PX = 40
-"""Height of the line with the instruction."""
 
 
 @dataclass(frozen=True)
@@ -37,46 +33,41 @@ class Config:
     reasoner: str = "small"
     stages: int = 3
     """Stages of a track that are shown."""
-    width: int = 384
-    every: int = 2
-    """Control steps from frame to frame."""
+    width: int = 800
+    every: int = 4
+    """Pictures of the film from one to the next, 20 a second."""
+    quality: int = 42
     out: Path = OUT
 
 
 def main(config: Config) -> None:
     """Fly, film, write."""
-    job = prepare(Plan.of(suite=config.suite, policy=config.policy, reasoner=config.reasoner))
+    job = resolve(Plan.of(suite=config.suite, policy=config.policy, reasoner=config.reasoner))
     runner = PilotRunner(job)
-    flown = runner.fly(config.episode, film=True)
+    flown, scenes = runner.fly(config.episode, film=True), scenes_of(runner.track_runner)
     runner.close()
-    track = job.suite.tracks[config.episode]
-    shown = [frame for frame in flown.film or () if frame.stage < config.stages][:: config.every]
-    pictures = [under(track[frame.stage].instruction, compose(frame, len(track))) for frame in shown]
-    height = round(pictures[0].height * config.width / pictures[0].width)
-    small = [picture.resize((config.width, height), Image.Resampling.LANCZOS) for picture in pictures]
-    # The floor is white, as pages are.
-    first, *others = [ImageOps.expand(picture, border=1, fill=BORDER) for picture in small]
+    shown = [frame for frame in flown.film or () if frame.stage < config.stages]
+    results = flown.result.stages[: config.stages]
+    film = Film(f"{config.policy} + {config.reasoner}", shown, scenes[: config.stages], verdict_of(results))
+    height = round(config.width * 9 / 16)
+    small = [
+        Image.fromarray(picture).resize((config.width, height), Image.Resampling.LANCZOS)
+        for picture in itertools.islice(pictures(film), 0, None, config.every)
+    ]
+    first, *others = small
     first.save(
         config.out,
         save_all=True,
         append_images=others,
-        duration=round(100 * config.every),
+        duration=round(1000 * config.every / FPS),
         loop=0,
-        quality=55,
+        quality=config.quality,
         method=6,
         minimize_size=True,
     )
-    print(f"{config.out}: {len(pictures)} frames, {config.out.stat().st_size / 1e6:.2f} MB")
-    for task, stage in zip(track, flown.result.stages, strict=True):
-        print(f"{task.instruction}: {stage.outcome}")
-
-
-def under(instruction: str, frame: np.ndarray) -> Image.Image:
-    """A frame of the film with what was asked for above it."""
-    picture = Image.new("RGB", (WIDTH, frame.shape[0] + ASKED_PX), "white")
-    picture.paste(Image.fromarray(frame), (0, ASKED_PX))
-    ImageDraw.Draw(picture).text((14, ASKED_PX / 2), instruction, (18, 21, 32), font(17), anchor="lm")
-    return picture
+    print(f"{config.out}: {len(small)} frames, {config.out.stat().st_size / 1e6:.2f} MB")
+    for result in results:
+        print(f"{result.task_id}: {result.outcome}")
 
 
 if __name__ == "__main__":

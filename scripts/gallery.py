@@ -1,4 +1,4 @@
-"""Draw a picture of every task family for docs/gallery.md with `cognitivedrone view`, in half its size.
+"""Draw a picture of every task family for docs/suites.md with `cognitivedrone view`, in half its size.
 
 Run: python scripts/gallery.py [FAMILY ...]
 
@@ -14,6 +14,8 @@ from pathlib import Path
 from PIL import Image
 
 from cognitivedrone.cli import main as cognitivedrone
+from cognitivedrone.tasks import load_suite
+from cognitivedrone.tasks.format import write_tasks
 
 FROM_BEHIND_PX = 34 + 480 + 24
 """Height of the third view, with its title and margin: it shows little that the first does not."""
@@ -40,6 +42,7 @@ TASKS = {
     "memory": ("open-v1:hard", 130),
     "race": ("open-v1:race", 0),
     "absent": ("open-v2:absent", 2),
+    "landing": ("open-v3:missions", 1),
 }
 """Suite and episode of the task that stands for a family."""
 
@@ -49,8 +52,12 @@ def draw(family: str) -> Path:
     suite, episode = TASKS[family]
     out = FOLDER / f"{family}.webp"
     with tempfile.TemporaryDirectory() as folder:
-        drawn = Path(folder) / "view.png"
-        cognitivedrone(["view", "--suite", suite, "--episode", str(episode), "--out", str(drawn)])
+        drawn, shown = Path(folder) / "view.png", ["--suite", suite, "--episode", str(episode)]
+        track = load_suite(suite).tracks[episode]
+        if family == "landing":  # not the first of its track
+            write_tasks(Path(folder) / "landing.json", track[-1:])
+            shown = ["--tasks", f"{folder}/landing.json"]
+        cognitivedrone(["view", *shown, "--out", str(drawn)])
         with Image.open(drawn) as picture:
             short = picture.crop((0, 0, picture.width, picture.height - FROM_BEHIND_PX))
             short.reduce(2).save(out, quality=72, method=6)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cognitivedrone.benchmark.published import PUBLISHED
-from cognitivedrone.benchmark.scoring import Interval, Summary
+from cognitivedrone.benchmark.scores.published import PUBLISHED
+from cognitivedrone.benchmark.scores.scoring import Interval, Summary
 from cognitivedrone.types import CATEGORIES
 
 WIDTH, HEIGHT, LEFT, TOP, BOTTOM, LEGEND = 720, 300, 64, 40, 40, 50

@@ -16,12 +16,13 @@ from paper_figure import figure
 from score_tables import PAPER_SYSTEMS, paper_table
 
 from cognitivedrone import checkout
-from cognitivedrone.benchmark.results import read_results
+from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.files import digest_of_file
 
 WEIGHTS = (
-    "reader/reader.safetensors", "small/model.onnx", "language/model.onnx", "flight/model.onnx",
-    "selector/panel_reader.onnx", "selector/gate_selector.onnx", "race/model.onnx",
+    "reader/reader.safetensors", "selector/gate_selector.onnx", "selector/picture_classifier.onnx",
+    "language/text_encoder.onnx", "small/model.onnx", "flight/model.onnx", "flight/panel_reader.onnx",
+    "flight/language.onnx", "race/model.onnx",
 )  # fmt: skip
 SUITE = "open-v1:test"
 

@@ -20,8 +20,8 @@ from paper_figure import figure
 from score_tables import PAPER_SYSTEMS
 from table_kinds import Description, Store
 
-from cognitivedrone.benchmark.measurements import Measurement
-from cognitivedrone.benchmark.scoring import Summary
+from cognitivedrone.benchmark.measurements import Measurement, in_markdown
+from cognitivedrone.benchmark.scores.scoring import Summary
 from cognitivedrone.benchmark.submission import Submission
 
 FIGURE = "docs/images/paper.svg"
@@ -72,7 +72,7 @@ def _facts(found: Measurement | Submission) -> str:
     if isinstance(found, Measurement):
         commit = _commit(found.commit) or ["commit not known"]
         return ", ".join([f"`{found.command}`", found.machine, found.date, *commit])
-    machines = dict.fromkeys(run.machine for run in found.runs)
+    machines = dict.fromkeys(in_markdown(run.machine) for run in found.runs)
     days = sorted({run.finished[:10] for run in found.runs})
     commits = dict.fromkeys(run.commit for run in found.runs)
     return ", ".join([*machines, " to ".join(dict.fromkeys([days[0], days[-1]])), *_commit(*commits)])

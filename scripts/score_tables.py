@@ -8,8 +8,8 @@ from typing import Any
 from table_kinds import NOT_MEASURED, Description, Store, Table, cell
 
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.published import PUBLISHED
-from cognitivedrone.benchmark.scoring import Interval, Score, Summary, wilson
+from cognitivedrone.benchmark.scores.published import PUBLISHED
+from cognitivedrone.benchmark.scores.scoring import Interval, Score, Summary, wilson
 from cognitivedrone.benchmark.submission import SubmittedRun, leaderboard
 from cognitivedrone.types import CATEGORIES
 
@@ -111,7 +111,7 @@ def other_conditions(*pilots: str) -> Description:
 
 def flags_of(run: SubmittedRun) -> str:
     """What a run's command had besides the pilot."""
-    flags = {"track": "--track", "guard": "--guard", "look": "--appearance {}", "airframe": "--airframe {}"}
+    flags = {"track": "--track", "guard": "--guard", "appearance": "--appearance {}", "airframe": "--airframe {}"}
     flags |= {"wind_m_s": "--wind {:g}", "latency": "--latency {}", "link": "--link {}", "seed": "--seed {}"}
     defaults = {name: default for name, (_, default) in Plan.identity_options().items()}
     given = {name: run.run.option(name) for name in flags if run.run.option(name) != defaults[name]}

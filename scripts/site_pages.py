@@ -1,6 +1,6 @@
 """Pages of the site that are not in docs/: a hook of mkdocs (mkdocs.yml), which writes them at every build.
 
-The front page is the README; files that pages link to from outside docs/ become pages of their own; the reference comes
+Files that pages link to from outside docs/ become pages of their own; the reference comes
 from docstrings (mkdocstrings) and from `--help`. Nothing of it is committed.
 """
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[1]
 OUTSIDE = {
-    "README.md": "index.md",
     "CONTRIBUTING.md": "project/contributing.md",
     "CHANGELOG.md": "project/changelog.md",
     "CITATION.cff": "project/citation.md",
@@ -36,7 +35,7 @@ OUTSIDE = {
 COLUMNS = 100
 LANGUAGES = {".py": "python", ".cff": "yaml", ".yaml": "yaml", "": "dockerfile"}
 PYTHON = {
-    "evaluate": ("benchmark.evaluate", "benchmark.config", "benchmark.results", "benchmark.scoring"),
+    "evaluate": ("benchmark.evaluate", "benchmark.config", "benchmark.scores.results", "benchmark.scores.scoring"),
     "interfaces": ("interfaces", "types", "registry"),
     "errors": ("errors",),
     "tasks": ("tasks.suites", "tasks.format", "tasks.generate", "tasks.families", "tasks.pictures", "layout"),
@@ -46,7 +45,7 @@ PYTHON = {
     "pilots": ("policies", "reasoners", "pilot", "plan"),
     "control": ("control.loop", "control.safety", "control.latency", "vehicles", "vehicles.contract"),
     "simulator": ("sim.simulator", "sim.airframe", "sim.autopilot", "frames"),
-    "training": ("training.common.training_task", "models.small_file", "models.panel_reader", "models.small_vla"),
+    "training": ("training.trainer.training_task", "models.small_file", "models.panel_reader", "models.small_vla"),
 }
 """Pages of the Python reference and the modules of the package on each."""
 _FENCE = re.compile(r"(^ *```.*?^ *```)", re.MULTILINE | re.DOTALL)

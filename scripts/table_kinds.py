@@ -6,6 +6,7 @@ pilot, made by `cognitivedrone submit`. What is not there yet is shown as "not m
 
 from __future__ import annotations
 
+import statistics
 import string
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from cognitivedrone.benchmark.measurements import Measurement, markdown, read_measurement
-from cognitivedrone.benchmark.scoring import Summary
+from cognitivedrone.benchmark.scores.scoring import Summary
 from cognitivedrone.benchmark.submission import Submission, SubmittedRun, read_submission
 
 NOT_MEASURED = "not measured"
@@ -124,6 +125,34 @@ def rows_of(name: str, columns: Mapping[str, str], *, having: str | None = None)
         return Table([*columns], [[cell(template, row) for template in columns.values()] for row in rows])
 
     return describe
+
+
+def repeated(files: Mapping[str, str]) -> Description:
+    """Cases that were flown several times, by files and what was flown in each.
+
+    A line for every case: how many ended as they must, how, and the median and longest time until the motors stopped.
+    """
+
+    def describe(store: Store) -> Table:
+        flown = {title: store.measured_rows(name) for name, title in files.items()}
+        cases = list(dict.fromkeys(row["name"] for rows in flown.values() for row in rows))
+        heads = [f"{title}: {what}" for title in flown for what in ("as it must", "motors stopped")]
+        lines = []
+        for case in cases:
+            of_case = [[row for row in rows if row["name"] == case] for rows in flown.values()]
+            ends = dict.fromkeys(row["end"].partition(":")[0] for rows in of_case for row in rows)
+            lines.append([case, ", ".join(ends), *(each for rows in of_case for each in _counted(rows))])
+        return Table(["case", "how it ended", *heads], lines)
+
+    return describe
+
+
+def _counted(rows: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
+    if not rows:
+        return NOT_MEASURED, ""
+    down = [row["down_s"] for row in rows if row["down_s"] is not None]
+    times = f"{statistics.median(down):.1f}, {max(down):.1f} s" if down else "–"
+    return f"{sum(row['good'] for row in rows)} of {len(rows)}", times
 
 
 @dataclass(frozen=True)

@@ -31,9 +31,18 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, lambda number, frame: None)
 
-OPTIONAL: tuple[str, ...] = ("accelerate", "httpx", "matplotlib", "peft", "pymavlink", "rosbags", "safetensors")
+OPTIONAL: tuple[str, ...] = (
+    "accelerate",
+    "httpx",
+    "huggingface_hub",
+    "matplotlib",
+    "peft",
+    "pymavlink",
+    "rosbags",
+    "safetensors",
+)
 OPTIONAL += ("msgpack", "serial", "starlette", "tensorboard", "tokenizers", "torch", "torchao", "transformers")
-OPTIONAL += ("uvicorn", "websockets")
+OPTIONAL += ("huggingface_hub", "uvicorn", "websockets")
 ABSENT = {name for name in OPTIONAL if importlib.util.find_spec(name) is None}
 
 

@@ -49,7 +49,7 @@ def help_of(*names: str) -> str:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_flag_of_every_command_exists(page):
     for words in commands(page):
-        names = words[:2] if words[0] in ("data", "gazebo") else words[:1]
+        names = words[:2] if words[0] in ("data", "gazebo", "hub") else words[:1]
         known = set(re.findall(r"--[a-z][\w-]*", help_of(*names)))
         flags = {word.partition("=")[0] for word in words if word.startswith("--")}
         assert flags <= known, f"{page.name}: {shlex.join(words)}: no {sorted(flags - known)}"
@@ -68,9 +68,9 @@ def test_every_script_and_page_that_is_named_exists(page):
 
 
 def test_the_page_of_tasks_names_every_key_that_a_task_file_needs():
-    page = (ROOT / "docs" / "tasks.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "suites.md").read_text(encoding="utf-8")
     example = json.loads(re.search(r"```json\n(.*?)```", page, flags=re.DOTALL).group(1))
-    told = set(
+    output = set(
         re.findall(
             r"`(\w+)`", re.search(r"Required keys are (.*?), and `category` where", page, flags=re.DOTALL).group(1)
         )
@@ -81,4 +81,4 @@ def test_the_page_of_tasks_names_every_key_that_a_task_file_needs():
             task_from_json({k: v for k, v in example.items() if k != key}, where="example", kind="mine")
         except TaskError:
             needed.add(key)
-    assert needed - {"category"} == told
+    assert needed - {"category"} == output

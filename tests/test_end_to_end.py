@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cognitivedrone.benchmark.results import read_results
+from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import SUITES, load_suite
 

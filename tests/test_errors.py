@@ -11,7 +11,7 @@ from importlib import metadata
 import pytest
 from packaging.requirements import Requirement
 
-from cognitivedrone.errors import MissingExtra, ReasonerError, import_extra, install_command
+from cognitivedrone.errors import MissingExtra, PolicyRaised, ReasonerError, RunError, import_extra, install_command
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 EDITABLE = {"url": "file:///home/me/my%20drones", "dir_info": {"editable": True}}
@@ -22,6 +22,16 @@ REPOSITORY = {"url": "https://example.org/drone.git", "vcs_info": {"vcs": "git",
 def test_a_reasoners_error_survives_the_way_between_processes():
     error = copy.copy(ReasonerError("unsure", "no", "trace", certainty=0.5))
     assert (str(error), error.kind, error.trace, error.certainty) == ("no", "unsure", "trace", 0.5)
+
+
+def test_a_message_of_others_is_shown_without_what_no_file_and_no_terminal_takes():
+    output = [
+        PolicyRaised("a\ud800b", "line 1\n\tline\udcff 2"),
+        ReasonerError("raised", "a\ud800b", "line 1\n\tline\udcff 2"),
+    ]
+    for error in output:
+        assert (str(error), error.trace) == ("a\\ud800b", "line 1\n\tline\\udcff 2")
+    assert str(RunError("\x1b[31mred\nand more", 3)) == str(("\\x1b[31mred\nand more", 3))
 
 
 @pytest.mark.parametrize(

@@ -112,12 +112,12 @@ def test_a_file_is_read_up_to_its_limit(tmp_path: Path) -> None:
 
 def test_a_disk_that_refuses_is_one_sentence() -> None:
     with (
-        pytest.raises(RunError, match=r"^cannot write /dev/full: No space left on device; make room") as told,
+        pytest.raises(RunError, match=r"^cannot write /dev/full: No space left on device; make room") as output,
         writing(Path("/dev/full"), RunError),
         Path("/dev/full").open("wb", buffering=0) as full,
     ):
         full.write(b"x")
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(output.value)
 
 
 def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -155,3 +155,13 @@ def test_a_files_hash_is_that_of_its_content(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"abc")
     assert digest_of_file(path) == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+def test_nothing_is_written_through_a_link_with_the_temporary_name(tmp_path):
+    other = tmp_path / "other"
+    other.write_text("precious")
+    (tmp_path / "page.html.tmp").symlink_to(other)
+    replace_file(tmp_path / "page.html", b"new")
+    assert other.read_text() == "precious"
+    assert (tmp_path / "page.html").read_bytes() == b"new"
+    assert not (tmp_path / "page.html").is_symlink()

@@ -23,7 +23,7 @@ def test_importing_the_package_loads_next_to_nothing():
     assert not loaded & {"torch", "mujoco", "gymnasium", "numpy", "PIL"}
 
 
-@pytest.mark.parametrize("room", ["tasks", "labels", "envs.gym", "envs.vector", "benchmark.runner", "cli"])
+@pytest.mark.parametrize("room", ["tasks", "labels", "envs.gym", "envs.vector", "benchmark.runs.runner", "cli"])
 def test_no_room_of_the_base_loads_a_learning_framework(room):
     assert not modules_after(f"import cognitivedrone.{room}") & {"torch", "transformers", "tensorflow", "jax"}
 
@@ -72,7 +72,7 @@ def test_a_command_loads_none_of_the_others():
 
 def test_what_the_benchmark_names_is_there_when_it_is_asked_for():
     loaded = modules_after("import cognitivedrone.benchmark")
-    assert "cognitivedrone.benchmark.runner" not in loaded
+    assert "cognitivedrone.benchmark.runs.runner" not in loaded
     assert all(getattr(benchmark, name) is not None for name in benchmark.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         benchmark.nothing  # noqa: B018

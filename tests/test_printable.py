@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import fcntl
+import io
+import os
+import pty
+import struct
+import termios
 import unicodedata
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cognitivedrone.printable import unprintable, visible
+from cognitivedrone.printable import message, unprintable, visible, wrapped
 
 ANY = st.text(st.characters(codec=None, exclude_categories=()), max_size=40)
 
@@ -53,3 +59,37 @@ def test_what_is_shown_can_be_encoded_and_moves_no_cursor(text: str) -> None:
     assert not any(unicodedata.category(each) in ("Cc", "Cs", "Zl", "Zp") for each in shown)
     assert visible(shown) == shown
     assert (unprintable(text) is None) == (shown == text)
+
+
+def test_a_message_keeps_its_lines_and_nothing_else() -> None:
+    assert message("one:\n  two\x1b[31m\rthree\u2028") == "one:\n  two\\x1b[31m\\x0dthree\\u2028"
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("cannot read rtsp://user:secret@10.0.0.5/live: refused", "cannot read rtsp://***@10.0.0.5/live: refused"),
+        ("'http://u:se@cret@host:80/a@b'", "'http://***@host:80/a@b'"),
+        ("http://host/a@b and me@example.org", "http://host/a@b and me@example.org"),
+    ],
+)
+def test_no_login_of_an_address_is_shown(text: str, shown: str) -> None:
+    assert message(text) == shown
+
+
+def test_a_terminal_gets_lines_of_its_width_and_a_file_those_that_there_are() -> None:
+    text = "cognitivedrone: read docs/real-drone.md, then add --such-an-option\n  a  table"
+    ours, theirs = pty.openpty()
+    with os.fdopen(theirs, "w") as screen:
+        fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("4H", 24, 40, 0, 0))
+        assert wrapped(text, screen).splitlines() == [
+            "cognitivedrone: read docs/real-drone.md,",
+            "then add --such-an-option",
+            "  a  table",
+        ]
+        fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("4H", 0, 0, 0, 0))  # a width that nobody has set
+        assert wrapped(text, screen) == text
+    os.close(ours)
+    assert wrapped(text, io.StringIO()) == text
+    assert wrapped(text, screen) == text  # closed
+    assert wrapped(text, None) == text

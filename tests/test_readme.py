@@ -8,6 +8,8 @@ import shlex
 import socket
 import subprocess
 import sys
+import time
+import urllib.request
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -55,6 +57,11 @@ def test_its_commands_run(tmp_path):
             command = [sys.executable, "-m", "cognitivedrone", *words[words.index("cognitivedrone") + 1 :]]
             command += ["--episodes", "3"] if "bench" in command else []
             settings = {"cwd": tmp_path, "env": {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), **environment}}
+            if command[3] == "play":  # until ctrl-C
+                page = free_port()
+                with served([*command, "--no-browser", "--port", str(page)], settings):
+                    assert b"CognitiveDrone" in opened(page)
+                continue
             if command[-1] == "&":
                 servers.enter_context(served([*command[:-1], "--port", str(port)], settings))
                 continue
@@ -74,6 +81,18 @@ def served(command, settings):
     finally:
         process.terminate()
         process.wait(30)
+
+
+def opened(port, seconds=120):
+    """A page of a server that is starting."""
+    deadline = time.monotonic() + seconds
+    while True:
+        try:
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=10) as page:
+                return page.read()
+        except OSError:
+            assert time.monotonic() < deadline
+            time.sleep(0.2)
 
 
 def free_port():

@@ -10,8 +10,10 @@ import pytest
 
 from cognitivedrone import registry
 from cognitivedrone.errors import PolicyError
-from cognitivedrone.policies import POLICIES, make_policy
-from cognitivedrone.reasoners import REASONERS
+from cognitivedrone.interfaces import Policy
+from cognitivedrone.policies import POLICIES, SELF_CONTAINED, make_policy, model_file
+from cognitivedrone.reasoners import REASONERS, make_reasoner, reasoner_file
+from cognitivedrone.reasoners import SELF_CONTAINED as REASONERS_ALONE
 
 TABLE = {"own": f"{__name__}:Own", "plain": f"{__name__}:Plain"}
 
@@ -114,7 +116,7 @@ def test_a_module_that_is_missing_is_told_from_one_that_it_imports(tmp_path, mon
         make_policy(name)
 
 
-def test_a_syntax_error_is_told_with_its_file_and_line(tmp_path, monkeypatch):
+def test_a_syntax_error_is_reported_with_its_file_and_line(tmp_path, monkeypatch):
     (tmp_path / "bad_syntax.py").write_text("import json\nclass Policy\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(PolicyError, match=r"SyntaxError: expected ':' \(bad_syntax.py, line 2\)$"):
@@ -185,3 +187,79 @@ def test_every_plug_in_of_the_package_has_a_usage():
     for kind, table in (("policy", POLICIES), ("reasoner", REASONERS)):
         for name in table:
             assert registry.usage(name, registry.load(kind, name, table)).startswith(name)
+
+
+CALLED: list[str] = []
+
+
+def annotated(value: str = "") -> Policy:
+    CALLED.append("annotated")
+    return make_policy("hover")
+
+
+def plain_function(value: str = "") -> None:
+    CALLED.append("plain")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "os:system:touch pwned",
+        "os:mkdir:pwned",
+        "subprocess:Popen:touch pwned",
+        "subprocess:run:touch pwned",
+        "shutil:rmtree:.",
+        "builtins:exec:open('pwned','w')",
+        "builtins:print",
+        "pathlib:Path.touch:pwned",
+        "cognitivedrone.reasoners.oracle:Oracle",
+        f"{__name__}:plain_function:x",
+        f"{__name__}:Plain",
+    ],
+)
+@pytest.mark.parametrize("make", [make_policy, model_file])
+def test_what_is_no_policy_is_not_called(name, make, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(PolicyError, match=r"has no|no module") as error:
+        make(name)
+    assert "\n" not in str(error.value)
+    assert not CALLED
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["os:system:touch pwned", "cognitivedrone.policies.baselines:Hover", "time:sleep:9"])
+@pytest.mark.parametrize("make", [make_reasoner, reasoner_file])
+def test_what_is_no_reasoner_is_not_called(name, make, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(PolicyError, match=r"has no method refine\(\)"):
+        make(name)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_function_that_says_that_it_makes_a_policy_is_called():
+    assert type(make_policy(f"{__name__}:annotated")).__name__ == "Hover"
+    assert CALLED.pop() == "annotated"
+
+
+@pytest.mark.parametrize("text", ["small", "hover", "race", "small:stack=2"])
+def test_a_file_may_name_what_needs_nothing_else(text):
+    registry.check_self_contained("policy", text, POLICIES, SELF_CONTAINED)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "os:system:touch pwned", "remote:ws://10.0.0.1:9", "remote", "small:/etc/passwd", "small:path=/etc/passwd",
+        "openvla:/tmp", "lerobot:x/y", "mine:Policy", "", "SMALL", " small", "small ", "small:", "none",
+    ],
+)  # fmt: skip
+def test_a_file_may_not_name_code_files_or_servers(text):
+    with pytest.raises(PolicyError):
+        registry.check_self_contained("policy", text, POLICIES, SELF_CONTAINED)
+
+
+@pytest.mark.parametrize("text", ["replay:/etc/passwd", "vlm", "vlm:http://10.0.0.1/v1", "remote:ws://10.0.0.1:9"])
+def test_a_file_may_not_name_a_reasoner_of_other_places(text):
+    with pytest.raises(PolicyError, match="name it yourself with --reasoner"):
+        registry.check_self_contained("reasoner", text, REASONERS, REASONERS_ALONE)
+    registry.check_self_contained("reasoner", "noisy-oracle:0.8,each", REASONERS, REASONERS_ALONE)

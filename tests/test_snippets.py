@@ -21,12 +21,9 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 ELSEWHERE = {
     "gymnasium.md": "envs/test_gymnasium_page.py",
-    "reasoners.md": "benchmark/test_reason.py",
-    "store.md": "data/test_store.py",
 }
 """Pages whose Python another test runs, with what it needs."""
-TUTORIALS = ("fly", "score", "data", "task", "policy", "reasoner", "labels")
-"""Those whose commands take seconds. The others train, or need a vehicle; test_docs.py checks their flags."""
+TUTORIALS = ("fly", "score", "train", "extend")
 
 
 @dataclass(frozen=True)

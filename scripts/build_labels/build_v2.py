@@ -14,11 +14,11 @@ import hashlib
 import io
 import json
 import shutil
-import zipfile
 from pathlib import Path
 
 import people
 import portraits
+from archives import archive
 from other_pictures import TAKEN as OTHERS
 from picture_sets import SETS
 from pictures import encode
@@ -110,15 +110,6 @@ def smallest(image: Image.Image) -> bytes:
     image.putalpha(image.getchannel("A").point(lambda alpha: round(alpha / 17) * 17))
     image.save(lossless, "WEBP", lossless=True, quality=75, method=4)
     return min(lossy.getvalue(), lossless.getvalue(), key=len)
-
-
-def archive(members: dict[str, bytes]) -> bytes:
-    """An archive without compression, and with the same date for every file."""
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w", zipfile.ZIP_STORED) as packed:
-        for name, data in members.items():
-            packed.writestr(zipfile.ZipInfo(name), data)
-    return content.getvalue()
 
 
 def licence(package: str, work: Path) -> bytes:

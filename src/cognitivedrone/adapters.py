@@ -1,38 +1,38 @@
 """Adapts a user's object to the full `Policy` or `Reasoner` interface.
 
 An object that inherits one of them is used unchanged. Any other gets defaults for the methods and attributes that it
-lacks. Classes written for the interface before `EpisodeContext` still work, with a warning, until the next version.
+lacks.
 """
 
 from __future__ import annotations
 
-import inspect
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from cognitivedrone.errors import PluginError
 from cognitivedrone.interfaces import PlugIn, Policy, Reasoner
-from cognitivedrone.types import ActionChunk, EpisodeContext, Guidance, Image, Observation
+from cognitivedrone.types import ActionChunk, EpisodeContext, Guidance, Image, Observation, SubGoal
 
-_OLD_METHODS = ("seed", "brief", "new_flight", "new_stage", "check")
+POLICY_METHODS = ("reset", "act")
+REASONER_METHODS = ("refine",)
+"""What a class must have to be a policy or a reasoner."""
 
 
 def as_policy(what: str, part: Any) -> Policy:
     """`part` as a policy; `what` names it in messages. Raises `PolicyError` if it lacks `reset` or `act`."""
     if isinstance(part, Policy):
         return part
-    _check_methods(what, part, "reset", "act")
-    return _AdaptedPolicy(what, part, old=_takes_text(part.reset))
+    _check_methods(what, part, *POLICY_METHODS)
+    return _AdaptedPolicy(what, part)
 
 
 def as_reasoner(what: str, part: Any) -> Reasoner:
     """`part` as a reasoner; `what` names it in messages. Raises `PolicyError` if it lacks `refine`."""
     if isinstance(part, Reasoner):
         return part
-    _check_methods(what, part, "refine")
-    return _AdaptedReasoner(what, part, old=not hasattr(part, "reset") and bool(_old_methods(part)))
+    _check_methods(what, part, *REASONER_METHODS)
+    return _AdaptedReasoner(what, part)
 
 
 def _check_methods(what: str, part: Any, *methods: str) -> None:
@@ -44,37 +44,15 @@ def _check_methods(what: str, part: Any, *methods: str) -> None:
 class _Adapted(PlugIn):
     """Wraps a user's object that inherits none of our classes."""
 
-    def __init__(self, what: str, part: Any, *, old: bool) -> None:
+    def __init__(self, what: str, part: Any) -> None:
         self._what, self._part = what, part
-        self._old = _old_methods(part) if old else ()
-        self._takes_text = old and hasattr(part, "reset")
-        self.needs_ground_truth = getattr(part, "needs_ground_truth", False) is True or "brief" in self._old
-        self.needs_seed = getattr(part, "needs_seed", False) is True or "seed" in self._old
-        if old:
-            methods = [*(["reset(instruction)"] if self._takes_text else []), *(f"{method}()" for method in self._old)]
-            warnings.warn(
-                f"{what} has methods of the former contract ({', '.join(methods)}), which the next version will not"
-                " call: write reset(self, context) and read context.instruction (docs/own_policy.md)",
-                FutureWarning,
-                stacklevel=4,
-            )
+        self.needs_ground_truth = getattr(part, "needs_ground_truth", False) is True
+        self.needs_seed = getattr(part, "needs_seed", False) is True
 
     def reset(self, context: EpisodeContext) -> None:
-        if "seed" in self._old and context.stage == 0:
-            self._part.seed(context.seed)
-        if {"new_flight", "new_stage"} <= set(self._old):
-            (self._part.new_stage if context.stage else self._part.new_flight)()
-        if self._takes_text:
-            self._part.reset(context.instruction)
-        elif hasattr(self._part, "reset"):
+        if hasattr(self._part, "reset"):
             with self._explained():
                 self._part.reset(context)
-        if "brief" in self._old and context.ground_truth is not None:
-            self._part.brief(context.ground_truth)
-
-    def check(self) -> None:
-        if "check" in self._old:
-            self._part.check()
 
     def close(self) -> None:
         close = getattr(self._part, "close", None)
@@ -116,15 +94,6 @@ class _AdaptedReasoner(_Adapted, Reasoner):
             guidance: Guidance = self._part.refine(image, instruction)
         return guidance
 
-
-def _old_methods(part: Any) -> tuple[str, ...]:
-    return tuple(method for method in _OLD_METHODS if callable(getattr(part, method, None)))
-
-
-def _takes_text(reset: Any) -> bool:
-    """Whether a method has the form `reset(self, instruction: str)`, by its parameter's name or type."""
-    try:
-        parameters = [*inspect.signature(reset).parameters.values()]
-    except (TypeError, ValueError):  # some classes written in C
-        return False
-    return bool(parameters) and (parameters[0].name == "instruction" or parameters[0].annotation in (str, "str"))
+    def plan(self, mission: str) -> tuple[SubGoal, ...] | None:
+        plan = getattr(self._part, "plan", None)
+        return plan(mission) if callable(plan) else None

@@ -8,7 +8,17 @@ AppearanceName = Literal["plain", "varied"]
 """`plain`: the room as published. `varied`: floor, walls, light, colours and camera noise drawn from the seed."""
 
 ReasonerFault = Literal[
-    "unreachable", "timeout", "http", "too_long", "garbage", "schema", "refusal", "no_such_gate", "unsure", "raised"
+    "unreachable",
+    "timeout",
+    "http",
+    "too_long",
+    "unfinished",
+    "garbage",
+    "schema",
+    "refusal",
+    "no_such_gate",
+    "unsure",
+    "raised",
 ]
 """Why an answer is unusable: no connection, too late, an HTTP error, too much text, neither JSON nor a sentence about a
 gate, a value of the wrong type, a refusal, a gate that does not exist, "cannot tell", an exception of the reasoner's
@@ -33,14 +43,14 @@ MessageFault = Literal[
     "non_finite_action",
     "internal",
 ]
-"""Why a policy server refuses a message; the table in docs/serving.md explains each."""
+"""Why a policy server refuses a message; the table in docs/own_policy.md explains each."""
 
 AnswerKind = Literal["adopted", "agreed", "kept"]
 """What the filter did with a directive: adopted it, found it equal to the current one, or kept the current one."""
 
 EventKind = (
     Literal[
-        "leg",
+        "segment",
         "asked",
         "stale",
         "late",

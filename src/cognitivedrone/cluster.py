@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from cognitivedrone.errors import CognitiveDroneError, import_extra
+from cognitivedrone.processes import isolated
+from cognitivedrone.usage_reports import switch_off
 
 
 def import_ray() -> Any:
     """The Ray module; raises `MissingExtra` if it is not installed."""
+    switch_off()
     return import_extra("ray", "ray")
+
+
+class _KnownPaths(list[str]):
+    """Paths of modules that Ray gives to its workers: of the driver's working directory nothing, unless it is a path
+    of the driver's modules, too.
+    """
+
+    def extend(self, paths: Iterable[str]) -> None:
+        super().extend(path for path in paths if path in sys.path)
 
 
 @contextmanager
@@ -27,7 +40,10 @@ def ray_cluster(error: type[CognitiveDroneError]) -> Iterator[Any]:
         yield ray
         return
     try:
-        ray.init(include_dashboard=False, log_to_driver=False, logging_level="error")
+        settings = ray.job_config.JobConfig()
+        settings._py_driver_sys_path = _KnownPaths()
+        with isolated():
+            ray.init(include_dashboard=False, log_to_driver=False, logging_level="error", job_config=settings)
     except Exception as problem:  # Ray's own, some of no special class
         where = os.environ.get("RAY_ADDRESS", "this machine")
         raise error(f"the Ray cluster at {where} cannot be used ({problem}); 'ray status' shows its state") from None

@@ -1,4 +1,5 @@
-"""The error tree. Every message names the place and the fix; the CLI prints it alone and exits with 2.
+"""The error tree. Every message names the place and the fix; the CLI prints it alone and exits with 2,
+or the error's own `exit_code`.
 
 CognitiveDroneError
 ├── UsageError       an unknown command
@@ -20,7 +21,9 @@ CognitiveDroneError
 ├── MessageError     a message between a policy server and a client that is malformed or refused
 ├── RunError         a benchmark run that cannot start, continue or be read
 ├── DataError        a data set that cannot be written, read or trusted
+├── HubError         a model or data set that cannot be pushed to or pulled from the Hugging Face Hub, or may not be
 ├── TrainingError    a training run that cannot start or continue, or a checkpoint that cannot be read
+├── NotUnderstood    a sentence that names nothing known; exit code 3
 ├── LinkError        a vehicle that cannot be reached, refuses a command, or cannot be flown
 ├── GazeboError      a Gazebo world that cannot be exported or checked, or a Gazebo that does not answer
 ├── CameraError      a camera that cannot be opened, stopped sending frames, or reached the end of its file
@@ -30,7 +33,6 @@ CognitiveDroneError
 from __future__ import annotations
 
 import difflib
-import functools
 import importlib
 import json
 import shlex
@@ -43,11 +45,24 @@ from urllib.parse import unquote, urlsplit
 
 from cognitivedrone.choices import MessageFault as MessageFault
 from cognitivedrone.choices import ReasonerFault as ReasonerFault
-from cognitivedrone.printable import visible
+from cognitivedrone.printable import visible, wrapped
 
 
 class CognitiveDroneError(Exception):
-    """Base of everything this package raises on purpose."""
+    """Base of everything this package raises on purpose.
+
+    Messages repeat texts of others: of policies, servers and files. What no file or terminal takes, such as a lone
+    surrogate, is shown as an escape sequence.
+    """
+
+    exit_code = 2
+    """Of the command that it ends."""
+
+    def __init__(self, *parts: object) -> None:
+        super().__init__(*(_shown(part) if isinstance(part, str) else part for part in parts))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _remade, (type(self), self.args, self.__dict__)
 
 
 class UsageError(CognitiveDroneError):
@@ -111,11 +126,8 @@ class PolicyRaised(PolicyError):
 
     def __init__(self, message: str, trace: str) -> None:
         super().__init__(message)
-        self.trace = trace
+        self.trace = _shown(trace)
         """The traceback."""
-
-    def __reduce__(self) -> tuple[type[PolicyRaised], tuple[str, str]]:
-        return PolicyRaised, (str(self), self.trace)
 
 
 class ReasonerError(CognitiveDroneError):
@@ -124,14 +136,11 @@ class ReasonerError(CognitiveDroneError):
     def __init__(self, kind: ReasonerFault, message: str, trace: str = "", *, certainty: float | None = None) -> None:
         super().__init__(message)
         self.kind: ReasonerFault = kind
-        self.trace = trace
+        self.trace = _shown(trace)
         """The traceback, where the reasoner raised an exception of its own."""
         self.certainty = certainty
         """Of a reasoner that saw the scene and is undecided: how likely a gate matches the instruction, and its best
         answer right, 0 to 1."""
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return functools.partial(ReasonerError, certainty=self.certainty), (self.kind, str(self), self.trace)
 
 
 class MessageError(CognitiveDroneError):
@@ -140,9 +149,6 @@ class MessageError(CognitiveDroneError):
     def __init__(self, code: MessageFault, message: str) -> None:
         super().__init__(message)
         self.code: MessageFault = code
-
-    def __reduce__(self) -> tuple[type[MessageError], tuple[MessageFault, str]]:
-        return MessageError, (self.code, str(self))
 
 
 class RunError(CognitiveDroneError):
@@ -153,8 +159,18 @@ class DataError(CognitiveDroneError):
     """A data set that cannot be written, read or trusted."""
 
 
+class HubError(CognitiveDroneError):
+    """A model or data set that cannot be pushed to or pulled from the Hugging Face Hub, or may not be."""
+
+
 class TrainingError(CognitiveDroneError):
     """A training run that cannot start or continue, or a checkpoint that cannot be read."""
+
+
+class NotUnderstood(CognitiveDroneError):
+    """A sentence that names nothing known: which words, and what is nearest to them."""
+
+    exit_code = 3
 
 
 class LinkError(CognitiveDroneError):
@@ -174,6 +190,18 @@ class MissingExtra(CognitiveDroneError):
 
     def __init__(self, package: str, extra: str) -> None:
         super().__init__(f"{package} is not installed; it comes with cognitivedrone[{extra}]: {install_command(extra)}")
+
+
+def _remade(kind: type[CognitiveDroneError], arguments: tuple[Any, ...], state: dict[str, Any]) -> CognitiveDroneError:
+    """An error that arrives from another process, whatever its class was made with."""
+    error = kind.__new__(kind)
+    error.args = arguments
+    error.__dict__.update(state)
+    return error
+
+
+def _shown(text: str) -> str:
+    return visible(text, keep="\n\t")
 
 
 def import_extra(module: str, extra: str, package: str | None = None) -> Any:
@@ -222,7 +250,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 def plain_warnings() -> Iterator[None]:
     """Print warnings as sentences, without source locations, while a command or worker process runs."""
     before = warnings.formatwarning
-    warnings.formatwarning = lambda message, *_args, **_more: f"warning: {visible(str(message))}\n"
+    warnings.formatwarning = lambda text, *_args, **_more: wrapped(f"warning: {text}", sys.stderr) + "\n"
     try:
         yield
     finally:

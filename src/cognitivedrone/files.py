@@ -95,6 +95,7 @@ def replacing(path: Path, temporary: Path | None = None) -> Iterator[Path]:
     """
     temporary = temporary or path.with_name(path.name + ".tmp")
     try:
+        temporary.unlink(missing_ok=True)  # through a link of that name, another file would be written
         yield temporary
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
@@ -109,16 +110,6 @@ def digest_of_file(path: Path) -> str:
     """SHA-256 of a file's content, hexadecimal."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def digest_of_folder(folder: Path) -> str:
-    """SHA-256 over the names and contents of a folder's files, hexadecimal."""
-    digest = hashlib.sha256()
-    for file in sorted(path for path in folder.rglob("*") if path.is_file()):
-        content = file.read_bytes()
-        digest.update(f"{file.relative_to(folder).as_posix()}\0{len(content)}\0".encode(errors="surrogateescape"))
-        digest.update(content)
-    return digest.hexdigest()
 
 
 def take_lock(descriptor: int) -> bool:

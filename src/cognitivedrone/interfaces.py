@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Protocol, Self, TypeVar
 
+from cognitivedrone.interrupts import is_ctrl_c
 from cognitivedrone.types import (
     Action,
     ActionChunk,
@@ -18,6 +19,8 @@ from cognitivedrone.types import (
     Guidance,
     Image,
     Observation,
+    SeenPanel,
+    SubGoal,
 )
 
 _Input = TypeVar("_Input")
@@ -57,6 +60,10 @@ def attempt(call: Callable[[_Input], _Result], value: _Input) -> _Result | Excep
         return error
     except SystemExit as error:
         return RuntimeError(f"it called sys.exit({error.code!r})")
+    except BaseException as error:
+        if is_ctrl_c(error):
+            raise
+        return RuntimeError(f"it raised {type(error).__name__}")
 
 
 class Policy(PlugIn, ABC):
@@ -97,9 +104,20 @@ class Reasoner(PlugIn, ABC):
     for the previous stage.
     """
 
+    seen: Sequence[SeenPanel] = ()
+    """What it has read of the panels, gates from left to right, for displays; empty if it does not say. Replaced as a
+    whole, so that other threads may read it."""
+
     @abstractmethod
     def refine(self, image: Image, instruction: str) -> Guidance:
         """The directive for the scene in `image`; raises `ReasonerError` if it has no answer this time."""
+
+    def plan(self, mission: str) -> tuple[SubGoal, ...] | None:  # noqa: ARG002
+        """The sub-goals of a mission in their order, asked for on the ground; none if it leaves that to the words.
+
+        Raises `ReasonerError` if it has none that can be flown; nothing is flown then.
+        """
+        return None
 
 
 class PolicyLike(Protocol):

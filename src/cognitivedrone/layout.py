@@ -19,6 +19,8 @@ GATE_XY: Final = np.array([[4.0, 4.0], [5.0, 0.0], [4.0, -4.0]])
 """Gate centres from the stage's origin, in the stage frame, m."""
 GATE_YAWS: Final = np.arctan2(GATE_XY[:, 1], GATE_XY[:, 0])
 """Headings of the outward normals in the stage frame, rad: 45, 0 and -45 degrees."""
+PAD_RADIUS: Final = 0.5
+"""Of a landing pad, m."""
 GATE_HEIGHT: Final = 0.9
 """Height of every gate's centre above ground, m."""
 
@@ -52,7 +54,8 @@ HIGHEST_M: Final = 1.8
 
 _HALF_PANEL = 1.0  # m, of a square panel; wider than any gate's frame
 _HALF_BOARD = 1.4
-_EYE = np.array([0.1, 0.0, 0.3])  # of the camera, from the drone
+EYE: Final = np.array([0.1, 0.0, 0.3])
+"""Of the camera, from the drone, m."""
 _IN_VIEW = 1.3  # the camera sees up to 1.327, in units of the depth
 _APART = 0.03  # between two pictures in the image, in units of the depth
 _BETWEEN_M = 3.0  # between two gates' centres
@@ -63,7 +66,7 @@ _BEHIND_M = 0.3
 _BATCH = 64  # layouts that are drawn at once
 _BATCHES = 2000
 
-_STARTS = START + START_HALF_EXTENT * np.array(
+STARTS: Final = START + START_HALF_EXTENT * np.array(
     [[0.0, 0.0, 0.0], *([x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-0.55, 1.0))]
 )
 """(9, 3) the middle of the start box, and its corners as far as a drone may start there."""
@@ -121,7 +124,7 @@ def _are_apart(centers: FloatArray) -> NDArray[np.bool_]:
 
 def _is_seen(centers: FloatArray, sides: FloatArray, *, board: bool) -> NDArray[np.bool_]:
     """Whether all panels are in the image, side by side, and beside or below the board; arrays (k, 3, 3)."""
-    eyes = _STARTS + _EYE
+    eyes = STARTS + EYE
     panels = centers + np.array([0.0, 0.0, PANEL_RISE])
     raised = panels + np.array([0.0, 0.0, PANEL_HEIGHT / 2])
     # The tops of the panels' left and right edges, (k, 3 panels, 9 starts, 2).
@@ -154,7 +157,7 @@ def _is_reachable(centers: FloatArray, yaws: FloatArray) -> NDArray[np.bool_]:
     for gate, other in itertools.permutations(range(3), 2):
         center, axis = centers[:, None, None, gate], along[:, None, None, gate]
         join = center - _STRAIGHT_M * axis
-        starts = _STARTS[:, None]
+        starts = STARTS[:, None]
         ways = (starts + (join - starts) * _SHARES, join + (_STRAIGHT_M + _BEHIND_M) * axis * _SHARES)
         for way in ways:  # (k, 9 starts or 1, points, 3)
             beyond, lateral, _ = np.moveaxis(

@@ -16,10 +16,11 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar, get_type_hints
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_type_hints
 
 from cognitivedrone.choices import AppearanceName as AppearanceName
 from cognitivedrone.errors import LinkError, did_you_mean
+from cognitivedrone.ranges import WIND, Range, Seed, check_arguments
 
 Rule = Literal["through", "within_1m"]
 """`through`: the drone's centre crosses the right gate's plane inside its opening. `within_1m`: the published rule, the
@@ -52,9 +53,19 @@ class _Leaf(NamedTuple):
 
 
 class Options:
-    """Base of plans and their parts: access to options by name, at any depth."""
+    """Base of plans and their parts: access to options by name, at any depth.
+
+    A plan that exists is valid: making one raises `UsageError` for a number out of its range, and what `check` raises.
+    """
 
     __slots__ = ()
+
+    def __post_init__(self) -> None:
+        check_arguments(type(self), {each.name: getattr(self, each.name) for each in dataclasses.fields(self)})  # type: ignore[arg-type]
+        self.check()
+
+    def check(self) -> None:
+        """Raise one of the package's errors for options that contradict each other."""
 
     @classmethod
     def of(cls: type[_Self], **values: Any) -> _Self:
@@ -147,7 +158,7 @@ class TaskSource(Options):
     """Task file, or folder of them, in place of a suite."""
     labels: Path | None = _option(None, identity="labels")
     """Folder of label images that take precedence over the shipped ones."""
-    seed: int = _option(0, identity="seed", command="always")
+    seed: Seed = _option(0, identity="seed", command="always")
     """Seed of all random numbers. Same seed, same results."""
 
     @property
@@ -162,11 +173,11 @@ class Scenario(TaskSource):
 
     track: bool = _option(False, identity="track")
     """Chain single tasks into tracks of five, flown without a stop."""
-    appearance: AppearanceName = _option("plain", identity="look")
+    appearance: AppearanceName = _option("plain", identity="appearance")
     """How the room looks: plain, as published, or varied from episode to episode."""
     airframe: str = _option("racer", identity="airframe")
     """The drone that flies."""
-    wind: float = _option(0.0, identity="wind_m_s")
+    wind: Annotated[float, WIND] = _option(0.0, identity="wind_m_s")
     """Speed of a steady wind, m/s; every episode draws its direction."""
 
 
@@ -185,13 +196,14 @@ class VehicleSpec(Options):
     """Where it flies."""
 
     link: str = _option("sim", identity="link", written="where set")
-    """sim: the simulator. sitl: a real ArduCopter on our physics (docs/ardupilot.md). gazebo: ArduPilot in the Gazebo
+    """sim: the simulator. sitl: a real ArduCopter on our physics (docs/vehicles.md). gazebo: ArduPilot in the Gazebo
     running on this machine, in Gazebo's time; needs --airframe iris (docs/gazebo.md). mavlink:URL: a vehicle, such as
     mavlink:udp:127.0.0.1:14550, mavlink:tcp:HOST:PORT or mavlink:serial:DEVICE:BAUD; `fly` only."""
     sitl: Path | None = _option(None, command="never")
     """With sitl: the ArduCopter binary; the environment variable ARDUCOPTER by default."""
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Raise `LinkError` for a link that cannot be read."""
         if self.kind not in VEHICLE_KINDS or (self.kind == "mavlink" and not self.url):
             raise LinkError(
                 f"cannot read --link {self.link!r}: expected sim, sitl, gazebo or mavlink:URL such as"
@@ -226,11 +238,11 @@ class SafetySpec(Options):
     running Gazebo, such as gazebo:/cognitivedrone/camera."""
     takeoff_height: float = _option(1.0)
     """Take-off height, m above the ground."""
-    fence_radius: float = _option(30.0)
+    fence_radius: Annotated[float, Range(0.1, unit="m")] = _option(30.0)
     """Geofence radius, m around the take-off point."""
     ceiling: float = _option(10.0)
     """Maximum height, m above the take-off point."""
-    policy_patience: float = _option(0.2)
+    policy_patience: Annotated[float, Range(0.1, 5, "s")] = _option(0.2)
     """Seconds without a command before the vehicle is stopped; raise it for slower policies."""
     set_parameters: bool = _option(False)
     """Allow parameters of the vehicle that are not safe to fly to be set for the flight, and restored after it."""
@@ -238,20 +250,17 @@ class SafetySpec(Options):
     """With mavlink: fly by the vehicle's own time, for simulators that run faster or slower than real time."""
     sitl_defaults: tuple[Path, ...] = _option(())
     """With sitl: parameter files to load before ours."""
-    sitl_instance: int = _option(0)
+    sitl_instance: Annotated[int, Range(0, 5000)] = _option(0)
     """With sitl: instance number; shifts the ports, so that several can run at once."""
     i_understand_this_flies_a_real_drone: bool = _option(False)
     """Required for any vehicle that is not known to be simulated."""
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Raise `LinkError` for a take-off beyond the ceiling."""
         if not 0 < self.takeoff_height < self.ceiling:
             raise LinkError(
                 f"--takeoff-height {self.takeoff_height} must be above 0 and below --ceiling {self.ceiling}"
             )
-        if not self.fence_radius > 0:
-            raise LinkError(f"--fence-radius is {self.fence_radius}; it must be above 0 (metres)")
-        if not 0.1 <= self.policy_patience <= 5:
-            raise LinkError(f"--policy-patience is {self.policy_patience}; give 0.1 to 5 seconds")
 
 
 def _build(kind: type[_Self], base: _Self | None, values: dict[str, Any]) -> _Self:

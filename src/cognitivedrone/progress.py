@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+import threading
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 from rich.console import Console
@@ -49,3 +52,29 @@ def counted(items: Iterable[T], description: str, total: int, *, show: bool = Tr
         for item in items:
             yield item
             bar.advance(task)
+
+
+@contextmanager
+def loading(description: str, modules: int) -> Iterator[None]:
+    """A bar on a terminal, or else a line, for imports in the block, which load about so many modules."""
+    bar = progress_bar()
+    if not bar.console.is_terminal:
+        bar.console.print(description)
+        yield
+        return
+    before, over = len(sys.modules), threading.Event()
+    task = bar.add_task(description, total=modules)
+
+    def follow() -> None:
+        while not over.wait(0.2):
+            bar.update(task, completed=min(len(sys.modules) - before, modules - 1))
+
+    thread = threading.Thread(target=follow, daemon=True)
+    with bar:
+        thread.start()
+        try:
+            yield
+            bar.update(task, completed=modules)
+        finally:
+            over.set()
+            thread.join()

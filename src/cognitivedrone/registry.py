@@ -23,13 +23,17 @@ import inspect
 import sys
 import traceback
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from cognitivedrone.errors import PluginError, did_you_mean
+from cognitivedrone.files import check_regular, reason_of
+from cognitivedrone.interrupts import is_ctrl_c
+from cognitivedrone.printable import visible
+from cognitivedrone.usage_reports import switch_off
 
 _SWITCH = {"yes": True, "true": True, "on": True, "1": True, "no": False, "false": False, "off": False, "0": False}
 _CLASSES_SHOWN = 4
@@ -49,10 +53,11 @@ class Call:
         return self.factory(**self.arguments)
 
 
-def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
+def load(kind: str, name: str, table: Mapping[str, str], methods: Collection[str] = ()) -> Callable[..., Any]:
     """The factory named `name`: a key of `table`, or the user's own "module:attribute".
 
-    Raises `PluginError` that lists the known names, or says what is wrong with the user's own.
+    A user's own must make objects with `methods`, as far as can be seen without calling it. Raises `PluginError` that
+    lists the known names, or says what is wrong with the user's own.
     """
     target = table.get(name, name)
     module_name, colon, attribute = target.partition(":")
@@ -61,6 +66,7 @@ def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
             _hint_for_file(kind, name)
             or f"unknown {kind} {name!r} (your own is given as module:attribute); {did_you_mean(name, table)}"
         )
+    switch_off()  # plug-ins load libraries
     try:
         factory = getattr(importlib.import_module(module_name), attribute)
     except ModuleNotFoundError as error:
@@ -71,12 +77,32 @@ def load(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., Any]:
         raise PluginError(f"{kind} {name!r}: {what}") from None
     except AttributeError:
         raise PluginError(f"{kind} {name!r}: module {module_name!r} has no {attribute!r}") from None
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
+        if is_ctrl_c(error):
+            raise
         raise PluginError(f"{kind} {name!r}: module {module_name!r} cannot be imported: {one_line(error)}") from error
     if not callable(factory):
         raise PluginError(f"{kind} {name!r}: {attribute!r} is not a class or function that makes a {kind}")
+    made = _made_by(factory)
+    missing = [method for method in methods if not callable(getattr(made, method, None))]
+    if name not in table and missing:
+        needs = " and ".join(f"{method}()" for method in methods)
+        raise PluginError(
+            f"{kind} {name!r} has no method {missing[0]}(), so it is not called; give a class with {needs}, or a"
+            " function whose return annotation is such a class (see cognitivedrone.interfaces)"
+        )
     result: Callable[..., Any] = factory
     return result
+
+
+def _made_by(factory: Callable[..., Any]) -> object:
+    """The class whose objects a factory makes: itself, or its annotated result; none if that is not known."""
+    if inspect.isclass(factory):
+        return factory
+    try:
+        return get_type_hints(factory).get("return")
+    except Exception:  # annotations that cannot be evaluated
+        return None
 
 
 def _hint_for(module: str, attribute: str, table: Mapping[str, str]) -> str:
@@ -109,32 +135,52 @@ def _file_in(error: BaseException) -> str:
     return Path(next(file for file in reversed(files) if not file.startswith("<"))).name
 
 
-def call_of(kind: str, text: str, table: Mapping[str, str]) -> Call:
-    """Parse `text`, in the syntax above, into a call. Raises `PluginError` for unknown names and invalid arguments."""
+def call_of(kind: str, text: str, table: Mapping[str, str], methods: Collection[str] = ()) -> Call:
+    """Parse `text`, in the syntax above, into a call. Raises `PluginError` as `load`, and for invalid arguments."""
     head, colon, rest = text.partition(":")
     name = head
     if head not in table:
         attribute, colon, rest = rest.partition(":")
         name = f"{head}:{attribute}" if attribute else text
-    factory = load(kind, name, table)
+    factory = load(kind, name, table, methods)
     if colon and not rest:
         raise PluginError(f"{kind} {text!r} ends at its colon; write {name!r}, or {usage(name, factory)}")
     return Call(factory, _bind(kind, name, factory, rest))
 
 
-def make(kind: str, text: str, table: Mapping[str, str]) -> Any:
+def check_self_contained(kind: str, text: str, table: Mapping[str, str], names: Collection[str]) -> None:
+    """Raise `PluginError` unless `text`, which a file states, is one of `names` in `table`, with harmless arguments.
+
+    Those are numbers, switches and choices: no code, file or address. A file must not decide what of them is used.
+    """
+    head = text.partition(":")[0]
+    if head in names:
+        call = call_of(kind, text, table)
+        hints = _hints(call.factory)
+        if all(
+            isinstance(value, (int, float)) or value in _choices(hints.get(option))
+            for option, value in call.arguments.items()
+        ):
+            return
+    raise PluginError(
+        f"the {kind} {text[:80]!r} is named by a file, which must not choose the code, files or servers that are used"
+        f" (only: {', '.join(names)}); where you know and trust it, name it yourself with --{kind}"
+    )
+
+
+def make(kind: str, text: str, table: Mapping[str, str], methods: Collection[str] = ()) -> Any:
     """A new object of the plug-in named by `text`; raises `PolicyError` if it cannot be made."""
-    call = call_of(kind, text, table)
+    call = call_of(kind, text, table, methods)
     own = text.partition(":")[0] not in table
     try:
         return call()
-    except (Exception, SystemExit) as error:
-        if not own:
+    except BaseException as error:
+        if not own or is_ctrl_c(error):
             raise
         raise PluginError(f"{kind} {text!r} cannot be made: {one_line(error)}") from error
 
 
-def file_of(kind: str, text: str, table: Mapping[str, str]) -> Path | None:
+def file_of(kind: str, text: str, table: Mapping[str, str], methods: Collection[str] = ()) -> Path | None:
     """The file that the plug-in depends on, from its `file_of`, called with the same arguments; none if it has none.
 
     One that is inherited by a class with other arguments says nothing of it. Raises `PluginError` if the file is
@@ -142,11 +188,16 @@ def file_of(kind: str, text: str, table: Mapping[str, str]) -> Path | None:
     """
     if text not in table and ":" not in text:
         return None  # making it reports the unknown name
-    call = call_of(kind, text, table)
+    call = call_of(kind, text, table, methods)
     ask = getattr(call.factory, "file_of", None)
     if ask is None or not _takes(ask, call.arguments):
         return None
     found: Path | None = ask(**call.arguments)
+    if found is not None and found.exists():
+        try:
+            check_regular(found)  # before it is hashed: a pipe or a device would never end
+        except OSError as error:
+            raise PluginError(f"{kind} {text!r}: {found} cannot be read: {reason_of(error)}; give a file") from None
     return found
 
 
@@ -274,4 +325,4 @@ def one_line(error: BaseException) -> str:
     if isinstance(error, SyntaxError):
         frames.clear()  # its text names file and line; the frames are those of the import
     place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return " ".join(f"{type(error).__name__}: {error}".split())[:300] + place
+    return visible(" ".join(f"{type(error).__name__}: {error}".split())[:300]) + place

@@ -60,6 +60,8 @@ Category = Literal["human_recognition", "symbol_understanding", "reasoning", "ra
 Size = Literal["big", "small"]
 Shape = Literal["round", "square", "triangle"]
 Color = Literal["red", "green", "blue"]
+ObstacleKind = Literal["pillar", "wall", "beam", "frame"]
+"""What is in the way: an upright cylinder, a wall on the floor, a beam above it, or an empty frame without a panel."""
 Outcome = Literal[
     "passed",
     "wrong_gate",
@@ -88,6 +90,8 @@ ACTION_LIMITS = (3.0, 3.0, 1.5, 1.0)
 """Largest magnitude of each action component, m/s and rad/s; larger values are clipped."""
 CONTROL_HZ = 10
 """Rate of the policy's commands."""
+REASONER_HZ = 2
+"""Rate of the questions to a reasoner, at most; it divides `CONTROL_HZ`."""
 IMAGE_SIZE = 256
 """Height and width of the first-person view, pixels."""
 
@@ -119,6 +123,40 @@ Layout: TypeAlias = tuple[GatePlace, GatePlace, GatePlace]
 
 
 @dataclass(frozen=True, slots=True)
+class Obstacle:
+    """Something in the way, in the frame of its stage: m, rad. Nothing moves."""
+
+    kind: ObstacleKind
+    x: float
+    """Of its centre."""
+    y: float
+    width: float
+    """To its left and right; a pillar's diameter."""
+    height: float
+    """From its lower to its upper edge."""
+    depth: float = 0.1
+    """Along its heading, of all but pillars."""
+    yaw: float = 0.0
+    """Its heading."""
+    above: float = 0.0
+    """Of its lower edge above ground."""
+
+
+@dataclass(frozen=True, slots=True)
+class Landmark:
+    """A panel on a post, without a gate, in the frame of its stage: m, rad."""
+
+    label: str
+    """Label reference."""
+    x: float
+    y: float
+    height: float
+    """Of the panel's centre above ground."""
+    yaw: float
+    """Heading that the panel's back faces, as a gate's outward normal."""
+
+
+@dataclass(frozen=True, slots=True)
 class Task:
     """An instruction, three labelled gates and which of them is right."""
 
@@ -146,6 +184,16 @@ class Task:
     no panel: `labels` are not shown."""
     layout: Layout | None = None
     """Where the gates are; none for the published places."""
+    landing: bool = False
+    """Whether there are pads on the floor instead of gates, in the gates' colours: the right end is on the right
+    one."""
+    mission: str | None = None
+    """One sentence for the whole track, the same at all its stages: what the pilot gets instead of the
+    instruction, which is this stage's part of it."""
+    obstacles: tuple[Obstacle, ...] = ()
+    """What is in the way."""
+    landmark: Landmark | None = None
+    """A panel that is no gate's; never together with a board."""
 
 
 Track: TypeAlias = tuple[Task, ...]
@@ -169,6 +217,12 @@ class Stage:
     """Index of the only gate in the scene, 0 to 2, without a panel; none if all three are present, with panels."""
     layout: Layout | None = field(default=None, metadata={"json": "where set"})
     """Where the gates are; none for the published places."""
+    landing: bool = field(default=False, metadata={"json": "where set"})
+    """Whether there are pads on the floor instead of gates, in their colours, without panels."""
+    obstacles: tuple[Obstacle, ...] = field(default=(), metadata={"json": "where set"})
+    """What is in the way."""
+    landmark: Landmark | None = field(default=None, metadata={"json": "where set"})
+    """A panel that is no gate's; its picture takes the place of the board's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,6 +265,8 @@ class GroundTruth:
     stage: Stage
     state: Callable[[], DroneState]
     """Returns the drone's current true state."""
+    hull_radius: float = 0.13
+    """Of the drone's bounding sphere, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,6 +300,35 @@ class Guidance:
     """Seconds since the frame that it is based on."""
     present: float | None = None
     """Probability that a gate shows what the instruction asks for, 0 to 1; none if it is not estimated."""
+
+
+@dataclass(frozen=True, slots=True)
+class SubGoal:
+    """What one stage of a mission is about."""
+
+    kind: Literal["fly", "land"]
+    instruction: str
+    """A sentence about this stage alone; for the pad to land on its directive."""
+    otherwise: str = ""
+    """What is flown through if nothing matches the instruction; empty if nothing is."""
+    avoid: frozenset[Color] = frozenset()
+    """Colours of gates that are never flown through."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenPanel:
+    """What a reasoner has read of a gate's panel, in all frames of the stage so far; for people to look at."""
+
+    color: Color
+    """Of the gate."""
+    box: tuple[float, float, float] | None
+    """Centre u, v and height of the panel in the newest frame, pixels; none if that did not show it."""
+    shown: str
+    """What it takes the panel for, in a few words."""
+    readings: tuple[tuple[str, float], ...]
+    """The likeliest things on it with their probabilities, likeliest first."""
+    right: float | None = None
+    """Probability that the gate is the right one; none before an answer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,6 +393,10 @@ class StageResult:
     """The reasoner's last directive, if there was a reasoner."""
     reasoner: ReasonerReport | None = field(default=None, metadata={"json": "where set"})
     """What the reasoner did, if there was one and the stage was reached."""
+    obstacle_m: float | None = field(default=None, metadata={"json": "where set"})
+    """Smallest distance between the drone's hull and an obstacle, 0 on contact; none where nothing is in the way."""
+    forbidden_s: float | None = field(default=None, metadata={"json": "where set"})
+    """Time within 1 m of the centre of a gate of a colour that the mission forbids; none where no mission is flown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,3 +427,5 @@ class EpisodeResult:
     """One sentence: why the episode is invalid, or why the policy failed."""
     guard: GuardReport | None = field(default=None, metadata={"json": "where set"})
     """What the guard changed, if it was on."""
+    repeated: tuple[float, float, float, float] | None = field(default=None, metadata={"json": "where set"})
+    """The first action of the policy's answer, if it gave the same answer every time, and was asked at least twice."""

@@ -16,10 +16,10 @@ from cognitivedrone.types import ActionChunk, EpisodeContext, Guidance, Image, O
 
 
 class Echo:
-    """Directs to the gate of the instruction's last word."""
+    """Directs to the gate of the instruction's last word but "gate"."""
 
     def refine(self, image: Image, instruction: str) -> Guidance:
-        return Guidance(f"Fly through the {instruction.split()[-1]} gate", None, 0.9)
+        return Guidance(f"Fly through the {instruction.removesuffix(' gate').split()[-1]} gate", None, 0.9)
 
 
 class Doubtful:

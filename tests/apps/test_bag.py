@@ -47,11 +47,11 @@ PICTURE = np.full((256, 256, 3), (200, 30, 60), np.uint8)
 
 def read(folder: Path) -> dict[str, list]:
     """Stamp and message by topic."""
-    told: dict[str, list] = {}
+    expected: dict[str, list] = {}
     with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
         for connection, stamp, data in reader.messages():
-            told.setdefault(connection.topic, []).append((stamp, reader.deserialize(data, connection.msgtype)))
-    return told
+            expected.setdefault(connection.topic, []).append((stamp, reader.deserialize(data, connection.msgtype)))
+    return expected
 
 
 def step(time_s: float, directive: str, **status: object) -> Step:
@@ -61,41 +61,41 @@ def step(time_s: float, directive: str, **status: object) -> Step:
     return Step(time_s, 0, "Find the cat", seen, sent, Guidance(directive, 1, 0.8), None, Status(**(known | status)))  # type: ignore[arg-type]
 
 
-def test_a_bag_holds_what_was_seen_sent_and_said(tmp_path):
+def test_a_bag_holds_what_was_seen_sent_and_reported(tmp_path):
     began = time.time_ns()
     log = FlightLog(tmp_path / "f", {"config": {"policy": "x"}, "out": Path("f")}, Ros())
-    log.event(Event(0.0, "leg", "Find the cat"))
+    log.event(Event(0.0, "segment", "Find the cat"))
     log.step(step(0.0, "Fly through the red gate"))
     log.step(step(0.1, "Fly through the red gate", position=None))
     log.step(step(0.2, "Fly through the blue gate", yaw=float("nan")))
     log.close()
     folder = tmp_path / "f" / "bag"
     assert sorted(path.name for path in folder.iterdir()) == ["bag.mcap", "metadata.yaml"]
-    told = read(folder)
-    counts = {topic: len(messages) for topic, messages in told.items()}
+    expected = read(folder)
+    counts = {topic: len(messages) for topic, messages in expected.items()}
     assert counts == {
         "/camera/image/compressed": 3, "/camera/camera_info": 3, "/velocity": 3, "/height": 3, "/command": 3,
         "/pose": 1, "/instruction": 1, "/directive": 2, "/event": 1, "/flight": 1,
     }  # fmt: skip
-    stamps = [stamp for stamp, _ in told["/command"]]
+    stamps = [stamp for stamp, _ in expected["/command"]]
     assert began <= stamps[0] <= time.time_ns()
     assert [stamp - stamps[0] for stamp in stamps] == [0, 100_000_000, 200_000_000]
-    assert [message.data for _, message in told["/directive"]] == [
+    assert [message.data for _, message in expected["/directive"]] == [
         "Fly through the red gate",
         "Fly through the blue gate",
     ]
-    (_, frame) = told["/camera/image/compressed"][0]
+    (_, frame) = expected["/camera/image/compressed"][0]
     assert frame.format == "jpeg"
     assert frame.header.stamp.sec * 10**9 + frame.header.stamp.nanosec == stamps[0]
     assert np.abs(decode_image(bytes(frame.data)).astype(int) - PICTURE).max() < 5
-    pose = told["/pose"][0][1].pose
+    pose = expected["/pose"][0][1].pose
     assert (pose.position.x, pose.position.y, pose.position.z) == (1.5, -2.5, 0.75)
     assert (pose.orientation.w, pose.orientation.z) == pytest.approx((np.sqrt(0.5), np.sqrt(0.5)))
-    sent, seen = told["/command"][0][1].twist, told["/velocity"][0][1].twist
+    sent, seen = expected["/command"][0][1].twist, expected["/velocity"][0][1].twist
     assert (sent.linear.x, sent.linear.y, sent.linear.z, sent.angular.z) == (1.5, -0.5, 0.25, 0.5)
     assert (seen.linear.x, seen.linear.y, seen.linear.z, seen.angular.z) == (1.0, 0.25, -0.5, -0.125)
-    assert json.loads(told["/flight"][0][1].data)["config"] == {"policy": "x"}
-    assert json.loads(told["/event"][0][1].data)["text"] == "Find the cat"
+    assert json.loads(expected["/flight"][0][1].data)["config"] == {"policy": "x"}
+    assert json.loads(expected["/event"][0][1].data)["text"] == "Find the cat"
     assert json.loads((tmp_path / "f" / "flight.json").read_text())["end"]["dropped_from_bag"] == 0
 
 
@@ -122,7 +122,7 @@ def test_a_full_disk_ends_the_bag_and_is_counted(tmp_path, monkeypatch):
 
 def test_without_rosbags_nothing_takes_off(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
-    config = FlyPlan.of(policy="hover", reasoner="none", record="mcap", out=tmp_path / "f")
+    config = FlyPlan.of(film=False, policy="hover", reasoner="none", record="mcap", out=tmp_path / "f")
     with pytest.raises(MissingExtra, match=r"cognitivedrone\[ros\]"):
         fly_mission(config, console=Console(file=io.StringIO()), keyboard=io.StringIO())
     assert not (tmp_path / "f").exists()
@@ -151,6 +151,7 @@ def gazebo_with_camera(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeGazebo]:
 def test_a_vehicle_is_flown_by_the_camera_of_a_running_gazebo_and_recorded(tmp_path, monkeypatch):
     with gazebo_with_camera(monkeypatch) as gazebo, playing() as peer:
         config = FlyPlan.of(
+        film=False,
             instruction="go", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=f"gazebo:{TOPIC}", policy="hover",
             reasoner="none", out=tmp_path / "f", record="mcap", time_limit=0.5,
             i_understand_this_flies_a_real_drone=True,
@@ -158,14 +159,14 @@ def test_a_vehicle_is_flown_by_the_camera_of_a_running_gazebo_and_recorded(tmp_p
         summary = fly_mission(config, console=Console(file=io.StringIO()), keyboard=io.StringIO("arm\n"))
         assert not any(gazebo.listeners.values())
     assert summary.ending.kind == "time"
-    told = read(tmp_path / "f" / "bag")
-    assert len(told["/camera/image/compressed"]) == pq.read_table(tmp_path / "f" / "steps.parquet").num_rows > 2
-    seen = decode_image(bytes(told["/camera/image/compressed"][-1][1].data))
+    expected = read(tmp_path / "f" / "bag")
+    assert len(expected["/camera/image/compressed"]) == pq.read_table(tmp_path / "f" / "steps.parquet").num_rows > 2
+    seen = decode_image(bytes(expected["/camera/image/compressed"][-1][1].data))
     assert np.abs(seen.astype(int) - PICTURE).max() < 5
-    assert told["/instruction"][0][1].data == "go"
+    assert expected["/instruction"][0][1].data == "go"
 
 
-def test_a_camera_of_gazebo_that_cannot_be_is_told_of(monkeypatch):
+def test_a_camera_of_gazebo_that_cannot_be_is_reported(monkeypatch):
     with pytest.raises(CameraError, match=f"lacks its topic: write gazebo:{TOPIC}"):
         open_source("gazebo:")
 

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -30,6 +30,7 @@ from app_fakes import Typist, camera
 from arducopters import played_arducopter
 from peer import MODES, Peer, playing
 from pymavlink import mavutil
+from waiting import soon
 
 from cognitivedrone.apps.config import FlyPlan, SimPlan
 from cognitivedrone.apps.fly import fly_mission
@@ -64,8 +65,8 @@ def test_a_flight_in_the_simulator_passes_a_gate_and_is_recorded(tmp_path, capsy
     with pytest.raises(SystemExit) as end:
         main(["fly", *map(str, arguments)])
     assert end.value.code == 0
-    said = capsys.readouterr().out
-    assert "passed: through gate" in said
+    expected = capsys.readouterr().out
+    assert "passed: through gate" in expected
     task = load_suite("open-v1:smoke").tracks[EPISODE][0]
 
     steps = pq.read_table(out / "steps.parquet").to_pydict()
@@ -86,11 +87,11 @@ def test_a_flight_in_the_simulator_passes_a_gate_and_is_recorded(tmp_path, capsy
 
     events = pq.read_table(out / "events.parquet").to_pylist()
     kinds = [event["kind"] for event in events]
-    assert kinds[0] == "leg"
+    assert kinds[0] == "segment"
     assert kinds[-1] == "over"
     assert next(event for event in events if event["kind"] == "adopted")["text"] == task.directive
 
-    with av.open(str(out / "flight.mp4")) as film:
+    with av.open(str(out / "camera.mp4")) as film:
         frames = list(film.decode(video=0))
     assert len(frames) == len(steps["time_s"])
     assert frames[-1].time == pytest.approx(steps["time_s"][-1], abs=0.01)
@@ -102,6 +103,7 @@ def test_an_instruction_typed_in_flight_is_a_new_segment_and_asks_the_reasoner_a
     monkeypatch.setattr(Typist, "keyboard", writing)
     monkeypatch.setattr(Typist, "lines", {8: b"go to  blue\n", 16: b"LAND\n"})
     config = FlyPlan.of(
+        film=False,
         instruction="go to red",
         policy="app_fakes:Typist",
         reasoner="app_fakes:Echo",
@@ -111,28 +113,29 @@ def test_an_instruction_typed_in_flight_is_a_new_segment_and_asks_the_reasoner_a
     with os.fdopen(reading) as keyboard:
         summary = fly_mission(config, console=quiet(), keyboard=keyboard)
     os.close(writing)
-    assert (summary.ending.kind, summary.exit_code) == ("told", 0)
+    assert (summary.ending.kind, summary.exit_code) == ("ordered", 0)
     assert summary.seconds < 5
     events = pq.read_table(tmp_path / "f" / "events.parquet").to_pylist()
-    segments = [event for event in events if event["kind"] == "leg"]
-    assert [segment["text"] for segment in segments] == ["go to red", "go to blue"]
-    asked = next(e for e in events if e["kind"] == "asked" and e["text"] == "go to blue")
+    segments = [event for event in events if event["kind"] == "segment"]
+    # The pilot is told in plain words what was understood.
+    assert [segment["text"] for segment in segments] == ["Fly through the red gate", "Fly through the blue gate"]
+    asked = next(e for e in events if e["kind"] == "asked" and e["text"] == "Fly through the blue gate")
     assert asked["time_s"] - segments[1]["time_s"] < 0.3  # it is asked twice a second otherwise
     steps = pq.read_table(tmp_path / "f" / "steps.parquet").to_pydict()
-    assert sorted(set(steps["leg"])) == [0, 1]
-    told = dict(zip(steps["directive"], steps["leg"], strict=True))
-    assert told["Fly through the red gate"] == 0
-    assert told["Fly through the blue gate"] == 1
+    assert sorted(set(steps["segment"])) == [0, 1]
+    reported = dict(zip(steps["directive"], steps["segment"], strict=True))
+    assert reported["Fly through the red gate"] == 0
+    assert reported["Fly through the blue gate"] == 1
 
 
 def test_the_served_vehicle_says_how_to_connect():
     config = SimPlan.of(mavlink=True, links=("udpout:127.0.0.1:14599", "udpin:127.0.0.1:0"))
     with served(config) as vehicle:
-        said = str(vehicle).splitlines()
-    assert vehicle.task.instruction in said[0]
-    assert said[1].endswith("connect with --link mavlink:udp:127.0.0.1:14599")
-    assert re.search(r"connect with --link mavlink:udpout:127\.0\.0\.1:[1-9]\d+$", said[2])
-    assert not any("camera" in line for line in said)
+        expected = str(vehicle).splitlines()
+    assert vehicle.task.instruction in expected[0]
+    assert expected[1].endswith("connect with --link mavlink:udp:127.0.0.1:14599")
+    assert re.search(r"connect with --link mavlink:udpout:127\.0\.0\.1:[1-9]\d+$", expected[2])
+    assert not any("camera" in line for line in expected)
 
 
 @pytest.mark.parametrize(
@@ -140,14 +143,11 @@ def test_the_served_vehicle_says_how_to_connect():
     [
         ({}, "sim --mavlink"),
         ({"mavlink": True, "camera_hz": 0}, "--camera-hz is 0"),
-        ({"mavlink": True, "episode": -1}, "has episodes 0 to 29, not -1"),
-        (
-            {"mavlink": True, "camera_port": 99_999, "links": ("tcpin:127.0.0.1:0",)},
-            "cannot serve frames at port 99999",
-        ),
+        ({"mavlink": True, "episode": 30}, "has episodes 0 to 29, not 30"),
+        ({"mavlink": True, "camera_port": 99_999}, "--camera-port is 99999"),
     ],
 )
-def test_what_cannot_be_served_is_said(options, says):
+def test_what_cannot_be_served_is_reported(options, says):
     with pytest.raises(CognitiveDroneError, match=says):
         serve_vehicle(SimPlan.of(**options), lambda: True, lambda _: None)
 
@@ -155,18 +155,18 @@ def test_what_cannot_be_served_is_said(options, says):
 @contextmanager
 def served(config: SimPlan) -> Iterator[Served]:
     """The simulated vehicle in a thread."""
-    stopping, told = threading.Event(), list[Served]()
+    stopping, reported = threading.Event(), list[Served]()
     ready = threading.Event()
 
     def announce(what: Served) -> None:
-        told.append(what)
+        reported.append(what)
         ready.set()
 
     thread = threading.Thread(target=serve_vehicle, args=(config, stopping.is_set, announce))
     thread.start()
     try:
         assert ready.wait(20)
-        yield told[0]
+        yield reported[0]
     finally:
         stopping.set()
         thread.join()
@@ -203,6 +203,7 @@ that tests on every core may keep the pilot waiting for longer than the default 
 def test_on_a_vehicle_the_pilot_sees_by_itself_that_the_gate_is_passed(tmp_path, through):
     with served(SERVED) as vehicle:
         config = FlyPlan.of(
+        film=False,
             instruction=vehicle.task.directive, link="mavlink:tcp:" + vehicle.links[0].partition(":")[2],
             camera=vehicle.camera_url, policy="colour_seeker", reasoner="none", clock="vehicle", set_parameters=True,
             out=tmp_path / "f", policy_patience=PATIENCE,
@@ -238,12 +239,12 @@ def test_another_process_flies_the_served_vehicle_through_a_gate_and_ctrl_c_land
         while not through and flight.poll() is None and time.monotonic() - began < 60:
             time.sleep(0.02)
         flight.send_signal(signal.SIGINT)
-        said, _ = flight.communicate(timeout=30)
-    assert flight.returncode == 130, said
+        expected, _ = flight.communicate(timeout=30)
+    assert flight.returncode == 130, expected
     assert through[0].kind == "gate"
     assert through[0].gate == vehicle.task.target
-    assert "interrupted: ctrl-C" in said
-    assert "landed" in said
+    assert "interrupted: ctrl-C" in expected
+    assert "landed" in expected
     steps = pq.read_table(out / "steps.parquet").to_pydict()
     assert set(steps["mode"]) == {"GUIDED"}
     assert max(steps["frame_age_s"]) < 1.0
@@ -257,7 +258,12 @@ def test_another_process_flies_the_served_vehicle_through_a_gate_and_ctrl_c_land
 
 def test_what_is_not_inside_this_machine_is_not_even_talked_to(tmp_path):
     config = FlyPlan.of(
-        instruction="go", link="mavlink:udp:10.0.0.1:14550", camera="nowhere", policy="hover", reasoner="none"
+        film=False,
+        instruction="go",
+        link="mavlink:udp:10.0.0.1:14550",
+        camera="nowhere",
+        policy="hover",
+        reasoner="none",
     )
     with pytest.raises(LinkError, match=f"may be a real drone.*{FLAG}"):
         fly_mission(config, console=quiet(), keyboard=nobody())
@@ -266,7 +272,9 @@ def test_what_is_not_inside_this_machine_is_not_even_talked_to(tmp_path):
 
 def vehicle(peer: Peer, url: str, out: Path, **options: object) -> FlyPlan:
     link = f"mavlink:udpout:127.0.0.1:{peer.port}"
-    return FlyPlan.of(instruction="go", link=link, camera=url, policy="hover", reasoner="none", out=out, **options)
+    return FlyPlan.of(
+        film=False, instruction="go", link=link, camera=url, policy="hover", reasoner="none", out=out, **options
+    )
 
 
 def test_a_vehicle_that_may_be_real_is_refused_without_the_flag_and_without_the_word(tmp_path):
@@ -320,20 +328,14 @@ def flight(peer: Peer, url: str, out: Path, policy: str = "hover", **options: ob
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(fakes), os.environ.get("PYTHONPATH", "")])}
     reading, writing = os.pipe()
     os.write(writing, b"arm\n")
-    with (out.parent / "said").open("wb") as said:
+    with (out.parent / "output").open("wb") as output:
         process = subprocess.Popen(
-            list(map(str, command)), stdin=reading, stdout=said, stderr=said, env=environment, start_new_session=True
-        )
+            list(map(str, command)), stdin=reading, stdout=output, stderr=output, env=environment,
+            start_new_session=True,
+        )  # fmt: skip
     os.close(reading)
     os.close(writing)
     return process
-
-
-def soon(holds: Callable[[], object], timeout_s: float = 30.0) -> None:
-    began = time.monotonic()
-    while not holds():
-        assert time.monotonic() - began < timeout_s
-        time.sleep(0.01)
 
 
 @pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM])
@@ -374,7 +376,7 @@ def test_a_policy_that_hangs_does_not_keep_the_process_after_the_landing(tmp_pat
             process.kill()
             process.wait()
     assert peer.part.mode == MODES["LAND"]
-    assert says in (tmp_path / "said").read_text()
+    assert says in (tmp_path / "output").read_text()
     about = json.loads((tmp_path / "f" / "flight.json").read_text())
     assert "end" in about
     assert pq.read_table(tmp_path / "f" / "steps.parquet").num_rows >= 3
@@ -384,6 +386,7 @@ def test_arducopter_is_started_on_our_physics_and_flown(tmp_path):
     binary = played_arducopter(tmp_path)
     instance = free_instance()
     config = FlyPlan.of(
+        film=False,
         link="sitl", policy="hover", reasoner="oracle", sitl=binary, sitl_instance=instance, time_limit=1, episode=0,
         out=tmp_path / "f", takeoff_height=0.5,
     )  # fmt: skip
@@ -394,12 +397,13 @@ def test_arducopter_is_started_on_our_physics_and_flown(tmp_path):
     task = load_suite("open-v1:smoke").tracks[0][0]
     assert steps["directive"][-1] == task.directive
     assert set(steps["mode"]) == {"GUIDED"}
-    with av.open(str(tmp_path / "f" / "flight.mp4")) as film:
+    with av.open(str(tmp_path / "f" / "camera.mp4")) as film:
         assert np.ptp(next(film.decode(video=0)).to_ndarray(format="rgb24")) > 100
 
 
 def test_the_right_gate_ends_a_flight_of_arducopter_and_lands_it(tmp_path):
     config = FlyPlan.of(
+        film=False,
         link="sitl", policy="oracle", reasoner="none", sitl=played_arducopter(tmp_path), airframe="iris",
         sitl_instance=free_instance(), suite="open-v1:smoke", episode=EPISODE, takeoff_height=0.8, out=tmp_path / "f",
     )  # fmt: skip
@@ -443,17 +447,20 @@ def free_instance() -> int:
         ({"link": "sitl", "sitl": Path("pyproject.toml")}, "not a program that can be run"),
     ],
 )
-def test_a_mistake_is_said_in_one_sentence_before_anything_is_written(tmp_path, monkeypatch, options, says):
+def test_a_mistake_is_reported_in_one_sentence_before_anything_is_written(tmp_path, monkeypatch, options, says):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("ARDUCOPTER", raising=False)
     with pytest.raises(CognitiveDroneError, match=says):
-        fly_mission(FlyPlan.of(policy="hover", reasoner="none", **options), console=quiet(), keyboard=nobody())
+        fly_mission(
+            FlyPlan.of(film=False, policy="hover", reasoner="none", **options), console=quiet(), keyboard=nobody()
+        )
     assert not (tmp_path / "flights").exists()
 
 
 def test_who_must_know_the_truth_flies_only_where_it_is_known(tmp_path):
     with playing() as peer, camera() as url:
         config = FlyPlan.of(
+        film=False,
             instruction="go", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=url,
             policy="oracle", reasoner="none", out=tmp_path / "f", i_understand_this_flies_a_real_drone=True,
         )  # fmt: skip
@@ -465,11 +472,23 @@ def test_who_must_know_the_truth_flies_only_where_it_is_known(tmp_path):
 def test_a_log_is_never_written_over(tmp_path):
     (tmp_path / "flight.json").write_text("{}")
     with pytest.raises(RunError, match="already contains a flight"):
-        fly_mission(FlyPlan.of(policy="hover", reasoner="none", out=tmp_path), console=quiet(), keyboard=nobody())
+        fly_mission(
+            FlyPlan.of(film=False, policy="hover", reasoner="none", out=tmp_path), console=quiet(), keyboard=nobody()
+        )
+
+
+def test_a_log_that_cannot_be_written_is_refused_before_the_pilot_is_loaded(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(RunError, match="file is a file; give a folder with --out"):
+        fly_mission(
+            FlyPlan.of(film=False, policy="no_such_module:Pilot", out=tmp_path / "file"),
+            console=quiet(), keyboard=nobody(),
+        )  # fmt: skip
+    assert (tmp_path / "file").read_text() == "mine"
 
 
 def test_a_policy_that_fails_ends_the_flight_and_leaves_a_log(tmp_path):
-    config = FlyPlan.of(instruction="x", policy="app_fakes:Broken", reasoner="none", out=tmp_path / "f")
+    config = FlyPlan.of(film=False, policy="app_fakes:Broken", reasoner="none", out=tmp_path / "f")
     with pytest.raises(PolicyError, match="not all of it is a finite number"):
         fly_mission(config, console=quiet(), keyboard=nobody())
     about = json.loads((tmp_path / "f" / "flight.json").read_text())

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import http.client
+import json
 import os
 import pty
 import signal
 import sys
 import termios
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import av
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 from app_fakes import camera
+from waiting import soon
 
 from cognitivedrone.apps.config import FlyPlan
 from cognitivedrone.apps.log import FlightLog
@@ -56,30 +57,23 @@ def drawn(view: object) -> str:
     return console.export_text()
 
 
-def soon(holds: Callable[[], object]) -> None:
-    began = time.monotonic()
-    while not holds():
-        assert time.monotonic() - began < 5
-        time.sleep(0.005)
-
-
 def test_the_view_shows_everything():
     view = Instruments("small + small on sim", lambda: "go le")
     assert "waiting for the first command" in drawn(view)
-    view.event(Event(0.0, "leg", "Find the cat"))
+    view.event(Event(0.0, "segment", "Find the cat"))
     for i in range(11):
         view.step(step(12.0 + i / 10, decision="hold", reason="no new camera frame for 0.60 s"))
     view.event(Event(13.0, "adopted", "Fly through the red gate", 0.31))
     view.event(Event(13.1, "late", age_s=0.05))
     text = drawn(view)
-    for told in (
+    for message in (
         "small + small on sim", "13.0 s, 10.0 Hz, 1 late", "Find the cat", "Fly through the red gate (80% sure",
         "frame 0.3 s old",
         "forward +1.25, left -0.50, up +0.25 m/s, turn +0.40 rad/s", "forward +1.00, left +0.20, up -0.10",
         "+1.50 -2.50 +0.75 m, heading +90 deg, height 0.87 m", "GUIDED, armed, battery 62%", "34 ms", "12 ms",
         "policy 21 ms, reasoner 310 ms", "hold: no new camera frame for 0.60 s", "adopted", "> go le", "ctrl-C lands",
     ):  # fmt: skip
-        assert told in text, told
+        assert message in text, message
 
 
 def test_the_view_says_what_is_not_known_and_forgets_old_events():
@@ -98,11 +92,11 @@ def test_without_a_terminal_there_is_a_line_for_each_event_that_matters():
     console = Console(record=True, width=40, file=open(os.devnull, "w"))  # noqa: PTH123, SIM115
     printer = Printer(console)
     with console.file:
-        printer.event(Event(1.0, "leg", "[red]go[/red] " + "far " * 20))
+        printer.event(Event(1.0, "segment", "[red]go[/red] " + "far " * 20))
         printer.event(Event(1.1, "asked", "quiet"))
         printer.event(Event(2.0, "guard", "brake: why", 0.5))
     assert console.export_text().splitlines() == [
-        "   1.0 s  leg       [red]go[/red] " + "far " * 20, "   2.0 s  guard     brake: why (500 ms)"
+        "   1.0 s  segment   [red]go[/red] " + "far " * 20, "   2.0 s  guard     brake: why (500 ms)"
     ]  # fmt: skip
 
 
@@ -110,14 +104,14 @@ def test_without_a_terminal_an_answer_is_a_line_only_when_it_changes():
     console = Console(record=True, width=40, file=open(os.devnull, "w"))  # noqa: PTH123, SIM115
     printer = Printer(console)
     events: tuple[tuple[float, EventKind, str], ...] = (
-        (0.0, "leg", "to the cat"), (0.1, "unsure", "I see a dog"), (0.6, "unsure", "I see a dog"),
+        (0.0, "segment", "to the cat"), (0.1, "unsure", "I see a dog"), (0.6, "unsure", "I see a dog"),
         (0.7, "hold", "hovering"), (1.1, "unsure", "I see a dog"), (1.6, "unsure", "I see a cat"),
-        (2.1, "adopted", "Fly left"), (2.6, "unsure", "I see a cat"), (3.0, "leg", "to the cat"),
-        (3.0, "leg", "to the cat"), (3.1, "unsure", "I see a cat"),
+        (2.1, "adopted", "Fly left"), (2.6, "unsure", "I see a cat"), (3.0, "segment", "to the cat"),
+        (3.0, "segment", "to the cat"), (3.1, "unsure", "I see a cat"),
     )  # fmt: skip
     with console.file:
-        for time_s, kind, said in events:
-            printer.event(Event(time_s, kind, said, time_s / 100))
+        for time_s, kind, output in events:
+            printer.event(Event(time_s, kind, output, time_s / 100))
     times = [line.split()[0] for line in console.export_text().splitlines()]
     assert times == ["0.0", "0.1", "0.7", "1.6", "2.1", "2.6", "3.0", "3.0", "3.1"]
 
@@ -147,7 +141,7 @@ def test_what_is_typed():
     assert orders.ending is None
     orders.say(" Land ")
     orders.land(Ending("interrupted", "later"))
-    assert orders.ending == Ending("told", "'Land' was typed")
+    assert orders.ending == Ending("ordered", "'Land' was typed")
 
 
 def test_ctrl_c_asks_to_land_first_and_stops_at_the_second():
@@ -226,6 +220,17 @@ def test_the_frame_server_has_limits():
         soon(none_left)
 
 
+def test_the_login_of_a_camera_is_not_in_the_log(tmp_path):
+    log = FlightLog(tmp_path / "f", {"config": {"safety": {"camera": "rtsp://user:secret@10.0.0.5/live"}}})
+    log.event(Event(0.0, "guard", "cannot read rtsp://user:secret@10.0.0.5/live"))
+    log.close(None, "rtsp://user:secret@10.0.0.5/live gave no frame")
+    assert "secret" not in (tmp_path / "f" / "flight.json").read_text()
+    assert json.loads((tmp_path / "f" / "flight.json").read_text())["end"]["error"].startswith("rtsp://***@10.0.0.5")
+    assert pq.read_table(tmp_path / "f" / "events.parquet")["text"].to_pylist() == [
+        "cannot read rtsp://***@10.0.0.5/live"
+    ]
+
+
 def test_the_film_can_be_seen_where_the_flight_was_cut_short(tmp_path):
     log = FlightLog(tmp_path / "f", {})
     for i in range(40):
@@ -233,7 +238,7 @@ def test_the_film_can_be_seen_where_the_flight_was_cut_short(tmp_path):
     cut = tmp_path / "cut.mp4"
 
     def readable() -> bool:
-        film_so_far = tmp_path / "f" / "flight.mp4"
+        film_so_far = tmp_path / "f" / "camera.mp4"
         if not film_so_far.exists():
             return False
         cut.write_bytes(film_so_far.read_bytes())
@@ -256,7 +261,7 @@ def test_what_is_typed_said_and_told_is_no_markup() -> None:
     page = drawn(view)
     assert page.count(shown) == 7  # title, instruction, directive, mode, reason, event, typed
     assert "\x1b" not in page
-    summary = Summary(Ending("told", evil), 3, 0.3, 0, (1.0, 2.0), (1.0, 2.0), Path(evil))
+    summary = Summary(Ending("ordered", evil), 3, 0.3, 0, (1.0, 2.0), (1.0, 2.0), Path(evil))
     assert drawn(summary_table(summary)).count(shown) == 2
 
 
@@ -269,6 +274,6 @@ def test_an_instruction_is_a_text_that_can_be_shown_and_written(evil: str) -> No
 def test_a_log_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
     log = FlightLog(tmp_path, {})
     (tmp_path / "steps.parquet").mkdir()
-    with pytest.raises(RunError, match=r"cannot write .*; make room there or give another place") as told:
+    with pytest.raises(RunError, match=r"cannot write .*; make room there or give another place") as message:
         log.close()
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(message.value)

@@ -23,11 +23,15 @@ from peer import playing
 
 from cognitivedrone.apps.config import FlyPlan, SimPlan
 from cognitivedrone.apps.fly import fly_mission
+from cognitivedrone.apps.orders import Orders
 from cognitivedrone.apps.scene import choose_scene
 from cognitivedrone.apps.vehicle import serve_vehicle
 from cognitivedrone.cli import main
-from cognitivedrone.errors import LabelError, LinkError, TaskError
+from cognitivedrone.errors import LabelError, NotUnderstood, TaskError, UsageError
+from cognitivedrone.film.movie import END_S, FPS
+from cognitivedrone.film.video import read_mp4
 from cognitivedrone.tasks import load_suite, write_tasks
+from cognitivedrone.types import CONTROL_HZ, Task
 
 EPISODE = 4
 """Of the smoke suite: the shortest flight."""
@@ -38,65 +42,173 @@ def quiet() -> Console:
     return Console(file=io.StringIO(), width=100)
 
 
-def chosen(words: str, **options: object) -> tuple[str, int, str]:
-    scene = choose_scene(FlyPlan.of(instruction=words, **options))
-    return scene.suite.name, scene.episode, scene.told
+def made(words: str, **options: object) -> tuple[Task, str, str]:
+    """The task of the scene for an instruction, what the user is told, and what the pilot is."""
+    scene = choose_scene(FlyPlan.of(film=False, instruction=words, **options))
+    return scene.track[0], scene.summary, scene.instruction
 
 
 def test_without_a_word_the_packaged_pilot_flies_a_scene_that_it_is_sure_of(tmp_path):
     console = quiet()
-    summary = fly_mission(FlyPlan.of(out=tmp_path / "f"), console=console, keyboard=io.StringIO())
+    summary = fly_mission(FlyPlan.of(film=False, out=tmp_path / "f"), console=console, keyboard=io.StringIO())
     assert (summary.ending.kind, summary.exit_code) == ("passed", 0), summary.ending.reason
     assert "scene: episode 27 of open-v1:smoke, with helicopter, sailboat and car" in console.file.getvalue()
     assert "hold" not in events(tmp_path / "f")
 
 
 def test_an_own_instruction_gets_a_scene_that_holds_it():
-    suite, episode, told = chosen("Fly through the gate with the bird")
-    task = load_suite(suite).tracks[episode][0]
-    assert any(bird in task.options for bird in ("eagle", "dove", "owl", "duck", "swan", "parrot", "flamingo", "chick"))
-    assert told.startswith(f"scene: episode {episode} of {suite}, with {task.options[0].replace('_', ' ')}, ")
-    assert "chosen because 'bird' fits gate" in told
-    assert chosen("Fly through the gate with the bird")[1] == episode
+    task, summary, instruction = made("Fly through the gate with the bird", seed=3)
+    birds = {"eagle", "dove", "owl", "duck", "swan", "parrot", "flamingo", "chick", "chicken", "rooster", "peacock", "penguin", "turkey"}  # noqa: E501  # fmt: skip
+    assert [option in birds for option in task.options].index(True) == task.target
+    assert sum(option in birds for option in task.options) == 1
+    right = task.options[task.target]
+    assert summary.startswith(f"scene: a scene made for this flight, with {task.options[0].replace('_', ' ')}, ")
+    assert summary.endswith(f"; understood as 'the gate with the {right}'")
+    assert instruction == f"Fly through the gate with the {right}"
+    assert task.instruction == "Fly through the gate with the bird"  # so that it is judged
+    assert made("Fly through the gate with the bird", seed=3)[0] == task
 
 
-def test_what_the_test_suite_does_not_show_is_made():
-    scene = choose_scene(FlyPlan.of(instruction="Fly through the gate with the police car", seed=3))
-    (task,) = scene.track
-    assert task.options[task.target] == "police_car"
-    assert task.instruction == "Fly through the gate with the police car"  # so that it is judged
-    assert "made because no task of open-v1:test shows all of it" in scene.told
-    assert scene.track == choose_scene(FlyPlan.of(instruction="Fly through the gate with the police car", seed=3)).track
+def test_what_is_refused_is_shown_beside_what_is_meant():
+    task, _, instruction = made("not the dog, the horse")
+    assert task.options[task.target] == "horse"
+    assert "dog" in task.options
+    assert instruction == "Fly through the gate with the horse"
+    task, *_ = made("Would you kindly avoid the red gate and choose the fruit that monkeys love?")
+    assert (task.options[task.target], task.gates[task.target].color == "red") == ("banana", False)
+    task, _, instruction = made("anything but the banana")
+    assert [option == "banana" for option in task.options] == [gate != task.target for gate in range(3)]
+    assert instruction == "Fly through the gate that does not show the banana"
 
 
-def test_who_is_shown_in_training_alone_is_looked_for_there():
-    suite, episode, _ = chosen("somebody with a red hat and a beard", seed=3)
-    assert suite == "open-v1:train"
-    labels = load_suite(suite, size=2000, seed=3).tracks[episode][0].labels
-    # Red is what a hat is where its colour is not named.
-    assert any("hat=hat" in label and "hat_color" not in label and "beard=full" in label for label in labels)
+@pytest.mark.parametrize(
+    "words", ["not the red one", "anything but blue", "neither red nor blue", "not the round gate"]
+)
+def test_of_a_look_that_is_refused_another_is_told(words):
+    task, _, instruction = made(words)
+    gate = task.gates[task.target or 0]
+    assert instruction == f"Fly through the {gate.color} gate"
+    assert not {gate.color, gate.shape} & set(words.split())
 
 
-def test_a_calculation_gets_a_scene_with_its_result():
-    suite, episode, told = chosen("Fly to the answer to 3 + 4")
-    assert "7" in load_suite(suite).tracks[episode][0].options
-    assert "'number' and '7' fit gate" in told
+@pytest.mark.parametrize("words", ["anything that is not an animal", "no animals please", "anything but food"])
+def test_where_a_whole_kind_is_refused_another_is_shown(words):
+    task, _, _ = made(words)
+    kinds = [label.partition("/")[0] for label in task.labels]
+    assert kinds.count(kinds[task.target or 0]) == 1
 
 
-def test_where_nothing_holds_it_that_is_said():
-    suite, episode, told = chosen("Fly through the gate with the unicorn")
-    assert (suite, episode) == ("open-v1:smoke", 0)
-    assert told.startswith(
-        "no scene was found that shows what 'Fly through the gate with the unicorn' asks for; scene:"
+def test_only_one_gate_shows_what_is_asked_for_of_a_whole_kind():
+    task, _, _ = made("any letter")
+    assert [label.startswith("letter/") for label in task.labels].count(True) == 1
+
+
+def test_a_gate_is_placed_and_looks_as_asked():
+    task, _, instruction = made("the big blue round one pls")
+    gate = task.gates[task.target]
+    assert (gate.size, gate.color, gate.shape) == ("big", "blue", "round")
+    assert instruction == "Fly through the big blue round gate"
+    assert made("the left gate")[0].target == 0
+    task, *_ = made("the red gate with the dog on it")
+    assert (task.options[task.target], task.gates[task.target].color) == ("dog", "red")
+
+
+def test_people_have_what_is_asked_for():
+    task, *_ = made("somebody with a red hat and a beard", seed=3)
+    fits = ["hat=hat" in label and "hat_color" not in label and "beard=full" in label for label in task.labels]
+    assert fits == [gate == task.target for gate in range(3)]
+    task, *_ = made("the man without a moustache")
+    assert ["beard=moustache" not in label for label in task.labels] == [gate == task.target for gate in range(3)]
+    assert made("fly to Boris")[0].options.count("Boris") == 1
+
+
+def test_what_is_not_understood_is_reported_with_the_nearest_there_is_and_nothing_is_flown(tmp_path, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["fly", "fly through the gate with the unicron", "--out", str(tmp_path / "f")])
+    assert end.value.code == 3
+    output = " ".join(capsys.readouterr().err.split())
+    assert "not understood: 'unicron'; " in output
+    assert not (tmp_path / "f").exists()
+    with pytest.raises(NotUnderstood, match="'fly' names nothing that a gate could show"):
+        made("fly")
+    with pytest.raises(NotUnderstood, match="no scene of open-v1:smoke shows what 'the unicorn' asks for"):
+        made("the unicorn", suite="open-v1:smoke")
+
+
+def test_at_a_terminal_it_is_asked_again(tmp_path):
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    console = quiet()
+    config = FlyPlan.of(
+        film=False, instruction="glorp", policy="hover", reasoner="none", out=tmp_path / "f", time_limit=0.2
     )
+    fly_mission(config, console=console, keyboard=Terminal("the frobnitz\nthe dog\n"), pace="lockstep")
+    assert console.file.getvalue().count("say it in other words; an empty line ends:") == 2
+    assert "understood as 'the gate with the dog'" in console.file.getvalue()
+    with pytest.raises(NotUnderstood, match="'glorp'"):
+        fly_mission(config.changed(out=tmp_path / "g"), console=quiet(), keyboard=Terminal("\n"))
+
+
+def test_the_pictures_of_a_folder_are_shown(tmp_path):
+    for file in ("birds/robin.png", "birds/robin_2.png", "birds/blue-tit.png", "colleagues/Ada Lovelace.png"):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        Image.new("RGB", (64, 64), (10, 200, 30)).save(tmp_path / file)
+    labels = str(tmp_path)
+    task, _, instruction = made("Fly to the robin", labels=labels)
+    assert task.labels[task.target] in ("birds/robin", "birds/robin_2")
+    assert sum("robin" in label for label in task.labels) == 1
+    assert set(task.labels) <= {"birds/robin", "birds/robin_2", "birds/blue-tit", "colleagues/ada lovelace"}
+    assert instruction == "Fly through the gate with the robin"
+    assert made("Fly to ada lovelace", labels=labels)[0].options.count("ada lovelace") == 1
+    assert {label.partition("/")[0] for label in made("", labels=labels)[0].labels} <= {"birds", "colleagues"}
+    assert made("Fly to the elephant", labels=labels)[0].options.count("elephant") == 1
+
+
+def test_a_made_scene_is_one_that_the_pilot_reads_and_flies(tmp_path):
+    console = quiet()
+    summary = fly_mission(
+        FlyPlan.of(film=False, instruction="pls fly to teh elefant :)", out=tmp_path / "f"), console=console,
+        keyboard=io.StringIO(), pace="lockstep",
+    )  # fmt: skip
+    assert (summary.ending.kind, summary.exit_code) == ("passed", 0), summary.ending.reason
+    assert "elephant" in summary.track[0].labels[summary.results[0].chosen]
+
+
+class Said(Orders):
+    """A line that is typed at the tenth step."""
+
+    line, steps = "glorp the frobnitz", 0
+
+    @property
+    def given(self) -> tuple[int, str]:
+        self.steps += 1
+        if self.steps == 10:
+            self.say(self.line)
+        return super().given
+
+
+def test_what_is_not_understood_in_flight_is_declined_within_three_seconds(tmp_path):
+    summary = fly_mission(
+        FlyPlan.of(film=False, instruction="the elephant", out=tmp_path / "f"), console=quiet(), keyboard=io.StringIO(),
+        orders=Said(), pace="lockstep",
+    )  # fmt: skip
+    assert "'glorp the frobnitz' was not understood" in summary.ending.reason
+    assert summary.results[0].outcome == "false_alarm"
+    assert summary.seconds < 1.0 + 3.3
 
 
 def test_what_is_named_is_flown_whatever_is_asked():
-    assert chosen("the bird", episode=3)[:2] == ("open-v1:smoke", 3)
-    assert chosen("", episode=0)[:2] == ("open-v1:smoke", 0)
+    def chosen(words: str, **options: object) -> tuple[str, int]:
+        scene = choose_scene(FlyPlan.of(film=False, instruction=words, **options))
+        return scene.suite.name, scene.episode
+
+    assert chosen("the bird", episode=3) == ("open-v1:smoke", 3)
+    assert chosen("", episode=0) == ("open-v1:smoke", 0)
     for named in ("open-v1:test", "open-v1:smoke"):
-        assert chosen("", suite=named)[:2] == (named, 0)
-    suite, episode, _ = chosen("Fly to a koala", suite="open-v1:smoke")
+        assert chosen("", suite=named) == (named, 0)
+    suite, episode = chosen("Fly to a koala", suite="open-v1:smoke")
     assert "koala" in load_suite(suite).tracks[episode][0].options
     with pytest.raises(TaskError, match="has episodes 0 to 29, not 99"):
         chosen("the bird", episode=99)
@@ -109,6 +221,7 @@ def test_tasks_and_labels_of_ones_own_are_flown(tmp_path):
     task = _published("Go to beta", ["alpha", "beta", "gamma"])
     (tmp_path / "Mine.json").write_text(json.dumps([task]))
     config = FlyPlan.of(
+       film=False,
         instruction="Go to beta", tasks=tmp_path / "Mine.json", labels=tmp_path, policy="hover", reasoner="none",
         out=tmp_path / "f", time_limit=0.2,
     )  # fmt: skip
@@ -119,8 +232,11 @@ def test_tasks_and_labels_of_ones_own_are_flown(tmp_path):
     about = json.loads((tmp_path / "f" / "flight.json").read_text())
     assert about["scene"]["suite"] == "Mine.json"
     with pytest.raises(LabelError, match="Mine/alpha"):
-        fly_mission(FlyPlan.of(tasks=tmp_path / "Mine.json", policy="hover", reasoner="none", out=tmp_path / "g"),
-                    console=quiet(), keyboard=io.StringIO())  # fmt: skip
+        fly_mission(
+            FlyPlan.of(film=False, tasks=tmp_path / "Mine.json", policy="hover", reasoner="none", out=tmp_path / "g"),
+            console=quiet(),
+            keyboard=io.StringIO(),
+        )
     served = []
     sim = SimPlan.of(mavlink=True, tasks=tmp_path / "Mine.json", labels=tmp_path, links=("udpin:127.0.0.1:0",))
     serve_vehicle(sim, lambda: True, served.append)
@@ -146,9 +262,10 @@ def events(out: Path) -> dict[str, dict[str, object]]:
     return {event["kind"]: event for event in pq.read_table(out / "events.parquet").to_pylist()}
 
 
-def test_in_doubt_it_hovers_until_the_time_is_over_and_says_so(tmp_path):
+def test_in_doubt_it_looks_from_nearer_until_the_time_is_over_and_says_so(tmp_path):
     console = quiet()
     config = FlyPlan.of(
+       film=False,
         instruction="to the bird", policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", out=tmp_path / "f",
         time_limit=1.6, suite="open-v1:smoke", episode=0,
     )  # fmt: skip
@@ -161,11 +278,9 @@ def test_in_doubt_it_hovers_until_the_time_is_over_and_says_so(tmp_path):
     assert begun["text"] == "hovering, 20% sure that the scene shows what is asked for"
     assert f"hold      {begun['text']}" in console.file.getvalue()
     times = pq.read_table(tmp_path / "f" / "steps.parquet").to_pydict()["time_s"]
-    speeds = np.abs(sent(tmp_path / "f")).max(axis=1)
     held = np.array(times) >= begun["time_s"]
     assert held.sum() > 5
-    assert (speeds[held] == 0).all()
-    assert (speeds[: held.argmax() - 1] > 0).all()
+    assert (sent(tmp_path / "f")[held, 0] > 0.5).all()
 
 
 def test_another_instruction_ends_the_hovering(tmp_path, monkeypatch):
@@ -173,6 +288,7 @@ def test_another_instruction_ends_the_hovering(tmp_path, monkeypatch):
     monkeypatch.setattr(Eager, "keyboard", writing)
     monkeypatch.setattr(Eager, "lines", {14: b"to the cat\n"})
     config = FlyPlan.of(
+       film=False,
         instruction="to the bird", policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", out=tmp_path / "f",
         time_limit=2.5, suite="open-v1:smoke", episode=0,
     )  # fmt: skip
@@ -180,15 +296,16 @@ def test_another_instruction_ends_the_hovering(tmp_path, monkeypatch):
         summary = fly_mission(config, console=quiet(), keyboard=keyboard)
     os.close(writing)
     assert summary.ending.kind == "missed"
-    told = events(tmp_path / "f")
-    assert told["hold"]["time_s"] < told["leg"]["time_s"] < told["sure"]["time_s"] + 0.1
-    assert told["sure"]["text"].startswith("flying on")
+    seen = events(tmp_path / "f")
+    assert seen["hold"]["time_s"] < seen["segment"]["time_s"] < seen["sure"]["time_s"] + 0.1
+    assert seen["sure"]["text"].startswith("flying on")
     assert np.abs(sent(tmp_path / "f"))[-5:, 0].min() > 0
 
 
 def test_on_a_vehicle_doubt_is_zero_velocity_as_well(tmp_path):
     with playing() as peer, camera() as url:
         config = FlyPlan.of(
+       film=False,
             instruction="to the bird", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=url, out=tmp_path / "f",
             time_limit=1.6,
             policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", i_understand_this_flies_a_real_drone=True,
@@ -200,13 +317,14 @@ def test_on_a_vehicle_doubt_is_zero_velocity_as_well(tmp_path):
 
 def test_never_hovering_is_an_option(tmp_path):
     config = FlyPlan.of(
+       film=False,
         instruction="to the bird", policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", out=tmp_path / "f",
         time_limit=1.6, episode=0, hold_below=0.0,
     )  # fmt: skip
     assert fly_mission(config, console=quiet(), keyboard=io.StringIO()).ending.kind == "missed"
     assert "hold" not in events(tmp_path / "f")
-    with pytest.raises(LinkError, match="--hold-below is 2"):
-        FlyPlan.of(hold_below=2)
+    with pytest.raises(UsageError, match="--hold-below is 2"):
+        FlyPlan.of(film=False, hold_below=2)
 
 
 def flown(capsys: pytest.CaptureFixture[str], out: Path, *words: str) -> tuple[int, str]:
@@ -217,23 +335,33 @@ def flown(capsys: pytest.CaptureFixture[str], out: Path, *words: str) -> tuple[i
 
 
 def test_a_flight_that_nobody_can_judge_says_so(tmp_path, capsys):
-    code, said = flown(capsys, tmp_path / "f", "Fly wherever you like")
+    code, output = flown(capsys, tmp_path / "f", "Fly wherever you like")
     task = SMOKE.tracks[EPISODE][0]
     assert code == 0
-    assert f"ended  flew through gate {task.target + 1} ({task.options[task.target]}; you judge), after" in said
-    assert f"film{tmp_path}/f/flight.mp4" in "".join(said.split())
-    assert "passed" not in said
+    assert f"ended  flew through gate {task.target + 1} ({task.options[task.target]}; you judge), after" in output
+    assert f"film{tmp_path}/f/flight.mp4" in "".join(output.split())
+    page = (tmp_path / "f" / "flight.html").read_text()
+    assert "Flown: you judge" in page
+    assert "Fly wherever you like" in page
+    shown = list(read_mp4(tmp_path / "f" / "flight.mp4"))
+    seen = list(read_mp4(tmp_path / "f" / "camera.mp4"))
+    times = pq.read_table(tmp_path / "f" / "steps.parquet")["time_s"].to_pylist()
+    assert len(seen) == len(times)
+    assert len(shown) / FPS == pytest.approx(times[-1] - times[0] + 1 / CONTROL_HZ + END_S, abs=0.2)
+    shrunk = np.asarray(Image.fromarray(seen[0]).resize((512, 512)), float)
+    assert abs(shown[0][208:, :512] - shrunk)[60:].mean() < 8
+    assert "passed" not in output
     assert json.loads((tmp_path / "f" / "flight.json").read_text())["end"]["ending"] == "flown"
 
 
 def test_the_scenes_own_instruction_is_judged_also_when_it_is_typed(tmp_path, capsys):
-    code, said = flown(capsys, tmp_path / "f", SMOKE.tracks[EPISODE][0].instruction.upper())
+    code, output = flown(capsys, tmp_path / "f", SMOKE.tracks[EPISODE][0].instruction.upper())
     assert code == 0
-    assert "passed: through gate" in said
+    assert "passed: through gate" in output
 
 
 def test_task_files_are_taken_in_place_of_a_suite_by_the_old_name_too(tmp_path):
     write_tasks(tmp_path / "mine.json", [SMOKE.tracks[7][0]])
     for options in ({"tasks": tmp_path / "mine.json"}, {"suite": str(tmp_path / "mine.json")}):
-        scene = choose_scene(FlyPlan.of(**options))
+        scene = choose_scene(FlyPlan.of(film=False, **options))
         assert scene.track[0].instruction == SMOKE.tracks[7][0].instruction

@@ -100,7 +100,7 @@ def test_sentences_keep_their_words_or_lose_all():
         assert change(RNG(0), replace(task, board="3 + 4")) is None
 
 
-def test_gates_move_by_as_much_as_is_said():
+def test_gates_move_by_as_much_as_is_reported():
     for share, most in ((1 / 3, 0.51), (1.0, 1.51)):
         moved = [task for task in (scenes.moved_gates(share)(RNG(5), task) for task in TASKS[:30]) if task]
         assert all(is_clear(task.layout, board=task.board is not None) for task in moved)

@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cognitivedrone.benchmark.job import Job
-from cognitivedrone.benchmark.run_types import FilmFrame, Rollout, Trace
+from cognitivedrone.benchmark.runs.job import Job
+from cognitivedrone.benchmark.scores.run_types import Rollout, Trace
 from cognitivedrone.control.calls import NO_WATCH, Watch, calling
 from cognitivedrone.errors import LabelError
+from cognitivedrone.film.frame import FilmFrame
 from cognitivedrone.types import EpisodeResult, Guidance, Outcome, Stage, StageResult, Task
 from cognitivedrone.world import geometry
 

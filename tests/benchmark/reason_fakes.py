@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+
 from cognitivedrone.errors import ReasonerError
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance, Image, Task
@@ -77,5 +79,5 @@ class Interrupted(_Briefed):
 
     def answer(self) -> Guidance:
         if len(TRUTHS) == 3:
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
         return super().answer()

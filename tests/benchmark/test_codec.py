@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cognitivedrone.benchmark.codec import decode, dumps, encode
+from cognitivedrone.benchmark.scores.codec import decode, dumps, encode
 from cognitivedrone.errors import RunError
 
 
@@ -76,3 +77,10 @@ def test_numbers_of_numpy_and_whole_floats_are_written_plainly():
 def test_a_wrong_value_is_refused_with_its_place(change, message):
     with pytest.raises(RunError, match=message):
         decode(Outer, {**encode(VALUE), **change}, "file")
+
+
+def test_surrogates_are_spelled_out_so_that_a_file_takes_them_and_reads_the_same_again():
+    text = dumps({"message": "a\ud800b\ud83d\ude00", "more": "drone \U0001f681"})
+    assert text.encode("utf-8")
+    assert json.loads(text) == {"message": r"a\ud800b\ud83d\ude00", "more": "drone \U0001f681"}
+    assert dumps(json.loads(text)) == text

@@ -6,11 +6,11 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from cognitivedrone.benchmark.comparison import compare
-from cognitivedrone.benchmark.results import read_results, write_results
-from cognitivedrone.benchmark.runner import run
-from cognitivedrone.benchmark.scoring import Paired, mcnemar
-from cognitivedrone.benchmark.tables import comparison_table, results_table
+from cognitivedrone.benchmark.reports.tables import comparison_table, results_table
+from cognitivedrone.benchmark.runs.runner import run
+from cognitivedrone.benchmark.scores.comparison import compare
+from cognitivedrone.benchmark.scores.results import read_results, write_results
+from cognitivedrone.benchmark.scores.scoring import Paired, mcnemar
 from cognitivedrone.errors import RunError
 
 RUNNER = "benchmark_fakes:FakeRunner"
@@ -89,7 +89,7 @@ def test_runs_over_different_numbers_of_tasks_are_not_paired(two):
         compare(two[2], two[3])
 
 
-def test_other_differences_are_told(two):
+def test_other_differences_are_reported(two):
     results = read_results(two[3])
     write_results(two[3] / "results.json", replace(results, renderer="another"))
     assert compare(two[2], two[3]).other_differences == ("renderer: imagination and another",)
@@ -116,8 +116,8 @@ def test_the_result_comes_first_in_a_sentence(two):
     results = two[0]
     overall = results.summary().overall
     low, high = (f"{100 * limit:.0f}" for limit in overall.ci95)
-    said = " ".join(text_of(results_table(results)).partition("choice  pass|choice")[0].split())
-    assert said.startswith(
+    expected = " ".join(text_of(results_table(results)).partition("choice  pass|choice")[0].split())
+    assert expected.startswith(
         f"fake passes {overall.passed} of {overall.n} tasks of open-v1:smoke, {100 * overall.rate:.1f} % (95 % interval"
         f" {low} to {high} %); random choice gives a third"
     )
@@ -142,21 +142,21 @@ def test_families_have_rows_from_ten_tasks_on(two):
 
 
 @pytest.mark.parametrize(
-    ("only_a", "only_b", "said"),
+    ("only_a", "only_b", "expected"),
     [
         (1, 2, "B passes 1 more of 30 tasks; no significant difference (McNemar, p = 1)"),
         (2, 2, "A and B pass equally many of 30 tasks; no significant difference (McNemar, p = 1)"),
         (9, 1, "A passes 8 more of 30 tasks; a significant difference (McNemar, p = 0.0215)"),
     ],
 )
-def test_the_verdict_is_one_sentence(two, only_a, only_b, said):
+def test_the_verdict_is_one_sentence(two, only_a, only_b, expected):
     comparison = compare(two[2], two[3])
     table = Paired(20, only_a, only_b, 10 - only_a - only_b)
     overall = replace(comparison.overall, table=table, p=mcnemar(only_a, only_b))
-    assert replace(comparison, overall=overall).verdict == said
+    assert replace(comparison, overall=overall).verdict == expected
 
 
-def test_nothing_to_compare_is_said(two):
+def test_nothing_to_compare_is_reported(two):
     comparison = compare(two[2], two[3])
     nothing = replace(comparison.overall, table=Paired(0, 0, 0, 0))
     assert replace(comparison, overall=nothing).verdict == "no task counts in both runs, so they cannot be compared"
@@ -173,7 +173,7 @@ def test_errors_of_the_policy_and_of_the_physics_stand_below_the_table(two):
 
 
 @pytest.mark.parametrize(
-    ("suite", "categories", "told"),
+    ("suite", "categories", "reported"),
     [
         ("open-v1:test", 3, True),
         ("open-v1:hard", 3, True),
@@ -186,7 +186,7 @@ def test_errors_of_the_policy_and_of_the_physics_stand_below_the_table(two):
         ("mine.json", 3, False),
     ],
 )
-def test_only_suites_like_the_papers_are_told_beside_it(two, suite, categories, told):
+def test_only_suites_like_the_papers_are_told_beside_it(two, suite, categories, reported):
     results = two[0]
     stages = [episode.stages[0] for episode in results.episodes[:3]]
     kinds = ["human_recognition", "symbol_understanding", "reasoning"][:categories]
@@ -196,4 +196,4 @@ def test_only_suites_like_the_papers_are_told_beside_it(two, suite, categories, 
     )
     run = replace(results.run, suite=replace(results.run.suite, name=suite))
     text = text_of(results_table(replace(results, run=run, episodes=episodes)))
-    assert ("2503.01378" in text) is told
+    assert ("2503.01378" in text) is reported

@@ -10,7 +10,7 @@ import pytest
 import user_pilots
 
 from cognitivedrone import evaluate
-from cognitivedrone.benchmark.results import read_results
+from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.errors import PolicyError, RunError, TaskError
 from cognitivedrone.reasoners.oracle import Oracle
 from cognitivedrone.tasks import load_suite, write_tasks
@@ -57,20 +57,10 @@ def test_what_is_made_is_closed_and_an_object_of_the_users_is_not():
     assert Closing.closed == 1
 
 
-def test_a_policy_of_the_former_contract_flies_the_same_with_a_warning():
-    class Former(user_pilots.Straight):  # type: ignore[misc]
-        def reset(self, instruction: str) -> None:
-            assert instruction.lower()
-
-    with pytest.warns(FutureWarning, match="former contract"):
-        former = score(Former(1.0))
-    assert former.results.episodes == score(user_pilots.Straight(1.0)).results.episodes
-
-
-def test_objects_stay_in_one_process_and_that_is_said(capsys):
+def test_objects_stay_in_one_process_and_that_is_reported(capsys):
     evaluate(user_pilots.Straight(), episodes=1)
-    said = "flying in one process, because the policy is an object; pass a class of a module to use more cores\n"
-    assert said in capsys.readouterr().err
+    output = "flying in one process, because the policy is an object; pass a class of a module to use more cores\n"
+    assert output in capsys.readouterr().err
     with pytest.raises(RunError, match="workers=2, but the policy is an object; pass a class of a module to use more"):
         score(user_pilots.Straight(), workers=2)
     with pytest.raises(RunError, match="but the policy's function is defined where no other process can"):
@@ -84,7 +74,7 @@ def test_a_task_file_is_a_suite(tmp_path):
     assert evaluate("oracle", tmp_path / "mine.json", workers=0, progress=False).summary.overall.n == 2
 
 
-def test_what_cannot_be_flown_is_said():
+def test_what_cannot_be_flown_is_reported():
     with pytest.raises(PolicyError, match=r"the policy builtins.object has no method reset\(\)"):
         score(object())
     with pytest.raises(TaskError, match="open-v1:smok"):

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import pytest
 
-from cognitivedrone.benchmark.reason import ReasonPlan, score_reasoner
-from cognitivedrone.benchmark.records import read_records
-from cognitivedrone.benchmark.runner import run
-from cognitivedrone.benchmark.sweep import SweepPlan, sweep
+from cognitivedrone.benchmark.reasoning.reason import ReasonPlan, score_reasoner
+from cognitivedrone.benchmark.runs.records import read_records
+from cognitivedrone.benchmark.runs.runner import run
+from cognitivedrone.benchmark.runs.sweep import SweepPlan, sweep
 from cognitivedrone.cli import main
 from cognitivedrone.errors import RunError
 from cognitivedrone.reasoners.replay import read_answers
@@ -119,9 +119,9 @@ def test_a_picture_that_cannot_be_written_is_one_sentence(tmp_path, monkeypatch,
     (tmp_path / "folder.png").mkdir()
     with pytest.raises(SystemExit, match="2"):
         main(["view", "--out", out])
-    said = capsys.readouterr().err
-    assert said.startswith(f"cognitivedrone: cannot write {out}: {says}")
-    assert said.count("\n") == 1
+    reported = capsys.readouterr().err
+    assert reported.startswith(f"cognitivedrone: cannot write {out}: {says}")
+    assert reported.count("\n") == 1
     assert {path.name for path in tmp_path.iterdir()} == {"file", "folder.png"}
 
 
@@ -155,20 +155,20 @@ def test_runs_that_cannot_be_compared_are_one_sentence(tmp_path, capsys, kind):
     for given in (path, tmp_path, path / "below"):
         with pytest.raises(SystemExit, match="2"):
             main(["compare", str(given), str(given)])
-        said = capsys.readouterr().err
-        assert said.startswith(f"cognitivedrone: {given}") or str(path) in said
-        assert said.count("\n") == 1
+        reported = capsys.readouterr().err
+        assert reported.startswith(f"cognitivedrone: {given}") or str(path) in reported
+        assert reported.count("\n") == 1
 
 
 def test_what_nobody_foresaw_of_the_system_is_one_sentence_too(monkeypatch, capsys):
     def refuse() -> None:
         raise PermissionError(13, "Permission denied", "/some/[bold]\x1b place")
 
-    monkeypatch.setattr("cognitivedrone.benchmark.catalogue.catalogue", refuse)
+    monkeypatch.setattr("cognitivedrone.benchmark.reports.catalogue.catalogue", refuse)
     with pytest.raises(SystemExit, match="2"):
         main(["list"])
-    said = capsys.readouterr().err
-    assert said.startswith("cognitivedrone: /some/[bold]\\x1b place: Permission denied; ")
+    reported = capsys.readouterr().err
+    assert reported.startswith("cognitivedrone: /some/[bold]\\x1b place: Permission denied; ")
 
 
 @pytest.mark.parametrize(("sink", "code"), [("/dev/full", 2), ("a closed pipe", 1)])

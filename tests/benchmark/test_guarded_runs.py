@@ -10,9 +10,9 @@ import pytest
 from rich.console import Group
 
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.results import read_results
-from cognitivedrone.benchmark.runner import command_of, run
-from cognitivedrone.benchmark.tables import results_table
+from cognitivedrone.benchmark.reports.tables import results_table
+from cognitivedrone.benchmark.runs.runner import command_of, run
+from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.errors import RunError
 from cognitivedrone.policies.baselines import Hover
 from cognitivedrone.types import ActionChunk, GuardReport, Observation
@@ -46,11 +46,11 @@ def test_the_guard_is_part_of_a_run_and_what_it_changed_is_in_its_rows(plan, tmp
     document = json.loads((guarded.out / "results.json").read_text())
     assert document["options"]["guard"] is True
     assert document["episodes"][0]["guard"]["touched"] == episode.steps
-    told = [str(row) for row in cast(Group, results_table(results)).renderables]
+    output = [str(row) for row in cast(Group, results_table(results)).renderables]
     assert (
         f"guard: changed {episode.steps} commands in 1 of 1 episodes"
         f" (speed {episode.steps}, slew {episode.steps}, fence 0)"
-    ) in told
+    ) in output
 
     unguarded = run(plain, progress=False)
     assert unguarded.episodes[0].guard is None

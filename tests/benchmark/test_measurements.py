@@ -42,7 +42,7 @@ def test_a_run_tells_machine_commit_and_day(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda document: document.update(schema="other"), "no file of figures"),
         (lambda document: document.pop("command"), "command is missing"),
@@ -50,13 +50,13 @@ def test_a_run_tells_machine_commit_and_day(tmp_path: Path) -> None:
         (lambda document: document.update(ratio=2), "ratio"),
     ],
 )
-def test_a_malformed_file_is_refused(tmp_path: Path, change, said: str) -> None:
+def test_a_malformed_file_is_refused(tmp_path: Path, change, message: str) -> None:
     path = tmp_path / "gates.json"
     write_measurement(path, measurement("Gates", "bench", ROWS))
     document = json.loads(path.read_text())
     change(document)
     path.write_text(json.dumps(document))
-    with pytest.raises(RunError, match=said):
+    with pytest.raises(RunError, match=message):
         read_measurement(path)
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.merge import merge
-from cognitivedrone.benchmark.records import read_records
-from cognitivedrone.benchmark.results import read_results
-from cognitivedrone.benchmark.runner import command_of, out_of, run
-from cognitivedrone.benchmark.shard import Shard, parse_shard
+from cognitivedrone.benchmark.runs.merge import merge
+from cognitivedrone.benchmark.runs.records import read_records
+from cognitivedrone.benchmark.runs.runner import command_of, out_of, run
+from cognitivedrone.benchmark.runs.shard import Shard, parse_shard
+from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.errors import RunError
 from cognitivedrone.tasks import load_suite, write_tasks
 
@@ -111,7 +111,7 @@ def renamed(parts: list[Path]) -> list[Path]:
         (lambda parts: [], "there is nothing to merge"),
         (lambda parts: parts[:1], "these shards are missing: 2/3, 3/3; fly them"),
         (lambda parts: [*parts, shutil.copytree(parts[1], parts[1].parent / "copy")], "are both shard 2/3"),
-        (lambda parts: [*parts, parts[0].parent / "nowhere"], "nowhere does not exist; give the --out folder"),
+        (lambda parts: [*parts, parts[0].parent / "nowhere"], "nowhere cannot be read .*give the --out folder"),
         (damaged, "part-2-of-3: its records are not the episodes of its results"),
         (renamed, "does not hold the episodes of shard"),
     ],
@@ -170,3 +170,24 @@ def test_shards_divide_a_run(count):
 
 def test_a_shard_has_a_folder_of_its_own(config):
     assert out_of(Plan.of(shard="2/8")) == Path("results/open-v1-test-small-none-shard-2-of-8")
+
+
+def test_links_among_the_errors_of_a_shard_are_left_out(config, parts, tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_text("private")
+    errors = parts[0] / "errors"
+    errors.mkdir(exist_ok=True)
+    (errors / "episode-0001.txt").symlink_to(secret)
+    (errors / "episode-0004.txt").write_text("Traceback")
+    (errors / "notes.txt").write_text("something else")
+    merge(parts, tmp_path / "merged")
+    assert [path.name for path in sorted((tmp_path / "merged" / "errors").iterdir())] == ["episode-0004.txt"]
+
+
+def test_a_shard_of_an_endless_suite_that_says_it_is_huge_is_not_drawn(config, parts, tmp_path):
+    for part in parts:
+        for name in ("results.json", "run.json"):
+            document = json.loads((part / name).read_text())
+            document["suite"] |= {"name": "open-v1:train", "size": 10**12}
+            (part / name).write_text(json.dumps(document))
+    assert merge(parts, tmp_path / "merged").run.suite.size == 10**12

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from cognitivedrone import checkout
-from cognitivedrone.benchmark.provenance import platform_facts
+from cognitivedrone.benchmark.runs.provenance import platform_facts
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def own(tmp_path, monkeypatch):
         sys.modules.pop(name, None)
 
 
-def test_an_own_policy_is_told_with_its_file_and_how_to_find_it(own):
+def test_an_own_policy_is_reported_with_its_file_and_how_to_find_it(own):
     facts = platform_facts("cognitivedrone bench --policy straight_on:Straight", "straight_on:Straight", "none")
     assert facts["policy_file"] == "my code/straight_on.py"
     words = shlex.split(facts["command"])
@@ -44,7 +44,7 @@ def test_policies_that_need_no_path_leave_the_command_as_it_is(policy):
     assert platform_facts("cognitivedrone bench", policy, "none")["command"] == "cognitivedrone bench"
 
 
-def test_the_commit_is_told(monkeypatch):
+def test_the_commit_is_reported(monkeypatch):
     monkeypatch.setattr(checkout, "commit", lambda: "abc-dirty")
     assert platform_facts("x")["commit"] == "abc-dirty"
     monkeypatch.setattr(checkout, "commit", lambda: None)

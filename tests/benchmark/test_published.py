@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from cognitivedrone.benchmark.published import PUBLISHED, comparable
-from cognitivedrone.benchmark.runner import run
+from cognitivedrone.benchmark.runs.runner import run
+from cognitivedrone.benchmark.scores.published import PUBLISHED, comparable
 
 ROOT = Path(__file__).parents[2]
 SYSTEMS = {score.name: score for score in PUBLISHED}
@@ -45,8 +45,8 @@ def test_the_page_of_r1_has_the_papers_numbers_in_the_order_of_its_sentence():
     page = (ROOT / "docs" / "r1.md").read_text().replace("\n", " ")
     order = ("human_recognition", "symbol_understanding", "reasoning")
     numbers = [percent(SYSTEMS["CognitiveDrone-R1"].categories[category]) for category in order]  # type: ignore[index]
-    told = "{}, {} and {} %".format(*numbers)
-    assert re.search(rf"The paper's R1 passes {told} of human recognition, symbol understanding and reasoning", page)
+    output = "{}, {} and {} %".format(*numbers)
+    assert re.search(rf"The paper's R1 passes {output} of human recognition, symbol understanding and reasoning", page)
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/small.md"])

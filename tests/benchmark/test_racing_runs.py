@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from cognitivedrone.benchmark.codec import decode, encode
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.drawing import episode_map
-from cognitivedrone.benchmark.records import read_records
-from cognitivedrone.benchmark.report import render_report
-from cognitivedrone.benchmark.run_types import Trace
-from cognitivedrone.benchmark.runner import run
-from cognitivedrone.benchmark.scoring import summarize
-from cognitivedrone.benchmark.tables import results_table
+from cognitivedrone.benchmark.reports.drawing import episode_map
+from cognitivedrone.benchmark.reports.report import render_report
+from cognitivedrone.benchmark.reports.tables import results_table
+from cognitivedrone.benchmark.runs.records import read_records
+from cognitivedrone.benchmark.runs.runner import run
+from cognitivedrone.benchmark.scores.codec import decode, encode
+from cognitivedrone.benchmark.scores.run_types import Trace
+from cognitivedrone.benchmark.scores.scoring import summarize
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import CATEGORIES, EpisodeResult, Gate, Stage, StageResult
 

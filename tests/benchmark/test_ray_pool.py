@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from cognitivedrone.benchmark import runner
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.records import read_records
-from cognitivedrone.benchmark.runner import run
+from cognitivedrone.benchmark.runs import runner
+from cognitivedrone.benchmark.runs.records import read_records
+from cognitivedrone.benchmark.runs.runner import run
 from cognitivedrone.errors import CognitiveDroneError, RunError
 
 ray = pytest.importorskip("ray", reason="the extra 'ray' is not installed")
@@ -85,7 +85,7 @@ def test_a_worker_that_is_killed_from_outside_is_replaced_and_its_episode_flown_
 
 
 def test_an_episode_that_costs_every_worker_ends_the_run_which_goes_on_elsewhere(spread):
-    with pytest.raises(RunError, match=r"episode 5 has lost its worker 3 times; continue with --resume.*SIGKILL"):
+    with pytest.raises(RunError, match=r"episode 5 .* has lost its worker 3 times; .*--resume.*SIGKILL"):
         run(spread, progress=False, runner="benchmark_fakes:DyingRunner")
     assert 5 not in read_records(spread.out)
     results = run(spread.changed(executor="local", workers=0, resume=True), progress=False, runner=RUNNER)
@@ -114,13 +114,13 @@ def test_errors_arrive_as_their_own_sentence(spread, name, says):
 
 
 def test_a_node_of_another_version_does_not_fly(spread, monkeypatch):
-    prepare = runner.prepare
+    resolve = runner.resolve
 
     def elsewhere(plan, **options):
-        job = prepare(plan, **options)
+        job = resolve(plan, **options)
         return replace(job, facts=replace(job.facts, versions={**job.facts.versions, "mujoco": "9.9"}))
 
-    monkeypatch.setattr(runner, "prepare", elsewhere)
+    monkeypatch.setattr(runner, "resolve", elsewhere)
     with pytest.raises(RunError, match=r"node .* would fly another run: versions\.mujoco is '.*' there and '9\.9'"):
         run(spread, progress=False, runner=RUNNER)
     assert not spread.out.exists()

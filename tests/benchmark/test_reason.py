@@ -13,16 +13,16 @@ import pytest
 import reason_fakes
 from rich.console import Console
 
-from cognitivedrone.benchmark.codec import encode
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.episode import PilotRunner
-from cognitivedrone.benchmark.job import prepare
-from cognitivedrone.benchmark.reason import ReasonPlan, ReasonResults, out_of, score_reasoner, views
-from cognitivedrone.benchmark.reason_scoring import calibration_error, judge, summarize_answers
-from cognitivedrone.benchmark.reason_table import reason_table
-from cognitivedrone.benchmark.runner import Interrupted
+from cognitivedrone.benchmark.reasoning.reason import ReasonPlan, ReasonResults, out_of, score_reasoner, views
+from cognitivedrone.benchmark.reasoning.reason_scoring import calibration_error, judge, summarize_answers
+from cognitivedrone.benchmark.reasoning.reason_table import reason_table
+from cognitivedrone.benchmark.runs.episode import PilotRunner
+from cognitivedrone.benchmark.runs.job import resolve
+from cognitivedrone.benchmark.runs.runner import Interrupted
+from cognitivedrone.benchmark.scores.codec import encode
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
-from cognitivedrone.errors import PolicyError, ReasonerFault, RunError
+from cognitivedrone.errors import LabelError, PolicyError, ReasonerFault, RunError, UsageError
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.simulator import Simulator
@@ -121,7 +121,7 @@ def test_what_is_no_answer_is_counted_and_written_and_the_next_task_is_asked(con
 def test_it_sees_what_a_flight_of_the_same_seed_sees_first(config, look):
     answer = asked(config.changed(appearance=look, seed=5, episodes=2)).answers[1]
     run = Plan.of(policy="oracle", suite=config.scenario.suite, appearance=look, seed=5)
-    runner = PilotRunner(prepare(run))
+    runner = PilotRunner(resolve(run))
     film = runner.fly(1, film=True).film
     runner.close()
     assert film is not None
@@ -143,14 +143,14 @@ def test_the_last_answer_of_several_frames_counts_and_a_later_fault_takes_nothin
     assert [a.directive for a in each.answers] != [a.directive for a in later.answers]
 
 
-def test_a_track_is_told_as_in_flight(config):
+def test_a_track_is_reported_as_in_flight(config):
     tracks = config.changed(reasoner="reason_fakes:Rememberer", suite="open-v1:track", episodes=2)
     results = asked(tracks)
     assert [(a.episode, a.stage) for a in results.answers] == [(e, s) for e in range(2) for s in range(5)]
-    told = [word.split() for word in reason_fakes.LOG]
-    assert [word[0] for word in told] == 10 * ["reset", "refine"]
-    assert [int(word[1]) for word in told[::2]] == 2 * [0, 1, 2, 3, 4]
-    first, second = ({word[2] for word in told[10 * episode : 10 * episode + 10 : 2]} for episode in range(2))
+    reported = [word.split() for word in reason_fakes.LOG]
+    assert [word[0] for word in reported] == 10 * ["reset", "refine"]
+    assert [int(word[1]) for word in reported[::2]] == 2 * [0, 1, 2, 3, 4]
+    first, second = ({word[2] for word in reported[10 * episode : 10 * episode + 10 : 2]} for episode in range(2))
     assert len(first) == len(second) == 1
     assert first != second
 
@@ -185,7 +185,7 @@ def test_what_is_written_is_what_was_scored(config):
     document = json.loads((results.out / "reason.json").read_text())
     assert document["scores"] == encode(results.summary)
     assert document["suite"]["name"] == "open-v1:smoke"
-    assert document["options"]["look"] == "varied"
+    assert document["options"]["appearance"] == "varied"
     assert document["platform"]["command"] == (
         "cognitivedrone reason --suite open-v1:smoke --seed 0 --appearance varied"
         " --reasoner noisy-oracle:0.5 --episodes 6"
@@ -242,13 +242,13 @@ def test_the_confidences_of_answers_are_compared_with_what_was_right(config):
     [
         ({"reasoner": "none"}, PolicyError, "none gives no answers to score; name a reasoner"),
         ({"reasoner": "orakle"}, PolicyError, "did you mean 'oracle'"),
-        ({"frames": 0}, RunError, "--frames is 0; it must be at least 1"),
-        ({"episodes": 0}, RunError, "--episodes is 0; it must be at least 1"),
-        ({"labels": Path("nowhere")}, RunError, "--labels nowhere is not a folder of images"),
+        ({"frames": 0}, UsageError, "--frames is 0; it must be at least 1"),
+        ({"episodes": 0}, UsageError, "--episodes is 0; it must be at least 1"),
+        ({"labels": Path("nowhere")}, LabelError, "--labels nowhere is not a folder of images"),
         ({"out": Path(__file__)}, RunError, "is a file; give a folder as --out"),
     ],
 )
-def test_what_cannot_be_asked_is_told(config, change, error, message):
+def test_what_cannot_be_asked_is_reported(config, change, error, message):
     with pytest.raises(error, match=message):
         asked(config.changed(**change))
 
@@ -260,10 +260,21 @@ def test_the_folder_is_named_after_suite_and_reasoner():
 
 
 def test_the_reasoner_of_the_docs_answers(config, tmp_path, monkeypatch):
-    page = (Path(__file__).parents[2] / "docs" / "reasoners.md").read_text()
-    (code,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    docs = Path(__file__).parents[2] / "docs"
+    (code,) = re.findall(
+        r"```python title=\"my_reasoner.py\"\n(.*?)```", (docs / "tutorials" / "extend.md").read_text(), flags=re.DOTALL
+    )
     (tmp_path / "my_reasoner.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
     results = asked(config.changed(reasoner="my_reasoner:LargestPatch", episodes=3))
     assert all(answer.right.color is not None for answer in results.answers)
-    assert all(f"`{kind}`" in page for kind in get_args(ReasonerFault))
+    assert all(f"`{kind}`" in (docs / "r1.md").read_text() for kind in get_args(ReasonerFault))
+
+
+def test_of_a_mission_it_is_asked_about_the_gates_and_not_about_the_landing(config):
+    suite = load_suite("open-v3:missions")
+    assert [task.landing for task in suite.tracks[1]] == [False, False, False, True]
+    answers = asked(config.changed(suite=suite.name, episodes=2)).answers
+    tasks = [task for track in suite.tracks[:2] for task in track]
+    assert [answer.task for answer in answers] == [task.id for task in tasks if not task.landing]
+    assert [answer.instruction for answer in answers] == [task.instruction for task in tasks if not task.landing]

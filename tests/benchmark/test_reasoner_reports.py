@@ -7,9 +7,9 @@ import json
 import pytest
 
 from cognitivedrone.benchmark import Plan, run
-from cognitivedrone.benchmark.results import read_results
-from cognitivedrone.benchmark.scoring import score
-from cognitivedrone.benchmark.sweep import PLOT_FILE, SweepPlan, sweep
+from cognitivedrone.benchmark.runs.sweep import PLOT_FILE, SweepPlan, sweep
+from cognitivedrone.benchmark.scores.results import read_results
+from cognitivedrone.benchmark.scores.scoring import score
 from cognitivedrone.errors import RunError, SimulationError
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import ReasonerReport, StageResult
@@ -66,7 +66,7 @@ def test_every_stage_says_what_its_reasoner_did(flown):
     assert (short.gate, short.size, short.color, short.shape) == (True, None, True, None)
 
 
-def test_the_drone_goes_where_it_is_told(flown):
+def test_the_drone_goes_where_it_is_reported(flown):
     assert [episode.stages[0].outcome == "passed" for episode in flown.episodes][:2] == [True, False]
 
 
@@ -126,5 +126,5 @@ def test_a_sweep_flies_each_latency_once_and_plots(tmp_path):
     assert (config.out / PLOT_FILE).read_text().count("<circle") == 4
     again = sweep(config, progress=False)
     assert [run.timing for _, run in again] == [run.timing for _, run in points]
-    with pytest.raises(RunError, match="none below 0"):
-        sweep(SweepPlan.of(out=tmp_path / "no", ms=(-1,)))
+    with pytest.raises(RunError, match="at least one latency"):
+        SweepPlan.of(out=tmp_path / "no", ms=())

@@ -1,24 +1,25 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 
 import pytest
 from benchmark_fakes import FakeRunner
 
-from cognitivedrone.benchmark.job import prepare
-from cognitivedrone.benchmark.records import EPISODES_FILE, RunFolder, read_records
+from cognitivedrone.benchmark.runs.job import resolve
+from cognitivedrone.benchmark.runs.records import EPISODES_FILE, RunFolder, read_records
 from cognitivedrone.errors import RunError
 
 
 @pytest.fixture
 def facts(config):
-    return prepare(config).facts
+    return resolve(config).facts
 
 
 @pytest.fixture
 def flown(config):
-    runner = FakeRunner(prepare(config))
+    runner = FakeRunner(resolve(config))
     return [runner.fly(episode, film=False) for episode in range(4)]
 
 
@@ -106,7 +107,39 @@ def test_two_runs_do_not_write_to_one_folder(folder, facts):
         RunFolder(folder, facts, resume=True)
 
 
-def test_resume_and_overwrite_contradict(tmp_path, facts):
-    with pytest.raises(RunError, match="contradict"):
-        RunFolder(tmp_path / "new", facts, resume=True, overwrite=True)
-    assert not (tmp_path / "new").exists()
+@pytest.mark.parametrize("name", [EPISODES_FILE, "run.json", "results.json", "results.json.tmp", "errors"])
+def test_nothing_is_written_through_a_link_in_the_folder(folder, facts, tmp_path, name):
+    other = tmp_path / "other"
+    other.write_text("precious")
+    (folder / name).unlink(missing_ok=True)
+    (folder / "run.json").touch()
+    (folder / name).unlink(missing_ok=True)
+    (folder / name).symlink_to(other)
+    for options in ({"resume": True}, {"overwrite": True}):
+        with pytest.raises(RunError, match="contains the link"):
+            RunFolder(folder, facts, **options)
+    assert other.read_text() == "precious"
+
+
+def test_a_pipe_in_the_folder_does_not_hang(folder, facts):
+    for name in (EPISODES_FILE, "run.json"):
+        kept = (folder / name).read_bytes()
+        (folder / name).unlink()
+        os.mkfifo(folder / name)
+        with pytest.raises(RunError, match=r"pipe|not a file"):
+            RunFolder(folder, facts, resume=True)
+        if name == EPISODES_FILE:
+            with pytest.raises(RunError, match="it is a pipe"):
+                read_records(folder)
+        (folder / name).unlink()
+        (folder / name).write_bytes(kept)
+
+
+@pytest.mark.parametrize("content", ["[" * 100_000, '{"suite": NaN}', '{"a": 1, "a": 2}', "\x00", "7"])
+def test_a_damaged_run_file_is_one_sentence(folder, facts, content):
+    (folder / "run.json").write_text(content)
+    with pytest.raises(RunError, match=r"cannot be read|contains another run"):
+        RunFolder(folder, facts, resume=True)
+    (folder / EPISODES_FILE).write_text(content + "\n")
+    with pytest.raises(RunError, match=r"line 1 is not a record"):
+        read_records(folder)

@@ -12,14 +12,15 @@ import pytest
 from benchmark_fakes import FakeRunner
 from rich.console import Console
 
-from cognitivedrone.benchmark import report
-from cognitivedrone.benchmark.clips import choose_clips, encode_mp4, make_clip
-from cognitivedrone.benchmark.drawing import episode_map, overlay, stage_flights
-from cognitivedrone.benchmark.job import prepare
-from cognitivedrone.benchmark.report import render_report
-from cognitivedrone.benchmark.runner import run
-from cognitivedrone.benchmark.scoring import OUTCOMES
-from cognitivedrone.benchmark.tables import results_table, words
+from cognitivedrone.benchmark.reports import report
+from cognitivedrone.benchmark.reports.clips import choose_clips, make_clip
+from cognitivedrone.benchmark.reports.drawing import episode_map, overlay, stage_flights
+from cognitivedrone.benchmark.reports.report import render_report
+from cognitivedrone.benchmark.reports.tables import results_table, words
+from cognitivedrone.benchmark.runs.job import resolve
+from cognitivedrone.benchmark.runs.runner import run
+from cognitivedrone.benchmark.scores.scoring import OUTCOMES
+from cognitivedrone.film.video import encode_mp4
 from cognitivedrone.tasks.scenario import suite_of
 
 RUNNER = "benchmark_fakes:FakeRunner"
@@ -52,7 +53,7 @@ class Page(HTMLParser):
 
 @pytest.fixture
 def flown(config):
-    runner = FakeRunner(prepare(config))
+    runner = FakeRunner(resolve(config))
     return [runner.fly(episode, film=True) for episode in range(20)]
 
 
@@ -104,12 +105,12 @@ def test_confusions_are_shown_where_something_failed(pieces):
         assert re.findall(r">(\d+)<", row_shown) == [str(count) for count in row if count]
 
 
-def test_the_outcomes_that_are_shown_are_told(pieces):
+def test_the_outcomes_that_are_shown_are_reported(pieces):
     results, traces, clips = pieces
     text = html.unescape(render_report(results, traces, clips))
-    told = re.search(r'<p class="soft outcomes">(.*?)</p>', text).group(1)
+    shown = re.search(r'<p class="soft outcomes">(.*?)</p>', text).group(1)
     seen = {outcome for outcome, count in results.summary().overall.outcomes.items() if count}
-    assert set(re.findall(r"<strong>([\w ]+)</strong>: \w", told)) == {words(outcome) for outcome in seen - {"passed"}}
+    assert set(re.findall(r"<strong>([\w ]+)</strong>: \w", shown)) == {words(outcome) for outcome in seen - {"passed"}}
     for outcome in seen:
         assert f'title="{report.MEANINGS[outcome]}"' in text
     assert set(report.MEANINGS) == set(OUTCOMES)
@@ -190,7 +191,7 @@ def test_clips_stand_below_the_scores_failures_first_and_loop(config):
         assert {"loop", "muted", "autoplay", "playsinline"} <= set(tag.split())
 
 
-def test_the_instruction_of_every_failure_is_told(config):
+def test_the_instruction_of_every_failure_is_reported(config):
     results = run(config.changed(clips=0), progress=False, runner=RUNNER)
     listed = (config.out / "report.html").read_text().partition("Every stage not passed")[2].partition("</table>")[0]
     tracks = suite_of(config.scenario, config.episodes).tracks
@@ -211,7 +212,7 @@ def test_the_paper_stands_beside_shipped_suites_alone(pieces):
     assert "77.2 %" not in render_report(own, traces, clips)
 
 
-def test_what_a_rerun_needs_is_told(pieces):
+def test_what_a_rerun_needs_is_reported(pieces):
     results, traces, clips = pieces
     facts = {
         "command": "PYTHONPATH='my code' cognitivedrone bench --policy mine:Mine",
@@ -259,7 +260,7 @@ def test_a_run_of_nothing_but_invalid_stages_has_a_page(pieces):
     assert "nan" not in re.sub(r"<style>.*?</style>", "", text, flags=re.DOTALL).lower().replace("json", "")
 
 
-def test_films_that_do_not_fit_are_left_out_and_told(pieces, monkeypatch):
+def test_films_that_do_not_fit_are_left_out_and_reported(pieces, monkeypatch):
     results, traces, clips = pieces
     monkeypatch.setattr(report, "CLIP_BUDGET", len(clips[0].video) + len(clips[0].poster) + 1)
     text = render_report(results, traces, clips)
@@ -267,7 +268,7 @@ def test_films_that_do_not_fit_are_left_out_and_told(pieces, monkeypatch):
     assert "2 more did not fit" in text
 
 
-def test_a_pilot_that_flies_differently_the_second_time_is_told(config):
+def test_a_pilot_that_flies_differently_the_second_time_is_reported(config):
     run(config.changed(clips=12), progress=False, runner="benchmark_fakes:FickleRunner")
     assert "the pilot is not deterministic" in (config.out / "report.html").read_text()
     run(config.changed(clips=12, overwrite=True), progress=False, runner=RUNNER)
@@ -322,7 +323,7 @@ def test_a_film_plays_as_it_was_taken():
 
 def test_a_map_shows_each_flight_in_the_frame_of_its_stage(config):
     config = config.changed(track=True)
-    runner = FakeRunner(prepare(config))
+    runner = FakeRunner(resolve(config))
     flown = max((runner.fly(e, film=False) for e in range(4)), key=lambda one: len(one.trace.stages))
     flights = list(stage_flights(flown.result, flown.trace))
     assert len(flights) > 1

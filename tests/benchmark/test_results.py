@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from cognitivedrone.benchmark.results import read_results, results_from_json, results_to_json
-from cognitivedrone.benchmark.runner import run
+from cognitivedrone.benchmark.runs.runner import run
+from cognitivedrone.benchmark.scores.results import read_results, results_from_json, results_to_json
 from cognitivedrone.errors import RunError
 
-DOCS = Path(__file__).parents[2] / "docs" / "results.md"
+DOCS = Path(__file__).parents[2] / "docs" / "benchmark.md"
 
 
 @pytest.fixture
@@ -50,13 +50,14 @@ def test_the_schema_page_names_every_key_and_no_other(document):
                 collect(item, path[:-1] + "[].")
 
     collect(document, "")
-    told = set(re.findall(r"^\| `([^`]+)` \|", DOCS.read_text(), flags=re.MULTILINE))
+    page = DOCS.read_text().partition("\n## Files of a run\n")[2]
+    reported = set(re.findall(r"^\| `([^`]+)` \|", page, flags=re.MULTILINE))
     # A table of the page that begins with a dot goes on for every score.
-    score_keys = {key.removeprefix(".") for key in told if key.startswith(".")}
+    score_keys = {key.removeprefix(".") for key in reported if key.startswith(".")}
     prefixes = ("scores.*.overall.", "scores.*.categories.*.", "scores.*.families.*.")
-    told = {key for key in told if not key.startswith(".")}
-    told |= {prefix + key for prefix in prefixes for key in score_keys}
-    assert keys == told
+    reported = {key for key in reported if not key.startswith(".")}
+    reported |= {prefix + key for prefix in prefixes for key in score_keys}
+    assert keys == reported
 
 
 OPEN = ("versions.", "scores.", "scores.*.categories.", "scores.*.families.")
@@ -69,7 +70,6 @@ OPEN = ("versions.", "scores.", "scores.*.categories.", "scores.*.families.")
         (lambda d: d.pop("suite"), "suite is missing"),
         (lambda d: d.pop("renderer"), "renderer is missing"),
         (lambda d: d.update(extra=1), "has 'extra', which this version does not know"),
-        (lambda d: d.update(schema="cognitivedrone.results/9"), "not a results file of this version"),
         (lambda d: d["options"].update(seed="0"), r"options.seed must be a whole number, not '0'"),
         (lambda d: d["episodes"][3]["stages"][0].update(outcome="won"), r"episodes\[3\].stages\[0\].outcome is 'won'"),
         (lambda d: d["episodes"][3].update(stages={}), r"episodes\[3\].stages must be a list"),
@@ -84,16 +84,33 @@ def test_a_malformed_file_is_refused_with_the_place(document, change, message):
         results_from_json(document, "results.json")
 
 
-def test_a_missing_or_broken_file_is_told(tmp_path):
+def test_a_missing_or_broken_file_is_reported(tmp_path):
     with pytest.raises(RunError, match="give the --out folder of a finished run"):
         read_results(tmp_path)
     (tmp_path / "results.json").write_text("{")
     with pytest.raises(RunError, match="cannot be read"):
         read_results(tmp_path)
     (tmp_path / "results.json").write_text("[]")
-    with pytest.raises(RunError, match="not a results file"):
+    with pytest.raises(RunError, match="is no results file of this version: its schema is None"):
         read_results(tmp_path)
 
 
 def test_writing_and_reading_is_stable(document):
     assert results_to_json(results_from_json(document, "here")) == document
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ('{"schema": 1, "schema": 2}', "the name 'schema' is given twice"),
+        ('{"schema": NaN}', "NaN is no finite number"),
+        ('{"schema": -Infinity}', "Infinity is no finite number"),
+        ('{"schema": 1e999}', "1e999 is no finite number"),
+        ("[" * 100_000, "cannot be read"),
+    ],
+)
+def test_what_json_allows_and_we_never_write_is_refused(tmp_path, content, expected):
+    file = tmp_path / "results.json"
+    file.write_text(content)
+    with pytest.raises(RunError, match=expected):
+        read_results(file)

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.records import read_records
-from cognitivedrone.benchmark.runner import Interrupted, command_of, out_of, run
+from cognitivedrone.benchmark.runs.records import read_records
+from cognitivedrone.benchmark.runs.runner import Interrupted, command_of, out_of, run
 from cognitivedrone.errors import CognitiveDroneError, MissingExtra, RunError
 from cognitivedrone.tasks import load_suite, open_suite, write_tasks
 from cognitivedrone.tasks.scenario import chain, suite_of
@@ -34,7 +34,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # a test run in the ba
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from pathlib import Path
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.runner import run
+from cognitivedrone.benchmark.runs.runner import run
 if __name__ == "__main__":
     config = Plan.of(policy="fake", suite="open-v1:train", episodes=20, clips=0, workers={workers},
                        out=Path({str(config.out)!r}))
@@ -108,7 +108,7 @@ def test_ctrl_c_with_workers_ends_them_quietly(config):
     assert results.summary().overall.n == 20
 
 
-def test_a_worker_that_dies_is_told_with_its_episode_and_the_rest_is_kept(config):
+def test_a_worker_that_dies_is_reported_with_its_episode_and_the_rest_is_kept(config):
     with pytest.raises(RunError, match=r"episode 5 \(open-v1:train/0-5\) was killed by SIGKILL.*--resume"):
         run(config.changed(workers=2), progress=False, runner="benchmark_fakes:DyingRunner")
     assert set(read_records(config.out)) >= {0, 1, 2, 3}
@@ -167,14 +167,14 @@ def test_overwriting_takes_old_tracebacks_away(config):
     assert not (config.out / "errors").exists()
 
 
-def test_a_bug_in_a_worker_is_told_with_its_episode_and_its_traceback_is_kept(config):
+def test_a_bug_in_a_worker_is_reported_with_its_episode_and_its_traceback_is_kept(config):
     with pytest.raises(RunError, match=r"episode 5 .* failed: ZeroDivisionError: a bug in a policy.*error\.txt"):
         run(config.changed(workers=2), progress=False, runner="benchmark_fakes:BuggyRunner")
     assert "benchmark_fakes.py" in (config.out / "error.txt").read_text()
 
 
-def test_a_worker_that_cannot_start_is_told(config):
-    with pytest.raises(RunError, match="a worker ended with exit code 3 before it was ready; use --workers 0"):
+def test_a_worker_that_cannot_start_is_reported(config):
+    with pytest.raises(RunError, match="a worker ended with exit code 3 before it was ready; bench --workers 0"):
         run(config.changed(workers=2), progress=False, runner="benchmark_fakes:StillbornRunner")
 
 
@@ -200,6 +200,7 @@ def test_no_more_workers_than_episodes(config):
         ({"executor": "ray"}, "--workers 0 flies in this process; leave out --executor ray"),
         ({"executor": "ray", "workers": 2, "cpus_per_worker": 0}, "--cpus-per-worker is 0"),
         ({"executor": "ray", "workers": 2, "gpus_per_worker": -1.0}, r"--gpus-per-worker is -1\.0"),
+        ({"resume": True, "overwrite": True}, "contradict each other"),
         ({"gpus_per_worker": 1.0}, "--cpus-per-worker and --gpus-per-worker are for --executor ray"),
         ({"executor": "ray", "workers": None, "link": "gazebo", "airframe": "iris"}, "flies the one vehicle"),
     ],
@@ -219,10 +220,10 @@ def test_without_ray_the_extra_is_named_before_anything_is_written(config, monke
 
 def test_other_labels_are_another_run(config, tmp_path):
     labels = tmp_path / "labels"
-    labels.mkdir()
-    (labels / "cat.png").write_bytes(b"a cat")
+    (labels / "toy").mkdir(parents=True)
+    (labels / "toy" / "cat.png").write_bytes(b"a cat")
     run(config.changed(labels=labels), progress=False, runner=RUNNER)
-    (labels / "cat.png").write_bytes(b"a dog")
+    (labels / "toy" / "cat.png").write_bytes(b"a dog")
     with pytest.raises(RunError, match=r"options\.labels is"):
         run(config.changed(labels=labels, resume=True), progress=False, runner=RUNNER)
 

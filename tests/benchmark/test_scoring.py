@@ -1,14 +1,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from cognitivedrone.benchmark.codec import encode
-from cognitivedrone.benchmark.scoring import (
+from cognitivedrone.benchmark.scores.codec import encode
+from cognitivedrone.benchmark.scores.scoring import (
     OUTCOMES,
     RULES,
     Paired,
@@ -16,6 +17,7 @@ from cognitivedrone.benchmark.scoring import (
     difference_interval,
     mcnemar,
     mean_of,
+    obstacles_of,
     pair,
     score,
     summarize,
@@ -72,7 +74,7 @@ def test_a_stage_is_one_point_and_only_invalid_physics_is_not_counted():
     assert result.outcomes["not_reached"] == 1
 
 
-def test_choice_is_told_apart_from_flying():
+def test_choice_is_distinguished_from_flying():
     ended = [stage(), stage("collision", chosen=0), stage("wrong_gate", chosen=2), stage("timeout", chosen=None)]
     result = score(ended)
     assert result.choice_accuracy == 0.5
@@ -225,3 +227,20 @@ def test_results_without_any_of_it_are_encoded_as_before():
     written = encode(summarize([EpisodeResult(0, 0, (stage(), stage("timeout", chosen=None)), 5)]))
     assert "false_alarms" not in written
     assert set(written["overall"]["outcomes"]) == set(OUTCOMES) - {"hesitated", "false_alarm"}
+
+
+def test_obstacles_are_scored_where_there_are_some():
+    assert obstacles_of([stage()]) is None
+    assert summarize([EpisodeResult(0, 0, (stage(),), 50)]).obstacles is None
+    ended = [
+        replace(stage(), obstacle_m=0.3),
+        replace(stage("collision"), obstacle_m=0.0),
+        replace(stage("collision"), obstacle_m=0.2),
+        replace(stage("invalid"), obstacle_m=0.0),
+        stage("not_reached"),
+    ]
+    found = obstacles_of(ended)
+    assert (found.n, found.collisions, found.touched) == (3, 2, 1)
+    assert found.per_100_m == pytest.approx(100 * 2 / 18)
+    assert (found.smallest_m, found.smallest_passed_m) == (0.0, 0.3)
+    assert found.spl == pytest.approx(1 / 1.1 / 3)

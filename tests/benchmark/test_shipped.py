@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cognitivedrone.benchmark import Plan, run
-from cognitivedrone.benchmark.reason import ReasonPlan, score_reasoner
+from cognitivedrone.benchmark.reasoning.reason import ReasonPlan, score_reasoner
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.tasks.format import write_tasks
 

@@ -11,9 +11,9 @@ from arducopters import REAL, needs_arducopter, played_arducopter
 from rich.console import Group
 
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.results import read_results, results_from_json, results_to_json
-from cognitivedrone.benchmark.runner import command_of, run
-from cognitivedrone.benchmark.tables import results_table
+from cognitivedrone.benchmark.reports.tables import results_table
+from cognitivedrone.benchmark.runs.runner import command_of, run
+from cognitivedrone.benchmark.scores.results import read_results, results_from_json, results_to_json
 from cognitivedrone.errors import CognitiveDroneError
 from cognitivedrone.vehicles.external import LinkReport
 
@@ -73,12 +73,12 @@ def test_the_reason_of_every_restart_is_in_the_results_and_the_table(config):
 @pytest.mark.parametrize(
     ("change", "binary", "says"),
     [
-        ({}, "", r"needs an ArduCopter binary: give --sitl PATH or set ARDUCOPTER to its path; docs/ardupilot\.md"),
+        ({}, "", r"needs an ArduCopter binary: give --sitl PATH or set ARDUCOPTER to its path; docs/vehicles\.md"),
         ({}, "pyproject.toml", "is not a program that can be run: give --sitl PATH or set ARDUCOPTER"),
         ({"airframe": "iriss"}, "/bin/true", "did you mean 'iris'"),
     ],
 )
-def test_what_cannot_be_flown_is_told_before_anything_is_written(sitl, monkeypatch, change, binary, says):
+def test_what_cannot_be_flown_is_reported_before_anything_is_written(sitl, monkeypatch, change, binary, says):
     monkeypatch.setenv("ARDUCOPTER", binary)
     with pytest.raises(CognitiveDroneError, match=says):
         run(sitl.changed(**change), progress=False)

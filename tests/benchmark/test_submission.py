@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import html
 import json
+import math
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.results import read_results
-from cognitivedrone.benchmark.runner import run
+from cognitivedrone.benchmark.measurements import markdown
+from cognitivedrone.benchmark.runs.runner import run
+from cognitivedrone.benchmark.scores.codec import decode, encode
+from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.benchmark.submission import (
     Rate,
     Verified,
@@ -20,8 +28,13 @@ from cognitivedrone.benchmark.submission import (
     verify,
     write_submission,
 )
+from cognitivedrone.benchmark.submission_file import SubmittedRun, scores_of, stages_of
 from cognitivedrone.cli import main
-from cognitivedrone.errors import RunError
+from cognitivedrone.errors import PolicyError, RunError
+from cognitivedrone.files import digest_of_file
+from cognitivedrone.printable import unprintable
+from cognitivedrone.rollout.pool import InProcess
+from cognitivedrone.tasks import load_suite
 
 STRAIGHT = """
 import numpy as np
@@ -29,6 +42,18 @@ import numpy as np
 class Straight:
     def reset(self, context): pass
     def act(self, observation): return np.array([[4.0, 0, 0, 0]])
+"""
+
+MOODY = """
+import numpy as np
+
+class Moody:
+    flights = 0
+
+    def reset(self, context): Moody.flights += 1
+
+    def act(self, observation):
+        return np.array([[0, 0, -2.0 if Moody.flights % 4 == 1 else -3.0 if Moody.flights % 2 else 0, 0]], np.float32)
 """
 
 
@@ -59,7 +84,7 @@ def test_a_submission_holds_the_run_and_is_read_back(folder: Path, file: Path) -
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda run: run["overall"].update(passed=29), "scores do not follow"),
         (lambda run: run["flown"][3].__setitem__(0, {"outcome": "timeout", "chosen": None}), "scores do not follow"),
@@ -68,19 +93,110 @@ def test_a_submission_holds_the_run_and_is_read_back(folder: Path, file: Path) -
         (lambda run: run["run"]["suite"].update(name="mine"), "no shipped suite"),
         (lambda run: run["flown"][3].__setitem__(0, {"outcome": "won", "chosen": 1}), "won"),
         (lambda run: run.pop("machine"), "missing"),
+        (lambda run: run.update(extra=1), "does not know"),
+        (lambda run: run["overall"].update(rate=math.nan), "no finite number"),
+        (lambda run: run["flown"].__setitem__(3, run["flown"][4]), "cannot have ended as|scores do not follow"),
+        (lambda run: run["flown"][3].append(run["flown"][3][0]), "flights are not those of the suite"),
+        (lambda run: run["flown"][3][0].update(chosen=7), "cannot have ended as passed with the gate 7"),
+        (lambda run: run["flown"][3][0].update(outcome="not_reached"), "cannot have ended as not_reached"),
+        (lambda run: run["flown"][3][0].update(outcome="invalid"), "cannot have ended as invalid"),
+        (lambda run: run["flown"][3][0].update(outcome="hesitated"), "cannot have ended as hesitated"),
+        (lambda run: run["run"]["suite"].update(size=29), "other tasks than the suite"),
+        (lambda run: run["run"]["options"].update(seed=False), "must be a whole number"),
+        (lambda run: run["run"]["options"].update(seed=0.0), "must be a whole number"),
+        (lambda run: run["run"]["options"].update(luck=1), "does not know"),
+        (lambda run: run["run"]["options"].pop("seed"), "missing"),
+        (lambda run: run["run"]["options"].update(episodes=5), "has 5 episodes only"),
+        (lambda run: run["run"]["options"].update(shard="1/2"), "is a shard"),
+        (lambda run: run["run"]["options"].update(model="<b>"), "must be a SHA-256"),
+        (lambda run: run["run"]["options"].update(model=["x"]), "options.model"),
+        (lambda run: run.update(machine="a\nb"), "printable characters"),
+        (lambda run: run.update(command="x\u202ey"), "printable characters"),
+        (lambda run: run.update(commit="<script>"), "40 hexadecimal digits"),
+        (lambda run: run.update(finished="yesterday"), "ISO 8601"),
+        (lambda run: run["run"]["versions"].update({"numpy\x1b[2J": "1"}), "printable characters"),
+        (lambda run: run["run"].update(policy="x" * 3000), "printable characters"),
     ],
 )
-def test_tampering_is_found(file: Path, change, said: str) -> None:
+def test_tampering_is_found(file: Path, change, message: str) -> None:
     document = json.loads(file.read_text())
     change(document["runs"][0])
     file.write_text(json.dumps(document))
-    with pytest.raises(RunError, match=said):
+    with pytest.raises(RunError, match=message):
         read_submission(file)
+
+
+@pytest.mark.parametrize("text", ["", " ", "x" * 61, "a\nb", "a\x1b[2J", "a\ud800", "a\u202eb", "a\u200bb"])
+@pytest.mark.parametrize("key", ["name", "by"])
+def test_a_name_is_checked_when_it_is_read(file: Path, key: str, text: str) -> None:
+    document = json.loads(file.read_text())
+    document[key] = text
+    file.write_text(json.dumps(document))
+    with pytest.raises(RunError, match="must have 1 to 60 printable characters") as error:
+        read_submission(file)
+    assert not unprintable(str(error.value))
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "javascript:alert(1)", "JAVASCRIPT:alert(1)", "data:text/html,x", "file:///etc/passwd", "//evil", "https://",
+        "https://a b", "https://a)b", "https://a](x", "https://a|b", "https://a\nb", 'https://a"onclick=', "https://a<b>",
+        "https://me:pass@host", "https://a\\b", "https://é.org", "https://a/" + "x" * 200, "ftp://a.org", "a.org",
+    ],
+)  # fmt: skip
+def test_an_address_is_a_plain_one_of_the_web(file: Path, url: str) -> None:
+    document = json.loads(file.read_text())
+    document["url"] = url
+    file.write_text(json.dumps(document))
+    with pytest.raises(RunError, match="must be a web address"):
+        read_submission(file)
+
+
+def test_the_runs_of_a_file_are_one_pilot_s_and_each_is_there_once(file: Path) -> None:
+    original = json.loads(file.read_text())
+
+    def with_runs(*runs: Any) -> None:
+        file.write_text(json.dumps({**original, "runs": runs}))
+
+    (first,) = original["runs"]
+    newer = json.loads(json.dumps(first))
+    newer["run"]["versions"]["numpy"] = "9.9.9"
+    other = json.loads(json.dumps(first))
+    other["run"]["options"] |= {"wind_m_s": 2.0, "model": "0" * 64}
+    for runs, message in (
+        ((), "has no run"),
+        ((first, first), "several runs of open-v1:smoke"),
+        ((first, newer), "several runs of open-v1:smoke"),
+        ((first, other), "different pilots"),
+    ):
+        with_runs(*runs)
+        with pytest.raises(RunError, match=message):
+            read_submission(file)
+    file.write_text(json.dumps(original).replace('"name"', '"name": "Nobody", "name"', 1))
+    with pytest.raises(RunError, match="the name 'name' is given twice"):
+        read_submission(file)
+
+
+def test_episodes_of_another_order_are_not_submitted(folder: Path, tmp_path: Path) -> None:
+    document = json.loads((folder / "results.json").read_text())
+    document["episodes"][1]["stages"], document["episodes"][2]["stages"] = (
+        document["episodes"][2]["stages"],
+        document["episodes"][1]["stages"],
+    )
+    changed = tmp_path / "results.json"
+    changed.write_text(json.dumps(document))
+    with pytest.raises(RunError, match=r"not those of the suite, in order|does not follow"):
+        submission_of([changed], "Mine", "Us")
 
 
 def test_what_cannot_be_submitted(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(RunError, match="printable characters"):
         submission_of([folder], "", "Us")
+    with pytest.raises(RunError, match="must be a web address"):
+        submission_of([folder], "Mine", "Us", "javascript:alert(1)")
+    with pytest.raises(RunError, match="has no run"):
+        submission_of([], "Mine", "Us")
     with pytest.raises(RunError, match="several runs of open-v1:smoke"):
         submission_of([folder, folder], "Mine", "Us")
     part = tmp_path / "part"
@@ -92,55 +208,176 @@ def test_what_cannot_be_submitted(folder: Path, tmp_path: Path) -> None:
 def test_a_sample_is_flown_again(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (checked,) = verify(read_submission(file), 2, progress=False)
     assert (checked.flown, checked.equal, checked.passed, checked.submitted) == (2, 2, 2, 2)
+    assert (checked.worse, checked.better, checked.valid, checked.repeats) == (0, 0, 0, True)
     assert checked.verdict == "confirmed"
-    main(["verify", str(file), "--sample", "1"])
+    main(["verify", str(file), "--sample", "8", "--seed", "3"])
     assert capsys.readouterr().out == (
-        "open-v1:smoke: 1 of 1 stages ended as submitted; 1 passed, 1 submitted as passed: not refuted, but the sample"
-        " has too few passes to judge the score; give more than --sample 1\n"
-    )
-    main(["verify", str(file), "--sample", "8"])
-    assert capsys.readouterr().out == (
-        "open-v1:smoke: 8 of 8 stages ended as submitted; 8 passed, 8 submitted as passed: confirmed\n"
+        "sample: --seed 3\n"
+        "open-v1:smoke: 8 of 8 flights ended as submitted; 8 stages passed, 8 submitted as passed: confirmed\n"
+        "  9 or more false flights among the 30 would not have been confirmed, with a probability of 95 %\n"
     )
 
 
-def test_a_pilot_that_passes_less_often_is_not_confirmed(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_sample_is_another_one_each_time_and_can_be_repeated(
+    file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    submission = submission_of([folder], "Mine", "Us")
-    path = tmp_path / "other.json"
-    write_submission(path, submission)
-    # The submitted pilot is replaced by one that drives into the first thing it meets.
-    document = json.loads(path.read_text())
-    document["runs"][0]["run"]["policy"] = "random"
-    path.write_text(json.dumps(document))
-    (checked,) = verify(read_submission(path), 8, progress=False)
-    assert checked.passed == 0
+    flown = []
+
+    def noted(self: InProcess[Any, Any], items: Sequence[Any]) -> Iterator[Any]:
+        flown.append([*items])
+        return as_before(self, items)
+
+    as_before = InProcess.fly
+    monkeypatch.setattr(InProcess, "fly", noted)
+    seeds = []
+    for _ in range(2):
+        main(["verify", str(file), "--sample", "5"])
+        seeds.append(capsys.readouterr().out.partition("\n")[0].removeprefix("sample: --seed "))
+    main(["verify", str(file), "--sample", "5", "--seed", seeds[0]])
+    first, second, again = (each for each in flown if each)
+    assert seeds[0] != seeds[1]
+    assert first != second
+    assert first == again
+
+
+@pytest.mark.parametrize("options", [["--sample", "0"], ["--sample", "-1"], ["--seed", "-1"]])
+def test_a_sample_that_cannot_be_drawn_is_reported(
+    file: Path, options: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["verify", str(file), *options])
+    assert f"{options[0]} is {options[1]}; it must be" in capsys.readouterr().err
+
+
+def tampered(file: Path, ends: dict[str, Any], *, of: int = 20) -> Path:
+    """A file of `hover`, whose flights all fail, that says that the first `of` ended so; its scores follow."""
+    document = json.loads(file.read_text())
+    run = document["runs"][0]
+    run["run"] |= {"policy": "hover"}
+    suite = load_suite("open-v1:smoke")
+    timeout = {"outcome": "timeout", "chosen": None}
+    right = [{"chosen": track[0].target, **ends} for track in suite.tracks]
+    run["flown"] = [[each if index < of else timeout] for index, each in enumerate(right)]
+    made = decode(SubmittedRun, run, "")
+    overall, categories, mean = scores_of([*stages_of(made, "")])
+    document["runs"] = [encode(replace(made, overall=overall, categories=categories, mean=mean))]
+    file.write_text(json.dumps(document))
+    return file
+
+
+def test_failures_that_are_called_invalid_are_refuted(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    submission = read_submission(tampered(file, {"outcome": "invalid", "chosen": None}))
+    assert submission.runs[0].overall.n == 10
+    (checked,) = verify(submission, 4, progress=False)
+    assert checked.valid >= 4  # of the flights called invalid, as many as the sample has, besides those in it
     assert checked.verdict == "refuted"
     with pytest.raises(SystemExit, match="1"):
-        main(["verify", str(path), "--sample", "7"])
-    said = capsys.readouterr().out
-    assert "undecided: the sample has too few passes to judge the score; give more than --sample 7" in said
+        main(["verify", str(file), "--sample", "1"])
+    message = capsys.readouterr().out
+    assert "NOT confirmed" in message
+    assert "stages that were submitted as invalid are valid" in message
+
+
+@pytest.mark.parametrize("ends", [{"outcome": "passed"}, {"outcome": "collision", "chosen": 1}])
+def test_outcomes_that_are_false_are_refuted_whatever_they_are(file: Path, ends: dict[str, Any]) -> None:
+    (checked,) = verify(read_submission(tampered(file, ends)), 6, seed=1, progress=False)
+    assert checked.equal < 6
+    assert checked.verdict == "refuted"
 
 
 @pytest.mark.parametrize(
-    ("passed", "submitted", "p", "verdict"),
+    ("flown", "equal", "worse", "better", "valid", "repeats", "verdict"),
     [
-        (20, 20, 1.0, "confirmed"),
-        (21, 20, 1.0, "confirmed"),
-        (0, 0, 1.0, "confirmed"),
-        (18, 20, 0.5, "confirmed"),  # of so many, two may be chance
-        (12, 20, 0.0078, "refuted"),
-        (6, 7, 1.0, "undecided"),
-        (0, 7, 0.0156, "undecided"),
-        (0, 8, 0.0078, "refuted"),
+        (20, 20, 0, 0, 0, True, "confirmed"),
+        (20, 19, 1, 0, 0, True, "undecided"),
+        (20, 19, 0, 0, 0, True, "undecided"),  # another failure than submitted
+        (20, 18, 2, 0, 0, True, "refuted"),
+        (20, 18, 0, 2, 0, True, "refuted"),
+        (300, 299, 1, 0, 0, True, "confirmed"),  # another machine, once
+        (300, 294, 6, 0, 0, True, "refuted"),
+        (1, 1, 0, 0, 0, True, "confirmed"),
+        (1, 0, 1, 0, 0, True, "refuted"),
+        (20, 20, 0, 0, 1, True, "refuted"),
+        (20, 10, 5, 5, 0, False, "confirmed"),  # a pilot that flies otherwise each time
+        (20, 16, 4, 0, 0, False, "confirmed"),
+        (20, 14, 6, 0, 0, False, "undecided"),
+        (20, 12, 8, 0, 0, False, "refuted"),
+        (20, 12, 0, 8, 0, False, "confirmed"),
+        (20, 12, 5, 3, 1, False, "refuted"),
     ],
 )
-def test_a_sample_confirms_refutes_or_is_too_small(passed: int, submitted: int, p: float, verdict: str) -> None:
-    assert Verified("open-v1:test", 20, 20, passed, submitted, p, ()).verdict == verdict
+def test_a_sample_confirms_refutes_or_is_too_small(
+    flown: int, equal: int, worse: int, better: int, valid: int, repeats: bool, verdict: str
+) -> None:
+    assert Verified("open-v1:test", flown, 300, equal, 9, 9, worse, better, valid, repeats, ()).verdict == verdict
 
 
-def test_other_code_of_an_own_policy_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_sample_finds_is_reported_as_it_is() -> None:
+    drawn = np.random.default_rng(0)
+    for flown, size in ((20, 300), (60, 300), (8, 30)):
+        checked = Verified("open-v1:test", flown, size, flown, 9, 9, 0, 0, 0, True, ())
+        assert checked.finds is not None
+        verdicts = []
+        for _ in range(400):
+            false = int((drawn.choice(size, flown, replace=False) < checked.finds).sum())
+            verdicts.append(replace(checked, equal=flown - false).verdict)
+        assert verdicts.count("confirmed") < 40  # 20 are expected
+    assert Verified("open-v1:test", 300, 300, 300, 9, 9, 0, 0, 0, True, ()).finds == 4
+
+
+def test_a_pilot_that_does_not_repeat_its_flights_is_compared_by_passes(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "moody.py").write_text(MOODY)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    document = json.loads(tampered(file, {"outcome": "timeout", "chosen": None}).read_text())
+    digest = digest_of_file(tmp_path / "moody.py")
+    document["runs"][0]["run"] |= {"policy": "moody:Moody"}
+    document["runs"][0]["run"]["options"] |= {"policy_code": digest}
+    file.write_text(json.dumps(document))
+    (checked,) = verify(read_submission(file), 4, seed=1, policy="moody:Moody", progress=False)
+    assert checked.equal < 4
+    assert not checked.repeats
+    assert checked.verdict == "confirmed"  # it hovers or hits the floor: it passes as seldom as it said
+
+
+def test_what_a_file_names_is_not_run_and_not_opened(file: Path, tmp_path: Path, capsys: Any, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "owned.py").write_text("open('imported', 'w').close()\n" + STRAIGHT)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    original = file.read_text()
+    for part, name in (
+        ("policy", "os:system:touch imported"),
+        ("policy", "owned:Straight"),
+        ("policy", "remote:ws://127.0.0.1:9"),
+        ("policy", "small:/etc/passwd"),
+        ("reasoner", "replay:/etc/passwd"),
+        ("reasoner", "os:system:touch imported"),
+        ("reasoner", "vlm:http://127.0.0.1:9/v1"),
+    ):
+        document = json.loads(original)
+        document["runs"][0]["run"][part] = name
+        file.write_text(json.dumps(document))
+        with pytest.raises(SystemExit, match="2"):
+            main(["verify", str(file), "--sample", "1"])
+        assert "which must not choose the code, files or servers that are used" in capsys.readouterr().err
+        assert not (tmp_path / "imported").exists()
+    for options, message in (
+        ({"latency": "policy=/etc/passwd"}, "depends on a file, which is not read here"),
+        ({"link": "gazebo"}, "only the simulator is verified"),
+        ({"link": "mavlink:udp:127.0.0.1:14550"}, "only the simulator is verified"),
+    ):
+        document = json.loads(original)
+        document["runs"][0]["run"]["options"] |= options
+        file.write_text(json.dumps(document))
+        with pytest.raises(SystemExit, match="2"):
+            main(["verify", str(file), "--sample", "1"])
+        assert message in capsys.readouterr().err
+
+
+def test_the_code_of_an_own_policy_is_named_by_the_person_and_must_be_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     module = tmp_path / "steering.py"
     module.write_text(STRAIGHT)
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -148,11 +385,15 @@ def test_other_code_of_an_own_policy_is_refused(tmp_path: Path, monkeypatch: pyt
     run(plan, progress=False)
     file = tmp_path / "mine.json"
     write_submission(file, submission_of([tmp_path / "run"], "Mine", "Us"))
-    (checked,) = verify(read_submission(file), 2, progress=False)
+    with pytest.raises(PolicyError, match="name it yourself with --policy"):
+        verify(read_submission(file), 2, progress=False)
+    (checked,) = verify(read_submission(file), 2, policy="steering:Straight", progress=False)
     assert checked.verdict == "confirmed"
+    with pytest.raises(RunError, match="policy_code is another file here"):
+        verify(read_submission(file), 2, policy="hover", progress=False)
     module.write_text(STRAIGHT + "# edited\n")
     with pytest.raises(RunError, match=r"policy_code is another file here .*; get the submission's code"):
-        verify(read_submission(file), 2, progress=False)
+        verify(read_submission(file), 2, policy="steering:Straight", progress=False)
     with pytest.raises(RunError, match=r"contains another run: .*policy_code"):
         run(plan.changed(resume=True), progress=False)
 
@@ -169,6 +410,38 @@ def test_the_leaderboard_is_sorted(folder: Path) -> None:
     good = submission_of([folder], "a|b", "Us", "https://example.org")
     rows = leaderboard([good], ["open-v1:smoke", "open-v1:test"])
     assert rows == [["[a|b](https://example.org)", "Us", "`oracle` (ground truth)", "`none`", "100.0 (89 to 100)", "–"]]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<script>alert(1)</script>", "[x](javascript:x)", "![x](http://evil)", "**bold**", "`code`", "a | b",
+        "http://evil.org", "www.evil.org", "WWW.evil.org", "me@evil.org", "<!-- end -->", "&lt;b&gt;", "\\| x",
+        "# head",
+        "a_b_c", "~~x~~", "<http://evil.org>", "[x]: http://evil", "{: onclick=x }", ":smile:", "$x$", "==x==", "^x^",
+        "[^1]",
+    ],
+)  # fmt: skip
+def test_texts_of_a_submission_are_text_in_the_table(folder: Path, text: str) -> None:
+    markdown_of = pytest.importorskip("markdown").markdown
+    (row,) = leaderboard([submission_of([folder], text, text)], ["open-v1:smoke"])
+    page = markdown_of(markdown(["pilot", "by", "policy", "reasoner", "score"], [row]), extensions=["extra"])
+    cells = re.findall(r"<td>(.*?)</td>", page)
+    assert len(cells) == 5
+    for cell in cells[:2]:
+        assert "<" not in cell
+        assert html.unescape(cell) == text
+    assert not re.search(r"://|www\.|@", "".join(row[:2]), re.IGNORECASE)  # what GitHub would make a link
+
+
+def test_a_policy_s_name_is_text_in_the_table(folder: Path) -> None:
+    submission = submission_of([folder], "Mine", "Us")
+    (made,) = submission.runs
+    for name in ("`<b>x</b>`", "<b>x</b>", "a|b"):
+        shown = replace(submission, runs=(replace(made, run=replace(made.run, policy=name)),))
+        (row,) = leaderboard([shown], ["open-v1:smoke"])
+        assert row[2] in (f"`{name}`", "&#96;&#60;b&#62;x&#60;/b&#62;&#96;")
+        assert row[2].count("`") in (0, 2)
 
 
 def test_the_leaderboard_counts_runs_with_default_options_alone(folder: Path, tmp_path: Path) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import signal
 
 import pytest
 
 from cognitivedrone import evaluate
+from cognitivedrone.benchmark.runs.runner import Interrupted
 from cognitivedrone.cli import main
 from cognitivedrone.errors import PolicyError, RunError
 
@@ -20,11 +22,27 @@ def lasting(folder):
     ("how", "says", "trace"),
     [
         ("raise", r"the policy raised RuntimeError: CUDA out of memory (user_pilots.py, line", "in misbehave"),
+        (
+            "surrogate",
+            r"the policy raised RuntimeError: no file \udcff.npy\x1b[31m (user_pilots.py, line",
+            "in misbehave",
+        ),
         ("exit", "the policy raised SystemExit: 0 (user_pilots.py, line", "in misbehave"),
         ("shape", "rate in rad/s; return one action as [[vx, vy, vz, yaw_rate]]", "check_chunk"),
         ("words", "the policy returned 'str', not an array of numbers", "check_chunk"),
         ("nothing", "the policy returned None, not an array of numbers", "check_chunk"),
         ("nan", "not all of it is a finite number", "check_chunk"),
+        ("interrupt", "the policy raised KeyboardInterrupt: (user_pilots.py, line", "in misbehave"),
+        ("cancelled", "the policy raised CancelledError: (user_pilots.py, line", "in misbehave"),
+        ("end", "the policy raised Ended: (user_pilots.py, line", "in misbehave"),
+        ("array exits", "the policy raised SystemExit: 3 (user_pilots.py, line", "in __array__"),
+        ("array interrupts", "the policy raised KeyboardInterrupt: (user_pilots.py, line", "in __array__"),
+        ("array divides", "the policy raised ZeroDivisionError: division by zero (user", "in __array__"),
+        ("complex", "not an array of numbers; expected (k, 4) float32, came complex128", "check_chunk"),
+        ("numbers as text", "the policy returned 'list', not an array of numbers", "check_chunk"),
+        ("yes and no", "the policy returned 'ndarray', not an array of numbers", "check_chunk"),
+        ("text in an object", "the policy returned 'ndarray', not an array of numbers", "check_chunk"),
+        ("too large", "not all of it is a finite number", "check_chunk"),
     ],
 )
 def test_a_mistake_is_a_policy_error_with_its_traceback(tmp_path, how, says, trace):
@@ -56,7 +74,7 @@ def test_a_run_in_which_every_episode_fails_is_written_and_ends_with_exit_code_1
     assert "every episode" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("how", ["raise", "quit", "hang"])
+@pytest.mark.parametrize("how", ["raise", "quit", "hang", "interrupt", "array hangs"])
 def test_mistakes_count_the_same_with_one_worker_and_with_two(tmp_path, how):
     for workers in (1, 2):
         evaluate(
@@ -72,6 +90,24 @@ def test_on_a_track_what_was_flown_before_the_mistake_stays(tmp_path):
     evaluation = evaluate("user_pilots:Faulty", "open-v1:track", episodes=1, workers=0, progress=False)
     (episode,) = evaluation.results.episodes
     assert [stage.outcome for stage in episode.stages] == ["policy_error", *["not_reached"] * 4]
+
+
+@pytest.mark.parametrize("how", ["", "swallow", "exit"])
+def test_a_real_ctrl_c_in_a_policy_ends_the_run_whatever_the_policy_makes_of_it(tmp_path, how):
+    with pytest.raises(Interrupted, match="stopped after 0 of 2 episodes"):
+        evaluate(
+            f"user_pilots:Pressed{how and ':' + how}", episodes=2, workers=0, out=tmp_path / "run", clips=0,
+            progress=False,
+        )  # fmt: skip
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_policy_that_raises_in_its_reports_or_cannot_be_made_does_not_look_like_ctrl_c(tmp_path):
+    evaluation = evaluate("user_pilots:Inner", episodes=1, workers=0, progress=False)
+    assert evaluation.summary.overall.outcomes["policy_error"] == 1
+    for workers in (0, 1):
+        with pytest.raises(PolicyError, match="cannot be made: KeyboardInterrupt"):
+            evaluate("user_pilots:CannotBeMade", episodes=1, workers=workers, progress=False)
 
 
 def test_fail_fast_stops_with_the_traceback(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 import warnings
 
@@ -22,7 +23,7 @@ pytestmark = pytest.mark.usefixtures("no_vlm_settings")
 
 def flown(script, out, timeout=2.0, latency="none"):
     """The result of the only stage, and the warnings that were said."""
-    with serving(script) as url, warnings.catch_warnings(record=True) as said:
+    with serving(script) as url, warnings.catch_warnings(record=True) as expected:
         warnings.simplefilter("always")
         config = Plan.of(
             policy="colour_seeker",
@@ -35,17 +36,17 @@ def flown(script, out, timeout=2.0, latency="none"):
             clips=0,
         )
         results = run(config, progress=False)
-    return results.episodes[0].stages[0], [str(warning.message) for warning in said]
+    return results.episodes[0].stages[0], [str(warning.message) for warning in expected]
 
 
 def test_a_good_answer_is_flown_by(tmp_path):
     script = Script(replies=[(200, chat(ANSWER))])
-    stage, said = flown(script, tmp_path, latency="reasoner=300ms")
+    stage, expected = flown(script, tmp_path, latency="reasoner=300ms")
     assert stage.outcome == "passed"
     assert stage.directive == TASK.directive
     assert stage.reasoner.gate
     assert stage.reasoner.age_s > 0.3
-    assert said == []
+    assert expected == []
     assert TASK.instruction in str(script.bodies[0]["messages"])
 
 
@@ -73,13 +74,13 @@ def endless(handler):
     ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_the_flight_goes_on_and_every_fault_is_counted(script, fault, tmp_path):
-    stage, said = flown(script, tmp_path, timeout=0.1 if fault == "timeout" else 2.0)
+    stage, expected = flown(script, tmp_path, timeout=0.1 if fault == "timeout" else 2.0)
     assert stage.outcome in ("passed", "wrong_gate", "timeout", "missed", "collision", "out_of_bounds")
     assert stage.directive is None
     assert set(stage.reasoner.faults) == {fault}
     assert stage.reasoner.faults[fault] >= 3
     assert stage.reasoner.gate is False
-    assert len(said) == 1  # said once, however often it happens
+    assert len(expected) == 1  # said once, however often it happens
 
 
 def test_after_a_fault_the_last_good_directive_stays(tmp_path):
@@ -91,7 +92,7 @@ def test_after_a_fault_the_last_good_directive_stays(tmp_path):
     assert stage.reasoner.faults["http"] >= 2
 
 
-def test_a_directive_for_a_gate_that_is_not_there_is_told_as_wrong(tmp_path):
+def test_a_directive_for_a_gate_that_is_not_there_is_reported_as_wrong(tmp_path):
     absent = (
         f'{{"size": "{"small" if OTHER.size == "big" else "big"}", "color": "{OTHER.color}", "shape": "{OTHER.shape}"}}'
     )
@@ -118,3 +119,50 @@ def test_a_server_that_is_down_stops_before_take_off(tmp_path):
     with pytest.raises(PolicyError, match=r"127\.0\.0\.1:9"):
         run(config, progress=False)
     assert not (tmp_path / "run").exists()
+
+
+MISSION = load_suite("open-v3:missions").tracks[0]
+
+
+def planning(plan):
+    """A server that plans so, and names the right gate of the sub-goal that it is asked about."""
+
+    def behave(handler):
+        text = str(handler.script.bodies[-1]["messages"])
+        stage = next((number for number in (0, 1) if f"sub-goal number {number}" in text), None)
+        if stage is None:
+            return handler.answer(200, chat(plan))
+        gate = MISSION[stage].gates[MISSION[stage].target]
+        handler.answer(200, chat(f'{{"size": "{gate.size}", "color": "{gate.color}", "shape": "{gate.shape}"}}'))
+        return None
+
+    return Script(behave=behave)
+
+
+def flown_mission(plan, out):
+    script = planning(plan)
+    with serving(script) as url:
+        config = Plan.of(
+            policy="colour_seeker", reasoner=f"vlm:{url},model=eye-7b,timeout=5", suite="open-v3:missions",
+            workers=0, episodes=1, out=out, clips=0,
+        )  # fmt: skip
+        return run(config, progress=False).episodes[0], script
+
+
+def test_a_mission_is_flown_by_the_models_own_plan(tmp_path):
+    goals = [
+        {"do": "fly", "what": f"sub-goal number {number}", "otherwise": "", "pad": "none", "never_through": []}
+        for number in (0, 1)
+    ]
+    episode, script = flown_mission(json.dumps({"sub_goals": goals}), tmp_path)
+    assert [stage.outcome for stage in episode.stages] == ["passed", "passed"]
+    assert [stage.directive for stage in episode.stages] == [task.directive for task in MISSION]
+    asked = [body for body in script.bodies if MISSION[0].mission in str(body["messages"])]
+    assert asked == script.bodies[:1], "the mission is planned once, before take-off"
+
+
+def test_a_mission_without_a_plan_is_not_flown_and_the_run_goes_on(tmp_path):
+    episode, script = flown_mission('{"sub_goals": []}', tmp_path)
+    assert [stage.outcome for stage in episode.stages] == ["policy_error", "not_reached"]
+    assert episode.message == "the mission was not planned: the plan is empty; there is nothing to fly"
+    assert len(script.bodies) == 2

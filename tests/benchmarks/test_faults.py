@@ -31,7 +31,7 @@ def test_a_sample_of_faults_is_survived(section: str, share: float, tried: int) 
     assert stray == "0"
 
 
-def test_an_unknown_section_is_told_with_those_there_are() -> None:
+def test_an_unknown_section_is_reported_with_those_there_are() -> None:
     done = run("colect-kills")
     assert done.returncode == 2
     assert "collect-kills, bench-kills, random-kills, damaged-stores" in done.stderr

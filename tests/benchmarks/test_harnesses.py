@@ -93,7 +93,7 @@ def test_a_command_that_fails_ends_the_program_with_what_it_said() -> None:
         harness_flights.run("python", "-c", "print('seen'); raise SystemExit(3)")
 
 
-def test_an_unknown_part_is_told_with_those_there_are() -> None:
+def test_an_unknown_part_is_reported_with_those_there_are() -> None:
     done = subprocess.run([sys.executable, SCRIPT, "--only", "lerobt"], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "vla-eval" in done.stderr

@@ -9,19 +9,24 @@ import signal
 import subprocess
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from collect_pools import flying, forwards
 
-from cognitivedrone.collect import collector, executors
+from cognitivedrone.collect import collector
 from cognitivedrone.collect.collector import CollectPlan, collect
-from cognitivedrone.collect.executors import Job, fly_here, fly_local
+from cognitivedrone.collect.job import Job
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.data.layout import sole_writer
 from cognitivedrone.data.store import Store
-from cognitivedrone.errors import DataError, MissingExtra, PolicyError, TaskError
+from cognitivedrone.errors import DataError, MissingExtra, PolicyError, TaskError, UsageError
 from cognitivedrone.plan import TaskSource
+from cognitivedrone.rollout.pool import ProcessPool, WorkerLost
+from cognitivedrone.tasks import load_suite
+from cognitivedrone.tasks.format import write_tasks
 
 
 def config(out, **changes):
@@ -33,17 +38,16 @@ def digests(folder):
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
-def fly_backwards(job, batches, workers):
-    """An executor in this process."""
-    for batch in reversed(batches):
-        yield from fly_here(job, batch[::-1])
+def backwards(fleet, batches):
+    """The last batch first."""
+    return forwards(fleet, [batch[::-1] for batch in reversed(batches)])
 
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     out = tmp_path_factory.mktemp("collect") / "set"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(executors, "fly_local", fly_backwards)
+        patch.setattr(collector, "pool_of", flying(backwards))
         return collect(config(out), progress=False)
 
 
@@ -68,22 +72,24 @@ def test_a_killed_collection_is_resumed_to_the_same_bytes(flown, tmp_path):
     script = f"""
 import os, signal
 from pathlib import Path
-from cognitivedrone.collect import collector, executors
-def fly(job, batches, workers):
+from collect_pools import flying
+from cognitivedrone.collect import collector
+def fly(fleet, batches):
     for count, batch in enumerate(batches):
         if count == 2:
             os.kill(os.getpid(), signal.SIGKILL)
-        yield from executors.fly_here(job, batch)
-executors.fly_local = fly
+        yield from fleet.fly(batch)
+collector.pool_of = flying(fly)
 plan = collector.CollectPlan(Path({str(out)!r}), "debug", 10, episodes_per_shard=3)
 collector.collect(plan, progress=False)
 """
-    killed = subprocess.run([sys.executable, "-c", script], env=os.environ, check=False)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    killed = subprocess.run([sys.executable, "-c", script], env=environment, check=False)
     assert killed.returncode == -signal.SIGKILL
     with pytest.raises(DataError, match="not finished"):
         Store.open(out)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(executors, "fly_local", fly_backwards)
+        patch.setattr(collector, "pool_of", flying(backwards))
         report = collect(config(out, resume=True), progress=False)
     assert (report.flown, report.episodes) == (4, 10)
     assert digests(out) == digests(flown.out)
@@ -103,27 +109,27 @@ def test_a_folder_of_another_making_is_refused(flown, changes):
 
 
 def stopped_after(count, error):
-    """An executor that flies so many episodes, and then raises."""
+    """Flies so many episodes, and then raises."""
 
-    def fly(job, batches, workers):
-        flown = (each for batch in batches for each in fly_here(job, batch))
+    def fly(fleet, batches):
+        flown = forwards(fleet, batches)
         yield from (next(flown) for _ in range(count))
         raise error
 
-    return fly
+    return flying(fly)
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), DataError("a worker was killed")])
 def test_ctrl_c_and_a_dead_worker_keep_every_finished_episode(flown, tmp_path, monkeypatch, error):
     out = tmp_path / "set"
-    monkeypatch.setattr(executors, "fly_local", stopped_after(5, error))
-    said = r"stopped; 5 of 10 episodes are kept in .*--resume" if isinstance(error, KeyboardInterrupt) else "killed"
-    with pytest.raises(type(error), match=said):
+    monkeypatch.setattr(collector, "pool_of", stopped_after(5, error))
+    expected = r"stopped; 5 of 10 episodes are kept in .*--resume" if isinstance(error, KeyboardInterrupt) else "killed"
+    with pytest.raises(type(error), match=expected):
         collect(config(out), progress=False)
-    monkeypatch.setattr(executors, "fly_local", stopped_after(3, KeyboardInterrupt()))
+    monkeypatch.setattr(collector, "pool_of", stopped_after(3, KeyboardInterrupt()))
     with pytest.raises(KeyboardInterrupt, match="8 of 10"):
         collect(config(out, resume=True), progress=False)
-    monkeypatch.setattr(executors, "fly_local", fly_backwards)
+    monkeypatch.setattr(collector, "pool_of", flying(backwards))
     report = collect(config(out, resume=True), progress=False)
     assert (report.flown, report.episodes) == (2, 10)
     assert digests(out) == digests(flown.out)
@@ -138,7 +144,7 @@ def test_progress_counts_episodes_while_a_shard_is_under_way(tmp_path, monkeypat
 
 def test_the_bar_is_readable_at_80_columns(tmp_path, monkeypatch, capfd):
     monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setattr(executors, "fly_local", fly_backwards)
+    monkeypatch.setattr(collector, "pool_of", flying(backwards))
     collect(config(tmp_path / "set", episodes=1), progress=True)
     lines = capfd.readouterr().err.splitlines()
     (line,) = [line for line in lines if "episodes/s" in line]
@@ -147,12 +153,12 @@ def test_the_bar_is_readable_at_80_columns(tmp_path, monkeypatch, capfd):
 
 
 @pytest.mark.parametrize("place", ["/proc/set", "FILE", "FILE/set"])
-def test_a_place_that_cannot_be_written_is_told_in_one_sentence(tmp_path, place):
+def test_a_place_that_cannot_be_written_is_reported_in_one_sentence(tmp_path, place):
     (tmp_path / "file").write_text("mine")
     out = Path(place.replace("FILE", str(tmp_path / "file")))
-    with pytest.raises(DataError, match=r"is a file; give a new folder|cannot be written") as told:
+    with pytest.raises(DataError, match=r"is a file; give a new folder|cannot be written") as reported:
         collect(config(out), progress=False)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(reported.value)
     assert (tmp_path / "file").read_text() == "mine"
 
 
@@ -163,7 +169,7 @@ def test_two_collections_into_one_folder_are_refused(flown, tmp_path):
 
 
 def test_progress_goes_to_the_error_stream(tmp_path, monkeypatch, capfd):
-    monkeypatch.setattr(executors, "fly_local", fly_backwards)
+    monkeypatch.setattr(collector, "pool_of", flying(backwards))
     collect(config(tmp_path / "set", episodes=1))
     output = capfd.readouterr()
     assert "1/1" in output.err
@@ -175,22 +181,23 @@ def test_progress_goes_to_the_error_stream(tmp_path, monkeypatch, capfd):
     ("changes", "error", "message"),
     [
         ({"recipe": "papr"}, DataError, "did you mean 'paper'"),
-        ({"episodes": 0}, DataError, "--episodes 0"),
-        ({"workers": 0}, DataError, "--workers 0"),
-        ({"seed": -1}, DataError, "--seed -1"),
+        ({"episodes": 0}, UsageError, "--episodes is 0"),
+        ({"workers": 0}, UsageError, "--workers is 0"),
+        ({"seed": -1}, UsageError, "--seed is -1"),
         ({"suite": "open-v2:words"}, DataError, "is only for testing"),
         ({"beta": 0.5}, DataError, "give a --policy"),
-        ({"beta": 1.5, "policy": "hover"}, DataError, "--beta 1.5: must be a probability"),
+        ({"beta": 1.5, "policy": "hover"}, UsageError, "--beta is 1.5; it must be from 0 to 1"),
         ({"policy": "hovr"}, PolicyError, "did you mean 'hover'"),
         ({"policy": "small:no/such.onnx"}, PolicyError, "no model file no/such.onnx"),
-        ({"episodes_per_shard": 0}, DataError, "--episodes-per-shard 0"),
+        ({"episodes_per_shard": 0}, UsageError, "--episodes-per-shard is 0"),
         ({"executor": "rai"}, DataError, "unknown executor"),
         ({"suite": "open-v1:smok"}, TaskError, "did you mean 'open-v1:smoke'"),
         ({"suite": "open-v1:test", "episodes": 5000}, DataError, "has 300 tasks only; give --episodes 300, or fewer"),
-        ({"suite": "open-v1:track", "episodes": 2}, DataError, "tracks"),
+        ({"suite": "open-v1:track", "episodes": 2}, DataError, "made of tracks.*give the stages in a task file"),
+        ({"suite": "open-v3:missions", "episodes": 2}, DataError, "is only for testing"),
     ],
 )
-def test_mistakes_are_told_before_anything_is_written(tmp_path, changes, error, message):
+def test_mistakes_are_reported_before_anything_is_written(tmp_path, changes, error, message):
     with pytest.raises(error, match=message):
         collect(config(tmp_path / "set", **changes), progress=False)
     assert not (tmp_path / "set").exists()
@@ -198,17 +205,18 @@ def test_mistakes_are_told_before_anything_is_written(tmp_path, changes, error, 
 
 def test_a_mistake_in_a_worker_comes_through(tmp_path):
     job = Job(TaskSource("open-v1:nowhere"), RECIPES["debug"], 5)
-    with pytest.raises(TaskError, match="nowhere"):
-        list(fly_local(job, [[0]], 1))
+    with pytest.raises(TaskError, match="nowhere"), ProcessPool(job, 1):
+        pass
 
 
-def test_a_killed_worker_is_told_of():
-    flying = fly_local(Job(TaskSource("open-v1:train"), RECIPES["debug"], 1), [[index] for index in range(20)], 1)
-    assert next(flying).episode.index == 0
-    (worker,) = multiprocessing.active_children()
-    worker.kill()
-    with pytest.raises(DataError, match=r"worker was killed.*--resume"):
-        list(flying)
+def test_a_killed_worker_is_reported():
+    with ProcessPool(Job(TaskSource("open-v1:train"), RECIPES["debug"], 1), 1) as pool:
+        flown = pool.fly([[index] for index in range(20)])
+        assert next(flown)[0].episode.index == 0
+        (worker,) = multiprocessing.active_children()
+        worker.kill()
+        with pytest.raises(WorkerLost, match=r"the worker of episodes . to . was killed by SIGKILL.*--resume"):
+            list(flown)
     assert not multiprocessing.active_children()
 
 
@@ -225,3 +233,18 @@ def test_shards_share_out_all_indices():
     assert np.array_equal(indices, np.arange(8062))
     families = Counter(index % 10 for index in indices)
     assert max(families.values()) - min(families.values()) <= 1
+
+
+def test_the_stages_of_a_mission_are_collected_as_tasks_of_their_own_and_a_landing_too(tmp_path, monkeypatch):
+    monkeypatch.setattr(collector, "pool_of", flying(backwards))
+    stages = load_suite("open-v3:missions").tracks[5]
+    write_tasks(tmp_path / "whole.json", stages)
+    mission = config(tmp_path / "set", tasks=tmp_path / "whole.json", episodes=1)
+    with pytest.raises(DataError, match="without their 'mission'"):
+        collect(mission, progress=False)
+    write_tasks(tmp_path / "parts.json", [replace(stage, mission=None) for stage in stages])
+    report = collect(config(tmp_path / "set", tasks=tmp_path / "parts.json", episodes=2), progress=False)
+    assert report.outcomes == {"passed": 2}
+    landing = list(Store.open(tmp_path / "set").episodes())[1]
+    assert landing.task.landing
+    assert landing.final_position[2] < 0.2

@@ -217,7 +217,7 @@ def test_all_of_the_experts_share_is_the_experts_flight(clean):
         assert_same(ours, theirs)
 
 
-def test_a_policy_without_a_finite_command_or_with_a_bug_is_told_of(monkeypatch):
+def test_a_policy_without_a_finite_command_or_with_a_bug_is_reported(monkeypatch):
     monkeypatch.setattr(fleet_module, "MAX_ATTEMPTS", 2)
     with pytest.raises(DataError, match=r"in 2 flights the policy gave no finite command"):
         list(relabel(NotANumber, SUITE, SHORT, 0, [0], worlds=1))

@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from collect_pools import flying, forwards
 from tiny import DESCRIPTION, tiny_model
 
-from cognitivedrone.collect import executors
+from cognitivedrone.collect import collector
 from cognitivedrone.collect.collector import CollectPlan, collect
-from cognitivedrone.collect.executors import Job, fly_here, learner_of
+from cognitivedrone.collect.job import Job, learner_of
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.data.store import Store
 from cognitivedrone.data.verify import verify
@@ -20,13 +21,6 @@ from cognitivedrone.errors import DataError
 from cognitivedrone.plan import TaskSource
 
 BETA = 0.4
-
-pytestmark = pytest.mark.filterwarnings("ignore:the small model has never seen")
-
-
-def fly_in_this_process(job, batches, workers):
-    for batch in batches:
-        yield from fly_here(job, batch)
 
 
 @pytest.fixture(autouse=True)
@@ -50,14 +44,14 @@ def digests(folder):
 
 
 def test_a_policy_flies_and_the_expert_labels_whatever_comes_of_it(tmp_path, model, monkeypatch):
-    monkeypatch.setattr(executors, "fly_local", fly_in_this_process)
+    monkeypatch.setattr(collector, "pool_of", flying(forwards))
     report = collect(config(tmp_path / "set", model), progress=False)
     assert report.outcomes == {"timeout": 5}
     assert (report.flown, report.success_rate) == (5, 0.0)
     store = Store.open(tmp_path / "set")
     assert verify(tmp_path / "set") == []
-    said = hashlib.sha256((tmp_path / "model.onnx").read_bytes()).hexdigest()
-    assert store.manifest["policy"] == {"policy": f"small:{model}", "beta": BETA, "model": said}
+    output = hashlib.sha256((tmp_path / "model.onnx").read_bytes()).hexdigest()
+    assert store.manifest["policy"] == {"policy": f"small:{model}", "beta": BETA, "model": output}
     same = np.concatenate([(episode.action == episode.sent).all(axis=1) for episode in store.episodes()])
     assert 0.1 < same.mean() < 0.8
     assert verify(tmp_path / "set") == []
@@ -67,19 +61,19 @@ def test_two_workers_and_a_stop_give_the_same_bytes(tmp_path, model, monkeypatch
     collect(config(tmp_path / "two", model, workers=2), progress=False)
 
     def stopped(*arguments):
-        yield next(fly_in_this_process(*arguments))
+        yield next(forwards(*arguments))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(executors, "fly_local", stopped)
+    monkeypatch.setattr(collector, "pool_of", flying(stopped))
     with pytest.raises(KeyboardInterrupt, match="1 of 5 episodes"):
         collect(config(tmp_path / "set", model), progress=False)
-    monkeypatch.setattr(executors, "fly_local", fly_in_this_process)
+    monkeypatch.setattr(collector, "pool_of", flying(forwards))
     assert collect(config(tmp_path / "set", model, resume=True), progress=False).flown == 4
     assert digests(tmp_path / "set") == digests(tmp_path / "two")
 
 
 def test_another_policy_share_or_model_is_another_set(tmp_path, model, monkeypatch):
-    monkeypatch.setattr(executors, "fly_local", fly_in_this_process)
+    monkeypatch.setattr(collector, "pool_of", flying(forwards))
     collect(config(tmp_path / "set", model, episodes=1), progress=False)
     before = digests(tmp_path / "set")
     for changes in ({"policy": "hover"}, {"beta": 0.5}, {"policy": None, "beta": 0.0}):
@@ -94,4 +88,4 @@ def test_another_policy_share_or_model_is_another_set(tmp_path, model, monkeypat
 def test_a_machine_with_another_model_file_flies_nothing(model):
     learner = replace(learner_of(f"small:{model}", 0.0), model="00" * 32)
     with pytest.raises(DataError, match="its model file is another one on this machine"):
-        next(fly_here(Job(TaskSource("open-v1:train"), RECIPES["debug"], 2, learner), [0]))
+        Job(TaskSource("open-v1:train"), RECIPES["debug"], 2, learner).open()

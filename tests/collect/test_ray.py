@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 
 from cognitivedrone.collect.collector import CollectPlan, collect
-from cognitivedrone.collect.executors import Job, fly_ray
+from cognitivedrone.collect.job import Job
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.errors import TaskError
 from cognitivedrone.plan import TaskSource
+from cognitivedrone.rollout.ray_pool import RayPool
 
 ray = pytest.importorskip("ray", reason="the extra 'ray' is not installed")
 
@@ -32,8 +33,9 @@ def test_a_cluster_makes_the_same_bytes_as_local_workers(tmp_path):
                 CollectPlan.of(out=out, recipe="debug", episodes=8, workers=2, episodes_per_shard=2, executor=executor),
                 progress=False,
             )
-        with pytest.raises(TaskError, match="nowhere"):
-            list(fly_ray(Job(TaskSource("open-v1:nowhere"), RECIPES["debug"], 5), [[0]], 1))
+        nowhere = Job(TaskSource("open-v1:nowhere"), RECIPES["debug"], 5)
+        with pytest.raises(TaskError, match="nowhere"), RayPool(nowhere, 1, 1):
+            pass
     finally:
         ray.shutdown()
         cluster.shutdown()

@@ -90,7 +90,7 @@ def server(tiny_model_file):
 
 @pytest.fixture(scope="session")
 def tiny_act(tmp_path_factory):
-    pytest.importorskip("lerobot", reason="lerobot is not installed (docs/integrations.md)")
+    pytest.importorskip("lerobot", reason="lerobot is not installed (docs/gymnasium.md)")
     from lerobot_checkpoints import save_act
 
     return save_act(tmp_path_factory.mktemp("act"))
@@ -236,7 +236,7 @@ class Nothing:
         (f"{__name__}:Nothing", r"policy '.*:Nothing' has no method reset\(\)"),
     ],
 )
-def test_a_policy_that_cannot_be_made_is_said_in_one_sentence(name, says):
+def test_a_policy_that_cannot_be_made_is_reported_in_one_sentence(name, says):
     with pytest.raises(PolicyError, match=says) as error:
         make_policy(name)
     assert "\n" not in str(error.value)

@@ -27,14 +27,14 @@ from cognitivedrone.apps.config import SimPlan
 from cognitivedrone.apps.vehicle import Served, serve_vehicle
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.envs.track_runner import episode_rng
-from cognitivedrone.errors import LinkError
+from cognitivedrone.errors import LinkError, RunError
 from cognitivedrone.labels import load_pack
 from cognitivedrone.plan import SafetySpec, VehicleSpec
 from cognitivedrone.policies import make_policy
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import ACTION_LIMITS
-from cognitivedrone.vehicles import VEHICLES, open_vehicle
+from cognitivedrone.vehicles import VEHICLES, check_tracks, open_vehicle
 from cognitivedrone.vehicles.contract import Pace, Request, Vehicle
 from cognitivedrone.vehicles.gazebo import pilot
 from cognitivedrone.vehicles.gazebo.export import export
@@ -165,3 +165,29 @@ def test_what_is_not_confirmed_does_not_take_off(kind: str, tmp_path: Path):
         with pytest.raises(LinkError, match="not confirmed"):
             vehicle.take_off(lambda _: False)
         assert not vehicle.status().armed
+
+
+@pytest.mark.parametrize("kind", ["sim", "sitl"])
+def test_pads_are_landed_on_and_obstacles_flown_around(kind: str, tmp_path: Path):
+    landing, clutter = load_suite("open-v3:missions").tracks[5][1], load_suite("open-v3:clutter").tracks[0][0]
+    with opened_vehicle(kind, "lockstep", tmp_path) as vehicle:
+        runner = vehicle.track_runner
+        assert runner is not None
+
+        def mission() -> Segment | None:
+            return None if runner.finished else Segment(runner.index, runner.task.instruction, runner.truth())
+
+        for task, policy in ((landing, "hover"), (clutter, "oracle")):
+            vehicle.begin((task,), np.random.default_rng(0))
+            drone = vehicle.take_off(yes)
+            fly(drone, make_policy(policy), drone, mission)
+            assert [result.outcome for result in runner.results] == ["passed"]
+        assert (runner.results[0].obstacle_m or 0.0) > 0
+
+
+def test_a_landing_is_refused_before_take_off_where_there_are_no_pads():
+    missions = load_suite("open-v3:missions")
+    with pytest.raises(RunError, match=f"task {missions.tracks[5][1].id} is a landing, and worlds in Gazebo have no"):
+        check_tracks(VehicleSpec("gazebo"), missions.tracks[5:])
+    check_tracks(VehicleSpec("gazebo"), SUITE.tracks)
+    check_tracks(VehicleSpec("sitl"), missions.tracks)

@@ -40,8 +40,8 @@ def test_after_seconds_of_agreement_it_takes_three_to_turn():
 
 def test_answers_that_change_every_time_do_not_make_it_waver():
     directive_filter = DirectiveFilter()
-    told = heard(directive_filter, *[(RED, 1.0), (BLUE, 1.0)] * 10)
-    assert told.count("adopted") == 1
+    output = heard(directive_filter, *[(RED, 1.0), (BLUE, 1.0)] * 10)
+    assert output.count("adopted") == 1
 
 
 def test_other_words_of_the_same_meaning_agree():
@@ -72,11 +72,11 @@ def test_an_answer_in_between_begins_the_count_anew():
 
 def test_nothing_is_declined_while_the_policy_is_sure_that_it_is_there():
     directive_filter = DirectiveFilter()
-    directive_filter.policy_says(0.97)
+    directive_filter.policy_says(0.82)
     assert heard(directive_filter, *[(HOLD, 1.0)] * 5) == ["kept"] * 5
-    directive_filter.policy_says(0.94)
+    directive_filter.policy_says(0.78)
     assert heard(directive_filter, *[(HOLD, 1.0)] * 3) == ["kept", "kept", "adopted"]
-    directive_filter.policy_says(0.97)
+    directive_filter.policy_says(0.82)
     assert heard(directive_filter, (HOLD, 1.0)) == ["agreed"]
 
 

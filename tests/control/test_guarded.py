@@ -43,6 +43,18 @@ class Hanging:
         self.time = time_s
 
 
+def test_the_fence_has_no_floor_where_a_pad_is_to_be_landed_on():
+    config, landing = SafetyConfig(), [False]
+    drone = Hanging(position=(0.0, 0.0, config.fence.floor_m))
+    guard = GuardedDrone(drone, drone, drone.state, config, landing=lambda: landing[0])
+    drone.position[2] -= 0.01
+    fly(guard, drone, (0.0, 0.0, -0.4, 0.0))
+    landing[0] = True
+    fly(guard, drone, *[(0.0, 0.0, -0.4, 0.0)] * 5)
+    assert drone.sent[0][2] == 0
+    assert drone.sent[-1][2] == pytest.approx(-0.4)
+
+
 def guarded(drone, config=None):
     return GuardedDrone(drone, drone, drone.state, config)
 

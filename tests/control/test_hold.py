@@ -14,9 +14,9 @@ from cognitivedrone.types import Guidance
 FRAME = np.zeros((256, 256, 3), np.uint8)
 
 
-def answer(confidence, present=None, segment=0):
+def answer(confidence, present=None, segment=0, frame=FRAME):
     guidance = Guidance("Fly through the red gate", 0, confidence, present=present)
-    return Answer(Question(segment, "the bird", FRAME, 0.0), guidance)
+    return Answer(Question(segment, "the bird", frame, 0.0), guidance)
 
 
 def fault(kind, segment=0, certainty=None):
@@ -44,7 +44,47 @@ def test_a_sure_reasoner_that_sees_nothing_of_what_is_asked_is_unsure():
 
 
 def test_it_flies_on_only_when_clearly_sure_again():
-    assert after(answer(0.3), answer(0.3), answer(0.6), answer(0.6), answer(0.9)) == [False, True, True, True, False]
+    seen = [answer(sure, frame=np.full_like(FRAME, 40 * n)) for n, sure in enumerate((0.3, 0.3, 0.6, 0.6, 0.9))]
+    assert after(*seen) == [False, True, True, True, False]
+
+
+def test_waiting_before_the_same_view_makes_nothing_surer():
+    assert after(answer(0.3), answer(0.3), *[answer(0.9)] * 20) == [False] + [True] * 21
+    noisy = [answer(0.9, frame=np.full_like(FRAME, n % 3)) for n in range(20)]  # a camera's noise is no other view
+    assert after(answer(0.3), answer(0.3), *noisy) == [False] + [True] * 21
+    hold = Hold()
+    hold.begin(0)
+    for sure in (0.3, 0.3):
+        hold.update(answer(sure))
+    hold.look_anew()  # from another place
+    for sure in (0.9, 0.9):
+        hold.update(answer(sure))
+    assert not hold.active
+
+
+def test_only_an_answer_that_names_a_gate_ends_the_doubt():
+    hold = Hold()
+    hold.begin(0)
+    for each in (answer(0.1), answer(0.1)):
+        hold.update(each)
+    hold.look_anew()
+    for _ in range(5):
+        hold.update(fault("unsure", certainty=0.7))
+    assert hold.active
+    hold.update(answer(0.8))
+    assert not hold.active
+
+
+def test_a_pilot_that_gave_up_stays_so_until_the_next_instruction():
+    hold = Hold()
+    hold.begin(0)
+    hold.give_up("'glorp' was not understood")
+    hold.update(answer(1.0))
+    hold.update(answer(1.0))
+    assert hold.active
+    assert hold.given_up
+    hold.begin(1)
+    assert not hold.given_up
 
 
 def test_not_being_able_to_tell_is_unsure_until_something_was_read():

@@ -53,7 +53,7 @@ def test_equal_delays_have_equal_identities(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("fast", "cannot read 'fast'"),
         ("policy=80", "neither a time such as 80ms nor a file"),
@@ -64,13 +64,13 @@ def test_equal_delays_have_equal_identities(tmp_path):
         ("", "cannot read ''"),
     ],
 )
-def test_what_cannot_be_read_is_said(text, said):
-    with pytest.raises(SimulationError, match=said):
+def test_what_cannot_be_read_is_reported(text, message):
+    with pytest.raises(SimulationError, match=message):
         parse_delays(text)
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
         ("", "contains no number"),
         ("fast\n", "line 1: 'fast' is not a number"),
@@ -78,10 +78,10 @@ def test_what_cannot_be_read_is_said(text, said):
         ("nan\n", "line 1"),
     ],
 )
-def test_a_file_that_cannot_be_read_is_said_with_its_line(tmp_path, content, said):
+def test_a_file_that_cannot_be_read_is_reported_with_its_line(tmp_path, content, message):
     file = tmp_path / "samples.txt"
     file.write_text(content)
-    with pytest.raises(SimulationError, match=said):
+    with pytest.raises(SimulationError, match=message):
         parse_delays(f"policy={file}")
 
 
@@ -118,7 +118,9 @@ def test_a_measured_policy_is_called_as_ever_and_needs_what_it_needs(monkeypatch
     assert timed.needs_seed
     timed.check()
     timed.reset(EpisodeContext("go"))
-    assert [timed.act(chunk) for chunk in ("a", "b")] == ["a", "b"]
+    chunks: Any = (np.zeros((1, 4), np.float32), np.ones((2, 4), np.float32))
+    for chunk in chunks:
+        np.testing.assert_array_equal(timed.act(chunk), chunk)
     assert timed.took_s == [0.25, 0.25]
     timed.close()
     assert slow.told == ["check", EpisodeContext("go"), "close"]

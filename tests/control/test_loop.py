@@ -10,7 +10,7 @@ import pytest
 from cognitivedrone.adapters import as_policy
 from cognitivedrone.control.async_reasoner import SimulatedReasoner
 from cognitivedrone.control.latency import TimedPolicy
-from cognitivedrone.control.loop import Rates, Segment, fly
+from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.errors import NonFiniteAction, PolicyError, ReasonerError
 from cognitivedrone.interfaces import Policy, Reasoner
 from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance, Observation
@@ -267,11 +267,6 @@ def test_an_action_of_another_shape_is_a_programming_error(shape):
         fly(ground, Wrong(), ground, for_steps(ground, 3))
 
 
-def test_rates_must_divide():
-    with pytest.raises(ValueError, match="whole multiple"):
-        Rates(control_hz=10, reasoner_hz=3)
-
-
 # ---- declining
 
 
@@ -306,6 +301,18 @@ def test_the_drone_hovers_while_the_directive_declines_and_the_policy_is_not_ask
     assert notes.events == [("declined", 1.0), ("resumed", 2.0)]
     assert flown == [True] * 10 + [False] * 10 + [True] * 10
     assert policy.texts == ["go"] * 5 + [red] * 5
+
+
+def test_the_loop_lands_by_the_instruction_and_never_by_a_directive_alone():
+    ground, policy = Ground(), Counting()
+    landing = SimulatedReasoner(Answering(*["Land on the red pad"] * 3))
+    fly(ground, policy, ground, for_steps(ground, 10), reasoner=landing)
+    assert policy.texts[-1] == "Land on the red pad"
+    assert policy.calls == 10
+    ground, policy, asked = Ground(), Counting(), Answering(*["Fly through the red gate"] * 3)
+    fly(ground, policy, ground, for_steps(ground, 10, "Land on the red pad"), reasoner=SimulatedReasoner(asked))
+    assert policy.calls == 0
+    assert all(command[3] > 0 for _, command in ground.sent)  # it turns: there is no pad in a black picture
 
 
 def test_a_policy_declines_with_its_commands():

@@ -54,7 +54,7 @@ def test_card_shows_every_family_and_loads_nothing(sound_store: Path, tmp_path: 
     assert not re.search(r"url\(|https?://", (tmp_path / "card.html").read_text())
 
 
-def test_flights_below_an_hour_are_told_in_minutes(sound_store: Path, tmp_path: Path, flights: list[Episode]) -> None:
+def test_flights_below_an_hour_are_shown_in_minutes(sound_store: Path, tmp_path: Path, flights: list[Episode]) -> None:
     card(sound_store, tmp_path / "card.html")
     minutes = sum(map(len, flights)) / 10 / 60
     assert f"{minutes:.1f} min of flight" in Page(tmp_path / "card.html").text

@@ -42,27 +42,25 @@ def test_topics_types_and_stamps(bag):
 def test_frames_poses_and_words(bag):
     episode, folder = bag
     with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-        told: dict[str, list[Any]] = {}
+        expected: dict[str, list[Any]] = {}
         for connection, _, data in reader.messages():
-            told.setdefault(connection.topic, []).append(reader.deserialize(data, connection.msgtype))
-    assert told["/instruction"][0].data == episode.task.instruction
-    for frame, image in zip(told["/camera/image/compressed"], episode.images, strict=True):
+            expected.setdefault(connection.topic, []).append(reader.deserialize(data, connection.msgtype))
+    assert expected["/instruction"][0].data == episode.task.instruction
+    for frame, image in zip(expected["/camera/image/compressed"], episode.images, strict=True):
         assert frame.format == "png"  # ROS knows no WebP
         np.testing.assert_array_equal(decode_image(bytes(frame.data)), decode_image(image))
-    pose = told["/pose"][2].pose
+    pose = expected["/pose"][2].pose
     np.testing.assert_array_equal([pose.position.x, pose.position.y, pose.position.z], episode.position[2])
     turned = pose.orientation
     np.testing.assert_array_equal([turned.w, turned.x, turned.y, turned.z], episode.quaternion[2])
-    info = told["/camera/camera_info"][0]
+    info = expected["/camera/camera_info"][0]
     assert (info.width, info.height) == (256, 256)
     assert info.k[0] == info.k[4] > 50
 
 
-def test_a_bag_that_is_broken_is_told(bag):
+def test_a_bag_that_is_broken_is_reported(bag):
     _, folder = bag
     file = folder / "episode_000007.mcap"
     file.write_bytes(file.read_bytes()[:-2000])
     with pytest.raises(DataError, match="episode_000007: not a whole bag"):
         list(import_(folder.parent, "mcap"))
-    with pytest.raises(DataError, match="holds no folder episode_"):
-        list(import_(folder, "mcap"))

@@ -23,15 +23,15 @@ def test_statistics_follow_from_the_flights(sound_store: Path, flights: list[Epi
     for split in ("train", "val"):
         chosen = [flight for flight in flights if store.split_of(flight.index) == split]
         actions = np.concatenate([flight.action for flight in chosen])
-        said = store.statistics()[split]
-        assert said["episodes"] == len(chosen)
-        assert said["steps"] == len(actions)
-        assert said["length"] == pytest.approx(
+        output = store.statistics()[split]
+        assert output["episodes"] == len(chosen)
+        assert output["steps"] == len(actions)
+        assert output["length"] == pytest.approx(
             {"min": min(map(len, chosen)), "max": max(map(len, chosen)), "mean": len(actions) / len(chosen)}
         )
-        np.testing.assert_allclose(said["action"]["mean"], actions.mean(axis=0), rtol=1e-5)
-        np.testing.assert_array_equal(said["action"]["max"], actions.max(axis=0))
-        assert sum(said["families"].values()) == sum(said["categories"].values()) == len(chosen)
+        np.testing.assert_allclose(output["action"]["mean"], actions.mean(axis=0), rtol=1e-5)
+        np.testing.assert_array_equal(output["action"]["max"], actions.max(axis=0))
+        assert sum(output["families"].values()) == sum(output["categories"].values()) == len(chosen)
     assert store.statistics()["all"]["families"] == dict.fromkeys(sorted(BASE_FAMILIES), 4)
 
 
@@ -78,11 +78,11 @@ def test_families_of_unlike_size_have_their_share() -> None:
 
 def test_the_split_of_an_old_small_set_is_known_again() -> None:
     families = {index: BASE_FAMILIES[index % 10] for index in range(24)}
-    said: dict[str, Any] = {"train": 14, "val": threshold_indices("ab" * 32, families)}
-    assert len(said["val"]) == 10
-    assert splits_again(said, "ab" * 32, families) == said
+    output: dict[str, Any] = {"train": 14, "val": threshold_indices("ab" * 32, families)}
+    assert len(output["val"]) == 10
+    assert splits_again(output, "ab" * 32, families) == output
     new = draw_splits("ab" * 32, families)
-    assert splits_again(new, "ab" * 32, families) == new != said
+    assert splits_again(new, "ab" * 32, families) == new != output
 
 
 @given(st.dictionaries(st.integers(0, 10_000), FAMILY_NAMES, max_size=60), st.text("0123456789abcdef", min_size=4))

@@ -279,8 +279,13 @@ def test_a_frame_of_another_size_is_named(tmp_path: Path) -> None:
 
 
 def test_the_example_of_the_documentation_runs(sound_store: Path) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "store.md").read_text(encoding="utf-8")
-    example = page.partition("```python\n")[2].partition("```")[0].replace("data/debug", str(sound_store))
+    page = (Path(__file__).parents[2] / "docs" / "data.md").read_text(encoding="utf-8")
+    example = (
+        page.partition("\n## The store\n")[2]
+        .partition("```python\n")[2]
+        .partition("```")[0]
+        .replace("data/debug", str(sound_store))
+    )
     scope: dict[str, Any] = {}
     exec(example, scope)  # noqa: S102
     assert scope["batch"]["image"].shape == (64, 256, 256, 3)

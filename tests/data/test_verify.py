@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -38,6 +40,42 @@ def store(sound_store: Path, tmp_path: Path) -> Path:
 
 def test_a_sound_store_has_no_problem(sound_store: Path) -> None:
     assert verify(sound_store) == []
+
+
+@pytest.mark.parametrize(
+    "name", ["SHA256SUMS", "manifest.json", "statistics.json", "tasks.json", SHARD, "shards/shard-00002.json"]
+)
+@pytest.mark.parametrize("what", ["a pipe", "a device", "a folder", "a link to itself", "far too large"])
+def test_what_is_no_file_or_far_too_large_is_not_waited_for_and_not_read_whole(
+    store: Path, name: str, what: str
+) -> None:
+    file = store / name
+    if what == "far too large":
+        os.truncate(file, 5 * 10**12)
+    else:
+        file.unlink()
+        {
+            "a pipe": lambda: os.mkfifo(file),
+            "a device": lambda: file.symlink_to("/dev/zero"),
+            "a folder": file.mkdir,
+            "a link to itself": lambda: file.symlink_to(file.name),
+        }[what]()
+    try:
+        problems = verify(store)
+    except DataError as error:
+        problems = [Problem(name, str(error))]
+    assert problems
+    with contextlib.suppress(DataError):  # of some files, reading the episodes needs nothing
+        list(Store.open(store).labelled())
+
+
+@pytest.mark.parametrize("name", ["../outside.json", "/etc/hostname", "shards/../../outside.json"])
+def test_no_file_outside_of_the_store_is_hashed(store: Path, name: str) -> None:
+    (store.parent / "outside.json").write_text("{}")
+    sums = (store / "SHA256SUMS").read_text()
+    lines = sorted([*sums.splitlines(), f"{'0' * 64}  {name}"], key=lambda line: line[66:])
+    (store / "SHA256SUMS").write_text("".join(f"{line}\n" for line in lines))
+    assert Problem(name, "is missing") in verify(store)
 
 
 def test_a_missing_shard(store: Path) -> None:

@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from cognitivedrone.benchmark.flight_log import FlightLog
+from cognitivedrone.benchmark.runs.flight_log import FlightLog
 from cognitivedrone.envs.track_runner import DECLINED_S, TrackConfig, TrackRunner
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.expert import Expert
@@ -135,7 +135,7 @@ def test_a_false_alarm_ends_the_track():
 def test_the_benchmark_hears_the_pilot_through_its_log():
     made = runner(ABSENT)
     log = FlightLog(made, keep_frames=False)
-    log.note(Event(0.0, "leg", "go"))
+    log.note(Event(0.0, "segment", "go"))
     log.note(Event(0.0, "adopted", "Hold position"))
     log.note(Event(0.0, "declined", "go"))
     assert wait(made, 1.0) is None

@@ -47,6 +47,15 @@ def test_the_right_gate_is_marked_in_every_view_and_the_list(smoke, tmp_path):
         assert (green_rows(picture)[rows] != green_rows(moved)[rows]).any()
 
 
+def test_a_gates_number_never_covers_the_drone(tmp_path):
+    """The whole drone is in the view from behind, with the orange front rotors."""
+    for name in ("open-v2:layouts", "open-v1:race"):
+        _, picture = picture_of(load_suite(name), tmp_path / "a.png")
+        red, green, blue = np.moveaxis(picture[-504:-24, 24:-24].astype(int), -1, 0)
+        orange = (red > 180) & (green > 90) & (green < 190) & (blue < 120) & (red - blue > 90)
+        assert orange[340:, 460:590].sum() > 300
+
+
 def test_a_long_instruction_is_wrapped(smoke, tmp_path):
     long = replace(smoke.tracks[0][0], instruction="Fly, where the road bends twice, to the gate with a picture " * 4)
     _, short_picture = picture_of(smoke, tmp_path / "a.png")

@@ -12,6 +12,7 @@ from cognitivedrone.integrations.flights import CAMERA, OUTCOMES, STATE, Flights
 from cognitivedrone.plan import Scenario
 from cognitivedrone.policies.expert import Expert
 from cognitivedrone.policies.small import state_of
+from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import EpisodeContext
 
 
@@ -90,7 +91,7 @@ def test_a_track_leads_through_its_stages():
     while not done:
         if view.stage not in stages:
             stages.append(view.stage)
-            expert.reset(EpisodeContext(view.instruction, 0, view.stage, tracks._env.truth()))
+            expert.reset(EpisodeContext(view.instruction, 0, view.stage, tracks._worlds.runners[0].truth()))
         view, reward, done = tracks.step(expert.act(None)[0])
         rewards += reward
     metrics = metrics_of(tracks.results())
@@ -99,6 +100,37 @@ def test_a_track_leads_through_its_stages():
     assert rewards == 5 * metrics["score"] == metrics["passed"]
     assert tracks.max_steps == 5 * 300
     assert family_of(tracks.suite.tracks[0]) == "track"
+
+
+class Listening(Expert):
+    """The expert, which notes what it is told."""
+
+    def __init__(self):
+        super().__init__()
+        self.told = []
+
+    def act(self, observation):
+        self.told.append(observation.instruction)
+        return super().act(observation)
+
+
+def test_a_mission_is_told_and_flown_as_the_benchmark_does():
+    scored, mission = Listening(), load_suite("open-v3:missions").tracks[0][0].mission
+    (episode,) = evaluate(scored, suite="open-v3:missions", episodes=1, progress=False).results.episodes
+    flights, told, stage, done = Flights(Scenario.of(suite="open-v3:missions")), [], -1, False
+    view, expert = flights.begin(0, 0), Expert()
+    while not done:
+        if view.stage != stage:
+            stage = view.stage
+            expert.reset(EpisodeContext(view.instruction, 0, stage, flights._worlds.runners[0].truth()))
+        told.append(view.instruction)
+        view, _, done = flights.step(expert.command())
+    results = flights.results()
+    flights.close()
+    assert results == episode.stages
+    assert [result.outcome for result in results] == ["passed", "passed"]
+    assert told == scored.told
+    assert set(told) == {mission}
 
 
 def test_metrics_are_plain_and_count_every_outcome(smoke):
@@ -119,7 +151,7 @@ def test_episodes_are_chosen_by_family(smoke):
         smoke.episodes("leters")
 
 
-def test_what_cannot_be_flown_is_said_before_anything_is_rendered():
+def test_what_cannot_be_flown_is_reported_before_anything_is_rendered():
     with pytest.raises(AirframeError):
         Flights(Scenario.of(suite="open-v1:smoke", airframe="dji"))
     with pytest.raises(SimulationError, match="time_limit_s"):

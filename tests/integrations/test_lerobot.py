@@ -49,6 +49,13 @@ def test_the_instruction_is_not_an_observation_and_the_answer_is_nowhere(env):
     assert set(info) == {"episode", "is_success"}
 
 
+def test_a_mission_is_told_as_a_whole():
+    missions = LeRobotEnv("open-v3:missions")
+    missions.reset(seed=5)
+    assert missions.task_description == load_suite("open-v3:missions").tracks[5][0].mission
+    missions.close()
+
+
 def test_a_family_can_be_flown_alone():
     letters = LeRobotEnv("open-v1:smoke", task="letters")
     tracks = load_suite("open-v1:smoke").tracks

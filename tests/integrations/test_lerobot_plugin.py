@@ -1,6 +1,6 @@
 """LeRobot's own evaluation flies the environment, and a checkpoint flies there as in the benchmark.
 
-Needs lerobot and the plug-in, in an environment of their own (docs/integrations.md).
+Needs lerobot and the plug-in, in an environment of their own (docs/gymnasium.md).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import pytest
 
 from cognitivedrone import evaluate
 
-REASON = "the plug-in of lerobot is not installed (docs/integrations.md)"
+REASON = "the plug-in of lerobot is not installed (docs/gymnasium.md)"
 pytest.importorskip("lerobot", reason=REASON)
 plugin = pytest.importorskip("lerobot_env_cognitivedrone", reason=REASON)
 pytestmark = pytest.mark.filterwarnings("default")  # of other packages

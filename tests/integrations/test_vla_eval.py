@@ -14,7 +14,7 @@ from cognitivedrone.errors import GroundTruthError
 from cognitivedrone.integrations.flights import OUTCOMES
 from cognitivedrone.tasks import SUITES, load_suite
 
-api = pytest.importorskip("vla_eval.api", reason="vla-eval is not installed (docs/integrations.md)")
+api = pytest.importorskip("vla_eval.api", reason="vla-eval is not installed (docs/gymnasium.md)")
 base = pytest.importorskip("vla_eval.model_servers.base")
 predict = pytest.importorskip("vla_eval.model_servers.predict")
 ours = pytest.importorskip("cognitivedrone.integrations.vla_eval")
@@ -32,6 +32,13 @@ def flown(server, *, mode="sync", tasks=1, **params):
 
 def episodes(result):
     return [episode for task in result["tasks"] for episode in task["episodes"]]
+
+
+def test_a_mission_is_flown_as_the_benchmark_flies_it():
+    suite = "open-v3:missions"
+    scored = evaluate("small", suite=suite, episodes=1, workers=0, progress=False)
+    (theirs,) = episodes(flown(ours.PolicyServer("small"), suite=suite))
+    assert theirs["metrics"]["stages"] == [dataclasses.asdict(stage) for stage in scored.results.episodes[0].stages]
 
 
 class Answering(predict.PredictModelServer):  # type: ignore[misc, name-defined]

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import ExifTags, Image
 
 from cognitivedrone.errors import LabelError
 from cognitivedrone.labels import images, load_pack
+from cognitivedrone.labels.folder import digest_of_labels
 
 PUBLISHED = Path(__file__).resolve().parents[3] / "shared" / "upstream"
 MISSING = {"Elvis_Persley", "Ludwig_Van_Beethoven", "taylor_swift", "leopard", "rat", "sparrow"}
@@ -112,8 +113,9 @@ def test_files_that_are_no_images_are_named(tmp_path):
     Image.new("RGB", (8, 8)).save(tmp_path / "animal" / "disguised.png", format="GIF")
     pack = load_pack(str(tmp_path))
     for concept in ("cat", "torn", "disguised"):
-        with pytest.raises(LabelError, match=rf"{concept}\.png cannot be read as PNG, JPEG or WebP"):
+        with pytest.raises(LabelError, match=rf"{concept}\.png cannot be read as PNG, JPEG or WebP") as refused:
             pack.image(f"animal/{concept}")
+        assert "object at 0x" not in str(refused.value)
 
 
 def test_images_beyond_the_limits_are_not_decoded(tmp_path, monkeypatch):
@@ -125,6 +127,58 @@ def test_images_beyond_the_limits_are_not_decoded(tmp_path, monkeypatch):
     monkeypatch.setattr(images, "MAX_FILE_BYTES", 10)
     with pytest.raises(LabelError, match=r"wide\.png cannot be read: it has [0-9,]+ bytes"):
         pack.image("animal/wide")
+
+
+def with_exif(folder: Path, suffix: str) -> tuple[Path, bytes]:
+    """A picture that carries EXIF, and its content."""
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    exif[ExifTags.Base.XResolution] = 72.0
+    exif[ExifTags.Base.ImageDescription] = "a cat"
+    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.UserComment] = b"ASCII\0\0\0cat"
+    path = folder / "animal" / f"cat{suffix}"
+    path.parent.mkdir(exist_ok=True)
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8)).save(path, exif=exif)
+    return path, path.read_bytes()
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".webp"])
+def test_a_picture_with_broken_metadata_is_read_or_one_clean_error(tmp_path, suffix):
+    path, content = with_exif(tmp_path, suffix)
+    begin = content.find(b"MM\0*") if b"MM\0*" in content else content.find(b"II*\0")
+    assert begin > 0
+    pack = load_pack(str(tmp_path))
+    assert pack.image("animal/cat").shape == (32, 24, 3)
+    refused = []
+    rng = np.random.default_rng(1)
+    for _ in range(400):
+        mutant = bytearray(content)
+        for place in rng.integers(begin, min(begin + 130, len(mutant)), rng.integers(1, 5)):
+            mutant[place] = int(rng.choice([0, 1, 3, 7, 12, 127, 255, int(rng.integers(256))]))
+        path.write_bytes(mutant)
+        try:
+            load_pack(str(tmp_path)).image("animal/cat")
+        except LabelError as error:
+            refused.append(str(error))
+    assert refused
+    assert all("cannot be read as PNG, JPEG or WebP" in each and each.isprintable() for each in refused)
+
+
+def test_an_image_that_is_too_large_is_refused_before_its_content_is_read(tmp_path):
+    save(tmp_path / "animal" / "cat.png")
+    whole = digest_of_labels(tmp_path)
+    huge = tmp_path / "animal" / "dog.png"
+    with huge.open("wb") as file:
+        file.truncate(5 * 10**12)  # without content: reading it would take a day
+    for digest in (lambda: digest_of_labels(tmp_path), lambda: load_pack(str(tmp_path)).digest):
+        with pytest.raises(LabelError, match=r"dog\.png has 5,000,000,000,000 bytes, and at most 20,000,000 are read"):
+            digest()
+    huge.rename(tmp_path / "animal" / "films.tar")
+    other = digest_of_labels(tmp_path)
+    assert other != whole
+    with (tmp_path / "animal" / "films.tar").open("r+b") as file:
+        file.truncate(5 * 10**12 + 1)
+    assert digest_of_labels(tmp_path) != other
 
 
 def test_links_out_of_the_folder_are_not_followed(tmp_path):
@@ -184,9 +238,9 @@ def test_what_is_named_like_an_image_and_is_none_is_refused_at_once(tmp_path, ki
     else:
         odd.symlink_to({"device": Path("/dev/zero"), "link": tmp_path / "nowhere", "loop": odd}[kind])
     says = "it is a link to nothing" if kind in ("link", "loop") else f"it is a {kind}, not a file"
-    with pytest.raises(LabelError) as told:
+    with pytest.raises(LabelError) as reported:
         load_pack(str(tmp_path / "labels"))
-    assert str(told.value) == f"label image {odd} cannot be read: {says}; remove it from the folder"
+    assert str(reported.value) == f"label image {odd} cannot be read: {says}; remove it from the folder"
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device"])

@@ -17,8 +17,10 @@ from tiny import DESCRIPTION, graph, tiny_model
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.models.checksum import BLANK, MARK, check, seal
 from cognitivedrone.models.onnx_file import KEY
-from cognitivedrone.models.reasoner_file import GateSelectorModel, PanelReaderModel
-from cognitivedrone.models.small_file import SmallModel, describe, read_description
+from cognitivedrone.models.picture_classifier import PictureClassifier
+from cognitivedrone.models.reasoner_file import GateSelectorModel, LanguageModel, PanelReaderModel
+from cognitivedrone.models.small_file import KIND, SmallModel, describe, read_description
+from cognitivedrone.models.text_encoder import TextEncoderModel
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -30,13 +32,13 @@ WEIGHTS = faults_input.WEIGHTS
 def old_model(path: Path) -> Path:
     """A file as it was written before there were checksums."""
     model = graph()
-    onnx.helper.set_model_props(model, {KEY: json.dumps({"format": 1, "kind": "small-vla", **DESCRIPTION.table()})})
+    onnx.helper.set_model_props(model, {KEY: json.dumps({"format": 1, "kind": KIND, **DESCRIPTION.table()})})
     onnx.save(model, str(path))
     return path
 
 
 def test_a_sample_of_damaged_files_is_found(tmp_path: Path) -> None:
-    found = faults_input.weight_files(50, seed=1, folder=tmp_path)
+    found = faults_input.weight_files(80, seed=1, folder=tmp_path)
     assert len(found) == len(faults_input.DAMAGES)
     assert faults_input.bad(found, {"found"}) == 0
 
@@ -47,7 +49,10 @@ def test_a_sample_of_damaged_files_is_found(tmp_path: Path) -> None:
         ("small.onnx", SmallModel.load),
         ("race.onnx", SmallModel.load),
         ("reasoner/panel_reader.onnx", PanelReaderModel.load),
+        ("picture_classifier.onnx", PictureClassifier.load),
         ("reasoner/gate_selector.onnx", GateSelectorModel.load),
+        ("reasoner/language.onnx", LanguageModel.load),
+        ("text_encoder.onnx", TextEncoderModel.load),
     ],
 )
 def test_a_shipped_file_is_known_wherever_it_is_and_whole(

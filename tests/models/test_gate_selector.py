@@ -9,12 +9,10 @@ import torch
 from torch import Tensor
 
 from cognitivedrone.models.gate_selector import ABSENT, GateSelector, SelectorConfig
-from cognitivedrone.models.reasoner_file import REMEMBERED
-from cognitivedrone.models.sentence import WordConfig
-from cognitivedrone.models.text import TOKEN
 
-F = 11
-CONFIG = SelectorConfig(words=WordConfig(20, 12), text_length=10, width=16, layers=2, heads=2)
+CONFIG = SelectorConfig(pieces=40, width=16, layers=3, apart=2, heads=2, hidden=32)
+PARTS = (0, 0, 0, 1, 1, 2, 2, 3, 3, 4, 4)
+STARTS = (0, 3, 5, 7, 9)
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -22,69 +20,57 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 @pytest.fixture(scope="module")
 def selector() -> GateSelector:
     torch.manual_seed(0)
-    made = GateSelector(CONFIG, F).eval()
-    made.words.vectors.random_(-100, 100)
-    return made
+    return GateSelector(CONFIG).eval()
 
 
-def inputs(count: int = 2) -> dict[str, Tensor]:
+def inputs(count: int = 2, padding: int = 0) -> list[Tensor]:
     draw = torch.Generator().manual_seed(1)
-    tokens = torch.randint(1, 20, (count, 10, TOKEN), generator=draw)
-    tokens[:, 7:] = 0
-    stages = torch.full((count, REMEMBERED, 3), -1)
-    stages[:, :3] = torch.tensor([[0, 0, 0], [0, 0, 1], [0, 0, 0]])
-    return {
-        "tokens": tokens,
-        "panels": torch.rand(count, 3, F, generator=draw),
-        "looks": torch.rand(count, 3, 8, generator=draw),
-        "board": torch.rand(count, F, generator=draw),
-        "values": torch.randint(0, 24, (count, 5), generator=draw),
-        "remembered": torch.rand(count, REMEMBERED, F, generator=draw),
-        "stages": stages,
-    }
+    tokens = torch.randint(1, 40, (count, len(PARTS)), generator=draw)
+    positions = [at - STARTS[part] for at, part in enumerate(PARTS)]
+    told = [tokens, *(torch.tensor([values] * count) for values in (positions, PARTS))]
+    return [torch.nn.functional.pad(values, (0, padding)) for values in told]
 
 
 @torch.no_grad()
-def answer(selector: GateSelector, told: dict[str, Tensor]) -> Tensor:
-    logits: Tensor = selector(*told.values())
+def answer(selector: GateSelector, told: list[Tensor]) -> Tensor:
+    logits: Tensor = selector(*told)
     return logits
 
 
 def test_there_is_a_logit_of_every_gate_and_of_none(selector: GateSelector) -> None:
     logits = answer(selector, inputs(3))
     assert logits.shape == (3, ABSENT + 1)
-    alone = answer(selector, {name: value[1:2] for name, value in inputs(3).items()})
+    alone = answer(selector, [values[1:2] for values in inputs(3)])
     torch.testing.assert_close(alone[0], logits[1], rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["tokens", "panels", "looks", "board", "values", "remembered"])
-def test_everything_that_is_known_counts(selector: GateSelector, name: str) -> None:
+@pytest.mark.parametrize("at", range(len(PARTS)))
+def test_every_word_counts_for_all_answers(selector: GateSelector, at: int) -> None:
     told = inputs()
     before = answer(selector, told)
-    told[name] = told[name].roll(1, dims=0)
-    assert ((answer(selector, told) - before).abs() > 1e-6).any(dim=1).all()
+    told[0][:, at] = told[0][:, at] % 39 + 1
+    assert ((answer(selector, told) - before).abs() > 1e-7).all()
 
 
-def test_padding_and_empty_memory_do_not_count(selector: GateSelector) -> None:
+def test_padding_does_not_count(selector: GateSelector) -> None:
+    torch.testing.assert_close(answer(selector, inputs(padding=5)), answer(selector, inputs()))
+
+
+def test_gates_that_do_not_see_each_other_are_read_alone() -> None:
+    torch.manual_seed(0)
+    apart = GateSelector(SelectorConfig(pieces=40, width=16, layers=2, apart=2, heads=2, hidden=32)).eval()
     told = inputs()
-    before = answer(selector, told)
-    told["remembered"][:, 3:] += 5.0
-    torch.testing.assert_close(answer(selector, told), before)
-    short = {
-        **told,
-        "tokens": told["tokens"][:, :7],
-        "remembered": told["remembered"][:, :3],
-        "stages": told["stages"][:, :3],
-    }
-    torch.testing.assert_close(answer(selector, short), before)
+    before = answer(apart, told)
+    told[0][:, STARTS[4] + 1] = told[0][:, STARTS[4] + 1] % 39 + 1
+    after = answer(apart, told)
+    torch.testing.assert_close(after[:, :2], before[:, :2])
+    assert (after[:, 2] != before[:, 2]).all()
 
 
-def test_gates_are_told_apart_by_what_they_show(selector: GateSelector) -> None:
-    """Two gates with the same panel, look and value still differ in their place."""
+def test_gates_that_read_alike_differ_in_their_place(selector: GateSelector) -> None:
     told = inputs()
-    for name in ("panels", "looks"):
-        told[name][:, 1] = told[name][:, 0]
-    told["values"][:, 1] = told["values"][:, 0]
+    for values in told[:2]:
+        values[:, STARTS[3] : STARTS[4]] = values[:, STARTS[2] : STARTS[3]]
     logits = answer(selector, told)
     assert (logits[:, 0] != logits[:, 1]).all()
 

@@ -10,8 +10,9 @@ import torch
 
 from cognitivedrone.models.attributes import UNKNOWN, AttributeSchema
 from cognitivedrone.models.finder import LOOK_GROUPS, Finder
+from cognitivedrone.models.opinions import NONE
 from cognitivedrone.models.panel_reader import PanelReader, Probabilities, Reader, ReaderConfig
-from cognitivedrone.training.common.attributes import ATTRIBUTES
+from cognitivedrone.training.perception.attributes import ATTRIBUTES
 
 SCHEMA = AttributeSchema(ATTRIBUTES)
 CONFIG = ReaderConfig(crop_size=32, panel_encoder=(8, 8, 8, 8), embedding=16)
@@ -83,11 +84,13 @@ def test_embeddings_have_a_fixed_length_and_temperature_divides_logits() -> None
 
 def test_a_frame_is_read_panel_by_panel() -> None:
     torch.manual_seed(0)
-    made = PanelReader(Finder((8, 8, 16), 1), Reader(CONFIG, len(ATTRIBUTES))).eval()
+    schema = AttributeSchema(ATTRIBUTES)
+    made = PanelReader(Finder((8, 8, 16), 1), Reader(CONFIG, len(ATTRIBUTES)), schema).eval()
+    nothing = torch.zeros(2, 3, len(schema.things)), torch.full((2, 3), NONE)
     frames = torch.randint(0, 256, (2, 256, 256, 3), dtype=torch.uint8)
     with torch.no_grad():
-        read, looks, boxes = made(frames)
-        alone = made(frames[1:])
+        read, looks, boxes = made(frames, *nothing)
+        alone = made(frames[1:], *(each[1:] for each in nothing))
     assert (read.shape, looks.shape, boxes.shape) == ((2, 4, len(ATTRIBUTES)), (2, 3, 8), (2, 4, 4))
     for span in LOOK_GROUPS:
         torch.testing.assert_close(looks[..., span].sum(-1), torch.ones(2, 3))

@@ -12,24 +12,19 @@ from torch import Tensor
 
 from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.finder import CELLS, LOOK_GROUPS, LOOKS, SLOTS, STRIDE, Scene, crops, look_probabilities
+from cognitivedrone.models.language import LanguageConfig
 from cognitivedrone.models.panel_reader import ReaderConfig
-from cognitivedrone.models.sentence import WordConfig
 from cognitivedrone.models.small_vla import Head, SmallVLA, SmallVLAConfig
-from cognitivedrone.models.text import TOKEN
 
 SCHEMA = AttributeSchema(
     ("kind/thing", "kind/letter", "kind/unknown", "concept/thing:cat", "concept/thing:dog", "concept/letter:A")
 )
 F = len(SCHEMA.names)
 CONFIG = SmallVLAConfig(
-    words=WordConfig(20, 15),
-    text_length=10,
     backbone=(16, 16, 16),
     blocks=1,
     reader=ReaderConfig(crop_size=32, panel_encoder=(8, 8, 8, 8), embedding=16),
-    embedding=16,
-    text_width=16,
-    text_layers=1,
+    language=LanguageConfig(size=12, width=16, layers=1, heads=2),
 )
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -38,9 +33,8 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 def network(seed: int = 0, **changes: Any) -> SmallVLA:
     torch.manual_seed(seed)
     made = SmallVLA(replace(CONFIG, **changes), SCHEMA)
-    # As if trained a little: gates are found, words have vectors, and normalisation is not that of the first moment.
+    # As if trained a little: gates are found, and normalisation is not that of the first moment.
     torch.nn.init.constant_(made.finder.heat.bias, 0.5)
-    made.language.words.vectors.random_(-100, 100)
     with torch.no_grad():
         made.train().finder.look(torch.rand(4, 3, 256, 256))
     return made.eval()
@@ -50,9 +44,9 @@ def inputs(count: int = 3, seed: int = 1) -> tuple[Tensor, Tensor, Tensor]:
     draw = torch.Generator().manual_seed(seed)
     image = torch.randint(0, 256, (count, 256, 256, 3), generator=draw, dtype=torch.uint8)
     state = torch.randn(count, 5, generator=draw)
-    tokens = torch.randint(1, 20, (count, 10, TOKEN), generator=draw)
-    tokens[:, 7:] = 0
-    return image, state, tokens
+    words = torch.randn(count, 10, 12, generator=draw)
+    words[:, 7:] = 0
+    return image, state, words
 
 
 @pytest.mark.parametrize("head", get_args(Head))
@@ -86,32 +80,13 @@ def test_each_row_depends_on_its_own_image_state_and_sentence_alone() -> None:
                 torch.testing.assert_close(one[0], many[row], rtol=1e-4, atol=1e-4)
 
 
-@pytest.mark.parametrize("part", ["image", "state", "tokens"])
+@pytest.mark.parametrize("part", ["image", "state", "words"])
 def test_image_state_and_sentence_all_count(part: str) -> None:
     made = network()
     one, other = inputs(1, seed=1), inputs(1, seed=2)
-    mixed = [b if name == part else a for name, a, b in zip(("image", "state", "tokens"), one, other, strict=True)]
+    mixed = [b if name == part else a for name, a, b in zip(("image", "state", "words"), one, other, strict=True)]
     with torch.no_grad():
         assert (made(*one)[1] != made(*mixed)[1]).any()
-
-
-def test_padding_does_not_change_what_is_read() -> None:
-    made = network().language
-    _, _, tokens = inputs()
-    board, seen = torch.rand(3, F), torch.tensor([1.0, 0.0, 1.0])
-
-    def read(tokens: Tensor, board: Tensor) -> Tensor:
-        query, absent = made(tokens, board, seen)
-        return torch.cat([query, absent[:, None]], dim=1)
-
-    with torch.no_grad():
-        before = read(tokens, board)
-        torch.testing.assert_close(before, read(tokens[:, :7], board))
-        other = torch.cat([tokens[:, :6], (tokens[:, 6:7] % 19) + 1, tokens[:, 7:]], dim=1)
-        assert (before != read(other, board)).any(dim=1).all()
-        # What is in place of the board counts where there is one.
-        changed = (before != read(tokens, board.flip(1))).any(dim=1)
-        assert changed.tolist() == [True, False, True]
 
 
 def scene_of(gates: dict[tuple[int, int], float], board: tuple[int, int]) -> Scene:
@@ -145,9 +120,9 @@ def test_the_chosen_gate_s_action_comes_out(chosen: int, head: Head, monkeypatch
     logits = torch.zeros(3, 1, SLOTS + 1)
     logits[..., chosen] = 5.0
     monkeypatch.setattr(made.flight, "choose", lambda *_: logits)
-    image, state, tokens = inputs()
+    image, state, words = inputs()
     with torch.no_grad():
-        action, choice, _, _ = made(image, state, tokens)
+        action, choice, _, _ = made(image, state, words)
         scene = made.finder.look(image.permute(0, 3, 1, 2).float() / 255)
         every = made.flight.decode(made.flight.act(made.finder.attend(scene, made.finder.find(scene)[0]), state))
     assert choice.argmax(-1).tolist() == [chosen] * 3
@@ -204,11 +179,18 @@ def test_crops_show_what_is_in_their_boxes() -> None:
     assert read[..., SCHEMA.groups["kind"]].sum(-1) == pytest.approx(torch.ones(1, 3))
 
 
-def test_without_a_reader_nothing_is_read() -> None:
+def test_without_a_reader_nothing_is_read_or_heard_and_gates_are_preferred_by_their_looks() -> None:
     made = network(reader=None)
+    assert made.language is None
+    image, state, words = inputs()
     with torch.no_grad():
         assert not made.read(torch.rand(2, 3, 256, 256), torch.full((2, 4, 3), 30.0)).any()
-        assert made(*inputs())[0].isfinite().all()
+        plain, told = made(image, state), made(image, state, words)
+        assert len(plain) == 3
+        assert all(torch.equal(one, other) for one, other in zip(plain, told, strict=True))
+        assert made.preference is not None
+        made.preference.weight.mul_(-50)
+        assert (made(image, state)[1] != plain[1]).any()
 
 
 def test_the_reader_stays_as_it_was_trained() -> None:
@@ -217,25 +199,12 @@ def test_the_reader_stays_as_it_was_trained() -> None:
     before = {name: value.clone() for name, value in made.reader.state_dict().items()}
     made.train()
     assert made.finder.training
-    assert made.language.words.training
+    assert made.language is not None
+    assert made.language.training
     assert not any(part.training for part in made.reader.modules())
     made.read(torch.rand(2, 3, 256, 256), torch.full((2, 4, 3), 30.0))
     for name, value in made.reader.state_dict().items():
         assert torch.equal(value, before[name]), name
-
-
-def test_sentences_are_compared_with_what_panels_show_and_how_gates_look() -> None:
-    made = network().language
-    panels, looks = torch.zeros(1, SLOTS, F), torch.zeros(1, SLOTS, LOOKS)
-    panels[0, range(SLOTS), range(3, 3 + SLOTS)] = 1
-    looks[0, range(SLOTS), range(SLOTS)] = 1
-    with torch.no_grad():
-        gates = made.describe(panels, looks)
-        torch.testing.assert_close(gates[0], made.prototypes[3 : 3 + SLOTS] + made.looks[:SLOTS])
-        doubt = made.describe(panels / 2, looks)
-        torch.testing.assert_close(doubt[0], made.prototypes[3 : 3 + SLOTS] / 2 + made.looks[:SLOTS])
-        query = 9 * made.prototypes[4][None, None]
-        assert made.match(query, gates)[0, 0].argmax() == 1
 
 
 def test_looks_are_probabilities_of_colour_shape_and_size() -> None:
@@ -246,6 +215,7 @@ def test_looks_are_probabilities_of_colour_shape_and_size() -> None:
 
 def test_what_is_asked_for_is_there_if_a_gate_matches_better_than_none(monkeypatch: pytest.MonkeyPatch) -> None:
     made = network()
+    assert made.language is not None
     query, _ = made.language(inputs()[2], torch.zeros(3, F), torch.zeros(3))
     for absent, expected in ((-30.0, 1.0), (30.0, 0.0)):
         monkeypatch.setattr(made.language, "forward", lambda *_, a=absent: (query, torch.full((3,), a)))

@@ -10,24 +10,32 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from cognitivedrone.models.onnx_file import Provenance, lexicon_table, write_table
+from cognitivedrone.models.onnx_file import Provenance, write_table
 from cognitivedrone.models.reasoner_file import (
+    LANGUAGE,
+    LANGUAGE_FILE,
     LOOKS,
     READER_FILE,
     READER_KIND,
-    REMEMBERED,
     SELECTOR,
     SELECTOR_FILE,
 )
 from cognitivedrone.models.small_file import ActionStatistics, Description, describe
-from cognitivedrone.models.text import TOKEN, Lexicon, Vocabulary
+from cognitivedrone.models.text_encoder import FILE, TEXT_ENCODER
 
-TEXT_LENGTH = 8
 CHUNK = 2
+WIDTH = 3
+"""Of the tiny text encoder."""
+DIGEST = "d" * 64
+"""Of the tiny text encoder."""
+PIECES = (
+    *("[PAD]", "[UNK]", "[CLS]", "left", "gate", "letter", "a", "b", "c"),
+    *("fly", "through", "the", "red", "small", "round", "with"),
+)
+"""The word pieces of tiny text encoder and gate selector."""
 DESCRIPTION = Description(
     name="tiny",
-    vocabulary=Vocabulary.of(["Fly through the red gate with the letter A", "Fly through the small round gate"]),
-    text_length=TEXT_LENGTH,
+    encoder="",
     chunk=CHUNK,
     action=ActionStatistics(
         low=(-2.0, -2.0, -1.5, -1.0),
@@ -43,15 +51,15 @@ DESCRIPTION = Description(
 OPEN_DESCRIPTION = replace(
     DESCRIPTION,
     name="tiny-open",
-    vocabulary=Lexicon.of(["Fly through the red gate with the letter A"], ["cat"]),
+    encoder=DIGEST,
+    network={"width": 8, "language": {"size": WIDTH}},
     attributes=("kind/thing", "kind/unknown", "concept/thing:cat"),
 )
-"""Of a model with a lexicon."""
+"""Of a model that reads sentences."""
 Inputs = dict[str, tuple[int, list[Any]]]
 INPUTS: Inputs = {
     "image": (TensorProto.UINT8, ["batch", 256, 256, 3]),
     "state": (TensorProto.FLOAT, ["batch", 5]),
-    "tokens": (TensorProto.INT64, ["batch", TEXT_LENGTH]),
 }
 OUTPUTS: Inputs = {
     "action": (TensorProto.FLOAT, ["batch", CHUNK, 4]),
@@ -59,20 +67,21 @@ OUTPUTS: Inputs = {
     "gates": (TensorProto.FLOAT, ["batch", 3, 4]),
 }
 OPEN: dict[str, Inputs] = {
-    "inputs": {**INPUTS, "tokens": (TensorProto.INT64, ["batch", TEXT_LENGTH, TOKEN])},
+    "inputs": {**INPUTS, "words": (TensorProto.FLOAT, ["batch", "length", WIDTH])},
     "outputs": {**OUTPUTS, "present": (TensorProto.FLOAT, ["batch"])},
 }
-"""Inputs and outputs of a model with a lexicon."""
+"""Inputs and outputs of a model that reads sentences."""
 
 
 def graph(inputs: Inputs = INPUTS, outputs: Inputs = OUTPUTS) -> onnx.ModelProto:
-    """A network that answers every step of the chunk with the brightest pixel / 255, the height, a tenth of the mean
-    token, and the yaw rate; the gates' probabilities are all 0.25. Their places are all zero; in models with a lexicon,
-    they are ahead and 3 m away, and what is asked for is there with the probability 1 - brightest pixel / 255.
+    """A network that answers every step of the chunk with the brightest pixel / 255, the height, the sum of `words` or
+    0, and the yaw rate; the gates' probabilities are all 0.25. Their places are all zero; in models that read
+    sentences, they are ahead and 3 m away, and what is asked for is there with the probability 1 - brightest pixel /
+    255.
 
     Other inputs and outputs make a graph that breaks the contract.
     """
-    image, state, tokens = inputs
+    image, state, *words = inputs
     constants = {
         "to_row": [-1, 1],
         "three": [3],
@@ -80,7 +89,7 @@ def graph(inputs: Inputs = INPUTS, outputs: Inputs = OUTPUTS) -> onnx.ModelProto
         "one": [1],
         "all_but_batch": [1, 2, 3],
         "last": [1],
-        "all_tokens": list(range(1, len(inputs["tokens"][1]) if "tokens" in inputs else 2)),
+        "all_words": [1, 2],
         "chunked": [1, CHUNK, 1],
         "middle": [1],
         "four_times": [1, 4],
@@ -92,7 +101,6 @@ def graph(inputs: Inputs = INPUTS, outputs: Inputs = OUTPUTS) -> onnx.ModelProto
         numpy_helper.from_array(np.array(255, np.float32), "white"),
         numpy_helper.from_array(np.array(0.25, np.float32), "quarter"),
         numpy_helper.from_array(np.array(0, np.float32), "nothing"),
-        numpy_helper.from_array(np.array(0.1, np.float32), "tenth"),
     ]
     action, choice, gates, *present = outputs
     place = [128, 128, 0.9, 3] if present else [0, 0, 0, 0]
@@ -107,10 +115,10 @@ def graph(inputs: Inputs = INPUTS, outputs: Inputs = OUTPUTS) -> onnx.ModelProto
         node("Div", ["brightest", "white"], ["light"]),
         node("Reshape", ["light", "to_row"], ["x"]),
         node("Slice", [state, "three", "four", "last"], ["y"]),
-        node("Cast", [tokens], ["numbers"], to=TensorProto.FLOAT),
-        node("Mul", ["numbers", "tenth"], ["tenths"]),
-        node("ReduceMean", ["tenths", "all_tokens"], ["mean"], keepdims=0),
-        node("Reshape", ["mean", "to_row"], ["z"]),
+        node("ReduceSum", [words[0], "all_words"], ["heard"], keepdims=0)
+        if words
+        else node("Mul", ["light", "nothing"], ["heard"]),
+        node("Reshape", ["heard", "to_row"], ["z"]),
         node("Slice", [state, "four", "five", "last"], ["turn"]),
         node("Concat", ["x", "y", "z", "turn"], ["command"], axis=1),
         node("Unsqueeze", ["command", "middle"], ["step"]),
@@ -151,45 +159,81 @@ def tiny_model(path: Path, description: Description | None = None, **interface: 
 
 
 def open_model_file(path: Path) -> Path:
-    """A model file with a lexicon, which tells whether what is asked for is there."""
+    """A model file that reads sentences and tells whether what is asked for is there; its text encoder is beside it."""
+    tiny_encoder(path.parent)
     return tiny_model(path, OPEN_DESCRIPTION, **OPEN)
+
+
+def tiny_encoder(folder: Path, **fields: Any) -> Path:
+    """Write a text encoder that gives every token its number / 100 as the first of three values; `fields` change what
+    it says of itself.
+    """
+    tokens: Inputs = {name: (TensorProto.INT64, ["batch", "length"]) for name in ("tokens", "positions", "parts")}
+    told: Inputs = {"words": (TensorProto.FLOAT, ["batch", "length", WIDTH])}
+    node = helper.make_node
+    nodes = [
+        node("Cast", ["tokens"], ["numbers"], to=TensorProto.FLOAT),
+        node("Unsqueeze", ["numbers", "last"], ["column"]),
+        node("Mul", ["column", "first"], ["words"]),
+    ]
+    initializers = [
+        numpy_helper.from_array(np.array([-1], np.int64), "last"),
+        numpy_helper.from_array(np.array([0.01, 0, 0], np.float32), "first"),
+    ]
+    path = folder / FILE
+    onnx.save(model_of(nodes, tokens, told, initializers), str(path))
+    write_table(path, TEXT_ENCODER, {"pieces": PIECES, "digest": DIGEST, "size": WIDTH, **fields})
+    return path
+
+
+def heard(text: str) -> float:
+    """What a tiny model that reads sentences says to a sentence of known words: the sum of its tokens / 100."""
+    return sum(PIECES.index(piece) for piece in ("[CLS]", *text.lower().split())) / 100
 
 
 def tiny_reasoner(
     folder: Path,
     names: tuple[str, ...],
-    words: Lexicon | Vocabulary,
     *,
     reading: tuple[np.ndarray, np.ndarray, np.ndarray],
     logits: tuple[float, ...],
+    language: tuple[float, ...] = (0, 0, 0, 0),
 ) -> Path:
-    """Write the two files of a small reasoner that reads the same attributes, looks and boxes in every frame, and
-    gives the gates and, with a lexicon, their absence these logits, whatever it is asked; returns the folder.
+    """Write the files of a small reasoner that reads the same probabilities, looks and boxes in every frame, and whose
+    selector and language give the gates and their absence these logits, whatever it is asked; returns the folder.
     """
     count = len(names)
     table = {"facets": names, "provenance": DESCRIPTION.table()["provenance"]}
-    image: Inputs = {"image": INPUTS["image"]}
-    told = dict(zip(("facets", "looks", "boxes"), reading, strict=True))
-    sizes = {"facets": [4, count], "looks": [3, LOOKS], "boxes": [4, 4]}
+    things = sum(name.startswith("concept/thing:") for name in names)
+    image: Inputs = {
+        "image": INPUTS["image"],
+        "opinions": (TensorProto.FLOAT, ["batch", 3, things]),
+        "paper": (TensorProto.FLOAT, ["batch", 3]),
+    }
+    told = dict(zip(("readings", "looks", "boxes"), reading, strict=True))
+    sizes = {"readings": [4, count], "looks": [3, LOOKS], "boxes": [4, 4]}
     outputs: Inputs = {name: (TensorProto.FLOAT, ["batch", *size]) for name, size in sizes.items()}
     reader = folder / READER_FILE
     onnx.save(_constant(image, outputs, told), str(reader))
     write_table(reader, READER_KIND, table)
-    float_, integer = TensorProto.FLOAT, TensorProto.INT64
-    tokens: list[Any] = [TEXT_LENGTH, TOKEN] if isinstance(words, Lexicon) else [TEXT_LENGTH]
-    inputs: Inputs = {
-        "tokens": (integer, ["batch", *tokens]),
-        "panels": (float_, ["batch", 3, count]),
-        "looks": (float_, ["batch", 3, LOOKS]),
-        "board": (float_, ["batch", count]),
-        "values": (integer, ["batch", 5]),
-        "remembered": (float_, ["batch", REMEMBERED, count]),
-        "stages": (integer, ["batch", REMEMBERED, 3]),
-    }
+    inputs: Inputs = {name: (TensorProto.INT64, ["batch", "length"]) for name in ("tokens", "positions", "parts")}
     answer = {"logits": np.array(logits, np.float32)}
     selector = folder / SELECTOR_FILE
-    onnx.save(_constant(inputs, {"logits": (float_, ["batch", len(logits)])}, answer), str(selector))
-    write_table(selector, SELECTOR, {**table, **lexicon_table(words), "text_length": TEXT_LENGTH})
+    onnx.save(_constant(inputs, {"logits": (TensorProto.FLOAT, ["batch", len(logits)])}, answer), str(selector))
+    write_table(selector, SELECTOR, {**table, "pieces": PIECES, "notes": {}})
+    tiny_encoder(folder)
+    shapes: dict[str, list[int | str]] = {
+        "words": ["length", WIDTH],
+        "panels": [3, count],
+        "looks": [3, LOOKS],
+        "board": [count],
+        "seen": [],
+    }
+    inputs = {name: (TensorProto.FLOAT, ["batch", *size]) for name, size in shapes.items()}
+    answer = {"logits": np.array(language, np.float32)}
+    path = folder / LANGUAGE_FILE
+    onnx.save(_constant(inputs, {"logits": (TensorProto.FLOAT, ["batch", len(language)])}, answer), str(path))
+    write_table(path, LANGUAGE, {**table, "encoder": DIGEST})
     return folder
 
 

@@ -9,7 +9,7 @@ from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_r
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.frames import rotate_yaw, yaw_of
 from cognitivedrone.labels import load_pack
-from cognitivedrone.policies.expert import Expert, ExpertConfig, intent, plan
+from cognitivedrone.policies.expert import Detour, Expert, ExpertConfig, intent, plan
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import EpisodeContext
@@ -52,7 +52,7 @@ def fly(suite_name, size, speed):
 
 @pytest.mark.parametrize("speed", [1.0, 1.75, 2.5])
 def test_it_passes_at_every_speed_within_its_bounds(speed):
-    outcomes, flights = fly("open-v1:test", 48, speed)
+    outcomes, flights = fly("open-v1:test", 16, speed)
     assert set(outcomes) == {"passed"}
     config = ExpertConfig()
     for commands in flights:
@@ -102,3 +102,18 @@ def test_many_intents_at_once_are_those_of_each_alone():
     alone = np.array([intent(p, v, np.asarray(y), g, np.asarray(h), ExpertConfig()) for p, v, y, g, h in rows])
     np.testing.assert_allclose(together, alone, atol=1e-12)
     assert np.linalg.norm(together[:, :3], axis=1).max() <= ExpertConfig().speed_m_s + 1e-9
+
+
+def test_it_flies_around_what_is_in_the_way():
+    outcomes, flights = fly("open-v3:clutter", 16, ExpertConfig().speed_m_s)
+    assert set(outcomes) == {"passed"}
+    for commands in flights:
+        acceleration = np.diff(commands[:, :3], axis=0) * 10
+        assert np.linalg.norm(acceleration, axis=1).max() <= ExpertConfig().acceleration_m_s2 + 1e-3
+
+
+def test_where_nothing_is_in_the_way_there_is_no_detour():
+    simulator = Simulator(1, render=False)
+    runner = TrackRunner(simulator.world(0), load_pack("open-v1"), TrackConfig())
+    runner.begin(load_suite("open-v1:test").tracks[0], np.random.default_rng(0))
+    assert Detour.of(runner.truth(), ExpertConfig()) is None

@@ -86,7 +86,7 @@ def test_a_config_that_cannot_be_read_is_refused(tmp_path, text):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("lerobot") is not None, reason="lerobot is installed")
-def test_without_lerobot_the_command_that_installs_it_is_said(tmp_path):
+def test_without_lerobot_the_command_that_installs_it_is_reported(tmp_path):
     pytest.importorskip("torch")
     with pytest.raises(MissingExtra, match=r"lerobot is not installed; it comes with cognitivedrone\[lerobot\]"):
         make_policy(f"lerobot:{folder_of(tmp_path, CONFIG)},device=cpu")
@@ -96,7 +96,7 @@ def test_without_lerobot_the_command_that_installs_it_is_said(tmp_path):
 def checkpoint(tmp_path_factory):
     """A small ACT policy with random weights, saved by LeRobot itself."""
     torch = pytest.importorskip("torch")
-    pytest.importorskip("lerobot", reason="lerobot is not installed (docs/integrations.md)")
+    pytest.importorskip("lerobot", reason="lerobot is not installed (docs/gymnasium.md)")
     from lerobot_checkpoints import save_act
 
     torch.manual_seed(0)
@@ -158,7 +158,7 @@ def test_it_answers_what_lerobots_own_pipeline_answers(checkpoint):
     assert np.array_equal(ours.act(observation), expected)
 
 
-def test_a_damaged_checkpoint_is_told_with_lerobots_version(checkpoint, tmp_path):
+def test_a_damaged_checkpoint_is_reported_with_lerobots_version(checkpoint, tmp_path):
     for file in checkpoint.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
     (tmp_path / WEIGHTS).write_bytes(b"\x00" * 64)

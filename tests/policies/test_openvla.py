@@ -151,9 +151,9 @@ class TestBeforeAnythingHeavyIsLoaded:
 
     def test_no_head_for_chunks(self, folder, tmp_path):
         copy = Path(shutil.copytree(folder, tmp_path / "plain"))
-        told = json.loads((copy / "config.json").read_text())
-        told["cognitivedrone"]["chunk"] = None
-        (copy / "config.json").write_text(json.dumps(told))
+        output = json.loads((copy / "config.json").read_text())
+        output["cognitivedrone"]["chunk"] = None
+        (copy / "config.json").write_text(json.dumps(output))
         with pytest.raises(PolicyError, match="no head for decoder=parallel; use decoder=ar"):
             make_policy(f"openvla:{copy},decoder=parallel,device=cpu")
 

@@ -150,11 +150,13 @@ class TestOpenpisServer:
             assert pilot(address, rows=1).act(seen(3)).tolist() == [[0, 1, 2, 3]]
         assert chunk.tolist() == [[0, 1, 2, 3], [4, 5, 6, 7]]
         assert chunk.dtype == np.float32
-        assert set(got[0]) == {"observation/image", "observation/state", "prompt", "time"}
-        assert np.array_equal(got[0]["observation/image"], seen(3).image)
-        assert got[0]["prompt"] == INSTRUCTION
+        first, flown = got[:2]
+        assert set(first) == set(flown) == {"observation/image", "observation/state", "prompt", "time"}
+        assert first["observation/image"].shape == (256, 256, 3)
+        assert np.array_equal(flown["observation/image"], seen(3).image)
+        assert flown["prompt"] == INSTRUCTION
 
-    def test_its_traceback_is_told_by_the_last_line_and_the_flight_goes_on(self, pilot):
+    def test_its_traceback_is_reported_by_the_last_line_and_the_flight_goes_on(self, pilot):
         def infer(message):
             if message["prompt"] == "bad":
                 raise KeyError("observation/wrist_image")
@@ -286,7 +288,7 @@ def test_in_virtual_time_the_flight_waits_for_the_server(pilot, monkeypatch):
         policy.act(seen())
 
 
-def test_nobody_there_is_said_before_take_off(monkeypatch):
+def test_nobody_there_is_reported_before_take_off(monkeypatch):
     monkeypatch.setattr(connection, "CONNECT_S", 0.2)
     policy = make_policy("remote:ws://127.0.0.1:9")
     began = time.monotonic()
@@ -328,6 +330,11 @@ def test_another_version_of_the_protocol_is_refused():
     ("text", "message"),
     [
         ("remote", "needs url"),
+        ("remote:ws://user:secret@127.0.0.1:8000", "a login in the address of a policy server would appear in results"),
+        ("remote:ws://a b", "no address of a policy server"),
+        ("remote:ws://127.0.0.1:8000#x", "no address of a policy server"),
+        ("remote:ws://[::1", "no address of a policy server"),
+        ("remote:ws://127.0.0.1:99999999", "no address of a policy server"),
         ("remote:http://127.0.0.1:8000", "no address of a policy server"),
         ("remote:ws://", "no address of a policy server"),
         ("remote:ws://h:1,deadline=0", "deadline is 0"),

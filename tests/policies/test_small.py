@@ -9,13 +9,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tiny import DESCRIPTION, open_model_file
+from tiny import heard, open_model_file
 from typechecked import unchecked
 
+from cognitivedrone.envs.track_runner import TrackConfig
+from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.errors import NonFiniteAction, PolicyError
+from cognitivedrone.labels import load_pack
 from cognitivedrone.models.small_file import Output
 from cognitivedrone.policies import make_policy
-from cognitivedrone.policies.small import TOLD, Presence, Race, Small
+from cognitivedrone.policies.small import Presence, Race, Small
+from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import EpisodeContext, Observation
 
 TEXT = "Fly through the red gate"
@@ -30,8 +34,8 @@ OBSERVATION = Observation(
 
 
 @pytest.fixture
-def policy(tiny_model_file):
-    made = Small(str(tiny_model_file))
+def policy(tmp_path):
+    made = Small(open_model_file(tmp_path / "model.onnx"))
     made.reset(EpisodeContext(TEXT))
     return made
 
@@ -40,8 +44,7 @@ def test_the_network_sees_frame_motion_and_sentence(policy):
     chunk = policy.act(OBSERVATION)
     assert chunk.shape == (2, 4)
     assert chunk.dtype == np.float32
-    mean = DESCRIPTION.vocabulary.encode(TEXT, DESCRIPTION.text_length).mean() / 10
-    assert np.allclose(chunk, [[0.2, 0.8, mean, -0.25]] * 2)
+    assert np.allclose(chunk, [[0.2, 0.8, heard(TEXT), -0.25]] * 2)
 
 
 def test_it_keeps_what_the_network_said_for_viewers(policy):
@@ -84,29 +87,14 @@ def test_an_image_of_the_wrong_size_or_type(policy, image, says):
         policy.act(replace(OBSERVATION, image=image))
 
 
-def test_unknown_words_are_named_once_and_flown_all_the_same(policy):
-    text = "Fly through the gate with the quokka or the axolotl"
-    with pytest.warns(UserWarning, match="'axolotl', 'or', 'quokka'") as caught:
-        policy.reset(EpisodeContext(text))
-    assert len(caught) == 1
+@pytest.mark.parametrize(
+    "text", ["Volez à travers la porte rouge", "飛行機へ進め", "\U0001f600", "x" * 1000, "gate " * 200]
+)
+def test_any_sentence_is_flown_without_a_warning(policy, text):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         policy.reset(EpisodeContext(text))
-        chunk = policy.act(replace(OBSERVATION, instruction=text))
-    assert np.isfinite(chunk).all()
-    with pytest.warns(UserWarning, match="'numbat'"):
-        policy.act(replace(OBSERVATION, instruction="numbat"))
-
-
-def test_of_many_sentences_with_unknown_words_the_first_few_are_told_of(policy):
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        for word in ("quokka", "axolotl", "!", "quokka", "numbat", "dingo", "wombat", "bilby", "kookaburra"):
-            policy.reset(EpisodeContext(f"Fly through the gate with the {word} !"))
-    told = [str(warning.message) for warning in caught]
-    assert len(told) == TOLD
-    assert "no further warnings" in told[-1]
-    assert not any("'!'" in each for each in told)
+        assert np.isfinite(policy.act(replace(OBSERVATION, instruction=text))).all()
 
 
 def test_an_answer_that_is_not_finite_is_not_flown(policy):
@@ -137,7 +125,7 @@ def test_a_model_file_is_given_behind_the_name(tiny_model_file):
         ("cognitivedrone.policies.small:Smal", "has no 'Smal'"),
     ],
 )
-def test_a_name_with_a_wrong_argument_is_said_in_one_sentence(name, says):
+def test_a_name_with_a_wrong_argument_is_reported_in_one_sentence(name, says):
     with pytest.raises(PolicyError, match=says) as error:
         make_policy(name)
     assert "\n" not in str(error.value)
@@ -175,8 +163,8 @@ def after(*answers):
     return [presence.update(each) for each in answers]
 
 
-def test_it_declines_when_the_frames_of_a_second_agree_and_not_before():
-    assert after(*[answer(0.01)] * 10) == [False] * 7 + [True] * 3
+def test_it_declines_when_the_first_frames_agree_and_not_before():
+    assert after(*[answer(0.01)] * 10) == [False] * 3 + [True] * 7
     assert not any(after(*[answer(0.01), answer(0.6)] * 20))
     assert not any(after(*[answer(0.5)] * 40))
     # Single frames that see it are doubts, and not more.
@@ -205,8 +193,8 @@ def test_it_resumes_only_when_it_is_sure_again():
 )
 def test_frames_that_cannot_tell_change_nothing(unclear):
     assert not any(after(*[unclear] * 50))
-    assert all(after(*[answer(0.0)] * 8, *[unclear] * 20)[7:])
-    assert after(*[answer(0.0), unclear] * 7, answer(0.0))[-2:] == [False, True]
+    assert all(after(*[answer(0.0)] * 4, *[unclear] * 20)[3:])
+    assert after(*[answer(0.0), unclear] * 3, answer(0.0))[-2:] == [False, True]
 
 
 @pytest.fixture
@@ -221,7 +209,7 @@ WHITE = replace(OBSERVATION, image=np.full((256, 256, 3), 255, np.uint8))
 
 
 def test_a_policy_that_declines_hovers_and_says_so(declining):
-    for _ in range(7):
+    for _ in range(3):
         assert declining.act(WHITE).any()
         assert not declining.declines
     chunk = declining.act(WHITE)
@@ -250,15 +238,9 @@ def test_where_it_is_there_nothing_is_declined(declining):
     assert not declining.declines
 
 
-def test_a_model_with_a_lexicon_warns_only_of_words_that_it_reads_by_spelling(declining):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        declining.reset(EpisodeContext("Fly through the cat gate 37"))
-    with pytest.warns(UserWarning, match="has never seen 'katze'"):
-        declining.reset(EpisodeContext("Fly through the katze gate"))
-
-
-def test_models_without_a_lexicon_never_decline(policy):
+def test_models_that_read_no_sentences_never_decline(tiny_model_file):
+    policy = Small(tiny_model_file)
+    policy.reset(EpisodeContext(TEXT))
     for _ in range(20):
         policy.act(WHITE)
     assert policy.last.present is None
@@ -273,15 +255,16 @@ def several(count):
 
 
 @pytest.mark.parametrize("argument", ["", ",stack=3", ",stack=16"])
-def test_several_flights_at_once_get_the_answers_of_each_alone(tiny_model_file, argument):
-    policy = make_policy(f"small:{tiny_model_file}{argument}")
+def test_several_flights_at_once_get_the_answers_of_each_alone(tmp_path, argument):
+    path = open_model_file(tmp_path / "model.onnx")
+    policy = make_policy(f"small:{path}{argument}")
     forks = [policy.fork() for _ in range(7)]
     for fork in forks:
         fork.reset(EpisodeContext(TEXT))
     answers = policy.act_batch(forks, several(7))
     for seen, answer in zip(several(7), answers, strict=True):
         assert not isinstance(answer, Exception)
-        alone = Small(str(tiny_model_file))
+        alone = Small(path)
         alone.reset(EpisodeContext(TEXT))
         assert not isinstance(answer, Exception)
         assert np.array_equal(answer, alone.act(seen))
@@ -302,7 +285,7 @@ def test_a_frame_that_will_not_do_disturbs_no_other_flight(policy):
 
 
 def test_a_network_that_fails_fails_every_flight_of_the_batch(policy, monkeypatch):
-    def fail(*_):
+    def fail(*_, **__):
         raise RuntimeError("out of memory")
 
     monkeypatch.setattr(policy.model, "run", fail)
@@ -325,3 +308,49 @@ def test_a_fork_shares_the_network_and_no_state(tmp_path):
 def test_a_stack_of_nothing_is_refused():
     with pytest.raises(PolicyError, match="stack is 0; it must be at least 1"):
         make_policy("small:stack=0")
+
+
+# ---- the picture classifier's opinions
+
+
+@pytest.fixture(scope="module")
+def stage_frame():
+    """What a drone sees at the start of a stage with three animals."""
+    suite = load_suite("open-v1:test")
+    # The second one: in the first, a panel is cut by the edge of the image.
+    _, animals, *_ = (number for number, track in enumerate(suite.tracks) if track[0].family == "animals")
+    with Worlds(1, load_pack("open-v1"), TrackConfig()) as worlds:
+        worlds.begin(0, suite, animals, 0)
+        return worlds.simulator.frames(worlds=[0])[0].copy()
+
+
+def papers(flight):
+    return flight._opinions.arrays()["paper"].tolist()
+
+
+def test_the_classifier_is_asked_about_one_panel_a_frame_and_its_opinions_are_of_one_flight(stage_frame):
+    made = Small()
+    seen = replace(OBSERVATION, image=stage_frame, velocity=np.zeros(3, np.float32), height=1.5, yaw_rate=0.0)
+    made.reset(EpisodeContext(TEXT))
+    choices = []
+    for asked in (1, 2, 3, 3):
+        made.act(seen)
+        choices.append(made.last.choice[0].tolist())
+        assert sum(paper >= 0 for paper in papers(made)) == asked
+    assert choices[0] != choices[1]  # an opinion counts from the next frame on
+    other = made.fork()
+    assert papers(other) == [-1.0] * 3
+    other.reset(EpisodeContext(TEXT))
+    others = [made.fork(), made.fork()]
+    for each in others:
+        each.reset(EpisodeContext(TEXT))
+    for number in range(4):
+        other.act(seen)
+        made.act_batch(others, [seen] * 2)
+        assert [each.last.choice[0].tolist() for each in others] == [choices[number]] * 2
+    assert papers(other) == papers(made)
+    made.act(replace(seen, instruction="Fly through the gate with the cat"))
+    assert sum(paper >= 0 for paper in papers(made)) == 1
+    made.reset(EpisodeContext(TEXT))
+    assert papers(made) == [-1.0] * 3
+    made.close()

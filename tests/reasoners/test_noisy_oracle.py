@@ -42,7 +42,7 @@ def right(given: list[Guidance], tasks: list[Task] = TASKS) -> list[bool]:
     ("name", "accuracy"),
     [("noisy-oracle:0.5", 0.5), ("noisy-oracle:accuracy=0.9", 0.9), ("noisy-oracle", PUBLISHED_ACCURACY)],
 )
-def test_it_is_right_as_often_as_it_is_told(name, accuracy):
+def test_it_is_right_as_often_as_it_is_reported(name, accuracy):
     low, high = binom.interval(0.999, len(TASKS), accuracy)
     assert low <= sum(right(answers(cast("NoisyOracle", make_reasoner(name))))) <= high
 
@@ -142,6 +142,6 @@ def test_it_asks_for_the_truth_and_a_seed():
         ("each,each", "each is given twice"),
     ],
 )
-def test_a_bad_argument_is_told_in_one_sentence(argument, message):
+def test_a_bad_argument_is_reported_in_one_sentence(argument, message):
     with pytest.raises(PolicyError, match=message):
         make_reasoner(f"noisy-oracle:{argument}")

@@ -99,7 +99,7 @@ def test_empty_lines_and_odd_line_separators_are_read(tmp_path):
         ('{"task": "a", "fault": ["timeout"]}', "unknown fault"),
     ],
 )
-def test_a_bad_line_is_told_with_file_and_number(tmp_path, line, message):
+def test_a_bad_line_is_reported_with_file_and_number(tmp_path, line, message):
     file = tmp_path / "answers.jsonl"
     good = json.dumps({"task": FIRST.id, "directive": "Go left"})
     file.write_bytes(f"{good}\n\n{line}\n".encode(errors="surrogateescape"))
@@ -107,7 +107,7 @@ def test_a_bad_line_is_told_with_file_and_number(tmp_path, line, message):
         Replay(str(file))
 
 
-def test_a_file_that_cannot_be_is_told(tmp_path, monkeypatch):
+def test_a_file_that_cannot_be_is_reported(tmp_path, monkeypatch):
     with pytest.raises(PolicyError, match="needs path; write replay:PATH"):
         make_reasoner("replay")
     with pytest.raises(PolicyError, match=r"there is no file .*missing\.jsonl"):

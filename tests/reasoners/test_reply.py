@@ -187,8 +187,8 @@ JSON_REPLIES = {
     '[{"size": "big", "color": "red", "shape": "round"}]': "brr",
     '{"size": "big", "color": "red", "shape": "round", "confidence": 0.': "brr",
     '{"size": "big", "color": "red", "shape": "round"': "brr",
-    '{"size": "big", "color": "red", "shape": "rou': "br-",
-    '{"size": "big", "color": "red",': "br-",
+    '{"size": "big", "color": "red", "shape": "rou': "unfinished",
+    '{"size": "big", "color": "red",': "unfinished",
     '{"color": "green"}': "-g-",
     '{"shape": "triangle"}': "--t",
     '{"size": null, "color": "green", "shape": null}': "-g-",
@@ -264,10 +264,6 @@ def test_every_gate_in_every_wording(frame):
     ):
         for order in (f"{size_name} {color_name} {shape_name}", f"{color_name}, {shape_name} {size_name}"):
             check(frame.format(order), size + color + shape)
-
-
-def test_there_are_enough_replies():
-    assert len(SENTENCES) + len(JSON_REPLIES) + len(FRAMES) * 90 >= 250
 
 
 @pytest.mark.parametrize(("size", "color", "shape"), list(product(SIZES, COLORS, SHAPES)))

@@ -151,13 +151,13 @@ def test_another_version_and_another_session_are_refused():
     ],
 )
 def test_a_policys_error_is_raised_as_what_it_was(error):
-    told = {"fault": getattr(error, "kind", None), "certainty": getattr(error, "certainty", None)}
-    frame = error_frame(code_of(error), str(error), **told)
+    reported = {"fault": getattr(error, "kind", None), "certainty": getattr(error, "certainty", None)}
+    frame = error_frame(code_of(error), str(error), **reported)
     with pytest.raises(type(error), match=r"^no$") as caught:
         raise_error(frame, "here")
     assert type(caught.value) is type(error)
-    assert getattr(caught.value, "kind", None) == told["fault"]
-    assert getattr(caught.value, "certainty", None) == told["certainty"]
+    assert getattr(caught.value, "kind", None) == reported["fault"]
+    assert getattr(caught.value, "certainty", None) == reported["certainty"]
 
 
 @pytest.mark.parametrize("strange", [2, -0.5, "0.5", None, [], float("nan")])
@@ -173,7 +173,7 @@ def test_an_exception_of_a_policys_own_is_a_policy_error():
 
 
 @pytest.mark.parametrize("frame", ["Traceback\n  ...\nKeyError: 'x'", '{"error": 3}', "[]", "", "\n", '{"error": {}}'])
-def test_any_other_servers_error_is_told_by_its_last_line(frame):
+def test_any_other_servers_error_is_reported_by_its_last_line(frame):
     with pytest.raises(ServerError, match="the policy server at here failed: ") as caught:
         raise_error(frame, "here")
     assert "\n" not in str(caught.value)
@@ -181,7 +181,7 @@ def test_any_other_servers_error_is_told_by_its_last_line(frame):
         assert str(caught.value).endswith("KeyError: 'x'")
 
 
-def test_a_refusal_is_told_with_its_code():
+def test_a_refusal_is_reported_with_its_code():
     with pytest.raises(ServerError, match=r"refused the message \(busy\): later"):
         raise_error(json.dumps({"error": {"code": "busy", "message": "later"}}), "here")
 

@@ -61,7 +61,7 @@ def test_an_ordinary_user_is_shown_the_line_and_what_works_without_it(setup, ran
     assert "Without them nothing can be seen." in shown
 
 
-def test_root_without_a_terminal_is_told_before_anything_is_installed(setup, ran, monkeypatch):
+def test_root_without_a_terminal_is_reported_before_anything_is_installed(setup, ran, monkeypatch):
     user(monkeypatch, setup, 0, io.StringIO())
     assert setup.apt_install(["libegl1"], "pictures", "nothing can be seen")
     assert [command for command, _ in ran] == [["apt-get", "update"], LINE.split()]
@@ -73,8 +73,8 @@ def test_root_at_a_terminal_is_asked(setup, ran, monkeypatch, capsys, answer, in
     user(monkeypatch, setup, 0, Terminal(answer))
     assert setup.apt_install(["libegl1"], "pictures", "nothing can be seen") == installs
     assert bool(ran) == installs
-    said = ran[0][1] if installs else capsys.readouterr().out
-    assert f"{LINE}\nInstall now? [Y/n]" in said
+    output = ran[0][1] if installs else capsys.readouterr().out
+    assert f"{LINE}\nInstall now? [Y/n]" in output
 
 
 def test_a_machine_without_venv_is_asked_for_all_that_it_will_need_at_once(setup, monkeypatch):
@@ -90,8 +90,8 @@ def test_a_machine_without_venv_is_asked_for_all_that_it_will_need_at_once(setup
 
 
 def report(*needs: str) -> SimpleNamespace:
-    told = {"install": [{"metadata": {"name": "torch", "requires_dist": ["filelock", *needs]}}]}
-    return SimpleNamespace(returncode=0, stdout=json.dumps(told))
+    message = {"install": [{"metadata": {"name": "torch", "requires_dist": ["filelock", *needs]}}]}
+    return SimpleNamespace(returncode=0, stdout=json.dumps(message))
 
 
 def offer(monkeypatch, setup, done: SimpleNamespace) -> None:
@@ -126,8 +126,8 @@ def test_it_is_installed_where_it_is_light(setup, monkeypatch, done):
 def test_the_version_that_is_asked_about_is_the_one_of_the_extra(setup):
     import tomllib
 
-    told = tomllib.loads((FILE.parents[1] / "pyproject.toml").read_text())
-    assert setup.TORCH in told["project"]["optional-dependencies"]["dev-torch"]
+    message = tomllib.loads((FILE.parents[1] / "pyproject.toml").read_text())
+    assert setup.TORCH in message["project"]["optional-dependencies"]["dev-torch"]
 
 
 @pytest.mark.parametrize("flag", ["--help", "-e"])
@@ -139,7 +139,7 @@ def test_a_flag_shows_how_to_use_it_and_installs_nothing(setup, ran, monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         ([], "Installing cognitivedrone and its dependencies into {}: this takes a minute or two.\n"),
         (
@@ -149,14 +149,14 @@ def test_a_flag_shows_how_to_use_it_and_installs_nothing(setup, ran, monkeypatch
         ),
     ],
 )
-def test_what_is_installed_and_where_is_said_before_anything_runs(setup, ran, monkeypatch, capsys, arguments, told):
+def test_what_is_installed_and_where_is_shown_before_anything_runs(setup, ran, monkeypatch, capsys, arguments, message):
     monkeypatch.setattr(setup, "PYTHON", setup.VENV / "bin" / "python")
     monkeypatch.setattr(setup, "ensure_sdformat", lambda: None)
     monkeypatch.setattr(setup, "with_torch", lambda extras: extras)
     monkeypatch.setattr(setup.sys, "argv", ["setup.py", *arguments])
     monkeypatch.setattr(setup.shutil, "rmtree", lambda *_, **__: None)
     setup.main()
-    assert ran[0][1] == told.format(setup.VENV)
+    assert ran[0][1] == message.format(setup.VENV)
     before = ran[-1][1] + capsys.readouterr().out
     setup.main()  # installed by now
     assert ran[-1][1] + capsys.readouterr().out == before

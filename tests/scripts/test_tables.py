@@ -23,8 +23,8 @@ from table_kinds import NOT_MEASURED, Store, Table, cell
 from cognitivedrone.audit.run import AUDIT_FILE
 from cognitivedrone.benchmark.config import Plan, ReasonPlan
 from cognitivedrone.benchmark.measurements import Measurement, read_measurement, write_measurement
-from cognitivedrone.benchmark.reason import score_reasoner
-from cognitivedrone.benchmark.runner import run
+from cognitivedrone.benchmark.reasoning.reason import score_reasoner
+from cognitivedrone.benchmark.runs.runner import run
 from cognitivedrone.benchmark.submission import read_submission
 from cognitivedrone.plan import Scenario
 
@@ -71,6 +71,20 @@ def test_every_file_that_a_table_needs_is_there_or_comes_out_of_the_script() -> 
     assert store.asked <= made | there
     for benchmark in re.findall(r"^ *measure \w+ (\w+)", script, flags=re.MULTILINE):
         assert "--out" in (ROOT / "benchmarks" / f"{benchmark}.py").read_text(), benchmark
+
+
+def test_cases_that_were_flown_often_are_counted(root: Path) -> None:
+    def flown(name: str, good: bool, down: float | None, end: str) -> dict[str, Any]:
+        return {"name": name, "good": good, "down_s": down, "end": end}
+
+    rows = (flown("a", True, 2.0, "landed"), flown("b", True, None, "refused: x"), flown("a", False, 5.0, "landed"))
+    write_measurement(root / "results" / "old.json", replace(MADE, rows=rows))
+    table = table_kinds.repeated({"old": "4.6", "new": "4.7"})(Store(root))
+    assert table.heads[2:] == ["4.6: as it must", "4.6: motors stopped", "4.7: as it must", "4.7: motors stopped"]
+    assert table.rows == [
+        ["a", "landed", "1 of 2", "3.5, 5.0 s", NOT_MEASURED, ""],
+        ["b", "refused", "1 of 1", "–", NOT_MEASURED, ""],
+    ]
 
 
 def test_a_table_names_its_file_command_machine_day_and_commit(root: Path) -> None:
@@ -167,9 +181,9 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_runs_become_files_and_tables(out: Path, tmp_path: Path, capsys) -> None:
     keep_results.main(out, tmp_path / "results")
-    said = capsys.readouterr().out
-    assert "2 episodes only" in said
-    assert "stopped is not finished: 10 of 20 steps" in said
+    output = capsys.readouterr().out
+    assert "2 episodes only" in output
+    assert "stopped is not finished: 10 of 20 steps" in output
     submission = read_submission(tmp_path / "results" / "small.json")
     assert [made.run.option("wind_m_s") for made in submission.runs] == [0.0, 0.5]
     times = read_measurement(tmp_path / "results" / "bench_time.json")

@@ -1,12 +1,15 @@
 """A suite flown by a served pilot scores to the bit as one flown by the same pilot in the command's process."""
 
+import json
 from dataclasses import replace
 
 import pytest
+from policy_clients import openpi_server
 
+from cognitivedrone import evaluate
 from cognitivedrone.benchmark.config import Plan, ReasonPlan
-from cognitivedrone.benchmark.reason import score_reasoner
-from cognitivedrone.benchmark.runner import run
+from cognitivedrone.benchmark.reasoning.reason import score_reasoner
+from cognitivedrone.benchmark.runs.runner import run
 from cognitivedrone.serving.config import ServePlan
 from cognitivedrone.serving.server import serving
 
@@ -36,3 +39,14 @@ def test_a_served_reasoner_scores_as_a_local_one(address, tmp_path):
     there = score_reasoner(plan.changed(reasoner=f"remote:ws://{address}", out=tmp_path / "there"), progress=False)
     assert here.answers
     assert [replace(one, seconds=0) for one in there.answers] == [replace(one, seconds=0) for one in here.answers]
+
+
+def test_a_server_whose_error_no_file_takes_costs_its_episodes_and_not_the_run(tmp_path):
+    refusal = json.dumps({"error": {"code": "policy_error", "message": "bad \ud800 \u202e"}})
+    with openpi_server(lambda _: refusal) as address:
+        evaluation = evaluate(
+            f"remote:ws://{address},warm_up=0", episodes=2, workers=0, out=tmp_path / "run", progress=False
+        )
+    assert evaluation.summary.overall.outcomes["policy_error"] == 2
+    assert [episode.message for episode in evaluation.results.episodes] == [r"bad \ud800 \u202e"] * 2
+    assert r"bad \\ud800" in (tmp_path / "run" / "results.json").read_text()

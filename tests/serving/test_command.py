@@ -51,7 +51,7 @@ def test_the_help_teaches(capsys):
     with pytest.raises(SystemExit):
         main(["serve", "--help"])
     shown = " ".join(capsys.readouterr().out.split())
-    for words in ("--token-file", "remote:ws://HOST:PORT", "openpi", "/act", "docs/serving.md"):
+    for words in ("--token-file", "remote:ws://HOST:PORT", "openpi", "/act", "docs/own_policy.md"):
         assert words in shown
 
 
@@ -76,6 +76,6 @@ def test_what_it_cannot_do_ends_in_one_sentence(option, capsys, monkeypatch):
     with pytest.raises(SystemExit) as stop:
         main(["serve", *option])
     assert stop.value.code == 2
-    said = capsys.readouterr().err
-    assert said.startswith("cognitivedrone: ")
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert output.startswith("cognitivedrone: ")
+    assert output.count("\n") == 1

@@ -26,7 +26,7 @@ def test_the_flight_goes_on_when_the_server_answers_again(tmp_path):
 
     with openpi_server(infer) as address:
         plan = FlyPlan.of(
-            policy=f"remote:ws://{address}", reasoner="none", time_limit=3, view=False, out=tmp_path / "f"
+            film=False, policy=f"remote:ws://{address}", reasoner="none", time_limit=3, view=False, out=tmp_path / "f"
         )
         summary = fly_mission(plan, console=Console(file=io.StringIO()), keyboard=io.StringIO())
     assert summary.ending.kind == "missed"

@@ -98,3 +98,12 @@ def test_a_request_that_will_not_do_gets_a_status_and_a_code(address, body, stat
 
 def test_web_pages_are_refused(address):
     assert post(address, request(), Origin="http://a.page")[0] == 401
+
+
+def test_an_image_of_a_camera_is_refused_with_the_size_that_is_meant(address):
+    status, large = post(address, request(image=encoded(np.zeros((480, 640, 3), np.uint8))))
+    assert (status, large["error"]["code"]) == (413, "too_large")
+    assert "images of 256x256 pixels, which take 262 kB here" in large["error"]["message"]
+    status, small = post(address, request(image=encoded(np.zeros((240, 320, 3), np.uint8))))
+    assert status == 400
+    assert "(240, 320, 3); expected uint8 (256, 256, 3), red first; crop and resize it" in small["error"]["message"]

@@ -14,8 +14,8 @@ import websockets.exceptions
 from policy_clients import Client, observation, packed
 from served_pilots import Held
 
-from cognitivedrone.errors import GroundTruthError, PluginError, ServerError
-from cognitivedrone.serving import protocols
+from cognitivedrone.errors import GroundTruthError, PluginError, ServerError, UsageError
+from cognitivedrone.serving import admission, protocols
 from cognitivedrone.serving.config import ServePlan
 from cognitivedrone.serving.server import serving
 
@@ -256,7 +256,7 @@ def test_no_more_waiting_observations_than_allowed():
 
 def test_connections_that_send_nothing_are_closed(monkeypatch):
     monkeypatch.setattr(protocols, "REQUEST_S", 0.05)
-    monkeypatch.setattr(protocols, "MOST_CONNECTIONS", 2)
+    monkeypatch.setattr(admission, "MOST_WAITING", 2)
     with served() as address, contextlib.ExitStack() as stack:
         where = (address.host, address.port)
         idle = [stack.enter_context(socket.create_connection(where, 60)) for _ in range(4)]
@@ -382,7 +382,7 @@ def test_a_port_that_is_taken_is_named(address):
 
 @pytest.mark.parametrize("option", ["clients", "rate", "queue", "batch", "message_kb", "idle", "port"])
 def test_a_limit_that_is_none_is_refused(option):
-    with pytest.raises(ServerError, match=f"--{option.replace('_', '-')} is -1"):
+    with pytest.raises(UsageError, match=f"--{option.replace('_', '-')} is -1"):
         ServePlan.of(**{option: -1})
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cognitivedrone.sim.gate_monitor import GateMonitor, judge
-from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Stage
+from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Landmark, Obstacle, Stage
 from cognitivedrone.world import geometry
 
 HULL = 0.13
@@ -169,3 +169,28 @@ def test_the_gate_monitor_measures_the_way():
     assert gate_monitor.follow(np.column_stack([np.linspace(-1, 3.5, 50), np.zeros(50), np.ones(50)])) is None
     assert gate_monitor.path_m == pytest.approx(4.5)
     assert gate_monitor.favoured() == 1
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.0])
+def test_contact_with_an_obstacle_ends_the_flight_and_the_smallest_room_is_kept(yaw):
+    gates = (Gate("big", "round", "red"), Gate("big", "square", "green"), Gate("big", "square", "blue"))
+    pillar, mark = Obstacle("pillar", 1.0, 0.0, 0.4, 2.0), Landmark("animal/cat@noto", 2.0, -2.0, 2.0, 0.0)
+    stage = Stage(gates, ("letter/A@inter",) * 3, origin=(3.0, -1.0), yaw=yaw, obstacles=(pillar,), landmark=mark)
+
+    def flown(side: float):
+        x = np.linspace(-1.0, 2.5, 300)
+        local = np.column_stack([x, np.full(300, side), np.ones(300)])
+        path = geometry.rotate_yaw(local, yaw) + np.array([3.0, -1.0, 0.0])
+        monitor = GateMonitor(stage, path[0], HULL, SQUARE)
+        return monitor, [event for piece in np.array_split(path[1:], 30) if (event := monitor.follow(piece))]
+
+    monitor, events = flown(0.5)
+    assert events == []
+    assert monitor.obstacle_m == pytest.approx(0.5 - 0.2 - HULL, abs=1e-3)
+    monitor, events = flown(0.3)
+    assert (events[0].kind, events[0].gate, monitor.obstacle_m) == ("collision", None, 0.0)
+    _, events = flown(-2.0)
+    assert events[0].kind == "collision"
+    plain = GateMonitor(stage_with(gates[0]), np.zeros(3), HULL, SQUARE)
+    plain.follow(np.ones((3, 3)))
+    assert plain.obstacle_m is None

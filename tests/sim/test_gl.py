@@ -18,18 +18,23 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     return monkeypatch
 
 
+def absent(name: str, without: object = ()) -> str:
+    raise RenderError(f"{name} is not there")
+
+
 def test_the_probe_finds_what_really_works() -> None:
     name = gl.backend().name
     assert gl._probe(name) == gl.renderer_name()
-    assert gl._probe("nonsense") is None
+    with pytest.raises(RenderError, match=r"No module named 'mujoco.nonsense'"):
+        gl._probe("nonsense")
 
 
 def test_egl_first_then_osmesa(fresh: pytest.MonkeyPatch) -> None:
     tried = []
 
-    def probe(name: str) -> str | None:
+    def probe(name: str) -> str:
         tried.append(name)
-        return "softpipe" if name == "osmesa" else None
+        return "softpipe" if name == "osmesa" else absent(name)
 
     fresh.setattr(gl, "_probe", probe)
     assert gl.backend() == gl.Backend("osmesa", "softpipe")
@@ -57,17 +62,65 @@ def test_the_users_choice_counts(fresh: pytest.MonkeyPatch) -> None:
         gl.backend()
 
 
-def test_no_opengl_is_one_sentence_with_the_line_to_type(fresh: pytest.MonkeyPatch) -> None:
-    fresh.setattr(gl, "_probe", lambda name: None)
+def test_no_opengl_is_one_sentence_with_its_own_error_and_the_line_to_type(fresh: pytest.MonkeyPatch) -> None:
+    for name in [name for name in os.environ if gl._STEERING.match(name)]:
+        fresh.delenv(name)
+    fresh.setattr(gl, "_probe", absent)
     with pytest.raises(
-        RenderError, match=r"tried egl and osmesa.*apt-get install -y libegl1 libgl1-mesa-dri libopengl0"
+        RenderError,
+        match=r"egl: egl is not there; osmesa: osmesa is not there\).*apt-get install -y libegl1 libgl1-mesa-dri",
     ) as caught:
         gl.backend()
     assert "\n" not in str(caught.value)
+    assert "variables" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "own_error"),
+    [
+        ("MUJOCO_EGL_DEVICE_ID", "3", "must be an integer between 0 and"),
+        ("MUJOCO_EGL_DEVICE_ID", "first", "invalid literal for int"),
+        ("PYOPENGL_PLATFORM", "osmesa", "Cannot use EGL rendering platform"),
+        ("LIBGL_DRIVERS_PATH", "/nowhere", "/nowhere"),
+        ("__EGL_VENDOR_LIBRARY_FILENAMES", "/nowhere.json", "Cannot initialize a EGL device display"),
+        ("GALLIUM_DRIVER", "nonsense", "nonsense"),
+    ],
+)
+def test_a_variable_that_keeps_opengl_from_starting_is_named(
+    fresh: pytest.MonkeyPatch, variable: str, value: str, own_error: str
+) -> None:
+    fresh.setenv(variable, value)
+    fresh.setenv("MESA_DEBUG", "silent")  # steers it too, and does no harm
+    try:
+        renderer = gl._probe("egl")
+    except RenderError:
+        pass
+    else:
+        pytest.skip(f"this machine's OpenGL does not mind: {renderer}")
+    with pytest.raises(RenderError) as caught:
+        gl.backend()
+    said = str(caught.value)
+    assert said.startswith(f"OpenGL does not start with {variable}={value} (egl: ")
+    assert "unset it, without it it starts here" in said
+    assert own_error in said or variable in ("LIBGL_DRIVERS_PATH", "GALLIUM_DRIVER")  # in the words of the driver
+    assert "install" not in said
+    assert "\n" not in said
+
+
+def test_variables_without_which_it_does_not_start_either_are_named_beside_the_installation(
+    fresh: pytest.MonkeyPatch,
+) -> None:
+    fresh.setattr(gl, "_probe", absent)
+    fresh.setenv("LIBGL_DRIVERS_PATH", "/no\x1bwhere")
+    with pytest.raises(RenderError) as caught:
+        gl.backend()
+    assert r"LIBGL_DRIVERS_PATH=/no\x1bwhere" in str(caught.value)
+    assert "check them first" in str(caught.value)
+    assert "If it is not installed: apt-get install" in str(caught.value)
 
 
 def test_a_backend_that_fails_late_is_one_sentence_too() -> None:
-    with pytest.raises(RenderError, match=r"OpenGL by nonsense does not start.*apt-get install"):
+    with pytest.raises(RenderError, match=r"OpenGL does not start \(nonsense: No module named.*apt-get install"):
         gl.create_context("nonsense", 16, 16)
 
 
@@ -121,20 +174,23 @@ def test_a_broken_choice_of_the_users_breaks_nothing_until_something_is_drawn(na
         "from cognitivedrone.cli import main\n"
         "main(['list'])\n"
         "from cognitivedrone.sim import gl\n"
-        "gl._probe = lambda name: None\n"
+        "def absent(name, without=()): raise gl.RenderError(name + ' is not there')\n"
+        "gl._probe = absent\n"
         "main(['view'])\n"
     )
     environment = {**os.environ, "MUJOCO_GL": name, gl._REMEMBERED: ""}
     child = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment, timeout=60)
     assert child.returncode == 2
     assert "--reasoner" in child.stdout
-    assert child.stderr.startswith(f"cognitivedrone: MUJOCO_GL={name} ")
-    assert "unset it" in child.stderr
+    assert f"MUJOCO_GL={name}" in child.stderr
     assert child.stderr.count("\n") == 1
 
 
 def test_the_users_choice_that_is_not_installed_says_what_installs_it(fresh: pytest.MonkeyPatch) -> None:
-    fresh.setattr(gl, "_probe", lambda name: None)
+    fresh.setattr(gl, "_probe", lambda name, without=(): "llvmpipe" if name == "egl" else absent(name))
     fresh.setenv("MUJOCO_GL", "osmesa")
-    with pytest.raises(RenderError, match=r"MUJOCO_GL=osmesa does not start .* apt-get install -y libosmesa6"):
+    with pytest.raises(
+        RenderError,
+        match=r"with MUJOCO_GL=osmesa \(osmesa: osmesa is not there\); unset it, .*, or install it: .* libosmesa6",
+    ):
         gl.backend()

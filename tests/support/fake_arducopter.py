@@ -35,11 +35,11 @@ class Remote(Flight):
     def _step(self, ticks: int) -> None:
         rates = self._state[10:].copy()
         for _ in range(ticks):
-            told = self._ask(pwm(self._autopilot.stabilise(rates)[:, 0] / IRIS.max_thrust))
-            rates[:, 0] = flu_to_frd(np.array(told["imu"]["gyro"]))
-        self._state[:3, 0] = enu_to_ned(np.array(told["position"]))
-        self._state[3:7, 0] = ned_quaternion(np.array(told["quaternion"]))
-        self._state[7:10, 0] = enu_to_ned(np.array(told["velocity"]))
+            output = self._ask(pwm(self._autopilot.stabilise(rates)[:, 0] / IRIS.max_thrust))
+            rates[:, 0] = flu_to_frd(np.array(output["imu"]["gyro"]))
+        self._state[:3, 0] = enu_to_ned(np.array(output["position"]))
+        self._state[3:7, 0] = ned_quaternion(np.array(output["quaternion"]))
+        self._state[7:10, 0] = enu_to_ned(np.array(output["velocity"]))
         self._state[10:] = rates
 
     def _ask(self, outputs: list[int]) -> dict:

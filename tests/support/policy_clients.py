@@ -76,7 +76,7 @@ def observation(prompt="Fly through the red gate", **changed):
 def openpi_server(infer, metadata=None):
     """A server that behaves as openpi's does: metadata first, then an answer to each observation.
 
-    An exception of `infer` is sent as its traceback, and ends the connection.
+    Text is sent as it is. An exception of `infer` is sent as its traceback, and ends the connection.
     """
     ready, stop = threading.Event(), None
     address = ""
@@ -85,7 +85,9 @@ def openpi_server(infer, metadata=None):
         await socket.send(packed(metadata or {}))
         async for data in socket:
             try:
-                await socket.send(packed(infer(unpacked(data)) | {"server_timing": {"infer_ms": 1.0}}))
+                answer = infer(unpacked(data))
+                timed = answer if isinstance(answer, str) else packed(answer | {"server_timing": {"infer_ms": 1.0}})
+                await socket.send(timed)
             except Exception:
                 await socket.send(traceback.format_exc())
                 await socket.close(1011, "Internal server error. Traceback included in previous frame.")

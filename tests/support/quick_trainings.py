@@ -1,4 +1,4 @@
-"""Training runs in seconds: tiny networks, few words, a small bank of readings, batches made in the same process."""
+"""Training runs in seconds: tiny networks, a small bank of readings, batches made in the same process."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import pytest
 import torch
 
 from cognitivedrone.models.panel_reader import ReaderConfig
-from cognitivedrone.training.common import calibration, lexicon, panel_crops, readings, trainer
-from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint
-from cognitivedrone.training.common.prefetch import learner_path
-from cognitivedrone.training.common.sampling import Batch
-from cognitivedrone.training.common.trainer import TrainConfig, train
-from cognitivedrone.training.common.training_task import Batches, TrainingTask
+from cognitivedrone.training.perception import calibration, panel_crops, readings
 from cognitivedrone.training.reasoner.reader import READER
 from cognitivedrone.training.small_vla import export
 from cognitivedrone.training.small_vla.policy import PolicyTraining
+from cognitivedrone.training.trainer import trainer
+from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint
+from cognitivedrone.training.trainer.prefetch import learner_path
+from cognitivedrone.training.trainer.trainer import TrainConfig, train
+from cognitivedrone.training.trainer.training_task import Batch, Batches, TrainingTask
 
 SCHEDULE: dict[str, Any] = {"steps": 4, "warmup_steps": 1, "round_steps": 2, "validate_every": 2, "fly_every": 4}
 TINY_READER = replace(
@@ -34,8 +34,7 @@ TINY_READER = replace(
 
 
 def make_small(patch: pytest.MonkeyPatch) -> None:
-    """Draw few sentences, pictures and frames where a real training draws thousands."""
-    patch.setattr(lexicon, "SENTENCES", 300)
+    """Draw few pictures and frames where a real training draws thousands."""
     patch.setattr(readings, "CROPS", 200)
     patch.setattr(panel_crops, "_KEPT", 64)
     patch.setattr(calibration, "CROPS", 400)

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from cognitivedrone.benchmark.tables import as_text
+from cognitivedrone.benchmark.reports.tables import as_text
 from cognitivedrone.cli import main
 from cognitivedrone.errors import TaskError
 from cognitivedrone.tasks import load_suite, read_tasks, suite_from_files, task_to_json

@@ -119,6 +119,13 @@ def test_what_is_no_task_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 GATES = PUBLISHED["gates"]
 
 
+def layout(**second):
+    """A gate layout whose second gate is changed."""
+    places = {str(n): {"x": 4.0, "y": 8.0 - 4.0 * n, "height": 0.9, "yaw": 0.0} for n in (1, 2, 3)}
+    places["2"] |= second
+    return places
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -126,6 +133,10 @@ GATES = PUBLISHED["gates"]
         ({"correct": 4}, "correct is 4"),
         ({"correct": "1"}, "correct is '1'"),
         ({"correct": True}, "correct is True"),
+        ({"correct": 10**400}, r"correct is 1000\d{36}; it must be 1, 2 or 3"),
+        ({"layout": layout(x=10**400)}, "x of gate 2 is inf; it must be from 1 to 8"),
+        ({"layout": layout(y=-(10**400))}, "y of gate 2 is -inf; it must be from -7 to 7"),
+        ({"layout": layout(yaw=float("nan"))}, "yaw of gate 2 is nan; it must be from"),
         (
             {"options": ["nine.dae", "six.dae", "nine.dae"]},
             "options 1 and 3 are both 'nine.dae', so there are two right",

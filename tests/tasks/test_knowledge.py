@@ -12,7 +12,7 @@ import pytest
 from cognitivedrone.errors import TaskError
 from cognitivedrone.tasks import facts, knowledge, suites, vocabulary, wording
 from cognitivedrone.tasks.knowledge import tables
-from cognitivedrone.training.common import fact_phrasing
+from cognitivedrone.training.language import fact_phrasing
 
 TABLE = knowledge.table()
 CLAIMS = knowledge.claims()

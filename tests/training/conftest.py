@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,18 +12,22 @@ import pytest
 
 @pytest.fixture(scope="module")
 def made_small() -> Iterator[None]:
-    """Few sentences, pictures and frames where a real training draws thousands."""
+    """Few pictures and frames where a real training draws thousands."""
     with small():
         yield
 
 
 @contextmanager
 def small() -> Iterator[None]:
+    import torch
     from quick_trainings import make_small
 
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # as `one_thread`, also for what is made once for all modules
     with pytest.MonkeyPatch.context() as patch:
         make_small(patch)
         yield
+    torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="session")
@@ -30,29 +35,61 @@ def reader_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A tiny reader with random weights."""
     from quick_trainings import TINY_READER, saved
 
-    from cognitivedrone.training.common.training_task import Given
+    from cognitivedrone.training.trainer.training_task import Given
 
-    return saved(TINY_READER.training(Given()), tmp_path_factory.mktemp("reader"))
+    with small():
+        return saved(TINY_READER.training(Given()), tmp_path_factory.mktemp("reader"))
 
 
 @pytest.fixture(scope="session")
-def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory, reader_checkpoint: Path) -> Path:
-    """A tiny policy with random weights, and that reader."""
+def selector_checkpoint(tmp_path_factory: pytest.TempPathFactory, reader_checkpoint: Path) -> Path:
+    """A tiny gate selector with random weights, which listens to that reader."""
     from quick_trainings import saved
 
-    from cognitivedrone.training.common.training_task import Given
-    from cognitivedrone.training.recipes import RECIPES
+    from cognitivedrone.training.reasoner.selector import DEBUG_SELECTOR
+    from cognitivedrone.training.trainer.training_task import Given
 
     with small():
-        return saved(RECIPES["debug"].training(Given(start=reader_checkpoint)), tmp_path_factory.mktemp("policy"))
+        return saved(DEBUG_SELECTOR.training(Given(start=reader_checkpoint)), tmp_path_factory.mktemp("selector"))
+
+
+@pytest.fixture(scope="session")
+def language_checkpoint(tmp_path_factory: pytest.TempPathFactory, selector_checkpoint: Path) -> Path:
+    """A tiny language with random weights and that reader, beside its text encoder."""
+    from quick_trainings import saved
+
+    from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE
+    from cognitivedrone.training.trainer.training_task import Given
+
+    with small():
+        task = DEBUG_LANGUAGE.training(Given(start=selector_checkpoint))
+        path = saved(task, tmp_path_factory.mktemp("language"))
+        task.export(path, path.parent)
+    return path
+
+
+@pytest.fixture(scope="session")
+def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory, language_checkpoint: Path) -> Path:
+    """A tiny policy with random weights and that language, beside its text encoder."""
+    from quick_trainings import saved
+
+    from cognitivedrone.models.text_encoder import FILE
+    from cognitivedrone.training.recipes import RECIPES
+    from cognitivedrone.training.trainer.training_task import Given
+
+    folder = tmp_path_factory.mktemp("policy")
+    shutil.copy(language_checkpoint.parent / FILE, folder)
+    with small():
+        return saved(RECIPES["debug"].training(Given(start=language_checkpoint)), folder)
 
 
 @pytest.fixture(scope="session")
 def policy_file(tmp_path_factory: pytest.TempPathFactory, policy_checkpoint: Path) -> Path:
-    """That policy as a model file."""
+    """That policy as a model file, beside its text encoder, panel reader and language."""
+    from cognitivedrone.models.text_encoder import FILE
     from cognitivedrone.training.small_vla.export import export
 
     path = tmp_path_factory.mktemp("file") / "model.onnx"
     with small():
-        export(policy_checkpoint, path, scores={"open-v1:test": 0.5})
+        export(policy_checkpoint, path, encoder=policy_checkpoint.parent / FILE, scores={"open-v1:test": 0.5})
     return path

@@ -9,7 +9,7 @@ import pytest
 
 from cognitivedrone.errors import LabelError
 from cognitivedrone.tasks import facts, load_suite, people, train_task, vocabulary
-from cognitivedrone.training.common.attributes import (
+from cognitivedrone.training.perception.attributes import (
     ABSENT,
     ATTRIBUTES,
     KINDS,
@@ -19,7 +19,7 @@ from cognitivedrone.training.common.attributes import (
     gate_looks,
     label_names,
 )
-from cognitivedrone.training.common.panel_crops import draw_any_label
+from cognitivedrone.training.perception.panel_crops import draw_any_label
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 
 INDEX = AttributeIndex()

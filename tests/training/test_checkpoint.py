@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save_file
 from torch import nn
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.training.common.checkpoint import FORMAT, read_checkpoint, restore, save_checkpoint
+from cognitivedrone.training.trainer.checkpoint import FORMAT, read_checkpoint, restore, save_checkpoint
 
 FACTS = {"step": 7, "recipe": {"name": "debug", "network": {"blocks": 1}}, "vocabulary": ["<pad>", "é"]}
 

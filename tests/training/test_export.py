@@ -13,15 +13,21 @@ import torch
 
 from cognitivedrone.envs.track_runner import TrackConfig
 from cognitivedrone.errors import TrainingError
+from cognitivedrone.models.gate_selector import SelectorConfig
+from cognitivedrone.models.language import TextEncoder
+from cognitivedrone.models.reasoner_file import LANGUAGE_FILE, READER_FILE, LanguageModel, PanelReaderModel
+from cognitivedrone.models.scene_tokens import INPUTS, stacked
 from cognitivedrone.models.small_file import Description, SmallModel
 from cognitivedrone.models.small_vla import SmallVLA
+from cognitivedrone.models.text_encoder import FILE, TextEncoderModel, encoder_of, parts_of
 from cognitivedrone.policies import make_policy
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.training.common.attributes import ATTRIBUTES
-from cognitivedrone.training.common.sampling import StreamRecipe
+from cognitivedrone.training.perception.attributes import ATTRIBUTES
 from cognitivedrone.training.small_vla.export import export, stream_of
 from cognitivedrone.training.small_vla.pilot import NetworkPilot, fly_suite
+from cognitivedrone.training.small_vla.sampling import StreamRecipe
 from cognitivedrone.training.small_vla.trained import load_trained
+from cognitivedrone.training.trainer.checkpoint import read_checkpoint
 from cognitivedrone.types import EpisodeContext, Observation
 
 Exported = tuple[SmallVLA, Path, Description]
@@ -31,7 +37,7 @@ pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
 @pytest.fixture(scope="module")
 def exported(policy_checkpoint: Path, policy_file: Path) -> Exported:
-    network, _, _ = load_trained(policy_checkpoint)
+    network, _ = load_trained(policy_checkpoint)
     return network, policy_file, SmallModel.load(policy_file).description
 
 
@@ -41,10 +47,9 @@ def test_the_file_says_what_the_network_says(exported):
     images = rng.integers(0, 256, (3, 256, 256, 3), dtype=np.uint8)
     states = rng.standard_normal((3, 5)).astype(np.float32)
     texts = ["Fly through the red gate", "number 7", "zorblax"]
-    encode = SmallModel.load(path).description.vocabulary.encode
-    tokens = np.stack([encode(text, network.config.text_length) for text in texts])
+    words = TextEncoderModel.load(encoder_of(path)).batch(texts)
     with torch.no_grad():
-        action, choice, gates, present = network(*map(torch.from_numpy, (images, states, tokens)))
+        action, choice, gates, present = network(*map(torch.from_numpy, (images, states, words)))
     out = SmallModel.load(path).run(images, states, texts)
     assert out.action.shape == (3, 1, 4)
     assert out.present is not None
@@ -55,10 +60,10 @@ def test_the_file_says_what_the_network_says(exported):
 
 
 def test_the_file_tells_its_origin(exported):
-    network, _, told = exported
+    network, path, told = exported
     assert told.name == "debug"
     assert told.attributes == ATTRIBUTES
-    assert len(told.vocabulary.words) == network.config.words.words
+    assert told.encoder == TextEncoderModel.load(encoder_of(path)).digest
     assert type(network.config).of(dict(told.network)) == network.config
     assert told.provenance.recipe == "debug"
     assert told.provenance.steps == 6
@@ -76,10 +81,41 @@ def test_large_weights_are_stored_in_half_precision(exported):
     for name, value in network.named_parameters():
         large = value.numel() >= 256
         assert (halves[name].data_type == onnx.TensorProto.FLOAT16) == large, name
-    words = halves["language.words.vectors"]
-    assert words.data_type == onnx.TensorProto.INT8  # as they come with the package
     full = 4 * sum(parameter.numel() for parameter in network.parameters())
-    assert path.stat().st_size < 0.75 * full + network.config.words.words * (64 + 12) + 200_000
+    assert path.stat().st_size < 0.75 * full + 200_000
+
+
+def test_reader_and_language_are_written_for_a_reasoner_and_answer_as_the_network(exported):
+    network, path, _ = exported
+    folder, rng = path.parent, np.random.default_rng(0)
+    assert {each.name for each in folder.glob("*.onnx")} == {path.name, FILE, READER_FILE, LANGUAGE_FILE}
+    model = LanguageModel.load(folder / LANGUAGE_FILE)
+    assert model.attributes.names == PanelReaderModel.load(folder / READER_FILE).attributes.names == ATTRIBUTES
+    panels, looks = rng.random((3, len(ATTRIBUTES)), np.float32), rng.random((3, 8), np.float32)
+    encoder = TextEncoderModel.load(folder / FILE)
+    for text, board in (("to the cat", np.zeros(len(ATTRIBUTES), np.float32)), ("3 + 4, please", panels[0])):
+        told = (encoder.words(text), board, np.float32(board.any()), panels, looks)
+        words, seen_board, seen, *gates = (torch.from_numpy(np.asarray(value)[None]) for value in told)
+        with torch.no_grad():
+            query, absent = network.language(words, seen_board, seen)
+            match = network.language.match(query[:, None], *gates)[0, 0]
+        expected = [*match.tolist(), float(absent[0])]
+        np.testing.assert_allclose(model.logits(text, panels, looks, board), expected, atol=2e-2)
+
+
+def test_the_text_encoder_in_the_file_answers_as_the_network_that_it_was_written_from(language_checkpoint: Path):
+    tensors, facts = read_checkpoint(language_checkpoint)
+    network = TextEncoder(SelectorConfig.of(facts["recipe"]["network"]["encoder"])).eval()
+    prefix = "network.encoder."
+    restored = {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+    network.load_state_dict(restored)
+    model = TextEncoderModel.load(encoder_of(language_checkpoint))
+    assert facts["encoder"] == model.digest
+    texts = ["the cat", "fly to the gate with 3 + 4"]
+    tokens = stacked([model.tokenizer.encode(parts_of(text)) for text in texts])
+    with torch.no_grad():
+        words = network(*(torch.from_numpy(tokens[name]) for name in INPUTS))
+    np.testing.assert_allclose(model.batch(texts), words.numpy(), atol=0.05)  # its weights have eight bits
 
 
 def test_the_runtime_merges_every_normalisation_with_its_convolution(exported, tmp_path):
@@ -115,8 +151,8 @@ def test_checkpoint_and_file_fly_the_same_task_alike(
     suite = load_suite("open-v1:train", size=1, seed=3)
     flights = []
     for path in (policy_checkpoint, policy_file):
-        network, lexicon, _ = load_trained(path)
-        pilot, commands = NetworkPilot(network, lexicon), []
+        network, _ = load_trained(path)
+        pilot, commands = NetworkPilot(network, encoder_of(path)), []
         act = pilot.act
 
         def told(*observed, act=act, commands=commands):

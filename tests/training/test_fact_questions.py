@@ -17,10 +17,10 @@ from cognitivedrone.tasks import knowledge
 from cognitivedrone.tasks.generate import TRAIN, Draw, Panel
 from cognitivedrone.tasks.knowledge import Phrase
 from cognitivedrone.tasks.suites import train_task
-from cognitivedrone.training.common import fact_phrasing as say
-from cognitivedrone.training.common.fact_questions import FACTS, FactQuestions, Pair, Ways
-from cognitivedrone.training.common.phrasing import SPOKEN
-from cognitivedrone.training.common.questions import ask
+from cognitivedrone.training.language import fact_phrasing as say
+from cognitivedrone.training.language.fact_questions import FACTS, FactQuestions, Pair, Ways
+from cognitivedrone.training.language.phrasing import SPOKEN
+from cognitivedrone.training.language.questions import ask
 from cognitivedrone.types import Gate
 
 GATES = (Gate("big", "round", "red"), Gate("small", "square", "green"), Gate("small", "round", "blue"))

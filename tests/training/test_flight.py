@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,24 +10,25 @@ import pytest
 import torch
 from quick_trainings import SCHEDULE, train_here
 
+from cognitivedrone.errors import ModelError
 from cognitivedrone.models.small_file import SmallModel
-from cognitivedrone.training.common.training_task import Given
 from cognitivedrone.training.recipes import RECIPES, find_recipe
 from cognitivedrone.training.small_vla.flight import FLIGHT
 from cognitivedrone.training.small_vla.trained import load_trained
+from cognitivedrone.training.trainer.training_task import Given
 
 pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
-_STREAM = replace(RECIPES["debug"].stream, texts=0, layouts=0.8)
+_STREAM = replace(RECIPES["debug"].stream, layouts=0.8)
 TINY = replace(FLIGHT, **SCHEDULE, stream=_STREAM, validation_frames=8, fly_tasks=2)
 
 
 def test_only_flying_learns(policy_checkpoint: Path, tmp_path: Path) -> None:
     task = TINY.training(Given(start=policy_checkpoint))
     checkpoint = train_here(tmp_path / "flown", task)
-    network, lexicon, start = load_trained(checkpoint)
-    before, known, _ = load_trained(policy_checkpoint)
-    assert lexicon == known
+    network, start = load_trained(checkpoint)
+    before, known = load_trained(policy_checkpoint)
+    assert start.facts["encoder"] == known.facts["encoder"] != ""
     assert start.facts["data"] == "from debug, step 6, seed 0"
     after = network.state_dict()
     changed = {
@@ -34,7 +36,13 @@ def test_only_flying_learns(policy_checkpoint: Path, tmp_path: Path) -> None:
     }
     assert changed == {"finder", "flight"}
     task.export(checkpoint, tmp_path)
-    assert SmallModel.load(tmp_path / "model.onnx").description.vocabulary.words == known.words
+    assert SmallModel.load(tmp_path / "model.onnx").description.encoder == known.facts["encoder"]
+
+
+def test_a_policy_without_its_text_encoder_is_not_trained_further(policy_checkpoint: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copy(policy_checkpoint, tmp_path))
+    with pytest.raises(ModelError, match=r"was trained with another text encoder than|there is no model file"):
+        TINY.training(Given(start=path)).facts()
 
 
 def test_it_is_a_recipe_that_needs_a_policy() -> None:

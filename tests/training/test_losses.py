@@ -13,51 +13,51 @@ import torch
 from torch import Tensor
 
 from cognitivedrone.models.finder import CELLS, SLOTS, Scene
+from cognitivedrone.models.language import Language, LanguageConfig
 from cognitivedrone.models.panel_reader import ReaderConfig
-from cognitivedrone.models.sentence import WordConfig, WordEmbedding
+from cognitivedrone.models.scene_tokens import SceneTokenizer
 from cognitivedrone.models.small_vla import Head, SmallVLA
-from cognitivedrone.models.text import Lexicon
-from cognitivedrone.tasks import train_task
-from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
-from cognitivedrone.training.common.problems import ABSENT
-from cognitivedrone.training.common.sampling import Batch, SampleSource
-from cognitivedrone.training.common.start import read_start
-from cognitivedrone.training.common.training_task import to_tensors
+from cognitivedrone.models.text_encoder import encoder_of
+from cognitivedrone.training.language.problems import ABSENT, Problem, Problems
+from cognitivedrone.training.perception.attributes import AttributeIndex
+from cognitivedrone.training.perception.readings import Readings
 from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.small_vla import losses
+from cognitivedrone.training.small_vla.described import TextMix, described, text_loss
 from cognitivedrone.training.small_vla.losses import (
     LossModule,
     LossWeights,
     action_loss,
     action_targets,
-    text_loss,
     true_slots,
 )
+from cognitivedrone.training.small_vla.sampling import SampleSource
 from cognitivedrone.training.small_vla.stream import RolloutStream
+from cognitivedrone.training.trainer.training_task import Batch, to_tensors
 
 DEBUG = RECIPES["debug"]
-LEXICON = Lexicon.of([train_task(i, 0).instruction for i in range(500)])
+WIDTH = 12
+LANGUAGE = LanguageConfig(size=WIDTH, width=16, layers=1, heads=2)
 READER = ReaderConfig(crop_size=32, panel_encoder=(8, 8, 8, 8), embedding=16)
 SCHEMA = AttributeIndex().schema
 VARIANTS = list(itertools.product(get_args(Head), (1, 3)))
-PARTS = ("heat", "place", "looks", "choice", "text", "action")
+PARTS = ("heat", "place", "looks", "choice", "action")
 
 pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
 
 @pytest.fixture(scope="module")
-def batch(reader_checkpoint: Path) -> Batch:
-    """Frames of the debug recipe, with three actions each; boards are among them."""
-    recipe = replace(DEBUG.stream, batch=12, worlds=8, chunk=3, varied=0.0, texts=24)
-    source = SampleSource(LEXICON, DEBUG.network.text_length, ATTRIBUTES, read_start(reader_checkpoint, "reader"))
-    rollout_stream = RolloutStream(recipe, source)
+def batch(language_checkpoint: Path) -> Batch:
+    """Frames of the debug recipe, with three actions each; boards are among them. Words are a tiny encoder's, cut."""
+    recipe = replace(DEBUG.stream, batch=12, worlds=8, chunk=3, varied=0.0)
+    rollout_stream = RolloutStream(recipe, SampleSource(encoder_of(language_checkpoint)))
     try:
         for made in itertools.islice(rollout_stream((3,)), 200):
             boards = made["legible"][:, SLOTS].sum()
             clear = (made["in_view"] & made["legible"][:, :SLOTS]).all(axis=1)
             # The errors of an even number of boards can cancel out.
-            if boards % 2 and clear.any() and made["text_board_seen"].any() and (made["text_named"] >= 0).any():
-                return made
+            if boards % 2 and clear.any():
+                return {**made, "words": made["words"][..., :WIDTH]}
     finally:
         rollout_stream.close()
     raise AssertionError("no board in view")
@@ -65,11 +65,12 @@ def batch(reader_checkpoint: Path) -> Batch:
 
 def loss_module(head: Head = "tokens", chunk: int = 1, weights: LossWeights | None = None) -> LossModule:
     torch.manual_seed(0)
-    words = WordConfig(len(LEXICON.words), LEXICON.trained)
-    network = SmallVLA(replace(DEBUG.network, words=words, reader=READER, head=head, chunk=chunk), SCHEMA)
-    assert network.reader is not None
-    network.reader.requires_grad_(requires_grad=False)
-    network.language.words.vectors.random_(-100, 100)
+    network = SmallVLA(replace(DEBUG.network, language=LANGUAGE, reader=READER, head=head, chunk=chunk), SCHEMA)
+    for part in (network.reader, network.language):
+        assert part is not None
+        part.requires_grad_(requires_grad=False)
+    assert network.language is not None
+    network.language.scale.fill_(0.1)  # untrained, it is sure of nothing; so that the prior counts
     return LossModule(network, weights)
 
 
@@ -88,13 +89,13 @@ def test_the_loss_is_finite_and_teaches_every_parameter(batch: Batch, head: Head
     taught = loss_module(head, chunk)
     total, measures = as_in_training(taught, tensors(batch, chunk))
     weights = LossWeights()
-    assert set(measures) == {*PARTS, "choice accuracy", "text accuracy"}
+    assert set(measures) == {*PARTS, "choice accuracy"}
     assert all(torch.isfinite(value) and not value.requires_grad for value in measures.values())
     parts = sum(getattr(weights, part) * float(measures[part]) for part in PARTS)
     assert float(total.detach()) == pytest.approx(parts, rel=1e-5)
     total.backward()
     for name, parameter in taught.named_parameters():
-        if ".reader." in name:
+        if ".reader." in name or ".language." in name:
             assert parameter.grad is None, name
             continue
         assert parameter.grad is not None, name
@@ -105,7 +106,7 @@ def test_the_loss_is_finite_and_teaches_every_parameter(batch: Batch, head: Head
 @pytest.mark.parametrize(("head", "chunk"), VARIANTS)
 def test_every_part_of_the_loss_falls_on_a_batch_that_is_learned_by_heart(batch: Batch, head: Head, chunk: int) -> None:
     taught, fixed = loss_module(head, chunk), tensors(batch, chunk)
-    optimizer = torch.optim.AdamW(taught.parameters(), 0.01)
+    optimizer = torch.optim.AdamW([each for each in taught.parameters() if each.requires_grad], 0.01)
     torch.manual_seed(1)
     history = []
     for _ in range(30):
@@ -120,9 +121,20 @@ def test_every_part_of_the_loss_falls_on_a_batch_that_is_learned_by_heart(batch:
 
 
 def test_weights_count(batch: Batch) -> None:
-    alone = LossWeights(heat=0, place=0, looks=0, choice=0, text=3.0, action=0)
+    alone = LossWeights(heat=0, place=0, looks=3.0, choice=0, action=0)
     total, measures = loss_module(weights=alone)(tensors(batch))
-    assert float(total.detach()) == pytest.approx(3 * float(measures["text"]))
+    assert float(total.detach()) == pytest.approx(3 * float(measures["looks"]))
+
+
+def test_a_racing_policy_learns_without_sentences(batch: Batch) -> None:
+    torch.manual_seed(0)
+    network = SmallVLA(replace(DEBUG.network, reader=None), SCHEMA)
+    deaf = {name: value for name, value in tensors(batch).items() if name != "words"}
+    total, _ = LossModule(network)(deaf)
+    total.backward()
+    assert network.preference is not None
+    assert network.preference.weight.grad is not None
+    assert network.preference.weight.grad.any()
 
 
 def test_bfloat16_gives_nearly_the_same_loss(batch: Batch) -> None:
@@ -267,68 +279,76 @@ def test_actions_are_taught_toward_gates_in_view_and_toward_the_flown_one_out_of
 # ---- sentences
 
 
-def described(batch: Batch, **changes: np.ndarray) -> dict[str, Tensor]:
-    return tensors(
-        {
-            **{name: value for name, value in batch.items() if name.startswith("text_")},
-            **changes,
-            "action": batch["action"],
-        }
-    )
+@pytest.fixture(scope="module")
+def texts() -> dict[str, Tensor]:
+    """Described scenes, with a board and named concepts among them, and words of their sentences."""
+    rng, problems = np.random.default_rng(0), Problems(TextMix().problems)
+    drawn: list[Problem] = []
+    while len(drawn) < 60:
+        drawn += problems.draw(rng)
+    made = described(rng, drawn, SceneTokenizer(("[PAD]", "[UNK]", "[CLS]")), Readings(AttributeIndex()), TextMix())
+    assert made["text_board_seen"].any()
+    assert (made["text_named"] >= 0).any()
+    torch.manual_seed(0)
+    return to_tensors(made) | {"words": torch.randn(len(drawn), 5, WIDTH)}
 
 
-def test_a_sentence_without_an_answer_prefers_no_gate(batch: Batch) -> None:
-    network = loss_module().network.eval()
-    count = len(batch["text_target"])
-    nothing = np.full(count, -1)
-    opened = described(batch, text_open=np.ones(count, np.bool_), text_named=nothing)
+def language() -> Language:
+    torch.manual_seed(0)
+    return Language(LANGUAGE, SCHEMA)
+
+
+def loss_of(language: Language, texts: dict[str, Tensor], **changes: Tensor) -> tuple[Tensor, Tensor]:
+    return text_loss(language, SCHEMA, texts["words"], texts | changes)
+
+
+def test_a_sentence_without_an_answer_prefers_no_gate(texts: dict[str, Tensor]) -> None:
+    made, target = language(), texts["text_target"]
+    opened = {"text_open": torch.ones_like(target, dtype=torch.bool), "text_named": torch.full_like(target, -1)}
+    count = len(target)
     with torch.no_grad(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(made, "forward", lambda *_: (torch.zeros(count, WIDTH), torch.zeros(count)))
         for matches, expected in (
             (torch.zeros(count, 1, SLOTS), np.log(3)),
             (torch.tensor([40.0, 0.0, 0.0]).expand(count, 1, 3), 80 / 3),
         ):
-            patch.setattr(network.language, "match", lambda *_, m=matches: m)
-            loss, _ = text_loss(network, opened)
+            patch.setattr(made, "match", lambda *_, m=matches: m)
+            loss, _ = loss_of(made, texts, **opened)
             assert float(loss) == pytest.approx(expected, abs=0.01)
 
 
-def test_that_nothing_fits_is_an_answer_like_the_gates(batch: Batch) -> None:
-    network = loss_module().network.eval()
-    count = len(batch["text_target"])
-    fixed = described(
-        batch,
-        text_target=np.full(count, ABSENT),
-        text_named=np.full(count, -1),
-        text_open=np.zeros(count, np.bool_),
-    )
-    query = torch.zeros(count, network.config.embedding)
+def test_that_nothing_fits_is_an_answer_like_the_gates(texts: dict[str, Tensor]) -> None:
+    made, target = language(), texts["text_target"]
+    changes = {
+        "text_target": torch.full_like(target, ABSENT),
+        "text_named": torch.full_like(target, -1),
+        "text_open": torch.zeros_like(target, dtype=torch.bool),
+    }
+    count = len(target)
     with torch.no_grad(), pytest.MonkeyPatch.context() as patch:
         for absent, right in ((9.0, True), (-9.0, False)):
-            patch.setattr(network.language, "forward", lambda *_, a=absent: (query, torch.full((count,), a)))
-            loss, found = text_loss(network, fixed)
-            assert found.tolist() == [right] * count
+            patch.setattr(made, "forward", lambda *_, a=absent: (torch.zeros(count, WIDTH), torch.full((count,), a)))
+            loss, logits = loss_of(made, texts, **changes)
+            assert ((logits.argmax(-1) == ABSENT) == right).all()
             assert (float(loss) < 0.01) == right
 
 
-def test_naming_a_concept_among_all_counts_beside_choosing(batch: Batch) -> None:
-    network = loss_module().network.eval()
-    named = batch["text_named"]
+def test_naming_a_concept_among_all_counts_beside_choosing(texts: dict[str, Tensor]) -> None:
+    made = language()
     with torch.no_grad():
-        whole, _ = text_loss(network, described(batch))
-        choosing, _ = text_loss(network, described(batch, text_named=np.full_like(named, -1)))
-    assert float(whole - choosing) == pytest.approx(0.4 * np.log(len(ATTRIBUTES)), rel=0.5)
+        made.prototypes.zero_()
+        whole, _ = loss_of(made, texts)
+        choosing, _ = loss_of(made, texts, text_named=torch.full_like(texts["text_named"], -1))
+        concepts = SCHEMA.groups["concept"]
+        expected = 0.3 * np.log(concepts.stop - concepts.start)
+    assert float(whole - choosing) == pytest.approx(expected, abs=1e-3)
 
 
-def test_sentences_are_learned_through_vectors_and_spelling_alone(
-    batch: Batch, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With every word's own embedding hidden, nothing is learned of it, but of its spelling and vector."""
-    monkeypatch.setattr(WordEmbedding, "hidden", 1.0)
-    taught = loss_module().train()
-    loss, _ = text_loss(taught.network, described(batch))
+def test_every_part_of_language_is_taught_by_sentences(texts: dict[str, Tensor]) -> None:
+    made = language()
+    loss, _ = loss_of(made, texts)
     loss.backward()
-    words = taught.network.language.words
-    assert words.own.weight.grad is not None
-    assert not words.own.weight.grad[2:].any()
-    assert words.groups.weight.grad.any()
-    assert words.meaning.weight.grad.any()
+    for name, parameter in made.named_parameters():
+        assert parameter.grad is not None, name
+        assert parameter.grad.isfinite().all(), name
+        assert parameter.grad.abs().max() > 0, name

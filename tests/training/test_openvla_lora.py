@@ -18,7 +18,7 @@ import torch
 from openvla_files import write_checkpoint
 
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.runner import run
+from cognitivedrone.benchmark.runs.runner import run
 from cognitivedrone.cli import main
 from cognitivedrone.collect.collector import CollectPlan, collect
 from cognitivedrone.data.formats import export
@@ -33,8 +33,6 @@ from cognitivedrone.models.openvla.network import IGNORED
 from cognitivedrone.models.openvla.prepare import END, ImagePreparation, prompt_ids, read_encoder
 from cognitivedrone.models.openvla.tensors import elements, unused_tensors, used_tensors
 from cognitivedrone.models.openvla.weights import load
-from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint
-from cognitivedrone.training.common.run_log import DIMENSIONS, METRICS, read_rows
 from cognitivedrone.training.openvla import lora as openvla_lora
 from cognitivedrone.training.openvla.adapters import add_adapters, take_adapters
 from cognitivedrone.training.openvla.base import (
@@ -47,6 +45,8 @@ from cognitivedrone.training.openvla.base import (
 from cognitivedrone.training.openvla.data import SampleMaker, answer_measures, open_flights, rows_of_step
 from cognitivedrone.training.openvla.lora import MERGED, FineTuning, fine_tune, merge
 from cognitivedrone.training.openvla.recipes import LORA_RECIPES, PAPER, find_lora_recipe
+from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint
+from cognitivedrone.training.trainer.run_log import DIMENSIONS, METRICS, read_rows
 
 # A rate at which a tiny network changes in six steps.
 RECIPE = replace(LORA_RECIPES["debug"], learning_rate=5e-3, validate_every=4)

@@ -10,9 +10,9 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.labels import load_pack
 from cognitivedrone.references import parse_reference
-from cognitivedrone.training.common import panel_crops as module
-from cognitivedrone.training.common.attributes import ATTRIBUTES, KINDS, AttributeIndex
-from cognitivedrone.training.common.panel_crops import (
+from cognitivedrone.training.perception import panel_crops as module
+from cognitivedrone.training.perception.attributes import ATTRIBUTES, KINDS, AttributeIndex
+from cognitivedrone.training.perception.panel_crops import (
     SHARES,
     PanelCrops,
     WiderWorld,

@@ -10,7 +10,7 @@ from cognitivedrone.tasks.generate import HELD_OUT, TRAIN
 from cognitivedrone.tasks.people import HELD_OUT_CAST
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.tasks.vocabulary import HELD_OUT_FONTS, HELD_OUT_STYLES
-from cognitivedrone.training.common.phrasing import MORE, MORE_FRAMES, SPOKEN
+from cognitivedrone.training.language.phrasing import MORE, MORE_FRAMES, SPOKEN
 
 LISTS = {
     value[0]: value

@@ -8,10 +8,10 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.labels.extended import extended_pack
 from cognitivedrone.references import PERSON_HANDS, parse_reference
 from cognitivedrone.tasks import vocabulary
-from cognitivedrone.training.common.attributes import AttributeIndex
-from cognitivedrone.training.common.panel_crops import PanelCrops, WiderWorld, draw_known_label
-from cognitivedrone.training.common.photographic import Photographic
-from cognitivedrone.training.common.pictures import TrainingPictures, may_train
+from cognitivedrone.training.perception.attributes import AttributeIndex
+from cognitivedrone.training.perception.panel_crops import PanelCrops, WiderWorld, draw_known_label
+from cognitivedrone.training.perception.photographic import Photographic
+from cognitivedrone.training.perception.pictures import TrainingPictures, may_train
 
 KINDS = {"animal": vocabulary.ANIMALS, "food": vocabulary.FOODS, "object": vocabulary.OBJECTS, "logo": vocabulary.LOGOS}
 HELD_OUT = set(vocabulary.HELD_OUT_PICTURE_SETS)
@@ -23,7 +23,7 @@ def pictures():
 
 
 def test_every_set_and_every_artist_is_either_for_training_or_held_out():
-    pack = load_pack("open-v2")
+    pack = load_pack()
     shown = {style for kind in KINDS for style in pack.styles(kind)}
     assert not HELD_OUT & set(vocabulary.TRAIN_PICTURE_SETS)
     assert shown == HELD_OUT | set(vocabulary.TRAIN_PICTURE_SETS) | set(vocabulary.CALIBRATION_PICTURE_SETS)

@@ -11,7 +11,7 @@ import pytest
 from cognitivedrone.errors import TaskError
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.suites import drawn_task
-from cognitivedrone.training.common.places import PLACE_FAMILIES, ask_place, place_families, thing_name
+from cognitivedrone.training.language.places import PLACE_FAMILIES, ask_place, place_families, thing_name
 from cognitivedrone.types import Gate
 
 GATES = (Gate("big", "round", "red"), Gate("small", "square", "green"), Gate("big", "round", "blue"))

@@ -10,10 +10,10 @@ from accelerate import Accelerator
 from quick_trainings import QuickPolicyTraining
 from torch.nn.modules.module import register_module_forward_hook
 
-from cognitivedrone.training.common import trainer
-from cognitivedrone.training.common.precision import multiplies_bf16
-from cognitivedrone.training.common.training_task import Given
 from cognitivedrone.training.recipes import RECIPES
+from cognitivedrone.training.trainer import trainer
+from cognitivedrone.training.trainer.precision import multiplies_bf16
+from cognitivedrone.training.trainer.training_task import Given
 
 pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
@@ -43,9 +43,9 @@ def test_a_system_that_does_not_say_is_taken_for_one_that_does_not(tmp_path):
 
 
 @pytest.mark.parametrize("casts", [True, False])
-def test_a_training_computes_in_what_suits_the_machine(tmp_path, monkeypatch, reader_checkpoint, casts):
+def test_a_training_computes_in_what_suits_the_machine(tmp_path, monkeypatch, language_checkpoint, casts):
     monkeypatch.setattr(trainer, "trains_in_bf16", lambda: casts)
-    task = QuickPolicyTraining.of(replace(RECIPES["debug"], steps=1).training(Given(start=reader_checkpoint)))
+    task = QuickPolicyTraining.of(replace(RECIPES["debug"], steps=1).training(Given(start=language_checkpoint)))
     seen = set()
 
     def note(module, _, output):

@@ -13,7 +13,7 @@ import pytest
 from cognitivedrone.errors import LabelError, TaskError
 from cognitivedrone.tasks import BASE_FAMILIES, facts, parse_directive, people, train_task, vocabulary, wording
 from cognitivedrone.tasks.generate import TRAIN, held_out_pair
-from cognitivedrone.training.common.questions import DIRECTIVE, Question, ask, families
+from cognitivedrone.training.language.questions import DIRECTIVE, Question, ask, families
 from cognitivedrone.types import Gate, Task
 
 TASKS = 500

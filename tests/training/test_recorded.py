@@ -14,16 +14,14 @@ from cognitivedrone.collect.collector import CollectPlan, collect
 from cognitivedrone.collect.recipe import RECIPES as COLLECTED
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.text import Lexicon
-from cognitivedrone.training.common.attributes import ATTRIBUTES
-from cognitivedrone.training.common.checkpoint import read_checkpoint
-from cognitivedrone.training.common.sampling import SampleSource
-from cognitivedrone.training.common.training_task import Given
 from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.small_vla.recorded import Recorded
+from cognitivedrone.training.small_vla.sampling import SampleSource
+from cognitivedrone.training.trainer.checkpoint import read_checkpoint
+from cognitivedrone.training.trainer.training_task import Given
 
 STREAM = replace(RECIPES["debug"].stream, chunk=3, batch=16)
-SOURCE = SampleSource(Lexicon.of(["Fly through the red gate"]), 40, ATTRIBUTES)
+SOURCE = SampleSource(None)
 
 pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
@@ -79,19 +77,19 @@ def test_splits_do_not_mix(flights: Path) -> None:
 
 
 def test_a_training_from_a_data_set_says_so_and_does_not_go_on_with_another(
-    flights: Path, tmp_path: Path, reader_checkpoint: Path
+    flights: Path, tmp_path: Path, language_checkpoint: Path
 ) -> None:
     recipe = replace(RECIPES["debug"], steps=2, fly_every=2, fly_tasks=1)
-    path = train_here(tmp_path / "run", recipe.training(Given(start=reader_checkpoint, data=flights)))
+    path = train_here(tmp_path / "run", recipe.training(Given(start=language_checkpoint, data=flights)))
     tensors, facts = read_checkpoint(path)
-    assert facts["data"] == f"from reader, step 6, seed 0, store {Store(flights).content_hash()}"
+    assert facts["data"] == f"from debug-language, step 6, seed 0, store {Store(flights).content_hash()}"
     assert all(value.isfinite().all() for value in tensors.values())
     with pytest.raises(TrainingError, match="another recipe, seed or data"):
-        train_here(tmp_path / "run", recipe.training(Given(start=reader_checkpoint)), resume=True)
+        train_here(tmp_path / "run", recipe.training(Given(start=language_checkpoint)), resume=True)
 
 
 def test_a_learners_relabelled_flights_are_a_data_set_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reader_checkpoint: Path
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, language_checkpoint: Path
 ) -> None:
     recipe = replace(COLLECTED["debug"], kicks_per_s=0.0, time_limit_s=1.0)
     monkeypatch.setitem(COLLECTED, "debug", recipe)
@@ -101,7 +99,7 @@ def test_a_learners_relabelled_flights_are_a_data_set_too(
     )
     collect(config, progress=False)
     short = replace(RECIPES["debug"], steps=2, fly_every=2, fly_tasks=1)
-    path = train_here(tmp_path / "run", short.training(Given(start=reader_checkpoint, data=folder)))
+    path = train_here(tmp_path / "run", short.training(Given(start=language_checkpoint, data=folder)))
     tensors, facts = read_checkpoint(path)
     assert facts["data"].endswith(f"store {Store(folder).content_hash()}")
     assert all(value.isfinite().all() for value in tensors.values())

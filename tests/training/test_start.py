@@ -10,48 +10,43 @@ import onnx
 import pytest
 import torch
 from quick_trainings import TINY_READER, saved
-from tiny import DESCRIPTION, graph, open_model_file, tiny_reasoner
+from tiny import DESCRIPTION, graph, tiny_reasoner
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.gate_selector import SelectorConfig
+from cognitivedrone.models.language import LanguageConfig
 from cognitivedrone.models.onnx_file import write_table
 from cognitivedrone.models.panel_reader import Reader, ReaderConfig
-from cognitivedrone.models.small_file import KIND
-from cognitivedrone.models.text import Lexicon
-from cognitivedrone.training.common import start as module
-from cognitivedrone.training.common.attributes import ATTRIBUTES
-from cognitivedrone.training.common.checkpoint import read_checkpoint, save_checkpoint
-from cognitivedrone.training.common.start import read_start, restore_part
-from cognitivedrone.training.common.training_task import Given
-from cognitivedrone.training.reasoner.selector import SELECTOR
+from cognitivedrone.training.perception.attributes import ATTRIBUTES
 from cognitivedrone.training.reasoner.trained import trained_selector
 from cognitivedrone.training.recipes import RECIPES
+from cognitivedrone.training.small_vla.flight import FLIGHT
 from cognitivedrone.training.small_vla.language import LANGUAGE
 from cognitivedrone.training.small_vla.trained import load_trained
-
-TINY_SELECTOR = replace(SELECTOR, network=SelectorConfig(width=32, layers=1, heads=2))
+from cognitivedrone.training.trainer import start as module
+from cognitivedrone.training.trainer.checkpoint import read_checkpoint, save_checkpoint
+from cognitivedrone.training.trainer.start import read_start, restore_part
+from cognitivedrone.training.trainer.training_task import Given
 
 pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
 
-@pytest.fixture(scope="module")
-def selector_checkpoint(tmp_path_factory: pytest.TempPathFactory, policy_checkpoint: Path) -> Path:
-    return saved(TINY_SELECTOR.training(Given(start=policy_checkpoint)), tmp_path_factory.mktemp("selector"))
-
-
 def test_checkpoints_tell_what_they_are(
-    reader_checkpoint: Path, policy_checkpoint: Path, selector_checkpoint: Path
+    reader_checkpoint: Path, policy_checkpoint: Path, selector_checkpoint: Path, language_checkpoint: Path
 ) -> None:
     reader = read_start(reader_checkpoint, "reader")
     policy = read_start(policy_checkpoint, "policy")
     selector = read_start(selector_checkpoint, "selector")
-    assert (reader.part, policy.part, selector.part) == ("reader", "policy", "selector")
+    language = read_start(language_checkpoint, "language")
+    parts = [each.part for each in (reader, policy, selector, language)]
+    assert parts == ["reader", "policy", "selector", "language"]
+    assert LanguageConfig.of(language.language_facts()) == LanguageConfig.of(policy.language_facts())
+    assert language.encoder().digest == policy.encoder().digest == policy.facts["encoder"]
     assert policy.origin == "from debug, step 6, seed 0"
     assert ReaderConfig.of(reader.reader_facts()) == ReaderConfig.of(policy.reader_facts()) == TINY_READER.network
     assert selector.facts["attributes"] == policy.facts["attributes"] == list(ATTRIBUTES)
-    network, lexicon = trained_selector(selector)
+    network = trained_selector(selector)
     assert not network.training
-    assert network.config.words.words == len(lexicon.words)
+    assert network.config.pieces == len(selector.facts["pieces"])
 
 
 def test_the_reader_of_a_policy_is_the_reader_that_it_was_made_with(
@@ -77,12 +72,14 @@ def test_the_reader_of_a_policy_is_the_reader_that_it_was_made_with(
         ("policy", "selector", "a policy; expected that of a selector"),
         ("selector", "policy", "a selector; expected that of a policy"),
         ("selector", "reader", "a selector; expected that of a reader"),
+        ("selector", "language", "a selector; expected that of a language"),
+        ("reader", "language", "a reader; expected that of a language"),
+        ("language", "policy", "a language; expected that of a policy"),
+        ("language", "selector", "a language; expected that of a selector"),
     ],
 )
-def test_a_checkpoint_of_another_kind_is_no_start(
-    given, part, found, reader_checkpoint, policy_checkpoint, selector_checkpoint
-) -> None:
-    path = {"reader": reader_checkpoint, "policy": policy_checkpoint, "selector": selector_checkpoint}[given]
+def test_a_checkpoint_of_another_kind_is_no_start(given, part, found, request: pytest.FixtureRequest) -> None:
+    path = request.getfixturevalue(f"{given}_checkpoint")
     with pytest.raises(TrainingError, match=f"this is the checkpoint of {found}"):
         read_start(path, part)
 
@@ -91,6 +88,14 @@ def test_a_checkpoint_of_an_earlier_version_is_no_start(tmp_path: Path) -> None:
     path = tmp_path / "checkpoint.safetensors"
     save_checkpoint(path, torch.nn.Linear(2, 2), None, {"recipe": {"stream": {}}, "vocabulary": [], "step": 1})
     with pytest.raises(TrainingError, match="of an earlier version of the networks; train it again"):
+        read_start(path, "policy")
+
+
+def test_a_lesson_is_no_start_but_the_folder_that_it_wrote(tmp_path: Path) -> None:
+    path = tmp_path / "checkpoint.safetensors"
+    facts = {"recipe": {"name": "teach", "mix": {}}, "attributes": [], "step": 1, "seed": 0}
+    save_checkpoint(path, torch.nn.Linear(2, 2), None, facts)
+    with pytest.raises(TrainingError, match="expected that of a policy"):
         read_start(path, "policy")
 
 
@@ -106,13 +111,29 @@ def test_weights_of_another_network_are_not_loaded(reader_checkpoint: Path) -> N
         assert "\n" not in str(told.value)
 
 
-def test_a_policy_without_a_reader_is_no_start_of_one_that_reads(tmp_path: Path) -> None:
+def test_a_racing_policy_is_no_start_of_one_that_reads(tmp_path: Path) -> None:
     race = replace(RECIPES["debug"], network=replace(RECIPES["debug"].network, reader=None))
     path = saved(race.training(Given()), tmp_path)
-    with pytest.raises(TrainingError, match="this policy has no panel reader"):
-        RECIPES["debug"].training(Given(start=path))
-    with pytest.raises(TrainingError, match="this policy has no panel reader"):
-        LANGUAGE.training(Given(start=path)).batches()
+    for recipe in (RECIPES["debug"], FLIGHT):
+        with pytest.raises(TrainingError, match="this policy has no panel reader"):
+            recipe.training(Given(start=path))
+    assert read_start(path, "policy").facts["encoder"] == ""
+
+
+@pytest.mark.parametrize("start", [None, Path("small")])
+def test_language_starts_from_a_gate_selector_that_is_given(start: Path | None) -> None:
+    with pytest.raises(TrainingError, match="starts from a gate selector; give its checkpoint"):
+        LANGUAGE.training(Given(start=start))
+
+
+def test_language_says_that_the_reader_of_its_selector_is_gone(selector_checkpoint: Path, tmp_path: Path) -> None:
+    tensors, facts = read_checkpoint(selector_checkpoint)
+    network = trained_selector(read_start(selector_checkpoint, "selector"))
+    assert len(tensors) >= len(network.state_dict())
+    path = tmp_path / "checkpoint.safetensors"
+    save_checkpoint(path, network, None, facts | {"policy": str(tmp_path / "gone.safetensors")})
+    with pytest.raises(TrainingError, match=r"gone\.safetensors: no such checkpoint"):
+        LANGUAGE.training(Given(start=path))
 
 
 # ---- model files
@@ -121,9 +142,8 @@ def test_a_policy_without_a_reader_is_no_start_of_one_that_reads(tmp_path: Path)
 def test_a_model_file_has_the_weights_of_its_checkpoint_in_half_precision(
     policy_checkpoint: Path, policy_file: Path
 ) -> None:
-    before, words, _ = load_trained(policy_checkpoint)
-    after, same_words, start = load_trained(policy_file)
-    assert words == same_words
+    before, _ = load_trained(policy_checkpoint)
+    after, start = load_trained(policy_file)
     assert (before.config, before.schema) == (after.config, after.schema)
     assert (start.part, start.facts["step"]) == ("policy", 6)
     assert start.origin.startswith(f"from {policy_file.name}, debug of 20")
@@ -160,23 +180,17 @@ def test_small_is_the_shipped_file(policy_file: Path, tmp_path: Path, monkeypatc
 def test_a_model_file_of_an_earlier_version_is_no_start(tmp_path: Path) -> None:
     path = tmp_path / "earlier.onnx"
     onnx.save(graph(), str(path))
-    table = DESCRIPTION.table()
-    network = table.pop("network")
-    write_table(path, KIND, {**table, "config": network})
-    with pytest.raises(TrainingError, match="was written by an earlier version and cannot be trained further"):
+    write_table(path, "small-vla", DESCRIPTION.table())
+    with pytest.raises(TrainingError, match="is a policy of an earlier kind, which reads sentences by a list of words"):
         read_start(path, "policy")
 
 
 def test_a_model_file_of_another_kind_is_no_start(tmp_path: Path) -> None:
     reading = tuple(torch.zeros(size).numpy() for size in ((4, 3), (3, 8), (4, 4)))
-    names, words = ("kind/thing", "kind/unknown", "concept/thing:cat"), Lexicon.of([])
-    folder = tiny_reasoner(tmp_path, names, words, reading=reading, logits=(0, 0, 0, 0))
-    policy = open_model_file(tmp_path / "open.onnx")
-    for path, part in (
-        (folder / "gate_selector.onnx", "policy"),
-        (folder / "panel_reader.onnx", "reader"),
-        (policy, "selector"),
-    ):
+    names = ("kind/thing", "kind/unknown", "concept/thing:cat")
+    folder = tiny_reasoner(tmp_path, names, reading=reading, logits=(0, 0, 0, 0))
+    files = {"gate_selector.onnx": "policy", "panel_reader.onnx": "reader", "language.onnx": "language"}
+    for path, part in ((folder / name, part) for name, part in files.items()):
         with pytest.raises(TrainingError, match="is a model of kind") as told:
             read_start(path, part)  # type: ignore[arg-type]
         assert "\n" not in str(told.value)

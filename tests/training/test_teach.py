@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
+import shlex
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,20 +14,23 @@ import pytest
 import torch
 from PIL import Image
 from quick_trainings import SCHEDULE, train_here
+from rich.console import Console
 
+from cognitivedrone.apps.config import FlyPlan
+from cognitivedrone.apps.fly import fly_mission
 from cognitivedrone.errors import LabelError, TaskError, TrainingError
 from cognitivedrone.models.small_file import SmallModel
 from cognitivedrone.reasoners.small import SmallReasoner
-from cognitivedrone.training.common.attributes import AttributeIndex
-from cognitivedrone.training.common.checkpoint import read_checkpoint, restore
-from cognitivedrone.training.common.problems import ABSENT, Mix, Problems
-from cognitivedrone.training.common.training_task import Given, to_tensors
+from cognitivedrone.training.language.problems import ABSENT, Mix, Problems
+from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.reasoner.export import export_selector
-from cognitivedrone.training.reasoner.selector import SELECTOR
+from cognitivedrone.training.reasoner.selector import DEBUG_SELECTOR
 from cognitivedrone.training.small_vla.trained import load_trained
 from cognitivedrone.training.teach.lesson import attribute_of, read_lesson, spoken
 from cognitivedrone.training.teach.practice import LessonCrops, LessonProblems, varied
 from cognitivedrone.training.teach.training import TEACH, TeachTraining, summary_of
+from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore
+from cognitivedrone.training.trainer.training_task import Given, to_tensors
 
 GATES = {str(i + 1): {"size": "big", "shape": "round", "color": c} for i, c in enumerate(("red", "green", "blue"))}
 TINY = replace(TEACH, **(SCHEDULE | {"fly_every": 10**6}), steps_for_each=0, batch=16, validation_problems=16)
@@ -143,6 +149,7 @@ def test_a_table_beside_the_pictures_says_who_is_who(tmp_path: Path) -> None:
     assert sales.true == ("concept/thing:ada",)
     assert sales.false == ("concept/thing:alan", "concept/thing:grace_hopper", "concept/thing:kurt")
     assert "the one that is not remote" in found
+    assert lesson.notes()["concept/thing:ada"].startswith("the sales one; ")
     assert "the lab one" in found
     assert f"{lesson.facts} statements from facts.csv" in summary_of(lesson, ())
     rng = np.random.default_rng(0)
@@ -239,9 +246,9 @@ def test_crops_of_a_lesson_show_it_and_what_was_known(labels: Path) -> None:
 def pilot(policy_file: Path, policy_checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a tiny pilot."""
     folder = tmp_path_factory.mktemp("pilot")
-    (folder / "model.onnx").write_bytes(policy_file.read_bytes())
-    recipe = replace(SELECTOR, **SCHEDULE, batch=16, validation_tasks=20)
-    checkpoint = train_here(folder / "run", recipe.training(Given(start=policy_checkpoint)))
+    for path in policy_file.parent.glob("*.onnx"):
+        shutil.copy(path, folder)
+    checkpoint = train_here(folder / "run", DEBUG_SELECTOR.training(Given(start=policy_checkpoint)))
     export_selector(checkpoint, folder)
     return folder
 
@@ -260,8 +267,8 @@ def taught(training: TeachTraining, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 def test_a_grown_pilot_answers_as_before_until_it_is_taught(training: TeachTraining, pilot: Path) -> None:
-    before, _, _ = load_trained(pilot / "model.onnx")
-    grown = training.network().policy.eval()
+    before, start = load_trained(pilot / "model.onnx")
+    grown = training.network().eval()
     crops = torch.rand(4, 3, 32, 32)
     assert before.reader is not None
     assert grown.reader is not None
@@ -271,6 +278,20 @@ def test_a_grown_pilot_answers_as_before_until_it_is_taught(training: TeachTrain
         new = [row for row in range(len(training.names)) if row not in rows]
         assert len(new) == 5
         assert (grown.reader(crops)[:, new].mean() < before.reader(crops).mean()).item()
+        # Understood by name: a new value begins with the meaning of its name, as long as those that were known.
+        assert before.language is not None
+        assert grown.language is not None
+        torch.testing.assert_close(grown.language.prototypes[rows], before.language.prototypes)
+        length = before.language.prototypes.norm(dim=-1).mean()
+        torch.testing.assert_close(grown.language.prototypes[new].norm(dim=-1), length.expand(len(new)))
+        words = torch.from_numpy(start.encoder().words("blue tit")).mean(0)
+        blue_tit = training.names.index("concept/thing:blue_tit")
+        alike = torch.nn.functional.cosine_similarity(
+            grown.language.prototypes[new], torch.nn.functional.normalize(words, dim=-1)[None]
+        )
+        assert new[int(alike.argmax())] == blue_tit
+        query, _ = before.language(words[None, None], torch.zeros(1, len(rows)), torch.zeros(1))
+        torch.testing.assert_close(grown.language.scores(query)[:, rows], before.language.scores(query))
 
 
 def test_only_what_a_lesson_is_about_changes(taught: Path, training: TeachTraining) -> None:
@@ -283,20 +304,59 @@ def test_only_what_a_lesson_is_about_changes(taught: Path, training: TeachTraini
         if not torch.equal(value, other)
     }
     assert changed
-    assert not any(".finder." in name or ".flight." in name or "running_" in name for name in changed)
-    assert {name.split(".")[1] for name in changed if name.startswith("policy.")} == {"reader", "language"}
-    assert any(name.startswith("selector.") for name in changed)
+    assert not any("running_" in name for name in changed)
+    assert {name.partition(".")[0] for name in changed} == {"reader", "language"}
 
 
 def test_a_taught_pilot_is_flown_and_taught_again(taught: Path, labels: Path) -> None:
     model = SmallModel.load(taught / "model.onnx")
     assert "concept/thing:robin" in model.description.attributes
-    assert not model.description.vocabulary.unknown("fly to the blue tit")
     reasoner = SmallReasoner(taught)
     assert "concept/thing:blue_tit" in reasoner.reader.attributes.names
+    assert reasoner.language.attributes == reasoner.reader.attributes
+    assert {path.name for path in taught.glob("*.onnx")} == {
+        "model.onnx", "panel_reader.onnx", "gate_selector.onnx", "language.onnx", "text_encoder.onnx"
+    }  # fmt: skip
+    assert reasoner.selector.notes == read_lesson(labels).notes()
     again = TINY.training(Given(start=taught, labels=labels))
     assert not again.lesson.new(again.policy.facts["attributes"])
     assert again.names == model.description.attributes
+
+
+PAGES = ("docs/training.md", "docs/tutorials/train.md")
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_the_commands_of_the_pages_fly_the_taught_pictures(
+    page: str, taught: Path, labels: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page's own lines, where its own folders are: what `train` is told to write is what `fly` is told to read."""
+    text = (Path(__file__).parents[2] / page).read_text().replace("\\\n", " ")
+    commands = [shlex.split(line) for line in text.splitlines() if line.startswith("cognitivedrone")]
+    (lesson,) = (words for words in commands if words[1:4] == ["train", "--recipe", "teach"])
+    flights = [words for words in commands if words[1] == "fly" and "--policy" in words]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / option(lesson, "--labels")).symlink_to(labels)
+    (tmp_path / option(lesson, "--out")).parent.mkdir()
+    (tmp_path / option(lesson, "--out")).symlink_to(taught)
+    assert option(lesson, "--recipe") == "teach"
+    for words in flights:
+        plan = FlyPlan.of(film=False,
+            instruction=words[-1], policy=option(words, "--policy"), reasoner=option(words, "--reasoner"),
+            labels=option(words, "--labels"), out=Path("flight"), time_limit=2.0,
+        )  # fmt: skip
+        summary = fly_mission(plan, console=Console(file=io.StringIO()), keyboard=io.StringIO(), pace="lockstep")
+        (shown,) = summary.track
+        concept = words[-1].rpartition(" the ")[2]
+        assert [concept in label for label in shown.labels] == [gate == shown.target for gate in range(3)]
+        assert {label.partition("/")[0] for label in shown.labels} <= {path.name for path in labels.iterdir()}
+        assert summary.steps > 0
+    assert flights
+
+
+def option(words: list[str], name: str) -> str:
+    """The value of an option of a command line."""
+    return words[words.index(name) + 1]
 
 
 def test_the_loss_of_a_lesson_falls_where_it_is_learnt(training: TeachTraining) -> None:

@@ -18,17 +18,21 @@ import torch
 from PIL import Image
 from quick_trainings import TINY_READER, QuickPolicyTraining
 
+from cognitivedrone.cli.training import last_success
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.small_vla import Flight, Head
-from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint
-from cognitivedrone.training.common.prefetch import PrefetchQueue, learner_path
-from cognitivedrone.training.common.run_log import DIMENSIONS, METRICS, draw_curves, read_rows
-from cognitivedrone.training.common.trainer import TrainConfig, learning_rate, train, what_is_left
-from cognitivedrone.training.common.training_task import Given, Watched, to_tensors
+from cognitivedrone.training.reasoner.selector import SelectorRecipe
 from cognitivedrone.training.recipes import ALL_RECIPES, RECIPES, find_recipe
+from cognitivedrone.training.small_vla.flight import FlightRecipe
+from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE, LanguageRecipe
 from cognitivedrone.training.small_vla.policy import TrainRecipe
 from cognitivedrone.training.small_vla.trained import load_trained
 from cognitivedrone.training.small_vla.validation import action_measures
+from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint
+from cognitivedrone.training.trainer.prefetch import PrefetchQueue, learner_path
+from cognitivedrone.training.trainer.run_log import DIMENSIONS, METRICS, draw_curves, read_rows
+from cognitivedrone.training.trainer.trainer import TrainConfig, learning_rate, stop_message, train
+from cognitivedrone.training.trainer.training_task import Given, Watched, to_tensors
 
 # Trials once, at the end: the rest of the time goes into processes that start.
 RECIPE = replace(RECIPES["debug"], fly_every=6, fly_tasks=2)
@@ -40,8 +44,8 @@ from dataclasses import replace
 from pathlib import Path
 import pytest
 from quick_trainings import QuickPolicyTraining, make_small
-from cognitivedrone.training.common import trainer
-from cognitivedrone.training.common.training_task import Given
+from cognitivedrone.training.trainer import trainer
+from cognitivedrone.training.trainer.training_task import Given
 from cognitivedrone.training.recipes import RECIPES
 
 def report(line):
@@ -72,8 +76,8 @@ pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
 
 @pytest.fixture(scope="module")
-def start(reader_checkpoint: Path) -> Given:
-    return Given(start=reader_checkpoint)
+def start(language_checkpoint: Path) -> Given:
+    return Given(start=language_checkpoint)
 
 
 def training_of(start: Given, recipe: TrainRecipe = RECIPE) -> QuickPolicyTraining:
@@ -127,16 +131,15 @@ def test_a_killed_training_leaves_the_same_curves(runs: Runs) -> None:
     assert whole == resumed
 
 
-def test_a_training_changes_all_weights_but_the_readers(runs: Runs, start: Given) -> None:
+def test_a_training_changes_all_weights_but_those_of_reader_and_language(runs: Runs, start: Given) -> None:
     first, last = (read_checkpoint(path)[0] for path in (learner_path(runs.whole, 0), runs.whole / CHECKPOINT))
     moved = {name for name in first if (first[name] != last[name]).any()}
-    kept = {name for name in first if name.startswith("network.reader.")} | {"network.language.words.vectors"}
+    kept = {name for name in first if name.startswith(("network.reader.", "network.language."))}
     assert moved == set(first) - kept
     assert start.start is not None
-    reader = read_checkpoint(start.start)[0]
-    assert {f"network.reader.{name.removeprefix('network.')}" for name in reader} < kept
-    for name, value in reader.items():
-        assert torch.equal(value, last[f"network.reader.{name.removeprefix('network.')}"]), name
+    before = read_checkpoint(start.start)[0]
+    assert kept == {name for name in before if not name.startswith("network.encoder.")}
+    assert all(torch.equal(before[name], last[name]) for name in kept)
 
 
 def test_rows_have_the_measures_of_the_literature_and_the_baseline(runs: Runs) -> None:
@@ -144,7 +147,7 @@ def test_rows_have_the_measures_of_the_literature_and_the_baseline(runs: Runs) -
     wanted = {"step", "steps_per_s", "choice accuracy", "train loss", "train choice accuracy"}
     for measure in ("l1", "accuracy", "baseline accuracy", "baseline l1"):
         wanted |= {measure} | {f"{measure} {dimension}" for dimension in DIMENSIONS}
-    for part in ("heat", "place", "looks", "choice", "text", "action"):
+    for part in ("heat", "place", "looks", "choice", "action"):
         wanted |= {part, f"train {part}"}
     for row in rows:
         assert wanted <= row.keys()
@@ -176,21 +179,16 @@ def test_the_folder_tells_its_recipe(runs: Runs) -> None:
     told = json.loads((runs.whole / "recipe.json").read_text())
     assert told["seed"] == 3
     assert told["recipe"]["name"] == "debug"
-    assert told["data"] == "from reader, step 6, seed 0"
-    facts = read_checkpoint(runs.whole / CHECKPOINT)[1]
-    assert told["recipe"]["network"]["words"] == {
-        "words": len(facts["vocabulary"]), "trained": facts["trained_words"]
-    }  # fmt: skip
+    assert told["data"] == "from debug-language, step 6, seed 0"
+    assert told["recipe"]["network"]["language"] == {**DEBUG_LANGUAGE.network.facts(), "size": 32}
     assert told["recipe"]["network"]["reader"] == TINY_READER.network.facts()
 
 
 def test_what_was_trained_can_be_loaded_and_flies(runs: Runs) -> None:
-    network, lexicon, loaded = load_trained(runs.whole / CHECKPOINT)
+    network, loaded = load_trained(runs.whole / CHECKPOINT)
     assert not network.training
-    assert len(lexicon.words) == network.config.words.words
-    tokens = torch.from_numpy(lexicon.encode("Fly through the gate with the letter A", network.config.text_length))
     with torch.no_grad():
-        actions, *_ = network(torch.zeros(1, 256, 256, 3, dtype=torch.uint8), torch.zeros(1, 5), tokens[None])
+        actions, *_ = network(torch.zeros(1, 256, 256, 3, dtype=torch.uint8), torch.zeros(1, 5), torch.randn(1, 9, 32))
     assert actions.isfinite().all()
     assert loaded.facts["step"] == RECIPE.steps
 
@@ -265,9 +263,17 @@ def test_curves_are_drawn_of_whatever_there_is(tmp_path: Path) -> None:
         {"step": 2, "l1": 0.5, "cross-entropy": math.nan},
         {"step": 4, "l1": 0.4, "success": 0.5, "success race": 1},
     ]
-    draw_curves(rows, tmp_path / "curves.png")
-    with Image.open(tmp_path / "curves.png") as picture:
-        picture.load()
+    lesson = [{"step": 100, "train loss": 2.0, "train pictures read": 0.5, "pictures read": 0.4, "policy right": 0.2}]
+    for drawn in (rows, lesson):
+        draw_curves(drawn, tmp_path / "curves.png")
+        with Image.open(tmp_path / "curves.png") as picture:
+            picture.load()
+
+
+def test_a_model_that_passes_no_gate_is_not_recommended(tmp_path: Path) -> None:
+    assert last_success(tmp_path) is None
+    (tmp_path / METRICS).write_text('{"step": 2, "success": 0.5}\n{"step": 4, "success": 0.0}\n{"step": 6, "l1": 1}\n')
+    assert last_success(tmp_path) == 0
 
 
 # ---- recipes
@@ -293,7 +299,6 @@ def test_processes_share_a_batch(start: Given) -> None:
     part = training_task.share(4)
     whole, shared = training_task.recipe.stream, part.recipe.stream
     assert shared.batch * 4 == whole.batch
-    assert shared.texts * 4 == whole.texts
     assert replace(part, recipe=replace(part.recipe, stream=whole)) == training_task
     with pytest.raises(TrainingError, match="a batch of 24 frames cannot be shared by 5 processes"):
         training_task.share(5)
@@ -320,11 +325,11 @@ def test_the_learning_rate_warms_up_stays_and_falls_to_nothing() -> None:
     assert rates[-1] == 0
 
 
-def test_what_is_left_of_a_stopped_training_is_said(runs: Runs, tmp_path: Path) -> None:
-    assert what_is_left(tmp_path, " at step 3") == (
+def test_a_stopped_training_says_what_is_kept(runs: Runs, tmp_path: Path) -> None:
+    assert stop_message(tmp_path, " at step 3") == (
         f"stopped at step 3, before the first checkpoint; there is nothing in {tmp_path} to resume, start again"
     )
-    assert what_is_left(runs.whole) == (
+    assert stop_message(runs.whole) == (
         f"stopped; the checkpoint of step 6 is kept in {runs.whole}, the same command with --resume goes on"
     )
 
@@ -335,7 +340,7 @@ def test_ctrl_c_before_the_first_checkpoint_says_that_there_is_nothing_to_resume
             raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("cognitivedrone.training.common.trainer._Keeper", Stopped)
+        patch.setattr("cognitivedrone.training.trainer.trainer._CheckpointManager", Stopped)
         with pytest.raises(KeyboardInterrupt, match=r"stopped at step 0, before the first checkpoint; .*start again"):
             train(TrainConfig(tmp_path / "run", training_of(start), seed=3))
 
@@ -350,7 +355,6 @@ def test_the_stream_tells_how_it_begins(tmp_path: Path, start: Given) -> None:
         assert prefetch._filled[1] == size
         assert _ignores_ctrl_c(prefetch._process.pid)
     assert told
-    assert told[0] == "starting the stream"
     allowed = {"starting the stream", "waiting for a batch"}
     assert all(text in allowed or re.fullmatch(rf"flying: \d+ of {size} samples", text) for text in told)
 
@@ -377,13 +381,21 @@ def test_a_buffer_tells_how_it_fills(start: Given) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in ALL_RECIPES if name != "teach"])
-def test_whatever_may_learn_gets_a_gradient(name: str) -> None:
+def test_whatever_may_learn_gets_a_gradient(
+    name: str, selector_checkpoint: Path, language_checkpoint: Path, policy_checkpoint: Path
+) -> None:
     """Processes that share a training wait for every gradient; one that never comes ends it."""
     recipe = ALL_RECIPES[name]
     if isinstance(recipe, TrainRecipe):
-        stream = replace(recipe.stream, batch=6, worlds=3, texts=min(recipe.stream.texts, 16), learner=0.0)
+        stream = replace(recipe.stream, batch=6, worlds=3, learner=0.0)
         recipe = replace(recipe, stream=stream)
-    task = recipe.training(Given())
+    if isinstance(recipe, SelectorRecipe):
+        recipe = replace(recipe, pretrained=False, batch=4)
+    if isinstance(recipe, LanguageRecipe):
+        recipe = replace(recipe, batch=4)
+    language = isinstance(recipe, TrainRecipe) and not isinstance(recipe, FlightRecipe)
+    start = selector_checkpoint if isinstance(recipe, LanguageRecipe) else policy_checkpoint
+    task = recipe.training(Given(start=language_checkpoint if language else start))
     batches = task.batches()((0, 0))
     loss_module = task.loss_module(task.network()).train()
     loss, _ = loss_module(to_tensors(next(batches)))

@@ -7,9 +7,9 @@ import re
 import numpy as np
 import pytest
 
-from cognitivedrone.reasoners.calculator import calculate
+from cognitivedrone.models.calculator import calculate
 from cognitivedrone.tasks import train_task, vocabulary
-from cognitivedrone.training.common.typing_noise import typed
+from cognitivedrone.training.language.typing_noise import typed
 
 SENTENCES = [train_task(i, 3).instruction for i in range(250)]
 

@@ -10,11 +10,11 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 from cognitivedrone.vehicles.mavlink.client.connection import Connection
-from cognitivedrone.vehicles.mavlink.client.traffic import COMMANDING
+from cognitivedrone.vehicles.mavlink.client.traffic import COMMANDING, MISSION_ITEMS
 
 VEHICLE, STRANGER = 1, 2
 """Where a packet comes from."""
-MOVING = {*COMMANDING, "COMMAND_LONG", "COMMAND_INT"}
+MOVING = {*COMMANDING, *MISSION_ITEMS, "COMMAND_LONG", "COMMAND_INT"}
 BEAT = m.MAVLink_heartbeat_message(2, 3, 0x81, 4, 4, 3)
 
 

@@ -37,6 +37,15 @@ PARAMETERS = {
     "FS_CRASH_CHECK": 1.0,
 }
 
+PARAMETERS_4_7 = {
+    **{n: v for n, v in PARAMETERS.items() if n not in ("SYSID_MYGCS", "ARMING_CHECK", "RTL_ALT", "RTL_CLIMB_MIN")},
+    "MAV_GCS_SYSID": 255.0,
+    "ARMING_SKIPCHK": 0.0,
+    "RTL_ALT_M": 5.0,
+    "RTL_CLIMB_MIN_M": 0.0,
+}
+"""The same settings as ArduCopter 4.7 names them: written out, so that a mistake in the program's own table shows."""
+
 
 CALM = SafetyConfig(
     policy=Timeouts(2, 4),
@@ -103,20 +112,28 @@ class Part:
     target: tuple[int, float] | None = None
     """Type mask and speed of what it says it flies to; none where it is what it was sent."""
     sticks: tuple[int, int, int, int] | None = None
+    wire: str = "MAVLink 2"
+    """What its packets are: or "MAVLink 1", "signed", or "signed only", where it also ignores what is not."""
 
 
 class Peer:
-    """Plays a part until closed; `heard` is what came in, with its time."""
+    """Plays a part until closed; `received` is what came in, with its time."""
 
     def __init__(self, part: Part) -> None:
         self.part = part
-        self.heard: list[tuple[float, Any]] = []
+        self.received: list[tuple[float, Any]] = []
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
         self._socket.settimeout(0.005)
         self.port = self._socket.getsockname()[1]
         self._mav = m.MAVLink(self, srcSystem=1, srcComponent=1)
         self._mav.robust_parsing = True
+        if part.wire.startswith("signed"):
+            self._mav.signing.secret_key, self._mav.signing.sign_outgoing = b"k" * 32, True
+            self._mav.signing.allow_unsigned_callback = lambda _mav, _number: part.wire == "signed"
+        if part.wire == "MAVLink 1":
+            send = self._mav.send
+            self._mav.send = lambda message, force_mavlink1=False: send(message, force_mavlink1=True)
         self._to: Any = None
         self._stop = threading.Event()
         self._clock, self._looked = 5.0, time.monotonic()
@@ -144,13 +161,13 @@ class Peer:
         return self._thread.native_id or 0
 
     def of(self, kind: str) -> list[Any]:
-        return [message for _, message in self.heard if message.get_type() == kind]
+        return [message for _, message in self.received if message.get_type() == kind]
 
     def setpoints_since(self, moment: float) -> list[tuple[float, float, float, float]]:
         """vx, vy, vz in FRD and yaw rate, of the velocity setpoints since then."""
         return [
             (s.vx, s.vy, s.vz, s.yaw_rate)
-            for at, s in list(self.heard)
+            for at, s in list(self.received)
             if at >= moment and s.get_type() == "SET_POSITION_TARGET_LOCAL_NED"
         ]
 
@@ -160,23 +177,24 @@ class Peer:
             try:
                 data, self._to = self._socket.recvfrom(4096)
                 for message in self._mav.parse_buffer(data) or ():
-                    self.heard.append((time.monotonic(), message))
+                    self.received.append((time.monotonic(), message))
                     self._answer(message)
             except TimeoutError:
                 pass
             if time.monotonic() >= due:
                 due = time.monotonic() + 0.02
-                self._tell()
+                self._report()
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         part, mav = self.part, self._mav
         for packet in part.also:
             self.write(packet)
         boot_ms = self.boot_ms()
         bit = m.MAV_SYS_STATUS_PREARM_CHECK
         present = bit | (REMOTE_BIT if part.remote is not None else 0)
-        # As ArduCopter: with ARMING_CHECK 0 the checks are neither enabled nor healthy.
-        enabled = present & ~(0 if part.parameters.get("ARMING_CHECK", 1) else bit)
+        # As ArduCopter: with ARMING_CHECK 0, or all of ARMING_SKIPCHK, the checks are neither enabled nor healthy.
+        checks = part.parameters.get("ARMING_CHECK", 1) and part.parameters.get("ARMING_SKIPCHK", 0) != -1
+        enabled = present & ~(0 if checks else bit)
         health = (bit if part.prearm else 0) & enabled | (REMOTE_BIT if part.remote else 0)
         messages = [
             m.MAVLink_heartbeat_message(part.kind, part.autopilot, 0x81 if part.armed else 1, part.mode, 3, 3),
@@ -245,7 +263,7 @@ class Peer:
             case m.MAV_CMD_REQUEST_MESSAGE if message.param1 == m.MAVLINK_MSG_ID_HOME_POSITION and part.home:
                 self._mav.home_position_send(0, 0, 0, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
             case m.MAV_CMD_REQUEST_MESSAGE:
-                self._tell()
+                self._report()
 
 
 @contextmanager

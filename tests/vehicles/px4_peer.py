@@ -108,7 +108,7 @@ class PX4Peer(Peer):  # type: ignore[misc]
         lost = now - self._streamed_at > float(self.part.parameters["COM_OF_LOSS_T"])
         return not lost and now - self._streams_since >= STREAM_FIRST_S
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         self._move()
         part, now, boot_ms = self.part, time.monotonic(), self.boot_ms()
         for packet in part.also:

@@ -23,7 +23,7 @@ def test_the_binary_is_the_one_named_or_that_of_the_environment(tmp_path, monkey
     assert find_binary(None, "give one") == first
     assert find_binary(second, "give one") == second
     monkeypatch.setenv(BINARY_VARIABLE, "")
-    with pytest.raises(LinkError, match=r"needs an ArduCopter binary: give one; docs/ardupilot\.md"):
+    with pytest.raises(LinkError, match=r"needs an ArduCopter binary: give one; docs/vehicles\.md"):
         find_binary(None, "give one")
     (tmp_path / "text").write_text("not a program")
     with pytest.raises(LinkError, match="text is not a program that can be run: give one"):
@@ -38,9 +38,9 @@ def test_it_is_started_with_its_parameters_in_its_folder(tmp_path):
     options: dict[str, Any] = {"instance": 3, "defaults": [theirs], "parameters": "B 2\n", "speed": 50.0}
     with ArduCopter(binary, tmp_path / "run", **options) as running:
         assert running.url == "tcp:127.0.0.1:5790"
-        said = running.connect(lambda _: heard(running))
-    assert said.split()[:6] == ["--model", "JSON:127.0.0.1", "--instance", "3", "--speedup", "50"]
-    first, ours = (Path(name) for name in said.split()[7].split(","))
+        reported = running.connect(lambda _: heard(running))
+    assert reported.split()[:6] == ["--model", "JSON:127.0.0.1", "--instance", "3", "--speedup", "50"]
+    first, ours = (Path(name) for name in reported.split()[7].split(","))
     assert first == theirs
     lines = ours.read_text().splitlines()
     assert "AHRS_EKF_TYPE 3" in lines
@@ -49,17 +49,17 @@ def test_it_is_started_with_its_parameters_in_its_folder(tmp_path):
 
 def heard(running: ArduCopter) -> str:
     """What it has printed; not yet there is a reason to try again."""
-    said = running.output.read_text()
-    if not said:
+    reported = running.output.read_text()
+    if not reported:
         raise LinkError("nothing yet")
-    return said
+    return reported
 
 
 def refuse(url: str) -> None:
     raise LinkError(f"cannot connect to {url}")
 
 
-def test_what_ends_at_once_is_told_with_its_last_words(tmp_path):
+def test_what_ends_at_once_is_reported_with_its_last_words(tmp_path):
     binary = script(tmp_path / "arducopter", "echo starting; echo no such board >&2; exit 4")
     with (
         ArduCopter(binary, tmp_path) as ended,
@@ -68,7 +68,7 @@ def test_what_ends_at_once_is_told_with_its_last_words(tmp_path):
         ended.connect(refuse)
 
 
-def test_what_cannot_be_started_is_told(tmp_path):
+def test_what_cannot_be_started_is_reported(tmp_path):
     binary = tmp_path / "arducopter"
     binary.write_bytes(b"\x7fELF is not all")
     binary.chmod(0o755)

@@ -49,14 +49,14 @@ def wait(holds, timeout_s: float = 5.0):
 def over(camera) -> str:
     """What a camera says when it has come to its end."""
 
-    def said() -> str:
+    def output() -> str:
         try:
             camera.read()
         except CameraError as error:
             return str(error)
         return ""
 
-    return wait(said)
+    return wait(output)
 
 
 @given(st.integers(1, 700), st.integers(1, 700))
@@ -179,11 +179,11 @@ def server(tmp_path):
     server.close()
 
 
-def test_a_stream_is_read_and_its_silence_is_told(server):
+def test_a_stream_is_read_and_its_silence_is_reported(server):
     camera = open_camera(server.url, CameraConfig(silence_s=0.4))
     assert camera.read().image.shape == (256, 256, 3)
-    said = over(camera)
-    assert "has given no frame for" in said or f"cannot read {server.url}" in said
+    output = over(camera)
+    assert "has given no frame for" in output or f"cannot read {server.url}" in output
     camera.close()
 
 
@@ -210,7 +210,7 @@ def test_what_cannot_be_opened(tmp_path):
     (broken / "a.png").write_bytes(b"not a picture")
     with socket.socket() as nobody:
         nobody.bind(("127.0.0.1", 0))
-        for source, said in (
+        for source, output in (
             ("/dev/video-none", "there is no camera /dev/video-none; cameras of this machine:"),
             (str(tmp_path / "no.mp4"), "expected a folder of images, a video file"),
             (str(tmp_path / "empty"), "has no image"),
@@ -219,7 +219,7 @@ def test_what_cannot_be_opened(tmp_path):
             (str(sound), "it contains no video"),
             (f"tcp://127.0.0.1:{nobody.getsockname()[1]}", "cannot read tcp://"),
         ):
-            with pytest.raises(CameraError, match=said):
+            with pytest.raises(CameraError, match=output):
                 open_camera(source)
 
 

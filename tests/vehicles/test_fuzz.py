@@ -42,7 +42,7 @@ def test_a_vehicle_may_move_but_what_queued_up_during_a_stop_of_ours_is_no_move(
 
 
 def held_true(link: Connection) -> tuple[object, ...]:
-    telemetry = replace(link.telemetry, heard_at=0, heartbeat_at=0, position=np.zeros(3), velocity=np.zeros(3))
+    telemetry = replace(link.telemetry, received_at=0, heartbeat_at=0, position=np.zeros(3), velocity=np.zeros(3))
     traffic = replace(link.traffic, ignored=0, broken=0, impostor_at=0)
     known = np.isfinite(link.telemetry.position).all()
     return str(telemetry), known, traffic, link.vehicle, {k: v for k, v in link._replies.items() if k != "HEARTBEAT"}
@@ -73,7 +73,7 @@ def test_whatever_the_vehicle_itself_says_the_rules_have_an_answer():
         link.step(0.0)
         link.check()
         asked = Asked(number * 0.02, np.ones(4), 0.0, 0.0, frozenset({link.telemetry.mode}))
-        health = health_of(link.telemetry, link.traffic, Baseline(), asked, link.telemetry.heard_at)
+        health = health_of(link.telemetry, link.traffic, Baseline(), asked, link.telemetry.received_at)
         decision, memory = decide(health, memory, config)
         order(decision, health, config)
         assert np.isfinite(shape(health, np.zeros(4), 0.1, config)).all()

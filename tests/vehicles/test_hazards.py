@@ -1,6 +1,6 @@
 """What can go wrong in flight, each fault injected over a real socket: noticed, and something safe done, in time.
 
-Rows of the tables of faults in docs/failure-handling.md. The limits are those of `SafetyConfig`, with leeway for a busy
+Rows of the tables of faults in docs/real-drone.md. The limits are those of `SafetyConfig`, with leeway for a busy
 machine.
 """
 
@@ -70,7 +70,7 @@ def flies(drone: MavlinkDrone) -> bool:
 def mode_orders(peer: Peer, since: float) -> list[int]:
     return [
         int(c.param2)
-        for at, c in list(peer.heard)
+        for at, c in list(peer.received)
         if at >= since and c.get_type() == "COMMAND_LONG" and c.command == 176
     ]
 
@@ -261,17 +261,6 @@ def test_a_silent_downlink_leaves_the_vehicle_in_guided():
         assert peer.part.mode == MODES["GUIDED"]
         assert not np.any([s[:2] for s in peer.setpoints_since(fault + 0.4)])
         peer.part.mute = False
-
-
-def test_a_stick_that_moves_leaves_the_vehicle_in_guided():
-    with playing(sticks=STICKS) as peer, flying(peer, watching()) as drone:
-        until(drone, lambda: flies(drone), 1.0)
-        moved = time.monotonic()
-        peer.part.sticks = (1500, 1700, 1200, 1500)
-        until(drone, lambda: drone.decision.kind == "brake", 0.2)
-        time.sleep(1.0)
-        assert drone.decision.kind == "brake"
-        assert mode_orders(peer, moved) == []
 
 
 def test_a_lost_remote_control_lands():

@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as m
 
 from cognitivedrone.vehicles.mavlink.client.health import Asked, Baseline, health_of
 from cognitivedrone.vehicles.mavlink.client.traffic import Traffic, answered, noticed, request_time
-from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, heard
+from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, updated
 
 REMOTE = m.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 START = 1000.0
@@ -45,15 +45,15 @@ def heartbeat(mode: int = 4):
     return m.MAVLink_heartbeat_message(2, 3, 0x81, mode, 4, 3)
 
 
-def told(*messages, since: Telemetry | None = None) -> Telemetry:
+def reported(*messages, since: Telemetry | None = None) -> Telemetry:
     """The telemetry after messages, each with the time when it came."""
     telemetry = since or Telemetry()
     for at, message in messages:
-        telemetry = heard(telemetry, message, at)
+        telemetry = updated(telemetry, message, at)
     return telemetry
 
 
-GOOD = told(
+GOOD = reported(
     (START, heartbeat()), (START, attitude(START)), (START, position(START)), (START, status()), (START, estimator())
 )
 
@@ -83,7 +83,7 @@ def test_a_good_vehicle_is_good():
     ],
 )
 def test_numbers_that_are_none_are_no_news(bad):
-    telemetry = told((START + 1, bad), since=GOOD)
+    telemetry = reported((START + 1, bad), since=GOOD)
     now = health(telemetry, START + 1)
     assert now.state_known
     assert now.state_age_s >= 1.0
@@ -94,7 +94,7 @@ def test_frozen_telemetry_grows_old_although_it_keeps_coming():
     telemetry = GOOD
     for step in range(1, 21):
         at = START + step * 0.05
-        telemetry = told((at, attitude(START)), (at, position(START)), since=telemetry)
+        telemetry = reported((at, attitude(START)), (at, position(START)), since=telemetry)
     assert health(telemetry, START + 1).state_age_s == pytest.approx(1.0, abs=0.05)
     # On vehicle time, a simulation may pause.
     assert health(telemetry, START + 1, judges_time=False).state_age_s < 0.1
@@ -104,13 +104,13 @@ def test_one_frozen_message_of_two_is_enough():
     telemetry = GOOD
     for step in range(1, 21):
         at = START + step * 0.05
-        telemetry = told((at, attitude(at)), (at, position(START)), since=telemetry)
+        telemetry = reported((at, attitude(at)), (at, position(START)), since=telemetry)
     assert health(telemetry, START + 1).state_age_s == pytest.approx(1.0, abs=0.05)
 
 
 def test_late_telemetry_is_as_old_as_it_is():
     at = START + 2.0
-    telemetry = told((at, attitude(at - 0.8)), (at, position(at - 0.8)), since=GOOD)
+    telemetry = reported((at, attitude(at - 0.8)), (at, position(at - 0.8)), since=GOOD)
     assert health(telemetry, at).state_age_s == pytest.approx(0.8, abs=0.05)
 
 
@@ -119,7 +119,7 @@ def test_a_clock_that_runs_a_little_slow_is_forgiven():
     for step in range(600):
         at = START + step * 0.1
         theirs = START + step * 0.1 * 0.9995
-        telemetry = told((at, attitude(theirs)), (at, position(theirs)), since=telemetry)
+        telemetry = reported((at, attitude(theirs)), (at, position(theirs)), since=telemetry)
     assert health(telemetry, START + 60).state_age_s < 0.15
 
 
@@ -127,14 +127,14 @@ def test_lateness_is_not_forgiven_in_a_flight():
     telemetry = GOOD
     for step in range(600):
         at = START + step * 0.1
-        telemetry = told((at, attitude(at - 0.8)), (at, position(at - 0.8)), since=telemetry)
+        telemetry = reported((at, attitude(at - 0.8)), (at, position(at - 0.8)), since=telemetry)
     assert health(telemetry, START + 60).state_age_s > 0.7
 
 
 def test_a_restart_is_a_clock_that_goes_back():
-    before = told((START + 1, attitude(START + 1)), since=GOOD)
-    assert not health(told((START + 1, attitude(START + 0.5)), since=before), START + 1).restarted
-    assert health(told((START + 1, attitude(START - 4)), since=before), START + 1).restarted
+    before = reported((START + 1, attitude(START + 1)), since=GOOD)
+    assert not health(reported((START + 1, attitude(START + 0.5)), since=before), START + 1).restarted
+    assert health(reported((START + 1, attitude(START - 4)), since=before), START + 1).restarted
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_a_restart_is_a_clock_that_goes_back():
 )
 def test_a_jump_is_farther_than_speed_explains(north, speed, jump):
     at = START + 0.05
-    telemetry = told((at, position(at, north, speed)), since=GOOD)
+    telemetry = reported((at, position(at, north, speed)), since=GOOD)
     assert health(telemetry, at).jump_m == pytest.approx(jump, abs=0.01)
 
 
@@ -159,18 +159,18 @@ def test_a_jump_is_farther_than_speed_explains(north, speed, jump):
         (estimator(0), "does not know where it is"),
     ],
 )
-def test_a_bad_estimator_is_told_in_words(report, words):
-    said = health(told((START + 1, report), since=GOOD), START + 1).estimator
-    assert words in said
-    assert bool(said) == bool(words)
+def test_a_bad_estimator_is_reported_in_words(report, words):
+    expected = health(reported((START + 1, report), since=GOOD), START + 1).estimator
+    assert words in expected
+    assert bool(expected) == bool(words)
 
 
 def test_a_battery_and_an_estimator_that_fall_silent_grow_old():
-    now = health(told((START + 9, heartbeat()), (START + 9, status(-1)), since=GOOD), START + 9)
+    now = health(reported((START + 9, heartbeat()), (START + 9, status(-1)), since=GOOD), START + 9)
     assert now.battery is None
     assert now.battery_age_s == pytest.approx(9)
     assert now.estimator_age_s == pytest.approx(9)
-    never = told((START, heartbeat()), (START, attitude(START)), (START, position(START)))
+    never = reported((START, heartbeat()), (START, attitude(START)), (START, position(START)))
     asked = Asked(START + 9, None, START, START, frozenset())
     late = health_of(never, Traffic(), Baseline.taken(never, np.zeros(3), START), asked, START + 9)
     assert (late.battery_age_s, late.estimator_age_s) == (0.0, 0.0)
@@ -181,23 +181,23 @@ def remote_control(at: float, *, on: bool):
 
 
 def test_a_remote_control_is_lost_or_appears():
-    on = told(remote_control(START, on=True), since=GOOD)
+    on = reported(remote_control(START, on=True), since=GOOD)
     baseline = Baseline.taken(on, np.zeros(3), START)
     asked = Asked(START + 3, None, START, START, frozenset())
-    off = told(remote_control(START + 3, on=False), since=on)
+    off = reported(remote_control(START + 3, on=False), since=on)
     assert health_of(off, Traffic(), baseline, asked, START + 3).remote_age_s == pytest.approx(3)
     # The channels keep their last values when the receiver hears nothing: they prove nothing.
     channels = m.MAVLink_rc_channels_message(0, 4, 1500, 1500, 1000, 1500, *[0] * 14, 255)
-    still = told((START + 3, channels), since=off)
+    still = reported((START + 3, channels), since=off)
     assert health_of(still, Traffic(), baseline, asked, START + 3).remote_age_s == pytest.approx(3)
     # None at take-off, and then one.
-    assert not health(told(remote_control(START + 1, on=False), since=GOOD), START + 1).remote_appeared
-    assert health(told(remote_control(START + 1, on=True), since=GOOD), START + 1).remote_appeared
-    assert health(told((START + 1, channels), since=GOOD), START + 1).remote_appeared
+    assert not health(reported(remote_control(START + 1, on=False), since=GOOD), START + 1).remote_appeared
+    assert health(reported(remote_control(START + 1, on=True), since=GOOD), START + 1).remote_appeared
+    assert health(reported((START + 1, channels), since=GOOD), START + 1).remote_appeared
 
 
 def test_a_tilt_is_that_of_both_axes():
-    assert health(told((START, attitude(START, roll=1.2)), since=GOOD), START).tilt_rad == pytest.approx(1.2)
+    assert health(reported((START, attitude(START, roll=1.2)), since=GOOD), START).tilt_rad == pytest.approx(1.2)
 
 
 def target(mask: int, speed: float):
@@ -216,9 +216,9 @@ def target(mask: int, speed: float):
 )
 def test_a_target_that_we_did_not_send_is_somebody_elses(mask, speed, after, foreign):
     now = START + after
-    telemetry = told((now, heartbeat()), (now, target(mask, speed)), since=GOOD)
-    said = health(telemetry, now, sent=((START, 3.0), (now - 0.5, 1.2))).intruder
-    assert ("did not send" in said) == foreign
+    telemetry = reported((now, heartbeat()), (now, target(mask, speed)), since=GOOD)
+    expected = health(telemetry, now, sent=((START, 3.0), (now - 0.5, 1.2))).intruder
+    assert ("did not send" in expected) == foreign
 
 
 def sent_by(system: int, component: int, message):
@@ -242,9 +242,9 @@ def sent_by(system: int, component: int, message):
 )
 def test_who_else_commands_is_named(message, words):
     traffic = noticed(Traffic(answered_at=START), sent_by(9, 190, message), (1, 1), START + 1)
-    said = health(GOOD, START + 1, traffic).intruder
-    assert words in said
-    assert bool(said) == bool(words)
+    expected = health(GOOD, START + 1, traffic).intruder
+    assert words in expected
+    assert bool(expected) == bool(words)
 
 
 def test_a_ground_station_may_watch_but_not_with_our_id():

@@ -24,7 +24,7 @@ NAMES = tuple(expected.name for expected in ARDUCOPTER_PARAMETERS)
 NOW = 100.0
 TELEMETRY = Telemetry(
     mode="STABILIZE",
-    heard_at=NOW,
+    received_at=NOW,
     heartbeat_at=NOW,
     position=np.zeros(3),
     position_at=NOW,
@@ -69,7 +69,7 @@ def test_a_good_vehicle_passes_and_only_the_person_is_asked():
 
 
 @pytest.mark.parametrize(
-    ("name", "good", "look", "bad"),
+    ("name", "good", "warn", "bad"),
     [
         ("SYSID_MYGCS", [255], [], [250, 0, 1]),
         ("FS_GCS_ENABLE", [5, 4], [], [0, 2, 6, 7, 99]),
@@ -89,8 +89,8 @@ def test_a_good_vehicle_passes_and_only_the_person_is_asked():
         ("FS_CRASH_CHECK", [1], [0], []),
     ],
 )
-def test_each_parameter(name, good, look, bad):
-    for state, values in (("ok", good), ("look", look), ("bad", bad)):
+def test_each_parameter(name, good, warn, bad):
+    for state, values in (("ok", good), ("warn", warn), ("bad", bad)):
         for value in values:
             assert states(**{name: float(value)})[name] == state, value
 
@@ -104,7 +104,7 @@ def test_each_parameter_is_tested():
 def test_a_vehicle_without_a_required_parameter_is_not_flown(name):
     required = ("SYSID_MYGCS", "FS_", "GUID_TIMEOUT", "ARMING", "FENCE", "BATT_FS")
     advisory = {"FS_THR_ENABLE", "FS_EKF_ACTION", "FS_EKF_THRESH", "FS_CRASH_CHECK"}
-    expected = "bad" if name.startswith(required) and name not in advisory else "look"
+    expected = "bad" if name.startswith(required) and name not in advisory else "warn"
     assert states(**{name: None})[name] == expected
 
 
@@ -119,7 +119,7 @@ def test_a_failsafe_that_returns_must_not_climb_above_our_ceiling(action, rtl, c
 @pytest.mark.parametrize(
     ("changes", "row", "state"),
     [
-        ({"version": None}, "firmware", "look"),
+        ({"version": None}, "firmware", "warn"),
         ({"vehicle_time": 0.0}, "clock", "bad"),
         ({"position_at": NOW + 2.0}, "clock", "bad"),  # 2 s later than its own time says
         ({"heartbeat_at": NOW - 2}, "heartbeat", "bad"),
@@ -133,12 +133,12 @@ def test_a_failsafe_that_returns_must_not_climb_above_our_ceiling(action, rtl, c
         ({"position_at": -np.inf}, "position", "bad"),
         ({"home": False}, "home", "bad"),
         ({"battery": None, "status_at": -np.inf}, "battery", "bad"),
-        ({"battery": None}, "battery", "look"),
+        ({"battery": None}, "battery", "warn"),
         ({"battery": 0.29}, "battery", "bad"),
-        ({"sticks": ()}, "remote control", "look"),
-        ({"remote_at": NOW - 5}, "remote control", "look"),
+        ({"sticks": ()}, "remote control", "warn"),
+        ({"remote_at": NOW - 5}, "remote control", "warn"),
         ({"frame_age_s": 1.5}, "camera", "bad"),
-        ({"traffic": Traffic(answered_at=NOW, ground_stations=frozenset({(250, 190)}))}, "ground station", "look"),
+        ({"traffic": Traffic(answered_at=NOW, ground_stations=frozenset({(250, 190)}))}, "ground station", "warn"),
         ({"traffic": Traffic(answered_at=NOW, ground_stations=frozenset({(255, 190)}))}, "ground station", "bad"),
         ({"traffic": Traffic(answered_at=NOW, commander="system 9", commander_at=NOW)}, "commander", "bad"),
         ({"traffic": Traffic(answered_at=NOW, impostor_at=NOW)}, "sender", "bad"),
@@ -152,15 +152,45 @@ def test_a_simulation_that_runs_slowly_is_not_late():
     assert states(position_at=NOW + 2.0, judges_time=False)["clock"] == "ok"
 
 
-def test_the_table_tells_found_needed_and_why():
+def test_the_table_tells_found_and_needed_and_of_what_is_not_ok_why():
     text = str(build_checklist(replace(FACTS, values={**PARAMETERS, "FS_GCS_ENABLE": 7.0})))
     head, *rows = text.splitlines()
-    assert head.split() == ["what", "found", "needed", "why"]
-    row = next(row for row in rows if "FS_GCS_ENABLE" in row)
-    assert row.startswith("[bad ] FS_GCS_ENABLE")
-    assert "7 brakes and stays" in row
-    assert "5 or 4" in row
-    assert len(rows) == len(build_checklist(FACTS).findings)
+    assert head.split() == ["what", "found", "needed"]
+    assert [row[7:20] for row in rows if row.startswith("[bad ]")] == ["FS_GCS_ENABLE"]
+    assert "7 brakes and stays" in " ".join(text.split())
+    assert "5 or 4" in text
+    assert "16: what a pilot flies goes on" not in text
+    marked = [row for row in rows if row[0] == "["]
+    assert len(marked) == len(build_checklist(FACTS).findings)
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [
+        FACTS,
+        replace(FACTS, values=dict.fromkeys(PARAMETERS)),
+        replace(
+            FACTS, traffic=replace(FACTS.traffic, commander="system 9, component 190, commands the vehicle too (X)")
+        ),
+        replace(FACTS, values=dict.fromkeys(PARAMETERS, 1e-09), changed=tuple(PARAMETERS)),
+    ],
+)
+def test_a_terminal_of_80_columns_shows_every_word_of_the_table(facts):
+    checklist = build_checklist(facts)
+    lines = str(checklist).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert all(map(str.isprintable, lines))
+    words = set(str(checklist).split())
+    for finding in checklist.findings:
+        output = f"{finding.what} {finding.found} {finding.needed} {'' if finding.state == 'ok' else finding.why}"
+        assert words >= set(output.split())
+
+
+def test_a_refusal_says_what_is_bad_and_which_option_sets_it():
+    checklist = build_checklist(replace(FACTS, values={**PARAMETERS, "FENCE_ENABLE": 0.0}, home=False))
+    last = "change what is bad (home, FENCE_ENABLE), and try again"
+    assert checklist.refusal(consent=False).endswith(f"\n{last}; --set-parameters sets FENCE_ENABLE for the flight")
+    assert checklist.refusal(consent=True).endswith(f"\n{last}")
 
 
 def test_what_is_set_with_consent_is_what_is_bad_and_makes_it_good():

@@ -17,7 +17,7 @@ from cognitivedrone.errors import RunError
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.sim.airframe import GRAVITY, IRIS, ROTORS
 from cognitivedrone.types import DroneState
-from cognitivedrone.vehicles.sitl.json_interface import SitlServer, read_packet, require_estimator, timestamp
+from cognitivedrone.vehicles.sitl.json_interface import SitlServer, read_packet, timestamp
 from cognitivedrone.vehicles.sitl.physics import Plant, thrust_share
 
 HOVER = (1500,) * 4
@@ -244,9 +244,6 @@ def test_a_taken_port_and_a_wrong_instance(server: SitlServer) -> None:
         SitlServer(port=server.address[1])
     with pytest.raises(RunError, match="instance 999"):
         SitlServer(instance=999)
-    require_estimator(3)
-    with pytest.raises(RunError, match="set it to 3"):
-        require_estimator(10)
 
 
 def test_control_is_called_ten_times_a_second() -> None:

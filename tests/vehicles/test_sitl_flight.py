@@ -158,7 +158,7 @@ def test_a_vehicle_that_is_lost_ends_the_flight_and_the_next_has_another(flight,
     assert flight.report - before == LinkReport(0, 0, 1, ("crashed",))
 
 
-def test_what_never_hovers_is_told(vehicles, monkeypatch):
+def test_what_never_hovers_is_reported(vehicles, monkeypatch):
     monkeypatch.setattr("cognitivedrone.vehicles.sitl.flight.HOVER_S", 1.0)
 
     def start() -> FakeVehicle:

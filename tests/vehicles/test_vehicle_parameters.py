@@ -27,16 +27,16 @@ class Table:
         return {name: None if self.deaf else self.values.get(name) for name in names}
 
     def set_parameter(self, name, value):
-        self.tell_parameter(name, value)
+        self.send_parameter(name, value)
         if self.deaf:
             raise LinkError("no answer")
 
-    def tell_parameter(self, name, value):
+    def send_parameter(self, name, value):
         self.set.append((name, value))
         if not self.deaf:
             self.values[name] = value
 
-    def told_parameter(self, name):
+    def reported_parameter(self, name):
         return self.values.get(name)
 
 
@@ -131,7 +131,7 @@ def test_a_vehicle_that_ends_with_the_program_keeps_nothing():
 
 
 @pytest.mark.parametrize("content", ["", "[1]", '{"A": 1}', '{"A": [1, "x"]}', '"', "\x00"])
-def test_a_journal_that_cannot_be_read_is_told(journal, content):
+def test_a_journal_that_cannot_be_read_is_reported(journal, content):
     journal.parent.mkdir()
     journal.write_text(content)
     with pytest.raises(LinkError, match=r"cannot read .*vehicle\.json.*then remove it"):
@@ -168,3 +168,19 @@ def test_who_waits_and_who_listens_do_not_get_in_each_others_way(changed):
     both.values = table.values
     assert changes.put_back(both) == ()
     assert table.values == BEFORE
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        '{"FENCE_ENABLE": [NaN, 1]}', '{"FENCE_ENABLE": [1, Infinity]}', '{"FENCE_ENABLE": [1e999, 1]}',
+        '{"FENCE_ENABLE": [' + "9" * 400 + ', 1]}', '{"../x": [1, 2]}', '{"": [1, 2]}', '{"A B": [1, 2]}',
+        '{"THIS_NAME_IS_TOO_LONG": [1, 2]}', '{"FENCE_ENABLE": [1]}', '{"FENCE_ENABLE": 1}', "[1]",
+        "[" * 100000, "\x00",
+    ],
+)  # fmt: skip
+def test_a_journal_with_values_that_no_vehicle_has_is_refused(journal, content):
+    journal.parent.mkdir(parents=True, exist_ok=True)
+    journal.write_text(content)
+    with pytest.raises(LinkError, match="check them with a ground station"):
+        ParameterChanges(journal)

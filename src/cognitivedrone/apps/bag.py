@@ -60,7 +60,7 @@ class BagLog:
         """Number of steps and events missing from the bag because the disk was too slow or full."""
         self._ros = ros
         self._start_ns = time.time_ns()
-        self._said: dict[str, str] = {}
+        self._latest: dict[str, str] = {}
         self._waiting: queue.Queue[Step | Event | None] = queue.Queue(_QUEUED)
         self._stack = ExitStack()
         try:
@@ -120,8 +120,8 @@ class BagLog:
             return
         seen, status = item.observation, item.status
         for topic, text in ((INSTRUCTION, item.instruction), (DIRECTIVE, seen.instruction)):
-            if self._said.get(topic) != text:
-                self._said[topic] = text
+            if self._latest.get(topic) != text:
+                self._latest[topic] = text
                 yield topic, ros.text(text)
         yield FRAME, ros.frame(stamp, encode_image(seen.image, "jpeg"), "jpeg")
         yield CAMERA, ros.camera(stamp)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.plan import Options, PilotSpec, SafetySpec, Scenario, VehicleSpec
 from cognitivedrone.printable import unprintable
+from cognitivedrone.ranges import Amount, Index, Port, Range, Share
 
+TimeLimit = Annotated[float, Range(0.1, unit="s")]
 AUTO = "auto"
 """Suite name: choose a suite that shows what the instruction asks for."""
 
@@ -26,31 +28,32 @@ class FlyPlan(Options):
     pilot: PilotSpec = PilotSpec(reasoner="small")
     vehicle: VehicleSpec = VehicleSpec()
     safety: SafetySpec = SafetySpec()
-    episode: int | None = None
+    episode: Index | None = None
     """Task of the suite, from 0; by default the first, or, for an instruction of your own, the one that fits it best.
     The suite auto means open-v1:smoke, by default its task 27, or, for an instruction of your own, a suite that shows
     what it asks for."""
-    hold_below: float = 0.5
+    hold_below: Share = 0.5
     """Hover while the reasoner's certainty that the scene shows what is asked for is below this, 0 to 1; 0 never
     hovers."""
-    gates: int = 1
+    gates: Amount = 1
     """With mavlink: land after this many gates, by the pilot's own estimate; 0 flies on until the time limit."""
-    time_limit: float = 60.0
+    time_limit: TimeLimit = 60.0
     """Land after this many seconds of flight."""
     out: Path | None = None
-    """New folder for log and film; flights/DATE-TIME by default."""
+    """New folder for log, film and page; flights/DATE-TIME by default."""
     record: Literal["mcap"] | None = None
     """mcap: also write a ROS 2 bag, for Foxglove and ros2 bag; needs the extra ros."""
+    film: bool = True
+    """Make flight.mp4 and flight.html after the flight."""
+    page: bool = False
+    """Show the flight on a page of this machine's browser, too: what the pilot sees and thinks, and a box to speak."""
+    page_port: Port = 8090
+    """Port of the page; 0 picks a free one."""
     view: bool = True
     """Draw the live view if there is a terminal; otherwise print a line for each event."""
 
-    def __post_init__(self) -> None:
-        if not 0 < self.time_limit < float("inf"):
-            raise LinkError(f"--time-limit is {self.time_limit}; it must be above 0 seconds")
-        if self.gates < 0:
-            raise LinkError(f"--gates is {self.gates}; it must be at least 1, or 0 to fly on until the time limit")
-        if not 0 <= self.hold_below <= 1:
-            raise LinkError(f"--hold-below is {self.hold_below}; it must be from 0 to 1")
+    def check(self) -> None:
+        """Raise `LinkError` for an instruction, vehicle and camera that do not go together."""
         if problem := unprintable(self.instruction):
             raise LinkError(f"the instruction contains {problem}; leave that out")
         real, camera = self.vehicle.kind == "mavlink", self.safety.camera
@@ -72,12 +75,12 @@ class SimPlan(Options):
     """Serve a MAVLink vehicle that behaves like an ArduCopter. Required: there is no other protocol yet."""
     links: tuple[str, ...] = ("udpout:127.0.0.1:14550", "tcpin:127.0.0.1:5760")
     """Endpoints: udpout:HOST:PORT sends first; udpin and tcpin listen. There is no authentication."""
-    camera_port: int | None = None
+    camera_port: Port | None = None
     """Serve the first-person view as motion JPEG at this port of 127.0.0.1; 0 picks a free one."""
-    camera_hz: float = 20.0
+    camera_hz: Annotated[float, Range(0.1, 60, "Hz")] = 20.0
     """Camera frame rate, Hz of wall time."""
     scenario: Scenario = Scenario(suite="open-v1:smoke")
-    episode: int = 0
+    episode: Index = 0
     """Task of the suite, from 0."""
     speed: float = 1.0
     """Simulation speed relative to the wall clock, up to 100."""

@@ -43,7 +43,7 @@ def out_of_time(vehicle: Vehicle, seconds: float) -> Ending:
 
 def _judged(track: TrackRunner, instruction: str) -> Ending:
     flown = [
-        (result, task, not instruction or asks_the_same(instruction, task))
+        (result, task, instruction in ("", task.mission) or asks_the_same(instruction, task))
         for result, task in zip(track.results, track.track, strict=True)
         if result.outcome != "not_reached"
     ]
@@ -51,6 +51,10 @@ def _judged(track: TrackRunner, instruction: str) -> Ending:
     if any(result.outcome != "passed" and (judged or result.outcome not in _UNJUDGED) for result, _, judged in flown):
         return Ending("missed", text)
     return Ending("passed" if all(judged for *_, judged in flown) else "flown", text)
+
+
+def _pad(task: Task, index: int) -> str:
+    return f"{task.gates[index].color} pad"
 
 
 def _in_words(result: StageResult, task: Task, *, judged: bool) -> str:
@@ -61,6 +65,11 @@ def _in_words(result: StageResult, task: Task, *, judged: bool) -> str:
     if not judged and result.outcome == "false_alarm":
         return f"declined: no gate matches the instruction (you judge), after {result.time_s:.1f} s"
     gate = "no gate" if result.chosen is None else f"gate {result.chosen + 1}"
+    if task.landing and result.chosen is not None and result.outcome in ("passed", "wrong_gate"):
+        wanted = (
+            "" if result.outcome == "passed" or result.target is None else f", {_pad(task, result.target)} was right"
+        )
+        return f"landed on the {_pad(task, result.chosen)}{wanted}, after {result.time_s:.1f} s"
     right = "none was right" if result.target is None else f"the right one was {result.target + 1}"
     how = {
         "passed": f"through {gate}" if result.target is not None else "declined: no gate matches the instruction",

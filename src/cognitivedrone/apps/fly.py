@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import statistics
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack, closing
 from datetime import datetime
 from functools import partial
@@ -18,60 +19,94 @@ from rich.live import Live
 
 from cognitivedrone import terminal
 from cognitivedrone.apps.config import FlyPlan
-from cognitivedrone.apps.ending import ending_of, flown_by_estimate, out_of_time
+from cognitivedrone.apps.film import film_flight
 from cognitivedrone.apps.log import FlightLog, check_free
-from cognitivedrone.apps.orders import Keyboard, Orders, ending_on_signals, landing_on_interrupt
-from cognitivedrone.apps.scene import ChosenScene, choose_scene
-from cognitivedrone.apps.values import Ending, Instrument, Step, Summary
-from cognitivedrone.apps.view import Instruments, Printer
+from cognitivedrone.apps.mission import Mission, Recorder
+from cognitivedrone.apps.orders import Keyboard, Orders, ending_on_signals, landing_on_interrupt, readable
+from cognitivedrone.apps.request import Understanding
+from cognitivedrone.apps.scene import ChosenScene, choose_scene, own_names, plain_instruction
+from cognitivedrone.apps.values import Ending, Page, SteeredDrone, Summary
+from cognitivedrone.apps.view import Instruments, Printer, say
 from cognitivedrone.apps.watchdog import HUNG, Watchdog
-from cognitivedrone.control.async_reasoner import ThreadedReasoner
+from cognitivedrone.control.async_reasoner import SimulatedReasoner, ThreadedReasoner
 from cognitivedrone.control.hold import HeldDrone, Hold, HoldAwareReasoner, HoldRule
 from cognitivedrone.control.latency import TimedPolicy
-from cognitivedrone.control.loop import Segment, fly
+from cognitivedrone.control.loop import fly
 from cognitivedrone.control.passage import Passage, WatchedDrone
+from cognitivedrone.control.planning import Plans, plans_with
+from cognitivedrone.control.second_look import SecondLook
 from cognitivedrone.data.formats.bags import Ros
-from cognitivedrone.envs.track_runner import TrackConfig, episode_rng
-from cognitivedrone.errors import GroundTruthError
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
+from cognitivedrone.errors import GroundTruthError, NotUnderstood, ReasonerError
+from cognitivedrone.film.frame import Scene, scenes_of
+from cognitivedrone.interfaces import Drone, Reasoner
 from cognitivedrone.labels import load_pack
+from cognitivedrone.models.small_file import SmallModel
 from cognitivedrone.pilot import Pilot, open_pilot
+from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.sim.airframe import find_airframe
-from cognitivedrone.types import CONTROL_HZ, Action, Event, Guidance, Observation
+from cognitivedrone.tasks.missions import is_mission, lands, problem_of, sub_goals
+from cognitivedrone.types import CONTROL_HZ, Event
 from cognitivedrone.vehicles import check_vehicle, open_vehicle
-from cognitivedrone.vehicles.contract import ClockedDrone, Request, Vehicle
-from cognitivedrone.vehicles.mavlink.client.preflight import Checklist
+from cognitivedrone.vehicles.checklist import Checklist
+from cognitivedrone.vehicles.contract import ClockedDrone, Pace, Request, Vehicle
 
 CONFIRMATION = "arm"
 REDRAWN_HZ = 5
+SCENES = 24
+"""Maximum number of scenes that are made until the pilot can read one."""
+READ = 0.7
+"""Certainty from which the pilot can read a scene."""
 STOP_S, HOVER_M_S = 3.0, 0.2
 """After the last gate it has so long to stop; slower than this is a hover."""
+NO_PADS = "pads are landed on with --link sim only; say 'then land', and it lands where it is"
 
 
-def fly_mission(plan: FlyPlan, *, console: Console | None = None, keyboard: TextIO | None = None) -> Summary:
+def fly_mission(
+    plan: FlyPlan,
+    *,
+    console: Console | None = None,
+    keyboard: TextIO | None = None,
+    orders: Orders | None = None,
+    pace: Pace = "wall",
+    page: Page | None = None,
+    pilot: Pilot | None = None,
+    scene: ChosenScene | None = None,
+) -> Summary:
     """Fly according to the plan, and land; everything is recorded in `plan.out`.
 
-    `keyboard` supplies the confirmation and instructions, standard input by default. Raises one of the package's errors
-    if it cannot fly; a drone in the air is landed first.
+    `keyboard` supplies the confirmation and instructions, standard input by default; they come to the pilot through
+    `orders`. With the pace `lockstep`, in simulation, time stands still while the pilot thinks: the flight is the same
+    on every machine. A `page` shows the flight and may steer it. A `pilot` that is given stays open, and a `scene` that
+    is given is flown instead of one chosen for the instruction. Raises one of the package's errors if it cannot fly
+    (before anything else `RunError` if the keyboard cannot be read); a drone in the air is landed first.
     """
-    console, keyboard = console or terminal.console(), keyboard or sys.stdin
+    console, keyboard = console or terminal.console(), readable(keyboard or sys.stdin)
     out = plan.out or Path("flights") / datetime.now().strftime("%Y-%m-%d-%H%M%S")
-    orders = Orders()
+    check_free(out)
+    orders, scenes = orders or Orders(), tuple[Scene, ...]()
     with ExitStack() as stack:
         stack.enter_context(ending_on_signals())
         watchdog = stack.enter_context(Watchdog())
-        pilot = stack.enter_context(open_pilot(plan.pilot))
+        pilot = pilot or stack.enter_context(open_pilot(plan.pilot))
         ros = Ros() if plan.record == "mcap" else None
-        check_free(out)
-        scene = None if plan.vehicle.kind == "mavlink" else choose_scene(plan)
+        understanding = Understanding(own_names(plan.scenario.labels), _words_of(pilot))
+        given = scene is not None
+        if scene is None:
+            plan, scene = _scene(plan, understanding, console, keyboard)
+        plans = _planned(plan, pilot, scene)
         log, summary, error = None, None, ""
         try:
-            with closing(_open(plan, out)) as vehicle:
+            with closing(_open(plan, out, pace)) as vehicle:
                 if scene is not None:
-                    vehicle.begin(scene.track, episode_rng(scene.suite.digest, scene.episode, plan.scenario.seed))
-                    console.print(scene.told, markup=False, highlight=False, soft_wrap=True)
-                log = FlightLog(out, _about(plan, scene), ros)
+                    scene = _begin(plan, vehicle, pilot, scene, understanding, given=given)
+                    say(console, scene.summary)
+                log = FlightLog(out, _about(plan, scene), ros, pilot.reasoner)
                 with watchdog.over(vehicle, partial(log.close, None)):
-                    summary = _fly(plan, vehicle, pilot, log, orders, console, keyboard)
+                    plain = functools.cache(partial(plain_instruction, understanding, scene))
+                    summary = _fly(plan, vehicle, pilot, log, orders, console, keyboard, plain, pace, page, plans)
+                if vehicle.track_runner is not None:
+                    scenes = scenes_of(vehicle.track_runner)
         except BaseException as stop:
             error = str(stop) or type(stop).__name__
             raise
@@ -79,10 +114,90 @@ def fly_mission(plan: FlyPlan, *, console: Console | None = None, keyboard: Text
             if log is not None:
                 log.close(summary, error)
             watchdog.leaving(HUNG if summary is None else summary.exit_code)
+    if plan.film:
+        film_flight(plan, log, scenes, summary, console)
     return summary
 
 
-def _open(plan: FlyPlan, out: Path) -> Vehicle:
+def _words_of(pilot: Pilot) -> Collection[str]:
+    """The words that a pilot knows: they are no typing errors."""
+    model = getattr(pilot.policy, "model", None)
+    return model.words if isinstance(model, SmallModel) else frozenset()
+
+
+def _scene(
+    plan: FlyPlan, understanding: Understanding, console: Console, keyboard: TextIO
+) -> tuple[FlyPlan, ChosenScene | None]:
+    """The scene, and the plan with its instruction: at a terminal, one that names nothing is asked for again."""
+    goals = sub_goals(plan.instruction)
+    if plan.vehicle.kind == "mavlink" and is_mission(goals):
+        if problem := problem_of(goals):
+            raise NotUnderstood(f"the mission {problem}")
+        if any(lands(goal.instruction)[1] for goal in goals):
+            raise NotUnderstood(NO_PADS)
+    while plan.vehicle.kind != "mavlink":
+        try:
+            return plan, choose_scene(plan, understanding)
+        except NotUnderstood as error:
+            if not keyboard.isatty():
+                raise
+            say(console, f"{error}\nsay it in other words; an empty line ends:")
+            if not (typed := keyboard.readline().strip()):
+                raise
+            plan = plan.changed(instruction=typed)
+    return plan, None
+
+
+def _planned(plan: FlyPlan, pilot: Pilot, scene: ChosenScene | None) -> Plans:
+    """The sub-goals of what is asked for before take-off: the reasoner's own, if it plans and this is a mission."""
+    of_scene = None if scene is None else scene.track[0].mission
+    mission = plan.instruction or of_scene or ""
+    if plan.vehicle.kind != "sim" and scene is not None and any(task.landing for task in scene.track):
+        raise NotUnderstood(NO_PADS)  # the floor of the vehicle's fence is above them
+    if not mission or not (mission == of_scene or is_mission(sub_goals(mission))):
+        return sub_goals
+    try:
+        return plans_with(pilot.reasoner, mission)
+    except ReasonerError as error:
+        raise NotUnderstood(f"the mission was not planned: {error}; say it in other words") from None
+
+
+def _begin(
+    plan: FlyPlan, vehicle: Vehicle, pilot: Pilot, scene: ChosenScene, understanding: Understanding, *, given: bool
+) -> ChosenScene:
+    """Begin in the scene, or, where it was made, in the first of some alike that the pilot can read from the start."""
+    reasoner, track = pilot.reasoner, vehicle.track_runner
+    made = scene.instruction and plan.vehicle.kind == "sim" and not given
+    if not made or track is None or not isinstance(reasoner, SmallReasoner):
+        _place(plan, vehicle, scene)
+        return scene
+    best = (-1.0, 0)
+    for attempt in range(SCENES):
+        tried = choose_scene(plan, understanding, attempt)
+        _place(plan, vehicle, tried)
+        best = max(best, (certainty(reasoner.fork(), track, tried.instruction), -attempt))
+        if best[0] >= READ:
+            return tried
+    chosen = choose_scene(plan, understanding, -best[1])
+    _place(plan, vehicle, chosen)
+    return chosen
+
+
+def _place(plan: FlyPlan, vehicle: Vehicle, scene: ChosenScene) -> None:
+    vehicle.begin(scene.track, episode_rng(scene.suite.digest, scene.episode, plan.scenario.seed))
+
+
+def certainty(reasoner: Reasoner, track_runner: TrackRunner, instruction: str) -> float:
+    """How surely a reasoner without memory finds the right gate in the view of now; 0 if it finds another or none."""
+    try:
+        found = reasoner.refine(track_runner.world.frame(), instruction)
+    except ReasonerError:
+        return 0.0
+    right = found.gate == track_runner.task.target
+    return found.confidence * (1.0 if found.present is None else found.present) * right
+
+
+def _open(plan: FlyPlan, out: Path, pace: Pace) -> Vehicle:
     """The vehicle of a plan; its scene has no time limit, since a person ends the flight."""
     scenario = plan.scenario
     check_vehicle(plan.vehicle, scenario)
@@ -92,7 +207,7 @@ def _open(plan: FlyPlan, out: Path) -> Vehicle:
             load_pack(scenario.labels),
             find_airframe(scenario.airframe),
             TrackConfig.of(scenario, time_limit_s=math.inf),
-            pace="wall",
+            pace=pace,
             safety=plan.safety,
             folder=out,
         )
@@ -107,6 +222,10 @@ def _fly(
     orders: Orders,
     console: Console,
     keyboard: TextIO,
+    plain: Callable[[str], str | None],
+    pace: Pace,
+    page: Page | None,
+    plans: Plans,
 ) -> Summary:
     """Take off, fly and land."""
     _check_truth(vehicle, pilot)
@@ -115,7 +234,14 @@ def _fly(
     drone = vehicle.take_off(lambda checklist: _confirm(checklist, vehicle, console, keyboard))
     hold = Hold(HoldRule(below=plan.hold_below))
     passage = Passage() if vehicle.track_runner is None else None
-    mission = _Mission(plan, vehicle, orders, drone.now, hold, passage)
+    flown: Drone = drone if page is None else SteeredDrone(drone, page)
+    if page is not None:
+        page.begin(vehicle, pilot, plans)
+    if passage is not None:
+        flown = WatchedDrone(flown, passage)
+    looks = vehicle.track_runner is not None and pilot.reasoner is not None and plan.hold_below > 0
+    flown = SecondLook(flown, hold) if looks else HeldDrone(flown, hold)
+    mission = Mission(plan, vehicle, orders, drone.now, hold, passage, plain, flown, plans)
     timed = TimedPolicy(pilot.policy)
     with ExitStack() as stack:
         stack.enter_context(landing_on_interrupt(orders))
@@ -126,14 +252,20 @@ def _fly(
                 f"{plan.pilot.policy} + {plan.pilot.reasoner} on {plan.vehicle.link}", lambda: keys.typed
             )
             stack.enter_context(Live(shown, console=console, refresh_per_second=REDRAWN_HZ))
-        recorder = _Recorder((log, shown), mission, vehicle, timed, hold)
+        instruments = (log, shown) if page is None else (log, shown, page)
+        recorder = Recorder(instruments, mission, vehicle, timed, hold)
         async_reasoner = (
-            HoldAwareReasoner(ThreadedReasoner(pilot.reasoner), hold) if pilot.reasoner is not None else None
+            None
+            if pilot.reasoner is None
+            else HoldAwareReasoner(
+                ThreadedReasoner(pilot.reasoner) if pace == "wall" else SimulatedReasoner(pilot.reasoner), hold
+            )
         )
         try:
-            flown = HeldDrone(drone if passage is None else WatchedDrone(drone, passage), hold)
-            steps = fly(flown, timed, drone, mission, reasoner=async_reasoner, recorder=recorder, real_time=True)
-            ending, seconds = mission.ending or Ending("told", ""), drone.now()
+            steps = fly(
+                flown, timed, drone, mission, reasoner=async_reasoner, recorder=recorder, real_time=pace == "wall"
+            )
+            ending, seconds = mission.ending or Ending("ordered", ""), drone.now()
             if ending.kind in ("passed", "flown") and plan.vehicle.kind != "sim":
                 _stop(drone)
             recorder.note(Event(seconds, "over", ending.reason))
@@ -142,9 +274,11 @@ def _fly(
         finally:
             if async_reasoner is not None:
                 async_reasoner.close()
+    track = vehicle.track_runner
     return Summary(
-        ending, steps, seconds, recorder.late, _spread_ms(timed.took_s), _spread_ms(recorder.answers_s), log.out
-    )
+        ending, steps, seconds, recorder.late, _spread_ms(timed.took_s), _spread_ms(recorder.answers_s), log.out,
+        track=track.track if track else (), results=tuple(track.results) if track else (),
+    )  # fmt: skip
 
 
 def _stop(drone: ClockedDrone) -> None:
@@ -155,89 +289,6 @@ def _stop(drone: ClockedDrone) -> None:
         drone.sleep_until(drone.now() + 1 / CONTROL_HZ)
 
 
-class _Mission:
-    """The current segment: the latest typed instruction, else the command's, else the scene's."""
-
-    def __init__(
-        self,
-        plan: FlyPlan,
-        vehicle: Vehicle,
-        orders: Orders,
-        now: Callable[[], float],
-        hold: Hold,
-        passage: Passage | None,
-    ) -> None:
-        self.segment: Segment | None = None
-        self.ending: Ending | None = None
-        self._plan, self._vehicle, self._orders, self._now, self._hold = plan, vehicle, orders, now, hold
-        self._passage = passage
-
-    def __call__(self) -> Segment | None:
-        count, typed = self._orders.given
-        instruction = typed or self._plan.instruction
-        gates = self._passage.gates if self._passage is not None else 0
-        self.ending = (
-            self._orders.ending
-            or ending_of(self._vehicle, instruction.strip())
-            or flown_by_estimate(gates, self._plan.gates)
-        )
-        if self.ending is None and self._now() >= self._plan.time_limit:
-            self.ending = out_of_time(self._vehicle, self._plan.time_limit)
-            if self._hold.active:
-                self.ending = Ending("unsure", f"{self.ending.reason}; it hovered, only {_doubt(self._hold)}")
-        if self.ending is not None:
-            return None
-        track = self._vehicle.track_runner
-        index, truth = (track.index, track.truth()) if track is not None else (gates, None)
-        of_scene = truth.task.instruction if truth is not None else ""
-        self._hold.begin(index + count)
-        self.segment = Segment(index + count, instruction or of_scene, truth)
-        return self.segment
-
-
-class _Recorder:
-    """Combines the loop's reports with the vehicle's status, and passes them to the instruments."""
-
-    def __init__(
-        self, instruments: Sequence[Instrument], mission: _Mission, vehicle: Vehicle, timed: TimedPolicy, hold: Hold
-    ) -> None:
-        self.late = 0
-        self.answers_s: list[float] = []
-        self._instruments, self._mission, self._vehicle, self._timed = instruments, mission, vehicle, timed
-        self._decisions = 0
-        self._decision = "fly"
-        self._hold, self._held = hold, False
-
-    def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:
-        segment, status = self._mission.segment, self._vehicle.status()
-        if segment is None:
-            return
-        if status.decision != self._decision:
-            self._decision = status.decision
-            self.note(Event(observation.time, "guard", f"{status.decision}: {status.reason}".rstrip(": ")))
-        if self._hold.active != self._held:
-            self._held = self._hold.active
-            told = f"{'hovering' if self._held else 'flying on'}, {_doubt(self._hold)}"
-            self.note(Event(observation.time, "hold" if self._held else "sure", told))
-        thought = self._timed.took_s[-1] if len(self._timed.took_s) > self._decisions else None
-        self._decisions = len(self._timed.took_s)
-        step = Step(
-            observation.time, segment.index, segment.instruction, observation, action, guidance, thought, status
-        )
-        for instrument in self._instruments:
-            instrument.step(step)
-
-    def note(self, event: Event) -> None:
-        self.late += event.kind == "late"
-        track = self._vehicle.track_runner
-        if event.kind in ("declined", "resumed") and track is not None:
-            track.decline(event.kind == "declined")
-        if event.kind in ("adopted", "agreed", "kept") and event.age_s is not None:
-            self.answers_s.append(event.age_s)
-        for instrument in self._instruments:
-            instrument.event(event)
-
-
 def _check_truth(vehicle: Vehicle, pilot: Pilot) -> None:
     for kind, part in (("policy", pilot.policy), ("reasoner", pilot.reasoner)):
         if vehicle.track_runner is None and part is not None and part.needs_ground_truth:
@@ -246,23 +297,24 @@ def _check_truth(vehicle: Vehicle, pilot: Pilot) -> None:
 
 def _confirm(checklist: Checklist, vehicle: Vehicle, console: Console, keyboard: TextIO) -> bool:
     """Show the checklist; for what may be a real drone, a person must confirm it."""
-    console.print(str(checklist), markup=False, highlight=False, soft_wrap=True)
+    say(console, str(checklist))
     if vehicle.simulated:
         return True
     console.print(f"type {CONFIRMATION!r} to arm and take off, anything else to stop: ", end="", highlight=False)
-    return keyboard.readline().strip() == CONFIRMATION
-
-
-def _doubt(hold: Hold) -> str:
-    """The pilot's certainty, as text."""
-    return f"{hold.sure:.0%} sure that the scene shows what is asked for"
+    try:
+        typed = keyboard.readline()
+    except UnicodeDecodeError:  # bytes that are no text
+        typed = ""
+    if not typed.endswith("\n"):
+        console.print()
+    return typed.strip() == CONFIRMATION
 
 
 def _about(plan: FlyPlan, scene: ChosenScene | None) -> dict[str, object]:
     """The log's description of how the flight was made."""
     about: dict[str, object] = {"config": plan.values()}
     if scene is not None:
-        about["scene"] = {"suite": scene.suite.name, "episode": scene.episode, "told": scene.told}
+        about["scene"] = {"suite": scene.suite.name, "episode": scene.episode, "summary": scene.summary}
     return about | {"began": datetime.now().isoformat()}
 
 

@@ -1,10 +1,10 @@
-"""The log of one flight: every control step and event, and a film of the camera.
+"""The log of one flight: every control step and event, and a recording of the camera.
 
 | file | |
 |---|---|
 | `steps.parquet` | one row per control step: state, command, latency, decision (`STEP_COLUMNS`) |
 | `events.parquet` | segments, answers of the reasoner, missed deadlines, decisions of the guard (`EVENT_COLUMNS`) |
-| `flight.mp4` | the frames at the times when they were used; readable even if it is incomplete |
+| `camera.mp4` | the frames at the times when they were used; readable even if it is incomplete |
 | `flight.tlog` | for a MAVLink vehicle: everything received and sent, for ground stations |
 | `bag/` | on request: a ROS 2 bag (`apps/bag.py`) |
 | `flight.json` | the options of the flight and how it ended |
@@ -15,8 +15,9 @@ from __future__ import annotations
 import json
 import queue
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -31,10 +32,15 @@ from cognitivedrone.apps.values import Step, Summary
 from cognitivedrone.data.formats.bags import Ros
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import writing
-from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Event, Image
+from cognitivedrone.film.frame import FilmFrame
+from cognitivedrone.film.video import read_mp4
+from cognitivedrone.frames import quaternion_from_yaw
+from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.printable import without_logins
+from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Event, Image, SeenPanel
 
-STEPS_FILE, EVENTS_FILE, FILM_FILE, BAG_FOLDER, ABOUT_FILE = (
-    "steps.parquet", "events.parquet", "flight.mp4", "bag", "flight.json"
+STEPS_FILE, EVENTS_FILE, CAMERA_FILE, BAG_FOLDER, ABOUT_FILE = (
+    "steps.parquet", "events.parquet", "camera.mp4", "bag", "flight.json"
 )  # fmt: skip
 _NUMBERS = (
     "time_s", "x_m", "y_m", "z_m", "yaw_rad", "vx_m_s", "vy_m_s", "vz_m_s", "height_m", "yaw_rate_rad_s",
@@ -44,7 +50,7 @@ _NUMBERS = (
 STEP_COLUMNS = pa.schema(
     [
         *((name, pa.float64()) for name in _NUMBERS),
-        ("leg", pa.int32()),
+        ("segment", pa.int32()),
         ("armed", pa.bool_()),
         *((name, pa.string()) for name in ("instruction", "directive", "mode", "decision", "reason")),
     ]
@@ -54,6 +60,7 @@ EVENT_COLUMNS = pa.schema(
     [("time_s", pa.float64()), ("kind", pa.string()), ("text", pa.string()), ("age_s", pa.float64())]
 )
 _TICKS_PER_S = 1000
+_NO_IMAGE = np.empty((0, 0, 3), np.uint8)
 _QUEUED = 5 * CONTROL_HZ
 
 
@@ -61,35 +68,49 @@ class FlightLog:
     """Writes to a new folder. Always call `close`: the tables are written then.
 
     A thread encodes the film: a slow disk drops frames (`dropped`) but never delays a command. With `ros`, a bag is
-    written as well. Raises `RunError` if the folder cannot be written or already contains a flight.
+    written as well; what the `reasoner` reads goes into the film. Raises `RunError` if the folder cannot be written or
+    already contains a flight.
     """
 
-    def __init__(self, out: Path, about: Mapping[str, Any], ros: Ros | None = None) -> None:
+    def __init__(
+        self, out: Path, about: Mapping[str, Any], ros: Ros | None = None, reasoner: Reasoner | None = None
+    ) -> None:
         self.out = out
+        self._reasoner = reasoner
         self.dropped = 0
         """Number of frames missing from the film because the disk was too slow or full."""
         self._about = dict(about)
+        self.events: list[Event] = []
         self._steps: list[dict[str, Any]] = []
-        self._events: list[dict[str, Any]] = []
+        self._filmed: list[FilmFrame] = []
+        """The steps whose frames are in the recording, without images."""
         check_free(out)
         _make(out)
         with writing(out, RunError, "give another folder with --out"):
             (out / ABOUT_FILE).write_text(json.dumps(self._about, indent=2, default=str) + "\n")
             self._bag = None if ros is None else BagLog(out / BAG_FOLDER, ros, self._about)
-            self._film = _Film(out / FILM_FILE)
+            self._film = _Film(out / CAMERA_FILE)
 
     def step(self, step: Step) -> None:
         """Record a control step."""
         self._steps.append(_row(step))
-        self.dropped += not self._film.add(step.time, step.observation.image)
+        if self._film.add(step.time, step.observation.image):
+            self._filmed.append(_film_frame(step, () if self._reasoner is None else self._reasoner.seen))
+        else:
+            self.dropped += 1
         if self._bag is not None:
             self._bag.step(step)
 
     def event(self, event: Event) -> None:
         """Record an event."""
-        self._events.append({"time_s": event.time, "kind": event.kind, "text": event.text, "age_s": event.age_s})
+        self.events.append(event)
         if self._bag is not None:
             self._bag.event(event)
+
+    def frames(self) -> Iterator[FilmFrame]:
+        """The flight for a film, after `close`; the images are read from the recording."""
+        for frame, image in zip(self._filmed, read_mp4(self.out / CAMERA_FILE), strict=False):
+            yield replace(frame, image=image)
 
     def close(self, summary: Summary | None = None, error: str = "") -> None:
         """Write everything, and how the flight ended, if known."""
@@ -101,7 +122,10 @@ class FlightLog:
 
     def _write_tables(self, summary: Summary | None, error: str) -> None:
         pq.write_table(pa.Table.from_pylist(self._steps, STEP_COLUMNS), self.out / STEPS_FILE)
-        pq.write_table(pa.Table.from_pylist(self._events, EVENT_COLUMNS), self.out / EVENTS_FILE)
+        events = [
+            {"time_s": e.time, "kind": e.kind, "text": without_logins(e.text), "age_s": e.age_s} for e in self.events
+        ]
+        pq.write_table(pa.Table.from_pylist(events, EVENT_COLUMNS), self.out / EVENTS_FILE)
         ended: dict[str, Any] = {"steps": len(self._steps), "frames_dropped": self.dropped, "error": error or None}
         if self._bag is not None:
             ended["dropped_from_bag"] = self._bag.dropped
@@ -112,11 +136,25 @@ class FlightLog:
                 "seconds": round(summary.seconds, 3),
                 "late": summary.late,
             }
-        (self.out / ABOUT_FILE).write_text(json.dumps({**self._about, "end": ended}, indent=2, default=str) + "\n")
+        text = json.dumps({**self._about, "end": ended}, indent=2, default=str)
+        (self.out / ABOUT_FILE).write_text(without_logins(text) + "\n")
+
+
+def _film_frame(step: Step, seen_panels: Sequence[SeenPanel]) -> FilmFrame:
+    status, seen = step.status, step.observation
+    attitude = status.quaternion
+    if attitude is None and not np.isnan(status.yaw):
+        attitude = quaternion_from_yaw(status.yaw)
+    return FilmFrame(
+        _NO_IMAGE, seen.instruction, step.guidance, step.sent, step.time, step.stage, step.instruction,
+        status.position, attitude, tuple(seen_panels),
+    )  # fmt: skip
 
 
 def check_free(out: Path) -> None:
-    """Raise `RunError` if a folder already contains a flight."""
+    """Raise `RunError` if a folder already contains a flight, or is a file."""
+    if out.exists() and not out.is_dir():
+        raise RunError(f"{out} is a file; give a folder with --out")
     if (out / ABOUT_FILE).exists():
         raise RunError(f"{out} already contains a flight; give another folder with --out")
 
@@ -137,7 +175,7 @@ def _row(step: Step) -> dict[str, Any]:
         guidance.confidence if guidance else None, status.frame_age_s, status.link_age_s, step.policy_s, status.battery,
     )  # fmt: skip
     return dict(zip(_NUMBERS, numbers, strict=True)) | {
-        "leg": step.segment,
+        "segment": step.segment,
         "armed": status.armed,
         "instruction": step.instruction,
         "directive": guidance.directive if guidance else None,

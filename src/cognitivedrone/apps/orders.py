@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import fcntl
 import os
 import select
 import signal
@@ -16,6 +17,7 @@ from types import FrameType
 from typing import TextIO
 
 from cognitivedrone.apps.values import Ending
+from cognitivedrone.errors import RunError
 
 LAND = frozenset({"land", "stop"})
 ENDED: dict[int, str] = {
@@ -23,6 +25,7 @@ ENDED: dict[int, str] = {
 }  # fmt: skip
 LONGEST = 500
 """Maximum length of an instruction in characters; the rest is dropped."""
+_WAY_OUT = "fly reads instructions from it: run it in a terminal's foreground, or give it a pipe or </dev/null"
 _BACKSPACE, _LINE_ENDS = ("\x7f", "\b"), ("\n", "\r")
 
 
@@ -48,7 +51,7 @@ class Orders:
         """Process a line: "land" lands, any other non-blank line is a new instruction."""
         line = " ".join(line.split())[:LONGEST]
         if line.casefold() in LAND:
-            self.land(Ending("told", f"{line!r} was typed"))
+            self.land(Ending("ordered", f"{line!r} was typed"))
         elif line:
             self._given = (self._given[0] + 1, line)
 
@@ -120,6 +123,35 @@ def _leave_terminal(number: int) -> None:
         os.close(nowhere)
 
 
+def readable(stream: TextIO | None) -> TextIO:
+    """The stream, where `Keyboard` will be able to read it: asked before the flight. Raises `RunError`."""
+    if stream is None or stream.closed:
+        raise RunError(f"standard input is closed; {_WAY_OUT}")
+    try:
+        file = stream.fileno()
+    except OSError:  # no file descriptor: nothing is typed
+        return stream
+    try:
+        if fcntl.fcntl(file, fcntl.F_GETFL) & os.O_ACCMODE == os.O_WRONLY:
+            raise RunError(f"standard input can only be written; {_WAY_OUT}")
+        if os.isatty(file):
+            termios.tcgetattr(file)
+            # Its settings are changed for the flight, for which the kernel stops a job in the background.
+            if _in_background(file):
+                raise RunError(f"standard input is a terminal that another job has; {_WAY_OUT}")
+    except (OSError, termios.error) as error:
+        raise RunError(f"standard input cannot be read ({error.args[-1]}); {_WAY_OUT}") from None
+    return stream
+
+
+def _in_background(terminal: int) -> bool:
+    """Whether this process is a background job of the terminal; one that does not control it is none."""
+    try:
+        return os.tcgetpgrp(terminal) != os.getpgrp()
+    except OSError:
+        return False
+
+
 class Keyboard:
     """Reads lines in a thread, from a terminal or a pipe. Use it as a context manager.
 
@@ -130,7 +162,7 @@ class Keyboard:
     def __init__(self, stream: TextIO, update: Callable[[str], None]) -> None:
         self.typed = ""
         """The line so far."""
-        self._hear = update
+        self._update = update
         self._stopping = threading.Event()
         self._before: list[object] | None = None
         try:
@@ -142,8 +174,9 @@ class Keyboard:
     def __enter__(self) -> Keyboard:
         if self._file >= 0:
             if os.isatty(self._file):
-                self._before = termios.tcgetattr(self._file)
-                tty.setcbreak(self._file)
+                with suppress(termios.error):  # one that has gone meanwhile: the flight goes on without
+                    self._before = termios.tcgetattr(self._file)
+                    tty.setcbreak(self._file)
             self._thread.start()
         return self
 
@@ -174,7 +207,7 @@ class Keyboard:
         if key in _LINE_ENDS:
             line, self.typed = self.typed, ""
             if line:
-                self._hear(line)
+                self._update(line)
         elif key in _BACKSPACE:
             self.typed = self.typed[:-1]
         elif key.isprintable() and len(self.typed) < LONGEST:

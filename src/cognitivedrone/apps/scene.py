@@ -2,24 +2,38 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from pathlib import Path
+
+import numpy as np
 
 from cognitivedrone.apps.config import AUTO, FlyPlan
-from cognitivedrone.reasoners.calculator import calculate
-from cognitivedrone.tasks import Suite, load_suite, track_at
-from cognitivedrone.tasks.matching import Match, best_scene, made_scene
+from cognitivedrone.apps.lexicon import spoken
+from cognitivedrone.apps.request import Request, Understanding
+from cognitivedrone.errors import NotUnderstood
+from cognitivedrone.labels import FolderPack, load_pack
+from cognitivedrone.tasks import Suite, track_at, vocabulary
+from cognitivedrone.tasks.facts import KIND_OF
+from cognitivedrone.tasks.generate import Draw, Panel, Puzzle
+from cognitivedrone.tasks.human import cast_portrait, person_lacking, person_with, touched_parts
+from cognitivedrone.tasks.matching import Match, best_scene
+from cognitivedrone.tasks.mission_tasks import landing_task
+from cognitivedrone.tasks.missions import is_mission, lands, problem_of, sub_goals
+from cognitivedrone.tasks.people import TRAIN_CAST
 from cognitivedrone.tasks.scenario import suite_of
-from cognitivedrone.tasks.suites import TRAIN_NAME, suite_of_tasks
-from cognitivedrone.types import Task, Track
+from cognitivedrone.tasks.suites import drawn_task, suite_of_tasks, suite_of_tracks
+from cognitivedrone.tasks.symbols import RIVALS, distinct_animals
+from cognitivedrone.types import COLORS, Gate, SubGoal, Task, Track
 
 DEFAULT = "open-v1:smoke"
 DEFAULT_EPISODE = 27
 """Flown where nothing is asked for; unlike the first one, the packaged pilot is sure of it."""
-SEARCHED = "open-v1:test"
-"""The suite that is searched first."""
-TRAINED = 2000
-"""Number of tasks of the training suite that are searched next."""
+MADE = "a scene made for this flight"
+_FAMILY_OF = {"letter": "letters", "number": "digits", "logo": "logos", "animal": "animals", "person": "attributes"}
+_DRAWS = 2000
+"""Maximum number of scenes that are drawn for one whose gates look and stand as asked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +42,10 @@ class ChosenScene:
 
     suite: Suite
     episode: int
-    told: str
+    summary: str
     """Description and reason of the choice, one line for the user."""
+    instruction: str = ""
+    """The instruction of the pilot, if that is not the user's sentence: the same in plain words."""
 
     @property
     def track(self) -> Track:
@@ -37,72 +53,278 @@ class ChosenScene:
         return track_at(self.suite, self.episode)
 
 
-def choose_scene(plan: FlyPlan) -> ChosenScene:
-    """The scene of a simulated flight.
+def choose_scene(plan: FlyPlan, understanding: Understanding | None = None, attempt: int = 0) -> ChosenScene:
+    """The scene of a simulated flight; of a scene that is made, each attempt from 0 is another one.
 
     With --episode, that episode. Otherwise, for an instruction of the user's own, a scene that shows what it asks for:
-    from the given suite or task file; else from `SEARCHED`; else made for it, if it names a thing; else from the
-    training suite. Otherwise the first episode of the given suite or task file, or else `DEFAULT_EPISODE`. Raises
-    `TaskError`.
+    from the given suite or task file, or else made for it. Otherwise the first episode of the given suite or task file,
+    a scene of the given folder of pictures, or `DEFAULT_EPISODE`. Raises `TaskError`, and `NotUnderstood` for an
+    instruction that names nothing that there is.
     """
     scenario, seed = plan.scenario, plan.scenario.seed
     named = scenario.suite != AUTO or scenario.tasks is not None
     asked = plan.instruction.strip()
-    first = 0 if named or asked else DEFAULT_EPISODE
-    episode = first if plan.episode is None else plan.episode
-    suite = suite_of(scenario if named else scenario.changed(suite=DEFAULT), episode + 1)
-    if plan.episode is not None or not asked:
-        return _named(suite, episode)
-    calculated = calculate(asked)
-    wanted = asked if calculated is None else f"the number {calculated}"
-    best = _best(wanted, suite if named else load_suite(SEARCHED), seed)
-    if not named and (best is None or not best[2].complete):
-        made = made_scene(wanted, seed)
-        if made is not None:
-            scene = _named(suite_of_tasks("a suite made for this flight", [replace(made, instruction=asked)]), 0)
-            return replace(scene, told=f"{scene.told}; made because no task of {SEARCHED} shows all of it")
-        best = _better(best, _best(wanted, load_suite(TRAIN_NAME, size=TRAINED, seed=seed), seed))
-    if best is None:
-        scene = _named(suite, 0)
-        return replace(scene, told=f"no scene was found that shows what {asked!r} asks for; {scene.told}")
-    suite, episode, match = best
-    scene = _named(suite, episode)
-    return replace(scene, told=f"{scene.told}; chosen because {_why(match, scene.track[0])}")
+    own = own_names(scenario.labels)
+    if named or plan.episode is not None or not (asked or own):
+        first = 0 if named or asked else DEFAULT_EPISODE
+        episode = first if plan.episode is None else plan.episode
+        suite = suite_of(scenario if named else scenario.changed(suite=DEFAULT), episode + 1)
+        if not asked or plan.episode is not None:
+            return named_scene(suite, episode)
+        found = best_scene(asked, [track[0] for track in suite.tracks], seed)
+        if found is None:
+            raise NotUnderstood(f"no scene of {suite.name} shows what {asked!r} asks for; name one with --episode")
+        return replace(named_scene(suite, found[0]), summary=_why(found[1], named_scene(suite, found[0])))
+    understanding = understanding or Understanding(own)
+    if asked and is_mission(goals := sub_goals(asked)):
+        return _mission_scene(asked, goals, understanding, (seed, attempt), own)
+    request = understanding.understand(asked) if asked else Request("", min(own.values(), key=min))
+    if not request.understood:
+        raise NotUnderstood(not_understood(request, understanding))
+    task = made_task(request, (seed, attempt), frozenset().union(*own.values()))
+    scene = named_scene(suite_of_tasks(MADE, [task]), 0)
+    meant = _meant(request, task)
+    return replace(scene, summary=f"{scene.summary}; understood as {meant!r}", instruction=f"Fly through {meant}")
 
 
-_Found: TypeAlias = tuple[Suite, int, Match]
+def _mission_scene(
+    asked: str,
+    goals: Sequence[SubGoal],
+    understanding: Understanding,
+    seed: tuple[int, int],
+    own: Mapping[str, frozenset[str]],
+) -> ChosenScene:
+    """A track with a stage for every sub-goal of a mission; a landing without a pad has none."""
+    if problem := problem_of(goals):
+        raise NotUnderstood(f"the mission {problem}")
+    rng = np.random.default_rng([*seed, 5])
+    tasks: list[Task] = []
+    summary, plain = [], ""
+    for number, goal in enumerate(goals):
+        if goal.kind == "land":
+            summary.append(goal.instruction.lower())
+            pad = lands(goal.instruction)[1]
+            if pad is not None:
+                task = landing_task(pad, int(rng.integers(3)), COLORS, f"made/{seed[0]}-{seed[1]}-pad")
+                tasks.append(replace(task, mission=asked))
+            continue
+        request = understanding.understand(goal.instruction)
+        if not request.understood:
+            raise NotUnderstood(f"of sub-goal {number + 1}, {not_understood(request, understanding)}")
+        for again in range(_DRAWS):
+            task = made_task(
+                request, (seed[0], seed[1] + 100 * number + 10_000 * again), frozenset().union(*own.values())
+            )
+            if task.target is None or task.gates[task.target].color not in goal.avoid:
+                break
+        meant = _meant(request, task)
+        plain = plain or f"Fly through {meant}"
+        summary.append(meant)
+        tasks.append(replace(task, instruction=goal.instruction, mission=asked))
+    if not tasks:
+        raise NotUnderstood(f"{asked!r} names no gate to fly through and no pad; say what to fly to first")
+    suite = suite_of_tracks(MADE, [tuple(tasks)])
+    steps = "; ".join(f"{number}. {each}" for number, each in enumerate(summary, 1))
+    return replace(named_scene(suite, 0), summary=f"mission: {steps}", instruction=plain)
 
 
-def _best(wanted: str, suite: Suite, seed: int) -> _Found | None:
-    """The episode of a suite whose first task fits best; none if none fits."""
-    found = best_scene(wanted, [track[0] for track in suite.tracks], seed)
-    return None if found is None else (suite, *found)
+def plain_instruction(understanding: Understanding, scene: ChosenScene | None, sentence: str) -> str | None:
+    """The instruction of the pilot for the user's sentence, "" at first; none where that is not understood.
+
+    In a scene that was made for the user's words: the same in plain words. Elsewhere, the sentence itself.
+    """
+    if scene is None or not scene.instruction or lands(sentence)[0]:
+        return sentence
+    if sentence in ("", scene.track[0].instruction):
+        return scene.instruction
+    request = understanding.understand(sentence)
+    if not request.understood:
+        return None
+    return sentence if len(request.labels) > 1 and not request.plain else f"Fly through {_meant(request)}"
 
 
-def _better(a: _Found | None, b: _Found | None) -> _Found | None:
-    if a is None or b is None:
-        return a or b
-    return b if b[2].better_than(a[2]) else a
+def not_understood(request: Request, understanding: Understanding) -> str:
+    """A sentence that says what was not understood, and what is nearest to it."""
+    if request.note:
+        return f"{request.note}; ask for something else, such as 'fly to the dog'"
+    if not request.unknown:
+        return (
+            f"{request.sentence!r} names nothing that a gate could show; say what to fly to, such as 'fly to the dog'"
+        )
+    words = " and ".join(map(repr, request.unknown[:4]))
+    near = understanding.nearest(request.unknown)
+    offered = (
+        f"the nearest things that there are: {', '.join(near)}"
+        if near
+        else "say what to fly to, such as 'fly to the dog'"
+    )
+    return f"not understood: {words}; {offered}"
 
 
-def _why(match: Match, task: Task) -> str:
-    """The reason for a choice, as text."""
+def own_names(labels: str | Path | None) -> Mapping[str, frozenset[str]]:
+    """The concepts of a folder of pictures as one says them, with the labels of their pictures; empty for a pack."""
+    found: dict[str, set[str]] = {}
+    pack = load_pack(labels) if labels and Path(labels).is_dir() else None
+    for kind, concept, style in pack.files() if isinstance(pack, FolderPack) else ():
+        name = re.sub(r"[\s_-]+", " ", concept.rpartition("/")[2].removesuffix(".dae")).strip()
+        name = re.sub(r"(?<=[^\W\d]) ?\d+$", "", name)
+        found.setdefault(name, set()).add(f"{kind}/{concept}" + (f"@{style}" if style else ""))
+    return {name: frozenset(pictures) for name, pictures in found.items()}
+
+
+def made_task(request: Request, seed: tuple[int, int], own: Collection[str] = frozenset()) -> Task:
+    """A task for a request that was understood; `own` are the labels of the user's pictures."""
+    rng = np.random.default_rng(seed)
+    kind = (
+        "person"
+        if request.features or request.lacks or request.name
+        else min(request.labels or {"animal/"}).partition("/")[0]
+    )
+    for number in range(_DRAWS):
+        task = drawn_task(
+            _FAMILY_OF.get(kind, "association"),
+            rng,
+            f"made/{seed[0]}-{seed[1]}-{number}",
+            make=lambda draw: _puzzle(draw, request, own),
+        )
+        if _fits(request, task.gates, task.target or 0):
+            break
+    return replace(task, instruction=request.sentence or task.instruction)
+
+
+def _fits(request: Request, gates: tuple[Gate, Gate, Gate], target: int) -> bool:
+    """Whether the right gate, and no other, looks and stands as asked."""
+    looks = [frozenset((gate.size, gate.color, gate.shape)) for gate in gates]
+    asked = frozenset(filter(None, request.look))
+    fits = [asked <= look for look in looks]
+    return (
+        fits[target]
+        and (not asked or sum(fits) == 1)
+        and not looks[target] & request.refused_looks
+        and request.place in (None, target)
+    )
+
+
+def _puzzle(draw: Draw, request: Request, own: Collection[str]) -> Puzzle:
+    """Three panels, one of which is right."""
+    if request.features or request.lacks:
+        return _people(draw, request)
+    if request.name:
+        others = draw.sample([name for name in TRAIN_CAST if name != request.name], 2)
+        return draw.puzzle("", cast_portrait(draw, request.name), [cast_portrait(draw, name) for name in others])
+    if not request.labels and request.refused:  # anything but that: two panels show it
+        label = min(request.refused)
+        others = [other for other in _alike(label, own) if other not in request.refused]
+        if not others:  # a whole kind is refused
+            others = [
+                other
+                for other in sorted(f"{of}/{name}" for name, of in KIND_OF.items())
+                if other not in request.refused
+            ]
+        right = draw.pick(others)
+        return draw.puzzle("", _panel(draw, right, own), [_panel(draw, label, own), _panel(draw, label, own)])
+    if not request.labels:
+        first, *others = distinct_animals(draw, 3)
+        return draw.puzzle("", draw.drawing("animal", first), [draw.drawing("animal", name) for name in others])
+    right = draw.pick(sorted(request.labels))
+    there = [label for label in _alike(right, own) if label not in request.labels | _rivals(right)]
+    clear = [label for label in there if label in request.wrong] if request.wrong else there
+    wrong = [label for label in sorted(request.refused) if label not in request.labels][:2]
+    pool = [label for label in (clear if len(clear) > 1 else sorted(request.wrong) or there) if label not in wrong]
+    if not pool:  # a folder of one concept, or any letter or number
+        pool = [f"letter/{letter}" for letter in vocabulary.LETTERS if f"letter/{letter}" not in request.labels]
+        pool = pool or _alike("number/0", own)
+    wrong += draw.sample(pool if len(pool) > 1 else pool * 2, 2 - len(wrong))
+    return draw.puzzle("", _panel(draw, right, own), [_panel(draw, label, own) for label in wrong])
+
+
+def _people(draw: Draw, request: Request) -> Puzzle:
+    """People, of whom one has the features; of those that exclude each other, the first."""
+    features = list(request.features[:1])
+    for feature in request.features[1:]:
+        if not any(touched_parts(feature) & touched_parts(other) for other in features):
+            features.append(feature)
+    if request.lacks:
+        lacking = request.lacks[0]
+        wrong = [draw.portrait(person_with(draw, [lacking])) for _ in range(2)]
+        right = draw.portrait(person_lacking(draw, features, lacking))
+    else:
+        wrong = [draw.portrait(person_lacking(draw, features, draw.pick(features))) for _ in range(2)]
+        right = draw.portrait(person_with(draw, features))
+    return draw.puzzle("", right, wrong)
+
+
+def _alike(label: str, own: Collection[str]) -> list[str]:
+    """Labels of the same kind, sorted; of the user's pictures, all if there are few of a kind."""
+    kind = label.partition("/")[0]
+    if label in own:
+        same = sorted(other for other in own if other.partition("/")[0] == kind)
+        return same if len(same) > 3 else sorted(own)
+    concepts = {"letter": vocabulary.LETTERS, "number": tuple(map(str, range(21))), "logo": vocabulary.LOGOS}
+    return [f"{kind}/{name}" for name in concepts.get(kind, sorted(name for name, of in KIND_OF.items() if of == kind))]
+
+
+def _rivals(label: str) -> frozenset[str]:
+    kind, _, name = label.partition("/")
+    return frozenset(f"{kind}/{other}" for other in {name, *RIVALS.get(name, ())})
+
+
+def _panel(draw: Draw, label: str, own: Collection[str]) -> Panel:
+    kind, _, name = label.partition("/")
+    if label in own:
+        return Panel(name.partition("@")[0], label)
+    if kind == "logo":
+        return Panel(name, f"{label}@{vocabulary.LOGO_STYLE}")
+    return draw.glyph(kind, name) if kind in ("letter", "number") else draw.drawing(kind, name)
+
+
+def _meant(request: Request, task: Task | None = None) -> str:
+    """What is asked for, in plain words that a pilot knows; of several things, what is right in the task."""
+    target = 0 if task is None or task.target is None else task.target
+    label = "" if task is None else task.labels[target]
+    if request.plain and not request.labels:
+        return f"the gate with {request.plain}"
+    if not request.labels and request.refused:
+        return f"the gate that does not show {_noun(min(request.refused))}"
+    if request.labels or request.plain:
+        return f"the gate with {request.plain or _noun(label)}"
+    place = "" if request.place is None else ("left ", "middle ", "right ")[request.place]
+    if place or any(request.look) or not request.refused_looks:
+        return f"the {place}{''.join(f'{word} ' for word in request.look if word)}gate"
+    if task is not None:
+        return f"the {task.gates[target].color} gate"
+    refused = sorted(request.refused_looks)
+    return f"the gate that is {'not' if len(refused) == 1 else 'neither'} {' nor '.join(refused)}"
+
+
+def _noun(label: str) -> str:
+    """A label as one says it."""
+    return f"the {spoken(label)}"
+
+
+def _why(match: Match, scene: ChosenScene) -> str:
+    """The description of a scene with the reason for its choice."""
+    task = scene.track[0]
     fit = f"{' and '.join(map(repr, match.words))} {'fits' if len(match.words) == 1 else 'fit'} gate {match.gate + 1}"
     if match.shown:
         fit = f"{fit}, {_shown(task.options[match.gate], task.labels[match.gate])}"
     if match.missing:
         fit = f"{fit}, though {' and '.join(map(repr, match.missing))} {'do' if len(match.missing) > 1 else 'does'} not"
-    return fit
+    return f"{scene.summary}; chosen because {fit}"
 
 
-def _named(suite: Suite, episode: int) -> ChosenScene:
+def named_scene(suite: Suite, episode: int) -> ChosenScene:
+    """An episode of a suite, described by what its panels show. Raises `TaskError` if there is none."""
     track = track_at(suite, episode)
     shown = "; then ".join(map(_panels, track))
-    return ChosenScene(suite, episode, f"scene: episode {episode} of {suite.name}, with {shown}")
+    where = MADE if suite.name == MADE else f"episode {episode} of {suite.name}"
+    return ChosenScene(suite, episode, f"scene: {where}, with {shown}")
 
 
 def _panels(task: Task) -> str:
     """What the panels of a task show, left to right."""
+    if task.landing:
+        return "pads"
     if task.only is not None:
         return "one gate"
     names = [_shown(option, label) for option, label in zip(task.options, task.labels, strict=True)]

@@ -16,6 +16,7 @@ from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_r
 from cognitivedrone.errors import RunError
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.airframe import find_airframe
+from cognitivedrone.sim.gate_monitor import GateEvent
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import track_at
 from cognitivedrone.tasks.scenario import suite_of
@@ -36,7 +37,9 @@ class Served:
 
     def __str__(self) -> str:
         """How to connect."""
-        lines = [f"a simulated copter is ready in front of {self.task.id}: {self.task.instruction}"]
+        lines = [
+            f"a simulated copter is ready in front of {self.task.id}: {self.task.mission or self.task.instruction}"
+        ]
         for link in self.links:
             kind, _, address = link.partition(":")
             at = "udp" if kind == "udpout" else "udpout" if kind == "udpin" else "tcp"
@@ -61,13 +64,12 @@ def until_interrupted() -> Iterator[Callable[[], bool]]:
 def serve_vehicle(config: SimPlan, stop: Callable[[], bool], announce: Callable[[Served], None]) -> float:
     """Serve until `stop()` is true; returns the seconds that the vehicle fell behind the clock.
 
-    The vehicle starts on the floor below the start of the episode, in front of its first stage. Raises `RunError`,
-    `TaskError`, `LabelError`, `CameraError` or `MissingExtra`.
+    The vehicle starts on the floor below the start of the episode, in front of its first stage; the next stage of a
+    track is behind the gate that it flies through. Nothing else is judged. Raises `RunError`, `TaskError`,
+    `LabelError`, `CameraError` or `MissingExtra`.
     """
     if not config.mavlink:
         raise RunError("choose a protocol to serve: cognitivedrone sim --mavlink")
-    if not 0 < config.camera_hz <= 60:
-        raise RunError(f"--camera-hz is {config.camera_hz}; give more than 0, at most 60")
     scenario = config.scenario
     suite = suite_of(scenario, config.episode + 1)
     track, labels = track_at(suite, config.episode), load_pack(scenario.labels)
@@ -75,12 +77,29 @@ def serve_vehicle(config: SimPlan, stop: Callable[[], bool], announce: Callable[
     try:
         track_runner = TrackRunner(simulator.world(0), labels, TrackConfig.of(scenario, math.inf))
         track_runner.begin(track, episode_rng(suite.digest, config.episode, scenario.seed))
-        with SimulatedVehicle(simulator, VehicleConfig(links=config.links)) as vehicle, _camera(config, vehicle) as url:
+        vehicle_config = VehicleConfig(links=config.links)
+        with (
+            SimulatedVehicle(simulator, vehicle_config, leading(track_runner)) as vehicle,
+            _camera(config, vehicle) as url,
+        ):
             links = tuple(map(_as_bound, config.links, vehicle.addresses))
             announce(Served(track_runner.task, links, url))
             return serve(vehicle, stop, speed=config.speed)
     finally:
         simulator.close()
+
+
+def leading(track_runner: TrackRunner) -> Callable[[GateEvent], None]:
+    """What leads a vehicle through a track: the next stage is shown behind the gate flown through, right or wrong."""
+
+    def judge(gate_event: GateEvent) -> None:
+        if gate_event.kind == "gate" and track_runner.index < len(track_runner.track) - 1:
+            track_runner.update(gate_event)
+        else:
+            world = track_runner.world
+            world.gate_monitor.resume(world.state().position)
+
+    return judge
 
 
 def _as_bound(link: str, address: tuple[str, int]) -> str:

@@ -17,10 +17,10 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from cognitivedrone.apps.log import FILM_FILE
 from cognitivedrone.apps.values import Step, Summary
 from cognitivedrone.choices import AnswerKind, DecisionKind, EventKind, ReasonerFault
 from cognitivedrone.control.loop import LATE_S
+from cognitivedrone.film.page import FILM_FILE, PAGE_FILE
 from cognitivedrone.printable import visible
 from cognitivedrone.types import Event, FloatArray
 
@@ -68,7 +68,7 @@ class Instruments:
         """Show an event."""
         if event.kind in ("adopted", "agreed", "kept"):
             self._reasoner_s = event.age_s
-        if event.kind in ("hold", "sure", "leg"):
+        if event.kind in ("hold", "sure", "segment"):
             self._hold = event.text if event.kind == "hold" else ""
         self._late += event.kind == "late"
         if event.kind not in SILENT:
@@ -91,10 +91,10 @@ class Instruments:
     def _fill(self, lines: Table, step: Step) -> None:
         status, seen, guidance = step.status, step.observation, step.guidance
         lines.add_row("time", f"{step.time:.1f} s, {_rate(list(self._times))} Hz, {self._late} late")
-        lines.add_row("instruction", _told(step.instruction))
+        lines.add_row("instruction", _literal(step.instruction))
         if guidance is not None:
-            told = f"{guidance.directive} ({guidance.confidence:.0%} sure, frame {guidance.age:.1f} s old)"
-            lines.add_row("directive", _told(told))
+            text = f"{guidance.directive} ({guidance.confidence:.0%} sure, frame {guidance.age:.1f} s old)"
+            lines.add_row("directive", _literal(text))
         if self._hold:
             lines.add_row("pilot", Text(visible(self._hold), style="bold yellow"))
         lines.add_row("action", f"{_velocity(step.sent[:3])} m/s, turn {step.sent[3]:+.2f} rad/s")
@@ -104,7 +104,7 @@ class Instruments:
         lines.add_row("position", f"{where}{heading}, height {seen.height:.2f} m")
         battery = "not reported" if status.battery is None else f"{status.battery:.0%}"
         armed = "armed" if status.armed else "not armed"
-        lines.add_row("vehicle", _told(f"{status.mode}, {armed}, battery {battery}"))
+        lines.add_row("vehicle", _literal(f"{status.mode}, {armed}, battery {battery}"))
         lines.add_row("frame age", _age(status.frame_age_s, GOOD_FRAME_S))
         lines.add_row("link age", _age(status.link_age_s, GOOD_LINK_S))
         thinking = _milliseconds(statistics.median(self._policy_s)) if self._policy_s else "-"
@@ -128,11 +128,16 @@ class Printer:
         """Write a line."""
         if event.kind in SILENT:
             return
-        if event.kind in _ANSWERS or event.kind == "leg":
+        if event.kind in _ANSWERS or event.kind == "segment":
             before, self._answer = self._answer, (event.kind, event.text)
             if event.kind in _ANSWERS and before == self._answer:
                 return
-        self._console.print(visible(event_line(event)), markup=False, highlight=False, soft_wrap=True)
+        say(self._console, visible(event_line(event)))
+
+
+def say(console: Console, text: str) -> None:
+    """Print lines: broken between words by a terminal's width, and not at all in a file."""
+    console.print(text, markup=False, highlight=False, soft_wrap=not console.is_terminal)
 
 
 def summary_table(summary: Summary) -> Table:
@@ -141,15 +146,16 @@ def summary_table(summary: Summary) -> Table:
     table.add_column(style="dim", justify="right")
     table.add_column(overflow="fold")
     kind, reason = summary.ending.kind, summary.ending.reason
-    table.add_row("ended", _told(reason if kind == "flown" else f"{kind}: {reason}"))
+    table.add_row("ended", _literal(reason if kind == "flown" else f"{kind}: {reason}"))
     late = f"{summary.late} of them more than {LATE_S * 1000:.0f} ms late"
     table.add_row("flown", f"{summary.seconds:.1f} s, {summary.steps} commands, {late}")
     for who, (median, p95) in (("policy", summary.policy_ms), ("reasoner", summary.reasoner_ms)):
         if not math.isnan(median):
             table.add_row(who, f"{median:.0f} ms (median), {p95:.0f} ms (95 %)")
-    table.add_row("log", _told(str(summary.out)))
-    if (film := summary.out / FILM_FILE).is_file():
-        table.add_row("film", _told(str(film)))
+    table.add_row("log", _literal(str(summary.out)))
+    for name, file in (("film", FILM_FILE), ("page", PAGE_FILE)):
+        if (made := summary.out / file).is_file():
+            table.add_row(name, _literal(str(made)))
     return table
 
 
@@ -172,7 +178,7 @@ def _velocity(vector: FloatArray) -> str:
     return f"forward {x:+.2f}, left {y:+.2f}, up {z:+.2f}"
 
 
-def _told(text: str) -> Text:
+def _literal(text: str) -> Text:
     """Text from people, models and vehicles, shown literally: no markup, no control characters."""
     return Text(visible(text))
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from cognitivedrone.audit import scenes
+from cognitivedrone.audit import missions, scenes
+from cognitivedrone.audit.missions import TrackChange
 from cognitivedrone.audit.scenes import Change
 
 Expected = Literal["as before", "follows", "chance"]
@@ -22,7 +23,9 @@ class Variant:
 
     name: str
     change: Change | None = None
-    """Of tasks."""
+    """Of single tasks."""
+    mission: TrackChange | None = None
+    """Of missions. A variant without either flies both as they are."""
     options: Mapping[str, object] = field(default_factory=dict)
     """Of the run, such as wind."""
     camera: Mapping[str, float] = field(default_factory=dict)
@@ -76,6 +79,15 @@ AUDITS: tuple[Audit, ...] = (
             Variant("by one gate", scenes.turned_panels(1)),
             Variant("by two gates", scenes.turned_panels(2)),
             Variant("outer two", scenes.mirrored_panels),
+        ),
+    ),
+    Audit(
+        "order swapped",
+        "When the sub-goals of a mission change places, does it follow the new order?",
+        "follows",
+        (
+            Variant("in order", mission=missions.in_order(swapped=False), seed_name="order"),
+            Variant("the other way round", mission=missions.in_order(swapped=True), seed_name="order"),
         ),
     ),
     Audit(

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from cognitivedrone.benchmark.config import Workers
 from cognitivedrone.plan import Options, PilotSpec, TaskSource
+from cognitivedrone.ranges import Count
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,11 +16,11 @@ class AuditPlan(Options):
 
     pilot: PilotSpec = PilotSpec()
     source: TaskSource = TaskSource()
-    episodes: int = 100
+    episodes: Count = 100
     """Tasks of each flight, from the first."""
     only: tuple[str, ...] = ()
     """Names of the audits to fly, such as "wind"; all by default."""
-    workers: int | None = None
+    workers: Workers | None = None
     """Number of worker processes; the number of cores by default."""
     out: Path | None = None
     """Folder for the runs and the page; results/audit-<suite>-<policy>-<reasoner> by default. What is

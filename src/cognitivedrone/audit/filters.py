@@ -16,7 +16,7 @@ from PIL import Image as PillowImage
 from cognitivedrone.interfaces import Policy, Reasoner
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
-from cognitivedrone.types import ActionChunk, EpisodeContext, Guidance, Image, Observation
+from cognitivedrone.types import ActionChunk, EpisodeContext, Guidance, Image, Observation, SubGoal
 
 _GAMMA = 2.2
 
@@ -102,6 +102,10 @@ class FilteredReasoner(Reasoner):
     def refine(self, image: Image, instruction: str) -> Guidance:
         """As the reasoner, of the filtered picture."""
         return self._reasoner.refine(self._filter(image), instruction)
+
+    def plan(self, mission: str) -> tuple[SubGoal, ...] | None:
+        """As the reasoner."""
+        return self._reasoner.plan(mission)
 
     def close(self) -> None:
         """As the reasoner."""

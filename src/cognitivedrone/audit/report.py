@@ -12,8 +12,8 @@ from rich.text import Text
 from cognitivedrone.audit.catalogue import AUDITS
 from cognitivedrone.audit.config import AuditPlan
 from cognitivedrone.audit.run import FEWEST_FLIGHTS, Row
-from cognitivedrone.benchmark.scoring import CHANCE
-from cognitivedrone.benchmark.tables import interval, new_table, percent
+from cognitivedrone.benchmark.reports.tables import interval, new_table, percent
+from cognitivedrone.benchmark.scores.scoring import CHANCE
 from cognitivedrone.pages import render_page
 
 PAGE_FILE: Final = "audit.html"
@@ -44,7 +44,7 @@ def audit_table(plan: AuditPlan, rows: Sequence[Row]) -> RenderableType:
         )
     few = any(row.sound is None for row in rows)
     notes = [
-        "before: the same tasks as they are; declined: the pilot said that nothing fits",
+        "before: the same tasks as they are; declined: the pilot reported that nothing fits",
         *([f"too few: below {FEWEST_FLIGHTS} flights, which show neither a sound pilot nor another"] if few else []),
     ]
     return Group(table, "", *(Text(note, style="dim") for note in notes))

@@ -16,16 +16,16 @@ import numpy as np
 from cognitivedrone.audit.catalogue import AUDITS, CHANCE_BAND, FALL, FOLLOWED, Audit, Expected, Variant
 from cognitivedrone.audit.config import AuditPlan
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.results import Results, write_whole
-from cognitivedrone.benchmark.runner import results_folder, run
-from cognitivedrone.benchmark.scoring import CHANCE, OUTCOMES, Interval, wilson
+from cognitivedrone.benchmark.runs.runner import results_folder, run
+from cognitivedrone.benchmark.scores.results import Results, write_whole
+from cognitivedrone.benchmark.scores.scoring import CHANCE, OUTCOMES, Interval, wilson
 from cognitivedrone.errors import RunError, did_you_mean
 from cognitivedrone.files import safe_name
 from cognitivedrone.reasoners import NONE
 from cognitivedrone.tasks import Suite, open_suite
 from cognitivedrone.tasks.format import task_to_json
 from cognitivedrone.terminal import console
-from cognitivedrone.types import Outcome, StageResult, Task
+from cognitivedrone.types import Outcome, StageResult, Task, Track
 
 BASELINE = "as it is"
 AUDIT_FILE = "audit.json"
@@ -69,18 +69,18 @@ def audit(plan: AuditPlan, *, progress: bool = True) -> list[Row]:
     chosen = _chosen(plan.only)
     folder = folder_of(plan)
     suite = open_suite(plan.source.suite, plan.source.tasks, size=plan.episodes, seed=plan.source.seed)
-    tasks = [task for track in suite.tracks for task in track if _is_choice(task)][: plan.episodes]
-    if not tasks:
+    tracks = list(_audited(suite))[: plan.episodes]
+    if not tracks:
         raise RunError(f"{plan.source.title} has no task with three gates and a right one; audits need choices")
     runs = [
         (each, variant, changed)
         for each in chosen
         for variant in each.variants
-        if (changed := list(_changed(plan.source.seed, tasks, each, variant)))
+        if (changed := list(_changed(plan.source.seed, tracks, each, variant)))
     ]
     screen = console(stderr=True, quiet=not progress)
     screen.print(f"audit 1/{len(runs) + 1}: baseline, {BASELINE}")
-    before = _fly(plan, folder / "baseline", tasks, Variant(BASELINE), progress)
+    before = _fly(plan, folder / "baseline", tracks, Variant(BASELINE), progress)
     passed = {stage.task_id: stage.outcome == "passed" for stage in _stages(before)}
     rows = [_row(Audit("baseline", "", "as before", ()), Variant(BASELINE), _stages(before), passed)]
     _write(folder, plan, suite, rows)
@@ -106,23 +106,40 @@ def _chosen(names: Iterable[str]) -> tuple[Audit, ...]:
     return tuple(each for each in AUDITS if each.name in names) or AUDITS
 
 
+def _audited(suite: Suite) -> Iterator[Track]:
+    """The missions, and of all other tracks each task that is a choice by itself."""
+    for track in suite.tracks:
+        if track[0].mission is not None:
+            yield track
+        else:
+            yield from ((task,) for task in track if _is_choice(task))
+
+
 def _is_choice(task: Task) -> bool:
     return task.target is not None and task.only is None and task.family not in _BY_PLACE
 
 
-def _changed(seed: int, tasks: Iterable[Task], each: Audit, variant: Variant) -> Iterator[Task]:
-    for index, task in enumerate(tasks):
-        key = zlib.crc32((variant.seed_name or f"{each.name}/{variant.name}").encode())
-        rng = np.random.default_rng([6, seed, key, index])
-        changed = task if variant.change is None else variant.change(rng, task)
+def _changed(seed: int, tracks: Iterable[Track], each: Audit, variant: Variant) -> Iterator[Track]:
+    key = zlib.crc32((variant.seed_name or f"{each.name}/{variant.name}").encode())
+    for index, track in enumerate(tracks):
+        changed = _change(variant, np.random.default_rng([6, seed, key, index]), track)
         if changed is not None:
             yield changed
 
 
-def _fly(plan: AuditPlan, folder: Path, tasks: list[Task], variant: Variant, progress: bool) -> Results:
+def _change(variant: Variant, rng: np.random.Generator, track: Track) -> Track | None:
+    if variant.change is None and variant.mission is None:
+        return track
+    if track[0].mission is not None:
+        return None if variant.mission is None else variant.mission(rng, track)
+    task = None if variant.change is None else variant.change(rng, track[0])
+    return None if task is None else (task,)
+
+
+def _fly(plan: AuditPlan, folder: Path, tracks: list[Track], variant: Variant, progress: bool) -> Results:
     file = folder.with_suffix(".json")
     folder.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(file, json.dumps([task_to_json(task) for task in tasks], indent=1) + "\n")
+    write_whole(file, json.dumps([task_to_json(task) for track in tracks for task in track], indent=1) + "\n")
     policy, reasoner = plan.pilot.policy, plan.pilot.reasoner
     if variant.camera:
         policy = _filtered("FilteredPolicy", policy, variant)

@@ -90,9 +90,9 @@ def phrase_of(labels: tuple[str, str, str], target: int) -> str | None:
         return None
     if right.kind not in ("animal", "food", "object", "logo", "letter", "number"):
         return None
-    said = right.concept.replace("_", " ")
+    noun = right.concept.replace("_", " ")
     return (
-        f"the {said} logo" if right.kind == "logo" else f"the {right.kind} {said}" if len(said) < 3 else f"the {said}"
+        f"the {noun} logo" if right.kind == "logo" else f"the {right.kind} {noun}" if len(noun) < 3 else f"the {noun}"
     )
 
 
@@ -132,7 +132,7 @@ def turned_looks(*names: str) -> Change:
 
 def mirrored_stage(_: np.random.Generator, task: Task) -> Task | None:
     """Left and right exchanged: gates with their panels. Pictures and sentence stay."""
-    if task.target is None or task.layout is not None:
+    if task.target is None or task.layout is not None or task.obstacles or task.landmark:
         return None
     first, second, third = reversed(task.gates)
     return _aimed(replace(_panels(task, [2, 1, 0]), gates=(first, second, third)), 2 - task.target)
@@ -140,9 +140,9 @@ def mirrored_stage(_: np.random.Generator, task: Task) -> Task | None:
 
 def polite(_: np.random.Generator, task: Task) -> Task:
     """A polite frame around the sentence."""
-    said = task.instruction.strip()
-    frame = _POLITE[1 + len(said) % 3]
-    return replace(task, instruction=frame.format(y=(said[:1].lower() + said[1:]).rstrip(".!?")))
+    noun = task.instruction.strip()
+    frame = _POLITE[1 + len(noun) % 3]
+    return replace(task, instruction=frame.format(y=(noun[:1].lower() + noun[1:]).rstrip(".!?")))
 
 
 def unpunctuated(_: np.random.Generator, task: Task) -> Task:
@@ -167,7 +167,7 @@ def moved_gates(share: float) -> Change:
     """Gates moved and turned by up to `share` of what a random layout allows (1.5 m, 29 degrees)."""
 
     def change(rng: np.random.Generator, task: Task) -> Task | None:
-        if task.target is None or task.layout is not None or task.only is not None:
+        if task.target is None or task.layout is not None or task.only is not None or task.obstacles or task.landmark:
             return None
         for _ in range(_LAYOUTS):
             layout = _between(draw_layout(rng, task.gates, board=task.board is not None), share)

@@ -10,12 +10,12 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cognitivedrone.benchmark.comparison import Comparison, compare
-    from cognitivedrone.benchmark.config import Plan, RunConfig
-    from cognitivedrone.benchmark.results import Results, read_results
-    from cognitivedrone.benchmark.run_types import Rollout, Trace
-    from cognitivedrone.benchmark.runner import Interrupted, run
-    from cognitivedrone.benchmark.scoring import Score, Summary, summarize
+    from cognitivedrone.benchmark.config import Plan
+    from cognitivedrone.benchmark.runs.runner import Interrupted, run
+    from cognitivedrone.benchmark.scores.comparison import Comparison, compare
+    from cognitivedrone.benchmark.scores.results import Results, read_results
+    from cognitivedrone.benchmark.scores.run_types import Rollout, Trace
+    from cognitivedrone.benchmark.scores.scoring import Score, Summary, summarize
 
 __all__ = [
     "Comparison",
@@ -23,7 +23,6 @@ __all__ = [
     "Plan",
     "Results",
     "Rollout",
-    "RunConfig",
     "Score",
     "Summary",
     "Trace",
@@ -34,12 +33,12 @@ __all__ = [
 ]
 
 _ROOMS = {
-    "comparison": ("Comparison", "compare"),
-    "config": ("Plan", "RunConfig"),
-    "results": ("Results", "read_results"),
-    "run_types": ("Rollout", "Trace"),
-    "runner": ("Interrupted", "run"),
-    "scoring": ("Score", "Summary", "summarize"),
+    "scores.comparison": ("Comparison", "compare"),
+    "config": ("Plan",),
+    "scores.results": ("Results", "read_results"),
+    "scores.run_types": ("Rollout", "Trace"),
+    "runs.runner": ("Interrupted", "run"),
+    "scores.scoring": ("Score", "Summary", "summarize"),
 }
 
 

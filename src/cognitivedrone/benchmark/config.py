@@ -5,14 +5,17 @@ This module imports nothing heavy, so that `--help` is fast.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Literal
 
+from cognitivedrone.errors import RunError
 from cognitivedrone.plan import Options, PilotSpec, Rule, Scenario, VehicleSpec
+from cognitivedrone.ranges import Amount, Count, Range
 
 _NEVER = {"command": "never"}
+Workers = Annotated[int, Range(0, 4096)]
+Milliseconds = Annotated[float, Range(0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +25,7 @@ class Plan(Options):
     scenario: Scenario = Scenario()
     pilot: PilotSpec = PilotSpec()
     vehicle: VehicleSpec = VehicleSpec()
-    episodes: int | None = field(default=None, metadata={"identity": "episodes", "written": "always"})
+    episodes: Count | None = field(default=None, metadata={"identity": "episodes", "written": "always"})
     """Number of episodes to fly, from the first; all by default."""
     latency: str = field(default="none", metadata={"identity": "latency", "written": "where set"})
     """Inference latency charged to the simulated clock: none, measured, or policy=80ms,reasoner=450ms (each value may
@@ -33,14 +36,14 @@ class Plan(Options):
     """Fly one part of the run, i/n such as 2/8; `merge` joins the parts of all n."""
     rule: Rule = "through"
     """Scoring rule that the table and the report show first; results.json always contains both."""
-    workers: int | None = field(default=None, metadata=_NEVER)
+    workers: Workers | None = field(default=None, metadata=_NEVER)
     """Number of worker processes; the number of cores by default, and with ray as many as the cluster has room for.
     Results do not depend on it. 0 flies in this process, for debugging; a policy that hangs is then never ended."""
     executor: Literal["local", "ray"] = field(default="local", metadata=_NEVER)
     """Where the workers are: `local` processes, or the machines of a `ray` cluster."""
-    cpus_per_worker: int = field(default=1, metadata=_NEVER)
+    cpus_per_worker: Count = field(default=1, metadata=_NEVER)
     """With ray: CPU cores that each worker reserves."""
-    gpus_per_worker: float = field(default=0.0, metadata=_NEVER)
+    gpus_per_worker: Annotated[float, Range(0)] = field(default=0.0, metadata=_NEVER)
     """With ray: GPUs that each worker reserves; two workers with 0.5 share one."""
     out: Path | None = field(default=None, metadata=_NEVER)
     """Folder for the results; results/<suite>-<policy>-<reasoner> by default."""
@@ -48,19 +51,32 @@ class Plan(Options):
     """Continue the run in that folder."""
     overwrite: bool = field(default=False, metadata=_NEVER)
     """Delete the run in that folder and start again."""
-    clips: int = field(default=12, metadata=_NEVER)
+    clips: Amount = field(default=12, metadata=_NEVER)
     """Maximum number of video clips in the report."""
-    decision_timeout: float = field(default=60.0, metadata=_NEVER)
+    decision_timeout: Annotated[float, Range(0.001, unit="s")] = field(default=60.0, metadata=_NEVER)
     """Time limit of one call of policy or reasoner, s; beyond it the process is ended, and the episode counts as
     policy_error."""
     fail_fast: bool = field(default=False, metadata=_NEVER)
     """Stop at the first exception of policy or reasoner instead of counting it."""
 
-
-def RunConfig(**options: Any) -> Plan:  # noqa: N802
-    """The plan of a run from options by name; deprecated name of `Plan.of`."""
-    warnings.warn("RunConfig(...) is now Plan.of(...)", FutureWarning, stacklevel=2)
-    return Plan.of(**{{"look": "appearance"}.get(name, name): value for name, value in options.items()})
+    def check(self) -> None:
+        """Raise `RunError` for options that contradict each other."""
+        kind, workers, ray = self.vehicle.kind, self.workers, self.executor == "ray"
+        problem = ""
+        if self.resume and self.overwrite:
+            problem = "--resume and --overwrite contradict each other; give one of them"
+        elif kind == "mavlink":
+            problem = f"--link {self.vehicle.link}: a real flight cannot be scored; fly it with cognitivedrone fly"
+        elif kind == "gazebo" and workers not in (None, 0, 1):
+            problem = f"--link gazebo has a single vehicle, so --workers {workers} is too many; leave it out"
+        elif not ray and (self.cpus_per_worker, self.gpus_per_worker) != (1, 0.0):
+            problem = "--cpus-per-worker and --gpus-per-worker are for --executor ray; leave them out, or add it"
+        elif ray and workers == 0:
+            problem = "--workers 0 flies in this process; leave out --executor ray, or give at least one worker"
+        elif ray and kind == "gazebo":
+            problem = "--link gazebo flies the one vehicle of this machine; leave out --executor ray"
+        if problem:
+            raise RunError(problem)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +86,9 @@ class ReasonPlan(Options):
     scenario: Scenario = Scenario()
     reasoner: str = field(default="oracle", metadata={"command": "always"})
     """Reasoner: a name, with arguments if it takes any, or your own as module:attribute."""
-    episodes: int | None = field(default=None, metadata={"identity": "episodes", "written": "always"})
+    episodes: Count | None = field(default=None, metadata={"identity": "episodes", "written": "always"})
     """Number of episodes to ask about, from the first; all by default."""
-    frames: int = field(default=1, metadata={"identity": "frames", "written": "always"})
+    frames: Count = field(default=1, metadata={"identity": "frames", "written": "always"})
     """Number of frames per stage, half a second apart while the drone hovers; the last answer counts."""
     out: Path | None = field(default=None, metadata=_NEVER)
     """Folder for the answers; results/reason-<suite>-<reasoner> by default."""
@@ -94,11 +110,16 @@ class SweepPlan(Options):
     vehicle: VehicleSpec = VehicleSpec()
     part: Part = "reasoner"
     """Whose latency to vary."""
-    ms: tuple[float, ...] = (0, 200, 500, 1000, 2000, 4000)
+    ms: tuple[Milliseconds, ...] = (0, 200, 500, 1000, 2000, 4000)
     """Latencies to fly, ms."""
-    other_ms: float = 0
+    other_ms: Milliseconds = 0
     """Latency of the other part, ms."""
-    episodes: int | None = None
+    episodes: Count | None = None
     """Number of episodes to fly, from the first; all by default."""
-    workers: int | None = None
+    workers: Workers | None = None
     """Number of worker processes; the number of cores by default."""
+
+    def check(self) -> None:
+        """Raise `RunError` where there is nothing to fly."""
+        if not self.ms:
+            raise RunError("--ms needs at least one latency")

@@ -13,14 +13,13 @@ from typing import Any
 
 from cognitivedrone.adapters import as_policy, as_reasoner
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.results import Results
-from cognitivedrone.benchmark.runner import run
-from cognitivedrone.benchmark.scoring import Summary
-from cognitivedrone.benchmark.tables import as_text, results_table
+from cognitivedrone.benchmark.reports.tables import as_text, results_table
+from cognitivedrone.benchmark.runs.runner import run
+from cognitivedrone.benchmark.scores.results import Results
+from cognitivedrone.benchmark.scores.scoring import Summary
 from cognitivedrone.errors import RunError
 from cognitivedrone.interfaces import PolicyLike, ReasonerLike
 from cognitivedrone.pilot import Pilot
-from cognitivedrone.plan import AppearanceName
 from cognitivedrone.policies import make_policy
 from cognitivedrone.printable import visible
 from cognitivedrone.reasoners import NONE, make_reasoner
@@ -48,25 +47,11 @@ class Evaluation:
 
 def evaluate(
     policy: str | PolicyLike | Callable[[], PolicyLike] = "small",
-    suite: str | Path = "open-v1:smoke",
+    suite: str | Path | Plan = "open-v1:smoke",
     *,
     reasoner: str | ReasonerLike | Callable[[], ReasonerLike] | None = None,
-    episodes: int | None = None,
-    workers: int | None = None,
-    seed: int = 0,
-    track: bool = False,
-    appearance: AppearanceName = "plain",
-    airframe: str = "racer",
-    wind: float = 0.0,
-    latency: str = "none",
-    labels: Path | None = None,
-    out: Path | None = None,
-    overwrite: bool = False,
-    resume: bool = False,
-    clips: int = 12,
-    decision_timeout: float = 60.0,
-    fail_fast: bool = False,
     progress: bool = True,
+    **options: Any,
 ) -> Evaluation:
     """Fly a policy through a suite of tasks and score it, as `cognitivedrone bench` does.
 
@@ -78,45 +63,27 @@ def evaluate(
     `policy` and `reasoner` are a name as on the command line ("small", "my_module:MyPolicy:weights.pt,device=cpu"), an
     object, or a class or function that makes one. Names, and classes and functions that another process can import,
     fly in `workers` processes (default: the number of cores). Objects, and anything defined in a notebook or in the
-    script itself, fly only in this process, with a message. `suite` is a name or a task file.
+    script itself, fly only in this process, with a message. `suite` is a name, a task file, or the `Plan` of a run,
+    which may name the reasoner; the other options are those of `bench`, by name, such as `episodes` and `wind`.
 
-    With `out`, records, results.json and report.html are written to that folder (docs/results.md); without it, nothing
-    is kept. The other options are those of `bench`. Raises `PolicyError` if the pilot cannot be made, `RunError` if the
-    run cannot start or fails; an exception of the policy's own counts as `policy_error` unless `fail_fast` is true.
+    With `out`, records, results.json and report.html are written there (docs/benchmark.md); else nothing is kept.
+    Raises `PolicyError` if the pilot cannot be made, `RunError` if the run cannot start or fails, `TypeError`
+    for an unknown option; an exception of the policy's own counts as `policy_error` unless `fail_fast` is true.
     """
-    names = {"policy": _name_of(policy), "reasoner": NONE if reasoner is None else _name_of(reasoner)}
-    here = [kind for kind, name in names.items() if name is None]
-    as_file = Path(suite).exists()
-    plan = Plan.of(
-        policy=names["policy"] or _description(policy),
-        reasoner=names["reasoner"] or _description(reasoner),
-        suite="" if as_file else str(suite),
-        tasks=Path(suite) if as_file else None,
-        labels=labels,
-        workers=workers,
-        track=track,
-        seed=seed,
-        episodes=episodes,
-        appearance=appearance,
-        airframe=airframe,
-        wind=wind,
-        latency=latency,
-        out=out,
-        overwrite=overwrite,
-        resume=resume,
-        clips=clips if out is not None else 0,
-        decision_timeout=decision_timeout,
-        fail_fast=fail_fast,
-    )
+    if not isinstance(suite, Plan):
+        suite = Plan.of(suite="", tasks=Path(suite)) if Path(suite).exists() else Plan.of(suite=str(suite))
+    parts = {"policy": policy, "reasoner": suite.pilot.reasoner if reasoner is None else reasoner}
+    names = {kind: _name_of(part) for kind, part in parts.items()}
+    plan = suite.changed(**{kind: names[kind] or _description(part) for kind, part in parts.items()}, **options)
     with ExitStack() as undo:
         pilot, command = None, ""
-        if here:
-            _one_process({kind: {"policy": policy, "reasoner": reasoner}[kind] for kind in here}, workers, progress)
+        if here := {kind: part for kind, part in parts.items() if names[kind] is None}:
+            _one_process(here, plan.workers, progress)
             plan = plan.changed(workers=0)
-            pilot, command = _pilot(policy, reasoner, undo), _call_of(plan)
-        if out is None:
+            pilot, command = _pilot(undo, **parts), _call_of(plan)
+        if plan.out is None:
             folder = undo.enter_context(tempfile.TemporaryDirectory(prefix="cognitivedrone-"))
-            plan = plan.changed(out=Path(folder) / "run")
+            plan = plan.changed(out=Path(folder) / "run", clips=0)
         return Evaluation(run(plan, progress=progress, pilot=pilot, command=command))
 
 
@@ -158,8 +125,8 @@ def _one_process(here: Mapping[str, object], workers: int | None, progress: bool
     if workers not in (None, 0, 1):
         raise RunError(f"workers={workers}, but {why}; {way_out} to use more than one process")
     if progress:
-        said = f"flying in one process, because {why}; {way_out} to use more cores"
-        print(visible(said), file=sys.stderr)  # noqa: T201
+        notice = f"flying in one process, because {why}; {way_out} to use more cores"
+        print(visible(notice), file=sys.stderr)  # noqa: T201
 
 
 def _why_here(kind: str, part: object) -> str:
@@ -171,11 +138,10 @@ def _why_here(kind: str, part: object) -> str:
     return f"the {kind}'s {what} is defined {where}"
 
 
-def _pilot(policy: Any, reasoner: Any, undo: ExitStack) -> Pilot:
+def _pilot(undo: ExitStack, policy: Any, reasoner: Any) -> Pilot:
     """Policy and reasoner as a `Pilot`. `undo` closes what is made here; users close their own objects."""
     flown = _part("policy", policy, "act", make_policy, as_policy, undo)
-    asked = None if reasoner is None else _part("reasoner", reasoner, "refine", make_reasoner, as_reasoner, undo)
-    return Pilot(flown, asked)
+    return Pilot(flown, _part("reasoner", reasoner, "refine", make_reasoner, as_reasoner, undo))
 
 
 def _part(

@@ -5,8 +5,8 @@ A benchmark gathers its rows and calls `keep`. Runs of `bench` have a file of th
 
 from __future__ import annotations
 
-import json
 import os
+import re
 import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,11 +15,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from cognitivedrone.benchmark.codec import decode, dumps, encode
-from cognitivedrone.benchmark.provenance import platform_facts
-from cognitivedrone.benchmark.results import versions, write_whole
-from cognitivedrone.errors import RunError
-from cognitivedrone.files import read_regular, reason_of
+from cognitivedrone.benchmark.runs.provenance import platform_facts
+from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, read_document
+from cognitivedrone.benchmark.scores.results import versions, write_whole
 
 SCHEMA: Final = "cognitivedrone.measurement/1"
 OUT_HELP: Final = "file for the figures, such as results/NAME.json"
@@ -114,15 +112,17 @@ def write_measurement(path: Path, made: Measurement) -> None:
 
 def read_measurement(path: Path) -> Measurement:
     """Read and check a file. Raises `RunError` if it is missing or malformed."""
-    try:
-        document = json.loads(read_regular(path, MAX_FILE_BYTES).decode("utf-8"))
-    except OSError as error:
-        raise RunError(f"{path} cannot be read ({reason_of(error)}); measure it: see runs/reproduce.sh") from None
-    except (ValueError, RecursionError) as error:
-        raise RunError(f"{path} cannot be read: {error}") from None
-    if not isinstance(document, dict) or document.pop("schema", None) != SCHEMA:
-        raise RunError(f"{path} is no file of figures of this version (schema {SCHEMA})")
-    return decode(Measurement, document, str(path))
+    way_out = "measure it: see runs/reproduce.sh"
+    return decode(Measurement, read_document(path, SCHEMA, "file of figures", way_out, MAX_FILE_BYTES), str(path))
+
+
+_MARKUP = re.compile(r"[^\w\s.,()+/'|-]|_|(?<=www)\.", re.IGNORECASE)
+"""All but what is plain text in Markdown, wherever it stands; the bar is left to `markdown`."""
+
+
+def in_markdown(text: str) -> str:
+    """A text of one line as Markdown that shows just this text: no markup, no HTML, no address that becomes a link."""
+    return _MARKUP.sub(lambda found: f"&#{ord(found.group())};", text)
 
 
 def markdown(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

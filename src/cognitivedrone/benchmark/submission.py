@@ -1,293 +1,249 @@
-"""Submissions to the leaderboard: one file for each pilot, made from its runs, and checked by flying a sample again.
+"""Submissions to the leaderboard: made from finished runs, verified by flying a sample again, and shown as a table.
 
 A submission holds how every stage of every run ended, so that its scores can be computed anew, and what identifies the
-run, so that anybody can repeat it.
+run, so that anybody can repeat it. `submission_file` reads and checks the files.
 """
 
 from __future__ import annotations
 
-import itertools
-import json
+import secrets
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
 
-from cognitivedrone.benchmark.codec import decode, dumps, encode
-from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.job import Job, preflight, prepare
-from cognitivedrone.benchmark.measurements import machine_of
-from cognitivedrone.benchmark.results import RunFacts, read_results, write_whole
-from cognitivedrone.benchmark.scoring import Interval, Summary, counts, mcnemar, mean_of, score, summarize
-from cognitivedrone.benchmark.workers import RUNNER, InProcess, make_runner
+from cognitivedrone import registry
+from cognitivedrone.benchmark.measurements import in_markdown, machine_of
+from cognitivedrone.benchmark.runs.job import Job, pilot_of, plan_of, resolve
+from cognitivedrone.benchmark.runs.workers import Flights, Wanted
+from cognitivedrone.benchmark.scores.results import FILES, Results, read_results
+from cognitivedrone.benchmark.scores.run_types import Rollout
+from cognitivedrone.benchmark.scores.scoring import mcnemar
+from cognitivedrone.benchmark.submission_file import (
+    Ended,
+    Rate,
+    Submission,
+    SubmittedRun,
+    check_same_pilot,
+    check_suite,
+    check_texts,
+    scores_of,
+    tracks_of,
+)
+from cognitivedrone.benchmark.submission_file import read_submission as read_submission
+from cognitivedrone.benchmark.submission_file import write_submission as write_submission
+from cognitivedrone.control.latency import parse_delays
 from cognitivedrone.errors import RunError
-from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.policies import POLICIES
-from cognitivedrone.printable import unprintable
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.reasoners import REASONERS
-from cognitivedrone.registry import load
-from cognitivedrone.tasks import SUITES, load_suite
-from cognitivedrone.types import CATEGORIES, Category, EpisodeResult, Outcome, StageResult
+from cognitivedrone.rollout.pool import InProcess, Pool
 
-SCHEMA: Final = "cognitivedrone.submission/1"
-MAX_FILE_BYTES: Final = 16 * 2**20
-MAX_NAME: Final = 60
-"""Longest name of a pilot, in characters."""
-DOUBT: Final = 0.01
-"""A sample that is so unlikely to differ by chance does not confirm a submission."""
-_NOT_REPEATED: Final = ("model", "reasoner_model", "policy_code", "reasoner_code", "autopilot")
-"""Options that are hashes of files, which follow from the names."""
-
-
-@dataclass(frozen=True, slots=True)
-class Rate:
-    """Stages passed among those counted."""
-
-    n: int
-    passed: int
-    rate: float | None
-    ci95: Interval | None
-
-
-@dataclass(frozen=True, slots=True)
-class Ended:
-    """How a stage ended."""
-
-    outcome: Outcome
-    chosen: int | None
-    """The gate flown at, 0 to 2."""
-
-
-@dataclass(frozen=True, slots=True)
-class SubmittedRun:
-    """One suite, flown by the pilot."""
-
-    run: RunFacts
-    """Its identity."""
-    command: str
-    """That repeats it."""
-    machine: str
-    finished: str
-    """ISO 8601, UTC."""
-    overall: Rate
-    categories: Mapping[Category, Rate]
-    mean: float | None
-    """Unweighted mean of the paper's three categories; none unless all three were flown."""
-    flown: tuple[tuple[Ended, ...], ...]
-    """Every stage of every episode."""
-    commit: str = field(default="", metadata={"json": "where set"})
-    """Of the source that flew it, if it was a checkout."""
-
-    @property
-    def summary(self) -> Summary:
-        """All scores that follow from how the stages ended; means of times and paths are not among them."""
-        stages = stages_of(self, self.run.suite.name)
-        return summarize(
-            [
-                EpisodeResult(index, 0, tuple(itertools.islice(stages, len(ends))), 0)
-                for index, ends in enumerate(self.flown)
-            ]
-        )
-
-    def flown_with(self, **options: object) -> bool:
-        """Whether its options are these, named as in `RunFacts.options`, and all others at their defaults."""
-        defaults = {name: default for name, (_, default) in Plan.identity_options().items() if name != "episodes"}
-        return all(self.run.option(name) == options.get(name, default) for name, default in defaults.items())
-
-
-@dataclass(frozen=True, slots=True)
-class Submission:
-    """A pilot's file."""
-
-    name: str
-    """Of the pilot, as the leaderboard shows it."""
-    by: str
-    """Who submits it."""
-    url: str = field(default="", metadata={"json": "where set"})
-    """Where to read about it."""
-    runs: tuple[SubmittedRun, ...] = ()
+DRIFT: Final = 0.005
+"""Share of flights that may end otherwise on another machine. None of 440 did when leaderboard/small.json was verified
+(docs/audit.md), which would happen one time in nine at this share."""
+REFUTED: Final = 0.01
+"""A sample that is so unlikely to differ by chance refutes a submission."""
+DOUBTED: Final = 0.1
+"""One that is so unlikely neither confirms nor refutes it."""
+SURE: Final = 0.95
+"""Probability with which `Verified.finds` are found."""
+_SEEDS: Final = 2**32
 
 
 @dataclass(frozen=True, slots=True)
 class Verified:
-    """What a sample of a run showed."""
+    """What a sample of a run showed. A flight is an episode; it differs if one of its stages ended otherwise."""
 
     suite: str
     flown: int
+    """Flights of the random sample."""
+    size: int
+    """Flights of the run."""
     equal: int
-    """Stages that ended as submitted."""
+    """Flights that ended as submitted, stage by stage."""
     passed: int
+    """Stages of the sample that passed."""
     submitted: int
     """Stages of the sample that were submitted as passed."""
-    p: float
-    """Probability of such a difference by chance (McNemar's test)."""
+    worse: int
+    """Stages that were submitted as passed and did not pass."""
+    better: int
+    valid: int
+    """Stages that were submitted as invalid, and are not: of all such flights, up to the size of the sample."""
+    repeats: bool
+    """Whether the flights that differ end in the same way when they are flown once more."""
     differences: tuple[str, ...]
     """In what this installation differs from the submission's, such as versions."""
 
     @property
-    def telling(self) -> bool:
-        """Whether so many stages were submitted as passed that the sample could refute a pilot that passes nothing."""
-        return mcnemar(self.submitted, 0) < DOUBT
+    def p(self) -> float:
+        """Probability of so many differences by chance.
+
+        Of a pilot that repeats itself: that machines differ (`DRIFT`). Of another: that as many stages pass that did
+        not as the other way round (McNemar's test).
+        """
+        return _chance(self.flown - self.equal, self.flown) if self.repeats else mcnemar(self.worse, self.better)
 
     @property
     def verdict(self) -> Literal["confirmed", "refuted", "undecided"]:
-        """Whether the sample passes as often as submitted, beyond chance.
+        """Whether the flights end as submitted, beyond chance."""
+        worse = self.repeats or self.worse > self.better
+        if self.valid or (worse and self.p < REFUTED):
+            return "refuted"
+        return "undecided" if worse and self.p < DOUBTED else "confirmed"
 
-        Undecided if it passes less often and is not `telling`.
+    @property
+    def finds(self) -> int | None:
+        """The smallest number of false flights in the run of which a sample of this size confirms none, with `SURE`.
+
+        It holds for a pilot that repeats itself. None if even a run that is all false might be confirmed.
         """
-        if self.passed >= self.submitted:
-            return "confirmed"
-        if not self.telling:
-            return "undecided"
-        return "confirmed" if self.p >= DOUBT else "refuted"
+        from scipy.stats import hypergeom
+
+        least = next((k for k in range(1, self.flown + 1) if _chance(k, self.flown) < DOUBTED), None)
+        if least is None:
+            return None
+        false = np.arange(least, self.size + 1)
+        return int(false[np.argmax(hypergeom.sf(least - 1, self.size, false, self.flown) >= SURE)])
+
+
+def _chance(differing: int, flown: int) -> float:
+    """Probability that at least so many flights end otherwise because of the machine."""
+    from scipy.stats import binom
+
+    return float(binom.sf(differing - 1, flown, DRIFT))
 
 
 def submission_of(folders: Sequence[Path], name: str, by: str, url: str = "") -> Submission:
     """A submission made from finished runs of one pilot, given as folders or results.json.
 
-    Raises `RunError` for runs that cannot be compared: of different pilots, of tasks that are not shipped, of the same
-    suite twice with the same options, or not whole.
+    Raises `RunError` for texts that cannot be shown, and for runs that cannot be compared: of different pilots, of
+    tasks that are not shipped, of the same suite twice with the same options, or not whole.
     """
-    for what, text in (("name", name), ("by", by)):
-        if not text.strip() or len(text) > MAX_NAME or unprintable(text):
-            raise RunError(f"the {what} {text[:80]!r} must have 1 to {MAX_NAME} printable characters")
-    runs = []
-    for folder in folders:
-        results = read_results(folder)
-        where = f"{folder}: {results.run.suite.name}"
-        check_suite(results.run, where)
-        episodes = results.episodes
-        if len(episodes) < len(load_suite(results.run.suite.name).tracks):
-            raise RunError(f"{where} has {len(episodes)} episodes only; fly the whole suite, without --episodes")
-        flown = tuple(tuple(Ended(stage.outcome, stage.chosen) for stage in each.stages) for each in episodes)
-        facts = results.platform
-        stages = [stage for each in episodes for stage in each.stages]
-        overall, categories, mean = scores_of(stages)
-        command, finished = facts.get("command", ""), results.timing.finished
-        commit = "" if facts.get("commit") == "none" else facts.get("commit", "")
-        runs.append(
-            SubmittedRun(results.run, command, machine_of(facts), finished, overall, categories, mean, flown, commit)
-        )
-    if len({(run.run.policy, run.run.reasoner) for run in runs}) != 1:
-        raise RunError("the runs are of different pilots; a submission is one pilot's: same policy, same reasoner")
-    names = [run.run.suite.name for run in runs]
-    for index, made in enumerate(runs):
-        if any(other.run == made.run for other in runs[:index]):
-            raise RunError(f"several runs of {names[index]} with the same options; give one of them")
-    return Submission(name, by, url, tuple(runs))
-
-
-def check_suite(run: RunFacts, where: str) -> None:
-    """Raise `RunError` unless a run's suite is a shipped one, with its content, and no pictures of the user's own."""
-    suite = run.suite
-    if suite.name not in SUITES:
-        raise RunError(f"{where} is no shipped suite, so nobody else can fly it; known: {', '.join(SUITES)}")
-    if load_suite(suite.name).digest != suite.digest:
-        raise RunError(f"{where} has other tasks than the suite of that name in this version")
-    if run.option("labels") is not None:
-        raise RunError(f"{where} was flown with other label pictures; fly it without --labels")
-
-
-def scores_of(stages: Sequence[StageResult]) -> tuple[Rate, dict[Category, Rate], float | None]:
-    """Overall, by category, and the mean of the paper's categories."""
-    categories = {
-        category: score([stage for stage in stages if stage.category == category])
-        for category in dict.fromkeys(stage.category for stage in stages)
-    }
-    mean = mean_of([categories[category] for category in CATEGORIES if category in categories])
-    rates = {category: Rate(s.n, s.passed, s.rate, s.ci95) for category, s in categories.items()}
-    overall = score(stages)
-    whole = mean.rate if mean.categories == len(CATEGORIES) else None
-    return Rate(overall.n, overall.passed, overall.rate, overall.ci95), rates, whole
-
-
-def write_submission(path: Path, submission: Submission) -> None:
-    """Write the file, atomically."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, dumps({"schema": SCHEMA, **encode(submission)}) + "\n")
-
-
-def read_submission(path: Path) -> Submission:
-    """Read and check a file: its scores must follow from its flights, and its suites be those of this version.
-
-    Raises `RunError` that names what was changed.
-    """
-    try:
-        document = json.loads(read_regular(path, MAX_FILE_BYTES).decode("utf-8"))
-    except OSError as error:
-        raise RunError(f"{path} cannot be read ({reason_of(error)}); give a file made by `submit`") from None
-    except (ValueError, RecursionError) as error:
-        raise RunError(f"{path} cannot be read: {error}") from None
-    if not isinstance(document, dict) or document.pop("schema", None) != SCHEMA:
-        raise RunError(f"{path} is no submission of this version (schema {SCHEMA}); make one with `submit`")
-    submission: Submission = decode(Submission, document, str(path))
-    for run in submission.runs:
-        where = f"{path}: {run.run.suite.name}"
-        check_suite(run.run, where)
-        if scores_of(list(stages_of(run, where))) != (run.overall, run.categories, run.mean):
-            raise RunError(f"{where}: the scores do not follow from the flights; the file was changed")
+    check_texts(Submission(name, by, url), "the submission")
+    runs = tuple(_run_of(read_results(folder), str(folder)) for folder in folders)
+    check_same_pilot(runs, "the submission")
+    submission = Submission(name, by, url, runs)
+    check_texts(submission, "the submission")
     return submission
 
 
-def stages_of(run: SubmittedRun, where: str) -> Iterator[StageResult]:
-    """The stages of a run with what the suite knows of them, without times and paths."""
-    tracks = load_suite(run.run.suite.name).tracks
-    if [len(track) for track in tracks] != [len(stages) for stages in run.flown]:
-        raise RunError(f"{where}: the flights are not those of the suite; the file was changed")
-    for track, stages in zip(tracks, run.flown, strict=True):
-        for task, end in zip(track, stages, strict=True):
-            yield StageResult(
-                task.id, task.category, task.family, task.target, end.outcome, end.chosen, 0.0, 0.0, None, None, None
-            )
-
-
-def verify(submission: Submission, sample: int, seed: int = 0, *, progress: bool = True) -> list[Verified]:
-    """Fly a random sample of the episodes of every run again, in this process.
-
-    Raises `RunError` if a run cannot be repeated here: other weights, an unknown option.
-    """
-    return [_verified(run, sample, seed, progress) for run in submission.runs]
-
-
-def _verified(run: SubmittedRun, sample: int, seed: int, progress: bool) -> Verified:
-    job = _job(run)
-    count = min(sample, len(run.flown))
-    chosen = sorted(np.random.default_rng([seed, len(run.flown)]).choice(len(run.flown), count, replace=False).tolist())
-    equal = passed = submitted = better = worse = flown = 0
-    with InProcess(make_runner(RUNNER, job)) as pool, progress_bar(show=progress) as bar:
-        shown = bar.add_task(run.run.suite.name, total=count)
-        for episode, (rollout, _) in zip(chosen, pool.fly(chosen), strict=True):
-            for stage, end in zip(rollout.result.stages, run.flown[episode], strict=True):
-                if not counts(stage) or end.outcome == "invalid":
-                    continue
-                now, before = stage.outcome == "passed", end.outcome == "passed"
-                flown += 1
-                equal += Ended(stage.outcome, stage.chosen) == end
-                passed, submitted = passed + now, submitted + before
-                better, worse = better + (now and not before), worse + (before and not now)
-            bar.advance(shown)
-    return Verified(
-        run.run.suite.name, flown, equal, passed, submitted, mcnemar(worse, better), tuple(_differences(run, job))
+def _run_of(results: Results, where: str) -> SubmittedRun:
+    """A run as it is submitted."""
+    where = f"{where}: {results.run.suite.name}"
+    check_suite(results.run, where)
+    episodes, tracks = results.episodes, tracks_of(results.run)
+    if len(episodes) < len(tracks):
+        raise RunError(f"{where} has {len(episodes)} episodes only; fly the whole suite, without --episodes")
+    flown = [
+        [(stage.task_id, stage.category, stage.family, stage.target) for stage in each.stages] for each in episodes
+    ]
+    if flown != [[(task.id, task.category, task.family, task.target) for task in track] for track in tracks]:
+        raise RunError(f"{where}: its episodes are not those of the suite, in order; fly it again")
+    facts = results.platform
+    overall, categories, mean = scores_of([stage for each in episodes for stage in each.stages])
+    return SubmittedRun(
+        results.run,
+        facts.get("command", ""),
+        machine_of(facts),
+        results.timing.finished,
+        overall,
+        categories,
+        mean,
+        tuple(tuple(Ended(stage.outcome, stage.chosen) for stage in each.stages) for each in episodes),
+        "" if facts.get("commit") == "none" else facts.get("commit", ""),
     )
 
 
-def _job(run: SubmittedRun) -> Job:
-    """The run as it is flown here; its weights must be the same."""
+def draw_seed() -> int:
+    """A seed for `verify` that nobody could know beforehand."""
+    return secrets.randbelow(_SEEDS)
+
+
+def verify(
+    submission: Submission,
+    sample: int,
+    seed: int | None = None,
+    *,
+    policy: str | None = None,
+    reasoner: str | None = None,
+    progress: bool = True,
+) -> list[Verified]:
+    """Fly a random sample of the episodes of every run again, in this process.
+
+    A different one each time unless `seed` is given: whoever knows the sample can be honest in it alone. Names in the
+    submission are used only if they mean something of this package, without files and servers of anybody's; `policy`
+    and `reasoner`, in the syntax of `registry`, are taken in their place.
+
+    Raises `RunError` if a run cannot be repeated here: other weights or code, an unknown option; `PluginError` for a
+    pilot that must be named.
+    """
+    if sample < 1:
+        raise RunError(f"--sample is {sample}; it must be at least 1")
+    seed = draw_seed() if seed is None else seed
+    if seed < 0:
+        raise RunError(f"--seed is {seed}; it must be 0 or more")
+    jobs = [_job(run, policy, reasoner) for run in submission.runs]
+    return [_verified(run, job, sample, seed, progress) for run, job in zip(submission.runs, jobs, strict=True)]
+
+
+def _verified(run: SubmittedRun, job: Job, sample: int, seed: int, progress: bool) -> Verified:
+    rng, size = np.random.default_rng([seed, len(run.flown)]), len(run.flown)
+    chosen = sorted(rng.choice(size, min(sample, size), replace=False).tolist())
+    invalid = [index for index, ends in enumerate(run.flown) if any(end.outcome == "invalid" for end in ends)]
+    invalid = sorted(rng.choice(invalid, min(sample, len(invalid)), replace=False).tolist()) if invalid else []
+    ended: dict[int, tuple[Ended, ...]] = {}
+    with InProcess(Flights(job)) as pool, progress_bar(show=progress) as bar:
+        todo = [*dict.fromkeys([*chosen, *invalid])]
+        shown = bar.add_task(run.run.suite.name, total=len(todo))
+        for episode, ends in zip(todo, _ends(pool, todo), strict=True):
+            ended[episode] = ends
+            bar.advance(shown)
+        differ = [episode for episode in chosen if ended[episode] != run.flown[episode]]
+        repeats = all(ends == ended[episode] for episode, ends in zip(differ, _ends(pool, differ), strict=True))
+    stages = [pair for episode in chosen for pair in zip(ended[episode], run.flown[episode], strict=True)]
+    claimed = [pair for episode in todo for pair in zip(ended[episode], run.flown[episode], strict=True)]
+    passes = [(now.outcome == "passed", before.outcome == "passed") for now, before in stages]
+    return Verified(
+        suite=run.run.suite.name,
+        flown=len(chosen),
+        size=size,
+        equal=len(chosen) - len(differ),
+        passed=sum(now for now, _ in passes),
+        submitted=sum(before for _, before in passes),
+        worse=sum(before and not now for now, before in passes),
+        better=sum(now and not before for now, before in passes),
+        valid=sum(before.outcome == "invalid" != now.outcome for now, before in claimed),
+        repeats=repeats,
+        differences=tuple(_differences(run, job)),
+    )
+
+
+def _ends(pool: Pool[Wanted, Rollout], episodes: Sequence[int]) -> Iterator[tuple[Ended, ...]]:
+    for rollout, _ in pool.fly([*map(Wanted, episodes)]):
+        yield tuple(Ended(stage.outcome, stage.chosen) for stage in rollout.result.stages)
+
+
+def _job(run: SubmittedRun, policy: str | None, reasoner: str | None) -> Job:
+    """The run as it is flown here; its weights and code must be the same."""
     facts = run.run
-    names = Plan.identity_names()
-    given = {names[key]: value for key, value in facts.options.items() if key in names and key != "episodes"}
-    job = prepare(Plan.of(policy=facts.policy, reasoner=facts.reasoner, suite=facts.suite.name, **given))
-    for key in _NOT_REPEATED:
+    pilot = pilot_of(facts, policy, reasoner)
+    if facts.option("link") != "sim":
+        raise RunError(
+            f"{facts.suite.name} was flown with --link {facts.option('link')}; only the simulator is verified"
+        )
+    parse_delays(facts.option("latency"), files=False)
+    job = resolve(plan_of(facts, pilot))
+    for key in FILES:
         if facts.option(key) != job.facts.option(key):
             what = "code" if key.endswith("_code") else "weights"
             raise RunError(
                 f"{facts.suite.name}: {key} is another file here ({str(job.facts.option(key))[:12]} instead of"
                 f" {str(facts.option(key))[:12]}); get the submission's {what}, and try again"
             )
-    preflight(job)
     return job
 
 
@@ -300,29 +256,39 @@ def _differences(run: SubmittedRun, job: Job) -> Iterator[str]:
 def leaderboard(submissions: Sequence[Submission], suites: Sequence[str]) -> list[list[str]]:
     """Rows of the leaderboard: name, by, policy, reasoner, and for every suite the rate with its interval; best first.
 
-    A policy or reasoner of the package's that needs the ground truth is marked so.
+    As Markdown, in which the texts of a submission are nothing but text. A policy or reasoner of the package's that
+    needs the ground truth is marked so.
     Sorted by the mean over the suites. Only runs with all options at their defaults count: the same seed, scene and
     rules for everyone. A suite that was not flown so is a dash, and counts as 0.
     """
     rows: list[tuple[float, list[str]]] = []
     for submission in submissions:
+        check_texts(submission, submission.name)
         runs = {run.run.suite.name: run for run in submission.runs if run.flown_with()}
         cells, total = [], 0.0
         for suite in suites:
             made = runs[suite].overall if suite in runs else None
             total += (made.rate or 0.0) if made else 0.0
             cells.append(_cell(made))
-        name = f"[{submission.name}]({submission.url})" if submission.url else submission.name
+        name = in_markdown(submission.name)
+        name = f"[{name}]({submission.url})" if submission.url else name
         pilot = submission.runs[0].run
-        row = [name, submission.by, _part(pilot.policy, POLICIES), _part(pilot.reasoner, REASONERS), *cells]
+        row = [
+            name,
+            in_markdown(submission.by),
+            _part(pilot.policy, POLICIES),
+            _part(pilot.reasoner, REASONERS),
+            *cells,
+        ]
         rows.append((total / max(len(suites), 1), row))
     return [row for _, row in sorted(rows, key=lambda each: (-each[0], each[1]))]
 
 
 def _part(name: str, table: Mapping[str, str]) -> str:
     target = table.get(name.partition(":")[0])
-    privileged = target is not None and getattr(load("pilot", target, table), "needs_ground_truth", False)
-    return f"`{name}`" + (" (ground truth)" if privileged else "")
+    privileged = target is not None and getattr(registry.load("pilot", target, table), "needs_ground_truth", False)
+    shown = in_markdown(name) if "`" in name else f"`{name}`"
+    return shown + (" (ground truth)" if privileged else "")
 
 
 def _cell(made: Rate | None) -> str:

@@ -7,18 +7,23 @@ is fast, and the error for a misspelt option lists the options of the same comma
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib
+import inspect
 import os
 import sys
-import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 import tyro
 
+from cognitivedrone.cli.streams import prepare_streams
 from cognitivedrone.errors import CognitiveDroneError, UsageError, did_you_mean, plain_warnings
 from cognitivedrone.files import reason_of
-from cognitivedrone.printable import visible
+from cognitivedrone.printable import wrapped
+from cognitivedrone.processes import SAFE_PATH
+from cognitivedrone.ranges import check_arguments, check_words
+from cognitivedrone.usage_reports import switch_off
 
 PROGRAM = "cognitivedrone"
 COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
@@ -26,15 +31,18 @@ COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
         "bench": ("scoring:bench", "fly a policy through a suite of tasks and score it"),
         "merge": ("scoring:merge", "join the shards of a run"),
         "compare": ("scoring:compare", "compare two runs, task by task"),
+        "film": ("scoring:film", "film an episode of a run: flight.mp4, flight.html"),
         "view": ("scoring:view", "draw what the drone sees at the start of a task"),
         "submit": ("scoring:submit", "make a file for the leaderboard from finished runs"),
         "verify": ("scoring:verify", "fly a sample of a leaderboard file again"),
         "reason": ("scoring:reason", "score a reasoner alone, without flying"),
+        "doctor": ("scoring:doctor", "say what is wrong with a policy: input, output, timing"),
         "audit": ("scoring:audit", "fly a pilot with one thing changed at a time"),
         "sweep": ("scoring:sweep", "fly a suite with increasing latency and plot the success rate"),
         "list": ("scoring:list_names", "names for the options: suites, policies, reasoners, airframes"),
     },
     "fly": {
+        "play": ("flying:play", "the live page: say what to fly to, and watch it think and fly"),
         "fly": ("flying:fly", "fly the simulator, ArduPilot or a real drone by instruction"),
         "sim": ("flying:sim", "serve the simulator as a MAVLink vehicle"),
         "gazebo export": ("flying:export_world", "write tasks as worlds for Gazebo"),
@@ -56,16 +64,18 @@ COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
         "train": ("training:train", "train a small model"),
         "train-openvla": ("training:train_openvla", "fine-tune OpenVLA-7B"),
     },
+    "share": {
+        "hub push": ("hub:push", "upload a model or a data set to the Hugging Face Hub"),
+        "hub pull": ("hub:pull", "download a model or a data set from there"),
+    },
 }
 """Module and function in this package, and one line of help, for every command; words of a command are separated by
 blanks. The keys are the headings of the help."""
 TARGETS = {name: target for group in COMMANDS.values() for name, (target, _) in group.items()}
-FORMER_OPTIONS = {"--look": "--appearance"}
-"""Options that were renamed; the old names are still taken, with a warning."""
 FIRST = (
     ("bench --suite open-v1:smoke", "score the small VLA on 30 tasks"),
     ("view --suite open-v1:test --episode 29", "draw the drone's view of a task: view.png"),
-    ('fly "Fly through the gate with the bird"', "type an instruction and watch the flight"),
+    ("play", "the live page: type an instruction, watch the drone think and fly"),
 )
 """Suggested first commands."""
 
@@ -73,11 +83,16 @@ FIRST = (
 @plain_warnings()
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; a user error ends in one sentence and exit code 2."""
+    prepare_streams()
+    switch_off()
+    if arguments is None:
+        # Our own Python processes must not import modules that happen to lie in the current folder, such as json.py.
+        os.environ.setdefault(SAFE_PATH, "1")
     try:
         _run(list(sys.argv[1:] if arguments is None else arguments))
         sys.stdout.flush()  # a full disk behind it shows up here, not after the last line
     except CognitiveDroneError as error:
-        _end(str(error))
+        _end(str(error), error.exit_code)
     except BrokenPipeError:
         _drop_output()  # the reader of the output has closed it
         sys.exit(1)
@@ -86,7 +101,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _drop_output()
         _end(f"{place}{reason_of(error)}; check the free space and the permissions")
     except KeyboardInterrupt as stop:
-        print(visible(f"{PROGRAM}: {str(stop) or 'stopped'}"), file=sys.stderr)  # noqa: T201
+        _report(str(stop) or "stopped")
+        sys.exit(130)
+    except ImportError as error:
+        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            raise
+        _report("stopped")  # ctrl-C while a compiled module was being loaded, which then fails
         sys.exit(130)
 
 
@@ -106,19 +126,20 @@ def _run(arguments: list[str]) -> None:
     command = load(name)
     if command.__doc__ is not None:
         command.__doc__ = command.__doc__.replace(":\n\n", ":\n")  # of which tyro's help would make two blank lines
-    tyro.cli(command, prog=f"{PROGRAM} {name}", args=_renamed(arguments[len(name.split()) :]))
+    words = arguments[len(name.split()) :]
+    check_words(words)
+    tyro.cli(_checked(command), prog=f"{PROGRAM} {name}", args=words)
 
 
-def _renamed(arguments: list[str]) -> list[str]:
-    """The arguments, options by their present names."""
-    present = []
-    for argument in arguments:
-        option, equals, value = argument.partition("=")
-        if option in FORMER_OPTIONS:
-            warnings.warn(f"{option} is now {FORMER_OPTIONS[option]}", FutureWarning, stacklevel=2)
-            argument = f"{FORMER_OPTIONS[option]}{equals}{value}"
-        present.append(argument)
-    return present
+def _checked(command: Callable[..., None]) -> Callable[..., None]:
+    """The command, which begins once its arguments are in their ranges."""
+
+    @functools.wraps(command)
+    def begin(*values: Any, **named: Any) -> None:
+        check_arguments(command, inspect.signature(command).bind(*values, **named).arguments)
+        command(*values, **named)
+
+    return begin
 
 
 def load(name: str) -> Callable[..., Any]:
@@ -157,9 +178,13 @@ def _explain(arguments: list[str]) -> None:
     raise UsageError(f"unknown {what} {first!r}; {did_you_mean(first, known)}")
 
 
-def _end(sentence: str) -> NoReturn:
-    print(visible(f"{PROGRAM}: {sentence}"), file=sys.stderr)  # noqa: T201
-    sys.exit(2)
+def _end(sentence: str, code: int = 2) -> NoReturn:
+    _report(sentence)
+    sys.exit(code)
+
+
+def _report(sentence: str) -> None:
+    print(wrapped(f"{PROGRAM}: {sentence}", sys.stderr), file=sys.stderr)  # noqa: T201
 
 
 def _drop_output() -> None:

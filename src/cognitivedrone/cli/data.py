@@ -11,6 +11,7 @@ from tyro.conf import OmitArgPrefixes as Flat
 
 from cognitivedrone.collect.config import CollectPlan
 from cognitivedrone.printable import visible
+from cognitivedrone.ranges import Index
 
 
 def collect(config: Annotated[Flat[CollectPlan], tyro.conf.arg(name="")]) -> None:
@@ -84,7 +85,7 @@ def export(folder: tyro.conf.Positional[Path], to: str, out: Path) -> None:
 
     Args:
         folder: The data set.
-        to: rlds, lerobot, lerobot-video, published, mcap (ROS 2 bags), or your own as module:attribute.
+        to: A format, such as rlds, lerobot or mcap (docs/data.md lists all), or your own as module:attribute.
         out: New folder to write.
     """
     from cognitivedrone.data.formats import export as export_set
@@ -101,7 +102,7 @@ def import_(source: tyro.conf.Positional[Path], form: Annotated[str, tyro.conf.a
 
     Args:
         source: The data set to read.
-        form: rlds, lerobot, published, mcap, or your own as module:attribute.
+        form: A format, such as rlds, lerobot or published, or your own as module:attribute.
         out: New folder for the store.
     """
     from cognitivedrone.collect.importing import import_set
@@ -109,7 +110,7 @@ def import_(source: tyro.conf.Positional[Path], form: Annotated[str, tyro.conf.a
     print(visible(f"{out}: {import_set(source, form, out)} episodes"))  # noqa: T201
 
 
-def replay(folder: tyro.conf.Positional[Path], episode: tyro.conf.Positional[int]) -> None:
+def replay(folder: tyro.conf.Positional[Path], episode: tyro.conf.Positional[Index]) -> None:
     """Fly the recorded commands of an episode again and print the distance from the recorded end.
 
     Args:

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import sys
 import threading
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from tyro.conf import OmitArgPrefixes as Flat
 
 from cognitivedrone.apps.config import FlyPlan, SimPlan
-from cognitivedrone.printable import visible
+from cognitivedrone.play.config import PlayPlan
+from cognitivedrone.printable import visible, wrapped
+from cognitivedrone.sim.gl import look_ahead
+
+if TYPE_CHECKING:
+    from cognitivedrone.play.flight import FlightPage
 
 OUTCOMES = ("passed", "failed", "skipped")
 """Of a check of `gazebo selftest`."""
@@ -37,12 +43,43 @@ def fly(plan: Annotated[Flat[FlyPlan], tyro.conf.arg(name="")]) -> None:
 
     screen, threads, code = console(), frozenset(threading.enumerate()), 2
     try:
-        summary = fly_mission(plan, console=screen)
+        with ExitStack() as stack:
+            page = stack.enter_context(_page(plan)) if plan.page else None
+            if page is None:
+                summary = fly_mission(plan, console=screen)
+            else:
+                summary = fly_mission(plan, console=screen, orders=page.orders, page=page.board)
         code = summary.exit_code
         screen.print(summary_table(summary))
         sys.exit(code)
     finally:
         end_lingering(threads, code)
+
+
+def _page(plan: FlyPlan) -> AbstractContextManager[FlightPage]:
+    from cognitivedrone.play.flight import page_of_flight
+
+    return page_of_flight(plan, lambda address: print(f"the page is at {address}", flush=True))  # noqa: T201
+
+
+def play(plan: Annotated[Flat[PlayPlan], tyro.conf.arg(name="")]) -> None:
+    """Open the live page: type a sentence, watch the drone think and fly; put your own pictures on the gates.
+
+    The page is served on this machine, at http://127.0.0.1:8090/, until ctrl-C. Examples:
+
+      cognitivedrone play
+      cognitivedrone play --suite open-v2:words --policy small --reasoner none
+      cognitivedrone play results/small results/r1
+    """
+    look_ahead()
+    from cognitivedrone.apps.orders import ending_on_signals
+    from cognitivedrone.play.app import play as open_page
+
+    def ready(address: str) -> None:
+        print(wrapped(f"the page is at {address}  (ctrl-C ends)", sys.stdout), flush=True)  # noqa: T201
+
+    with ending_on_signals():
+        open_page(plan, ready)
 
 
 def sim(plan: Annotated[Flat[SimPlan], tyro.conf.arg(name="")]) -> None:
@@ -55,7 +92,7 @@ def sim(plan: Annotated[Flat[SimPlan], tyro.conf.arg(name="")]) -> None:
     from cognitivedrone.apps.vehicle import serve_vehicle, until_interrupted
 
     with until_interrupted() as stop:
-        lost = serve_vehicle(plan, stop, lambda served: print(visible(str(served)), flush=True))  # noqa: T201
+        lost = serve_vehicle(plan, stop, lambda served: print(wrapped(str(served), sys.stdout), flush=True))  # noqa: T201
     print(f"stopped; the vehicle fell {lost:.1f} s behind the clock")  # noqa: T201
 
 
@@ -141,11 +178,11 @@ def selftest(
     from cognitivedrone.vehicles.gazebo.selftest import Check
     from cognitivedrone.vehicles.gazebo.selftest import selftest as run_checks
 
-    def tell(check: Check) -> None:
+    def report_check(check: Check) -> None:
         text = ": ".join(part for part in (check.figure, check.reason) if part)
         print(visible(f"{check.name:<10} {check.outcome:<8} {text}"), flush=True)  # noqa: T201
 
-    report = run_checks(out, arducopter=arducopter, tell=tell)
+    report = run_checks(out, arducopter=arducopter, report_check=report_check)
     counts = {outcome: sum(check.outcome == outcome for check in report.checks) for outcome in OUTCOMES}
     print(visible(f"{', '.join(f'{n} {outcome}' for outcome, n in counts.items())}; see {out}"))  # noqa: T201
     sys.exit(1 if report.failed else 0)

@@ -13,6 +13,7 @@ from cognitivedrone.audit.config import AuditPlan
 from cognitivedrone.benchmark.config import Plan, ReasonPlan, SweepPlan
 from cognitivedrone.plan import Options, Scenario
 from cognitivedrone.printable import visible
+from cognitivedrone.ranges import Count, Index, Seed
 
 
 def bench(plan: Annotated[Flat[Plan], tyro.conf.arg(name="")]) -> None:
@@ -26,8 +27,8 @@ def bench(plan: Annotated[Flat[Plan], tyro.conf.arg(name="")]) -> None:
       cognitivedrone bench --policy my_package.my_module:MyPolicy --suite open-v1:test
       cognitivedrone bench --tasks my_tasks.json --labels my_pictures/
     """
-    from cognitivedrone.benchmark.runner import out_of, run
-    from cognitivedrone.benchmark.tables import results_table
+    from cognitivedrone.benchmark.reports.tables import results_table
+    from cognitivedrone.benchmark.runs.runner import out_of, run
     from cognitivedrone.tasks.scenario import how_many
     from cognitivedrone.terminal import console
 
@@ -59,9 +60,9 @@ def merge(
         out: Folder for the whole run.
         overwrite: Delete the run in that folder.
     """
-    from cognitivedrone.benchmark.merge import merge as merge_shards
-    from cognitivedrone.benchmark.report import REPORT_FILE
-    from cognitivedrone.benchmark.tables import results_table
+    from cognitivedrone.benchmark.reports.report import REPORT_FILE
+    from cognitivedrone.benchmark.reports.tables import results_table
+    from cognitivedrone.benchmark.runs.merge import merge as merge_shards
     from cognitivedrone.terminal import console
 
     screen = console()
@@ -77,8 +78,8 @@ def reason(plan: Annotated[Flat[ReasonPlan], tyro.conf.arg(name="")]) -> None:
       cognitivedrone reason --suite open-v1:test --reasoner noisy-oracle
       cognitivedrone reason --suite open-v1:track --reasoner my_module:MyReasoner --out answers
     """
-    from cognitivedrone.benchmark.reason import ANSWERS_FILE, score_reasoner
-    from cognitivedrone.benchmark.reason_table import reason_table
+    from cognitivedrone.benchmark.reasoning.reason import ANSWERS_FILE, score_reasoner
+    from cognitivedrone.benchmark.reasoning.reason_table import reason_table
     from cognitivedrone.terminal import console
 
     screen = console()
@@ -95,9 +96,9 @@ def sweep(plan: Annotated[Flat[SweepPlan], tyro.conf.arg(name="")]) -> None:
 
       cognitivedrone sweep --policy small --reasoner oracle --ms 0 500 2000 --out results/sweep
     """
-    from cognitivedrone.benchmark.sweep import PLOT_FILE
-    from cognitivedrone.benchmark.sweep import sweep as fly_all
-    from cognitivedrone.benchmark.tables import sweep_table
+    from cognitivedrone.benchmark.reports.tables import sweep_table
+    from cognitivedrone.benchmark.runs.sweep import PLOT_FILE
+    from cognitivedrone.benchmark.runs.sweep import sweep as fly_all
     from cognitivedrone.terminal import console
 
     screen = console()
@@ -105,13 +106,34 @@ def sweep(plan: Annotated[Flat[SweepPlan], tyro.conf.arg(name="")]) -> None:
     screen.print(f"plot: {plan.out / PLOT_FILE}")
 
 
+def doctor(policy: str = "small", seed: Seed = 0) -> None:
+    """Examine a policy: ask it about views whose right commands are known, and say in a sentence each what is wrong.
+
+    Whether it looks at the image and follows the instruction, the order and range of images, exchanged colour channels,
+    the order and signs of state and commands, their scale, chunks, latency, determinism and memory. Takes about a
+    thousand calls of the policy. Exit code 1 if anything is wrong. Examples:
+
+      cognitivedrone doctor --policy small
+      cognitivedrone doctor --policy my_module:MyPolicy:weights.pt
+      cognitivedrone doctor --policy remote:ws://127.0.0.1:8000
+
+    Args:
+        policy: Policy, as in bench: a name, or your own as module:attribute.
+        seed: Of the views.
+    """
+    from cognitivedrone.doctor.report import examined
+
+    if examined(policy, seed):
+        raise SystemExit(1)
+
+
 def audit(plan: Annotated[Flat[AuditPlan], tyro.conf.arg(name="")]) -> None:
     """Fly a pilot again and again with one thing changed, to see why it passes a benchmark.
 
-    No question or a meaningless one, another question about the same scene, panels or the gates' appearance swapped, a
-    mirrored stage, paraphrases, gates moved, light, wind, a shifted or turned camera, latency. All audits are 35 runs
-    of up to --episodes flights each, 3,500 by default; fewer than 30 flights are too few to tell. Writes audit.json
-    and audit.html; a stopped audit continues when it is started again. Examples:
+    No question or a meaningless one, another question about the same scene, panels, the gates' appearance or the order
+    of a mission swapped, a mirrored stage, paraphrases, gates moved, light, wind, a shifted or turned camera, latency.
+    All audits are 35 runs of up to --episodes flights each, 3,500 by default; fewer than 30 flights are too few to
+    tell. Writes audit.json and audit.html; a stopped audit continues when it is started again. Examples:
 
       cognitivedrone audit --policy small --reasoner small
       cognitivedrone audit --policy my_module:MyPolicy --episodes 50 --only "no question" wind
@@ -119,7 +141,7 @@ def audit(plan: Annotated[Flat[AuditPlan], tyro.conf.arg(name="")]) -> None:
     from cognitivedrone.audit.report import PAGE_FILE, audit_table, render_audit
     from cognitivedrone.audit.run import audit as fly_all
     from cognitivedrone.audit.run import folder_of
-    from cognitivedrone.benchmark.results import write_whole
+    from cognitivedrone.benchmark.scores.results import write_whole
     from cognitivedrone.terminal import console
 
     screen, page = console(), folder_of(plan) / PAGE_FILE
@@ -139,8 +161,8 @@ def compare(
         a: Folder or results.json of the first run.
         b: Folder or results.json of the second run.
     """
-    from cognitivedrone.benchmark.comparison import compare as compare_runs
-    from cognitivedrone.benchmark.tables import comparison_table
+    from cognitivedrone.benchmark.reports.tables import comparison_table
+    from cognitivedrone.benchmark.scores.comparison import compare as compare_runs
     from cognitivedrone.terminal import console
 
     console().print(comparison_table(compare_runs(a, b)))
@@ -175,36 +197,59 @@ def submit(
     print(visible(f"{out}: check it with `cognitivedrone verify {out}`"))  # noqa: T201
 
 
-def verify(file: tyro.conf.Positional[Path], sample: int = 20, seed: int = 0) -> None:
+def verify(
+    file: tyro.conf.Positional[Path],
+    sample: Count = 20,
+    seed: Seed | None = None,
+    policy: str | None = None,
+    reasoner: str | None = None,
+) -> None:
     """Check a leaderboard file, and fly a random sample of every run again, in this process.
 
     Scores that do not follow from the flights, other tasks, other weights, and other code of the user's own are errors.
-    Exit code 1 if a sample passes less often than submitted, beyond chance, or is too small to tell.
+    Nothing that a file names is run or opened but what is part of the package: name anything else yourself. Exit code 1
+    if flights end otherwise than submitted, beyond chance, or the sample is too small to tell. Examples:
+
+      cognitivedrone verify leaderboard/small.json
+      PYTHONPATH=folder cognitivedrone verify leaderboard/my-vla.json --policy my_module:MyPolicy
 
     Args:
         file: A file made by `submit`.
         sample: Episodes of each run to fly.
-        seed: Which episodes.
+        seed: Which episodes: a number that was printed, to repeat that sample. Drawn anew by default, so that nobody
+            knows the sample beforehand.
+        policy: The submission's policy as you have it, code that you trust: in place of the file's name.
+        reasoner: Its reasoner, likewise.
     """
-    from cognitivedrone.benchmark.submission import read_submission
+    from cognitivedrone.benchmark.submission import SURE, draw_seed, read_submission
     from cognitivedrone.benchmark.submission import verify as fly_sample
 
-    checked = fly_sample(read_submission(file), sample, seed)
-    few = f"the sample has too few passes to judge the score; give more than --sample {sample}"
+    submission = read_submission(file)
+    drawn = draw_seed() if seed is None else seed
+    print(visible(f"sample: --seed {drawn}"), flush=True)  # noqa: T201
+    checked = fly_sample(submission, sample, drawn, policy=policy, reasoner=reasoner)
     for run in checked:
-        said = {
-            "confirmed": "confirmed" if run.telling else f"not refuted, but {few}",
+        verdicts = {
+            "confirmed": "confirmed",
             "refuted": "NOT confirmed",
-            "undecided": f"undecided: {few}",
+            "undecided": f"undecided: give more than --sample {run.flown}",
         }
-        print(  # noqa: T201
-            visible(
-                f"{run.suite}: {run.equal} of {run.flown} stages ended as submitted; {run.passed} passed, "
-                f"{run.submitted} submitted as passed: {said[run.verdict]}"
+        lines = [
+            f"{run.suite}: {run.equal} of {run.flown} flights ended as submitted; {run.passed} stages passed, "
+            f"{run.submitted} submitted as passed: {verdicts[run.verdict]}"
+        ]
+        if run.valid:
+            lines.append(f"{run.valid} stages that were submitted as invalid are valid")
+        if not run.repeats:
+            lines.append("the pilot does not repeat its own flights, so only passes are compared (McNemar's test)")
+        elif run.finds is not None and run.verdict == "confirmed":
+            lines.append(
+                f"{run.finds} or more false flights among the {run.size} would not have been confirmed, with a"
+                f" probability of {100 * SURE:.0f} %"
             )
-        )
         if run.differences:
-            print(visible(f"  other versions here: {', '.join(run.differences)}"))  # noqa: T201
+            lines.append(f"other versions here: {', '.join(run.differences)}")
+        print("\n  ".join(map(visible, lines)))  # noqa: T201
     if any(run.verdict != "confirmed" for run in checked):
         raise SystemExit(1)
 
@@ -214,10 +259,45 @@ class ViewPlan(Options):
     """Draw what the drone sees at the start of a task."""
 
     scenario: Scenario = Scenario(suite="open-v1:smoke")
-    episode: int = 0
+    episode: Index = 0
     """Task of the suite, from 0."""
     out: Path = Path("view.png")
     """Picture to write."""
+
+
+def film(
+    run: tyro.conf.Positional[Path],
+    episode: Index = 0,
+    policy: str | None = None,
+    reasoner: str | None = None,
+    tasks: Path | None = None,
+    labels: Path | None = None,
+    out: Path | None = None,
+) -> None:
+    """Film an episode of a run: flies it again, and writes flight.mp4 and a page for it, flight.html.
+
+    The film shows the drone's view and one from behind, a map, instruction, directive, command and outcome. Example:
+
+      cognitivedrone film results/open-v1-test-small-none --episode 3
+
+    Args:
+        run: Folder of a finished run.
+        episode: Episode of the run, from 0.
+        policy: Policy, if the run flew your own: module:attribute.
+        reasoner: Reasoner, if the run flew your own.
+        tasks: Task file or folder, if the run flew one.
+        labels: Folder of pictures, if the run showed one.
+        out: Folder for the film; films/EPISODE in the run's folder by default.
+    """
+    from cognitivedrone.benchmark.runs.film import film_episode
+    from cognitivedrone.terminal import console
+
+    screen = console()
+    with console(stderr=True).status("flying and filming"):
+        done = film_episode(run, episode, policy=policy, reasoner=reasoner, tasks=tasks, labels=labels, out=out)
+    screen.print(f"{done.headline}: {done.page}")
+    if not done.repeats:
+        screen.print("this flight ended differently from the recorded one: the pilot does not repeat itself")
 
 
 def view(plan: Annotated[Flat[ViewPlan], tyro.conf.arg(name="")]) -> None:
@@ -236,7 +316,7 @@ def view(plan: Annotated[Flat[ViewPlan], tyro.conf.arg(name="")]) -> None:
 
 def list_names() -> None:
     """List suites, task families, airframes, and policies and reasoners with their arguments."""
-    from cognitivedrone.benchmark.catalogue import catalogue
+    from cognitivedrone.benchmark.reports.catalogue import catalogue
     from cognitivedrone.terminal import console
 
     console().print(catalogue())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from typing import Annotated
 
@@ -9,7 +10,7 @@ import tyro
 from tyro.conf import OmitArgPrefixes as Flat
 
 from cognitivedrone.errors import import_extra
-from cognitivedrone.printable import visible
+from cognitivedrone.printable import wrapped
 from cognitivedrone.serving.config import ServePlan
 
 EXTRA = "serve"
@@ -19,7 +20,7 @@ def serve(plan: Annotated[Flat[ServePlan], tyro.conf.arg(name="")]) -> None:
     """Serve a policy, and maybe a reasoner in front of it, until ctrl-C.
 
     Clients are `--policy remote:ws://HOST:PORT` and `--reasoner remote:ws://HOST:PORT` in every command here, openpi's
-    client, and OpenVLA's REST at /act. Only this machine can connect unless --host is given; read docs/serving.md
+    client, and OpenVLA's REST at /act. Only this machine can connect unless --host is given; read docs/own_policy.md
     before you do that. Needs the extra `serve`. Examples:
 
       cognitivedrone serve --policy small --reasoner small
@@ -35,6 +36,6 @@ def serve(plan: Annotated[Flat[ServePlan], tyro.conf.arg(name="")]) -> None:
     threads = frozenset(threading.enumerate())
     try:
         with logging_to_stderr():
-            run(plan, lambda address: print(visible(announced(plan, address), keep="\n"), flush=True))  # noqa: T201
+            run(plan, lambda address: print(wrapped(announced(plan, address), sys.stdout), flush=True))  # noqa: T201
     finally:
         end_lingering(threads, 1)  # a policy that hangs

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import sys
+from importlib import import_module
 from pathlib import Path
+from typing import Annotated
+
+import tyro
+from tyro.conf import OmitArgPrefixes as Flat
 
 from cognitivedrone.errors import MissingExtra
 from cognitivedrone.printable import visible
+from cognitivedrone.training.config import FineTunePlan, TrainPlan
+
+TRAINING_MODULES = 2_200
+"""About so many modules are imported for training: the length of the bar meanwhile."""
 
 
-def train(
-    out: Path,
-    recipe: str = "small",
-    data: Path | None = None,
-    start: Path | None = None,
-    labels: Path | None = None,
-    tasks: Path | None = None,
-    steps: int | None = None,
-    seed: int = 0,
-    resume: bool = False,
-    processes: int = 1,
-    threads: int = 1,
-) -> None:
+def train(plan: Annotated[Flat[TrainPlan], tyro.conf.arg(name="")]) -> None:
     """Train a small model, or teach a trained one your own pictures and words.
 
     Needs the extra `train`. Continue a stopped training with --resume. Examples:
@@ -33,45 +29,32 @@ def train(
       cognitivedrone train --recipe small --out runs/recorded --processes 2 --data flights
       cognitivedrone train --recipe flight --start runs/language/checkpoint.safetensors --out runs/flight --processes 2
       cognitivedrone train --recipe selector --start runs/flight/checkpoint.safetensors --out runs/selector
-
-    Args:
-        out: Folder of the run: checkpoint, curves.png, TensorBoard logs and, at the end, the model files.
-        recipe: teach, which teaches a trained pilot the pictures in --labels; reader, which reads panels; small, the
-            policy, which flies with a reader; race, base or debug, other policies; language and flight, which train a
-            policy's language or its flying further; selector, the small reasoner.
-        data: A data set made by `collect`, used instead of flights made during training.
-        start: Trained weights to start from: a checkpoint, a model file, the folder of a taught pilot, or "small" for
-            the packaged ones, the default.
-        labels: A folder of pictures such as my-labels/birds/robin.jpg, for recipe teach; one a concept is enough.
-        tasks: A task file, or a folder of them, whose sentences are taught as well.
-        steps: Steps, instead of the recipe's: fewer to try something, more where there is time.
-        seed: Random seed.
-        resume: Continue from the checkpoint in the folder.
-        processes: Processes that share each batch: the number of CPU cores, or of GPUs.
-        threads: CPU threads per process.
     """
-    print("loading PyTorch and the vocabulary", file=sys.stderr, flush=True)  # noqa: T201
+    from cognitivedrone.progress import loading
+
     try:
-        from cognitivedrone.training.launch import TrainOptions, run
+        with loading("loading PyTorch and the vocabulary", TRAINING_MODULES):
+            from cognitivedrone.training.launch import run
+
+            import_module("cognitivedrone.training.trainer.trainer")
     except ModuleNotFoundError as error:
         raise MissingExtra(str(error.name), "train") from None
-    model = run(TrainOptions(out, recipe, data, start, seed, resume, processes, threads, labels, tasks, steps))
+    model = run(plan)
     hint = f"; fly it with --policy small:{model}" if model.name == "model.onnx" else ""
+    success = last_success(plan.out)
+    if hint and success == 0:
+        hint = "; it passed no gate in its trial: train it longer, or from --start small, before you fly it"
     print(visible(f"{model}{hint}"))  # noqa: T201
 
 
-def train_openvla(
-    base: Path,
-    data: Path,
-    out: Path,
-    recipe: str = "paper",
-    seed: int = 0,
-    resume: bool = False,
-    micro_batch: int | None = None,
-    shard: bool = False,
-    key: str = "cognitivedrone",
-    merge: bool = False,
-) -> None:
+def last_success(out: Path) -> float | None:
+    """Success rate of the last trial of a training run; none without a trial."""
+    from cognitivedrone.training.trainer.run_log import METRICS, read_rows
+
+    return next((row["success"] for row in reversed(read_rows(out / METRICS)) if "success" in row), None)
+
+
+def train_openvla(plan: Annotated[Flat[FineTunePlan], tyro.conf.arg(name="")]) -> None:
     """Fine-tune OpenVLA-7B on a data set with low-rank adapters, and merge them into a checkpoint that can be flown.
 
     Needs the extras `openvla` and `train`, and peft. On several GPUs, start it with torchrun. Examples:
@@ -79,30 +62,20 @@ def train_openvla(
       cognitivedrone train-openvla --base openvla-7b --data flights --out out/7b
       torchrun --nproc-per-node 8 -m cognitivedrone train-openvla --base openvla-7b --data flights --out out/7b
       cognitivedrone bench --policy openvla:out/7b/merged
-
-    Args:
-        base: Folder of the base checkpoint: config.json, tokenizer.json, *.safetensors.
-        data: A data set made by `collect` or `data import`.
-        out: Folder of the run: checkpoint, metrics.jsonl, curves.png, TensorBoard logs and, at the end, merged/.
-        recipe: paper, race or debug.
-        seed: Random seed.
-        resume: Continue from the checkpoint in the folder.
-        micro_batch: Samples at once on each GPU, 8 by default; fewer need less memory.
-        shard: Shard the weights over the GPUs instead of copying them to each.
-        key: Name of the action statistics in the checkpoint.
-        merge: Do not train; merge the adapters of the folder's checkpoint.
     """
     from dataclasses import replace
 
     from cognitivedrone.training.openvla.recipes import find_lora_recipe
 
-    chosen = find_lora_recipe(recipe)
-    if micro_batch is not None:
-        chosen = replace(chosen, micro_batch=micro_batch)
+    recipe = find_lora_recipe(plan.recipe)
+    if plan.micro_batch is not None:
+        recipe = replace(recipe, micro_batch=plan.micro_batch)
     try:
         from cognitivedrone.training.openvla import lora as openvla_lora
     except ModuleNotFoundError as error:
         raise MissingExtra(str(error.name), "openvla,train") from None
-    config = openvla_lora.FineTuning(base, data, out, chosen, seed, resume, shard, key)
-    merged = openvla_lora.merge(config) if merge else openvla_lora.fine_tune(config)
+    config = openvla_lora.FineTuning(
+        plan.base, plan.data, plan.out, recipe, plan.seed, plan.resume, plan.shard, plan.key
+    )
+    merged = openvla_lora.merge(config) if plan.merge else openvla_lora.fine_tune(config)
     print(visible(f"{merged}; fly it with --policy openvla:{merged}"))  # noqa: T201

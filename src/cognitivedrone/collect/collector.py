@@ -12,19 +12,20 @@ from typing import Any
 
 from rich.progress import Progress, SpinnerColumn, TaskID, TimeElapsedColumn
 
-from cognitivedrone import registry
 from cognitivedrone.cluster import import_ray
 from cognitivedrone.collect.config import CollectPlan
-from cognitivedrone.collect.executors import EXECUTORS, Executor, Job, learner_of, open_suite
 from cognitivedrone.collect.fleet import FlownEpisode
+from cognitivedrone.collect.job import Job, learner_of, open_suite
 from cognitivedrone.collect.recipe import find_recipe
 from cognitivedrone.data.episode import Episode
 from cognitivedrone.data.layout import sole_writer
 from cognitivedrone.data.store_writer import StoreWriter
-from cognitivedrone.errors import DataError, did_you_mean
-from cognitivedrone.files import digest_of_folder
+from cognitivedrone.errors import DataError, RunError, did_you_mean
+from cognitivedrone.labels.folder import digest_of_labels
 from cognitivedrone.policies import make_policy
 from cognitivedrone.progress import progress_bar
+from cognitivedrone.rollout.pool import Pool, ProcessPool, WorkerCrash
+from cognitivedrone.rollout.ray_pool import RayPool
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,15 +64,15 @@ def collect(config: CollectPlan, progress: bool = True) -> CollectReport:
     configuration or folder, `TaskError` for a suite, `PolicyError` for a policy, `MissingExtra` if Ray is not
     installed, and `KeyboardInterrupt` on Ctrl-C, whose message gives the number of saved episodes.
     """
-    job, executor, workers = _prepare(config)
-    suite = open_suite(job)
+    job = _resolve(config)
+    suite, making = open_suite(job), _making(job)
     begin = time.perf_counter()
     columns = (SpinnerColumn(), TimeElapsedColumn())
     with sole_writer(config.out), progress_bar("speed", show=progress, columns=columns) as bar:
         line = bar.add_task("checking", total=job.episodes, speed="")
         writer = StoreWriter(
             config.out,
-            _making(job),
+            making,
             suite.name,
             suite.digest,
             job.source.seed,
@@ -83,9 +84,11 @@ def collect(config: CollectPlan, progress: bool = True) -> CollectReport:
         bar.update(line, description="starting", completed=gathered.there)
         batches = gathered.missing()
         try:
-            for flown in executor(job, batches, min(workers, max(len(batches), 1))):
-                gathered.add(flown)
-                _advance(bar, line, gathered, begin)
+            if batches:
+                with pool_of(job, config, len(batches)) as pool:
+                    for flown, _ in pool.fly(batches):
+                        gathered.add(flown)
+                        _advance(bar, line, gathered, begin)
             bar.update(line, description="finishing", completed=job.episodes)
             writer.finish(job.shards)
         except KeyboardInterrupt:
@@ -93,8 +96,13 @@ def collect(config: CollectPlan, progress: bool = True) -> CollectReport:
                 f"stopped; {gathered.keep()} of {job.episodes} episodes are kept in {config.out},"
                 " the same command with --resume collects the rest"
             ) from None
-        except BaseException:
+        except WorkerCrash as crash:
             gathered.keep()
+            raise RuntimeError(f"a worker failed:\n{crash.trace}") from None
+        except BaseException as error:
+            gathered.keep()
+            if isinstance(error, RunError):
+                raise DataError(str(error)) from None
             raise
     return CollectReport(
         out=config.out,
@@ -179,42 +187,31 @@ def _count(ranges: Iterable[range]) -> int:
     return sum(map(len, ranges))
 
 
-def _prepare(config: CollectPlan) -> tuple[Job, Executor, int]:
+def pool_of(job: Job, config: CollectPlan, most: int) -> Pool[list[int], FlownEpisode]:
+    """The workers, at most so many."""
+    workers = config.workers or len(os.sched_getaffinity(0))
+    return RayPool(job, workers, most) if config.executor == "ray" else ProcessPool(job, min(workers, most))
+
+
+def _resolve(config: CollectPlan) -> Job:
+    """Look up and check everything that a plan names, before anything is written."""
     recipe = find_recipe(config.recipe)
-    episodes = recipe.episodes if config.episodes is None else config.episodes
-    workers = len(os.sched_getaffinity(0)) if config.workers is None else config.workers
-    numbers = (
-        ("--episodes", episodes, 1),
-        ("--workers", workers, 1),
-        ("--seed", config.source.seed, 0),
-        ("--episodes-per-shard", config.episodes_per_shard, 1),
-    )
-    for name, value, least in numbers:
-        if value < least:
-            raise DataError(f"{name} {value}: must be at least {least}")
-    if not 0 <= config.beta <= 1:
-        raise DataError(f"--beta {config.beta}: must be a probability, from 0 to 1")
-    if config.source.labels is not None and not config.source.labels.is_dir():
-        raise DataError(f"--labels {config.source.labels} is not a folder of images")
-    if config.beta and config.policy is None:
-        raise DataError("--beta is the expert's share of a policy's flights; give a --policy, or leave it out")
-    if config.executor not in EXECUTORS:
-        raise DataError(f"unknown executor {config.executor!r}; {did_you_mean(config.executor, EXECUTORS)}")
     if config.executor == "ray":
         import_ray()
-    executor = registry.load("executor", config.executor, EXECUTORS)
+    elif config.executor != "local":
+        raise DataError(f"unknown executor {config.executor!r}; {did_you_mean(config.executor, ('local', 'ray'))}")
     learner = None
     if config.policy is not None:
         learner = learner_of(config.policy, config.beta)
         make_policy(config.policy).close()  # fails here, before anything is written
-    job = Job(config.source, replace(recipe, episodes=episodes), config.episodes_per_shard, learner)
-    return job, executor, workers
+    recipe = replace(recipe, episodes=recipe.episodes if config.episodes is None else config.episodes)
+    return Job(config.source, recipe, config.episodes_per_shard, learner)
 
 
 def _making(job: Job) -> dict[str, Any]:
     """What the manifest says of the recipe; of the user's own label images, the hash."""
     labels = job.source.labels
-    return job.recipe.facts() | ({} if labels is None else {"labels": digest_of_folder(labels)})
+    return job.recipe.facts() | ({} if labels is None else {"labels": digest_of_labels(labels)})
 
 
 def _advance(bar: Progress, line: TaskID, gathered: _Gathered, begin: float) -> None:

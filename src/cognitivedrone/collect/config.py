@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from cognitivedrone.errors import DataError
 from cognitivedrone.plan import Options, TaskSource
+from cognitivedrone.ranges import Count, Processes, Share
 
 EPISODES_PER_SHARD = 64
 
@@ -19,19 +21,24 @@ class CollectPlan(Options):
     """Folder of the store."""
     recipe: str = "paper"
     """Recipe: `paper`, `robust` or `debug`."""
-    episodes: int | None = None
+    episodes: Count | None = None
     """Number of episodes; if omitted, the recipe's (paper: 8,062)."""
     source: TaskSource = TaskSource(suite="open-v1:train")
-    workers: int | None = None
+    workers: Processes | None = None
     """Number of processes, or of concurrent shards on a cluster; if omitted, one per CPU."""
     resume: bool = False
     """Continue with the content of the folder."""
-    episodes_per_shard: int = EPISODES_PER_SHARD
+    episodes_per_shard: Count = EPISODES_PER_SHARD
     """Episodes that are flown, stored and resumed as one unit."""
     executor: Literal["local", "ray"] = "local"
     """`local` processes, or the machines of a `ray` cluster."""
     policy: str | None = None
     """Fly this policy instead of the expert, and record the expert's command as the label (DAgger).
     A name, small:MODEL.onnx, or your own as module:attribute. Flights are stored however they end."""
-    beta: float = 0.0
+    beta: Share = 0.0
     """With --policy: the probability, at each control step, that the expert's command replaces the policy's."""
+
+    def check(self) -> None:
+        """Raise `DataError` for a share of the expert without anybody else."""
+        if self.beta and self.policy is None:
+            raise DataError("--beta is the expert's share of a policy's flights; give a --policy, or leave it out")

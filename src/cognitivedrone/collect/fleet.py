@@ -14,17 +14,18 @@ from numpy.typing import NDArray
 from cognitivedrone.adapters import as_policy
 from cognitivedrone.collect.perturbation import Disturbance, disturb, draw_beginning, draw_disturbances
 from cognitivedrone.collect.recipe import Recipe
-from cognitivedrone.control.calls import begin_stage, seed_of
-from cognitivedrone.control.loop import check_chunk
+from cognitivedrone.control.calls import begin_stage, check_chunk, seed_of
 from cognitivedrone.data.episode import Conditions, Episode, encode_image
 from cognitivedrone.envs.drone import clip_action, proprioception
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
+from cognitivedrone.envs.track_runner import TrackConfig, episode_rng
+from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.errors import CognitiveDroneError, DataError, NonFiniteAction, PolicyError
 from cognitivedrone.interfaces import Policy, PolicyLike
+from cognitivedrone.interrupts import is_ctrl_c
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.expert import Expert, ExpertConfig
 from cognitivedrone.sim.airframe import AIRFRAMES
-from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Action, EpisodeContext, FloatArray, Image, Observation, Outcome
 
@@ -103,15 +104,18 @@ class Fleet:
         made = [learner() for _ in range(worlds)] if learner else []
         self._name = type(made[0]).__name__ if made else ""
         self._learners = [as_policy(f"policy {self._name}", each) for each in made]
-        self._simulator = Simulator(worlds, airframe=AIRFRAMES[AIRFRAME])
-        pack = load_pack(labels)
         config = TrackConfig(appearance=recipe.look, time_limit_s=recipe.time_limit_s)
-        self._courses = [TrackRunner(self._simulator.world(world), pack, config) for world in range(worlds)]
+        self._worlds = Worlds(worlds, load_pack(labels), config, airframe=AIRFRAMES[AIRFRAME])
         self._frames = np.empty((worlds, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)
+
+    @property
+    def renderer(self) -> str:
+        """Name of the renderer."""
+        return renderer_name()
 
     def close(self) -> None:
         """Free the renderer, and what the learners hold open."""
-        self._simulator.close()
+        self._worlds.close()
         for learner in self._learners:
             learner.close()
 
@@ -120,7 +124,7 @@ class Fleet:
         waiting = deque((index, 0, Counter[str]()) for index in indices)
         flights: dict[int, _Flight] = {}
         while waiting or flights:
-            for world in range(self._simulator.worlds):
+            for world in range(len(self._worlds.runners)):
                 if world not in flights and waiting:
                     flights[world] = self._begin(world, *waiting.popleft())
             for world, flight, outcome in self._step(flights):
@@ -142,8 +146,8 @@ class Fleet:
                 f"task {task.id}: no flight out of {attempt} was passed; use a recipe with weaker disturbances"
             )
         rng = attempt_rng(self.suite.digest, index, self.seed, attempt)
-        track_runner = self._courses[world]
-        start = draw_beginning(rng, self.recipe, self._simulator.airframe.hull_radius)
+        track_runner = self._worlds.runners[world]
+        start = draw_beginning(rng, self.recipe, track_runner.world.hull_radius)
         speed = float(rng.uniform(*self.recipe.speed_m_s))
         disturbances = draw_disturbances(rng, self.recipe)
         learner = self._learners[world] if self._learners else None
@@ -153,7 +157,7 @@ class Fleet:
         expert.reset(context)
         expert_flies = np.zeros(int(self.recipe.time_limit_s * CONTROL_HZ) + 2, np.bool_)
         if learner is not None:
-            with _told_of(self._name, index, 0):
+            with _naming_place(self._name, index, 0):
                 begin_stage(learner, replace(context, seed=seed_of(learner, rng)))
             if self.beta:
                 expert_flies = rng.random(len(expert_flies)) < self.beta
@@ -162,31 +166,28 @@ class Fleet:
     def _step(self, flights: Mapping[int, _Flight]) -> Iterator[tuple[int, _Flight, Outcome]]:
         """One control step of all worlds; yields those that ended, with their outcome."""
         worlds = list(flights)
-        frames = self._simulator.frames(self._frames[: len(worlds)], worlds)
-        undecided = set()
+        frames = self._worlds.simulator.frames(self._frames[: len(worlds)], worlds)
         for world, frame in zip(worlds, frames, strict=True):
             try:
                 self._decide(world, flights[world], frame)
             except NonFiniteAction:
-                undecided.add(world)
-        gate_events = self._simulator.advance()
+                self._worlds.runners[world].end("policy_error")
+        self._worlds.advance()
         for world in worlds:
-            track_runner = self._courses[world]
-            result = track_runner.end("policy_error") if world in undecided else track_runner.update(gate_events[world])
-            if result is not None:
-                yield world, flights[world], result.outcome
+            if results := self._worlds.runners[world].results:
+                yield world, flights[world], results[0].outcome
 
     def _decide(self, world: int, flight: _Flight, frame: Image) -> None:
         """Record the current step, and command."""
-        simulator = self._simulator
+        simulator = self._worlds.simulator
         state = simulator.state(world)
         velocity, height, yaw_rate = proprioception(state)
         action = sent = clip_action(flight.expert.command())
         if flight.learner is not None:
             if not flight.pending:
-                instruction = self._courses[world].task.instruction
+                instruction = self._worlds.runners[world].task.instruction
                 seen = Observation(frame, instruction, velocity, height, yaw_rate, simulator.time(world))
-                with _told_of(self._name, flight.index, len(flight.sent)):
+                with _naming_place(self._name, flight.index, len(flight.sent)):
                     flight.pending = list(check_chunk(flight.learner.act(seen)))
             learned = clip_action(flight.pending.pop(0))
             # The policy acts at every step, so that its own clock and memory continue.
@@ -201,7 +202,7 @@ class Fleet:
         flight.quaternion.append(state.quaternion)
 
     def _episode(self, world: int, flight: _Flight) -> Episode:
-        start = self._courses[world].start
+        start = self._worlds.runners[world].start
         velocity, height, yaw_rate = zip(*flight.proprioception, strict=True)
         return Episode(
             index=flight.index,
@@ -217,18 +218,20 @@ class Fleet:
             yaw_rate=np.array(yaw_rate, dtype=np.float32),
             position=np.array(flight.position),
             quaternion=np.array(flight.quaternion),
-            final_position=np.array(self._simulator.state(world).position, dtype=np.float64),
+            final_position=np.array(self._worlds.simulator.state(world).position, dtype=np.float64),
         )
 
 
 @contextmanager
-def _told_of(name: str, index: int, step: int) -> Iterator[None]:
+def _naming_place(name: str, index: int, step: int) -> Iterator[None]:
     """Turn any exception of a policy into a `PolicyError` that names the place."""
     try:
         yield
     except CognitiveDroneError:
         raise
-    except Exception as error:
+    except BaseException as error:  # also `SystemExit`, and a `KeyboardInterrupt` of its own
+        if is_ctrl_c(error):
+            raise
         reason = f"{type(error).__name__}: {error}"
         raise PolicyError(
             f"policy {name} failed in episode {index} at step {step} ({reason}); fix the policy"

@@ -21,7 +21,8 @@ from cognitivedrone.control.calls import NO_WATCH, Watch, begin_stage, calling
 from cognitivedrone.control.latency import LatencyModel
 from cognitivedrone.errors import PolicyRaised, ReasonerError, ReasonerFault
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance, Image
+from cognitivedrone.tasks.directives import declines, parse_directive
+from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance, Image, SubGoal
 
 LONGEST_DIRECTIVE = 1000
 """Maximum length in characters."""
@@ -39,6 +40,8 @@ class Question:
     """Time of the frame on the loop's clock, s."""
     truth: GroundTruth | None = None
     """Only in a simulator, for reasoners that need it."""
+    goal: SubGoal | None = None
+    """What this part of a mission is about."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,8 +170,7 @@ class _Thinker:
         """An answer in any case: an exception or invalid result of the reasoner becomes a fault."""
         try:
             with asking(self._watch):
-                guidance = self._ask(question)
-            return Answer(question, check_guidance(guidance))
+                return Answer(question, check_guidance(self._ask(question)))
         except ReasonerError as error:
             return Answer(question, None, error.kind, str(error), error.trace, error.certainty)
 
@@ -178,7 +180,28 @@ class _Thinker:
             stage = 0 if self._segment is None else question.segment
             begin_stage(reasoner, EpisodeContext(question.instruction, self._seed, stage, question.truth))
             self._segment = question.segment
-        return reasoner.refine(question.image, question.instruction)
+        found = reasoner.refine(question.image, question.instruction)
+        return found if question.goal is None else _within(question.goal, question.image, reasoner, found)
+
+
+def _within(goal: SubGoal, image: Image, reasoner: Reasoner, found: Guidance) -> Guidance:
+    """An answer that keeps to a sub-goal: what is flown through otherwise, and gates that are not flown through.
+
+    Raises `ReasonerError` if every gate that fits is forbidden.
+    """
+    if goal.otherwise and declines(found.directive):
+        found = reasoner.refine(image, goal.otherwise)
+    if goal.avoid and not reasoner.seen:  # it does not say what else may fit
+        found = reasoner.refine(image, f"{goal.instruction}, but never through the {' or '.join(goal.avoid)} gate")
+    if parse_directive(found.directive)[1] not in goal.avoid:
+        return found
+    allowed = [
+        (panel.right or 0.0, number) for number, panel in enumerate(reasoner.seen) if panel.color not in goal.avoid
+    ]
+    best, number = max(allowed, default=(0.0, 0))
+    if best <= 0:
+        raise ReasonerError("unsure", "every gate that fits is one that is not to be flown through")
+    return Guidance(f"Fly through the {reasoner.seen[number].color} gate", number, best / sum(p for p, _ in allowed))
 
 
 @contextmanager

@@ -29,9 +29,9 @@ class FilterRule:
     declines: int = 3
     """Answers in a row that must decline before the drone hovers. Meanwhile it flies on, and sees the panels anew; one
     that hovers at once would see the same frame, and its misreadings, for ever."""
-    sure: float = 0.95
+    sure: float = 0.8
     """An answer declines nothing where the policy's own probability that it is there is at least this. Policy and
-    reasoner rarely both fail to recognise what is there; found with flights of training tasks."""
+    reasoner rarely both fail to recognise what is there; set on first frames (docs/suites.md)."""
 
 
 class DirectiveFilter:

@@ -6,6 +6,7 @@ simulation is always well. Here are the two that change a command, with the numb
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -21,15 +22,24 @@ class GuardedDrone:
     """A drone that is only sent what limits and fence allow; `report` counts what they changed.
 
     `state` returns its true state; the fence stands around where it was when this was made, its floor and ceiling
-    above the ground. `clock` is the one that the drone is flown by.
+    above the ground. `clock` is the one that the drone is flown by. `landing` says whether a pad is to be landed on
+    now: the fence then has no floor.
     """
 
     def __init__(
-        self, drone: Drone, clock: Clock, state: Callable[[], DroneState], config: SafetyConfig | None = None
+        self,
+        drone: Drone,
+        clock: Clock,
+        state: Callable[[], DroneState],
+        config: SafetyConfig | None = None,
+        *,
+        landing: Callable[[], bool] = lambda: False,
     ) -> None:
         self.report = GuardReport()
         self._drone, self._clock, self._state = drone, clock, state
         self._config = config or SafetyConfig()
+        self._landing = landing
+        self._to_the_ground = replace(self._config, fence=replace(self._config.fence, floor_m=-math.inf))
         self._home = state().position * np.array([1.0, 1.0, 0.0])
         self._sent = np.zeros(4, dtype=np.float32)
         self._sent_s = -np.inf
@@ -40,7 +50,8 @@ class GuardedDrone:
 
     def send(self, action: Action) -> Action:
         """Send the action as it may be sent."""
-        config, state, now = self._config, self._state(), self._clock.now()
+        config = self._to_the_ground if self._landing() else self._config
+        state, now = self._state(), self._clock.now()
         slower = np.clip(action, *(sign * np.array(config.limits.speed, dtype=np.float32) for sign in (-1, 1)))
         smoother = limit(action, self._sent, now - self._sent_s, config.limits)
         inside = fence_in(

@@ -5,6 +5,7 @@ A `Hold` receives the reasoner's answers and overrides the commands of the contr
     hold = Hold()
     fly(HeldDrone(drone, hold), policy, clock, mission, reasoner=HoldAwareReasoner(reasoner, hold))
 
+An answer about a view that was doubted already is no new evidence: while the view stays the same, certainty only falls.
 The policy keeps running meanwhile, so that the flight continues at once when an answer is sure. The benchmark does not
 use it.
 """
@@ -17,7 +18,7 @@ import numpy as np
 
 from cognitivedrone.control.async_reasoner import Answer, AsyncReasoner, Question
 from cognitivedrone.interfaces import Drone
-from cognitivedrone.types import Action, Observation
+from cognitivedrone.types import Action, Image, Observation
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,8 @@ class HoldRule:
     """Weight of the newest answer in the mean."""
     answers: int = 2
     """Answers needed before it hovers, so that a single unsure answer from afar changes nothing."""
+    moved: float = 4.0
+    """Two frames show the same view if they differ by less than this on average, of 255."""
 
 
 class Hold:
@@ -49,21 +52,49 @@ class Hold:
         """Whether the drone must hover now."""
         self.sure = 1.0
         """Mean certainty of this segment's answers; 1 before the first."""
+        self.given_up = False
+        """Whether the pilot declines, because it stayed in doubt or did not understand the instruction."""
+        self.reason = ""
+        """The reasoner's newest reason for its doubt, as text."""
+        self.answers = 0
+        """Number of answers to this segment, or since `look_anew`."""
         self._segment: int | None = None
-        self._heard = 0
         self._answered = False
+        self._anew = False
+        self._doubted: Image | None = None
+        """The view that was doubted."""
 
     def begin(self, segment: int) -> None:
         """Start a segment: if it is a new one, forget the last and fly."""
         if segment != self._segment:
-            self._segment, self._heard, self._answered = segment, 0, False
-            self.active, self.sure = False, 1.0
+            self._segment, self.answers, self._answered = segment, 0, False
+            self.active, self.given_up, self.sure, self.reason = False, False, 1.0, ""
+            self._anew, self._doubted = False, None
+
+    def look_anew(self) -> None:
+        """Forget the answers so far: the view is another one. It keeps hovering until one is sure."""
+        self.answers, self._answered, self._doubted, self._anew = 0, False, None, True
+
+    def doubt(self, reason: str) -> None:
+        """Hover for another reason than the answers so far."""
+        self.active, self.sure, self.reason = True, 0.0, reason
+        self.look_anew()
+
+    def give_up(self, reason: str = "") -> None:
+        """Hover from now on, and decline."""
+        self.active = self.given_up = True
+        self.reason = reason or self.reason
+
+    def _margin(self) -> float:
+        """The hysteresis; none for several answers from another place, which are as good as the first ones were."""
+        return 0.0 if self._anew and self.answers > self.rule.answers else self.rule.margin
 
     def update(self, answer: Answer) -> None:
         """Process an answer; those of other segments, and faults that say nothing about the scene, are ignored."""
         guidance = answer.guidance
-        if answer.question.segment != self._segment:
+        if answer.question.segment != self._segment or self.given_up:
             return
+        self.reason = answer.message or self.reason
         if guidance is not None:
             value = guidance.confidence * (1.0 if guidance.present is None else guidance.present)
             self._answered = True
@@ -74,12 +105,22 @@ class Hold:
             value = 0.0
         else:
             return
-        self.sure = value if self._heard == 0 else self.sure + self.rule.newest * (value - self.sure)
-        self._heard += 1
-        if self.active:
-            self.active = self.sure < min(1.0, self.rule.below + self.rule.margin)
-        else:
-            self.active = self._heard >= self.rule.answers and self.sure < self.rule.below
+        self.answers += 1
+        mean = value if self.answers == 1 else self.sure + self.rule.newest * (value - self.sure)
+        image = answer.question.image
+        if not self.active:
+            self.sure = mean
+            self.active = self.answers >= self.rule.answers and mean < self.rule.below
+            self._doubted = image if self.active else None
+            return
+        if self._doubted is not None and _difference(image, self._doubted) < self.rule.moved:
+            mean = min(mean, self.sure)
+        elif self._doubted is not None:
+            self._doubted = image
+        self.sure = mean
+        # Only what names a gate ends the doubt: an undecided answer leaves the directive of before.
+        sure = guidance is not None and mean >= min(1.0, self.rule.below + self._margin())
+        self.active = not sure or self.answers < self.rule.answers
 
 
 class HoldAwareReasoner:
@@ -107,6 +148,11 @@ class HoldAwareReasoner:
     def close(self) -> None:
         """As `AsyncReasoner`."""
         self._async_reasoner.close()
+
+
+def _difference(a: Image, b: Image) -> float:
+    """The mean difference of two frames, coarsely."""
+    return float(np.abs(a[::8, ::8].astype(np.int16) - b[::8, ::8]).mean())
 
 
 class HeldDrone:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cognitivedrone.control.calls import NO_WATCH, Watch, calling
+from cognitivedrone.control.calls import NO_WATCH, Watch, calling, check_chunk
 from cognitivedrone.errors import SimulationError
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.types import ActionChunk, EpisodeContext, Observation
@@ -43,21 +43,26 @@ class TimedPolicy(Policy):
         self._watch = watch
         self.took_s: list[float] = []
         """Duration of each decision, s of wall time."""
+        self._first: ActionChunk | None = None
+        self._varies = False
 
     @property
     def declines(self) -> bool:  # type: ignore[override]
         """Whether the policy declines."""
-        return self.policy.declines
+        with calling("the policy", self._watch):
+            return self.policy.declines
 
     @property
     def present(self) -> float | None:  # type: ignore[override]
         """The policy's probability that a gate matches the instruction."""
-        return self.policy.present
+        with calling("the policy", self._watch):
+            return self.policy.present
 
     @property
     def trouble(self) -> str:  # type: ignore[override]
         """Why the policy only holds the position."""
-        return self.policy.trouble
+        with calling("the policy", self._watch):
+            return self.policy.trouble
 
     def reset(self, context: EpisodeContext) -> None:
         """Start a stage."""
@@ -65,12 +70,24 @@ class TimedPolicy(Policy):
             self.policy.reset(context)
 
     def act(self, observation: Observation) -> ActionChunk:
-        """Decide, and measure the time."""
+        """Decide, and measure the time. Raises `ActionError` for what is no chunk of actions."""
         begin = time.perf_counter()
         with calling("the policy", self._watch):
-            chunk = self.policy.act(observation)
+            chunk = check_chunk(self.policy.act(observation))
         self.took_s.append(time.perf_counter() - begin)
+        if self._first is None:
+            self._first = chunk.copy()
+        elif not self._varies:
+            self._varies = not np.array_equal(self._first, chunk)
         return chunk
+
+    @property
+    def repeated(self) -> tuple[float, float, float, float] | None:
+        """The first action of its answer, if that was the same every time and at least twice; otherwise none."""
+        if self._first is None or self._varies or len(self.took_s) < 2:
+            return None
+        vx, vy, vz, yaw_rate = map(float, self._first[0])
+        return vx, vy, vz, yaw_rate
 
     def check(self) -> None:
         """Call the policy's method."""
@@ -109,10 +126,11 @@ class Delays:
     """The option's text with file names replaced by hashes: equal for equal delays."""
 
 
-def parse_delays(text: str) -> Delays:
+def parse_delays(text: str, *, files: bool = True) -> Delays:
     """Delays from "none", "measured", "policy=80ms,reasoner=0.45s", "reasoner=measured" or "reasoner=samples.txt".
 
-    A file contains one delay in ms per line; empty lines and text after a # are skipped. Raises `SimulationError`.
+    A file contains one delay in ms per line; empty lines and text after a # are skipped. Raises `SimulationError`, also
+    for a file where none is allowed: where the text is not this person's.
     """
     text = text.strip()
     if text == "none":
@@ -125,18 +143,20 @@ def parse_delays(text: str) -> Delays:
         name, _, value = (word.strip() for word in item.partition("="))
         if name not in ("policy", "reasoner") or not value or name in parts:
             raise SimulationError(f"--latency {text}: cannot read {item.strip()!r}; {_HOW}")
-        parts[name], told = _delay(value, text)
-        identity.append(f"{name}={told}")
+        parts[name], canonical = _delay(value, text, files)
+        identity.append(f"{name}={canonical}")
     return Delays(**parts, identity=",".join(sorted(identity)))
 
 
-def _delay(value: str, text: str) -> tuple[Delay, str]:
+def _delay(value: str, text: str, files: bool) -> tuple[Delay, str]:
     """One part's delay, and what identifies it."""
     if value == "measured":
         return Delay(measured=True), value
     number = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)(ms|s)", value)
     if number:
         return Delay((_checked(float(number[1]) * _UNITS_S[number[2]], f"--latency {text}"),)), value
+    if not files:
+        raise SimulationError(f"--latency {text[:80]!r} depends on a file, which is not read here; {_HOW}")
     path = Path(value)
     if not path.is_file():
         raise SimulationError(f"--latency {text}: {value!r} is neither a time such as 80ms nor a file; {_HOW}")

@@ -10,21 +10,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cognitivedrone.control.async_reasoner import AsyncReasoner, Question
-from cognitivedrone.control.calls import begin_stage
+from cognitivedrone.control.calls import begin_stage, check_chunk
 from cognitivedrone.control.directive_filter import DirectiveFilter
+from cognitivedrone.control.landing import Lander
 from cognitivedrone.control.latency import LatencyModel
-from cognitivedrone.errors import ActionError, NonFiniteAction
 from cognitivedrone.interfaces import Clock, Drone, Policy, Recorder
 from cognitivedrone.tasks.directives import declines
+from cognitivedrone.tasks.missions import lands
 from cognitivedrone.types import (
     CONTROL_HZ,
+    REASONER_HZ,
     Action,
-    ActionChunk,
     EpisodeContext,
     Event,
     GroundTruth,
     Guidance,
     Observation,
+    SubGoal,
 )
 
 LATE_S = 0.010
@@ -40,51 +42,12 @@ class Segment:
     instruction: str
     truth: GroundTruth | None = None
     """Only in a simulator, for policies and reasoners that need it."""
+    goal: SubGoal | None = None
+    """What this part of a mission is about, if the instruction is part of one."""
 
 
 Mission = Callable[[], Segment | None]
 """Returns the current segment; called before every control step. None ends the flight."""
-
-
-@dataclass(frozen=True, slots=True)
-class Rates:
-    """How often the parts of a pilot run, Hz; the reasoner's rate divides the policy's."""
-
-    control_hz: int = CONTROL_HZ
-    reasoner_hz: int = 2
-
-    def __post_init__(self) -> None:
-        if self.control_hz % self.reasoner_hz:
-            raise ValueError(f"{self.control_hz} Hz control is no whole multiple of {self.reasoner_hz} Hz reasoning")
-
-    @property
-    def reason_every(self) -> int:
-        """Control steps between two questions to the reasoner."""
-        return self.control_hz // self.reasoner_hz
-
-
-def check_chunk(chunk: object) -> ActionChunk:
-    """The chunk as (k, 4) float32.
-
-    Raises `ActionError` if it has another shape, `NonFiniteAction` if a number is NaN or infinite.
-    """
-    if chunk is None:
-        raise ActionError("the policy returned None, not an array of numbers; expected (k, 4) float32")
-    try:
-        array = np.asarray(chunk, dtype=np.float32)
-    except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor that is not on the host
-        raise ActionError(
-            f"the policy returned {type(chunk).__name__!r}, not an array of numbers; expected (k, 4) float32"
-        ) from None
-    if array.ndim != 2 or array.shape[0] < 1 or array.shape[1] != 4:
-        hint = "; return one action as [[vx, vy, vz, yaw_rate]]" if array.shape == (4,) else ""
-        raise ActionError(
-            f"the policy returned an action of shape {array.shape};"
-            f" expected (k, 4): vx, vy, vz in m/s and yaw rate in rad/s{hint}"
-        )
-    if not np.isfinite(array).all():
-        raise NonFiniteAction(f"the policy returned {array[0].tolist()}: not all of it is a finite number")
-    return array
 
 
 def resolution_of(clock: Clock) -> float:
@@ -100,7 +63,6 @@ def fly(
     *,
     reasoner: AsyncReasoner | None = None,
     recorder: Recorder | None = None,
-    rates: Rates | None = None,
     latency_model: LatencyModel | None = None,
     seed: int = 0,
     real_time: bool = False,
@@ -112,16 +74,16 @@ def fly(
     charges. A chunk of actions is flown to its end before the policy is asked again.
 
     A new segment resets the policy, with `seed` in its context, and drops the rest of the chunk. The `reasoner` is
-    asked about the newest frame at the start of a segment and then `reasoner_hz` times a second, if it is idle. Its
+    asked about the newest frame at the start of a segment and then `REASONER_HZ` times a second, if it is idle. Its
     directive replaces the instruction when it arrives; `DirectiveFilter` decides whether it replaces another directive.
 
     The pilot declines while the current directive is "Hold position", or while the policy says so (`Policy.declines`).
-    With that directive the drone hovers and the policy is not asked. The recorder is notified of both ends, and of
-    when the policy only holds the position because it is in trouble (`Policy.trouble`).
+    With that directive the drone hovers and the policy is not asked. Where the segment's instruction, never only a
+    directive, is to land on a pad, the loop's own `Lander` flies, and nobody is asked. The recorder is notified of both
+    ends, and of when the policy only holds the position because it is in trouble (`Policy.trouble`).
 
     `real_time` tells the policy whether time goes on while it computes.
     """
-    rates = rates or Rates()
     log = recorder or _NullRecorder()
     start = clock.now()
     tolerance_s = LATE_S + resolution_of(clock)
@@ -129,40 +91,46 @@ def fly(
     directive_filter = DirectiveFilter()
     declined, troubled = False, False
     pending: list[Action] = []
+    lander = Lander()
     slot = sent_count = 0
     next_question = 0
     while (segment := mission()) is not None:
-        late = clock.now() - (start + slot / rates.control_hz)
+        late = clock.now() - (start + slot / CONTROL_HZ)
         if late > tolerance_s:
             log.note(Event(clock.now() - start, "late", age_s=late))
         if segment.index != segment_index:
             stage = 0 if segment_index is None else segment.index
             segment_index, directive_filter, pending, next_question = segment.index, DirectiveFilter(), [], slot
-            declined = False
+            declined, lander = False, Lander()
             begin_stage(policy, EpisodeContext(segment.instruction, seed, stage, segment.truth, real_time))
-            log.note(Event(clock.now() - start, "leg", segment.instruction))
+            log.note(Event(clock.now() - start, "segment", segment.instruction))
         observation = drone.observe()
-        if reasoner is not None:
+        landing, pad = lands(segment.instruction)
+        if reasoner is not None and not landing:
             _poll(reasoner, directive_filter, segment, start, clock.now(), log)
             if slot >= next_question and reasoner.idle(clock.now()):
                 reasoner.ask(
-                    Question(segment.index, segment.instruction, observation.image, clock.now(), segment.truth)
+                    Question(
+                        segment.index, segment.instruction, observation.image, clock.now(), segment.truth, segment.goal
+                    )
                 )
                 log.note(Event(clock.now() - start, "asked", segment.instruction))
-                next_question = slot + rates.reason_every
+                next_question = slot + CONTROL_HZ // REASONER_HZ
                 _poll(reasoner, directive_filter, segment, start, clock.now(), log)
         guidance = directive_filter.guidance(clock.now())
         observation = replace(observation, instruction=guidance.directive if guidance else segment.instruction)
         held = guidance is not None and declines(guidance.directive)
         if held:
             pending = [np.zeros(4, dtype=np.float32)]
+        elif landing:
+            pending = [lander.act(observation, pad)]
         elif not pending:
             begin = time.perf_counter()
             pending = list(check_chunk(policy.act(observation)))
             directive_filter.policy_says(policy.present)
             if latency_model is not None:
                 clock.sleep_until(clock.now() + latency_model(time.perf_counter() - begin))
-        if declined != (held or policy.declines):
+        if declined != (held or (policy.declines and not landing)):
             declined = not declined
             log.note(Event(clock.now() - start, "declined" if declined else "resumed", observation.instruction))
         if troubled != bool(policy.trouble):
@@ -171,8 +139,8 @@ def fly(
         sent = drone.send(pending.pop(0))
         log.record(observation, sent, guidance)
         sent_count += 1
-        slot = max(slot + 1, math.ceil((clock.now() - start) * rates.control_hz - LATE_S * rates.control_hz))
-        clock.sleep_until(start + slot / rates.control_hz)
+        slot = max(slot + 1, math.ceil((clock.now() - start) * CONTROL_HZ - LATE_S * CONTROL_HZ))
+        clock.sleep_until(start + slot / CONTROL_HZ)
     return sent_count
 
 

@@ -88,7 +88,7 @@ class Timeouts:
 
 @dataclass(frozen=True, slots=True)
 class SafetyConfig:
-    """Every number of the rules; `docs/failure-handling.md` explains them."""
+    """Every number of the rules; `docs/real-drone.md` explains them."""
 
     limits: Limits = field(default_factory=Limits)
     fence: Fence = field(default_factory=Fence)
@@ -159,8 +159,8 @@ def decide(health: Health, memory: Memory, config: SafetyConfig) -> tuple[Decisi
     )
     # The first of equals: the rules come worst first, and a latched reason stays the reason.
     latched = () if memory.floor.kind == "fly" else (memory.floor,)
-    said = (*latched, *_findings(health, memory, config), Decision("fly", ""))
-    decision = max(said, key=lambda d: SEVERITY.index(d.kind))
+    decisions = (*latched, *_findings(health, memory, config), Decision("fly", ""))
+    decision = max(decisions, key=lambda d: SEVERITY.index(d.kind))
     if SEVERITY.index(decision.kind) < SEVERITY.index("brake") or decision == memory.floor:
         return decision, memory
     by_pilot = decision.kind == "brake" and (health.stick_moved or health.remote_appeared)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from cognitivedrone.data.shards import clear_errors
+from cognitivedrone.data.shards import read_text
 from cognitivedrone.errors import DataError
 
 SUMS: Final = "SHA256SUMS"
@@ -21,8 +21,7 @@ def sums_text(hashes: Mapping[str, str]) -> str:
 
 def read_sums(path: Path) -> dict[str, str]:
     """Hashes by file of the store at `path`. Raises `DataError` if the file is missing or was altered."""
-    with clear_errors(path / SUMS, "read"):
-        content = (path / SUMS).read_bytes().decode()
+    content = read_text(path / SUMS)
     hashes = {name: digest for digest, name in _LINE.findall(content)}
     if not hashes or sums_text(hashes) != content:
         raise DataError(f"{path / SUMS}: is damaged; collect again with --resume to repair it")

@@ -27,6 +27,8 @@ from cognitivedrone.tasks.format import task_from_json, task_to_json
 from cognitivedrone.types import Task
 
 FOOTER_KEY: Final = "cognitivedrone"
+MAX_TEXT_BYTES: Final = 256 * 2**20
+"""Of a store's JSON files and SHA256SUMS."""
 WIDTHS: Final[dict[str, tuple[str, int]]] = {
     "action": ("float32", 4),
     "sent": ("float32", 4),
@@ -62,7 +64,15 @@ def clear_errors(path: Path, doing: str) -> Iterator[None]:
         yield
     except OSError as error:
         raise DataError(f"{path}: cannot be {doing} ({error.strerror or error}); {_way_out(doing)}") from None
-    except (pa.ArrowException, ValueError, KeyError) as error:
+    except (
+        pa.ArrowException,
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        RecursionError,
+        TypeError,
+        ValueError,
+    ) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DataError(f"{path}: cannot be {doing} ({reason}); {_way_out(doing)}") from None
 
@@ -125,13 +135,21 @@ def write_text(path: Path, text: str) -> None:
 
 def read_json(path: Path) -> Any:
     """The content of a JSON file of the store; raises `DataError`."""
+    text = read_text(path)
     with clear_errors(path, "read"):
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(text)
+
+
+def read_text(path: Path) -> str:
+    """The content of a text file of the store; raises `DataError`, also for what is too large or no regular file."""
+    with clear_errors(path, "read"):
+        return files.read_regular(path, MAX_TEXT_BYTES).decode()
 
 
 def sha256_of(path: Path) -> str:
     """Hexadecimal content hash of a file; raises `DataError`."""
     with clear_errors(path, "read"):
+        files.check_regular(path)
         return files.digest_of_file(path)
 
 
@@ -201,6 +219,7 @@ class ShardFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         with clear_errors(path, "read"):
+            files.check_regular(path)
             self._file = pq.ParquetFile(path, memory_map=True)
             footer = json.loads(self._file.metadata.metadata[FOOTER_KEY.encode()])
             self.facts: list[dict[str, Any]] = footer["episodes"]

@@ -127,7 +127,7 @@ class StoreWriter:
             found = None
         if is_sound(self.path, found):
             check_format(self.path, found)
-            if self._makings_said() != {self._making}:  # otherwise the manifest itself is foreign
+            if self._makings_recorded() != {self._making}:  # otherwise the manifest itself is foreign
                 check_same_making(self.path, found, self._head)
             return making_of(head_of(found)) == self._making
         if not self._looks_like_a_store():
@@ -136,17 +136,17 @@ class StoreWriter:
 
     def _check_shards_are_ours(self) -> None:
         """Raise `DataError` if there is no valid manifest, and the receipts are those of another set."""
-        makings = self._makings_said()
+        makings = self._makings_recorded()
         if makings and self._making not in makings:
             raise DataError(
                 f"{self.path / MANIFEST}: is missing or damaged, and the shards beside it were not made with these "
                 "settings; give another folder, or the same settings as before"
             )
 
-    def _makings_said(self) -> set[str]:
+    def _makings_recorded(self) -> set[str]:
         """Hashes of the manifest heads in the receipts; "" for receipts without one."""
-        said = (_making_said(path) for path in (self.path / SHARDS).glob("shard-*.json"))
-        return {making for making in said if making is not None}
+        recorded = (_making_recorded(path) for path in (self.path / SHARDS).glob("shard-*.json"))
+        return {making for making in recorded if making is not None}
 
     def _clear_up(self) -> None:
         """Remove leftovers of a killed process."""
@@ -172,17 +172,17 @@ class StoreWriter:
         """The receipt of a shard if both are intact; None otherwise."""
         path = self.path / receipt_name(shard)
         try:
-            said = path.read_bytes()
+            recorded = path.read_bytes()
             digest = sha256_of(self.path / shard)
-            if not _is_of(said, digest):
+            if not _is_of(recorded, digest):
                 return None
             receipt = receipt_of(self.path / shard, shard, digest)
         except (DataError, OSError):
             return None
         text = receipt_text(receipt, self._making)
-        if said == json_text(receipt).encode():  # of a release whose receipts lack the hash of the manifest head
+        if recorded == json_text(receipt).encode():  # of a release whose receipts lack the hash of the manifest head
             write_text(path, text)
-        elif said != text.encode():
+        elif recorded != text.encode():
             return None
         return receipt
 
@@ -291,7 +291,7 @@ def _is_of(receipt: bytes, digest: str) -> bool:
     return isinstance(content, dict) and content.get("sha256") == digest
 
 
-def _making_said(receipt: Path) -> str | None:
+def _making_recorded(receipt: Path) -> str | None:
     """The hash of the manifest head in a receipt: "" if it has none, None if it is unreadable."""
     try:
         content = read_json(receipt)

@@ -25,7 +25,7 @@ from cognitivedrone.data.layout import (
     receipt_name,
     receipt_text,
 )
-from cognitivedrone.data.shards import ShardFile, json_text, read_json, sha256_of
+from cognitivedrone.data.shards import MAX_TEXT_BYTES, ShardFile, json_text, read_json, read_text, sha256_of
 from cognitivedrone.data.statistics import splits_again, statistics
 from cognitivedrone.errors import CognitiveDroneError, DataError
 from cognitivedrone.tasks.format import read_tasks
@@ -60,7 +60,11 @@ def verify(path: Path | str) -> list[Problem]:
 
     @cache
     def hash_of(name: str) -> str | None:
-        return sha256_of(root / name) if (root / name).is_file() else None
+        file = root / name
+        if Path(name).is_absolute() or ".." in Path(name).parts or not file.is_file():
+            return None  # a store has no files outside of its folder
+        too_large = file.suffix != ".parquet" and file.stat().st_size > MAX_TEXT_BYTES
+        return "too large" if too_large else sha256_of(file)
 
     sums, problems = _checksums(root)
     manifest = _manifest(root, sums, hash_of)
@@ -71,7 +75,7 @@ def verify(path: Path | str) -> list[Problem]:
         problems += [*_stray_files(root, manifest), *_episode_problems(manifest)]
         problems += _sum_problems(manifest, sums or {}, hash_of, problems)
         return problems or list(_derived_problems(root, manifest))
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+    except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError, RecursionError) as error:
         return [Problem(MANIFEST, f"is damaged (no usable {error})")]
 
 
@@ -106,11 +110,12 @@ def _manifest(root: Path, sums: Mapping[str, str] | None, hash_of: _Hashes) -> d
 def _shard_problems(root: Path, manifest: dict[str, Any], hash_of: _Hashes) -> Iterator[Problem]:
     for receipt in manifest["shards"]:
         name = receipt["file"]
-        if hash_of(name) is None:
+        size = (root / name).stat().st_size if (root / name).is_file() else 0
+        if receipt["bytes"] < size:  # before it is hashed, however large it is
+            yield Problem(name, f"is altered: it has {size} bytes, not {receipt['bytes']}")
+        elif hash_of(name) is None:
             yield Problem(name, "is missing")
-            continue
-        size = (root / name).stat().st_size
-        if size < receipt["bytes"]:
+        elif size < receipt["bytes"]:
             yield Problem(name, f"is truncated: {size} of {receipt['bytes']} bytes")
         elif hash_of(name) != receipt["sha256"]:
             yield Problem(name, "is altered: its content does not match the hash in the manifest")
@@ -139,11 +144,15 @@ def _receipt_problems(root: Path, manifest: dict[str, Any], sums: Mapping[str, s
         if not file.is_file():
             yield Problem(name, "is missing")
             continue
-        content = file.read_bytes()
-        if sums is None and content == json_text(receipt).encode():
+        try:
+            content = read_text(file)
+        except DataError as error:
+            yield Problem(name, str(error))
+            continue
+        if sums is None and content == json_text(receipt):
             continue
         of_old = False
-        if content != receipt_text(receipt, making).encode():
+        if content != receipt_text(receipt, making):
             yield Problem(name, "is altered: it does not say what the manifest says")
     if sums is None and not of_old:
         yield Problem(SUMS, "is missing")

@@ -11,6 +11,8 @@ from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.sim.dynamics import Flight
 from cognitivedrone.types import ACTION_LIMITS, Action, Commands, DroneState, FloatArray, Observation
 
+_KEEP_UP_S = 0.02  # between two steps of a world that keeps up with the wall clock
+
 
 class SimulatedDrone:
     """The drone of a simulated world, flown through a track. Time stands still between calls of `sleep_until`: it is
@@ -26,7 +28,7 @@ class SimulatedDrone:
         velocity, height, yaw_rate = proprioception(self.world.state())
         return Observation(
             image=self.world.frame(),
-            instruction=self.track_runner.task.instruction,
+            instruction=self.track_runner.instruction,
             velocity=velocity,
             height=height,
             yaw_rate=yaw_rate,
@@ -81,8 +83,10 @@ class PacedDrone:
         return time.perf_counter() - self._start
 
     def sleep_until(self, time_s: float) -> None:
-        """Wait; then let the world catch up."""
-        time.sleep(max(0.0, time_s - self.now()))
+        """Wait, while the world keeps up: what it had to catch up at the end would be late."""
+        while (wait := time_s - self.now()) > 0:
+            time.sleep(min(wait, _KEEP_UP_S))
+            self.drone.sleep_until(self.now())
         self.drone.sleep_until(self.now())
 
 

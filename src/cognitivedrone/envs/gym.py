@@ -7,15 +7,15 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 
-from cognitivedrone.envs.drone import clip_action, proprioception
-from cognitivedrone.envs.options import scenario_of, tasks_of
+from cognitivedrone.envs.render import Camera, TaskView
 from cognitivedrone.envs.spaces import Info, action_space, check_actions, observation_space
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
+from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.errors import TaskError
-from cognitivedrone.labels import load_pack
+from cognitivedrone.plan import Scenario
 from cognitivedrone.sim.airframe import find_airframe
-from cognitivedrone.sim.simulator import Simulator
-from cognitivedrone.tasks import Suite
+from cognitivedrone.tasks import UNLIMITED, Suite
+from cognitivedrone.tasks.scenario import suite_of
+from cognitivedrone.tasks.suites import TRAIN_NAME
 from cognitivedrone.types import CONTROL_HZ, Action, GroundTruth, StageResult
 
 
@@ -23,13 +23,15 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
     """One episode is one track of the suite; a single task is a track of one stage.
 
     `suite` is a name or a `Suite`; every episode of "open-v1:train" is a new task, without end. The other options are
-    those of `cognitivedrone.plan.Scenario`: tasks, labels, appearance, airframe, wind.
+    those of `cognitivedrone.plan.Scenario`: tasks, labels, appearance, airframe, wind. `camera` is what `render` shows:
+    the drone's own view or, with "chase", one from behind it.
 
     Reward: 1 for every stage flown through the right gate. `terminated` when the track is done or the flight ended by
     contact, miss or leaving the stage; `truncated` when the stage's time ran out. `info` holds `task`, and the
     `StageResult`s so far as `results`. `reset(options={"episode": i})` flies one chosen episode of the suite, and
     `reset(options={"episode": i, "seed": n})` the one that the benchmark flies as episode i with `--seed n`.
-    Raises `TaskError`, `LabelError` or `SimulationError` for a suite, labels or conditions that cannot be.
+    Raises `TaskError`, `LabelError`, `SimulationError` or `UsageError` for a suite, labels or conditions that cannot
+    be.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
@@ -43,39 +45,41 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         *,
         time_limit_s: float = 30.0,
         render_mode: str | None = None,
+        camera: Camera = "drone",
         **options: Any,
     ) -> None:
-        scenario = scenario_of(suite, options)
+        scenario = Scenario.of(suite=suite if isinstance(suite, str) else suite.name, **options)
         self.suite = tasks_of(suite, scenario)
         self.observation_space = observation_space()
         self.action_space = action_space()  # type: ignore[assignment]
+        self.view = TaskView(render_mode, camera, find_airframe(scenario.airframe))
         self.render_mode = render_mode
-        conditions, pack = TrackConfig.of(scenario, time_limit_s), load_pack(scenario.labels)
-        self.simulator = Simulator(1, airframe=find_airframe(scenario.airframe))
-        self.track_runner = TrackRunner(self.simulator.world(0), pack, conditions)
+        self._worlds = Worlds.of(scenario, time_limit_s=time_limit_s)
+        (self.track_runner,) = self._worlds.runners
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], Info]:
         """Begin an episode, drawn from the seed or given as `options["episode"]`, with `options["seed"]` as well."""
         super().reset(seed=seed)
         episode, draw = pick_episode(self.suite, self.np_random, options)
-        self.track_runner.begin(self.suite.tracks[episode], episode_rng(self.suite.digest, episode, draw))
+        self._worlds.begin(0, self.suite, episode, draw)
+        self.view.cut()
         return self._observe(), self._info(episode=episode)
 
     def step(self, action: Action) -> tuple[dict[str, Any], float, bool, bool, Info]:
         """Fly one control period, 0.1 s."""
         check_actions(action, (4,))
-        self.track_runner.world.command(clip_action(action))
-        result = self.track_runner.update(self.track_runner.world.advance())
-        reward, terminated, truncated = score(result, self.track_runner.finished)
-        return self._observe(), reward, terminated, truncated, self._info()
+        self._worlds.command(np.asarray(action)[None])
+        (result,) = self._worlds.advance()
+        return self._observe(), *score(result, self.track_runner.finished), self._info()
 
     def render(self) -> Any:
-        """The first-person view, (256, 256, 3) uint8; None without a `render_mode`."""
-        return None if self.render_mode is None else self.simulator.frames()[0]
+        """The view, (256, 256, 3) uint8 or, from behind, (360, 640, 3); None without a `render_mode`."""
+        return None if self.render_mode is None else self.view.image(self.track_runner)
 
     def close(self) -> None:
-        """Free the renderer."""
-        self.simulator.close()
+        """Free the renderers."""
+        self.view.close()
+        self._worlds.close()
 
     def decline(self, declined: bool = True) -> None:
         """Report that no gate matches the instruction, or cease to; after 3 s in a row the stage ends (`absent`)."""
@@ -86,17 +90,19 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         return self.track_runner.truth()
 
     def _observe(self) -> dict[str, Any]:
-        velocity, height, yaw_rate = proprioception(self.track_runner.world.state())
-        return {
-            "image": self.simulator.frames()[0],
-            "instruction": self.track_runner.task.instruction,
-            "velocity": velocity,
-            "height": np.array([height], dtype=np.float32),
-            "yaw_rate": np.array([yaw_rate], dtype=np.float32),
-        }
+        return {name: values[0] for name, values in self._worlds.observe().items()}
 
     def _info(self, **more: Any) -> Info:
         return {"task": self.track_runner.task, "results": tuple(self.track_runner.results), **more}
+
+
+def tasks_of(suite: str | Suite, scenario: Scenario) -> Suite:
+    """The tasks of an environment; the training suite has no end. Raises `TaskError`."""
+    if isinstance(suite, Suite):
+        return suite
+    if scenario.track and scenario.tasks is None and scenario.suite == TRAIN_NAME:
+        raise TaskError(f"{TRAIN_NAME} has no end, so it cannot be chained into tracks; leave track=True out")
+    return suite_of(scenario, UNLIMITED)
 
 
 def pick_episode(suite: Suite, rng: np.random.Generator, options: dict[str, Any] | None) -> tuple[int, int]:

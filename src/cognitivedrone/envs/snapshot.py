@@ -11,14 +11,14 @@ from PIL import Image as PillowImage
 from PIL import ImageDraw
 
 from cognitivedrone.envs.captions import font, readable, wrap
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
+from cognitivedrone.envs.track_runner import TrackRunner, scenery_of
+from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import replace_file, writing
-from cognitivedrone.labels import load_pack
 from cognitivedrone.plan import Scenario
-from cognitivedrone.sim.airframe import find_airframe
+from cognitivedrone.sim.chase import ChaseView
 from cognitivedrone.sim.simulator import Simulator
-from cognitivedrone.sim.views import View, chase_view, first_person_view, top_view
+from cognitivedrone.sim.views import View, first_person_view, top_view
 from cognitivedrone.tasks import Suite, track_at
 from cognitivedrone.types import IMAGE_SIZE, FloatArray, Gate, Image, Task
 from cognitivedrone.world import geometry
@@ -35,22 +35,19 @@ _BADGE: Final = 20
 
 def snapshot(suite: Suite, episode: int, out: Path, scenario: Scenario) -> Task:
     """Write the picture of a task in the conditions of `scenario` to `out`; returns the task."""
-    track, conditions = track_at(suite, episode), TrackConfig.of(scenario)
+    track = track_at(suite, episode)
     if not out.parent.is_dir():
         raise RunError(f"cannot write {out}: there is no folder {out.parent}")
     form = PillowImage.registered_extensions().get(out.suffix.lower())
     if form not in PillowImage.SAVE:
         raise RunError(f"cannot write {out}: {out.suffix or 'no suffix'} is not an image format; end the name in .png")
-    simulator = Simulator(1, airframe=find_airframe(scenario.airframe))
-    try:
-        track_runner = TrackRunner(simulator.world(0), load_pack(scenario.labels), conditions)
-        track_runner.begin(track, episode_rng(suite.digest, episode, scenario.seed))
+    with Worlds.of(scenario) as worlds:
+        (track_runner,) = worlds.runners
+        worlds.begin(0, suite, episode, scenario.seed)
         where = f"{suite.name}, episode {episode}"
         if len(track) > 1:
             where += f", stage 1 of {len(track)}"
-        picture = draw(simulator, track_runner, where)
-    finally:
-        simulator.close()
+        picture = draw(worlds.simulator, track_runner, where)
     coded = BytesIO()
     PillowImage.fromarray(picture).save(coded, format=form)
     with writing(out, RunError):
@@ -65,7 +62,9 @@ def draw(simulator: Simulator, track_runner: TrackRunner, where: str) -> Image:
     state, stage = track_runner.world.state(), track_runner.stage
     seen = track_runner.world.frame().repeat(2, axis=0).repeat(2, axis=1)
     top = simulator.cameras.top(0, state, (SIDE, SIDE))
-    chase = simulator.cameras.chase(0, state, _CHASE_SIZE)
+    scenery = scenery_of(stage, track_runner.labels, track_runner.appearance)
+    with ChaseView(stage, scenery, *_CHASE_SIZE, airframe=simulator.airframe) as behind:
+        chase = behind.frame(state.position, state.quaternion)
     heading = _heading(track_runner.task, where)
     titles = 34
     rows = (heading.height, heading.height + titles + SIDE + _GAP)
@@ -75,7 +74,7 @@ def draw(simulator: Simulator, track_runner: TrackRunner, where: str) -> Image:
     for title, picture, view, left, row in (
         (f"What the drone sees ({IMAGE_SIZE} x {IMAGE_SIZE})", seen, first_person_view(state), _GAP, rows[0]),
         ("From above", top, top_view(stage), 2 * _GAP + SIDE, rows[0]),
-        ("From behind", chase, chase_view(state), _GAP, rows[1]),
+        ("From behind", chase, behind.view, _GAP, rows[1]),
     ):
         pen.text((left, row), title, _SOFT, font(24))
         marked = PillowImage.fromarray(picture)
@@ -109,8 +108,8 @@ def _heading(task: Task, where: str) -> PillowImage.Image:
             continue
         right = index == task.target
         _badge(pen, _GAP + _BADGE, top + _BADGE, index + 1, right=right)
-        text = _look(task.gates[index])
-        if task.only is None:
+        text = f"{task.gates[index].color} pad" if task.landing else _look(task.gates[index])
+        if task.only is None and not task.landing:
             text += f": {readable(task.options[index], 200)}"
         lines = wrap(text + ("  (right)" if right else ""), _WIDTH - 3 * _GAP - 2 * _BADGE, font(26), 2)
         for number, line in enumerate(lines):
@@ -124,7 +123,10 @@ def _look(gate: Gate) -> str:
 
 
 def _mark_gates(picture: PillowImage.Image, view: View, track_runner: TrackRunner) -> None:
-    """Draw the gates' numbers under them, for gates within the picture."""
+    """Draw the gates' numbers under them, for gates within the picture.
+
+    They never cover the drone: seen from behind, it is in front of floor that is nearer than any gate.
+    """
     pen = ImageDraw.Draw(picture)
     for index in geometry.standing(track_runner.stage):
         x, y = view.project(_under(track_runner, index), picture.size)[0]

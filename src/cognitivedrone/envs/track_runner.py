@@ -7,7 +7,6 @@ gate is right?").
 from __future__ import annotations
 
 import hashlib
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,13 +17,16 @@ from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.plan import Scenario
 from cognitivedrone.sim.drone_world import DroneWorld, Scenery, Start
 from cognitivedrone.sim.gate_monitor import GateEvent
-from cognitivedrone.types import GroundTruth, Outcome, Stage, StageResult, Task, Track
+from cognitivedrone.tasks.missions import forbidden_colors
+from cognitivedrone.types import CONTROL_HZ, GroundTruth, Outcome, Stage, StageResult, Task, Track
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN, Appearance, varied_appearance
 
 APPEARANCES = ("plain", "varied")
 DECLINED_S = 3.0
 """A stage ends once the pilot has declined for this long without interruption, s."""
+FORBIDDEN_M = 1.0
+"""Nearer than this to the centre of a gate that the mission forbids, the drone is in a forbidden zone."""
 FLOOR_ROOM_M = 0.05
 """Distance between hull and floor at the lowest start."""
 
@@ -52,8 +54,6 @@ class TrackConfig:
             )
         if not self.time_limit_s > 0:
             raise SimulationError(f"time_limit_s is {self.time_limit_s}; it is a time in seconds, more than 0")
-        if not 0 <= self.wind_m_s < math.inf:
-            raise SimulationError(f"wind_m_s is {self.wind_m_s}; it is a speed in m/s, 0 or more")
 
 
 def episode_rng(suite_digest: str, episode: int, seed: int) -> np.random.Generator:
@@ -64,7 +64,10 @@ def episode_rng(suite_digest: str, episode: int, seed: int) -> np.random.Generat
 
 def stage_of(task: Task, origin: tuple[float, float] = (0.0, 0.0), yaw: float = 0.0) -> Stage:
     """The task's gates and panels, placed in the world."""
-    return Stage(task.gates, task.labels, task.board, origin, yaw, only=task.only, layout=task.layout)
+    return Stage(
+        task.gates, task.labels, task.board, origin, yaw, only=task.only, layout=task.layout, landing=task.landing,
+        obstacles=task.obstacles, landmark=task.landmark,
+    )  # fmt: skip
 
 
 def next_place(stage: Stage, task: Task) -> tuple[tuple[float, float], float]:
@@ -75,7 +78,8 @@ def next_place(stage: Stage, task: Task) -> tuple[tuple[float, float], float]:
 def scenery_of(stage: Stage, labels: LabelPack, appearance: Appearance) -> Scenery:
     """The pictures of a stage."""
     first, second, third = (labels.image(reference) for reference in stage.labels)
-    return Scenery((first, second, third), labels.image(stage.board) if stage.board else None, appearance)
+    more = geometry.board_label(stage)
+    return Scenery((first, second, third), labels.image(more) if more else None, appearance)
 
 
 def draw_start(rng: np.random.Generator, hull_radius: float, wind_m_s: float = 0.0) -> Start:
@@ -111,19 +115,26 @@ class TrackRunner:
         self.start = Start((0.0, 0.0, 0.0))
         self._declined_at: float | None = None
 
-    def begin(self, track: Track, rng: np.random.Generator, start: Start | None = None) -> None:
-        """Start a new flight at the first stage; `rng` draws all its randomness.
-
-        It begins at `start` if given, otherwise at a random published start.
+    def begin(
+        self,
+        track: Track,
+        rng: np.random.Generator,
+        start: Start | None = None,
+        appearance: Appearance | None = None,
+    ) -> None:
+        """Start a new flight at the first stage; `rng` draws what is not given: a published start, and the appearance
+        that the conditions ask for.
         """
         self.track = track
         self.results = []
         self.stages = [stage_of(track[0])]
-        self.appearance = varied_appearance(rng) if self.config.appearance == "varied" else PLAIN
+        drawn = appearance is None and self.config.appearance == "varied"
+        self.appearance = varied_appearance(rng) if drawn else appearance or PLAIN
         self.start = start or draw_start(rng, self.world.hull_radius, self.config.wind_m_s)
         scenery = scenery_of(self.stages[0], self.labels, self.appearance)
         self.world.begin(self.stages[0], scenery, self.start)
         self._stage_start_s = 0.0
+        self._forbidden_s = 0.0
         self._declined_at = None
 
     @property
@@ -142,13 +153,18 @@ class TrackRunner:
         return self.track[min(self.index, len(self.track) - 1)]
 
     @property
+    def instruction(self) -> str:
+        """What a pilot is told at this stage: the sentence of the whole mission, or else the task's instruction."""
+        return self.task.mission or self.task.instruction
+
+    @property
     def stage(self) -> Stage:
         """The current stage; after the end, the last one."""
         return self.stages[-1]
 
     def truth(self) -> GroundTruth:
         """Ground truth of the current stage."""
-        return GroundTruth(self.task, self.stage, self.world.state)
+        return GroundTruth(self.task, self.stage, self.world.state, self.world.hull_radius)
 
     def decline(self, declined: bool) -> None:
         """Note that the pilot begins or ceases to report that no gate matches the instruction."""
@@ -161,6 +177,8 @@ class TrackRunner:
         """Process the event of the last control period; returns the result if it ended the stage."""
         if self.world.diverged:
             return self.end("invalid")
+        if self.task.mission is not None:
+            self._watch_forbidden()
         if gate_event is not None:
             return self._judged(gate_event)
         now, since = self.world.time(), self._declined_at
@@ -182,6 +200,13 @@ class TrackRunner:
             self.results.append(unflown(task, "not_reached"))
         return result
 
+    def _watch_forbidden(self) -> None:
+        """Count the last control period, if it ended near a gate that the mission forbids."""
+        gates = forbidden_gates(self.task)
+        if gates:
+            away = self.world.gate_monitor.centers[list(gates)] - self.world.state().position
+            self._forbidden_s += (np.linalg.norm(away, axis=1) < FORBIDDEN_M).any() / CONTROL_HZ
+
     def _declined(self) -> StageResult:
         """The end of a stage in which the pilot has declined."""
         if self.task.target is not None:
@@ -197,6 +222,7 @@ class TrackRunner:
         self.stages.append(stage_of(self.track[self.index], origin, yaw))
         self.world.place(self.stage, scenery_of(self.stage, self.labels, self.appearance))
         self._stage_start_s = self.world.time()
+        self._forbidden_s = 0.0
         self._declined_at = None
 
     def _judged(self, gate_event: GateEvent) -> StageResult:
@@ -229,7 +255,17 @@ class TrackRunner:
             path_ratio=ratio,
             clearance_m=clearance_m,
             gate_distance_m=None if task.target is None else float(gate_monitor.closest_m[task.target]),
+            obstacle_m=gate_monitor.obstacle_m,
+            forbidden_s=None if task.mission is None else round(self._forbidden_s, 6),
         )
+
+
+def forbidden_gates(task: Task) -> tuple[int, ...]:
+    """The gates of a stage, 0 to 2, that its mission forbids to fly through."""
+    if task.mission is None or task.landing:
+        return ()
+    avoid = forbidden_colors(task.mission)
+    return tuple(number for number, gate in enumerate(task.gates) if gate.color in avoid)
 
 
 def unflown(task: Task, outcome: Outcome) -> StageResult:
@@ -246,4 +282,5 @@ def unflown(task: Task, outcome: Outcome) -> StageResult:
         path_ratio=None,
         clearance_m=None,
         gate_distance_m=None,
+        forbidden_s=None if task.mission is None else 0.0,
     )

@@ -9,16 +9,11 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from cognitivedrone.envs.drone import clip_action
-from cognitivedrone.envs.gym import pick_episode, score
-from cognitivedrone.envs.options import scenario_of, tasks_of
+from cognitivedrone.envs.gym import pick_episode, score, tasks_of
 from cognitivedrone.envs.spaces import Info, action_space, check_actions, observation_space
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
+from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.errors import SimulationError
-from cognitivedrone.frames import world_to_heading, yaw_of
-from cognitivedrone.labels import load_pack
-from cognitivedrone.sim.airframe import find_airframe
-from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.plan import Scenario
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, FloatArray, GroundTruth, StageResult
 
@@ -50,8 +45,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
     ) -> None:
         if num_envs < 1:
             raise SimulationError(f"num_envs is {num_envs}; it must be at least 1")
-        scenario = scenario_of(suite, options)
-        conditions, pack = TrackConfig.of(scenario, time_limit_s), load_pack(scenario.labels)
+        scenario = Scenario.of(suite=suite if isinstance(suite, str) else suite.name, **options)
         self.num_envs = num_envs
         self.suite = tasks_of(suite, scenario)
         self.render_mode = render_mode
@@ -61,10 +55,8 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._copy = copy
         threads = threads or min(len(os.sched_getaffinity(0)), num_envs)
-        self.simulator = Simulator(num_envs, airframe=find_airframe(scenario.airframe), threads=threads)
-        self.track_runners = [TrackRunner(self.simulator.world(world), pack, conditions) for world in range(num_envs)]
+        self._worlds = Worlds.of(scenario, num_envs, time_limit_s=time_limit_s, threads=threads)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
-        self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._images = np.zeros((num_envs, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)
 
     def reset(
@@ -76,7 +68,6 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
             self._rngs = [np.random.default_rng(each) for each in seeds]
         for world in range(self.num_envs):
             self._begin(world, options)
-        self._ended[:] = False
         return self._observe(), self._info([None] * self.num_envs)
 
     def step(
@@ -84,54 +75,38 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
     ) -> tuple[dict[str, Any], FloatArray, np.ndarray[Any, Any], np.ndarray[Any, Any], Info]:
         """Fly all worlds for one control period, 0.1 s."""
         check_actions(actions, (self.num_envs, 4))
-        self.simulator.flight.command(clip_action(actions))
-        gate_events = self.simulator.advance()
-        rewards = np.zeros(self.num_envs)
-        terminated = np.zeros(self.num_envs, dtype=np.bool_)
-        truncated = np.zeros(self.num_envs, dtype=np.bool_)
-        results: list[StageResult | None] = [None] * self.num_envs
-        for world, track_runner in enumerate(self.track_runners):
-            if self._ended[world]:
-                self._begin(world, None)
-                continue
-            results[world] = track_runner.update(gate_events[world])
-            rewards[world], terminated[world], truncated[world] = score(results[world], track_runner.finished)
-        self._ended = terminated | truncated
+        flying = self._worlds.flying
+        self._worlds.command(actions)
+        results = self._worlds.advance()
+        for world in {*range(self.num_envs)}.difference(flying):
+            self._begin(world, None)
+        scores = [score(result, world.finished) for result, world in zip(results, self._worlds.runners, strict=True)]
+        rewards, terminated, truncated = map(np.array, zip(*scores, strict=True))
         return self._observe(), rewards, terminated, truncated, self._info(results)
 
     def render(self) -> Any:
         """The first-person views, a tuple of (256, 256, 3) uint8; None without a `render_mode`."""
-        return None if self.render_mode is None else tuple(self.simulator.frames())
+        return None if self.render_mode is None else tuple(self._worlds.simulator.frames())
 
     def close_extras(self, **_: Any) -> None:
         """Free the renderers."""
         # Gymnasium calls this on deletion, also after a failed constructor.
-        if hasattr(self, "simulator"):
-            self.simulator.close()
+        if hasattr(self, "_worlds"):
+            self._worlds.close()
 
     def truths(self) -> list[GroundTruth]:
         """Ground truth of each world, for experts that make training data."""
-        return [track_runner.truth() for track_runner in self.track_runners]
+        return [runner.truth() for runner in self._worlds.runners]
 
     def _begin(self, world: int, options: dict[str, Any] | None) -> None:
         rng = self._rngs[world]
         episode, draw = pick_episode(self.suite, rng, options)
-        self.track_runners[world].begin(self.suite.tracks[episode], episode_rng(self.suite.digest, episode, draw))
+        self._worlds.begin(world, self.suite, episode, draw)
 
     def _observe(self) -> dict[str, Any]:
-        flight = self.simulator.flight
-        self.simulator.frames(self._images)
-        return {
-            "image": self._images.copy() if self._copy else self._images,
-            "instruction": tuple(track_runner.task.instruction for track_runner in self.track_runners),
-            "velocity": world_to_heading(flight.velocity, yaw_of(flight.quaternion)).astype(np.float32),
-            "height": flight.position[:, 2:].astype(np.float32),
-            "yaw_rate": flight.body_rates[:, 2:].astype(np.float32),
-        }
+        observation = self._worlds.observe(self._images)
+        return observation | {"image": self._images.copy()} if self._copy else observation
 
     def _info(self, results: list[StageResult | None]) -> Info:
-        tasks = np.empty(self.num_envs, dtype=object)
-        tasks[:] = [track_runner.task for track_runner in self.track_runners]
-        ended = np.empty(self.num_envs, dtype=object)
-        ended[:] = results
-        return {"task": tasks, "result": ended}
+        tasks = [runner.task for runner in self._worlds.runners]
+        return {"task": np.array(tasks, dtype=object), "result": np.array(results, dtype=object)}

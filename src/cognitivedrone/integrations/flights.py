@@ -13,8 +13,10 @@ from typing import Any, Final, get_args
 
 import numpy as np
 
-from cognitivedrone.envs.gym import CognitiveDroneEnv
+from cognitivedrone.envs.gym import pick_episode, score
+from cognitivedrone.envs.spaces import check_actions
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner
+from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.errors import ActionError, TaskError, did_you_mean
 from cognitivedrone.plan import Scenario
 from cognitivedrone.sim.airframe import find_airframe
@@ -58,8 +60,8 @@ class Flights:
         self.suite: Suite = suite_of(scenario)
         TrackConfig.of(scenario, time_limit_s)
         find_airframe(scenario.airframe)
-        self._env: CognitiveDroneEnv | None = None
-        self._view: View | None = None
+        self._worlds: Worlds | None = None
+        self._view: View
 
     @property
     def max_steps(self) -> int:
@@ -77,12 +79,11 @@ class Flights:
 
     def begin(self, episode: int, seed: int) -> View:
         """Begin an episode under the conditions of a benchmark's seed; raises `TaskError` if there is no such one."""
-        if self._env is None:
-            conditions = {name: getattr(self.scenario, name) for name in ("labels", "appearance", "airframe", "wind")}
-            self._env = CognitiveDroneEnv(self.suite, time_limit_s=self.time_limit_s, **conditions)
-        observation, _ = self._env.reset(seed=0, options={"episode": episode, "seed": seed})
-        self._view = _view_of(observation, self._env.track_runner)
-        return self._view
+        if self._worlds is None:
+            self._worlds = Worlds.of(self.scenario, time_limit_s=self.time_limit_s)
+        options = {"episode": episode, "seed": seed}
+        self._worlds.begin(0, self.suite, *pick_episode(self.suite, np.random.default_rng(), options))
+        return self._look(self._worlds)
 
     def step(self, action: object, *, declines: bool = False) -> tuple[View, float, bool]:
         """Fly one control period, 0.1 s: the view after it, the reward, and whether the episode is over.
@@ -90,42 +91,41 @@ class Flights:
         `action` is (4,) numbers: vx, vy, vz in m/s and yaw rate in rad/s. Anything else, and NaN, ends the episode as
         `policy_error`, as in the benchmark. `declines` reports that no gate matches the instruction.
         """
-        env = self._env
-        if env is None or self._view is None:
-            raise TaskError("no episode has begun; call begin first")
-        env.decline(declines)
+        worlds, runner = self._begun()
+        runner.decline(declines)
         try:
-            observation, reward, terminated, truncated, _ = env.step(_numbers(action))
+            worlds.command(_numbers(action)[None])
         except ActionError:
-            env.track_runner.end("policy_error")
+            runner.end("policy_error")
             return self._view, 0.0, True
-        self._view = _view_of(observation, env.track_runner)
-        return self._view, reward, terminated or truncated
+        (result,) = worlds.advance()
+        return self._look(worlds), score(result, runner.finished)[0], runner.finished
 
     def results(self) -> tuple[StageResult, ...]:
         """One result for every stage; an episode that is still flying ends here, as `timeout`."""
-        if self._env is None or self._view is None:
-            raise TaskError("no episode has begun; call begin first")
-        runner = self._env.track_runner
+        _, runner = self._begun()
         if not runner.finished:
             runner.end("timeout" if runner.task.target is not None else "hesitated")
         return tuple(runner.results)
 
     def close(self) -> None:
         """Free the simulator."""
-        if self._env is not None:
-            self._env.close()
-        self._env = self._view = None
+        if self._worlds is not None:
+            self._worlds.close()
+        self._worlds = None
 
+    def _begun(self) -> tuple[Worlds, TrackRunner]:
+        if self._worlds is None or not self._worlds.runners[0].track:
+            raise TaskError("no episode has begun; call begin first")
+        return self._worlds, self._worlds.runners[0]
 
-def _view_of(observation: dict[str, Any], runner: TrackRunner) -> View:
-    return View(
-        image=observation["image"],
-        state=np.concatenate([observation[name] for name in ("velocity", "height", "yaw_rate")]),
-        instruction=observation["instruction"],
-        stage=min(runner.index, len(runner.track) - 1),
-        time_s=runner.world.time(),
-    )
+    def _look(self, worlds: Worlds) -> View:
+        """The view of now, which is kept."""
+        (runner,), seen = worlds.runners, {name: values[0] for name, values in worlds.observe().items()}
+        state = np.concatenate([seen[name] for name in ("velocity", "height", "yaw_rate")])
+        stage = min(runner.index, len(runner.track) - 1)
+        self._view = View(seen["image"], state, seen["instruction"], stage, runner.world.time())
+        return self._view
 
 
 def family_of(track: Track) -> str:
@@ -156,6 +156,8 @@ def metrics_of(results: tuple[StageResult, ...]) -> dict[str, Any]:
 
 def _numbers(action: object) -> FloatArray:
     try:
-        return np.asarray(action, dtype=np.float32)
+        numbers = np.asarray(action, dtype=np.float32)
     except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor that is not on the host
         raise ActionError(f"the action is a {type(action).__name__!r}, not an array of numbers") from None
+    check_actions(numbers, (4,))
+    return numbers

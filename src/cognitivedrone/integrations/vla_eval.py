@@ -8,7 +8,7 @@
 
     python -m cognitivedrone.integrations.vla_eval --args.policy=small --address=127.0.0.1:8000
 
-See docs/integrations.md. Only this module needs the package `vla-eval`.
+See docs/gymnasium.md. Only this module needs the package `vla-eval`.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ from vla_eval.model_servers.predict import PredictModelServer
 from vla_eval.render import apply_env
 from vla_eval.specs import IMAGE_RGB, LANGUAGE, DimSpec
 
-from cognitivedrone.control.calls import begin_stage
-from cognitivedrone.control.loop import check_chunk
+from cognitivedrone.control.calls import begin_stage, check_chunk
 from cognitivedrone.errors import GroundTruthError
 from cognitivedrone.integrations.flights import CAMERA, OUTCOMES, STATE, Flights, View, family_of, metrics_of
 from cognitivedrone.interfaces import Policy

@@ -1,7 +1,8 @@
-"""Shipped packs that extend another one by further sets of drawings and by further artists of people.
+"""Shipped packs that extend another one by further sets of pictures and by further artists of people.
 
-A set is one archive of small pictures without background. A picture has the style `set`; the further pictures that a
-set has of a concept are `set~1`, `set~2` and so on. Sets show only some concepts: `pictures` lists what there is.
+A set is one archive of small pictures: drawings without background, or photographs, which fill their panel. A picture
+has the style `set`; the further pictures that a set has of a concept are `set~1`, `set~2` and so on. Sets show only
+some concepts: `pictures` lists what there is.
 """
 
 from __future__ import annotations
@@ -23,9 +24,10 @@ from cognitivedrone.labels.images import SIDE, draw_several, frozen_array
 from cognitivedrone.labels.people import BACKGROUNDS
 from cognitivedrone.labels.portraits import draw_portrait
 from cognitivedrone.labels.shipped import ShippedPack, shipped_pack
+from cognitivedrone.labels.weather import split_weather, weathered
 from cognitivedrone.references import Reference, parse_reference, person_hand
 
-EXTENDED_PACKS: tuple[str, ...] = ("open-v2",)
+EXTENDED_PACKS: tuple[str, ...] = ("open-v2", "open-v3")
 CONTENT = 234
 """Longer side of a drawing on its panel, px, as in the pack that is extended."""
 
@@ -42,16 +44,20 @@ def extended_pack(name: str) -> ExtendedPack:
 class ExtendedPack:
     """All of another shipped pack, unchanged, and further sets and artists."""
 
+    _base: ShippedPack | ExtendedPack
+
     def __init__(self, name: str) -> None:
         self.name = name
         content = (_FOLDER / name / "manifest.json").read_bytes()
         manifest = json.loads(content)
-        self._base: ShippedPack = shipped_pack(manifest["extends"])
+        extends = manifest["extends"]
+        self._base = extended_pack(extends) if extends in EXTENDED_PACKS else shipped_pack(extends)
         self.digest: str = hashlib.sha256(content + self._base.digest.encode()).hexdigest()
         """Hash of the manifest, which holds the hash of every file, and of the pack that is extended."""
         self._sets: dict[str, dict[str, dict[str, int]]] = manifest["sets"]
         self._hands: dict[str, dict[str, tuple[int, int]]] = manifest["hands"]
         self._colors: dict[str, dict[str, str]] = manifest["colors"]
+        self._filling: frozenset[str] = frozenset(manifest.get("filling", ()))
         self._cached = lru_cache(maxsize=_CACHED_IMAGES)(self._draw)
 
     def __reduce__(self) -> tuple[object, tuple[str]]:
@@ -62,9 +68,14 @@ class ExtendedPack:
         return self._cached(reference)
 
     def cutout(self, reference: str) -> NDArray[np.uint8]:
-        """(H, W, 4) uint8 RGBA, its longer side at most 128: the drawing alone. Raises `LabelError` if it has none."""
+        """(H, W, 4) uint8 RGBA, its longer side at most 160: a drawing alone, or a whole photograph.
+
+        Raises `LabelError` if it has none.
+        """
         parsed = parse_reference(reference)
         style, _, number = (parsed.style or "").partition("~")
+        if style not in self._sets and isinstance(self._base, ExtendedPack):
+            return self._base.cutout(reference)
         count = self._sets.get(style, {}).get(parsed.kind, {}).get(parsed.concept, 0)
         index = int(number) if number.isdecimal() else 0
         if index >= count or (number and number != str(index)) or number == "0":
@@ -75,8 +86,9 @@ class ExtendedPack:
             return np.array(file.convert("RGBA"))
 
     def pictures(self, kind: str, concept: str) -> tuple[str, ...]:
-        """References of all cut-out drawings of a concept, by set."""
-        return tuple(
+        """References of all pictures of a concept that are in sets, by set."""
+        earlier = self._base.pictures(kind, concept) if isinstance(self._base, ExtendedPack) else ()
+        return earlier + tuple(
             f"{kind}/{concept}@{style}" + (f"~{index}" if index else "")
             for style, kinds in self._sets.items()
             for index in range(kinds.get(kind, {}).get(concept, 0))
@@ -98,16 +110,24 @@ class ExtendedPack:
         return styles + tuple(style for style, kinds in self._sets.items() if kind in kinds and style not in styles)
 
     def _draw(self, text: str) -> types.Image:
+        plain, weather = split_weather(text)
+        if weather is not None:
+            changed = weathered(self.image(plain), weather)
+            changed.setflags(write=False)
+            return changed
         reference = parse_reference(text)
         hand = person_hand(reference.style) if reference.kind == "person" else None
-        if hand is not None:
+        if hand in self._hands:
             return frozen_array(self._portrait(reference, hand, text))
         if reference.kind == "several":
             return frozen_array(draw_several(reference.concept, reference.style, self.image))
         style = (reference.style or "").partition("~")[0]
         if style not in self._sets or reference.style in self._base.styles(reference.kind):
             return self._base.image(text)
-        return frozen_array(_panel(Image.fromarray(self.cutout(text))))
+        picture = Image.fromarray(self.cutout(text))
+        if style in self._filling:
+            return frozen_array(picture.resize((SIDE, SIDE), Image.Resampling.BICUBIC))
+        return frozen_array(_panel(picture))
 
     def _portrait(self, reference: Reference, hand: str, text: str) -> Image.Image:
         background = (reference.style or "").rpartition("-")[2]

@@ -10,16 +10,18 @@ import hashlib
 import os
 from collections.abc import Iterator
 from functools import cached_property, lru_cache
+from itertools import islice
 from pathlib import Path
 
 from cognitivedrone import types
 from cognitivedrone.errors import LabelError, did_you_mean
-from cognitivedrone.files import check_regular, reason_of
+from cognitivedrone.files import check_regular, read_regular, reason_of
 from cognitivedrone.labels.extended import ExtendedPack
-from cognitivedrone.labels.images import SUFFIXES, draw_several, frozen_array, read_image
+from cognitivedrone.labels.images import MAX_FILE_BYTES, SUFFIXES, draw_several, frozen_array, read_image
 from cognitivedrone.references import Reference, parse_reference
 
 MAX_FILES = 50_000
+"""Of a folder: images of a pack, and files of any kind that are hashed."""
 _CACHED_IMAGES = 128
 
 
@@ -77,7 +79,7 @@ class FolderPack:
             digest.update(
                 f"{path.relative_to(self._folder).as_posix()}\0{path.stat().st_size}\0".encode(errors="surrogateescape")
             )
-            digest.update(path.read_bytes())
+            digest.update(_content(path))
         return digest.hexdigest()
 
     def _draw(self, text: str) -> types.Image:
@@ -106,6 +108,40 @@ class FolderPack:
             hint = did_you_mean(style, files)
             raise LabelError(f"label '{reference}' is not in pack {self.name!r} in style {style!r}; {hint}")
         return path
+
+
+def digest_of_labels(folder: Path) -> str:
+    """SHA-256 over the names and contents of a label folder's files, hexadecimal; one file at a time is in memory.
+
+    Of files that are no images and too large to be one, only names and sizes count. Raises `LabelError` for an image
+    that is too large or cannot be read, and for what is no folder or has more than `MAX_FILES` files.
+    """
+    if not folder.is_dir():
+        raise LabelError(f"--labels {folder} is not a folder of images")
+    digest = hashlib.sha256()
+    files = list(islice((path for path in folder.rglob("*") if path.is_file()), MAX_FILES + 1))
+    if len(files) > MAX_FILES:
+        raise LabelError(f"label folder {folder} holds more than {MAX_FILES} files; give a folder of images alone")
+    for file in sorted(files):
+        size = file.stat().st_size
+        read = size <= MAX_FILE_BYTES or file.suffix.lower() in SUFFIXES
+        content = _content(file) if read else b""
+        size = len(content) if read else size
+        digest.update(f"{file.relative_to(folder).as_posix()}\0{size}\0".encode(errors="surrogateescape"))
+        digest.update(content)
+    return digest.hexdigest()
+
+
+def _content(path: Path) -> bytes:
+    """A file's content; raises `LabelError` if it is larger than an image may be, before it is read."""
+    try:
+        if (size := path.stat().st_size) > MAX_FILE_BYTES:
+            raise LabelError(
+                f"label image {path} has {size:,} bytes, and at most {MAX_FILE_BYTES:,} are read; save it smaller"
+            )
+        return read_regular(path, MAX_FILE_BYTES)
+    except OSError as error:
+        raise LabelError(f"label image {path} cannot be read: {reason_of(error)}; remove it from the folder") from None
 
 
 def _check_image_file(path: Path) -> None:

@@ -46,19 +46,27 @@ def read_image(path: Path) -> Image.Image:
         raise LabelError(f"label image {path} cannot be read: {reason_of(error)}") from None
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit below is stricter
-            opened = Image.open(BytesIO(content), formats=("PNG", "JPEG", "WEBP"))
-        with opened:
-            if opened.width * opened.height > MAX_PIXELS:
-                raise LabelError(
-                    f"label image {path} has {opened.width}x{opened.height} pixels; "
-                    f"at most {MAX_PIXELS / 1e6:.0f} million are read"
-                )
-            opened.draft("RGB", (2 * SIDE, 2 * SIDE))
-            image = ImageOps.exif_transpose(opened).convert("RGBA")
-    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError, ValueError) as error:
-        raise LabelError(f"label image {path} cannot be read as PNG, JPEG or WebP: {error}") from None
-    image.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
+            warnings.simplefilter("ignore")  # of odd metadata, and of sizes, for which the limit below is stricter
+            with Image.open(BytesIO(content), formats=("PNG", "JPEG", "WEBP")) as opened:
+                if opened.width * opened.height > MAX_PIXELS:
+                    raise LabelError(
+                        f"label image {path} has {opened.width}x{opened.height} pixels; "
+                        f"at most {MAX_PIXELS / 1e6:.0f} million are read"
+                    )
+                opened.draft("RGB", (2 * SIDE, 2 * SIDE))
+                image = ImageOps.exif_transpose(opened).convert("RGBA")
+            image.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
+    except LabelError:
+        raise
+    except UnidentifiedImageError:
+        raise LabelError(
+            f"label image {path} cannot be read as PNG, JPEG or WebP: it is none of them; save it as one, or remove it"
+        ) from None
+    except Exception as error:  # Pillow raises many kinds for broken files: its readers of EXIF alone five
+        what = " ".join(str(error).split())[:200] or type(error).__name__
+        raise LabelError(
+            f"label image {path} cannot be read as PNG, JPEG or WebP: {what}; save it again without metadata"
+        ) from None
     white = Image.new("RGBA", image.size, "white")
     white.alpha_composite(image)
     return white.convert("RGB")

@@ -1,4 +1,4 @@
-"""What a panel reader tells of a panel: probabilities of named attribute values, in groups.
+"""What a panel reader reports of a panel: probabilities of named attribute values, in groups.
 
 A name is "group/value", as in "concept/thing:cat", "hat/beanie" or "kind/letter"; of every group at most one value is
 true. The group "kind" says what sort of picture a panel shows, and so which other groups apply to it.
@@ -6,6 +6,7 @@ true. The group "kind" says what sort of picture a panel shows, and so which oth
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float32]
 
 SUM_GROUPS = ("first", "sign", "second")
+SIGNS: Mapping[str, Callable[[int, int], int]] = {"+": int.__add__, "-": int.__sub__, "*": int.__mul__}
+"""What the signs of sums mean."""
 UNKNOWN = "kind/unknown"
 """Of a panel that shows nothing that was ever taught, or cannot be read."""
 _PERSON = ("person",)
@@ -41,6 +44,11 @@ class AttributeSchema:
             start = found[group].start if group in found else index
             found[group] = slice(start, index + 1)
         return found
+
+    @property
+    def things(self) -> tuple[int, ...]:
+        """Places of the animals, foods and objects among the names."""
+        return tuple(index for index, name in enumerate(self.names) if name.startswith("concept/thing:"))
 
     def applies(self) -> Floats:
         """(kinds, F): 1 where an attribute value applies to a kind of picture; the kinds in their group's order."""

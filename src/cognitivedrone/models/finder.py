@@ -109,7 +109,7 @@ class Finder(nn.Module):
         self.place = nn.Linear(third, GEOMETRY)
         self.board_place = nn.Linear(third, BOARD)
         self.looks = nn.Linear(third, LOOKS)
-        assert self.heat.bias is not None  # noqa: S101  (tells the type checker)
+        assert self.heat.bias is not None  # noqa: S101  (for the type checker)
         nn.init.constant_(self.heat.bias, -4.0)  # gates are rare among cells
 
     def look(self, image: Tensor) -> Scene:

@@ -1,40 +1,43 @@
-"""The gate selector, the small reasoner's second network: from a sentence and a read scene to the right gate.
+"""The gate selector, the small reasoner's second network: a cross-encoder of an instruction and a scene in words.
 
-What it knows of a scene is nearly plain text: the look of every gate, the content of its panel, and the sum on the
-board, each as probabilities of named attribute values. On this interface a reasoner can average several frames,
-remember earlier stages, and calculate.
+Instruction, context and the three described gates are one sequence (`scene_tokens`). In the first layers each gate is
+read beside instruction and context alone, as the encoder reads a sentence; in the last ones the gates see each other.
+Its layers are those of BERT (Devlin et al. 2019) in the size of
+MiniLM-L6 (Wang et al. 2020), from which it is trained (`training.reasoner.pretrained`).
 
-Shapes: B scenes, G = 3 gates from left to right, F attribute values, M remembered panels, L words.
+Shapes: B scenes, L tokens, W the width.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F  # noqa: N812
 
-from cognitivedrone.models.reasoner_file import REMEMBERED
-from cognitivedrone.models.sentence import TextLayer, WordConfig, WordEmbedding
+from cognitivedrone.models.scene_tokens import LENGTHS, PARTS
 
-VALUES = 24
-"""Number of values of sums, as indexed by `reasoners.small.value_index`."""
-STAGES = REMEMBERED // 3
-"""Maximum number of remembered earlier stages."""
 ABSENT = 3
 """Index of the answer that no gate is the right one."""
+_SCALE = 12.0  # of cosines, to begin with; as in the encoder's own training about 20
 
 
 @dataclass(frozen=True, slots=True)
 class SelectorConfig:
-    """Sizes of the gate selector."""
+    """Sizes of the gate selector; by default those of MiniLM-L6."""
 
-    words: WordConfig = field(default_factory=WordConfig)
-    text_length: int = 48
-    width: int = 128
-    layers: int = 3
-    heads: int = 4
+    pieces: int = 30_522
+    """Word pieces of the vocabulary."""
+    width: int = 384
+    layers: int = 6
+    apart: int = 4
+    """Layers in which the gates do not see each other."""
+    heads: int = 12
+    hidden: int = 1536
+    dropout: float = 0.1
+    """Of the word embeddings, in training."""
 
     def facts(self) -> dict[str, Any]:
         """As plain JSON values."""
@@ -43,69 +46,73 @@ class SelectorConfig:
     @classmethod
     def of(cls, facts: dict[str, Any]) -> SelectorConfig:
         """Read back what `facts` gave."""
-        return cls(**{**facts, "words": WordConfig(**facts["words"])})
+        return cls(**facts)
+
+
+class Layer(nn.Module):
+    """Self-attention and feed-forward network, each with a residual connection and a normalisation after it."""
+
+    def __init__(self, config: SelectorConfig) -> None:
+        super().__init__()
+        self.heads = config.heads
+        self.inward = nn.Linear(config.width, 3 * config.width)
+        self.outward = nn.Linear(config.width, config.width)
+        self.attended = nn.LayerNorm(config.width, eps=1e-12)
+        self.widen = nn.Linear(config.width, config.hidden)
+        self.narrow = nn.Linear(config.hidden, config.width)
+        self.done = nn.LayerNorm(config.width, eps=1e-12)
+
+    def forward(self, x: Tensor, there: Tensor) -> Tensor:
+        """(B, L, W); `there` (B, 1, 1 or L, L) is true for tokens that are seen, by each other one."""
+        b, n, width = x.shape
+        q, k, v = self.inward(x).view(b, n, 3, self.heads, width // self.heads).permute(2, 0, 3, 1, 4)
+        mixed = F.scaled_dot_product_attention(q, k, v, attn_mask=there)
+        x = self.attended(x + self.outward(mixed.transpose(1, 2).reshape(b, n, width)))
+        out: Tensor = self.done(x + self.narrow(F.gelu(self.widen(x))))
+        return out
 
 
 class GateSelector(nn.Module):
-    """Gate selector: from a sentence and a read scene to the right gate, or to none."""
+    """Gate selector: from an instruction and a scene in words to the right gate, or to none."""
 
-    def __init__(self, config: SelectorConfig, attributes: int) -> None:
+    def __init__(self, config: SelectorConfig) -> None:
         super().__init__()
         self.config = config
-        width = config.width
-        self.words = WordEmbedding(config.words, width)
-        self.places = nn.Parameter(torch.randn(config.text_length, width) * 0.02)
-        self.attributes = nn.Linear(attributes, width, bias=False)
-        self.looks = nn.Linear(8, width, bias=False)
-        self.values = nn.Embedding(VALUES, width)
-        self.kinds = nn.Parameter(torch.randn(6, width) * 0.02)  # start, board, calculator, and gates 1 to 3
-        self.stage_numbers = nn.Parameter(torch.randn(STAGES, width) * 0.02)
-        self.ago = nn.Parameter(torch.randn(STAGES, width) * 0.02)
-        self.flown = nn.Parameter(torch.randn(2, width) * 0.02)
-        self.layers = nn.ModuleList([TextLayer(width, config.heads) for _ in range(config.layers)])
-        self.out = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 1))
-        self.absent = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 1))
+        self.words = nn.Embedding(config.pieces, config.width)
+        self.places = nn.Embedding(max(LENGTHS), config.width)
+        self.parts = nn.Embedding(PARTS, config.width)
+        self.embedded = nn.LayerNorm(config.width, eps=1e-12)
+        self.layers = nn.ModuleList([Layer(config) for _ in range(config.layers)])
+        self.scale = nn.Parameter(torch.tensor(_SCALE))
+        self.out = nn.Linear(config.width, 1)
+        self.absent = nn.Linear(config.width, 1)
         self.temperature: Tensor
         self.register_buffer("temperature", torch.ones(()))
-        nn.init.normal_(self.values.weight, std=0.05)
-        nn.init.normal_(self.attributes.weight, std=0.05)
+        nn.init.normal_(self.parts.weight, std=0.02)
+        for layer in (self.out, self.absent):
+            nn.init.normal_(layer.weight, std=0.002)
+            nn.init.zeros_(layer.bias)
+        nn.init.constant_(self.absent.bias, _SCALE / 2)
 
-    def forward(
-        self,
-        tokens: Tensor,
-        panels: Tensor,
-        looks: Tensor,
-        board: Tensor,
-        values: Tensor,
-        remembered: Tensor,
-        stages: Tensor,
-    ) -> Tensor:
+    def forward(self, tokens: Tensor, positions: Tensor, parts: Tensor) -> Tensor:
         """Logits (B, 4) of the gates, and last that none of them is right; calibrated by `temperature`.
 
-        Inputs: tokens (B, L, TOKEN); panels (B, 3, F) and board (B, F), probabilities of attribute values, zero if
-        absent; looks (B, 3, 8) of the gates; values (B, 5) of the sums on the three panels, of that on the board and of
-        the one in the sentence; remembered panels (B, M, F); stages (B, M, 3) of those: index of the stage, how many
-        stages ago, and 1 if that gate was flown through. A stage of -1 means none.
+        Inputs as `scene_tokens.stacked` gives them, int64.
         """
-        n = tokens.shape[0]
-        gates = self.attributes(panels) + self.looks(looks) + self.values(values[:, :3]) + self.kinds[3:]
-        start = self.kinds[0].expand(n, 1, -1)
-        on_board = (self.attributes(board) + self.values(values[:, 3]) + self.kinds[1])[:, None]
-        calculated = (self.values(values[:, 4]) + self.kinds[2])[:, None]
-        words = self.words(tokens) + self.places[: tokens.shape[1]]
-        there = (stages[..., 0] >= 0).to(words.dtype)
-        index, ago = (stages[..., column].clamp(0, STAGES - 1) for column in (0, 1))
-        memory = (
-            self.attributes(remembered)
-            + self.stage_numbers[index]
-            + self.ago[ago]
-            + self.flown[stages[..., 2].clamp(0, 1)]
-        )
-        x = torch.cat([start, gates, on_board, calculated, words, memory], dim=1)
-        spoken = (tokens[..., 0] != 0).to(words.dtype)
-        present = torch.cat([torch.ones_like(spoken[:, :1]).expand(-1, 6), spoken, there], dim=1)
-        bias = ((present - 1.0) * 1e4)[:, None, None].to(x.dtype)
-        for layer in self.layers:
-            x = layer(x, bias)
-        logits = torch.cat([self.out(x[:, 1:4])[..., 0], self.absent(x[:, 0])], dim=1)
-        return logits / self.temperature
+        x = self.embedded(self.words(tokens) + self.places(positions) + self.parts(parts))
+        x = F.dropout(x, self.config.dropout, self.training)
+        there = (tokens != 0)[:, None, None]
+        shared = parts[:, None, None] <= 1  # instruction and context
+        own = parts[:, None, None] == parts[:, None, :, None]
+        apart = there & (shared | own)
+        for number, layer in enumerate(self.layers):
+            x = layer(x, apart if number < self.config.apart else there)
+        # The encoder's meaning of a text is the mean of its tokens; those of like texts have a large cosine.
+        member = torch.stack([parts == part for part in range(PARTS)], dim=1) & (tokens != 0)[:, None]
+        share = member.to(x.dtype)
+        means = share @ x / share.sum(-1, keepdim=True).clamp(min=1.0)
+        sentence, gates = means[:, :1], means[:, 2:]
+        alike = (F.normalize(sentence, dim=-1) * F.normalize(gates, dim=-1)).sum(-1)
+        scores = self.scale * alike + self.out(gates)[..., 0]
+        logits = torch.cat([scores, self.absent(sentence[:, 0])], dim=1)
+        return logits.float() / self.temperature

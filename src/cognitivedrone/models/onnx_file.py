@@ -14,7 +14,7 @@ from typing import Any, TypeVar, cast
 from cognitivedrone.errors import ModelError, import_extra
 from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.models.checksum import BLANK, check, seal
-from cognitivedrone.models.text import Lexicon, Vocabulary
+from cognitivedrone.usage_reports import switch_off
 
 KEY = "cognitivedrone"
 """Key of the metadata."""
@@ -60,8 +60,11 @@ def write_table(path: str | Path, kind: str, table: Mapping[str, Any]) -> None:
     whole.replace(path)
 
 
-def open_model(path: Path, kind: str, *, threads: int, optimise: bool) -> tuple[Any, dict[str, Any]]:
-    """An inference session of a model file of this kind, run on the CPU, and its description.
+def open_model(
+    path: Path, kind: str, *, threads: int, optimise: bool, former: Mapping[str, str] | None = None
+) -> tuple[Any, dict[str, Any]]:
+    """An inference session of a model file of this kind, run on the CPU, and its description; `former` says of kinds of
+    earlier versions what they are.
 
     Raises `ModelError` where it cannot be loaded, does not match its checksum, or is of another kind or format; warns
     where it has no checksum.
@@ -80,7 +83,7 @@ def open_model(path: Path, kind: str, *, threads: int, optimise: bool) -> tuple[
         raise ModelError(f"{path} does not match its checksum, so it is damaged; download or train it again")
     # Use the bytes that were checked, not the file's current content.
     session = _open_session(content, path, threads=threads, optimise=optimise)
-    table = _read_table(session, kind, str(path))
+    table = _read_table(session, kind, str(path), former or {})
     if finding == "unknown" and table["format"] == FORMAT:
         raise ModelError(f"{path} has lost its checksum, so it is damaged; download or train it again")
     if finding == "unknown" and multiprocessing.parent_process() is None:  # once, not in every worker
@@ -91,6 +94,7 @@ def open_model(path: Path, kind: str, *, threads: int, optimise: bool) -> tuple[
 
 
 def _open_session(content: bytes, path: Path, *, threads: int, optimise: bool) -> Any:
+    switch_off()
     ort: Any = importlib.import_module("onnxruntime")
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
@@ -113,7 +117,7 @@ def _open_session(content: bytes, path: Path, *, threads: int, optimise: bool) -
         raise ModelError(f"ONNX Runtime {ort.__version__} cannot load {path}: {reason}") from None
 
 
-def _read_table(session: Any, kind: str, where: str) -> dict[str, Any]:
+def _read_table(session: Any, kind: str, where: str, former: Mapping[str, str]) -> dict[str, Any]:
     """The description in an open file, of a format read here and of this kind; raises `ModelError` for any other."""
     try:
         text = session.get_modelmeta().custom_metadata_map.get(KEY)
@@ -131,6 +135,8 @@ def _read_table(session: Any, kind: str, where: str) -> dict[str, Any]:
             " use a file and a release of cognitivedrone that match"
         )
     found = cast(dict[str, Any], table)
+    if found.get("kind") in former:
+        raise ModelError(f"{where} is {former[found['kind']]}; use the release that it came with, or train it again")
     if found.get("kind") != kind:
         raise ModelError(f"{where} is a model of kind {found.get('kind')!r}, not {kind!r}")
     return found
@@ -176,34 +182,6 @@ def count_of(table: Mapping[str, Any], name: str, where: str) -> int:
     if value < 1:
         raise ModelError(f"{name!r} of the description in {where} is {value}; it must be at least 1")
     return value
-
-
-def vocabulary_of(words: list[Any], where: str) -> Vocabulary:
-    """A vocabulary of words; raises `ModelError`."""
-    if not all(isinstance(word, str) for word in words):
-        raise ModelError(f"the vocabulary in {where} contains an entry that is not a word")
-    try:
-        return Vocabulary(tuple(words))
-    except ModelError as error:
-        raise ModelError(f"{where}: {error}") from None
-
-
-def words_of_table(table: Mapping[str, Any], where: str) -> Vocabulary | Lexicon:
-    """The words in a description: a lexicon, or the closed vocabulary of earlier files; raises `ModelError`."""
-    words = field_of(table, "vocabulary", list, where)
-    if "trained_words" not in table:
-        return vocabulary_of(words, where)
-    if not all(isinstance(word, str) for word in words):
-        raise ModelError(f"the vocabulary in {where} contains an entry that is not a word")
-    try:
-        return Lexicon(tuple(words), field_of(table, "trained_words", int, where))
-    except ModelError as error:
-        raise ModelError(f"{where}: {error}") from None
-
-
-def lexicon_table(words: Vocabulary | Lexicon) -> dict[str, Any]:
-    """The words as they stand in a description."""
-    return {"vocabulary": words.words} | ({"trained_words": words.trained} if isinstance(words, Lexicon) else {})
 
 
 def provenance_of(table: Mapping[str, Any], where: str) -> Provenance:

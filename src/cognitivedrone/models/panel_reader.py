@@ -17,6 +17,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.finder import SLOTS, Block, Finder, crops, look_probabilities, panel_boxes
+from cognitivedrone.models.joined import Joined
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,25 +85,29 @@ class Probabilities(nn.Module):
 class PanelReader(nn.Module):
     """Panel reader of whole frames: a finder of gates, panels and board, and a network that reads each panel."""
 
-    def __init__(self, finder: Finder, reader: Reader) -> None:
+    def __init__(self, finder: Finder, reader: Reader, schema: AttributeSchema) -> None:
         super().__init__()
         self.finder, self.reader = finder, reader
+        self.probabilities, self.joined = Probabilities(schema), Joined(schema)
 
-    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """From images uint8 (B, 256, 256, 3) to attributes.
+    def forward(self, image: Tensor, opinions: Tensor, paper: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """From images uint8 (B, 256, 256, 3), and what the picture classifier thinks (`opinions`), to attributes.
 
-        Returns logits of attribute values (B, 4, F) of three panels and the board; probabilities (B, 3, 8) of the
-        gates' three colours, three shapes and two sizes; and (B, 4, 4) of gates and board: centre u, v and height of
-        the panel in pixels, and the detection score, 0 to 1, of the gate or board. Gates are unordered.
+        Returns probabilities of attribute values (B, 4, F) of three panels and the board; probabilities (B, 3, 8) of
+        the gates' three colours, three shapes and two sizes; and (B, 4, 4) of gates and board: centre u, v and height
+        of the panel in pixels, and the detection score, 0 to 1, of the gate or board. Gates are unordered.
         """
         pixels = image.permute(0, 3, 1, 2).float() / 255
         scene = self.finder.look(pixels)
         slots, scores, board = self.finder.find(scene)
         seen = self.finder.attend(scene, slots)
         boxes = panel_boxes(slots, seen)
-        read = self.reader(crops(pixels, boxes, self.reader.config.crop_size)).view(image.shape[0], SLOTS + 1, -1)
+        logits = self.reader(crops(pixels, boxes, self.reader.config.crop_size))
+        read = self.probabilities(logits).view(image.shape[0], SLOTS + 1, -1)
+        looks = look_probabilities(seen.looks)
+        panels = self.joined(read[:, :SLOTS], looks, opinions, paper)
         found = torch.cat([boxes, torch.cat([scores, board[:, None]], dim=1)[..., None]], dim=-1)
-        return read, look_probabilities(seen.looks), found
+        return torch.cat([panels, read[:, SLOTS:]], dim=1), looks, found
 
 
 def panel_encoder(channels: tuple[int, int, int, int], crop_size: int, embedding: int) -> nn.Sequential:

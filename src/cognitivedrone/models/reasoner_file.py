@@ -1,14 +1,17 @@
-"""The small reasoner's two files: ONNX graphs of panel reader and gate selector, each with a description.
+"""The small reasoner's files: ONNX graphs of panel reader, language and gate selector, each with a description.
 
 Contracts; the batch is a dynamic axis, F the number of attribute values, L the gate selector's `text_length`:
 
-- panel reader: input `image` uint8 (batch, 256, 256, 3); outputs `attributes` float32 (batch, 4, F), logits of the
-  attribute values of three panels and the board; `looks` float32 (batch, 3, 8), probabilities of a gate's colours,
+- panel reader: inputs `image` uint8 (batch, 256, 256, 3), `opinions` float32 (batch, 3, T) and `paper` float32
+  (batch, 3) (`opinions`); outputs `readings` float32 (batch, 4, F), probabilities of the attribute values of three
+  panels and the board; `looks` float32 (batch, 3, 8), probabilities of a gate's colours,
   shapes and sizes; `boxes` float32 (batch, 4, 4) of panels and board: centre u, v and height in pixels, and the
   detection score, 0 to 1;
-- gate selector: inputs as documented in `gate_selector.GateSelector.forward`, with any number of remembered panels up
-  to `REMEMBERED`; output `logits` float32 (batch, 4) of the gates and of none of them. In files with a closed
-  `Vocabulary`, `tokens` is (batch, L) and `logits` (batch, 3).
+- language: inputs `words` float32 (batch, L, W), the instruction as the text encoder reads it, `panels` float32
+  (batch, 3, F) and `board` float32 (batch, F), probabilities, `looks` float32 (batch, 3, 8), and `seen` float32
+  (batch,), 1 if there is a board; output `logits` float32 (batch, 4) of the gates and of none of them;
+- gate selector: inputs as `scene_tokens.stacked` gives them, with any number of tokens; output `logits` float32
+  (batch, 4) of the gates and of none of them. Its description holds the word pieces, and notes on taught concepts.
 """
 
 from __future__ import annotations
@@ -25,22 +28,23 @@ from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.onnx_file import (
     Provenance,
     check_graph,
-    count_of,
     field_of,
     open_model,
     provenance_of,
-    words_of_table,
 )
-from cognitivedrone.models.text import TOKEN, Lexicon, Vocabulary
-from cognitivedrone.types import IMAGE_SIZE, Image
+from cognitivedrone.models.opinions import NONE
+from cognitivedrone.models.scene_tokens import INPUTS, SceneText, SceneTokenizer, stacked
+from cognitivedrone.models.text_encoder import TextEncoderModel
+from cognitivedrone.types import COLORS, IMAGE_SIZE, Image
 
-READER_KIND, SELECTOR = "small-reasoner-eyes", "small-reasoner-mind"
-READER_FILE, SELECTOR_FILE = "panel_reader.onnx", "gate_selector.onnx"
-FORMER_FILES = {READER_FILE: "eyes.onnx", SELECTOR_FILE: "mind.onnx"}
+READER_KIND, SELECTOR = "panel-reader", "gate-selector"
+FORMER_READERS = {"small-reasoner-eyes": "a panel reader of an earlier kind, which asks no picture classifier"}
+FORMER_SELECTORS = {"small-reasoner-mind": "a gate selector of an earlier kind, which reads no scenes in words"}
+LANGUAGE = "reasoner-language"
+READER_FILE, SELECTOR_FILE, LANGUAGE_FILE = "panel_reader.onnx", "gate_selector.onnx", "language.onnx"
 LOOKS = 8
 """Colours, shapes and sizes of gates, in the order of `types`."""
-REMEMBERED = 15
-"""Maximum number of remembered panels of earlier stages."""
+_ANY = 1
 
 Floats = NDArray[np.float32]
 
@@ -48,8 +52,8 @@ Floats = NDArray[np.float32]
 class PanelReading(NamedTuple):
     """The panel reader's output for one frame."""
 
-    attributes: Floats
-    """(4, F) logits of three panels, unordered, and the board."""
+    readings: Floats
+    """(4, F) probabilities of the attribute values of three panels, unordered, and the board."""
     looks: Floats
     """(3, 8)."""
     boxes: Floats
@@ -59,76 +63,136 @@ class PanelReading(NamedTuple):
 class PanelReaderModel:
     """Panel reader, run by ONNX Runtime on the CPU."""
 
-    def __init__(self, session: Any, attributes: AttributeSchema, provenance: Provenance) -> None:
+    def __init__(self, session: Any, attributes: AttributeSchema, provenance: Provenance, *, classifier: bool) -> None:
         self._session = session
         self.attributes = attributes
         self.provenance = provenance
+        self.classifier = classifier
+        """Whether it was made to be asked with the picture classifier's opinions."""
 
     @classmethod
     def load(cls, path: Path, *, threads: int = 1) -> PanelReaderModel:
         """Load a file; raises `ModelError` where it is missing, broken or of another kind."""
-        session, table = open_model(path, READER_KIND, threads=threads, optimise=True)
+        session, table = open_model(path, READER_KIND, threads=threads, optimise=True, former=FORMER_READERS)
         attributes = _attributes(table, str(path))
+        inputs: dict[str, tuple[str, tuple[int, ...]]] = {
+            "image": ("tensor(uint8)", (IMAGE_SIZE, IMAGE_SIZE, 3)),
+            "opinions": ("tensor(float)", (len(COLORS), len(attributes.things))),
+            "paper": ("tensor(float)", (len(COLORS),)),
+        }
         outputs = {
-            "facets": ("tensor(float)", (4, len(attributes.names))),
+            "readings": ("tensor(float)", (4, len(attributes.names))),
             "looks": ("tensor(float)", (3, LOOKS)),
             "boxes": ("tensor(float)", (4, 4)),
         }
-        check_graph(session, {"image": ("tensor(uint8)", (IMAGE_SIZE, IMAGE_SIZE, 3))}, outputs, str(path))
-        return cls(session, attributes, provenance_of(table, str(path)))
+        check_graph(session, inputs, outputs, str(path))
+        classifier = table.get("classifier") is True
+        return cls(session, attributes, provenance_of(table, str(path)), classifier=classifier)
 
-    def see(self, image: Image) -> PanelReading:
-        """The attributes in a frame (256, 256, 3); raises `PolicyError` for one of another shape or type."""
+    def see(self, image: Image, opinions: Mapping[str, Floats] | None = None) -> PanelReading:
+        """The attributes in a frame (256, 256, 3), with `Opinions.arrays` on its panels, by default none.
+
+        Raises `PolicyError` for an image of another shape or type.
+        """
         if image.dtype != np.uint8 or image.shape != (IMAGE_SIZE, IMAGE_SIZE, 3):
             raise PolicyError(
                 f"the panel reader needs an image of uint8 (256, 256, 3), not {image.dtype} {image.shape}"
             )
-        attributes, looks, boxes = self._session.run(("facets", "looks", "boxes"), {"image": image[None]})
-        return PanelReading(attributes[0], looks[0], boxes[0])
+        if opinions is None:
+            things = len(self.attributes.things)
+            opinions = {
+                "opinions": np.zeros((len(COLORS), things), np.float32),
+                "paper": np.full(len(COLORS), NONE, np.float32),
+            }
+        inputs = {"image": image[None]} | {name: value[None] for name, value in opinions.items()}
+        readings, looks, boxes = self._session.run(("readings", "looks", "boxes"), inputs)
+        return PanelReading(readings[0], looks[0], boxes[0])
 
 
 class GateSelectorModel:
     """Gate selector, run by ONNX Runtime on the CPU."""
 
     def __init__(
-        self, session: Any, attributes: AttributeSchema, vocabulary: Vocabulary | Lexicon, text_length: int
+        self, session: Any, attributes: AttributeSchema, tokenizer: SceneTokenizer, notes: Mapping[str, str]
     ) -> None:
         self._session = session
         self.attributes = attributes
-        self.vocabulary = vocabulary
-        self.text_length = text_length
+        self.tokenizer = tokenizer
+        self.notes = notes
+        """What was taught of concepts, by the names of their attribute values."""
 
     @classmethod
     def load(cls, path: Path, *, threads: int = 1) -> GateSelectorModel:
         """Load a file; raises `ModelError` where it is missing, broken or of another kind."""
-        session, table = open_model(path, SELECTOR, threads=threads, optimise=True)
+        session, table = open_model(path, SELECTOR, threads=threads, optimise=True, former=FORMER_SELECTORS)
         where = str(path)
-        attributes, length = _attributes(table, where), count_of(table, "text_length", where)
-        count, words = len(attributes.names), words_of_table(table, where)
-        lexicon = isinstance(words, Lexicon)
-        inputs = {
-            "tokens": ("tensor(int64)", (length, TOKEN) if lexicon else (length,)),
-            "panels": ("tensor(float)", (3, count)),
+        inputs = dict.fromkeys(INPUTS, ("tensor(int64)", (_ANY,)))
+        check_graph(session, inputs, {"logits": ("tensor(float)", (4,))}, where)
+        pieces, notes = field_of(table, "pieces", list, where), field_of(table, "notes", dict, where)
+        if not all(isinstance(piece, str) for piece in pieces):
+            raise ModelError(f"the word pieces in {where} contain an entry that is not a word")
+        if not all(isinstance(note, str) for note in notes.values()):
+            raise ModelError(f"the notes in {where} contain an entry that is not a text")
+        tokenizer = SceneTokenizer(pieces, f"the list of word pieces in {where}")
+        return cls(session, _attributes(table, where), tokenizer, notes)
+
+    def choose(self, text: SceneText) -> Floats:
+        """Probabilities (4,) of the gates and of none of them."""
+        shares: Floats = shares_of(self.logits(stacked([self.tokenizer.encode(text.parts)])))[0]
+        return shares
+
+    def logits(self, batch: Mapping[str, NDArray[Any]]) -> Floats:
+        """(B, 4), for a batch of `scene_tokens.stacked`."""
+        (logits,) = self._session.run(("logits",), {name: batch[name] for name in INPUTS})
+        found: Floats = logits
+        return found
+
+
+class LanguageModel:
+    """The language of a small policy by itself, run by ONNX Runtime on the CPU: it weighs readings, not words."""
+
+    def __init__(self, session: Any, attributes: AttributeSchema, encoder: TextEncoderModel) -> None:
+        self._session = session
+        self.attributes = attributes
+        self._encoder = encoder
+
+    @classmethod
+    def load(cls, path: Path, *, threads: int = 1) -> LanguageModel:
+        """Load a file and its text encoder; raises `ModelError` where one is missing, broken or of another kind."""
+        session, table = open_model(path, LANGUAGE, threads=threads, optimise=True)
+        where = str(path)
+        attributes = _attributes(table, where)
+        encoder = TextEncoderModel.of_digest(field_of(table, "encoder", str, where), path, threads=threads)
+        size = len(attributes.names)
+        inputs: dict[str, tuple[str, tuple[int, ...]]] = {
+            "words": ("tensor(float)", (_ANY, encoder.size)),
+            "panels": ("tensor(float)", (3, size)),
             "looks": ("tensor(float)", (3, LOOKS)),
-            "board": ("tensor(float)", (count,)),
-            "values": ("tensor(int64)", (5,)),
-            "remembered": ("tensor(float)", (REMEMBERED, count)),
-            "stages": ("tensor(int64)", (REMEMBERED, 3)),
+            "board": ("tensor(float)", (size,)),
+            "seen": ("tensor(float)", ()),
         }
-        check_graph(session, inputs, {"logits": ("tensor(float)", (4 if lexicon else 3,))}, where)
-        return cls(session, attributes, words, length)
+        check_graph(session, inputs, {"logits": ("tensor(float)", (4,))}, where)
+        return cls(session, attributes, encoder)
 
-    def choose(self, sentence: str, told: Mapping[str, NDArray[Any]]) -> Floats:
-        """Probabilities (4,) of the gates and of none of them, or (3,) where the model cannot tell the latter.
+    def logits(self, instruction: str, panels: Floats, looks: Floats, board: Floats) -> Floats:
+        """(4,), for a scene's readings: panels (3, F), looks (3, 8), and board (F,), zero where there is none."""
+        inputs = {
+            "words": self._encoder.words(instruction),
+            "panels": panels,
+            "looks": looks,
+            "board": board,
+            "seen": np.float32(board.max(initial=0.0) > 0),
+        }
+        (logits,) = self._session.run(("logits",), {name: np.asarray(value)[None] for name, value in inputs.items()})
+        found: Floats = logits[0]
+        return found
 
-        For a sentence and the other inputs, each without its batch axis.
-        """
-        tokens = self.vocabulary.encode(sentence, self.text_length)
-        inputs = {"tokens": tokens[None], **{name: value[None] for name, value in told.items()}}
-        (logits,) = self._session.run(("logits",), inputs)
-        shares = np.exp(logits[0] - logits[0].max())
-        probabilities: Floats = shares / shares.sum()
-        return probabilities
+
+def shares_of(logits: Floats) -> Floats:
+    """Probabilities (B, 4)."""
+    shares = np.exp(logits - logits.max(axis=1, keepdims=True))
+    found: Floats = shares / shares.sum(axis=1, keepdims=True)
+    return found
 
 
 def _attributes(table: Mapping[str, Any], where: str) -> AttributeSchema:

@@ -1,13 +1,12 @@
 """The small VLA: an image, the drone's own motion and a sentence in, 4-D actions out.
 
 Three parts meet late. A finder locates gates, panels and the board. A panel reader tells what panels and board show,
-as probabilities of named attribute values. A text encoder turns the sentence, and the board's content, into a query.
-The drone flies through the gate that matches the query best, by an action head that reads that gate's features. So
-each part can be taught alone: reading from pictures, understanding from sentences and described scenes, flying from
-frames.
+as probabilities of named attribute values. Its language weighs them against the sentence, as the text encoder has read
+it. The drone flies through the gate that matches best, by an action head that reads that gate's features. So each part
+can be taught alone: reading from pictures, understanding from sentences and described scenes, flying from frames.
 
-Shapes: B images, K sentences per image, S = 3 gate slots, E the embedding, C the features of a cell, F the attribute
-values of panels, and 8 values of a gate's look.
+Shapes: B images, K sentences per image, S = 3 gate slots, C the features of a cell, F the attribute values of panels,
+and 8 values of a gate's look; L tokens of a sentence, W the width of the text encoder.
 """
 
 from __future__ import annotations
@@ -31,8 +30,10 @@ from cognitivedrone.models.finder import (
     look_probabilities,
     panel_boxes,
 )
+from cognitivedrone.models.joined import Joined
+from cognitivedrone.models.language import Language, LanguageConfig
 from cognitivedrone.models.panel_reader import Probabilities, Reader, ReaderConfig
-from cognitivedrone.models.sentence import TextLayer, WordConfig, WordEmbedding
+from cognitivedrone.types import COLORS
 
 Head = Literal["tokens", "regression"]
 
@@ -46,8 +47,6 @@ _STATE_SCALE = (1.5, 1.5, 1.0, 1.5, 1.0)
 class SmallVLAConfig:
     """Sizes and choices of the network. The model file describes its training data."""
 
-    text_length: int = 40
-    words: WordConfig = field(default_factory=WordConfig)
     image_size: int = 256
     """Height and width of the processed image, pixels: 256, or 128 (reduced inside the network)."""
     backbone: tuple[int, int, int] = (32, 64, 128)
@@ -55,10 +54,8 @@ class SmallVLAConfig:
     blocks: int = 3
     """Residual blocks at stride 16."""
     reader: ReaderConfig | None = field(default_factory=ReaderConfig)
-    """Its panel reader; without one it flies to gates and cannot choose among them by their panels."""
-    embedding: int = 192
-    text_width: int = 128
-    text_layers: int = 3
+    """Its panel reader; without one it hears no sentences, and chooses among gates by their looks alone."""
+    language: LanguageConfig = field(default_factory=LanguageConfig)
     head: Head = "regression"
     bins: int = 256
     chunk: int = 1
@@ -80,50 +77,7 @@ class SmallVLAConfig:
         reader = fields["reader"]
         if reader is not None:
             fields["reader"] = ReaderConfig.of(reader)
-        return cls(**{**fields, "words": WordConfig(**fields["words"])})
-
-
-class Language(nn.Module):
-    """What sentences mean: queries, and the vectors of attribute values that they are compared with."""
-
-    def __init__(self, config: SmallVLAConfig, attributes: int) -> None:
-        super().__init__()
-        width, size = config.text_width, config.embedding
-        self.words = WordEmbedding(config.words, width)
-        self.places = nn.Parameter(torch.randn(config.text_length, width) * 0.02)
-        self.start = nn.Parameter(torch.randn(width) * 0.02)
-        self.board = nn.Linear(size, width)
-        self.layers = nn.ModuleList([TextLayer(width) for _ in range(config.text_layers)])
-        self.out = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, size))
-        self.absent = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 1))
-        self.prototypes = nn.Parameter(torch.randn(attributes, size) * size**-0.5)
-        self.looks = nn.Parameter(torch.randn(LOOKS, size) * size**-0.5)
-        self.scale = nn.Parameter(torch.tensor(1.0))
-
-    def forward(self, tokens: Tensor, board: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
-        """From tokens (n, length, TOKEN), probabilities on the board (n, F), seen (n,), 1 if a board is in view.
-
-        Returns queries (n, E), and logits (n,) that no gate matches the instruction.
-        """
-        n = tokens.shape[0]
-        words = self.words(tokens) + self.places[: tokens.shape[1]]
-        extra = torch.stack([self.start.expand(n, -1), self.board(board @ self.prototypes)], dim=1)
-        x = torch.cat([extra.to(words.dtype), words], dim=1)
-        there = (tokens[..., 0] != 0).to(seen.dtype)
-        present = torch.cat([torch.ones_like(seen)[:, None], seen[:, None], there], dim=1)
-        bias = ((present - 1.0) * 1e4)[:, None, None].to(x.dtype)
-        for layer in self.layers:
-            x = layer(x, bias)
-        query: Tensor = self.out(x[:, 0])
-        return query.float(), self.absent(x[:, 0]).float()[:, 0]
-
-    def describe(self, panels: Tensor, looks: Tensor) -> Tensor:
-        """Embeddings (..., E) of gates whose panels show `panels` (..., F) and that look like `looks` (..., 8)."""
-        return panels @ self.prototypes.float() + looks @ self.looks.float()
-
-    def match(self, query: Tensor, gates: Tensor) -> Tensor:
-        """Logits (B, K, S) of queries (B, K, E) and gates (B, S, E)."""
-        return query.float() @ gates.float().transpose(1, 2) * self.scale
+        return cls(**{**fields, "language": LanguageConfig.of(fields["language"])})
 
 
 class Flight(nn.Module):
@@ -189,7 +143,9 @@ class SmallVLA(nn.Module):
         self.finder = Finder(config.backbone, config.blocks, config.image_size)
         self.reader = None if config.reader is None else Reader(config.reader, len(schema.names))
         self.probabilities = Probabilities(schema)
-        self.language = Language(config, len(schema.names))
+        self.joined = Joined(schema)
+        self.language = None if config.reader is None else Language(config.language, schema)
+        self.preference = nn.Linear(LOOKS, 1, bias=False) if config.reader is None else None
         self.flight = Flight(config)
 
     def train(self, mode: bool = True) -> SmallVLA:
@@ -207,28 +163,58 @@ class SmallVLA(nn.Module):
         shares: Tensor = self.probabilities(logits)
         return shares.view(*boxes.shape[:2], -1)
 
-    def forward(self, image: Tensor, state: Tensor, tokens: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Of images uint8 (B, 256, 256, 3), state (B, 5), tokens (B, L, TOKEN): what a policy needs.
+    def forward(
+        self,
+        image: Tensor,
+        state: Tensor,
+        words: Tensor | None = None,
+        opinions: Tensor | None = None,
+        paper: Tensor | None = None,
+    ) -> tuple[Tensor, ...]:
+        """Of images uint8 (B, 256, 256, 3), state (B, 5), encoded sentences `words` (B, L, W): what a policy needs.
+
+        With `opinions` (B, 3, T) and `paper` (B, 3), what the picture classifier thinks of the panels counts, too, and
+        it is returned where the panels are.
 
         Returns actions (B, chunk, 4) in m/s and rad/s; the choice (B, 4), probabilities of the three slots and of none
-        of them; the slots (B, 3, 4): centre u, v in pixels, score 0 to 1 and distance in m; and the probability (B,)
-        that one of the visible gates is what the sentence asks for.
+        of them; the slots (B, 3, 4): centre u, v in pixels, score 0 to 1 and distance in m; and, of a network with
+        language, the probability (B,) that one of the visible gates is what the sentence asks for; then, where there
+        are opinions, the panels (B, 3, 4): centre u, v and height in pixels, and which of three colours its gate has.
         """
         pixels = image.permute(0, 3, 1, 2).float() / 255
         scene: Scene = self.finder.look(pixels)
         slots, scores, board = self.finder.find(scene)
         seen = self.finder.attend(scene, slots)
-        read = self.read(pixels, panel_boxes(slots, seen))
-        query, absent = self.language(tokens, read[:, SLOTS], (board > 0.5).float())
-        gates = self.language.describe(read[:, :SLOTS], look_probabilities(seen.looks))
-        match = self.language.match(query[:, None], gates)
+        looks = look_probabilities(seen.looks)
         there = (scores > 0.3).float()
+        more: tuple[Tensor, ...] = ()
+        if self.language is None or words is None:
+            match = self.prefer(looks)
+        else:
+            boxes = panel_boxes(slots, seen)
+            read = self.read(pixels, boxes)
+            panels = read[:, :SLOTS]
+            if opinions is not None and paper is not None:
+                panels = self.joined(panels, looks, opinions, paper)
+            query, absent = self.language(words, read[:, SLOTS], (board > 0.5).float())
+            match = self.language.choice(query[:, None], panels, looks)
+            faint = self.language.match(query[:, None], panels, looks)[:, 0]
+            among = torch.cat([faint + (there - 1) * 1e4, absent[:, None]], dim=1).softmax(-1)
+            more = (1 - among[:, SLOTS],)
+            if opinions is not None:
+                color = looks[..., : len(COLORS)].argmax(-1, keepdim=True).float()
+                more += (torch.cat([boxes[:, :SLOTS], color], dim=-1),)
         logits = self.flight.choose(match, seen, state)[:, 0]
         visible = torch.cat([there, torch.ones_like(there[:, :1])], dim=1)
         choice = (logits + (visible - 1) * 1e4).softmax(-1)
-        among = torch.cat([match[:, 0] + (there - 1) * 1e4, absent[:, None]], dim=1).softmax(-1)
         actions = self.flight.decode(self.flight.act(seen, state))
         best = choice.argmax(dim=-1)[:, None, None, None].expand(-1, 1, self.config.chunk, 4)
         centers = gate_boxes(slots, seen)
         found = torch.stack([centers[..., 0], centers[..., 1], scores, seen.geometry[..., 2].exp()], dim=-1)
-        return actions.gather(1, best)[:, 0], choice, found, 1 - among[:, SLOTS]
+        return actions.gather(1, best)[:, 0], choice, found, *more
+
+    def prefer(self, looks: Tensor) -> Tensor:
+        """Logits (B, 1, S) of a network without language, of gates that look like `looks` (B, S, 8)."""
+        assert self.preference is not None  # noqa: S101  (for the type checker)
+        logits: Tensor = self.preference(looks.float())[..., 0][:, None]
+        return logits

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cognitivedrone import registry
-from cognitivedrone.adapters import as_policy
+from cognitivedrone.adapters import POLICY_METHODS, as_policy
 from cognitivedrone.errors import PluginError
 from cognitivedrone.interfaces import Policy
 
@@ -24,6 +24,8 @@ POLICIES: dict[str, str] = {
     "hover": "cognitivedrone.policies.baselines:Hover",
     "random": "cognitivedrone.policies.baselines:Random",
 }
+SELF_CONTAINED = ("oracle", "colour_seeker", "small", "race", "hover", "random")
+"""Those that need no file of the user's, no server and no download: a file from somebody else may name them."""
 
 
 def model_file(name: str) -> Path | None:
@@ -31,11 +33,11 @@ def model_file(name: str) -> Path | None:
 
     Raises `PolicyError` if the file is missing.
     """
-    return registry.file_of("policy", name, POLICIES)
+    return registry.file_of("policy", name, POLICIES, POLICY_METHODS)
 
 
 def make_policy(name: str) -> Policy:
     """A new policy by its name and arguments, in the syntax of `registry`; raises `PolicyError`."""
     if name.endswith(".onnx") and ":" not in name:
         raise PluginError(f"policy {name!r} is a model file; write small:{name}")
-    return as_policy(f"policy {name!r}", registry.make("policy", name, POLICIES))
+    return as_policy(f"policy {name!r}", registry.make("policy", name, POLICIES, POLICY_METHODS))

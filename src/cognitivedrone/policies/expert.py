@@ -8,8 +8,9 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from cognitivedrone.errors import GroundTruthError
-from cognitivedrone.frames import world_to_heading, wrap_angle, yaw_of
+from cognitivedrone.frames import rotate_yaw, world_to_heading, wrap_angle, yaw_of
 from cognitivedrone.interfaces import Policy
+from cognitivedrone.path_planning import JOIN_M, gate_places, ways_to
 from cognitivedrone.types import (
     CONTROL_HZ,
     Action,
@@ -20,11 +21,19 @@ from cognitivedrone.types import (
     GroundTruth,
     Observation,
     Scalars,
+    Vector,
     Vectors,
 )
 from cognitivedrone.world.geometry import gate_centers, gate_yaws
 
 _PERIOD_S = 1 / CONTROL_HZ
+_ABOVE_M, _SINK_M_S = 0.15, 0.4  # nearer than this it is above a pad, and comes down
+_SPARES_M = (0.22, 0.12, 0.04)
+"""Between hull and obstacles: the first of these with a way, m."""
+_CORNER_M_S, _BRAKING_M_S2 = 0.3, 0.8
+"""Speed at the sharpest corners of a way, and how it is reached."""
+_CORRIDOR_M, _SLOWER, _TO_AXIS = 0.5, 4.0, 1.2
+"""Nearer to its axis than this the gate is approached; the slower the farther, 1/m, and towards the axis, 1/s."""
 _GRID = np.linspace(0.05, 1.0, 8)
 """Points of the curved part of the path at which its curvature is evaluated."""
 
@@ -135,6 +144,68 @@ def within(vector: FloatArray, limit: float) -> FloatArray:
     return shortened
 
 
+class Detour:
+    """The way around what is in the way, for one stage."""
+
+    def __init__(self, truth: GroundTruth, target: int, config: ExpertConfig) -> None:
+        stage = truth.stage
+        self._config = config
+        self._last: int | None = None  # the point that was flown to
+        self._origin, self._yaw = np.array([*stage.origin, 0.0]), stage.yaw
+        for spare in _SPARES_M:
+            margin = truth.hull_radius + spare
+            self._ways = ways_to(target, stage.obstacles, stage.landmark, stage.layout, margin, stage.only)
+            if self._ways.ahead(self._local(truth.state().position)) is not None:
+                break
+        centers, yaws = gate_places(stage.layout)
+        self._gate, heading = centers[target], yaws[target]
+        self._normal = np.array([np.cos(heading), np.sin(heading), 0.0])
+
+    @classmethod
+    def of(cls, truth: GroundTruth, config: ExpertConfig) -> Detour | None:
+        """None where nothing is in the way of a gate."""
+        stage, target = truth.stage, truth.task.target
+        return cls(truth, target, config) if target is not None and (stage.obstacles or stage.landmark) else None
+
+    def wish(self, position: Vector, velocity: Vector) -> Vectors | None:
+        """The velocity (3,) along the way, world, m/s; none where the ordinary path to the gate is clear."""
+        config = self._config
+        here, motion = self._local(position), world_to_heading(velocity, self._yaw)
+        start = here + motion * config.lag_s
+        before = float((self._gate - start) @ self._normal)
+        aside = start + before * self._normal - self._gate
+        away = float(np.linalg.norm(aside))
+        if before < JOIN_M + 0.1 and away < _CORRIDOR_M:  # slower, where the gate's axis is still to be found
+            share = min(1.0, max(0.3, 1.0 - _SLOWER * (away - 0.05)))
+            return rotate_yaw(share * config.speed_m_s * self._normal - _TO_AXIS * aside, self._yaw)
+        for share in (1.0, 0.5, 0.0):
+            start = here + share * config.lag_s * motion
+            if self._ways.clear(np.stack([here, start])):
+                break
+        if self._is_clear(start):
+            return None
+        self._last = self._ways.ahead(start, self._last)
+        if self._last is None:
+            return None
+        point, after = self._ways.points[self._last], int(self._ways.following[self._last])
+        aim, later = point - start, self._ways.points[after] - point if after >= 0 else self._normal
+        distance = max(float(np.linalg.norm(aim)), 1e-6)
+        turn = float(aim @ later) / (distance * max(float(np.linalg.norm(later)), 1e-6))
+        corner = max(_CORNER_M_S, config.speed_m_s * max(turn, 0.0) ** 2)
+        speed = min(config.speed_m_s, float(np.sqrt(corner**2 + 2 * _BRAKING_M_S2 * distance)))
+        return rotate_yaw(aim * (speed / distance), self._yaw)
+
+    def _is_clear(self, start: Vector) -> bool:
+        """Whether the ordinary path from here keeps clear."""
+        way = plan(start, self._gate, self._normal, self._config)
+        before = float((self._gate - start) @ self._normal)
+        return before > 0 and self._ways.clear(np.concatenate([start[None], way.curve(_GRID)]))
+
+    def _local(self, point: Vector) -> Vector:
+        """A place of the world in the stage frame."""
+        return world_to_heading(point - self._origin, self._yaw)
+
+
 class Expert(Policy):
     """Closed-loop control from the true state: a new spline to the gate every step, commanded smoothly.
 
@@ -151,6 +222,7 @@ class Expert(Policy):
         self._velocity = np.zeros(3)  # commanded last, world
         self._acceleration = np.zeros(3)
         self._yaw_rate = 0.0
+        self._detour: Detour | None = None
 
     def reset(self, context: EpisodeContext) -> None:
         """Take the ground truth of the stage. Without a right gate, the expert declines and hovers.
@@ -159,6 +231,7 @@ class Expert(Policy):
         """
         self._truth = context.ground_truth
         self.declines = self._truth is not None and self._truth.task.target is None
+        self._detour = Detour.of(self._truth, self.config) if self._truth is not None else None
         if self._truth is not None and context.stage == 0:
             self._velocity = np.array(self._truth.state().velocity, dtype=np.float64)
             self._acceleration = np.zeros(3)
@@ -178,11 +251,25 @@ class Expert(Policy):
         yaw = float(yaw_of(state.quaternion))
         if target is None:
             return self._action(np.zeros(3), 0.0, yaw)
+        if stage.landing:
+            return self._down(gate_centers(stage)[target], state.position, yaw)
         gate_yaw = float(gate_yaws(stage)[target])
         normal = np.array([np.cos(gate_yaw), np.sin(gate_yaw), 0.0])
         start = state.position + state.velocity * config.lag_s
-        wanted = wish(start, gate_centers(stage)[target], normal, config)
+        wanted = None if self._detour is None else self._detour.wish(state.position, state.velocity)
+        if wanted is None:
+            wanted = wish(start, gate_centers(stage)[target], normal, config)
         return self._action(wanted, float(turn_rate(wanted, np.asarray(yaw), config)), yaw)
+
+    def _down(self, pad: FloatArray, position: FloatArray, yaw: float) -> Action:
+        """The command to a pad and down onto it, world, m; `yaw` is the drone's."""
+        aim = pad - position
+        distance = float(np.hypot(aim[0], aim[1]))
+        level = aim[:2] * min(self.config.speed_m_s, 0.9 * distance) / max(distance, 1e-6)
+        climb = max(0.4, 0.4 * distance) - position[2] if distance > _ABOVE_M else -_SINK_M_S
+        wanted = np.array([*level, np.clip(climb, -0.6, 0.6)])
+        rate = float(turn_rate(wanted, np.asarray(yaw), self.config)) if distance > 1.0 else 0.0
+        return self._action(wanted, rate, yaw)
 
     def _action(self, wanted: FloatArray, rate: float, yaw: float) -> Action:
         """The next command toward a velocity, world, m/s, and a yaw rate, rad/s; `yaw` is the drone's."""

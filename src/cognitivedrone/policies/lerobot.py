@@ -2,7 +2,7 @@
 
 A checkpoint is the folder `pretrained_model` that `lerobot-train` writes: config.json, model.safetensors, and the
 normalisation as policy_preprocessor.json and policy_postprocessor.json with their .safetensors. Only these are read;
-nothing is unpickled or downloaded. The policy must take the features of our LeRobot export (docs/formats.md).
+nothing is unpickled or downloaded. The policy must take the features of our LeRobot export (docs/data.md).
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def check_features(folder: Path, config: dict[str, Any]) -> None:
         if key != IMAGE_KEY and shape != SHAPES.get(key):
             raise ModelError(
                 f"{folder} is a policy with {key} {shape}; ours has {IMAGE_KEY}, {STATE_KEY} (5,) and {ACTION_KEY}"
-                " (4,): train it on a LeRobot export of this package (docs/formats.md)"
+                " (4,): train it on a LeRobot export of this package (docs/data.md)"
             )
     if ACTION_KEY not in features or IMAGE_KEY not in features:
         raise ModelError(f"{folder / FILES[0]} names no {IMAGE_KEY} or no {ACTION_KEY}; train on our LeRobot export")
@@ -130,7 +130,7 @@ def _loaded(folder: Path, device: str) -> tuple[Any, Any, Any]:
     except Exception as error:  # of many kinds: a checkpoint of another version, packages that do not fit together
         raise ModelError(
             f"{folder} cannot be loaded by lerobot {version('lerobot')}: {type(error).__name__}: {str(error)[:200]};"
-            " serve it from an environment with the version that trained it (docs/integrations.md)"
+            " serve it from an environment with the version that trained it (docs/gymnasium.md)"
         ) from error
     policy.eval()
     return policy, before, after

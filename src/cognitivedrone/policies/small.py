@@ -4,32 +4,30 @@ from __future__ import annotations
 
 import copy
 import os
-import warnings
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from string import punctuation
 from typing import Self, cast
 
 import numpy as np
 
 from cognitivedrone.errors import ModelError, NonFiniteAction, PluginError, PolicyError
 from cognitivedrone.interfaces import Policy, attempt
+from cognitivedrone.models.opinions import Opinions
 from cognitivedrone.models.small_file import Output, SmallModel
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, FloatArray, Image, Observation
 
 LONGEST_INSTRUCTION = 1000
 """Maximum length in characters."""
-TOLD = 5
-"""Maximum number of warnings about unknown words; whole suites are full of them."""
 _VISIBLE = 0.3  # minimum score of a visible gate
 _NEAR_M = 1.2  # nearer to a gate, panels leave the view
-_ENOUGH = 8  # frames
+_ENOUGH = 4  # frames: soon the panels beside the chosen one leave the view
 _NEWEST = 0.15  # minimum weight of the newest frame
-_DECLINE, _RESUME = 0.15, 0.4  # mean probabilities
+_DECLINE, _RESUME = 0.2, 0.4  # mean probabilities
+_LOOKS = 1  # of the picture classifier in a frame: it costs as much as the rest
 _SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 
 
@@ -58,8 +56,9 @@ class Presence:
 class Small(Policy):
     """Flies a small model: the packaged one, or the file at `path`.
 
-    Its actions depend on the current observation only, but for one thing: it declines, and hovers, when the frames of a
-    second agree that no gate matches the instruction. Raises `PolicyError` if the file is missing or unusable.
+    Its actions depend on the current observation only, but for two things: it declines, and hovers, when the first
+    frames agree that no gate matches the instruction; and what the picture classifier thought of a panel in earlier
+    frames counts. Raises `PolicyError` if the file is missing or unusable.
 
     For several flights at once it uses all cores, one frame at a time, so that each answer is that of `act` to the bit.
     With `stack`, up to so many frames go through the network together: faster, but rounded differently.
@@ -67,8 +66,6 @@ class Small(Policy):
 
     weights = "small.onnx"
     """The packaged file, in `cognitivedrone/models/weights`."""
-    warns = True
-    """Whether to warn about words that the model has never seen."""
 
     def __init__(self, path: Path | str | None = None, *, stack: int = 1) -> None:
         if stack < 1:
@@ -76,13 +73,12 @@ class Small(Policy):
         self._stack = stack
         self._threads: ThreadPoolExecutor | None = None
         self.model = SmallModel.load(self.file_of(path))
+        self._opinions = None if self.model.opinions is None else self.model.opinions.fork()
         self.last: Output | None = None
         """The network's output for the last frame, n = 1, for viewers; none before the first."""
         self._text = ""
         self._presence = Presence()
         self.declines = False
-        self._words_told: set[str] = set()
-        self._sentences_told = 0
 
     @property
     def present(self) -> float | None:  # type: ignore[override]
@@ -106,11 +102,11 @@ class Small(Policy):
     def reset(self, context: EpisodeContext) -> None:
         """Take a new instruction.
 
-        Raises `PolicyError` if it is empty or longer than `LONGEST_INSTRUCTION`. Warns once about each word that the
-        model has never seen, for the first few sentences only.
+        Raises `PolicyError` if it is empty or longer than `LONGEST_INSTRUCTION`.
         """
         self.last = None
-        self._presence, self.declines = Presence(), False
+        self._forget()
+        self.declines = False
         self._listen(context.instruction)
 
     def act(self, observation: Observation) -> ActionChunk:
@@ -120,13 +116,17 @@ class Small(Policy):
         `NonFiniteAction` if the network's output is not finite.
         """
         frame = self._frame(observation)
-        return self._decide(frame, self.model.run(frame.image[None], frame.state[None], (frame.text,)))
+        (output,) = _run(self.model, [frame])
+        if isinstance(output, Exception):
+            raise output
+        return self._decide(frame, output)
 
     def fork(self) -> Self:
         """As `Policy.fork`."""
         other = copy.copy(self)
         other.last, other._text, other._threads = None, "", None
         other._presence, other.declines = Presence(), False
+        other._opinions = None if self._opinions is None else self._opinions.fork()
         return other
 
     def act_batch(
@@ -150,8 +150,14 @@ class Small(Policy):
         """The network's inputs for an observation."""
         if observation.instruction != self._text:
             self._listen(observation.instruction)
-            self._presence = Presence()
-        return _Frame(_checked(observation.image), state_of(observation), self._text)
+            self._forget()
+        return _Frame(_checked(observation.image), state_of(observation), self._text, self._opinions)
+
+    def _forget(self) -> None:
+        """What earlier frames have shown."""
+        self._presence = Presence()
+        if self._opinions is not None:
+            self._opinions.reset()
 
     def _outputs(self, frames: Sequence[_Frame]) -> Sequence[Output | Exception]:
         """The network's outputs for frames of several flights, n = 1 each."""
@@ -182,20 +188,7 @@ class Small(Policy):
             raise PolicyError(
                 f"the instruction has {len(text)} characters; the small model reads at most {LONGEST_INSTRUCTION}"
             )
-        if self.warns and text != self._text:
-            self._warn_of(text)
         self._text = text
-
-    def _warn_of(self, text: str) -> None:
-        known = self.model.description.vocabulary
-        words = [word for word in known.unknown(text) if word not in self._words_told and word not in punctuation]
-        if not words or self._sentences_told == TOLD:
-            return
-        self._words_told.update(words)
-        self._sentences_told += 1
-        last = "; no further warnings about words" if self._sentences_told == TOLD else ""
-        named = ", ".join(map(repr, sorted(words)))
-        warnings.warn(f"the small model has never seen {named}; it flies by the other words{last}", stacklevel=4)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,14 +198,22 @@ class _Frame:
     image: Image
     state: FloatArray
     text: str
+    opinions: Opinions | None
+    """Of the frame's flight."""
 
 
 def _run(model: SmallModel, frames: Sequence[_Frame]) -> Sequence[Output | Exception]:
-    """The outputs, n = 1, for frames that go through the network together."""
+    """The outputs, n = 1, for frames that go through the network together; then their panels are looked at again."""
     images, states = (np.stack([getattr(frame, name) for frame in frames]) for name in ("image", "state"))
-    outputs = attempt(partial(model.run, images, states), [frame.text for frame in frames])
+    opinions = [frame.opinions for frame in frames]
+    outputs = attempt(partial(model.run, images, states, opinions=opinions), [frame.text for frame in frames])
     if isinstance(outputs, Exception):
         return [outputs] * len(frames)
+    if outputs.panels is not None:
+        for frame, gates, panels in zip(frames, outputs.gates, outputs.panels, strict=True):
+            there = panels[gates[:, 2] > _VISIBLE]
+            if frame.opinions is not None:
+                frame.opinions.look(frame.image, there[:, :3], there[:, 3].astype(int).tolist(), _LOOKS)
     values = {field.name: getattr(outputs, field.name) for field in fields(Output)}
     return [
         replace(outputs, **{name: value[row : row + 1] for name, value in values.items() if value is not None})
@@ -221,10 +222,9 @@ def _run(model: SmallModel, frames: Sequence[_Frame]) -> Sequence[Output | Excep
 
 
 class Race(Small):
-    """The racing model, for single gates of any kind. The only instruction that it knows is "Fly through the gates"."""
+    """The racing model, for single gates of any kind. It reads no instruction: it is for "Fly through the gates"."""
 
     weights = "race.onnx"
-    warns = False
 
 
 def state_of(observation: Observation) -> FloatArray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cognitivedrone import registry
-from cognitivedrone.adapters import as_reasoner
+from cognitivedrone.adapters import REASONER_METHODS, as_reasoner
 from cognitivedrone.interfaces import Reasoner
 
 REASONERS: dict[str, str] = {
@@ -23,6 +23,8 @@ REASONERS: dict[str, str] = {
 }
 NONE = "none"
 """Name for no reasoner: the policy gets the raw instruction."""
+SELF_CONTAINED = ("small", "oracle", "noisy-oracle")
+"""Those that need no file of the user's and no server: a file from somebody else may name them."""
 
 
 def reasoner_file(name: str) -> Path | None:
@@ -30,11 +32,12 @@ def reasoner_file(name: str) -> Path | None:
 
     Raises `PolicyError` if the file is missing.
     """
-    return None if name == NONE else registry.file_of("reasoner", name, REASONERS)
+    return None if name == NONE else registry.file_of("reasoner", name, REASONERS, REASONER_METHODS)
 
 
 def make_reasoner(name: str) -> Reasoner | None:
     """A new reasoner by name and arguments, in the syntax of `registry`, or none for "none"; raises `PolicyError`."""
     if name == NONE:
         return None
-    return as_reasoner(f"reasoner {name!r}", registry.make("reasoner", name, {**REASONERS, NONE: NONE}))
+    made = registry.make("reasoner", name, {**REASONERS, NONE: NONE}, REASONER_METHODS)
+    return as_reasoner(f"reasoner {name!r}", made)

@@ -18,6 +18,14 @@ MAX_INSTRUCTION = 1000
 MAX_PROMPT_BYTES = 20_000
 MAX_TOKENS = 40
 """Maximum length of an answer; those of the schema have about 20 tokens."""
+THINKING_TOKENS = 4096
+"""Maximum length of an answer with the thinking before it."""
+MOST_TOKENS = 32_768
+AGAIN = (
+    "That answer could not be read. Answer in English, with one JSON object alone that has one value each for size"
+    " (big, small), color (red, green, blue, unknown) and shape (round, square, triangle)."
+)
+"""Asks again after an answer that names no gate, such as one in another language."""
 
 ANSWER_SCHEMA: dict[str, Any] = {
     "type": "object",
@@ -30,6 +38,13 @@ ANSWER_SCHEMA: dict[str, Any] = {
     "additionalProperties": False,
 }
 """JSON schema of the answer."""
+
+
+def checked_tokens(reasoner: str, tokens: int) -> int:
+    """The maximum length of an answer; raises `PluginError` if it is out of range."""
+    if not 1 <= tokens <= MOST_TOKENS:
+        raise PluginError(f"reasoner {reasoner!r}: tokens={tokens}; it must be from 1 to {MOST_TOKENS}")
+    return tokens
 
 
 def load_prompt(path: Path | None = None) -> str:

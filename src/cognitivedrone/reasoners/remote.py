@@ -26,7 +26,7 @@ class Remote(Reasoner):
         self.connection = Connection(url)
         self._timeout_s = timeout
         self._stages: list[EpisodeContext] = []
-        self._told = self._connections = 0
+        self._sent = self._connections = 0
 
     def check(self) -> None:
         """Connect; raises `ServerError` if the server is not there, refuses, or has no reasoner."""
@@ -39,9 +39,9 @@ class Remote(Reasoner):
         self.needs_seed = served.get("reasoner_needs_seed") is True
 
     def reset(self, context: EpisodeContext) -> None:
-        """Start a stage. The server is told with the next frame."""
+        """Start a stage. The server gets it with the next frame."""
         if context.stage == 0:
-            self._stages, self._told = [], 0
+            self._stages, self._sent = [], 0
         self._stages.append(context)
 
     def refine(self, image: Image, instruction: str) -> Guidance:
@@ -64,7 +64,7 @@ class Remote(Reasoner):
 
     def _message(self, image: Image, instruction: str) -> Message:
         if self._connections != self.connection.count:
-            self._connections, self._told = self.connection.count, 0
-        untold, self._told = self._stages[self._told :], len(self._stages)
+            self._connections, self._sent = self.connection.count, 0
+        unsent, self._sent = self._stages[self._sent :], len(self._stages)
         message: dict[str, Any] = {IMAGE: image, PROMPT: instruction, "ask": "guidance", "protocol": PROTOCOL}
-        return message | ({"reset": [reset_message(stage) for stage in untold]} if untold else {})
+        return message | ({"reset": [reset_message(stage) for stage in unsent]} if unsent else {})

@@ -123,7 +123,15 @@ _NEGATED_CLAUSE = re.compile(
     r"\b(isn't|aren't|doesn't|don't|does not|do not|is not|are not|wrong|incorrect|cannot be|can't be|eliminated?|"
     r"ruled out|rule out|excluded?|never)\b"
 )
+_CONDITION = re.compile(r"(?:and |but |or )?(?:if|unless|whether|when)\b(?!.*\b(?:so|therefore|thus|hence)\b)")
+_RETRACTION = re.compile(r"\b(?:wait|hmm+|let me (?:re-?)?(?:check|look|think|verify|see|count|examine))\b")
 _NEGATED_REST = re.compile(r"\b(?:not|instead of|rather than|avoid|avoiding|ignore|unlike|except)\b[^,;]*")
+_ENGLISH = _words("the is are of and with through gate fly answer it that this shows to correct go i not cannot one")
+_FOREIGN = _words(
+    "der das den dem und ist nicht ein eine durch zum zur tor le la les une est pas qui dans par porte vers et du des"
+    " el los las una es por puerta hacia del pero il lo gli di non che porta o os um uma pelo pela het een niet poort"
+    " och genom przez brama jest"
+)
 _SENTENCE = re.compile(r"(?<=[.!?:])\s+|[\n;]+|\.$")
 _CLAUSE = re.compile(r",|\b(?:but|so|therefore|thus|hence|while|whereas|because|since)\b")
 
@@ -141,13 +149,19 @@ def describe(words: str) -> Description | None:
     return found if found != Description() else None
 
 
-def read_sentences(text: str) -> Description:
+def read_sentences(text: str, *, whole: bool = True) -> Description:
     """The gate that sentences conclude with.
 
     The last sentence that says what to do, admits that the model cannot tell, or refuses, counts. Without one, the
-    other sentences count as far as they agree. Raises `ReasonerError`.
+    other sentences count as far as they agree, but what is only seen does not if the text may not be `whole`. Raises
+    `ReasonerError`.
     """
-    found = [finding for sentence in _sentences(text) if (finding := _read_sentence(sentence)) is not None]
+    if _is_foreign(text):
+        raise ReasonerError("garbage", f"the reply is not in English: {_begin(text)}")
+    sentences = _sentences(text)
+    found = [finding for sentence in sentences if (finding := _read_sentence(sentence)) is not None]
+    if found and _RETRACTION.search(sentences[-1]) and _read_sentence(sentences[-1]) is None:
+        raise ReasonerError("unsure", f"the reply takes its answer back: {_begin(text)}")
     firm = [finding for finding in found if finding.conclusive or finding.kind != "gate"]
     plain = [finding for finding in found if not finding.descriptive]
     if not found:
@@ -161,13 +175,31 @@ def read_sentences(text: str) -> Description:
         raise ReasonerError("unsure", f"the model cannot tell: {_begin(text)}")
     gates = last.gates
     if not firm and not plain:
+        if not whole:
+            raise ReasonerError("unfinished", f"the reply ends before it says where to fly: {_begin(text)}")
         gates = _distinct([gate for finding in found for gate in finding.gates])
+    elif not firm:
+        gates = _distinct([gate for finding in plain for gate in finding.gates])
     if len(gates) > 1:
         raise ReasonerError("unsure", f"the reply names several gates: {_begin(text)}")
     gate = gates[0]
     if gate.unknown_word is not None:
         raise ReasonerError("no_such_gate", f"no gate is {gate.unknown_word!r}: {_begin(text)}")
     return _with_details(gate, found)
+
+
+def contradicts(text: str, gate: Description) -> bool:
+    """Whether the sentences after a gate was named conclude with another one, or with doubt."""
+    found = [finding for sentence in _sentences(text) if (finding := _read_sentence(sentence)) is not None]
+    firm = [finding for finding in found if finding.conclusive or finding.kind != "gate"]
+    return bool(firm) and (firm[-1].kind != "gate" or not all(other.adds_to(gate) for other in firm[-1].gates))
+
+
+def _is_foreign(text: str) -> bool:
+    """Whether a text has more words of other languages, or letters of other scripts, than English ones."""
+    words = re.findall(r"[^\W\d_]+", text.lower())
+    foreign = sum(word in _FOREIGN or not word.isascii() for word in words)
+    return foreign > sum(word in _ENGLISH for word in words)
 
 
 def _with_details(gate: Description, found: list[_Finding]) -> Description:
@@ -200,6 +232,10 @@ def _read_sentence(sentence: str) -> _Finding | None:
         return _Finding("refusal") if _APOLOGY.search(sentence) else None
     if unsure:
         gates = tuple(replace(gate, hedged=True) for gate in gates)
+    if sentence.endswith("?"):
+        return None
+    if _CONDITION.match(sentence):
+        return _Finding("unsure")
     conclusive = bool(_CONCLUSION.search(sentence))
     # "Red gate: a cat" is a description of what is seen, as "The red gate shows a cat" is.
     descriptive = sentence.endswith(":") or bool(_DESCRIPTIVE.search(sentence))

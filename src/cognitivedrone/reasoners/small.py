@@ -1,4 +1,4 @@
-"""The small reasoner: a panel reader, memory, arithmetic and a gate selector.
+"""The small reasoner: a panel reader, memory, arithmetic, and two networks that choose among the gates.
 
 It uses no privileged state: only frames, the instruction and its own earlier answers. Readings of several frames are
 averaged per gate; the gates of a task differ in colour, which identifies them. From earlier stages it remembers what
@@ -8,7 +8,8 @@ the panels showed and which gate it chose.
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Self
@@ -18,34 +19,30 @@ from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, ReasonerError
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.models.attributes import SUM_GROUPS, UNKNOWN
+from cognitivedrone.models.opinions import Opinions
+from cognitivedrone.models.picture_classifier import PictureClassifier, classifier_of
 from cognitivedrone.models.reasoner_file import (
-    FORMER_FILES,
+    LANGUAGE_FILE,
     LOOKS,
     READER_FILE,
-    REMEMBERED,
     SELECTOR_FILE,
     GateSelectorModel,
+    LanguageModel,
     PanelReaderModel,
     PanelReading,
+    shares_of,
 )
-from cognitivedrone.reasoners.calculator import calculate
-from cognitivedrone.references import PERSON_ATTRIBUTES
+from cognitivedrone.models.scene_tokens import SceneText, stacked
+from cognitivedrone.reasoners.scene_text import STAGES, ReadScene, SceneWriter, gate_of
 from cognitivedrone.tasks.directives import HOLD, write_directive
-from cognitivedrone.tasks.facts import KIND_OF
-from cognitivedrone.tasks.matching import asked_concepts, asked_kinds
-from cognitivedrone.tasks.people import described, seen
-from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate, Guidance, Image
+from cognitivedrone.types import COLORS, EpisodeContext, Guidance, Image, SeenPanel
 
-LARGEST_VALUE = 20
 _SEEN = 0.3  # minimum score of a visible gate or board
-_UNSURE = 0.6  # a gate less likely than this is no answer
-_OVERRULES = 0.75  # nor does one less likely than this overrule the policy, which alone is right as often, or more
-_ABSENT = 0.7  # nor is "no gate matches", which also needs that every panel was read
-_READ = 0.3  # a picture whose likeliest reading is less likely than this was not read
-_READABLE = 0.5  # a thing less likely than this is not named
+_LIKELY = 0.5  # an answer that is less likely than not is none; the gate selector's probabilities are calibrated
+_WEIGHED = 6  # things that a panel may show
+_NONE = -1.5  # evidence of no gate: what a panel shows may be none of these things
+_SAID = 4  # readings of a panel for displays
 _LEGIBLE_PX = 8.0  # panels lower than this are illegible
-_STAGES = REMEMBERED // 3
 
 Floats = NDArray[np.float32]
 
@@ -59,6 +56,8 @@ class _Gate:
     weight: float = 0.0
     u: float = 0.0
     """Its last position in the image, pixels from the left."""
+    box: tuple[float, float, float] | None = None
+    """Centre and height of its panel in the newest frame, pixels, if it is there."""
     height: float = 0.0
     """Greatest height of its panel in the image, pixels."""
 
@@ -77,34 +76,42 @@ class _Stage:
 
 
 class SmallReasoner(Reasoner):
-    """The packaged reasoner, or the one in a folder with `panel_reader.onnx` and `gate_selector.onnx`."""
+    """The packaged reasoner, or the one in a folder with its three files."""
 
     def __init__(self, folder: Path | str | None = None) -> None:
-        """Raises `ModelError` if a file is missing, or the two files do not belong together."""
+        """Raises `ModelError` if a file is missing, or the files do not belong together."""
         place = _place_of(folder)
-        self.reader = PanelReaderModel.load(_file(place, READER_FILE))
-        self.selector = GateSelectorModel.load(_file(place, SELECTOR_FILE))
-        if self.reader.attributes != self.selector.attributes:
+        self.reader = PanelReaderModel.load(place / READER_FILE)
+        self.selector = GateSelectorModel.load(place / SELECTOR_FILE)
+        self.language = LanguageModel.load(place / LANGUAGE_FILE)
+        if not self.reader.attributes == self.selector.attributes == self.language.attributes:
             raise ModelError(
-                f"{place}: panel reader and gate selector do not belong together; take both from one release"
+                f"{place}: panel reader, gate selector and language do not belong together; take all from one release"
             )
-        self._names = self.reader.attributes.names
-        self._groups = self.reader.attributes.groups
+        self._opinions: Opinions | None = None
+        if self.reader.classifier:
+            classifier = PictureClassifier.load(classifier_of(place / READER_FILE))
+            self._opinions = Opinions(classifier, self.reader.attributes)
+        self._writer = SceneWriter(self.reader.attributes, self.selector.notes)
+        self._size = len(self.reader.attributes.names)
         self._stage = self._new()
         self._earlier: list[list[tuple[Floats, int]]] = []
-        self._named: dict[str, NDArray[np.intp] | None] = {}
-        """Attributes that the latest instruction names."""
+        self._answered: tuple[SceneText | None, Floats] = (None, np.zeros(4, np.float32))
+        """The scene that was asked about last, in words, and the answer."""
 
     @classmethod
     def file_of(cls, folder: Path | str | None = None) -> Path:
         """The panel reader's file, which identifies the reasoner in a run; raises `ModelError` if it is missing."""
-        return _file(_place_of(folder), READER_FILE)
+        return _place_of(folder) / READER_FILE
 
     def reset(self, context: EpisodeContext) -> None:
         """Forget everything at the start of a flight.
 
         At a later stage, remember the previous one: what its panels showed, and which gate was flown through.
         """
+        self.seen = ()
+        if self._opinions is not None:
+            self._opinions.reset()
         if context.stage == 0:
             self._stage, self._earlier = self._new(), []
             return
@@ -116,116 +123,125 @@ class SmallReasoner(Reasoner):
     def fork(self) -> Self:
         """As `Reasoner.fork`."""
         other = copy.copy(self)
-        other._stage, other._earlier, other._named = self._new(), [], {}
+        other._stage, other._earlier, other.seen = self._new(), [], ()
+        other._opinions = None if self._opinions is None else self._opinions.fork()
         return other
 
     def refine(self, image: Image, instruction: str) -> Guidance:
         """The directive for the selected gate, from all frames of this stage so far.
 
         It declines where most likely no gate matches the instruction. Raises `ReasonerError` if fewer than three gates
-        have been seen, or nothing is likely enough: then the policy knows no less. The error of an answer that is
-        likely, but not enough to overrule the policy, has its `certainty`.
+        have been seen, or no answer is more likely than all others together: then the policy knows no less.
         """
-        self._add(self.reader.see(image))
+        self._add(self._see(image))
         gates = _by_place(self._stage)
+        self.seen = self._seen(gates)
         if len(gates) < 3:
             raise ReasonerError("unsure", f"only {len(gates)} of 3 gates have been in view")
-        panels = np.stack([gate.attributes / gate.weight for _, gate in gates])
-        looks = np.stack([gate.looks / gate.weight for _, gate in gates])
-        board = self._board()
-        on_board = self._sum_of(board)
-        values = [*(self._sum_of(panel) for panel in panels), on_board, calculate(instruction, on_board)]
-        remembered, stages = self._memory()
-        chosen = self.selector.choose(
-            instruction,
-            {
-                "panels": panels,
-                "looks": looks,
-                "board": board,
-                "values": np.array([value_index(value) for value in values]),
-                "remembered": remembered,
-                "stages": stages,
-            },
+        scene = ReadScene(
+            panels=np.stack([gate.attributes / gate.weight for _, gate in gates]),
+            looks=np.stack([gate.looks / gate.weight for _, gate in gates]),
+            board=self._board(),
+            earlier=self._earlier[-STAGES:],
         )
+        chosen = self._choose(instruction, scene)
+        self.seen = tuple(replace(panel, right=float(p)) for panel, p in zip(self.seen, chosen, strict=False))
         best = int(chosen.argmax())
-        if chosen[best] < (_ABSENT if best == len(gates) else _UNSURE):
-            raise ReasonerError("unsure", f"no answer is likely; I see {self._described(panels)}")
+        certainty = float(chosen[best])
+        if certainty < _LIKELY:
+            raise ReasonerError("unsure", f"no answer is likely; I see {self._described(scene.panels)}")
         if best == len(gates):
             # What was not read may be what is asked for.
-            if any(gate.height < _LEGIBLE_PX for _, gate in gates) or min(map(self._legibility, panels)) < _READ:
-                raise ReasonerError("unsure", f"not every panel can be read; I see {self._described(panels)}")
+            if any(gate.height < _LEGIBLE_PX for _, gate in gates):
+                raise ReasonerError("unsure", f"not every panel can be read; I see {self._described(scene.panels)}")
             self._stage.chosen = None
-            return Guidance(HOLD, None, float(chosen[best]), present=1 - float(chosen[best]))
+            return Guidance(HOLD, None, certainty, present=1 - certainty)
         self._stage.chosen = gates[best][0]
-        present = self._presence(instruction, panels)
-        if chosen[best] < _OVERRULES:
-            certainty = float(chosen[best]) * (1.0 if present is None else present)
-            raise ReasonerError(
-                "unsure", f"no answer is likely enough; I see {self._described(panels)}", certainty=certainty
-            )
-        return Guidance(write_directive(gate_of(looks[best])), best, float(chosen[best]), present=present)
+        # The probability of a gate counts that none may match already, so that is not estimated apart.
+        return Guidance(write_directive(gate_of(scene.looks[best])), best, certainty)
 
-    def _presence(self, instruction: str, panels: Floats) -> float | None:
-        """Probability that one of the panels (n, F) shows what the instruction names; none if it names nothing."""
-        if instruction not in self._named:
-            self._named = {instruction: self._attributes_named(instruction)}
-        named = self._named[instruction]
-        return None if named is None else min(1.0, float(panels[:, named].sum(axis=1).max()))
+    def _choose(self, instruction: str, scene: ReadScene) -> Floats:
+        """Probabilities (4,) of the gates and of none; they are asked for again only when the scene reads otherwise.
 
-    def _legibility(self, panel: Floats) -> float:
-        """Probability of what a panel (F,) most likely shows: of its concept, or that it is of any known kind."""
-        kind = self._names[self._best("kind", panel)].partition("/")[2]
-        if kind in ("person", "sum", "several"):
-            return 1 - float(panel[self._names.index(UNKNOWN)])
-        return float(panel[self._groups["concept"]].max())
+        Where the selector, which reads the scene in words, finds no answer likelier than not, two more opinions count
+        as much: its own, weighed over what each panel may show, and the language's, which weighs every reading of each
+        gate by itself, and errs elsewhere.
+        """
+        text = self._writer.write(instruction, scene)
+        if text != self._answered[0]:
+            chosen = self.selector.choose(text)
+            if float(chosen.max()) < _LIKELY:
+                heard = self.language.logits(instruction, scene.panels, scene.looks, scene.board)
+                chosen = chosen * self._weighed(instruction, scene) * shares_of(heard[None])[0]
+                chosen /= chosen.sum()
+            self._answered = text, chosen
+        return self._answered[1]
+
+    def _weighed(self, instruction: str, scene: ReadScene) -> Floats:
+        """Probabilities (4,) of the gates and of none, weighed over what each panel may show.
+
+        A faint reading is not worth a word in the scene, but may be the only one that fits. So every panel is taken for
+        each of its likeliest things in turn; a gate's evidence is log sum_v p(v | panel) exp(s(instruction, v)), where
+        s is the log-odds of a gate that shows v against none. What else it may show counts as much as no gate does.
+        """
+        attributes = self.reader.attributes
+        concepts = attributes.groups["concept"]
+        shares = scene.panels[:, concepts]
+        likeliest = np.argsort(-shares, axis=1)[:, :_WEIGHED]
+        texts = []
+        for number in range(_WEIGHED):
+            panels = np.zeros_like(scene.panels)
+            for row, index in enumerate(likeliest[:, number]):
+                panels[row, concepts.start + index] = 1.0
+                kind = f"kind/{attributes.names[concepts.start + index].partition('/')[2].partition(':')[0]}"
+                panels[row, attributes.names.index(kind)] = 1.0
+            texts.append(self._writer.write(instruction, replace(scene, panels=panels)))
+        logits = self.selector.logits(stacked([self.selector.tokenizer.encode(text.parts) for text in texts]))
+        odds = logits[:, :3] - logits[:, 3:]
+        weights = np.take_along_axis(shares, likeliest, axis=1).T
+        rest = np.maximum(1 - weights.sum(axis=0), 0.0)  # anything else: it says nothing
+        evidence = np.log((weights * np.exp(odds)).sum(axis=0) + rest * np.exp(_NONE) + 1e-9)
+        shares_of_gates: Floats = shares_of(np.array([[*evidence, _NONE]], np.float32))[0]
+        return shares_of_gates
+
+    def _seen(self, gates: Sequence[tuple[int, _Gate]]) -> tuple[SeenPanel, ...]:
+        """The readings so far, gates from left to right."""
+        concepts = self.reader.attributes.groups["concept"]
+        names = self.reader.attributes.names[concepts]
+        found = []
+        for color, gate in gates:
+            mean = gate.attributes / gate.weight
+            likeliest = np.argsort(-mean[concepts])[:_SAID]
+            readings = tuple((_spoken(names[each]), float(mean[concepts][each])) for each in likeliest)
+            shown = self._writer.shown(mean).partition(" or maybe ")[0]
+            found.append(SeenPanel(COLORS[color], gate.box, shown, readings))
+        return tuple(found)
 
     def _described(self, panels: Floats) -> str:
         """What the panels (n, F) show, in words, gates from left to right."""
-        return ", ".join(self._said(panel) for panel in panels)
-
-    def _said(self, panel: Floats) -> str:
-        kind = self._names[self._best("kind", panel)].partition("/")[2]
-        concept = self._best("concept", panel)
-        name = self._names[concept].partition("/")[2].partition(":")[2].replace("_", " ")
-        if kind == "person":
-            return f"a person ({look})" if (look := self._look(panel)) else "a person"
-        if kind == "sum" or kind == "several":
-            return "a sum" if kind == "sum" else "several things"
-        if kind == "unknown" or panel[concept] < _READABLE:
-            return "something that I cannot read"
-        return f"the {kind} {name}" if kind in ("letter", "number") else name
-
-    def _look(self, panel: Floats) -> str:
-        """What was read of a person, in words; what was read with doubt is left out."""
-        best = {name: self._best(name, panel) for name in PERSON_ATTRIBUTES if name in self._groups}
-        look = seen({name: self._names[index].partition("/")[2] for name, index in best.items()})
-        return described({name: look[name] for name, index in best.items() if panel[index] >= _READABLE})
-
-    def _attributes_named(self, instruction: str) -> NDArray[np.intp] | None:
-        """Attributes of the things, or else the kinds, that an instruction names, and of kinds that show anything."""
-        if calculate(instruction) is not None:
-            instruction = "the number"
-        kinds, concepts = asked_kinds(instruction), asked_concepts(instruction)
-        if kinds is None:
-            return None
-        if concepts is None:
-            concepts = frozenset(f"{kind}/{concept}" for concept, kind in KIND_OF.items() if kind in kinds)
-            kinds -= _THINGS
-        else:
-            kinds = frozenset()
-        names = {_attribute_of(concept) for concept in concepts} | {
-            f"kind/{kind}" for kind in (*kinds, "sum", "several")
-        }
-        return np.array([i for i, name in enumerate(self._names) if name in names])
+        return ", ".join(self._writer.shown(panel) for panel in panels)
 
     def _new(self) -> _Stage:
-        return _Stage(np.zeros(len(self._names), np.float32))
+        return _Stage(np.zeros(self._size, np.float32))
+
+    def _see(self, image: Image) -> PanelReading:
+        """The reading of a frame; it is read again where the picture classifier has a new opinion on its panels."""
+        if self._opinions is None:
+            return self.reader.see(image)
+        reading = self.reader.see(image, self._opinions.arrays())
+        there = reading.boxes[:3, 3] >= _SEEN
+        colors = reading.looks[there][:, : len(COLORS)].argmax(axis=1).tolist()
+        if self._opinions.look(image, reading.boxes[:3][there][:, :3], colors):
+            reading = self.reader.see(image, self._opinions.arrays())
+        return reading
 
     def _add(self, reading: PanelReading) -> None:
         """Add the readings of a frame."""
-        known = self.reader.attributes.probabilities(reading.attributes)
+        known = reading.readings
+        for gate in self._stage.gates.values():
+            gate.box = None
         for slot in range(3):
-            u, _, height, score = reading.boxes[slot].tolist()
+            u, v, height, score = reading.boxes[slot].tolist()
             if score < _SEEN:
                 continue
             color = int(reading.looks[slot, : len(COLORS)].argmax())
@@ -233,12 +249,12 @@ class SmallReasoner(Reasoner):
             # Nearer is clearer; illegible readings must not outweigh legible ones.
             weight = score * (min(height, 60.0) if legible else 0.01)
             gate = self._stage.gates.setdefault(
-                color, _Gate(np.zeros(LOOKS, np.float32), np.zeros(len(self._names), np.float32))
+                color, _Gate(np.zeros(LOOKS, np.float32), np.zeros(self._size, np.float32))
             )
             gate.looks += weight * reading.looks[slot]
             gate.attributes += weight * known[slot]
             gate.weight += weight
-            gate.u, gate.height = u, max(gate.height, height)
+            gate.u, gate.height, gate.box = u, max(gate.height, height), (u, v, height)
         _, v, height, score = reading.boxes[3].tolist()
         if score >= 0.5:
             # A sum cut by the image's edge, as the drone flies below it, reads as another.
@@ -250,68 +266,23 @@ class SmallReasoner(Reasoner):
         board: Floats = self._stage.board / max(self._stage.board_weight, 1e-6)
         return board
 
-    def _sum_of(self, attributes: Floats) -> int | None:
-        """The value of the sum that a panel or board shows; none if it shows none."""
-        kind = self._names[self._best("kind", attributes)]
-        if kind != "kind/sum" or attributes[self._groups["kind"]].max() < 0.3:
-            return None
-        first, sign, second = (self._names[self._best(group, attributes)].partition("/")[2] for group in SUM_GROUPS)
-        return calculate(f"{first} {sign} {second}")
-
-    def _best(self, group: str, attributes: Floats) -> int:
-        span = self._groups[group]
-        return int(span.start + attributes[span].argmax())
-
-    def _memory(self) -> tuple[Floats, NDArray[np.int64]]:
-        remembered = np.zeros((REMEMBERED, len(self._names)), np.float32)
-        stages = np.full((REMEMBERED, 3), -1, np.int64)
-        earlier = self._earlier[-_STAGES:]
-        first = len(self._earlier) - len(earlier)
-        for number, panels in enumerate(earlier):
-            for place, (attributes, flown) in enumerate(panels[:3]):
-                remembered[3 * number + place] = attributes
-                stages[3 * number + place] = first + number, len(earlier) - 1 - number, flown
-        return remembered, stages
-
-
-_THINGS = frozenset(KIND_OF.values())
-
-
-def _attribute_of(label: str) -> str:
-    """The attribute of a label `kind/concept`."""
-    kind, _, concept = label.partition("/")
-    return f"concept/{'thing' if kind in _THINGS else kind}:{concept}"
-
-
-def value_index(value: int | None) -> int:
-    """A number's index in the gate selector's input: 0 to 20 as is, 21 for larger, 22 for none, 23 for negative."""
-    if value is None:
-        return LARGEST_VALUE + 2
-    return LARGEST_VALUE + 3 if value < 0 else min(value, LARGEST_VALUE + 1)
-
-
-def gate_of(looks: Floats) -> Gate:
-    """The most likely gate, from probabilities (8,) of colours, shapes and sizes."""
-    color, shape, size = np.split(looks, [len(COLORS), len(COLORS) + len(SHAPES)])
-    return Gate(SIZES[int(size.argmax())], SHAPES[int(shape.argmax())], COLORS[int(color.argmax())])
-
 
 def _by_place(stage: _Stage) -> list[tuple[int, _Gate]]:
     """Gates from left to right, with their colours."""
     return sorted(stage.gates.items(), key=lambda item: item[1].u)
 
 
+def _spoken(name: str) -> str:
+    """An attribute value such as "concept/thing:polar_bear" or "concept/letter:A" for people."""
+    kind, _, concept = name.partition("/")[2].partition(":")
+    return f"{kind} {concept}" if kind in ("letter", "number") else concept.replace("_", " ") or "something else"
+
+
 def _place_of(folder: Path | str | None) -> Path:
     place = Path(folder or str(resources.files("cognitivedrone.models") / "weights" / "reasoner"))
-    if not all(_file(place, name).is_file() for name in (READER_FILE, SELECTOR_FILE)):
+    if not all((place / name).is_file() for name in (READER_FILE, SELECTOR_FILE, LANGUAGE_FILE)):
         raise ModelError(
-            f"{READER_FILE} or {SELECTOR_FILE} is missing in {place}; reinstall cognitivedrone, or train them with"
-            " `cognitivedrone train --recipe reader` and `--recipe selector`"
+            f"{place} lacks {READER_FILE}, {SELECTOR_FILE} or {LANGUAGE_FILE}; reinstall cognitivedrone, or train them"
+            " with `cognitivedrone train --recipe selector`, `language` and `flight`"
         )
     return place
-
-
-def _file(place: Path, name: str) -> Path:
-    """A file of the reasoner, by its name or its former name."""
-    former = place / FORMER_FILES[name]
-    return former if former.is_file() and not (place / name).is_file() else place / name

@@ -1,7 +1,8 @@
 """The VLM reasoner: asks a vision-language model through an OpenAI-compatible chat API.
 
 One request per answer: the frame as PNG, the prompt, and the JSON schema of the answer. Any failure is a
-`ReasonerError` of its kind, and the flight continues. Servers: see docs/vlm.md.
+`ReasonerError` of its kind, and the flight continues. A mission is cut into its sub-goals by one request before
+take-off (`mission_plan.py`). Servers: see docs/r1.md.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ import json
 import os
 import time
 import warnings
+from collections.abc import Callable, Sequence
+from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from PIL import Image as PillowImage
@@ -27,29 +30,46 @@ from cognitivedrone.errors import (
     import_extra,
 )
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.reasoners.prompt import ANSWER_SCHEMA, MAX_TOKENS, load_prompt, write_prompt
-from cognitivedrone.reasoners.reply import quote, read_reply
-from cognitivedrone.types import Guidance, Image
+from cognitivedrone.reasoners.mission_plan import PLAN_AGAIN, PLAN_SCHEMA, PLAN_TOKENS, plan_prompt, read_plan
+from cognitivedrone.reasoners.prompt import (
+    AGAIN,
+    ANSWER_SCHEMA,
+    MAX_TOKENS,
+    THINKING_TOKENS,
+    checked_tokens,
+    load_prompt,
+    write_prompt,
+)
+from cognitivedrone.reasoners.reply import quote, read_reply, unfinished
+from cognitivedrone.remote.proxy import proxy_hint
+from cognitivedrone.types import Guidance, Image, SubGoal
 
+_Answer = TypeVar("_Answer")
 DEFAULT_URL = "http://127.0.0.1:8000/v1"
 DEFAULT_TIMEOUT_S = 2.0
 MAX_RESPONSE_BYTES = 256 * 1024
 """Maximum size of a response; one with 40 tokens has about 1 kB."""
 CHECK_TIMEOUT_S = 10.0
+PLAN_TIMEOUT_S = 30.0
 RETRIES = 2
 FIRST_WAIT_S = 0.1
 """Wait before the first retry; doubled before the next."""
 
+_TEXT_PARTS = ("text", "output_text")
 _BUSY = (429, 500, 502, 503, 504)
-_REFUSED_FORMAT = (400, 422)
+_REFUSED_FIELDS = (400, 415, 422)
+_OPTIONAL_FIELDS = ("response_format", "chat_template_kwargs")
+"""Of a request; servers that do not know them answer with very different errors."""
 
 
 class Vlm(Reasoner):
     """Image and instruction to a vision-language model's answer.
 
-    `url` is the base URL of the server, `timeout` in s, `prompt` a file with your own prompt. The environment supplies
-    the rest: COGNITIVEDRONE_VLM_URL, COGNITIVEDRONE_VLM_MODEL and COGNITIVEDRONE_VLM_KEY; without any URL,
-    OPENAI_BASE_URL with OPENAI_API_KEY. The key comes only from the environment, so that it never appears in results.
+    `url` is the base URL of the server, `timeout` in s, `prompt` a file with your own prompt. `tokens` limits an answer
+    with its thinking; a reply that reaches it is no answer. `thinking` asks the server to switch the model's thinking
+    on or off, for models that can do both; the default leaves it as it is. The environment supplies the rest:
+    COGNITIVEDRONE_VLM_URL, COGNITIVEDRONE_VLM_MODEL and COGNITIVEDRONE_VLM_KEY; without any URL, OPENAI_BASE_URL with
+    OPENAI_API_KEY. The key comes only from the environment, so that it never appears in results.
 
     Raises `ServerError` for an invalid argument, `MissingExtra` if httpx is not installed.
     """
@@ -61,6 +81,8 @@ class Vlm(Reasoner):
         model: str | None = None,
         timeout: float = DEFAULT_TIMEOUT_S,
         prompt: Path | None = None,
+        tokens: int | None = None,
+        thinking: bool | None = None,
     ) -> None:
         self._url, self._key = _server(url)
         self._model = model or os.environ.get("COGNITIVEDRONE_VLM_MODEL") or ""
@@ -70,15 +92,18 @@ class Vlm(Reasoner):
             )
         self._timeout = _checked(timeout)
         self._template = load_prompt(prompt)
-        self._constrain = True
+        self._tokens = checked_tokens("vlm", tokens or (THINKING_TOKENS if thinking else MAX_TOKENS))
+        self._thinking = thinking
+        self._refused: set[str] = set()
+        """The optional fields that the server does not know."""
         self._warned: set[ReasonerFault] = set()
         self._httpx = import_extra("httpx", "vlm", "httpx")
         headers = {"Accept-Encoding": "identity"}
         if self._key:
             headers["Authorization"] = f"Bearer {self._key}"
         # A proxy from the environment must not be used for a server on this machine.
-        local = urlsplit(self._url).hostname in ("127.0.0.1", "localhost", "::1")
-        self._client = self._httpx.Client(headers=headers, follow_redirects=False, trust_env=not local)
+        self._local = urlsplit(self._url).hostname in ("127.0.0.1", "localhost", "::1")
+        self._client = self._httpx.Client(headers=headers, follow_redirects=False, trust_env=not self._local)
 
     def __repr__(self) -> str:
         return f"Vlm({self._url!r}, model={self._model!r}, timeout={self._timeout})"
@@ -90,7 +115,7 @@ class Vlm(Reasoner):
         take that long again. Warns about the first failure of each kind.
         """
         try:
-            return read_reply(self._ask(image, instruction))
+            return self._ask(self._gate_request(image, instruction), read_reply, AGAIN, self._timeout)
         except ReasonerError as error:
             if error.kind not in self._warned:
                 self._warned.add(error.kind)
@@ -100,6 +125,15 @@ class Vlm(Reasoner):
                     stacklevel=2,
                 )
             raise
+
+    def plan(self, mission: str) -> tuple[SubGoal, ...]:
+        """The sub-goals of a mission, from its sentence alone; raises `ReasonerError` if the model gives none.
+
+        Asked on the ground, it takes `PLAN_TIMEOUT_S` at most, or the timeout where that is longer.
+        """
+        tokens = max(self._tokens, PLAN_TOKENS)
+        request = self._request(write_prompt(plan_prompt(), mission), "mission", PLAN_SCHEMA, tokens)
+        return self._ask(request, read_plan, PLAN_AGAIN, max(self._timeout, PLAN_TIMEOUT_S))
 
     def check(self) -> None:
         """Ask the server for its models, before take-off.
@@ -129,22 +163,52 @@ class Vlm(Reasoner):
         """Close the connections."""
         self._client.close()
 
-    def _ask(self, image: Image, instruction: str) -> str:
-        """The text of the model's answer."""
-        deadline = time.monotonic() + self._timeout
-        request = self._request(image, instruction)
+    def _ask(
+        self, request: dict[str, Any], read: Callable[[str, str | None], _Answer], again: str, timeout: float
+    ) -> _Answer:
+        """The model's answer; one that cannot be read, such as one in another language, is asked for again."""
+        deadline = time.monotonic() + timeout
+        text, end = self._reply(request, deadline)
+        try:
+            return read(text, end)
+        except ReasonerError as error:
+            if error.kind not in ("garbage", "schema") or not text.strip():
+                raise
+            first = error
+        request["messages"] += [{"role": "assistant", "content": text}, {"role": "user", "content": again}]
+        request = {name: value for name, value in request.items() if name not in self._refused}
+        try:
+            return read(*self._reply(request, deadline))
+        except ReasonerError as error:
+            raise (first if error.kind in ("timeout", "unreachable", "http") else error) from None
+
+    def _reply(self, request: dict[str, Any], deadline: float) -> tuple[str, str | None]:
+        """The model's text, and how it ended as far as the server says so; raises `ReasonerError`."""
         status, body = self._post(request, deadline)
-        if status in _REFUSED_FORMAT and self._constrain:
-            # Some servers do not support response_format, and their errors differ. Retry without it, and remember if
-            # that helps.
-            del request["response_format"]
-            status, body = self._post(request, deadline)
-            self._constrain = status != 200
+        optional = [name for name in _OPTIONAL_FIELDS if name in request and status in _REFUSED_FIELDS]
+        for dropped in (some for count in range(1, len(optional) + 1) for some in combinations(optional, count)):
+            fewer = {name: value for name, value in request.items() if name not in dropped}
+            status, body = self._post(fewer, deadline)
+            if status == 200:
+                self._remember_refused(dropped)
+                break
         if status != 200:
             raise self._http_fault(status, body)
         return _answer_text(body)
 
-    def _request(self, image: Image, instruction: str) -> dict[str, Any]:
+    def _remember_refused(self, fields: Sequence[str]) -> None:
+        """Send these no more; says so where the user asked for one."""
+        self._refused.update(fields)
+        if "chat_template_kwargs" in fields:
+            asked = "yes" if self._thinking else "no"
+            warnings.warn(
+                f"reasoner vlm: {self._url} does not know the field of thinking={asked} (chat_template_kwargs), so the"
+                " model thinks as the server was started",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+
+    def _gate_request(self, image: Image, instruction: str) -> dict[str, Any]:
         picture = io.BytesIO()
         PillowImage.fromarray(image).save(picture, format="PNG", compress_level=1)
         url = "data:image/png;base64," + base64.b64encode(picture.getvalue()).decode("ascii")
@@ -152,17 +216,21 @@ class Vlm(Reasoner):
             {"type": "image_url", "image_url": {"url": url}},
             {"type": "text", "text": write_prompt(self._template, instruction)},
         ]
+        return self._request(content, "gate", ANSWER_SCHEMA, self._tokens)
+
+    def _request(self, content: Any, name: str, schema: dict[str, Any], tokens: int) -> dict[str, Any]:
         request: dict[str, Any] = {
             "model": self._model,
             "messages": [{"role": "user", "content": content}],
-            "max_tokens": MAX_TOKENS,
+            "max_tokens": tokens,
             "temperature": 0,
             "stream": False,
         }
-        if self._constrain:
-            schema = {"name": "gate", "strict": True, "schema": ANSWER_SCHEMA}
-            request["response_format"] = {"type": "json_schema", "json_schema": schema}
-        return request
+        strict = {"name": name, "strict": True, "schema": schema}
+        request["response_format"] = {"type": "json_schema", "json_schema": strict}
+        if self._thinking is not None:
+            request["chat_template_kwargs"] = {"enable_thinking": self._thinking}
+        return {name: value for name, value in request.items() if name not in self._refused}
 
     def _post(self, request: dict[str, Any], deadline: float) -> tuple[int, bytes]:
         """Status and body; retries while the server is unreachable or busy and time is left."""
@@ -202,11 +270,15 @@ class Vlm(Reasoner):
             raise self._too_late() from None
         except (self._httpx.HTTPError, self._httpx.InvalidURL) as error:
             raise ReasonerError(
-                "unreachable", f"{self._url}: {self._hide(str(error) or type(error).__name__)}"
+                "unreachable", f"{self._url}: {self._hide(str(error) or type(error).__name__)}{self._through()}"
             ) from None
 
     def _too_late(self) -> ReasonerError:
-        return ReasonerError("timeout", f"{self._url} did not answer in time; allow more with timeout=SECONDS")
+        late = f"{self._url} did not answer in time{self._through()}; allow more with timeout=SECONDS"
+        return ReasonerError("timeout", late)
+
+    def _through(self) -> str:
+        return "" if self._local else proxy_hint(self._url)
 
     def _http_fault(self, status: int, body: bytes) -> ReasonerError:
         if status in (401, 403):
@@ -267,8 +339,8 @@ def _model_names(body: bytes) -> list[str]:
         return []
 
 
-def _answer_text(body: bytes) -> str:
-    """The model's text in a response of the chat API; raises `ReasonerError`."""
+def _answer_text(body: bytes) -> tuple[str, str | None]:
+    """The model's text in a response of the chat API, and its `finish_reason`; raises `ReasonerError`."""
     text = body.decode("utf-8", "replace")
     try:
         response = json.loads(text)
@@ -276,14 +348,21 @@ def _answer_text(body: bytes) -> str:
         raise ReasonerError("garbage", f"the server's response is not JSON: {quote(text)}") from None
     try:
         choice = response["choices"][0]
-        content = choice["message"].get("content")
-        refusal = choice["message"].get("refusal") or choice.get("finish_reason") == "content_filter"
+        message = choice["message"]
+        content, end = message.get("content"), choice.get("finish_reason")
+        refusal = message.get("refusal")
+        thought = message.get("reasoning_content") or message.get("reasoning") or message.get("thinking")
     except (KeyError, IndexError, TypeError, AttributeError):
         raise ReasonerError("schema", f"the server's response is not of the chat API: {quote(text)}") from None
+    end = end if isinstance(end, str) and end else None
     if isinstance(content, list):
-        content = "".join(str(part.get("text", "")) for part in content if isinstance(part, dict))
-    if refusal and not content:
-        raise ReasonerError("refusal", f"the model refuses: {quote(str(choice['message'].get('refusal') or text))}")
+        parts = [part for part in content if isinstance(part, dict)]
+        thought = thought or any(part.get("type") in ("thinking", "reasoning") for part in parts)
+        content = "".join(str(part.get("text", "")) for part in parts if part.get("type", "text") in _TEXT_PARTS)
+    if not content and (refusal or end == "content_filter"):
+        raise ReasonerError("refusal", f"the model refuses: {quote(str(refusal or text))}")
+    if thought and not content:
+        raise unfinished("", end or "")
     if not isinstance(content, str):
         raise ReasonerError("schema", f"the server's response holds no text: {quote(text)}")
-    return content
+    return content, end

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from cognitivedrone.errors import MissingExtra, ModelError, did_you_mean, import_extra
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.reasoners.prompt import MAX_TOKENS, load_prompt, write_prompt
+from cognitivedrone.reasoners.prompt import MAX_TOKENS, checked_tokens, load_prompt, write_prompt
 from cognitivedrone.reasoners.reply import read_reply
 from cognitivedrone.types import Guidance, Image
 
@@ -32,7 +32,8 @@ class LocalVlm(Reasoner):
     """Image and instruction to the answer of a model in this process.
 
     `model` is a folder, or a name on the hub. Nothing is downloaded unless `download` is true. Weights are read from
-    safetensors, and code shipped with a model is never run.
+    safetensors, and code shipped with a model is never run. `tokens` limits an answer with its thinking; a reply that
+    reaches it is no answer.
 
     Raises `ModelError` for an invalid argument or a model that cannot be loaded, `MissingExtra` for a missing package.
     """
@@ -46,7 +47,9 @@ class LocalVlm(Reasoner):
         dtype: Literal["bfloat16", "float32"] | None = None,
         prompt: Path | None = None,
         download: bool = False,
+        tokens: int = MAX_TOKENS,
     ) -> None:
+        self._tokens = checked_tokens("vlm-local", tokens)
         self._template = load_prompt(prompt)
         self._torch = import_extra("torch", "vlm-local")
         self._transformers = import_extra("transformers", "vlm-local")
@@ -67,15 +70,20 @@ class LocalVlm(Reasoner):
 
     def refine(self, image: Image, instruction: str) -> Guidance:
         """The gate that the model names for `image`, (H, W, 3) uint8 RGB; raises `ReasonerError`."""
-        return read_reply(self.answer(image, instruction))
+        return read_reply(*self._generated(image, instruction))
 
     def answer(self, image: Image, instruction: str) -> str:
-        """The model's text, greedily decoded, at most 40 tokens; raises `ReasonerError` for an invalid instruction."""
+        """The model's text, greedily decoded; raises `ReasonerError` for an invalid instruction."""
+        return self._generated(image, instruction)[0]
+
+    def _generated(self, image: Image, instruction: str) -> tuple[str, str]:
+        """The model's text, and whether it ended itself ("stop") or at the limit ("length")."""
         inputs = self.inputs(image, instruction)
         with self._torch.inference_mode():
             tokens = self._model.generate(**inputs, generation_config=self._decoding)
         answered = tokens[0, inputs["input_ids"].shape[1] :]
-        return str(self._tokenizer.decode(answered, skip_special_tokens=True))
+        text = str(self._tokenizer.decode(answered, skip_special_tokens=True))
+        return text, "stop" if self._decoding.eos_token_id in answered else "length"
 
     def inputs(self, image: Image, instruction: str) -> dict[str, Any]:
         """The model's inputs, as tensors with one row.
@@ -122,7 +130,7 @@ class LocalVlm(Reasoner):
         self._model = (model if bits else model.to(device)).eval()
         # Our own configuration: those shipped with models enable sampling.
         self._decoding = library.GenerationConfig(
-            max_new_tokens=MAX_TOKENS,
+            max_new_tokens=self._tokens,
             do_sample=False,
             eos_token_id=self._tokenizer.convert_tokens_to_ids("<|im_end|>"),
             pad_token_id=self._tokenizer.pad_token_id,

@@ -1,1 +1,1 @@
-"""Between a policy server and its clients: message format, checks, and the client's connection. See docs/serving.md."""
+"""Between a policy server and its clients: messages, their checks, and the client's connection: docs/own_policy.md."""

@@ -2,7 +2,7 @@
 
 The protocol is openpi's: the server sends metadata, then answers each observation with actions and timings; errors are
 text frames. Everything beyond it is optional: `ask`, `reset`, `session` and `protocol` in observations, and the entry
-`cognitivedrone` in the metadata, by which a client knows that it may send them. Tables in docs/serving.md.
+`cognitivedrone` in the metadata, by which a client knows that it may send them. Tables in docs/own_policy.md.
 """
 
 from __future__ import annotations
@@ -39,6 +39,8 @@ LONGEST_PROMPT: Final = 10_000
 """Maximum length in characters; policies set shorter limits of their own."""
 LARGEST_STATE: Final = 1e6
 """Maximum magnitude of a velocity, height or rate."""
+LONGEST_ERROR: Final = 1000
+"""Maximum length of an error's message, in characters; more of it is not read."""
 MOST_RESETS: Final = 256
 """Maximum number of stages in one message."""
 
@@ -102,8 +104,11 @@ def read_image(message: Message) -> Image:
     """The image in a message; raises `MessageError`."""
     image: Image = _field(message, IMAGE, np.ndarray)
     if image.shape != _IMAGE_SHAPE or image.dtype != np.uint8:
+        resize = image.ndim == 3 and image.shape[2] == 3 and image.shape != _IMAGE_SHAPE
         raise MessageError(
-            "bad_field", f"{IMAGE} is {image.dtype} {image.shape}; expected uint8 {_IMAGE_SHAPE}, red first"
+            "bad_field",
+            f"{IMAGE} is {image.dtype} {image.shape}; expected uint8 {_IMAGE_SHAPE}, red first"
+            + ("; crop and resize it before it is sent" if resize else ""),
         )
     return image
 
@@ -183,14 +188,15 @@ def error_frame(code: MessageFault, message: str, **more: object) -> str:
 
 
 def raise_error(frame: str, where: str) -> None:
-    """Raise the error that a server's text frame tells; `where` names the server.
+    """Raise the error that a server's text frame reports; `where` names the server.
 
     A policy's own error is raised as the class that it had there; an error of any other server as `ServerError` with
     the last line of its traceback.
     """
     try:
         error = json.loads(frame)["error"]
-        code, message, fault = error["code"], str(error["message"]), error.get("fault")
+        code, fault = error["code"], error.get("fault")
+        message = " ".join(str(error["message"]).split())[:LONGEST_ERROR]
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         last = (frame.strip().splitlines() or ["an empty text"])[-1]
         raise ServerError(f"the policy server at {where} failed: {last[:300]}") from None

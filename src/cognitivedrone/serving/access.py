@@ -6,28 +6,29 @@ import hmac
 import os
 import time
 from collections.abc import Mapping
+from pathlib import Path
 
 from cognitivedrone.errors import MessageError, ServerError
 from cognitivedrone.files import reason_of
 from cognitivedrone.remote.messages import TOKEN_VARIABLE
-from cognitivedrone.serving.config import LOOPBACK, ServePlan
+from cognitivedrone.serving.config import LOOPBACK
 
 SHORTEST_TOKEN = 16
 """In characters; shorter ones can be guessed."""
 _SCHEMES = ("api-key", "bearer")
 
 
-def token_of(plan: ServePlan) -> str | None:
-    """The token that clients must send; none if they need none.
+def token_of(host: str, token_file: Path | None) -> str | None:
+    """The token that clients of a server at `host` must send; none if they need none.
 
     Raises `ServerError` if it cannot be read, is too short, or is missing although other machines can connect.
     """
-    if plan.token_file is not None:
+    if token_file is not None:
         try:
-            token = plan.token_file.read_text("utf-8").strip()
+            token = token_file.read_text("utf-8").strip()
         except (OSError, UnicodeDecodeError) as error:
             reason = reason_of(error) if isinstance(error, OSError) else "it is not text"
-            raise ServerError(f"--token-file {plan.token_file} cannot be read: {reason}") from None
+            raise ServerError(f"--token-file {token_file} cannot be read: {reason}") from None
     else:
         token = os.environ.get(TOKEN_VARIABLE, "")
     if token and not (len(token) >= SHORTEST_TOKEN and token.isascii() and token.isprintable() and " " not in token):
@@ -35,9 +36,9 @@ def token_of(plan: ServePlan) -> str | None:
             f"the token must have at least {SHORTEST_TOKEN} printable ASCII characters without blanks; make one with"
             " `openssl rand -hex 24`"
         )
-    if not token and plan.host not in LOOPBACK:
+    if not token and host not in LOOPBACK:
         raise ServerError(
-            f"--host {plan.host} lets other machines connect, which needs a token: write one to a file, as with"
+            f"--host {host} lets other machines connect, which needs a token: write one to a file, as with"
             f" `openssl rand -hex 24 > token`, and give --token-file token, or set {TOKEN_VARIABLE}"
         )
     return token or None

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 
 from cognitivedrone.remote.messages import TOKEN_VARIABLE
 from cognitivedrone.serving.config import ServePlan
+from cognitivedrone.serving.log_limit import LogLimit
 from cognitivedrone.serving.server import Address
 
 EVERY_ADDRESS = {"0.0.0.0": "ADDRESS-OF-THIS-MACHINE", "::": "ADDRESS-OF-THIS-MACHINE"}  # noqa: S104
@@ -34,8 +35,9 @@ def announced(plan: ServePlan, address: Address) -> str:
 
 @contextmanager
 def logging_to_stderr() -> Iterator[None]:
-    """Inside, the server's log goes to standard error."""
+    """Inside, the server's log goes to standard error, within the limit of `LogLimit`."""
     handler = logging.StreamHandler(sys.stderr)
+    handler.addFilter(LogLimit())
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s", datefmt="%H:%M:%S"))
     loggers = [logging.getLogger(name) for name in ("cognitivedrone.serving", "uvicorn.error")]
     before = [(logger.level, logger.propagate) for logger in loggers]

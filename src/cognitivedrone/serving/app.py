@@ -87,7 +87,7 @@ class PolicyServer:
         except ClientDisconnect:
             return Response(status_code=400)
         except Exception as error:
-            frame, code = told(error, "a REST client")
+            frame, code = error_reply(error, "a REST client")
             return Response(frame, STATUS.get(code, 400), media_type="application/json")
         return Response(body, media_type="application/json")
 
@@ -98,7 +98,7 @@ class PolicyServer:
             if self._clients >= self._limits.clients:
                 raise MessageError("too_many_clients", f"this server has its {self._clients} clients; try again later")
         except MessageError as error:
-            frame, code = told(error, "a new client")
+            frame, code = error_reply(error, "a new client")
             await socket.send_denial_response(Response(frame, STATUS[code], media_type="application/json"))
             return
         self._clients += 1
@@ -111,7 +111,7 @@ class PolicyServer:
         except WebSocketDisconnect:
             pass
         except Exception as error:  # while the session was made, or of the network
-            frame, _ = told(error, name)
+            frame, _ = error_reply(error, name)
             await _last_words(socket, frame)
         finally:
             self._clients -= 1
@@ -134,7 +134,7 @@ class PolicyServer:
                 code = ""
             except Exception as error:
                 # One line per session, so that a client cannot fill the log.
-                answer, code = told(error, name, logging.DEBUG if errors else logging.INFO)
+                answer, code = error_reply(error, name, logging.DEBUG if errors else logging.INFO)
                 errors += 1
             sending = socket.send_bytes(answer) if isinstance(answer, bytes) else socket.send_text(answer)
             await asyncio.wait_for(sending, SEND_S)
@@ -187,7 +187,7 @@ class PolicyServer:
         return answer | ({} if done.present is None else {"present": done.present}), timing
 
 
-def told(error: Exception, client: str, level: int = logging.DEBUG) -> tuple[str, str]:
+def error_reply(error: Exception, client: str, level: int = logging.DEBUG) -> tuple[str, str]:
     """The frame for a client, and its code; the traceback of an unexpected exception stays in the log.
 
     What is wrong with a message is logged at `level`, what is wrong with pilot or server as an error.
@@ -195,12 +195,13 @@ def told(error: Exception, client: str, level: int = logging.DEBUG) -> tuple[str
     if isinstance(error, CognitiveDroneError):
         code = code_of(error)
         trace = error.trace if isinstance(error, PolicyRaised | ReasonerError) else ""
-        log.log(logging.ERROR if trace else level, "%s: %s: %s%s", client, code, error, f"\n{trace}" if trace else "")
+        level, shown = logging.ERROR if trace else level, f"\n{trace}" if trace else ""
+        log.log(level, "%s: %s: %s%s", client, code, error, shown, extra={"kind": code})
         more = {"fault": error.kind, "certainty": error.certainty} if isinstance(error, ReasonerError) else {}
         return error_frame(code, str(error), **more), code
     if isinstance(error, asyncio.TimeoutError):
         return error_frame("busy", "the client was silent, or did not read, for too long"), "busy"
-    log.error("%s: unexpected error", client, exc_info=error)
+    log.error("%s: unexpected error", client, exc_info=error, extra={"kind": type(error).__name__})
     return error_frame("internal", "the server failed at this message; its log says why"), "internal"
 
 

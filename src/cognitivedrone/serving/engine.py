@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from cognitivedrone.errors import MessageError
-from cognitivedrone.interfaces import attempt
+from cognitivedrone.interfaces import Policy, attempt
 from cognitivedrone.serving.config import Limits
 from cognitivedrone.serving.sessions import Served, Session
 from cognitivedrone.types import ActionChunk, EpisodeContext, Observation
@@ -113,6 +113,12 @@ class Engine:
         results: list[tuple[ActionChunk, bool, float | None] | Exception] = []
         for turn, error in zip(turns, begun, strict=True):
             chunk = next(chunks) if error is None else error
-            policy = turn.session.policy
-            results.append(chunk if isinstance(chunk, Exception) else (chunk, policy.declines, policy.present))
+            results.append(
+                chunk if isinstance(chunk, Exception) else attempt(_with_reports(chunk), turn.session.policy)
+            )
         return results
+
+
+def _with_reports(chunk: ActionChunk) -> Callable[[Policy], tuple[ActionChunk, bool, float | None]]:
+    """Adds to a chunk what the policy reports with it, which may be computed by a user's code."""
+    return lambda policy: (chunk, policy.declines, policy.present)

@@ -22,7 +22,7 @@ from cognitivedrone.serving.access import RateLimit
 from cognitivedrone.serving.config import Limits
 from cognitivedrone.serving.engine import Engine
 from cognitivedrone.serving.sessions import Served, Session
-from cognitivedrone.types import EpisodeContext
+from cognitivedrone.types import IMAGE_SIZE, EpisodeContext
 
 BODY_S = 30.0
 """Time that a client may take to send a request, s."""
@@ -75,7 +75,12 @@ class Rest:
         async for piece in request.stream():
             body += piece
             if len(body) > most:
-                raise MessageError("too_large", f"the request has over {most} bytes")
+                side, usual_kb = IMAGE_SIZE, 4 * IMAGE_SIZE**2 // 1000
+                raise MessageError(
+                    "too_large",
+                    f"the request has over {most} bytes; the policy sees images of {side}x{side} pixels, which take"
+                    f" {usual_kb} kB here, so crop and resize a camera's image before it is sent",
+                )
         return bytes(body)
 
 

@@ -14,10 +14,12 @@ import uvicorn
 from cognitivedrone.errors import ServerError
 from cognitivedrone.files import reason_of
 from cognitivedrone.pilot import open_pilot
+from cognitivedrone.remote.connection import keep_alive
 from cognitivedrone.serving.access import token_of
+from cognitivedrone.serving.admission import Admission
 from cognitivedrone.serving.app import PolicyServer
 from cognitivedrone.serving.config import ServePlan
-from cognitivedrone.serving.protocols import LimitedHttp, LimitedWebSocket
+from cognitivedrone.serving.protocols import UNREAD_S, limited
 from cognitivedrone.serving.sessions import Served
 
 STOP_S = 2
@@ -41,7 +43,7 @@ def serve(plan: ServePlan, ready: Callable[[Address], None], stop: threading.Eve
 
     Raises `ServerError` if the port cannot be opened or a token is missing, `PolicyError` for the pilot.
     """
-    token = token_of(plan)
+    token = token_of(plan.host, plan.token_file)
     with contextlib.ExitStack() as stack:
         listening = stack.enter_context(contextlib.closing(_listen(plan)))
         served = Served(plan.pilot, stack.enter_context(open_pilot(plan.pilot)))
@@ -85,7 +87,11 @@ def serving(plan: ServePlan) -> Iterator[Address]:
 def _listen(plan: ServePlan) -> socket.socket:
     family = socket.AF_INET6 if ":" in plan.host else socket.AF_INET
     try:
-        return socket.create_server((plan.host, plan.port), family=family, backlog=128)
+        listening = socket.create_server((plan.host, plan.port), family=family, backlog=128)
+        keep_alive(listening)  # connections inherit these
+        if hasattr(socket, "TCP_USER_TIMEOUT"):
+            listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * UNREAD_S))
+        return listening
     except OSError as error:
         raise ServerError(
             f"cannot listen at {plan.host}, port {plan.port}: {reason_of(error)}; give another --host or --port"
@@ -101,11 +107,15 @@ async def _run(
     stop: threading.Event | None,
 ) -> None:
     application = PolicyServer(served, plan.limits, token)
+    admission = Admission(plan.limits, token)
+    http, websocket = limited(admission)
     server = uvicorn.Server(
         uvicorn.Config(
             application.app,
-            http=LimitedHttp,
-            ws=LimitedWebSocket,
+            http=http,
+            ws=websocket,
+            # A client that computes does not answer pings either; `_listen` asks its operating system.
+            ws_ping_interval=None,
             ws_max_size=1000 * plan.limits.message_kb,
             ws_per_message_deflate=False,
             lifespan="off",
@@ -126,4 +136,5 @@ async def _run(
             await asyncio.wait([running], timeout=0.1)
         await running
     finally:
+        await admission.close()
         await application.close()

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from cognitivedrone.control.async_reasoner import Question, SimulatedReasoner, asking, check_guidance
-from cognitivedrone.control.calls import calling
+from cognitivedrone.control.calls import calling, check_chunk
 from cognitivedrone.control.directive_filter import DirectiveFilter
-from cognitivedrone.control.loop import Rates, check_chunk
 from cognitivedrone.errors import CognitiveDroneError, GroundTruthError, MessageError, PolicyRaised
 from cognitivedrone.files import digest_of_file
 from cognitivedrone.interfaces import Policy, Reasoner
@@ -25,7 +24,7 @@ from cognitivedrone.reasoners import REASONERS, make_reasoner
 from cognitivedrone.registry import one_line
 from cognitivedrone.remote.messages import OURS, PROTOCOL, Message, read_prompt, read_resets
 from cognitivedrone.tasks.directives import declines
-from cognitivedrone.types import CONTROL_HZ, ActionChunk, EpisodeContext, Guidance, Image, Observation
+from cognitivedrone.types import CONTROL_HZ, REASONER_HZ, ActionChunk, EpisodeContext, Guidance, Image, Observation
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +43,7 @@ class Served:
         self._model = None if model is None else digest_of_file(model)
 
     def metadata(self, session: str) -> dict[str, Any]:
-        """What a client is told when its session begins."""
+        """What a client gets when its session begins."""
         reasoner = None if self.reasoner is None else _name(self.spec.reasoner, REASONERS)
         return {
             OURS: {
@@ -156,7 +155,7 @@ class Guide:
         now = observation.time
         self._filter.policy_says(present)
         if now >= self._next_s:
-            self._next_s = now + 1 / Rates().reasoner_hz - 0.5 / CONTROL_HZ  # frames are not exactly in time
+            self._next_s = now + 1 / REASONER_HZ - 0.5 / CONTROL_HZ  # frames are not exactly in time
             self._reasoner.ask(Question(self._stage, observation.instruction, observation.image, now))
             answer = self._reasoner.answer(now)
             if answer is not None and answer.guidance is not None:
@@ -175,7 +174,8 @@ def _checked(chunk: ActionChunk | Exception) -> ActionChunk | Exception:
         log.error("the policy raised an exception", exc_info=chunk)
         return PolicyRaised(f"the policy raised {one_line(chunk)}", "")
     try:
-        return check_chunk(chunk)
+        with calling("the policy"):  # an object that converts itself runs the policy's code
+            return check_chunk(chunk)
     except CognitiveDroneError as error:
         return error
 

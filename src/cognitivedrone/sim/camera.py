@@ -21,7 +21,7 @@ from PIL import Image as PillowImage
 from cognitivedrone.errors import RenderError
 from cognitivedrone.frames import rotation_matrix
 from cognitivedrone.sim.gl import GLThread
-from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT, View, chase_view, top_view
+from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT, View, top_view
 from cognitivedrone.types import IMAGE_SIZE, DroneState, Image, Images, Stage, Vector, Vectors
 from cognitivedrone.world.appearance import PLAIN, Appearance, expose
 from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture
@@ -122,11 +122,6 @@ class Cameras:
         for future in pending:
             future.result()
         return out
-
-    def chase(self, slot: int, state: DroneState, size: tuple[int, int] = (640, 480)) -> Image:
-        """The drone and the scene ahead, from behind and above: (h, w, 3) for `size` (w, h) in pixels."""
-        thread, renderer, own = self._owner(slot)
-        return thread.call(partial(renderer.overlook, own, state, 1.0, size, chase_view(state))).result()
 
     def top(self, slot: int, state: DroneState, size: tuple[int, int] = (640, 480)) -> Image:
         """The whole stage from high above its start, with the drone at three times its size: (h, w, 3)."""

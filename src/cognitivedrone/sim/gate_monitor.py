@@ -1,8 +1,9 @@
 """Gate monitor: detects gates flown through, missed or hit, and leaving the stage. Does not know the right gate.
 
-A gate is flown through if the drone's centre crosses its plane, outward, inside the opening. Contact means that the
-hull sphere touches a frame, a panel or the floor. Crossing the nearest gate's plane outside its opening is a miss. A
-gate that stands alone, without a panel, is always the nearest: flying past it at any distance is a miss.
+A gate is flown through if the drone's centre crosses its plane, outward, inside the opening. A landing is contact
+with the floor on a pad. Contact means that the hull sphere touches a frame, a panel, an obstacle or the floor. Crossing
+the nearest gate's plane outside its opening is a miss. A gate that stands alone, without a panel, is always the
+nearest: flying past it at any distance is a miss.
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ from typing import Literal
 
 import numpy as np
 
+from cognitivedrone.obstacles import solids_of
 from cognitivedrone.types import Stage, Vector, Vectors
 from cognitivedrone.world import geometry
 
-VerdictKind = Literal["gate", "missed", "collision", "out_of_bounds"]
+GateEventKind = Literal["gate", "missed", "collision", "out_of_bounds"]
 
 BOUNDS_LOW = np.array([-5.0, -8.0, -1.0])
 """Corner of the box a flight must stay in, m, in the stage frame."""
@@ -36,19 +38,25 @@ FAVOUR_M = 2.5
 class GateEvent:
     """The first decisive event of a stretch of path."""
 
-    kind: VerdictKind
+    kind: GateEventKind
     gate: int | None
     """The gate where it happened, 0 to 2."""
     sample: int
     """Index into the judged path."""
     clearance_m: float | None = None
-    """Clearance between hull and frame at the plane; only for a gate flown through."""
+    """Between hull and frame at the plane, for a gate flown through; to the edge of the pad, for a landing."""
 
 
-def judge(stage: Stage, path: Vectors, hull_radius: float, aspects: tuple[float, float, float]) -> GateEvent | None:
+def judge(
+    stage: Stage,
+    path: Vectors,
+    hull_radius: float,
+    aspects: tuple[float, float, float],
+    touched: int | None = None,
+) -> GateEvent | None:
     """The first event along `path` ((k, 3) world, m; its first sample was judged before), or None.
 
-    `aspects` are width over height of the three panels.
+    `aspects` are width over height of the three panels; `touched` is the first sample that touches an obstacle.
     """
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
     first: GateEvent | None = None
@@ -59,12 +67,14 @@ def judge(stage: Stage, path: Vectors, hull_radius: float, aspects: tuple[float,
             first = gate_event
 
     local = to_stage_frame(stage, path)
+    if touched is not None:
+        consider(GateEvent("collision", None, touched))
     outside = np.any((local < BOUNDS_LOW) | (local > BOUNDS_HIGH), axis=1)
     if outside.any():
         consider(GateEvent("out_of_bounds", None, int(np.argmax(outside))))
     grounded = path[:, 2] < hull_radius
     if grounded.any():
-        consider(GateEvent("collision", None, int(np.argmax(grounded))))
+        consider(_touch_down(stage, centers, path, int(np.argmax(grounded))))
     alone = stage.only is not None
     for index in geometry.standing(stage):
         gate = stage.gates[index]
@@ -92,6 +102,16 @@ def judge(stage: Stage, path: Vectors, hull_radius: float, aspects: tuple[float,
     return first
 
 
+def _touch_down(stage: Stage, pads: Vectors, path: Vectors, sample: int) -> GateEvent:
+    """What contact with the floor is: a landing on a pad, with the distance to its edge, or a collision."""
+    if stage.landing:
+        room = geometry.PAD_RADIUS - np.linalg.norm(pads[:, :2] - path[sample, :2], axis=1)
+        pad = int(room.argmax())
+        if room[pad] > 0:
+            return GateEvent("gate", pad, sample, float(room[pad]))
+    return GateEvent("collision", None, sample)
+
+
 def to_stage_frame(stage: Stage, points: Vectors) -> Vectors:
     """World points (..., 3) in the frame of the stage's origin and heading."""
     c, s = np.cos(stage.yaw), np.sin(stage.yaw)
@@ -111,14 +131,27 @@ class GateMonitor:
         self.path_m = 0.0
         self.closest_m = np.linalg.norm(self.centers - self.start, axis=1)
         """(3,) closest approach to each gate's centre so far, m."""
+        self.obstacle_m: float | None = None
+        """Smallest distance between hull and obstacles so far, m; none where nothing is in the way."""
+        cluttered = bool(stage.obstacles) or stage.landmark is not None
+        self._solids = solids_of(stage.obstacles, stage.landmark) if cluttered else None
         self._last = self.start
 
     def follow(self, path: Vectors) -> GateEvent | None:
         """Judge the next part of the path, (k, 3) world, m."""
         whole = np.concatenate([self._last[None], path])
-        gate_event = judge(self.stage, whole, self.hull_radius, self.aspects) if self._near(whole) else None
+        rooms = None if self._solids is None else self._solids.distance(to_stage_frame(self.stage, whole)).min(axis=1)
+        touched = None
+        if rooms is not None and rooms.min() < self.hull_radius:
+            touched = int(np.argmax(rooms < self.hull_radius))
+        gate_event = None
+        if touched is not None or self._near(whole):
+            gate_event = judge(self.stage, whole, self.hull_radius, self.aspects, touched)
         if gate_event is not None:
             whole = whole[: gate_event.sample + 1]
+        if rooms is not None:
+            room = max(float(rooms[: len(whole)].min()) - self.hull_radius, 0.0)
+            self.obstacle_m = room if self.obstacle_m is None else min(self.obstacle_m, room)
         steps = np.diff(whole, axis=0)
         self.path_m += float(np.sqrt((steps * steps).sum(axis=1)).sum())
         to_gates = whole[:, None] - self.centers
@@ -126,10 +159,14 @@ class GateMonitor:
         self._last = whole[-1]
         return gate_event
 
+    def resume(self, position: Vector) -> None:
+        """Follow the drone from a position (3,) on, world, m: after an event that does not end its flight."""
+        self._last = np.array(position, dtype=np.float64)
+
     def favoured(self) -> int | None:
         """The gate nearest to the drone now, if it is near enough to count as a choice."""
         distances = np.linalg.norm(self.centers - self._last, axis=1)
-        nearest = min(geometry.standing(self.stage), key=lambda index: float(distances[index]))
+        nearest = min(geometry.choices(self.stage), key=lambda index: float(distances[index]))
         return nearest if distances[nearest] < FAVOUR_M else None
 
     def _near(self, path: Vectors) -> bool:

@@ -10,10 +10,12 @@ from __future__ import annotations
 import atexit
 import importlib
 import os
+import re
+import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
@@ -22,6 +24,8 @@ from queue import SimpleQueue
 from typing import Any, Final, TypeVar
 
 from cognitivedrone.errors import RenderError
+from cognitivedrone.printable import visible
+from cognitivedrone.processes import environment
 
 BACKENDS: Final = ("egl", "osmesa")
 _REMEMBERED: Final = "COGNITIVEDRONE_GL"
@@ -29,13 +33,20 @@ _INSTALL: Final = "apt-get install -y libegl1 libgl1-mesa-dri libopengl0"
 _INSTALLS: Final = {"egl": _INSTALL, "osmesa": "apt-get install -y libosmesa6"}
 _EGL_PLATFORM_SURFACELESS_MESA: Final = 0x31DD  # EGL_MESA_platform_surfaceless
 _PROBE: Final = """
-import sys
-from cognitivedrone.sim import gl
-context = gl.create_context(sys.argv[1], 16, 16)
+import importlib, sys
+context = importlib.import_module("mujoco." + sys.argv[1]).GLContext(16, 16)
+context.make_current()
 from OpenGL import GL
 print("renderer:", GL.glGetString(GL.GL_RENDERER).decode())
 context.free()
 """
+_PROBE_S: Final = 120.0
+_LINES: Final = 3
+_LONGEST: Final = 400  # characters of somebody else's error
+_STEERING: Final = re.compile(
+    r"(MUJOCO_GL|MUJOCO_EGL|PYOPENGL|LIBGL|MESA|GALLIUM|LP|EGL|GBM|__EGL|__GLX|__GL|__GLVND|DRI|LD_LIBRARY_PATH|LD_PRELOAD)(_|$)"
+)
+"""Variables by which OpenGL, its drivers, PyOpenGL and MuJoCo are steered."""
 
 T = TypeVar("T")
 
@@ -51,6 +62,17 @@ class Backend:
 
 
 _chosen: Backend | None = None
+_choosing = threading.Lock()
+
+
+def look_ahead() -> None:
+    """Look for the backend in another thread, while this one still imports what needs it."""
+    threading.Thread(target=_look, name="OpenGL", daemon=True).start()
+
+
+def _look() -> None:
+    with suppress(RenderError):  # drawing raises it again
+        backend()
 
 
 def backend() -> Backend:
@@ -64,10 +86,11 @@ def backend() -> Backend:
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted and wanted not in BACKENDS:
         raise RenderError(f"MUJOCO_GL={wanted} cannot render without a screen; unset it, or set it to egl or osmesa.")
-    if _chosen is None or (wanted and wanted != _chosen.name):
-        _chosen = _remembered(wanted) or _find(wanted)
-        os.environ[_REMEMBERED] = f"{_chosen.name}:{_chosen.renderer}"
-    return _chosen
+    with _choosing:
+        if _chosen is None or (wanted and wanted != _chosen.name):
+            _chosen = _remembered(wanted) or _find(wanted)
+            os.environ[_REMEMBERED] = f"{_chosen.name}:{_chosen.renderer}"
+        return _chosen
 
 
 def renderer_name() -> str:
@@ -81,7 +104,7 @@ def create_context(name: str, width: int, height: int) -> Any:
         context = importlib.import_module(f"mujoco.{name}").GLContext(width, height)
         context.make_current()
     except Exception as error:  # ctypes, PyOpenGL and MuJoCo each fail in their own way
-        raise RenderError(f"OpenGL by {name} does not start ({error}). To install it: {_INSTALL}") from None
+        raise RenderError(_advice({name: _one_line(error)}, _INSTALL)) from None
     return context
 
 
@@ -191,24 +214,78 @@ def _remembered(wanted: str) -> Backend | None:
 
 def _find(wanted: str) -> Backend:
     """The first backend that works in a child process; if one is wanted, only that one."""
-    names = (wanted,) if wanted else BACKENDS
-    for name in names:
-        renderer = _probe(name)
-        if renderer is not None:
-            return Backend(name, renderer)
-    if wanted:
-        raise RenderError(
-            f"MUJOCO_GL={wanted} does not start on this machine; unset it, or install it: {_INSTALLS[wanted]}"
-        )
-    raise RenderError(f"no OpenGL to render with: tried {' and '.join(names)}. To install it: {_INSTALL}")
+    failures: dict[str, str] = {}
+    for name in (wanted,) if wanted else BACKENDS:
+        try:
+            return Backend(name, _probe(name))
+        except RenderError as error:
+            failures[name] = str(error)
+    raise RenderError(_advice(failures, _INSTALLS[wanted] if wanted else _INSTALL))
 
 
-def _probe(name: str) -> str | None:
-    """The renderer's name, or None if the backend does not work. A crash only affects a child process."""
-    command = [sys.executable, "-c", _PROBE, name]
+def _probe(name: str, without: Collection[str] = ()) -> str:
+    """The renderer's name in a child process, which may crash, started without some of the environment's variables.
+
+    Raises `RenderError` with OpenGL's own error.
+    """
+    variables = {variable: value for variable, value in environment().items() if variable not in without}
     try:
-        child = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)  # noqa: S603
-    except (subprocess.SubprocessError, OSError):
-        return None
-    lines = [line.removeprefix("renderer:").strip() for line in child.stdout.splitlines() if "renderer:" in line]
-    return lines[-1] if lines else None
+        child = subprocess.run(  # noqa: S603
+            [sys.executable, "-c", _PROBE, name],
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+            timeout=_PROBE_S,
+            check=False,
+            env=variables,
+        )
+    except subprocess.TimeoutExpired:
+        raise RenderError(f"it did not start within {_PROBE_S:g} s") from None
+    except OSError as error:
+        raise RenderError(_one_line(error)) from None
+    found = [line.removeprefix("renderer:").strip() for line in child.stdout.splitlines() if "renderer:" in line]
+    if child.returncode == 0 and found:
+        return found[-1]
+    ending = [f"ended by {signal.Signals(-child.returncode).name}"] if child.returncode < 0 else []
+    lines = [line.strip() for line in child.stderr.splitlines() if line.strip() and not line.startswith((" ", "Trace"))]
+    raise RenderError(_one_line("; ".join(dict.fromkeys([*lines[-_LINES:], *ending])) or "no error was reported"))
+
+
+def _one_line(error: object) -> str:
+    """An error of somebody else as a part of a sentence."""
+    return visible(" ".join(str(error).split()))[:_LONGEST].rstrip(".") or type(error).__name__
+
+
+def _advice(failures: Mapping[str, str], install: str) -> str:
+    """What OpenGL itself says, and the way out: variables without which it starts, or else its installation."""
+    reasons = "; ".join(f"{name}: {reason}" for name, reason in failures.items())
+    steering = [name for name in os.environ if _STEERING.match(name) and not _is_ours(name)]
+    if guilty := _guilty(failures, steering):
+        shown = " and ".join(_shown(name) for name in guilty)
+        them = "them" if len(guilty) > 1 else "it"
+        way_out = f"unset {them}, without {them} it starts here" + (
+            f", or install it: {install}" if "MUJOCO_GL" in guilty else ""
+        )
+        return f"OpenGL does not start with {shown} ({reasons}); {way_out}"
+    also = f"; these variables steer it, check them first: {', '.join(map(_shown, steering))}" if steering else ""
+    return f"OpenGL does not start ({reasons}){also}. If it is not installed: {install}"
+
+
+def _guilty(failures: Iterable[str], steering: Sequence[str]) -> Sequence[str]:
+    """The variable, or all of them, without which one of the backends starts; none if none starts."""
+    for guilty in filter(None, [[name] for name in steering] + [steering]):
+        chosen = "MUJOCO_GL" in guilty
+        for name in BACKENDS if chosen else failures:
+            with suppress(RenderError):
+                _probe(name, [*guilty, "PYOPENGL_PLATFORM"] if chosen else guilty)  # to which MuJoCo sets the other
+                return guilty
+    return ()
+
+
+def _shown(variable: str) -> str:
+    return f"{variable}={visible(os.environ[variable])[:80]}"
+
+
+def _is_ours(variable: str) -> bool:
+    """Whether we set this variable ourselves, or it is set to nothing."""
+    return not os.environ[variable] or (variable, os.environ[variable]) == ("LP_NUM_THREADS", "0")

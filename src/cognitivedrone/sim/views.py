@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from cognitivedrone.frames import rotate_yaw, rotation_matrix, yaw_of
+from cognitivedrone.frames import rotate_yaw, rotation_matrix
 from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Stage, Vector
 
 FIELD_OF_VIEW: Final = 1.85
@@ -16,8 +16,7 @@ FIELD_OF_VIEW: Final = 1.85
 MOUNT: Final = (0.1, 0.0, 0.3)
 """Camera position on the vehicle, body FLU, m. It looks along the body's x axis and tilts with the body."""
 
-_OVERLOOK_FIELD_OF_VIEW: Final = 1.1  # of the third-person views, vertical, rad
-_CHASE_EYE, _CHASE_TARGET = (-2.0, 0.0, 0.8), (2.0, 0.0, 0.5)  # from the drone, heading frame, m
+_TOP_FIELD_OF_VIEW: Final = 1.1  # vertical, rad
 _TOP_EYE, _TOP_TARGET = (-6.0, 0.0, 9.0), (2.2, 0.0, 1.0)  # stage frame, m
 
 
@@ -63,22 +62,10 @@ def first_person_view(state: DroneState) -> View:
     return View(state.position + axes @ np.array(MOUNT), axes[:, 0], axes[:, 2], FIELD_OF_VIEW)
 
 
-def chase_view(state: DroneState) -> View:
-    """The drone and the scene ahead, from behind and above."""
-    heading = yaw_of(np.asarray(state.quaternion, dtype=np.float64))
-    eye, target = (state.position + rotate_yaw(np.array(point), heading) for point in (_CHASE_EYE, _CHASE_TARGET))
-    eye[2] = max(eye[2], 0.1)
-    return _looking_at(eye, target)
-
-
 def top_view(stage: Stage) -> View:
     """The whole stage from high above its start."""
     home = np.array([*stage.origin, 0.0])
     eye, target = (home + rotate_yaw(np.array(point), stage.yaw) for point in (_TOP_EYE, _TOP_TARGET))
-    return _looking_at(eye, target)
-
-
-def _looking_at(eye: Vector, target: Vector) -> View:
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
-    return View(eye, forward, np.cross(right / np.linalg.norm(right), forward), _OVERLOOK_FIELD_OF_VIEW)
+    return View(eye, forward, np.cross(right / np.linalg.norm(right), forward), _TOP_FIELD_OF_VIEW)

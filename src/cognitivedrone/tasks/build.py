@@ -21,10 +21,13 @@ import numpy as np
 
 from cognitivedrone.layout import draw_layout
 from cognitivedrone.tasks.absent import KINDS, LOOKS, absent_puzzle
+from cognitivedrone.tasks.clutter import KINDS as OBSTACLES
+from cognitivedrone.tasks.clutter import cluttered
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, generator
 from cognitivedrone.tasks.format import task_to_json
 from cognitivedrone.tasks.generate import HELD_OUT, TRAIN, Draw, Pools, Puzzle
 from cognitivedrone.tasks.memory import memory_track
+from cognitivedrone.tasks.mission_tasks import mission_tracks
 from cognitivedrone.tasks.racing import INSTRUCTIONS, single_gate
 from cognitivedrone.tasks.suites import BUILT, digest_of, file_of, finish
 from cognitivedrone.types import CATEGORIES, COLORS, SHAPES, SIZES, Gate, Task, Track
@@ -101,7 +104,7 @@ def build_suite(name: str) -> list[Track]:
     rng = np.random.default_rng([2, BUILT.index(name)])
     dealer = Dealer(rng)
     bare = name.partition(":")[2]
-    special = {"race": _races, "absent": _absent}.get(bare)
+    special = {"race": _races, "absent": _absent, "missions": _missions}.get(bare)
     tracks = special(rng, dealer) if special else _choices(bare, rng, dealer)
     ids = iter(range(sum(map(len, tracks))))
     return [tuple(replace(task, id=f"{name}/{next(ids):04d}") for task in track) for track in tracks]
@@ -113,10 +116,14 @@ def _choices(name: str, rng: np.random.Generator, dealer: Dealer) -> list[list[T
     if name == "hard":
         shares = {family: count for family, count in HARD_SHARES.items() if family != "memory"}
     else:
-        shares = equal_shares({"test": 300, "unseen": 150, "smoke": 30, "track": 100, "layouts": 300}[name])
+        sizes = {"test": 300, "unseen": 150, "smoke": 30, "track": 100, "layouts": 300, "clutter": 200}
+        shares = equal_shares(sizes[name])
     tasks = [task for family, count in shares.items() for task in _family(rng, dealer, pools, family, count)]
     if name == "layouts":
         tasks = [_laid_out(rng, task) for task in tasks]
+    if name == "clutter":
+        kinds, counts = dealer.hand("obstacle", OBSTACLES, len(tasks)), dealer.hand("count", range(2, 9), len(tasks))
+        tasks = [cluttered(rng, *each) for each in zip(tasks, kinds, counts, strict=True)]
     if name == "track":
         n_tracks = len(tasks) // STAGES_A_TRACK
         tracks = [_shuffled(rng, tasks[i::n_tracks]) for i in range(n_tracks)]
@@ -138,6 +145,10 @@ def _absent(rng: np.random.Generator, dealer: Dealer) -> list[list[Task]]:
             asked.add(question)
             tasks.append(finish(puzzle, task_id="?", family="absent", target=0, gates=gates))
     return [[task] for task in _shuffled(rng, tasks)]
+
+
+def _missions(rng: np.random.Generator, _: Dealer) -> list[list[Task]]:
+    return list(mission_tracks(rng))
 
 
 def _laid_out(rng: np.random.Generator, task: Task) -> Task:

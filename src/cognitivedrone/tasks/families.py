@@ -9,59 +9,42 @@ from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.tasks.generate import Generator
 from cognitivedrone.types import Category
 
-TASKS: dict[str, str] = {
-    "attributes": "cognitivedrone.tasks.human:attributes",
-    "people": "cognitivedrone.tasks.human:people",
-    "letters": "cognitivedrone.tasks.symbols:letters",
-    "digits": "cognitivedrone.tasks.symbols:digits",
-    "logos": "cognitivedrone.tasks.symbols:logos",
-    "animals": "cognitivedrone.tasks.symbols:animals",
-    "math": "cognitivedrone.tasks.reasoning:math",
-    "math_board": "cognitivedrone.tasks.reasoning:math_board",
-    "food": "cognitivedrone.tasks.reasoning:food",
-    "association": "cognitivedrone.tasks.reasoning:association",
-    "conjunction": "cognitivedrone.tasks.hard:conjunction",
-    "exclusion": "cognitivedrone.tasks.hard:exclusion",
-    "relations": "cognitivedrone.tasks.hard:relations",
-    "negation": "cognitivedrone.tasks.hard:negation",
-    "counting": "cognitivedrone.tasks.hard:counting",
-    "distraction": "cognitivedrone.tasks.hard:distraction",
-    "comparison": "cognitivedrone.tasks.hard:comparison",
-    "two_step": "cognitivedrone.tasks.hard:two_step",
-    "race": "cognitivedrone.tasks.racing:race",
-    "absent": "cognitivedrone.tasks.absent:absent",
+_TABLE: dict[str, tuple[Category, str]] = {
+    "attributes": ("human_recognition", "human:attributes"),
+    "people": ("human_recognition", "human:people"),
+    "letters": ("symbol_understanding", "symbols:letters"),
+    "digits": ("symbol_understanding", "symbols:digits"),
+    "logos": ("symbol_understanding", "symbols:logos"),
+    "animals": ("symbol_understanding", "symbols:animals"),
+    "math": ("reasoning", "reasoning:math"),
+    "math_board": ("reasoning", "reasoning:math_board"),
+    "food": ("reasoning", "reasoning:food"),
+    "association": ("reasoning", "reasoning:association"),
+    "conjunction": ("human_recognition", "hard:conjunction"),
+    "exclusion": ("human_recognition", "hard:exclusion"),
+    "relations": ("symbol_understanding", "hard:relations"),
+    "negation": ("symbol_understanding", "hard:negation"),
+    "counting": ("symbol_understanding", "hard:counting"),
+    "distraction": ("symbol_understanding", "hard:distraction"),
+    "comparison": ("reasoning", "hard:comparison"),
+    "two_step": ("reasoning", "hard:two_step"),
+    "memory": ("reasoning", ""),
+    "race": ("racing", "racing:race"),
+    "absent": ("absent", "absent:absent"),
+    "landing": ("symbol_understanding", ""),
 }
-"""Generators by family, `Draw -> Puzzle`. Tasks of `memory` need a track; `tasks.memory` generates them."""
+"""Category and generator, "module:function" of this package, of every family. Tasks of `memory` need a track,
+`tasks.memory` generates them; `tasks.mission_tasks` those of `landing`."""
 
-FAMILIES: dict[str, Category] = {
-    "attributes": "human_recognition",
-    "people": "human_recognition",
-    "letters": "symbol_understanding",
-    "digits": "symbol_understanding",
-    "logos": "symbol_understanding",
-    "animals": "symbol_understanding",
-    "math": "reasoning",
-    "math_board": "reasoning",
-    "food": "reasoning",
-    "association": "reasoning",
-    "conjunction": "human_recognition",
-    "exclusion": "human_recognition",
-    "relations": "symbol_understanding",
-    "negation": "symbol_understanding",
-    "counting": "symbol_understanding",
-    "distraction": "symbol_understanding",
-    "comparison": "reasoning",
-    "two_step": "reasoning",
-    "memory": "reasoning",
-    "race": "racing",
-    "absent": "absent",
-}
+TASKS: dict[str, str] = {name: f"cognitivedrone.tasks.{made}" for name, (_, made) in _TABLE.items() if made}
+"""Generators by family, `Draw -> Puzzle`."""
+FAMILIES: dict[str, Category] = {name: category for name, (category, _) in _TABLE.items()}
 """Category of every family."""
 
 BASE_FAMILIES: tuple[str, ...] = tuple(FAMILIES)[:10]
 """The families of `train`, `test`, `unseen`, `smoke` and `track`."""
-HARD_FAMILIES: tuple[str, ...] = tuple(FAMILIES)[10:-2]
-"""The families of `hard`. `race` and `absent` make up suites of the same names."""
+HARD_FAMILIES: tuple[str, ...] = (*(name for name, (_, made) in _TABLE.items() if made.startswith("hard:")), "memory")
+"""The families of `hard`. `race` and `absent` make up suites of the same names; `landing` ends missions."""
 
 
 @functools.cache

@@ -2,26 +2,39 @@
 
 Published keys are `prompt`, `prompt_simpler`, `options`, `correct` (1 to 3), `gates` (a dict keyed "1" to "3", or a
 list of `{"gate": "1", ...}`), `background`, and for sums on the board `task: {d1, operator, d2}`. Our optional keys
-are `id`, `category`, `family`, `labels`, `board`, for a gate that stands alone its number `only`, and `layout` with the
-gate layout, keyed "1" to "3" as well. In the family `absent`, `correct` is null.
+are `id`, `category`, `family`, `labels`, `board`, for a gate that stands alone its number `only`, `layout` with the
+gate layout, keyed "1" to "3" as well, `landing` (true) for pads on the floor instead of gates, `mission`, the sentence
+of a whole track, `obstacles`, a list of what is in the way, and `landmark`, a panel without a gate. In the family
+`absent`, `correct` is null.
 """
 
 from __future__ import annotations
 
 import difflib
 import json
+import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, cast, get_args
 
-from cognitivedrone.errors import TaskError
+from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.printable import unprintable
 from cognitivedrone.tasks.families import FAMILIES
 from cognitivedrone.tasks.validate import check_text, validate_task
-from cognitivedrone.types import ALL_CATEGORIES, Category, Gate, GatePlace, Layout, Task
+from cognitivedrone.types import (
+    ALL_CATEGORIES,
+    Category,
+    Gate,
+    GatePlace,
+    Landmark,
+    Layout,
+    Obstacle,
+    ObstacleKind,
+    Task,
+)
 
 MAX_FILE_BYTES = 64 * 2**20
 MAX_TASKS = 200_000
@@ -42,8 +55,19 @@ _SUM = re.compile(r"([0-9]+)([-+*])([0-9]+)")
 _BOARD = re.compile(rf"sum/{_SUM.pattern}@")
 _SUM_IN_PROMPT = re.compile(r"\d\s*[-+*]\s*\d")
 _KEYS = ("prompt", "prompt_simpler", "options", "correct", "gates", "background")
-_OPTIONAL = ("task", "id", "category", "family", "labels", "board", "only", "layout")
+_OPTIONAL = (
+    "task", "id", "category", "family", "labels", "board", "only", "layout", "landing", "mission", "obstacles",
+    "landmark",
+)  # fmt: skip
 _PLACE = tuple(GatePlace.__dataclass_fields__)
+MAX_OBSTACLES = 20
+_MEASURES: dict[str, dict[str, float | None]] = {
+    "pillar": {},
+    "wall": {"depth": 0.1, "yaw": 0.0},
+    "beam": {"above": None, "depth": 0.1, "yaw": 0.0},
+    "frame": {"above": None, "depth": 0.1, "yaw": 0.0},
+}
+"""What an obstacle of each kind has besides x, y, width and height, with its default; none for what must be given."""
 _MISSPELT = 0.82
 """A key that is so similar to a known one (difflib, 0 to 1) is a misspelling: `lables` is, `idx` is not."""
 _PLAIN = {re.sub("[^a-z]", "", key): key for key in (*_KEYS, *_OPTIONAL)}
@@ -72,6 +96,15 @@ def task_to_json(task: Task) -> dict[str, Any]:
         obj["only"] = task.only + 1
     if task.layout is not None:
         obj["layout"] = {str(number): asdict(place) for number, place in enumerate(task.layout, 1)}
+    if task.landing:
+        obj["landing"] = True
+    if task.mission is not None:
+        obj["mission"] = task.mission
+    if task.obstacles:
+        keys = {kind: ("kind", "x", "y", "width", "height", *more) for kind, more in _MEASURES.items()}
+        obj["obstacles"] = [{key: getattr(each, key) for key in keys[each.kind]} for each in task.obstacles]
+    if task.landmark is not None:
+        obj["landmark"] = asdict(task.landmark)
     return obj
 
 
@@ -89,7 +122,7 @@ def task_from_json(obj: object, *, where: str, kind: str | None = None, default_
             raise TaskError(f"{where}: key {key!r} is missing; a task has {', '.join(_KEYS)}")
     correct = obj["correct"]
     if correct is not None and (type(correct) is not int or not 1 <= correct <= 3):
-        raise TaskError(f"{where}: correct is {correct!r}; it must be 1, 2 or 3, the number of the right gate")
+        raise TaskError(f"{where}: correct is {repr(correct)[:40]}; it must be 1, 2 or 3, the number of the right gate")
     options = _three(obj["options"], "options", where)
     category, family = _category_and_family(obj, kind, where)
     labels = obj.get("labels")
@@ -111,6 +144,10 @@ def task_from_json(obj: object, *, where: str, kind: str | None = None, default_
         background=obj["background"],
         only=_only(obj, where),
         layout=_layout(obj, where),
+        landing=_landing(obj, where),
+        mission=obj.get("mission"),
+        obstacles=_obstacles(obj.get("obstacles", []), where),
+        landmark=_landmark(obj.get("landmark"), where),
     )
     validate_task(task, where)
     return task
@@ -169,8 +206,17 @@ def _only(obj: Mapping[str, Any], where: str) -> int | None:
     if number is None:
         return None
     if type(number) is not int or not 1 <= number <= 3:
-        raise TaskError(f"{where}: only is {number!r}; it must be 1, 2 or 3, the number of the gate that stands alone")
+        raise TaskError(
+            f"{where}: only is {repr(number)[:40]}; it must be 1, 2 or 3, the number of the gate that stands alone"
+        )
     return number - 1
+
+
+def _landing(obj: Mapping[str, Any], where: str) -> bool:
+    landing = obj.get("landing", False)
+    if type(landing) is not bool:
+        raise TaskError(f"{where}: landing is {repr(landing)[:40]}; make it true, or leave it out")
+    return landing
 
 
 def _layout(obj: Mapping[str, Any], where: str) -> Layout | None:
@@ -184,12 +230,65 @@ def _layout(obj: Mapping[str, Any], where: str) -> Layout | None:
         entry = entries[number]
         if not isinstance(entry, dict) or set(entry) != set(_PLACE) or not all(map(_is_number, entry.values())):
             raise TaskError(f"{where}: the place of gate {number} must be {', '.join(_PLACE)}, numbers in m and rad")
-        places.append(GatePlace(**{name: float(entry[name]) for name in _PLACE}))
+        places.append(GatePlace(**{name: _as_float(entry[name]) for name in _PLACE}))
     return places[0], places[1], places[2]
+
+
+def _obstacles(entries: object, where: str) -> tuple[Obstacle, ...]:
+    if not isinstance(entries, list):
+        raise TaskError(f"{where}: obstacles must be a list of objects, not {type(entries).__name__}")
+    if len(entries) > MAX_OBSTACLES:
+        raise TaskError(f"{where}: {len(entries)} obstacles are too many; leave {MAX_OBSTACLES} at most")
+    return tuple(_obstacle(entry, f"{where}: obstacle {number}") for number, entry in enumerate(entries, 1))
+
+
+def _obstacle(entry: object, which: str) -> Obstacle:
+    kind = entry.get("kind") if isinstance(entry, dict) else None
+    if not isinstance(entry, dict) or not isinstance(kind, str) or kind not in _MEASURES:
+        shown = repr(kind if isinstance(entry, dict) else entry)[:40]
+        raise TaskError(f"{which} has the unknown kind {shown}; {did_you_mean(str(kind)[:40], get_args(ObstacleKind))}")
+    values = _measures(entry, ("x", "y", "width", "height"), _MEASURES[kind], f"{which}, a {kind},", {"kind"})
+    return Obstacle(cast(ObstacleKind, kind), **values)
+
+
+def _landmark(entry: object, where: str) -> Landmark | None:
+    if entry is None:
+        return None
+    if not isinstance(entry, dict):
+        raise TaskError(f"{where}: landmark must be an object, not {type(entry).__name__}")
+    names = tuple(each.name for each in fields(Landmark) if each.name != "label")
+    label = entry.get("label")
+    check_text(label, "the label of the landmark", where)
+    return Landmark(cast(str, label), **_measures(entry, names, {}, f"{where}: the landmark", {"label"}))
+
+
+def _measures(
+    entry: Mapping[str, Any], required: Iterable[str], more: Mapping[str, float | None], which: str, other: set[str]
+) -> dict[str, float]:
+    """The numbers of an object: those `required` and `more`, of which those with a default may be missing."""
+    known = {**dict.fromkeys(required), **more}
+    for key in entry:
+        if key not in known and key not in other:
+            raise TaskError(f"{which} has the unknown key {key[:40]!r}; it has {', '.join(known)}")
+    values = {}
+    for key, default in known.items():
+        value = entry.get(key, default)
+        if not _is_number(value):
+            raise TaskError(f"{which} has {key} {repr(value)[:40]}; give it a number, in m or rad")
+        values[key] = _as_float(value)
+    return values
 
 
 def _is_number(value: object) -> bool:
     return type(value) in (int, float)
+
+
+def _as_float(number: int | float) -> float:
+    """A number of a file; whole numbers beyond every float become infinite, which no place is."""
+    try:
+        return float(number)
+    except OverflowError:
+        return math.inf if number > 0 else -math.inf
 
 
 def _board(obj: Mapping[str, Any], where: str) -> str | None:

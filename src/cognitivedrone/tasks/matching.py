@@ -13,13 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cognitivedrone.tasks import vocabulary
 from cognitivedrone.tasks.directives import fitting_gate, parse_directive, write_directive
 from cognitivedrone.tasks.facts import FACTS, GROUPS, HEALTHY, UNHEALTHY
-from cognitivedrone.tasks.generate import Draw, Panel, Puzzle
-from cognitivedrone.tasks.people import CAST, FEATURES, parse_person, seen
-from cognitivedrone.tasks.suites import drawn_task
-from cognitivedrone.tasks.symbols import RIVALS, logo_name
+from cognitivedrone.tasks.people import FEATURES, parse_person, seen
+from cognitivedrone.tasks.symbols import logo_name
 from cognitivedrone.tasks.wording import NUMBER_WORDS
 from cognitivedrone.types import Task
 
@@ -49,8 +46,6 @@ _MODIFIERS = _names(
     "triangle long short left right middle first second third"
 )
 """Words that alone do not identify what a panel shows."""
-_VAGUE = _names("side hand look low head leg box yo")
-"""Words that only together with others name what a panel shows: "on both sides", "on the right hand side"."""
 _OF_LOGOS = _names("logo brand icon symbol emblem sign badge trademark language company")
 _ENDS = re.compile(
     r"\b(?:from )?(?:A to Z|high to low|low to high)\b|\b(?:closest|nearest|close|near) to [AZ]\b", re.IGNORECASE
@@ -61,19 +56,6 @@ _KINDS = {"animal": "animal", "food": "food", "object": "object", "letter": "let
           "numeral": "number", "digit": "number", "logo": "logo", "brand": "logo", "person": "person",
           "somebody": "person", "someone": "person", "man": "person", "woman": "person", "portrait": "person",
           "people": "person", "face": "person"}  # fmt: skip
-
-_CONCEPTS: dict[str, tuple[str, ...]] = {
-    "animal": vocabulary.ANIMALS,
-    "food": vocabulary.FOODS,
-    "object": vocabulary.OBJECTS,
-    "logo": vocabulary.LOGOS,
-    "letter": vocabulary.LETTERS,
-    "number": tuple(map(str, range(len(NUMBER_WORDS)))),
-}
-_FAMILY_OF = {
-    "animal": "animals", "food": "association", "object": "association", "logo": "logos", "letter": "letters",
-    "number": "digits",
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +80,6 @@ class Match:
     def complete(self) -> bool:
         """Whether every word fits, and one gate fits best."""
         return not self.missing and self.margin > 0
-
-    def better_than(self, other: Match) -> bool:
-        """Whether the sentence fits this scene better than the other."""
-        return _rank(self) > _rank(other)
 
 
 def asked_words(sentence: str) -> tuple[str, ...]:
@@ -188,67 +166,6 @@ def label_words(label: str) -> Mapping[str, int]:
     return words
 
 
-def asked_kinds(sentence: str) -> frozenset[str] | None:
-    """Kinds of label, one of which must be shown for a sentence to make sense; None if no word tells.
-
-    None for sentences with a negation, because they ask for what a thing is not.
-    """
-    asked = asked_words(sentence)
-    if set(re.findall(r"[a-z]+", sentence.lower())) & _DENIALS:
-        return None
-    if len(asked) > 1 and not {"number", "numeral", "digit"}.intersection(asked):
-        asked = tuple(word for word in asked if not word.isdecimal() and word not in NUMBER_WORDS)
-    naming = {word: kinds for word in asked if word not in _MODIFIERS and (kinds := _kinds_by_word().get(word))}
-    if not naming.keys() - _VAGUE:
-        return None
-    return frozenset().union(*naming.values())
-
-
-def asked_concepts(sentence: str) -> frozenset[str] | None:
-    """The labels `kind/concept`, one of which must be shown, if a sentence only names them ("the bird", "letter Q").
-
-    Easily confused animals count as one. None if the sentence says anything else, or is about people.
-    """
-    words = asked_words(sentence)
-    asked = [word for word in words if word not in _KINDS]
-    if not asked or set(re.findall(r"[a-z]+", sentence.lower())) & _DENIALS:
-        return None
-    kinds = {_KINDS[word] for word in words if word in _KINDS} or set(_CONCEPTS)
-    if "person" in kinds or any("person" in _kinds_by_word().get(word, ()) for word in asked):
-        return None
-    fits: set[str] = set()
-    for kind in kinds:
-        for concept in _CONCEPTS[kind]:
-            if all(label_words(f"{kind}/{concept}").get(word, 0) >= GROUP for word in asked):
-                fits |= {f"{kind}/{name}" for name in {concept, *RIVALS.get(concept, ())}}
-    return frozenset(fits) or None
-
-
-def made_scene(sentence: str, seed: int) -> Task | None:
-    """A new task for a sentence that only names a thing, between two others of its kind; None for other sentences."""
-    named = asked_concepts(sentence)
-    if named is None:
-        return None
-    asked = asked_words(sentence)
-    fits = {label: sum(_weights(asked, label_words(label)).values()) for label in sorted(named)}
-    rng = np.random.default_rng(seed)
-    best = [label for label, weight in fits.items() if weight == max(fits.values())]
-    kind, _, concept = best[int(rng.integers(len(best)))].partition("/")
-
-    def make(draw: Draw) -> Puzzle:
-        others = [name for name in _CONCEPTS[kind] if f"{kind}/{name}" not in named]
-        panels = [_panel(draw, kind, name) for name in (concept, *draw.sample(others, 2))]
-        return draw.puzzle(sentence, panels[0], panels[1:])
-
-    return drawn_task(_FAMILY_OF[kind], rng, f"made/{concept}-{seed}", make=make)
-
-
-def _panel(draw: Draw, kind: str, name: str) -> Panel:
-    if kind == "logo":
-        return Panel(name, f"logo/{name}@{vocabulary.LOGO_STYLE}")
-    return draw.glyph(kind, name) if kind in ("letter", "number") else draw.drawing(kind, name)
-
-
 def asks_the_same(sentence: str, task: Task) -> bool:
     """Whether a sentence matches a task: its instruction, its directive, or its right gate's appearance alone."""
     said = _plain(sentence)
@@ -314,21 +231,6 @@ def _said_of(kind: str, concept: str) -> Iterator[tuple[int, Iterable[str]]]:
 
 def _number(concept: str) -> int:
     return int(concept) if concept.isdecimal() else -1
-
-
-@functools.cache
-def _kinds_by_word() -> Mapping[str, frozenset[str]]:
-    """For every word that names something, the kinds of label that it may mean."""
-    found: dict[str, set[str]] = {word: {kind} for word, kind in _KINDS.items()}
-    for kind, concepts in _CONCEPTS.items():
-        for concept in concepts:
-            for word, weight in label_words(f"{kind}/{concept}").items():
-                if weight >= GROUP:
-                    found.setdefault(word, set()).add(kind)
-    for text in (*CAST, *(feature.phrase for feature in FEATURES)):
-        for word in _stems(text):
-            found.setdefault(word, set()).add("person")
-    return {word: frozenset(kinds) for word, kinds in found.items()}
 
 
 def _stems(text: str) -> list[str]:

@@ -6,7 +6,7 @@ import difflib
 import functools
 import hashlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -27,16 +27,20 @@ TRAIN_NAME = f"{VERSION}:train"
 BUILT: tuple[str, ...] = (
     *(f"{VERSION}:{name}" for name in ("test", "unseen", "smoke", "track", "hard", "race")),
     *(f"open-v2:{name}" for name in ("test", "layouts", "absent")),
+    "open-v3:missions",
+    "open-v3:clutter",
 )
 """Fixed suites that `tasks.build` generates. A suite's position here seeds it: add new ones at the end."""
-AUTHORED: tuple[str, ...] = ("open-v2:words",)
+AUTHORED: tuple[str, ...] = ("open-v2:words", "open-v3:words", "open-v3:photos", "open-v3:wild")
 """Fixed suites written by hand: their files are the source."""
 PICTURED: tuple[str, ...] = ("open-v2:pictures",)
 """Fixed suites made from what a label pack draws (`tasks.pictures`)."""
 FIXED: tuple[str, ...] = BUILT + AUTHORED + PICTURED
 SUITES: tuple[str, ...] = (TRAIN_NAME, *FIXED)
-TEST_ONLY: frozenset[str] = frozenset(name for name in FIXED if name.startswith("open-v2:"))
+TEST_ONLY: frozenset[str] = frozenset(name for name in FIXED if not name.startswith(f"{VERSION}:"))
 """Suites that no training data may be collected from."""
+CONDITIONS: Mapping[str, Mapping[str, str | float]] = {"open-v3:wild": {"appearance": "varied", "wind": 2.0}}
+"""Options of `plan.Scenario` that belong to a suite's definition: it is scored with no others."""
 DEFAULT_TRAIN_SIZE = 300
 UNLIMITED = 10**9
 """A size beyond any suite file or training run: requests all available tasks."""
@@ -54,6 +58,11 @@ ABOUT: dict[str, str] = {
     "open-v2:absent": "held out: no gate matches the instruction",
     "open-v2:words": "held out: sentences as people type them",
     "open-v2:pictures": "held out: whole sets of drawings, each by other artists",
+    "open-v3:words": "held out: long, indirect and misspelt sentences",
+    "open-v3:photos": "held out: photographs on the panels",
+    "open-v3:missions": "missions: one sentence for up to 4 stages and a landing; 50 of 150 typed, held out",
+    "open-v3:clutter": "obstacles in the way, empty frames, landmarks; the rest as test and layouts",
+    "open-v3:wild": "held out: pictures in bad light, sentences and layouts; varied room, wind",
 }
 """What each suite tests: what is held out from training, or that its tasks are practised."""
 
@@ -151,8 +160,12 @@ class TrainTracks(Sequence[Track]):
 
 def suite_of_tasks(name: str, tasks: Iterable[Task]) -> Suite:
     """A suite of single tasks, each a track of one stage."""
-    tracks = tuple((task,) for task in tasks)
-    return Suite(name, digest_of([task_to_json(task)] for (task,) in tracks), tracks)
+    return suite_of_tracks(name, [(task,) for task in tasks])
+
+
+def suite_of_tracks(name: str, tracks: Sequence[Track]) -> Suite:
+    """A suite of these tracks."""
+    return Suite(name, digest_of([task_to_json(task) for task in track] for track in tracks), tuple(tracks))
 
 
 def load_suite(name: str, *, size: int | None = None, seed: int = 0) -> Suite:
@@ -184,6 +197,8 @@ def open_suite(name: str, tasks: Path | None = None, *, size: int | None = None,
     `tasks` takes precedence over `name`, which may also be a file or folder; `size` and `seed` are those of
     `load_suite`. Raises `TaskError` for unknown names and malformed files.
     """
+    if tasks is None and not name.strip():
+        raise TaskError(f"the name of the suite is empty; {did_you_mean('open-v1', SUITES)}")
     path = Path(name) if tasks is None else tasks
     if tasks is not None or (name not in SUITES and path.exists()):
         return suite_from_files(path)
@@ -240,7 +255,8 @@ def suite_from_files(path: Path) -> Suite:
     """A user's own suite: a task file, or a folder of them, in the published layout.
 
     A folder contributes its `*.json`, or, if it has none, the `<Type>/<Type>.json` of published folders below it.
-    Every task is a track of one stage. Raises `TaskError` with file, index and fix.
+    Every task is a track of one stage, except that tasks of the same mission that follow one another are the stages of
+    one, up to its landing. Raises `TaskError` with file, index and fix.
     """
     path = Path(path)
     if problem := unprintable(path.name):
@@ -256,4 +272,11 @@ def suite_from_files(path: Path) -> Suite:
             if task.id in tasks:
                 raise TaskError(f"{file}[{index}]: the id {task.id!r} is taken by an earlier task; give it another")
             tasks[task.id] = task
-    return suite_of_tasks(path.name or str(path), tasks.values())
+    tracks: list[Track] = []
+    for task in tasks.values():
+        before = tracks[-1][-1] if tracks else None
+        if before is not None and task.mission is not None and task.mission == before.mission and not before.landing:
+            tracks[-1] += (task,)
+        else:
+            tracks.append((task,))
+    return suite_of_tracks(path.name or str(path), tracks)

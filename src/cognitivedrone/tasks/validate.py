@@ -4,14 +4,35 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from cognitivedrone.errors import TaskError, did_you_mean
-from cognitivedrone.layout import LOWEST_M, START
+from cognitivedrone.layout import (
+    GATE_HEIGHT,
+    GATE_XY,
+    GATE_YAWS,
+    LOWEST_M,
+    PANEL_HEIGHT,
+    PANEL_RISE,
+    START,
+    START_HALF_EXTENT,
+)
+from cognitivedrone.obstacles import LANDMARK_SIDE, Solids, solids_of
 from cognitivedrone.printable import unprintable
 from cognitivedrone.tasks.directives import HOLD, declines, parse_directive
+from cognitivedrone.tasks.missions import lands
 from cognitivedrone.types import ALL_CATEGORIES, COLORS, SHAPES, SIZES, Gate, Layout, Task
 
 MAX_TEXT = 1000
 """Longest instruction, directive or name, in characters."""
+GATE_ROOM = (0.5, 1.05)
+"""Half the depth and width of the column around a gate and its panel that obstacles stay out of, m."""
+START_ROOM = 0.4
+"""Between start box and obstacles, m."""
+_RANGES = {
+    "x": (-4.0, 8.5), "y": (-7.0, 7.0), "width": (0.05, 6.0), "height": (0.05, 5.0), "depth": (0.02, 3.0),
+    "yaw": (-math.pi, math.pi), "above": (0.0, 5.0),
+}  # fmt: skip
 
 
 def right_gate(task: Task) -> int:
@@ -83,6 +104,62 @@ def _check_absent(task: Task, where: str) -> None:
         raise TaskError(f"{where}: prompt_simpler is {task.directive[:40]!r}; in the family 'absent' it is {HOLD!r}")
 
 
+def _check_landing(task: Task, where: str) -> None:
+    if task.landing and (task.layout or task.board or task.only is not None or task.target is None):
+        raise TaskError(f"{where}: a landing has three pads and nothing else; leave out layout, board and only")
+    landing, color = lands(task.directive)
+    if task.landing != landing:
+        right = "'Land on the red pad'" if task.landing else "'Fly through the small red round gate'"
+        raise TaskError(f"{where}: prompt_simpler is {task.directive[:40]!r}; write it as {right}")
+    if task.landing and task.target is not None and color != task.gates[task.target].color:
+        raise TaskError(f"{where}: prompt_simpler must name the right pad, {task.gates[task.target].color}")
+
+
+def _check_obstacles(task: Task, where: str) -> None:
+    """What is in the way has sizes within the stage, and leaves start box and gates free."""
+    if task.landing and (task.obstacles or task.landmark):
+        raise TaskError(f"{where}: a landing has three pads and nothing else; leave out obstacles and landmark")
+    if task.landmark and task.board:
+        raise TaskError(f"{where}: a stage has a board or a landmark; leave out one of them")
+    named = [(f"obstacle {number}, a {each.kind},", each) for number, each in enumerate(task.obstacles, 1)]
+    for name, each in named:
+        for key, (low, high) in _RANGES.items():
+            _check_range(getattr(each, key), key, low, high, f"{where}: {name}")
+        if each.kind == "frame" and min(each.width, each.height) < 0.5:
+            raise TaskError(f"{where}: {name} is too narrow for an opening; make width and height 0.5 at least")
+    parts = [(name, solids_of((each,))) for name, each in named]
+    if (mark := task.landmark) is not None:
+        check_text(mark.label, "the label of the landmark", where)
+        for key, low, high in (("x", *_RANGES["x"]), ("y", *_RANGES["y"]), ("yaw", *_RANGES["yaw"])):
+            _check_range(getattr(mark, key), key, low, high, f"{where}: the landmark")
+        _check_range(mark.height, "height", LANDMARK_SIDE, 4.0, f"{where}: the landmark")
+        parts.append(("the landmark", solids_of((), mark)))
+    for name, solids in parts:
+        if space := occupied(task, solids):
+            raise TaskError(f"{where}: {name} overlaps {space}; move it away")
+
+
+def occupied(task: Task, solids: Solids) -> str:
+    """What must stay free and is not; empty if all is."""
+    side = START_HALF_EXTENT + START_ROOM
+    low = np.array([START[0], START[1], (START[2] + side) / 2])
+    if solids.meets(low, 0.0, np.array([side, side, low[2]])).any():
+        return "the start box"
+    for index in range(3) if task.only is None else (task.only,):
+        place = None if task.layout is None else task.layout[index]
+        x, y = GATE_XY[index] if place is None else (place.x, place.y)
+        height, yaw = (GATE_HEIGHT, GATE_YAWS[index]) if place is None else (place.height, place.yaw)
+        top = height + PANEL_RISE + PANEL_HEIGHT / 2
+        if solids.meets(np.array([x, y, top / 2]), float(yaw), np.array([*GATE_ROOM, top / 2])).any():
+            return f"the opening or the panel of gate {index + 1}"
+    return ""
+
+
+def _check_range(value: float, name: str, low: float, high: float, which: str) -> None:
+    if not low <= value <= high:
+        raise TaskError(f"{which} has {name} {value:g}; make it {low:.3g} to {high:.3g}")
+
+
 def _shown(target: int | None) -> str:
     return "none" if target is None else str(target + 1)
 
@@ -130,6 +207,11 @@ def validate_task(task: Task, where: str) -> None:
         check_text(task.board, "board", where)
     if task.layout is not None:
         check_layout(task.layout, task.gates, where)
+    if task.mission is not None:
+        check_text(task.mission, "mission", where)
+    _check_landing(task, where)
+    if task.obstacles or task.landmark:
+        _check_obstacles(task, where)
     _, color, _ = parse_directive(task.directive)
     if task.target is not None and color is not None and color != task.gates[task.target].color:
         raise TaskError(

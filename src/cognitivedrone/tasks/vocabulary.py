@@ -88,9 +88,11 @@ TRAIN_PICTURE_SETS: tuple[str, ...] = (
 """Sets of drawings that training may show: all sets of an artist, or none."""
 CALIBRATION_PICTURE_SETS: tuple[str, ...] = ("streamline", "streamline-color", "vscode-icons")
 """Sets that no network is trained with, and by which the probabilities of trained ones are calibrated."""
-HELD_OUT_PICTURE_SETS: tuple[str, ...] = ("openmoji", "fxemoji", "icon-park", "openclipart", "devicon", "cib")
-"""Sets of drawings, each by other artists, that only tests show: two emoji sets, two-coloured line icons, the clip art
-of many artists, and two sets of logos."""
+HELD_OUT_PICTURE_SETS: tuple[str, ...] = (
+    "openmoji", "fxemoji", "icon-park", "openclipart", "devicon", "cib", "photo",
+)
+"""Sets of pictures, each by others, that only tests show: two emoji sets, two-coloured line icons, the clip art of many
+artists, two sets of logos, and photographs."""
 
 LOGO_STYLE = "color"
 

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import NoReturn
 
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
-from cognitivedrone.printable import visible
+from cognitivedrone.printable import message
+from cognitivedrone.processes import environment
 
 ERROR_FILE = "COGNITIVEDRONE_TRAINING_ERROR"
 """The variable that names the file."""
@@ -28,8 +29,8 @@ def run_processes(command: Sequence[str]) -> None:
     """Run the command that starts the processes until they end; raises TrainingError if one failed."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "error"
-        environment = {"OMP_NUM_THREADS": "1", **os.environ, ERROR_FILE: str(file)}
-        done = subprocess.run(command, env=environment, check=False)  # noqa: S603
+        variables = {"OMP_NUM_THREADS": "1", **environment(), ERROR_FILE: str(file)}
+        done = subprocess.run(command, env=variables, check=False)  # noqa: S603
         if file.is_file():
             raise TrainingError(file.read_text(encoding="utf-8"))
     if done.returncode:
@@ -37,13 +38,13 @@ def run_processes(command: Sequence[str]) -> None:
 
 
 def fail(error: CognitiveDroneError) -> NoReturn:
-    """End this process because of a user's error, and have it told."""
+    """End this process because of a user's error, which the first process reports."""
     if file := os.environ.get(ERROR_FILE):
         written = Path(f"{file}.{os.getpid()}")
         written.write_text(str(error), encoding="utf-8")
         written.replace(file)  # whole, if this process is ended meanwhile because another has failed
     else:  # under another launcher
-        print(visible(f"cognitivedrone: {error}"), file=sys.stderr)  # noqa: T201
+        print(message(f"cognitivedrone: {error}"), file=sys.stderr)  # noqa: T201
     sys.exit(USAGE)
 
 

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 
 from cognitivedrone.errors import TrainingError, did_you_mean
 from cognitivedrone.models.small_vla import SmallVLAConfig
-from cognitivedrone.training.common.sampling import StreamRecipe
-from cognitivedrone.training.common.training_task import Recipe
 from cognitivedrone.training.reasoner.reader import READER
-from cognitivedrone.training.reasoner.selector import SELECTOR
+from cognitivedrone.training.reasoner.selector import DEBUG_SELECTOR, SELECTOR
 from cognitivedrone.training.small_vla.flight import FLIGHT
-from cognitivedrone.training.small_vla.language import LANGUAGE
+from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE, LANGUAGE
 from cognitivedrone.training.small_vla.policy import TrainRecipe
+from cognitivedrone.training.small_vla.sampling import StreamRecipe
 from cognitivedrone.training.teach.training import TEACH
+from cognitivedrone.training.trainer.training_task import Recipe
 
 SMALL = TrainRecipe(
-    name="small", steps=4_000, decay_share=1 / 3, stream=StreamRecipe(typed=0.5, token_noise=0.1, layouts=0.4)
+    name="small", steps=4_000, decay_share=1 / 3, stream=StreamRecipe(typed=0.5, sentences=4, layouts=0.4)
 )
 
 _SHORT = replace(SMALL, name="ablation-regression", steps=1_000)
@@ -35,7 +34,7 @@ RECIPES: dict[str, TrainRecipe] = {
     "race": replace(
         SMALL,
         name="race",  # with the steps of the policy that it is compared with
-        stream=StreamRecipe(suite="race", crowded=0.5, token_noise=0.7, sentences=2, texts=0),
+        stream=StreamRecipe(suite="race", crowded=0.5, sentences=2),
         network=replace(SMALL.network, reader=None),
     ),
     "base": replace(
@@ -43,20 +42,17 @@ RECIPES: dict[str, TrainRecipe] = {
         name="base",
         steps=30_000,
         stream=replace(SMALL.stream, batch=128, worlds=32),
-        network=replace(SMALL.network, backbone=(48, 96, 160), text_layers=4),
+        network=replace(SMALL.network, backbone=(48, 96, 160)),
     ),
     "debug": replace(
         SMALL,
         name="debug",
         steps=6,
-        stream=StreamRecipe(batch=4, sentences=2, texts=4, worlds=4, sampled=0.5, pool=2, learner=0.5),
+        stream=StreamRecipe(batch=4, sentences=2, worlds=4, sampled=0.5, pool=2, learner=0.5),
         network=SmallVLAConfig(
             # PyTorch 2.13 crashes in the gradient of 1x1 convolutions of fewer than 16 channels (AVX-512, float32).
             backbone=(16, 16, 16),
             blocks=1,
-            embedding=16,
-            text_width=16,
-            text_layers=1,
         ),
         warmup_steps=1,
         round_steps=2,
@@ -73,21 +69,19 @@ training path in seconds, for tests. `ablation-*`: a quarter of `small`, all but
 ALL_RECIPES: dict[str, Recipe] = {
     **RECIPES,
     "language": LANGUAGE,
+    "debug-language": DEBUG_LANGUAGE,
     "flight": FLIGHT,
     "selector": SELECTOR,
+    "debug-selector": DEBUG_SELECTOR,
     "reader": READER,
     "teach": TEACH,
 }
-"""`reader`: reads panels, the first part of a pilot. `language`: teaches a trained policy more language. `flight`:
-more flying. `selector`: the reasoner's choice. `teach`: teaches a trained pilot a user's pictures and words."""
-FORMER_RECIPES = {"mind": "selector"}
+"""`reader`: reads panels, the first part of a pilot. `selector`: the reasoner's choice. `language`: what
+sentences mean, from a selector. `flight`: more flying. `teach`: teaches a trained pilot a user's pictures and words."""
 
 
 def find_recipe(name: str) -> Recipe:
     """The recipe of that name; raises `TrainingError` with similar names."""
-    if name in FORMER_RECIPES:
-        warnings.warn(f"recipe {name} is now {FORMER_RECIPES[name]}", FutureWarning, stacklevel=2)
-        name = FORMER_RECIPES[name]
     if name not in ALL_RECIPES:
         raise TrainingError(f"unknown recipe {name!r}; {did_you_mean(name, ALL_RECIPES)}")
     return ALL_RECIPES[name]

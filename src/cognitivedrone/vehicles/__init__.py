@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cognitivedrone import registry
 from cognitivedrone.errors import RunError
 from cognitivedrone.plan import Scenario, VehicleSpec
+from cognitivedrone.types import Track
 
 if TYPE_CHECKING:
     from cognitivedrone.vehicles.contract import Request, Vehicle
@@ -33,14 +35,23 @@ def open_vehicle(request: Request) -> Vehicle:
 
 
 def check_vehicle(spec: VehicleSpec, scenario: Scenario) -> None:
-    """Raise `RunError` for a scenario that a vehicle cannot fly, `LinkError` for a missing program."""
-    autopilot_file(spec)
+    """Raise `RunError` for a scenario that a vehicle cannot fly."""
     if spec.kind != "gazebo":
         return
     if scenario.airframe != "iris":
         raise RunError("--link gazebo flies the Iris, the only airframe modelled there; add --airframe iris")
     if scenario.wind:
         raise RunError("the exported Gazebo worlds have no wind; leave --wind out")
+
+
+def check_tracks(spec: VehicleSpec, tracks: Iterable[Track]) -> None:
+    """Raise `RunError` for a track that a vehicle cannot fly."""
+    if spec.kind != "gazebo":
+        return
+    for task in (task for track in tracks for task in track if task.landing):
+        raise RunError(
+            f"task {task.id} is a landing, and worlds in Gazebo have no pads; fly it with --link sim or sitl"
+        )
 
 
 def autopilot_file(spec: VehicleSpec) -> Path | None:

@@ -15,9 +15,9 @@ from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner
 from cognitivedrone.interfaces import Clock, Drone, LabelPack
 from cognitivedrone.plan import SafetySpec, VehicleSpec
 from cognitivedrone.sim.airframe import RACER, Airframe
-from cognitivedrone.types import FloatArray, Track
+from cognitivedrone.types import FloatArray, Quaternion, Track
+from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.external import LinkReport
-from cognitivedrone.vehicles.mavlink.client.preflight import Checklist
 
 Confirm = Callable[[Checklist], bool]
 """Shows the checklist and returns whether the take-off is confirmed."""
@@ -38,6 +38,8 @@ class Status:
     """(3,) in the world, or relative to the origin of the vehicle's estimator; ENU, m."""
     yaw: float = math.nan
     """Counter-clockwise from east, rad."""
+    quaternion: Quaternion | None = None
+    """(4,) w, x, y, z, body to world."""
     mode: str = ""
     armed: bool = True
     battery: float | None = None

@@ -66,7 +66,8 @@ class SimulatedFlight:
     def status(self) -> Status:
         """Position and heading; everything else is nominal in a simulation."""
         state = self.track_runner.world.state()
-        return Status(position=state.position.copy(), yaw=float(yaw_of(state.quaternion)), mode="simulated")
+        attitude = state.quaternion.copy()
+        return Status(state.position.copy(), float(yaw_of(attitude)), attitude, mode="simulated")
 
     def land(self) -> bool:
         """Do nothing: a simulation ends in the air."""

@@ -76,16 +76,16 @@ def build_assets(slots: int, image_size: int) -> Assets:
     spec.visual.quality.shadowsize = 0
     gates = [Gate(size, shape, "red") for size in SIZES for shape in SHAPES]
     for gate in gates:
-        _add_mesh(spec, f"{gate.size} {gate.shape}", *_frame_mesh(gate))
-    _add_mesh(spec, "panel", *_panel_mesh())
-    _add_mesh(spec, "floor", *_floor_mesh())
-    _add_mesh(spec, "room", *_room_mesh())
+        add_mesh(spec, f"{gate.size} {gate.shape}", *frame_mesh(gate))
+    add_mesh(spec, "panel", *panel_mesh())
+    add_mesh(spec, "floor", *floor_mesh())
+    add_mesh(spec, "room", *_room_mesh())
     for pattern in PATTERNS:
-        texture = _add_texture(spec, pattern, pattern_texture(pattern).shape[0])
+        texture = add_texture(spec, pattern, pattern_texture(pattern).shape[0])
         texture.data = pattern_texture(pattern).tobytes()
     for slot in range(slots):
         for picture in range(PICTURES):
-            _add_texture(spec, f"picture {slot} {picture}", TEXTURE_SIZE)
+            add_texture(spec, f"picture {slot} {picture}", TEXTURE_SIZE)
     model = spec.compile()
     return Assets(
         model=model,
@@ -100,18 +100,24 @@ def build_assets(slots: int, image_size: int) -> Assets:
 
 def write_picture(assets: Assets, slot: int, picture: int, image: Image) -> int:
     """Write an RGB image (h, w, 3) of any size into a slot's texture; returns the texture's number, for upload."""
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
-        raise ValueError(f"a picture is uint8 (h, w, 3), not {image.dtype} {image.shape}")
-    size = (TEXTURE_SIZE, TEXTURE_SIZE)
-    if image.shape[:2] != size:
-        image = np.asarray(PillowImage.fromarray(image).resize(size, PillowImage.Resampling.BILINEAR))
+    image = square(image)
     texture = int(assets.pictures[slot, picture])
     start = int(assets.model.tex_adr[texture])
     assets.model.tex_data[start : start + image.size] = image.reshape(-1)
     return texture
 
 
-def _add_texture(spec: Any, name: str, size: int) -> Any:
+def square(image: Image) -> Image:
+    """An RGB image (h, w, 3) of any size as a texture (256, 256, 3)."""
+    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
+        raise ValueError(f"a picture is uint8 (h, w, 3), not {image.dtype} {image.shape}")
+    size = (TEXTURE_SIZE, TEXTURE_SIZE)
+    if image.shape[:2] == size:
+        return image
+    return np.asarray(PillowImage.fromarray(image).resize(size, PillowImage.Resampling.BILINEAR))
+
+
+def add_texture(spec: Any, name: str, size: int) -> Any:
     """A white square RGB texture, and a material of the same name that shows it."""
     texture = spec.add_texture(
         name=name,
@@ -127,7 +133,7 @@ def _add_texture(spec: Any, name: str, size: int) -> Any:
     return texture
 
 
-def _add_mesh(spec: Any, name: str, vertices: FloatArray, faces: NDArray[np.int64], texture: FloatArray) -> None:
+def add_mesh(spec: Any, name: str, vertices: FloatArray, faces: NDArray[np.int64], texture: FloatArray) -> Any:
     """Vertices (n, 3), triangles (k, 3) counter-clockwise from outside, texture coordinates (n, 2), v downwards."""
     mesh = spec.add_mesh(name=name)
     mesh.uservert = vertices.reshape(-1)
@@ -135,6 +141,7 @@ def _add_mesh(spec: Any, name: str, vertices: FloatArray, faces: NDArray[np.int6
     mesh.usertexcoord = texture.reshape(-1)
     mesh.smoothnormal = False
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    return mesh
 
 
 def _placed(model: Any, name: str) -> Placed:
@@ -148,7 +155,7 @@ def _quads(corners: FloatArray) -> NDArray[np.int64]:
     return np.concatenate([first + np.array(half) for half in ([0, 1, 2], [0, 2, 3])])
 
 
-def _frame_mesh(gate: Gate) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
+def frame_mesh(gate: Gate) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
     """The bar around an opening: a ring of mitred prisms, in the gate frame."""
     inner = geometry.opening_outline(gate)
     outer = geometry.opening_outline(gate, geometry.BAR_WIDTH)
@@ -167,7 +174,7 @@ def _frame_mesh(gate: Gate) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
     return quads.reshape(-1, 3), _quads(quads), np.zeros((4 * len(quads), 2))
 
 
-def _panel_mesh() -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
+def panel_mesh() -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
     """A thin box whose front (-x) and back (+x) both show the picture unmirrored to the viewer."""
     half = geometry.PANEL_DEPTH / 2
     y, z = np.array([0.5, -0.5, -0.5, 0.5]), np.array([-0.5, -0.5, 0.5, 0.5])
@@ -182,7 +189,7 @@ def _panel_mesh() -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
     return quads.reshape(-1, 3), _quads(quads), np.concatenate([picture, picture, np.zeros((16, 2))])
 
 
-def _floor_mesh() -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
+def floor_mesh() -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
     """A square of the room's size at z = 0, minimally thick because MuJoCo requires solid meshes."""
     half = ROOM_HALF_SIZE
     corners = np.array([[-half, -half, 0.0], [half, -half, 0.0], [half, half, 0.0], [-half, half, 0.0]])

@@ -11,6 +11,8 @@ import importlib
 import os
 import sys
 
+from cognitivedrone.processes import isolated
+
 
 def _load() -> None:
     """Import MuJoCo, without OpenGL if that does not start."""
@@ -32,6 +34,7 @@ def _load() -> None:
                 os.environ["MUJOCO_GL"] = wanted
 
 
-_load()
+with isolated():  # on import, glfw tries its libraries in Python processes of its own
+    _load()
 import mujoco as mujoco  # noqa: E402
 from mujoco.batch import Batch as Batch  # noqa: E402

@@ -10,6 +10,7 @@ Source of all sizes, here and in `cognitivedrone.layout`: the stage of the publi
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -21,13 +22,15 @@ from cognitivedrone.layout import BOARD_HEIGHT as BOARD_HEIGHT
 from cognitivedrone.layout import GATE_HEIGHT as GATE_HEIGHT
 from cognitivedrone.layout import GATE_XY as GATE_XY
 from cognitivedrone.layout import GATE_YAWS as GATE_YAWS
+from cognitivedrone.layout import PAD_RADIUS as PAD_RADIUS
 from cognitivedrone.layout import PANEL_CENTER_HEIGHT as PANEL_CENTER_HEIGHT
 from cognitivedrone.layout import PANEL_HEIGHT as PANEL_HEIGHT
 from cognitivedrone.layout import PANEL_RISE as PANEL_RISE
 from cognitivedrone.layout import START as START
 from cognitivedrone.layout import START_HALF_EXTENT as START_HALF_EXTENT
 from cognitivedrone.layout import START_MIN_HEIGHT as START_MIN_HEIGHT
-from cognitivedrone.types import FloatArray, Gate, Size, Stage, Vectors
+from cognitivedrone.obstacles import LANDMARK_SIDE, Solids, solids_of
+from cognitivedrone.types import FloatArray, Gate, Size, Stage, Vector, Vectors
 
 BAR_WIDTH: Final = 0.15
 """Width of the bar around the opening, in the gate's plane, m."""
@@ -44,6 +47,9 @@ The gate is then at x = -2 of the next stage, the rear face of its start box. A 
 inside the box from the first metre, and near its middle half a second after the crossing.
 """
 
+PAD_XY: Final = np.array([[3.5, 1.8], [4.2, 0.0], [3.5, -1.8]])
+"""(3, 2) centres of the pads of a landing stage without a layout, in its frame, m."""
+
 _ROUND_RADIUS: Final[dict[Size, float]] = {"big": 0.75, "small": 0.375}
 _SIDE: Final[dict[Size, float]] = {"big": 1.5, "small": 0.75}
 _SQUARE: Final = np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
@@ -53,8 +59,10 @@ _TRIANGLE: Final = np.array([[np.sqrt(3.0), -1.0], [0.0, 2.0], [-np.sqrt(3.0), -
 
 
 def gate_centers(stage: Stage) -> Vectors:
-    """(3, 3) world positions of the gate centres, gates 1, 2, 3 from left to right, m."""
+    """(3, 3) world positions of the gate centres, gates 1, 2, 3 from left to right, m; of pads, on the floor."""
     layout = stage.layout
+    if stage.landing and layout is None:
+        return np.column_stack([rotate_yaw(PAD_XY, stage.yaw) + np.asarray(stage.origin), np.zeros(3)])
     places = GATE_XY if layout is None else np.array([[place.x, place.y] for place in layout])
     heights = np.full(3, GATE_HEIGHT) if layout is None else np.array([place.height for place in layout])
     return np.column_stack([rotate_yaw(places, stage.yaw) + np.asarray(stage.origin), heights])
@@ -67,6 +75,13 @@ def gate_yaws(stage: Stage) -> FloatArray:
     return yaws
 
 
+def half_width(stage: Stage, index: int) -> float:
+    """Half the width of a gate's frame, or of a pad, m: for drawings from above."""
+    if stage.landing:
+        return PAD_RADIUS
+    return float(np.abs(opening_outline(stage.gates[index], grow=BAR_WIDTH)[:, 0]).max())
+
+
 def panel_centers(stage: Stage) -> Vectors:
     """(3, 3) world positions of the panels' centres, m: above their gates, at `PANEL_RISE`."""
     centers = gate_centers(stage)
@@ -75,14 +90,44 @@ def panel_centers(stage: Stage) -> Vectors:
     return np.column_stack([centers[:, :2], heights])
 
 
+def board_panel(stage: Stage, aspect: float) -> tuple[Vector, float, float, float]:
+    """World position (3,), heading, width and height of the board or, in its place, of the landmark; m, rad.
+
+    `aspect` is the width over the height of its image.
+    """
+    home = np.array([*stage.origin, 0.0])
+    if (mark := stage.landmark) is None:
+        return home + rotate_yaw(BOARD_CENTER, stage.yaw), stage.yaw, aspect * BOARD_HEIGHT, BOARD_HEIGHT
+    place = home + rotate_yaw(np.array([mark.x, mark.y, mark.height]), stage.yaw)
+    height = LANDMARK_SIDE / max(aspect, 1.0)
+    return place, stage.yaw + mark.yaw, aspect * height, height
+
+
+def board_label(stage: Stage) -> str | None:
+    """Label reference of the board or, in its place, of the landmark."""
+    return stage.board if stage.landmark is None else stage.landmark.label
+
+
+def solids(stage: Stage) -> Solids:
+    """What is in the way, in the world; the panel of a landmark, whose picture is drawn, is the last of them."""
+    found = solids_of(stage.obstacles, stage.landmark)
+    centers = rotate_yaw(found.centers, stage.yaw) + np.array([*stage.origin, 0.0])
+    return replace(found, centers=centers, yaws=found.yaws + stage.yaw)
+
+
 def standing(stage: Stage) -> tuple[int, ...]:
-    """Indices of the gates in the stage: all three, or the only one."""
+    """Indices of the gates in the stage: all three, the only one, or none where there are pads."""
+    return () if stage.landing else choices(stage)
+
+
+def choices(stage: Stage) -> tuple[int, ...]:
+    """Indices of what a flight can end in: the gates that stand, or the three pads."""
     return (0, 1, 2) if stage.only is None else (stage.only,)
 
 
 def panelled(stage: Stage) -> tuple[int, ...]:
     """Indices of the gates with a panel: all three, or none if one gate stands alone."""
-    return (0, 1, 2) if stage.only is None else ()
+    return (0, 1, 2) if stage.only is None and not stage.landing else ()
 
 
 def next_stage_origin(stage: Stage, gate_index: int) -> tuple[tuple[float, float], float]:

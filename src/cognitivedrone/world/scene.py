@@ -11,15 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw, rotation_matrix
+from cognitivedrone.frames import quaternion_from_yaw, rotation_matrix
 from cognitivedrone.types import COLORS, DroneState, FloatArray, Stage
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import RGB, Appearance
 from cognitivedrone.world.assets import BOARD, Assets, Placed
 from cognitivedrone.world.engine import mujoco
 
-_MAX_GEOMS = 32
+_MAX_GEOMS = 128
+_PAD_THICKNESS = 0.005  # m, half
 _GATE_GLOW = 0.4  # keeps faces in shadow recognisable by colour
+OBSTACLE_COLORS: dict[bool, RGB] = {True: (0.55, 0.5, 0.42), False: (0.42, 0.38, 0.36)}
+"""Of round and of other obstacles: none of a gate's."""
+OBSTACLE_GLOW = 0.1
 _ARM = 0.11  # m, hub to rotor along x and along y: a 5-inch racing quadrotor
 _ROTOR_RADIUS = 0.065
 _BODY_COLOR: RGB = (0.15, 0.15, 0.17)
@@ -67,9 +71,14 @@ def fill_scene(
         axes = rotation_matrix(quaternion_from_yaw(yaw)) * size
         _add_mesh(scene, assets.panel, panels[index], axes, paper, 1.0, int(pictures[index]))
     if board_aspect is not None:
-        size = np.array([1.0, board_aspect * geometry.BOARD_HEIGHT, geometry.BOARD_HEIGHT])
-        place = home + rotate_yaw(geometry.BOARD_CENTER, stage.yaw)
-        _add_mesh(scene, assets.panel, place, level * size, paper, 1.0, int(pictures[BOARD]))
+        place, yaw, *sides = geometry.board_panel(stage, board_aspect)
+        axes = rotation_matrix(quaternion_from_yaw(yaw)) * np.array([1.0, *sides])
+        _add_mesh(scene, assets.panel, place, axes, paper, 1.0, int(pictures[BOARD]))
+    if stage.obstacles or stage.landmark:
+        _add_obstacles(scene, stage)
+    if stage.landing:
+        for gate, center in zip(stage.gates, centers, strict=True):
+            _add_pad(scene, center, appearance.gate_colors[COLORS.index(gate.color)])
     _add_mesh(scene, assets.floor, home, level, appearance.floor, 0.0, _pattern(assets, appearance.floor_pattern))
     _add_mesh(
         scene,
@@ -127,6 +136,25 @@ def _add_mesh(
 
 def _add_shape(scene: Any, kind: Any, position: FloatArray, axes: FloatArray, size: FloatArray, color: RGB) -> None:
     geom = _next_geom(scene, kind, position, axes, size, color, 0.2)
+    geom.dataid = geom.matid = -1
+
+
+def _add_obstacles(scene: Any, stage: Stage) -> None:
+    """Boxes and cylinders; not the panel of a landmark."""
+    found = geometry.solids(stage)
+    for index in range(len(found.yaws) - (stage.landmark is not None)):
+        is_round, half = bool(found.round[index]), found.halves[index]
+        kind = mujoco.mjtGeom.mjGEOM_CYLINDER if is_round else mujoco.mjtGeom.mjGEOM_BOX
+        size = np.array([half[0], half[2], 0.0]) if is_round else half
+        axes = rotation_matrix(quaternion_from_yaw(found.yaws[index]))
+        geom = _next_geom(scene, kind, found.centers[index], axes, size, OBSTACLE_COLORS[is_round], OBSTACLE_GLOW)
+        geom.dataid = geom.matid = -1
+
+
+def _add_pad(scene: Any, center: FloatArray, color: RGB) -> None:
+    """A disc on the floor."""
+    size = np.array([geometry.PAD_RADIUS, _PAD_THICKNESS, 0.0])
+    geom = _next_geom(scene, mujoco.mjtGeom.mjGEOM_CYLINDER, center, np.eye(3), size, color, _GATE_GLOW)
     geom.dataid = geom.matid = -1
 
 

@@ -249,10 +249,10 @@ class Node:
         sent = asks()
         sent.ParseFromString(request.SerializeToString())
         reply = answers()
-        said = self._gazebo.answer(service, sent, answers.DESCRIPTOR.name)
-        if said is not None:
-            reply.ParseFromString(said.SerializeToString())
-        return said is not None, reply
+        expected = self._gazebo.answer(service, sent, answers.DESCRIPTOR.name)
+        if expected is not None:
+            reply.ParseFromString(expected.SerializeToString())
+        return expected is not None, reply
 
 
 class OtherProcess:
@@ -264,8 +264,8 @@ class OtherProcess:
 
     def request(self, service: str, request: bytes, asks: str, answers: str, timeout_ms: int) -> bytes | None:
         assert isinstance(timeout_ms, int)
-        said = self._gazebo.answer(service, MESSAGES[asks].FromString(request), answers)
-        return None if said is None else said.SerializeToString()
+        expected = self._gazebo.answer(service, MESSAGES[asks].FromString(request), answers)
+        return None if expected is None else expected.SerializeToString()
 
     def close(self) -> None:
         self._gazebo.callers -= 1

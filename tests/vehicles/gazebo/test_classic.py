@@ -101,9 +101,9 @@ def test_tasks_and_pictures_find_each_other(collector, tmp_path):
 def test_the_command_says_what_it_took_and_how_to_fly_it(collector, tmp_path, capsys):
     out = tmp_path / "out"
     main(["gazebo", "import", str(collector.parent), "--out", str(out)])
-    said = capsys.readouterr().out
-    assert "Animals: 2 tasks, 3 labels" in said
-    assert f"bench --tasks {out / 'tasks.json'} --labels {out / 'labels'}" in said
+    output = capsys.readouterr().out
+    assert "Animals: 2 tasks, 3 labels" in output
+    assert f"bench --tasks {out / 'tasks.json'} --labels {out / 'labels'}" in output
     with pytest.raises(SystemExit) as stop:
         main(["gazebo", "import", str(collector), "--out", str(out)])
     assert stop.value.code == 2
@@ -133,9 +133,9 @@ def rewrite(root: Path, options: list[str]) -> None:
 )  # fmt: skip
 def test_what_is_wrong_is_said_and_nothing_written(collector, tmp_path, breaking, says):
     breaking(collector)
-    with pytest.raises(CognitiveDroneError, match=says) as told:
+    with pytest.raises(CognitiveDroneError, match=says) as reported:
         import_collector(collector, tmp_path / "out")
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(reported.value)
     assert not (tmp_path / "out").exists()
 
 
@@ -168,9 +168,9 @@ def test_what_is_no_file_is_not_waited_for(collector, tmp_path, odd, kind):
         os.mkfifo(path)
     else:
         path.symlink_to("/dev/zero" if kind == "device" else tmp_path / "nowhere")
-    with pytest.raises(CognitiveDroneError) as told:
+    with pytest.raises(CognitiveDroneError) as reported:
         import_collector(collector, tmp_path / "out")
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(reported.value)
     assert not (tmp_path / "out").exists()
 
 
@@ -179,9 +179,9 @@ def test_what_is_no_file_is_not_waited_for(collector, tmp_path, odd, kind):
 )
 def test_no_option_leads_out_of_its_folder(collector, tmp_path, option):
     (collector / "Reasoning/Animals.json").write_text(json.dumps([task([option, "owl.dae", "fox.dae"])]))
-    with pytest.raises(CognitiveDroneError) as told:
+    with pytest.raises(CognitiveDroneError) as reported:
         import_collector(collector, tmp_path / "out")
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(reported.value)
     assert not (tmp_path / "out").exists()
 
 

@@ -76,7 +76,7 @@ def test_the_same_export_is_the_same_bytes(tmp_path):
         ({"task": "open-v1:smoke/0003", "labels": "nowhere"}, LabelError, "no label pack 'nowhere'"),
     ],
 )
-def test_what_cannot_be_exported_is_told_in_one_sentence(tmp_path, options, error, says):
+def test_what_cannot_be_exported_is_reported_in_one_sentence(tmp_path, options, error, says):
     with pytest.raises(error, match=says):
         export("open-v1:smoke", out=tmp_path / "w", **options)
     assert not (tmp_path / "w").exists()

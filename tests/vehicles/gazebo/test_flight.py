@@ -117,8 +117,8 @@ def test_the_benchmark_flies_in_gazebo(running, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(pilot, "open_gazebo", lambda: opened(running))
     command = ["bench", "--link", "gazebo", "--airframe", "iris", "--suite", "open-v1:smoke", "--episodes", "1"]
     main([*command, "--policy", "oracle", "--reasoner", "none", "--out", str(tmp_path / "run")])
-    said = capsys.readouterr().out
-    assert re.search(r"Gazebo: \d+ commands, 0 of them late; started anew 0 times", said)
+    output = capsys.readouterr().out
+    assert re.search(r"Gazebo: \d+ commands, 0 of them late; started anew 0 times", output)
     results = json.loads((tmp_path / "run" / "results.json").read_text())
     assert [episode["stages"][0]["outcome"] for episode in results["episodes"]] == ["passed"]
     assert results["options"]["link"] == "gazebo"
@@ -135,7 +135,7 @@ def test_the_benchmark_flies_in_gazebo(running, tmp_path, monkeypatch, capsys):
         (["--airframe", "iris"], "Python bindings are not installed"),
     ],
 )
-def test_what_the_benchmark_cannot_fly_in_gazebo_is_said(tmp_path, capsys, options, says):
+def test_what_the_benchmark_cannot_fly_in_gazebo_is_reported(tmp_path, capsys, options, says):
     with pytest.raises(SystemExit) as stop:
         main(["bench", "--link", "gazebo", "--out", str(tmp_path / "run"), *options])
     assert stop.value.code == 2
@@ -158,7 +158,7 @@ def test_thinking_for_longer_than_a_step_is_counted_and_not_caught_up_with(runni
         assert running.vehicle.time > begin + 1.4
 
 
-def test_what_cannot_be_flown_is_said(running, monkeypatch):
+def test_what_cannot_be_flown_is_reported(running, monkeypatch):
     with opened(running) as flight, pytest.raises(RunError, match="leave --wind out"):
         flight.begin(replace(START, wind=(1.0, 0.0, 0.0)))
     with opened(running, replace(PATIENT, silence_s=0.2)) as flight:
@@ -173,7 +173,7 @@ def test_what_cannot_be_flown_is_said(running, monkeypatch):
         assert not running.vehicle.modes.armed
 
 
-def test_software_in_the_loop_is_told_by_its_parameters(running, tmp_path):
+def test_software_in_the_loop_is_reported_by_its_parameters(running, tmp_path):
     with (
         GazeboWorld(tmp_path, PATIENT, running.gazebo.bindings()) as world,
         pilot._Drone(running.url, world.camera(), PassThroughGuard(), pilot.VEHICLE) as drone,

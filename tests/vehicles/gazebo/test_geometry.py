@@ -14,7 +14,7 @@ from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.camera import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Stage
+from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Landmark, Obstacle, Stage
 from cognitivedrone.vehicles.gazebo.export import stages_of, world_of
 from cognitivedrone.vehicles.gazebo.sdf import Picture, document, props_of
 from cognitivedrone.world import geometry
@@ -256,3 +256,19 @@ def test_a_ray_of_the_camera_meets_the_same_things_in_both_worlds(track_folder, 
     assert clear.mean() > 0.8
     assert len(set(ours[clear])) >= 4
     assert np.array_equal(ours[clear], theirs[clear])
+
+
+def test_obstacles_stand_where_they_are_in_our_world(track_folder):
+    obstacles = (Obstacle("pillar", 2.0, 0.4, 0.3, 2.0), Obstacle("frame", 2.0, -1.5, 1.2, 1.0, 0.1, 0.4, 0.2))
+    stage = stage_with(0, obstacles=obstacles, landmark=Landmark("number/1@inter", 4.5, 2.0, 2.0, 0.3))
+    found = models(world_with(stage, board=Picture("d.png", 0.5)))
+    solids = geometry.solids(stage)
+    assert len(solids.yaws) == 1 + 4 + 2
+    for index in range(len(solids.yaws) - 1):
+        points, _ = model_mesh(track_folder, found[f"obstacle_{index + 1}"])
+        local = rotate_yaw(points - solids.centers[index], -solids.yaws[index])
+        assert np.abs(np.abs(local).max(axis=0) - solids.halves[index]).max() < MM
+        assert solids.distance(points)[:, index].max() < MM
+    points, _ = model_mesh(track_folder, found["board"])
+    assert np.abs(points.mean(axis=0) - solids.centers[-1]).max() < MM
+    assert np.ptp(points[:, 2]) == pytest.approx(1.2)

@@ -197,7 +197,7 @@ def test_the_camera_gives_the_newest_frame(gazebo, tmp_path):
         ({"data": b"short"}, "256x256 pixels came with 5 bytes"),
     ],
 )
-def test_a_camera_of_another_kind_is_told_of(gazebo, options, says):
+def test_a_camera_of_another_kind_is_reported(gazebo, options, says):
     thread = publishing(gazebo, CAMERA_TOPIC, image_message(np.zeros((256, 256, 3), np.uint8), **options))
     with pytest.raises(CameraError, match=says):
         GazeboCamera(gazebo.bindings(), CAMERA_TOPIC, first_s=1.0)
@@ -337,7 +337,7 @@ def test_a_world_that_is_not_ours_is_left_alone(tmp_path):
         ),
     ],
 )
-def test_a_gazebo_that_does_not_do_what_it_should_is_told_of(gazebo, tmp_path, what, service, says):
+def test_a_gazebo_that_does_not_do_what_it_should_is_reported(gazebo, tmp_path, what, service, says):
     world = connect(gazebo, tmp_path)
     setattr(gazebo, what, {service})
     with pytest.raises(GazeboError, match=says):
@@ -354,7 +354,7 @@ def test_after_a_stage_that_came_to_nothing_the_next_one_stands_all_the_same(gaz
     assert len(standing_places(gazebo)) == 8 + (stages()[1].board is not None)
 
 
-def test_what_does_not_move_is_told_of(gazebo, tmp_path):
+def test_what_does_not_move_is_reported(gazebo, tmp_path):
     with connect(gazebo, tmp_path) as world:
         world.show(stages()[1], PACK)
         gazebo.dead = {"set_pose"}
@@ -363,7 +363,7 @@ def test_what_does_not_move_is_told_of(gazebo, tmp_path):
             world.show(stage, PACK)
 
 
-def test_a_paused_gazebo_is_told_of(tmp_path):
+def test_a_paused_gazebo_is_reported(tmp_path):
     gazebo = FakeGazebo(models=("iris",))
     with (
         connect(gazebo, tmp_path) as world,
@@ -375,7 +375,7 @@ def test_a_paused_gazebo_is_told_of(tmp_path):
         connect(gazebo, tmp_path)
 
 
-def test_a_folder_that_cannot_be_written_is_told_of(gazebo, tmp_path):
+def test_a_folder_that_cannot_be_written_is_reported(gazebo, tmp_path):
     (tmp_path / "file").write_text("no folder")
     with pytest.raises(GazeboError, match="cannot write into"):
         connect(gazebo, tmp_path / "file")

@@ -129,7 +129,7 @@ def test_ctrl_c_ends_gazebo_and_keeps_what_is_known(tmp_path, monkeypatch):
     assert "places" not in results
 
 
-def test_what_is_missing_is_said_in_one_sentence(tmp_path, monkeypatch):
+def test_what_is_missing_is_reported_in_one_sentence(tmp_path, monkeypatch):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PATH", str(tmp_path))
         with pytest.raises(GazeboError, match="no command `gz` on this machine"):
@@ -179,13 +179,13 @@ def scene_of(machine: Studio, folder: Path, stack: ExitStack, config: LiveConfig
     ],
     ids=["mirrored", "red for blue", "dark floor"],
 )
-def test_a_camera_that_shows_something_else_is_told(tmp_path, develop, says):
+def test_a_camera_that_shows_something_else_is_reported(tmp_path, develop, says):
     with studio(tmp_path, STAGES) as machine, ExitStack() as stack:
         machine.develop = develop
         assert says in checks.pictures(scene_of(machine, tmp_path, stack)).problem
 
 
-def test_a_stage_that_comes_late_is_told(tmp_path):
+def test_a_stage_that_comes_late_is_reported(tmp_path):
     with studio(tmp_path, STAGES[:2]) as machine, ExitStack() as stack:
         scene = scene_of(machine, tmp_path, stack)
         scene.stages = STAGES[:2]
@@ -208,13 +208,13 @@ def test_a_stage_that_comes_late_is_told(tmp_path):
 def test_frames_that_a_slow_autopilot_repeats_are_counted_and_other_complaints_fail(tmp_path, line, problem):
     scene = Scene(tmp_path, (), STAGES, load_pack())
     scene.server = cast(GazeboServer, SimpleNamespace(complaints=lambda: ["[Wrn] [Mesh.cc:1] told already", line]))
-    scene.heard = 1
+    scene.complaints_before = 1
     found = checks.leftovers(scene)
     assert found.problem == problem
     assert found.values["frames_lost_or_repeated"] == (not problem)
 
 
-def test_a_model_that_is_missing_and_time_stamps_that_repeat_are_told(tmp_path):
+def test_a_model_that_is_missing_and_time_stamps_that_repeat_are_reported(tmp_path):
     with studio(tmp_path, STAGES) as machine, ExitStack() as stack:
         machine.loaded = lambda gazebo: gazebo.poses.pop("panel_3")
         scene = scene_of(machine, tmp_path, stack)
@@ -303,7 +303,7 @@ def test_a_vehicle_that_is_lost_skips_the_rest(scene, monkeypatch):
     assert report.checks[2].reason == "the vehicle is not in the air"
 
 
-def test_a_gazebo_that_does_not_wait_is_told(scene):
+def test_a_gazebo_that_does_not_wait_is_reported(scene):
     scene, autopilot = scene
     autopilot.pause = lambda: None
     with Airborne(scene, autopilot) as flight:

@@ -51,7 +51,7 @@ def test_a_partition_lasts_as_long_as_its_block(monkeypatch):
     assert "GZ_IP" not in os.environ
 
 
-def test_what_ends_at_once_is_told_with_its_last_words(tmp_path):
+def test_what_ends_at_once_is_reported_with_its_last_words(tmp_path):
     with (
         installed(tmp_path, "echo no display >&2; exit 3"),
         GazeboServer(tmp_path / "world.sdf", tmp_path / "gazebo.log") as server,
@@ -80,6 +80,6 @@ def test_warnings_and_errors_of_every_release_are_found(tmp_path):
     with installed(tmp_path, then), GazeboServer(tmp_path / "w.sdf", tmp_path / "gazebo.log") as server:
         with pytest.raises(GazeboError):
             server.connect(refuse)
-        told = server.complaints()
-    assert len(told) == 5
-    assert told[0] == "[Err] [SystemLoader.cc:92] Failed"
+        reported = server.complaints()
+    assert len(reported) == 5
+    assert reported[0] == "[Err] [SystemLoader.cc:92] Failed"

@@ -54,7 +54,7 @@ def test_a_call_goes_through_and_the_reply_comes_back(services):
     assert services.request("/echo", b"again", "Entity", "Boolean", 9) == b"/echo Entity again 9"
 
 
-def test_a_process_that_ended_is_told(services):
+def test_a_process_that_ended_is_reported(services):
     with pytest.raises(GazeboError, match="the process that calls Gazebo's services ended"):
         services.request("/end", b"", "Empty", "Boolean", 250)
 

@@ -110,16 +110,16 @@ def test_the_camera_sees_nothing_of_its_own_vehicle(vehicle):
 
 
 def test_the_parameters_fit_the_vehicle_and_pass_the_checks_before_flight(vehicle):
-    told = dict(line.split() for line in parameters().splitlines())
+    output = dict(line.split() for line in parameters().splitlines())
     (ardupilot,) = plugins(vehicle, "ArduPilotPlugin")
     for control in ardupilot.findall("control"):
-        assert (told["MOT_PWM_MIN"], told["MOT_PWM_MAX"]) == (
+        assert (output["MOT_PWM_MIN"], output["MOT_PWM_MAX"]) == (
             control.findtext("servo_min"),
             control.findtext("servo_max"),
         )
-    assert float(told["MOT_THST_HOVER"]) == pytest.approx(1 / IRIS.thrust_to_weight, abs=0.01)
+    assert float(output["MOT_THST_HOVER"]) == pytest.approx(1 / IRIS.thrust_to_weight, abs=0.01)
     values: dict[str, float | None] = {
-        expected.name: float(told[expected.name]) if expected.name in told else None
+        expected.name: float(output[expected.name]) if expected.name in output else None
         for expected in EXPECTED["ArduCopter"]
     }
     for expected in EXPECTED["ArduCopter"]:

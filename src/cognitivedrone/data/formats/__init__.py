@@ -1,8 +1,10 @@
-"""The exchange formats by name, for export and import."""
+"""The exchange formats by name, for export and import: each is a module of this folder."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import inspect
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import cast
 
@@ -10,21 +12,22 @@ from cognitivedrone.data.episode import Episode, Split
 from cognitivedrone.errors import DataError, PluginError
 from cognitivedrone.registry import load
 
-EXPORTS: dict[str, str] = {
-    "rlds": "cognitivedrone.data.formats.rlds:export",
-    "lerobot": "cognitivedrone.data.formats.lerobot:export",
-    "lerobot-video": "cognitivedrone.data.formats.lerobot:export_video",
-    "published": "cognitivedrone.data.formats.published:export",
-    "mcap": "cognitivedrone.data.formats.mcap:export",
-}
-"""Writers by format name: `(episodes, out) -> count`."""
 
-IMPORTS: dict[str, str] = {
-    "rlds": "cognitivedrone.data.formats.rlds:read",
-    "lerobot": "cognitivedrone.data.formats.lerobot:read",
-    "published": "cognitivedrone.data.formats.published:read",
-    "mcap": "cognitivedrone.data.formats.mcap:read",
-}
+def _named(functions: str) -> dict[str, str]:
+    """The functions with such a name, by "MODULE", or "MODULE-VARIANT" for `export_VARIANT`.
+
+    They are found in the text of this folder's modules, which are imported only when they are used.
+    """
+    return {
+        f"{file.stem}{variant}".replace("_", "-"): f"{__name__}.{file.stem}:{name}{variant}"
+        for file in sorted(Path(__file__).parent.glob("[a-z]*.py"))
+        for name, variant in re.findall(rf"^def {functions}\(", file.read_text(encoding="utf-8"), re.MULTILINE)
+    }
+
+
+EXPORTS: dict[str, str] = _named("(export)((?:_[a-z]+)?)")
+"""Writers by format name: `(episodes, out) -> count`."""
+IMPORTS: dict[str, str] = _named("(read)()")
 """Readers by format name: `(path) -> iterator of (split, episode)`. `lerobot` reads images and video."""
 
 
@@ -34,10 +37,7 @@ def export(episodes: Iterable[tuple[Split, Episode]], to: str, out: Path) -> int
     `out` becomes a complete data set or stays unchanged. Raises `DataError` for an unknown format, a folder that is not
     empty, and anything that cannot be written.
     """
-    try:
-        writer = load("export format", to, EXPORTS)
-    except PluginError as error:
-        raise DataError(str(error)) from None
+    writer = _function("export format", to, EXPORTS)
     return cast(int, writer(episodes, out))
 
 
@@ -46,8 +46,20 @@ def import_(path: Path, source: str) -> Iterator[tuple[Split, Episode]]:
 
     Raises `DataError` for an unknown format, and while reading for anything missing or broken, with the file's name.
     """
+    reader = _function("import format", source, IMPORTS)
+    return cast(Iterator[tuple[Split, Episode]], reader(path))
+
+
+def _function(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., object]:
+    """A reader or writer by name. A user's own must look like one before it is called: `os:system` does not."""
     try:
-        reader = load("import format", source, IMPORTS)
+        function = load(kind, name, table)
     except PluginError as error:
         raise DataError(str(error)) from None
-    return cast(Iterator[tuple[Split, Episode]], reader(path))
+    annotated = "return" in getattr(function, "__annotations__", {})
+    if name not in table and not (annotated or inspect.isgeneratorfunction(function)):
+        raise DataError(
+            f"{kind} {name!r} is not called: it is neither a generator function nor annotated with what it returns; see"
+            " docs/data.md for the form of a reader and a writer"
+        )
+    return function

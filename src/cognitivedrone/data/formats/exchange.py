@@ -112,8 +112,8 @@ def episode_from(
         )
     except TaskError as error:
         raise DataError(str(error)) from None
-    except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
-        raise DataError(f"{where}: not an episode of this format ({type(error).__name__}: {error})") from None
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError) as error:
+        raise DataError(f"{where}: not an episode of this format ({type(error).__name__}: {brief(error)})") from None
     if facts.get("split") not in ("train", "val"):
         raise DataError(f"{where}: split is {facts.get('split')!r}; it must be train or val")
     return facts["split"], episode
@@ -138,21 +138,30 @@ def check_image(data: bytes, where: str) -> None:
     try:
         with _opened(data, where) as picture:
             picture.load()
-    except (OSError, SyntaxError, ValueError) as error:
-        raise DataError(f"{where}: not a whole image ({error})") from None
+    except DataError:
+        raise
+    except Exception as error:  # Pillow raises many kinds for broken files
+        raise DataError(f"{where}: not a whole image ({brief(error)})") from None
 
 
 def check_size(data: bytes, where: str) -> None:
     """Raise `DataError` if a frame is not an image, or too large; reads only its header."""
     try:
         _opened(data, where).close()
-    except (OSError, SyntaxError, ValueError) as error:
-        raise DataError(f"{where}: not an image ({error})") from None
+    except DataError:
+        raise
+    except Exception as error:  # as above
+        raise DataError(f"{where}: not an image ({brief(error)})") from None
+
+
+def brief(error: Exception) -> str:
+    """A library's message in one short line."""
+    return " ".join(str(error).split())[:100] or type(error).__name__
 
 
 def _opened(data: bytes, where: str) -> PillowImage.Image:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PillowImage.DecompressionBombWarning)  # the limit below is stricter
+        warnings.simplefilter("ignore")  # of odd metadata, and of sizes, for which the limit below is stricter
         try:
             picture = PillowImage.open(BytesIO(data), formats=("JPEG", "PNG", "WEBP"))
         except PillowImage.DecompressionBombError as error:
@@ -173,7 +182,7 @@ def read_json(path: Path) -> Any:
             f"{path}: cannot be read ({reason_of(error)}); is this the folder of a whole data set?"
         ) from None
     except (ValueError, RecursionError) as error:
-        raise DataError(f"{path}: not JSON ({str(error)[:80]})") from None
+        raise DataError(f"{path}: not JSON ({brief(error)})") from None
 
 
 def check_file(path: Path) -> None:

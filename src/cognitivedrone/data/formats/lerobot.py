@@ -13,7 +13,7 @@ ranges.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any, cast
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.data.episode import Episode, Split, encode_image
 from cognitivedrone.data.formats.exchange import (
+    brief,
     check_file,
     episode_from,
     new_folder,
@@ -52,6 +53,15 @@ DATA_PATH = f"data/{_FILE}.parquet"
 VIDEO_PATH = f"videos/{{video_key}}/{_FILE}.mp4"
 EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
 
+_OWN = (
+    "read it by a function of your own that maps its columns: data import --from module:function"
+    " (docs/data.md#data-of-others)"
+)
+_OLD = ("v1", "v2")
+_OLDER = (
+    "convert it first with LeRobot's lerobot.datasets.v30.convert_dataset_v21_to_v30; if it is not an export of this"
+    f" package, {_OWN}"
+)
 _MOTION = ["vx", "vy", "vz", "yaw_rate"]
 _FLOATS: dict[str, tuple[str, list[str]]] = {
     "observation.state": ("float32", ["vx", "vy", "vz", "height", "yaw_rate"]),
@@ -62,6 +72,9 @@ _FLOATS: dict[str, tuple[str, list[str]]] = {
 }
 _INTEGERS = ("frame_index", "episode_index", "index", "task_index", "correct_gate", "seed")
 _TEXTS = ("directive", "category", "family")
+_STEP = {IMAGE_KEY, *_FLOATS, "frame_index", "episode_index"}
+_ROW = {"record", "episode_index", "length", "data/chunk_index", "data/file_index"}
+"""Columns that are read."""
 
 
 def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
@@ -308,29 +321,32 @@ def read(path: Path) -> Iterator[tuple[Split, Episode]]:
         raise DataError(f"{info_path}: is not the description of a data set")
     version = str(info.get("codebase_version"))
     if not version.startswith("v3."):
-        raise DataError(f"{info_path}: layout {version} cannot be read, only v3; convert it with LeRobot's own tools")
+        raise DataError(
+            f"{info_path}: layout {version} cannot be read, only v3; {_OLDER if version[:2] in _OLD else _OWN}"
+        )
     features = info.get("features")
     image = features.get(IMAGE_KEY) if isinstance(features, dict) else None
     is_video = isinstance(image, dict) and image.get("dtype") == "video"
-    rows = _read_table(path / EPISODES_PATH).to_pylist()
+    rows = _read_table(path / EPISODES_PATH, _ROW).to_pylist()
     if rows and "record" not in rows[0]:
-        raise DataError(f"{path / EPISODES_PATH}: has no column 'record'; only exports of this package can be imported")
+        raise DataError(
+            f"{path / EPISODES_PATH}: has no column 'record', so it is no export of this package, and says nothing of"
+            f" the gates and the conditions of its flights; {_OWN}"
+        )
     opened: Path | None = None
     for row in rows:
         place = _place_of(row, path / EPISODES_PATH)
         data_path = path / DATA_PATH.format(**place)
         video_path = path / VIDEO_PATH.format(video_key=IMAGE_KEY, **place)
         if data_path != opened:
-            table, opened = _read_table(data_path), data_path
+            table, opened = _read_table(data_path, _STEP), data_path
             frames = read_frames(video_path) if is_video else None
         try:
             number, length, record = row["episode_index"], row["length"], json.loads(row["record"])
             steps = table.filter(pc.equal(table["episode_index"], number)).sort_by("frame_index")
             arrays = _step_arrays(steps)
-        except (KeyError, TypeError, ValueError, AttributeError, pa.ArrowException) as error:
-            raise DataError(
-                f"{data_path}: not an export of this package ({str(error)[:80]}); export it again"
-            ) from None
+        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, pa.ArrowException) as error:
+            raise DataError(f"{data_path}: not an export of this package ({brief(error)}); export it again") from None
         where = f"{data_path}, episode {number}"
         if len(steps) != length:
             raise DataError(f"{where}: holds {len(steps)} of {length} steps; copy or export it again")
@@ -361,12 +377,13 @@ def _place_of(row: dict[str, Any], where: Path) -> dict[str, int]:
     return cast("dict[str, int]", place)
 
 
-def _read_table(path: Path) -> pa.Table:
+def _read_table(path: Path, columns: Collection[str]) -> pa.Table:
+    """These columns of a file, as far as they are there; others may be of any size."""
     check_file(path)
     try:
-        return pq.read_table(path)
+        return pq.read_table(path, columns=[name for name in pq.read_schema(path).names if name in columns])
     except (OSError, pa.ArrowException) as error:
-        raise DataError(f"{path}: not a whole parquet file ({str(error)[:80]}); copy or export it again") from None
+        raise DataError(f"{path}: not a whole parquet file ({brief(error)}); copy or export it again") from None
 
 
 def _step_arrays(steps: pa.Table) -> dict[str, NDArray[Any]]:

@@ -188,7 +188,7 @@ def _own_flight(
     setup: Mapping[str, Any], rows: NDArray[np.float64], images: tuple[bytes, ...], where: Path
 ) -> tuple[Split, Episode]:
     flight = setup["flight"] if isinstance(setup["flight"], dict) else {}
-    arrays = {name: np.array(flight[name]) for name in STEP_ARRAYS if name in flight}
+    arrays: dict[str, Any] = {name: flight[name] for name in STEP_ARRAYS if name in flight}
     arrays["position"], arrays["quaternion"] = _pose(rows)
     record = flight | {"task": {name: value for name, value in setup.items() if name != "flight"}}
     return episode_from(record, images, arrays, str(where))

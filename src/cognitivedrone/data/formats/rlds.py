@@ -21,6 +21,7 @@ import numpy as np
 
 from cognitivedrone.data.episode import Episode, Split, decode_image, encode_image
 from cognitivedrone.data.formats.exchange import (
+    brief,
     check_file,
     episode_from,
     new_folder,
@@ -127,8 +128,10 @@ def _splits(info: dict[str, Any], where: Path) -> list[tuple[Split, list[int]]]:
     """Name and episodes of every shard of each split; raises `DataError`. The names become parts of paths."""
     try:
         found = [(split["name"], [int(length) for length in split["shardLengths"]]) for split in info["splits"]]
-    except (KeyError, TypeError, ValueError) as error:
-        raise DataError(f"{where}: does not list its splits ({type(error).__name__}: {error}); export again") from None
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        raise DataError(
+            f"{where}: does not list its splits ({type(error).__name__}: {brief(error)}); export again"
+        ) from None
     for name, _ in found:
         if name not in ("train", "val"):
             raise DataError(f"{where}: has a split {str(name)[:40]!r}; only train and val can be imported")
@@ -231,7 +234,7 @@ def _episode_of(payload: bytes, where: str) -> tuple[Split, Episode]:
         }
         facts = json.loads(record)
     except (KeyError, ValueError, TypeError, AttributeError, IndexError, RecursionError) as error:
-        raise DataError(f"{where}: not an episode that this package exported ({error})") from None
+        raise DataError(f"{where}: not an episode that this package exported ({brief(error)})") from None
     return episode_from(facts, images, arrays, where)
 
 
@@ -281,7 +284,7 @@ def _info(splits: list[dict[str, Any]]) -> dict[str, Any]:
         "name": NAME,
         "version": VERSION,
         "description": (
-            "Flights through the right one of three labelled gates, told by a sentence. Actions are vx, vy, vz in m/s "
+            "Flights through the right one of three labelled gates, named by a sentence. Actions are vx, vy, vz in m/s "
             "and yaw rate in rad/s, in the heading frame (forward, left, up), at 10 Hz."
         ),
         "fileFormat": "tfrecord",

@@ -1,9 +1,8 @@
 """TFRecord files of `tf.train.Example`, written and read without TensorFlow.
 
 A record is framed as length (uint64), masked CRC-32C of the length, payload, masked CRC-32C of the payload, all little
-endian (https://www.tensorflow.org/tutorials/load_data/tfrecord). The payload is an `Example` message in the protocol
-buffer wire format (https://protobuf.dev/programming-guides/encoding): a map from a name to one list of bytes, float32
-or int64.
+endian (https://www.tensorflow.org/tutorials/load_data/tfrecord). The payload is a protocol buffer, `Example`: a map
+from a name to one list of bytes, float32 or int64.
 """
 
 from __future__ import annotations
@@ -11,10 +10,12 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO, TypeAlias
+from typing import Any, BinaryIO, TypeAlias
 
 import google_crc32c
 import numpy as np
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, text_format
+from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from cognitivedrone.errors import DataError
@@ -27,8 +28,27 @@ HEAD_BYTES = 12
 FRAME_BYTES = 16
 """Total size of the framing of a payload."""
 
-_DELIMITED = 2
-_BYTES_LIST, _FLOAT_LIST, _INT64_LIST = 1, 2, 3
+_KINDS = {"<f4": "float_list", "<i8": "int64_list"}
+
+_SCHEMA = """
+name: "example.proto" package: "tf" syntax: "proto3"
+message_type { name: "BytesList" field { name: "value" number: 1 label: LABEL_REPEATED type: TYPE_BYTES } }
+message_type { name: "FloatList" field { name: "value" number: 1 label: LABEL_REPEATED type: TYPE_FLOAT } }
+message_type { name: "Int64List" field { name: "value" number: 1 label: LABEL_REPEATED type: TYPE_INT64 } }
+message_type { name: "Feature" oneof_decl { name: "kind" }
+  field { name: "bytes_list" number: 1 type: TYPE_MESSAGE type_name: ".tf.BytesList" oneof_index: 0 }
+  field { name: "float_list" number: 2 type: TYPE_MESSAGE type_name: ".tf.FloatList" oneof_index: 0 }
+  field { name: "int64_list" number: 3 type: TYPE_MESSAGE type_name: ".tf.Int64List" oneof_index: 0 } }
+message_type { name: "Features" nested_type { name: "FeatureEntry" options { map_entry: true }
+    field { name: "key" number: 1 type: TYPE_STRING }
+    field { name: "value" number: 2 type: TYPE_MESSAGE type_name: ".tf.Feature" } }
+  field { name: "feature" number: 1 label: LABEL_REPEATED type: TYPE_MESSAGE type_name: ".tf.Features.FeatureEntry" } }
+message_type { name: "Example" field { name: "features" number: 1 type: TYPE_MESSAGE type_name: ".tf.Features" } }
+"""
+"""TensorFlow's `example.proto`, in a pool of its own, so that TensorFlow may be loaded as well."""
+_POOL = descriptor_pool.DescriptorPool()
+_POOL.Add(text_format.Parse(_SCHEMA, descriptor_pb2.FileDescriptorProto()))
+_EXAMPLE = message_factory.GetMessageClass(_POOL.FindMessageTypeByName("tf.Example"))
 
 
 def write_record(file: BinaryIO, payload: bytes) -> int:
@@ -62,95 +82,30 @@ def read_records(path: Path) -> Iterator[bytes]:
 
 def encode_example(features: Mapping[str, Feature]) -> bytes:
     """A serialised `tf.train.Example`; names in order, so that equal content gives equal bytes."""
-    entries = []
-    for name in sorted(features):
-        entry = _field(1, name.encode()) + _field(2, _encode_feature(features[name]))
-        entries.append(_field(1, entry))
-    return _field(1, b"".join(entries))
+    example = _EXAMPLE()
+    for name, values in features.items():
+        kind = _KINDS[values.dtype.str] if isinstance(values, np.ndarray) else "bytes_list"
+        getattr(example.features.feature[name], kind).value.extend(values)
+    encoded: bytes = example.SerializeToString(deterministic=True)
+    return encoded
 
 
 def decode_example(payload: bytes) -> dict[str, Feature]:
     """The inverse of `encode_example`; raises `ValueError` if the bytes are not an `Example`."""
-    features: dict[str, Feature] = {}
-    for _, feature_map in _fields(payload):
-        for _, entry in _fields(feature_map):
-            parts = dict(_fields(entry))
-            features[parts[1].decode()] = _decode_feature(parts.get(2, b""))
-    return features
+    try:
+        features = _EXAMPLE.FromString(payload).features.feature
+    except DecodeError as error:
+        raise ValueError(str(error)) from None
+    return {name: _values(feature) for name, feature in features.items()}
+
+
+def _values(feature: Any) -> Feature:
+    kind = feature.WhichOneof("kind")
+    values = getattr(feature, kind).value if kind else ()
+    dtype = next((dtype for dtype, name in _KINDS.items() if name == kind), None)
+    return list(values) if dtype is None else np.array(values, dtype)
 
 
 def _masked_crc(data: bytes) -> bytes:
     crc = google_crc32c.value(data)
     return struct.pack("<I", (((crc >> 15) | (crc << 17)) + 0xA282EAD8) & 0xFFFFFFFF)
-
-
-def _encode_feature(values: Feature) -> bytes:
-    if not isinstance(values, np.ndarray):
-        return _field(_BYTES_LIST, b"".join(_field(1, value) for value in values))
-    if values.dtype == np.float32:
-        return _field(_FLOAT_LIST, _field(1, values.astype("<f4").tobytes()))
-    if values.dtype == np.int64:
-        packed = b"".join(_varint(int(value) & 0xFFFFFFFFFFFFFFFF) for value in values)
-        return _field(_INT64_LIST, _field(1, packed))
-    raise TypeError(f"an Example holds bytes, float32 or int64, not {values.dtype}")
-
-
-def _decode_feature(data: bytes) -> Feature:
-    """Reads packed lists, the form that all current writers use."""
-    for kind, content in _fields(data):
-        values = [value for _, value in _fields(content)]
-        if kind == _BYTES_LIST:
-            return values
-        packed = b"".join(values)
-        if kind == _FLOAT_LIST:
-            return np.frombuffer(packed, "<f4").astype(np.float32)
-        return np.array(_varints(packed), np.uint64).astype(np.int64)
-    return []
-
-
-def _field(number: int, content: bytes) -> bytes:
-    """A length-delimited field: key, length, content."""
-    return _varint(number << 3 | _DELIMITED) + _varint(len(content)) + content
-
-
-def _fields(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Number and content of the length-delimited fields of a message, in order."""
-    at = 0
-    while at < len(data):
-        key, at = _read_varint(data, at)
-        if key & 7 != _DELIMITED:
-            raise ValueError(f"unexpected wire type {key & 7}")
-        size, at = _read_varint(data, at)
-        if at + size > len(data):
-            raise ValueError("a field is longer than its message")
-        yield key >> 3, data[at : at + size]
-        at += size
-
-
-def _varint(value: int) -> bytes:
-    out = bytearray()
-    while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    out.append(value)
-    return bytes(out)
-
-
-def _read_varint(data: bytes, at: int) -> tuple[int, int]:
-    value = shift = 0
-    while True:
-        if at >= len(data) or shift > 63:
-            raise ValueError("a number is cut off")
-        byte = data[at]
-        value |= (byte & 0x7F) << shift
-        at, shift = at + 1, shift + 7
-        if byte < 0x80:
-            return value, at
-
-
-def _varints(data: bytes) -> list[int]:
-    values, at = [], 0
-    while at < len(data):
-        value, at = _read_varint(data, at)
-        values.append(value)
-    return values

@@ -85,9 +85,9 @@ def choose_statistics(norm_stats: Mapping[str, Any], key: str | None) -> tuple[s
     if key not in norm_stats:
         raise ModelError(f"the checkpoint has no statistics {key!r}; {did_you_mean(key, norm_stats)}")
     try:
-        told = norm_stats[key]["action"]
-        q01, q99 = (tuple(float(value) for value in told[name]) for name in ("q01", "q99"))
-        mask = tuple(bool(value) for value in told.get("mask", [True] * len(q01)))
+        table = norm_stats[key]["action"]
+        q01, q99 = (tuple(float(value) for value in table[name]) for name in ("q01", "q99"))
+        mask = tuple(bool(value) for value in table.get("mask", [True] * len(q01)))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"statistics {key!r} lack readable q01 and q99: {type(error).__name__} {error}") from None
     try:
@@ -99,7 +99,7 @@ def choose_statistics(norm_stats: Mapping[str, Any], key: str | None) -> tuple[s
 def _only_drone(norm_stats: Mapping[str, Any]) -> str:
     if len(norm_stats) == 1:
         return next(iter(norm_stats))
-    drones = sorted(key for key, told in norm_stats.items() if _numbers(told) == ACTION_SIZE)
+    drones = sorted(key for key, table in norm_stats.items() if _numbers(table) == ACTION_SIZE)
     if not drones:
         raise ModelError(
             f"the checkpoint has the statistics of {len(norm_stats)} data sets, none with the {ACTION_SIZE} numbers of"
@@ -114,10 +114,10 @@ def _only_drone(norm_stats: Mapping[str, Any]) -> str:
     return drones[0]
 
 
-def _numbers(told: Any) -> int | None:
+def _numbers(table: Any) -> int | None:
     """The number of action components, if the statistics give it."""
     try:
-        return len(told["action"]["q01"])
+        return len(table["action"]["q01"])
     except (KeyError, TypeError):
         return None
 

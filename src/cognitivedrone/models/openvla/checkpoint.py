@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cognitivedrone.errors import ModelError
+from cognitivedrone.files import check_regular, read_regular
 from cognitivedrone.models.openvla.actions import ActionStatistics, choose_statistics
 from cognitivedrone.models.openvla.config import Config, read_config
 from cognitivedrone.models.openvla.prepare import ImagePreparation, check_tokenizer, read_preparation
@@ -73,10 +74,10 @@ def inspect(
     """
     if not folder.is_dir():
         raise ModelError(f"there is no folder {folder}; give that of an OpenVLA checkpoint, with {CONFIG} in it")
-    told = _read_json(folder / CONFIG)
+    table = _read_json(folder / CONFIG)
     try:
-        config = read_config(told)
-        key, statistics = given or choose_statistics(_own_statistics(folder, told), unnorm_key)
+        config = read_config(table)
+        key, statistics = given or choose_statistics(_own_statistics(folder, table), unnorm_key)
         check_tokenizer(_read_json(folder / TOKENIZER), TOKENIZER)
         prepared = folder / PREPARATION
         preparation = read_preparation(_read_json(prepared)) if prepared.is_file() else ImagePreparation()
@@ -139,6 +140,7 @@ def read_header(path: Path) -> dict[str, Any]:
     The format: eight bytes of length (little endian), then JSON with `dtype`, `shape` and `data_offsets` by name.
     """
     try:
+        check_regular(path)
         with path.open("rb") as file:
             size = int.from_bytes(file.read(8), "little")
             text = file.read(size) if 2 <= size <= LARGEST_HEADER else b""
@@ -148,17 +150,17 @@ def read_header(path: Path) -> dict[str, Any]:
         end = max((int(entry["data_offsets"][1]) for entry in header.values()), default=0)
     except OSError as error:
         raise ModelError(f"{path}: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError):
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError):
         raise ModelError(f"{path} is not a safetensors file; if it is a pointer of Git LFS, fetch the file") from None
     if held != end:
         raise ModelError(f"{path} is truncated: it holds {held} bytes of tensors, not {end}; copy it again")
     return header
 
 
-def _own_statistics(folder: Path, told: Mapping[str, Any]) -> dict[str, Any]:
-    """Action statistics from the configuration `told`, and from fine-tuning."""
+def _own_statistics(folder: Path, table: Mapping[str, Any]) -> dict[str, Any]:
+    """Action statistics from the configuration `table`, and from fine-tuning."""
     fine_tuned = _read_json(folder / STATISTICS) if (folder / STATISTICS).is_file() else {}
-    return {**told.get("norm_stats", {}), **fine_tuned}
+    return {**table.get("norm_stats", {}), **fine_tuned}
 
 
 def _tensors(folder: Path) -> tuple[Shapes, dict[str, Path], int]:
@@ -210,11 +212,11 @@ def _head(folder: Path, config: Config) -> Path | None:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        table = json.loads(read_regular(path, LARGEST_HEADER).decode())
     except OSError as error:
         raise ModelError(f"{path}: {error.strerror}; the folder of a whole OpenVLA checkpoint has it") from None
-    except ValueError:
+    except (ValueError, RecursionError):
         raise ModelError(f"{path} is not JSON; if it is a pointer of Git LFS, fetch the file") from None
-    if not isinstance(told, dict):
+    if not isinstance(table, dict):
         raise ModelError(f"{path} is not a JSON object")
-    return told
+    return table

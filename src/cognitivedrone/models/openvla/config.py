@@ -91,7 +91,7 @@ def tiny_config(chunk: int | None = None) -> Config:
     )
 
 
-def read_config(told: Mapping[str, Any]) -> Config:
+def read_config(table: Mapping[str, Any]) -> Config:
     """The sizes in a `config.json`; raises `ModelError` for another architecture."""
     expected = {
         "model_type": "openvla",
@@ -100,12 +100,12 @@ def read_config(told: Mapping[str, Any]) -> Config:
         "n_action_bins": 256,
     }
     for key, value in expected.items():
-        if told.get(key) != value:
-            raise ModelError(f"config.json: {key} is {told.get(key)!r}; an OpenVLA-7B that can be flown has {value!r}")
-    own = told.get(KEY, {})
+        if table.get(key) != value:
+            raise ModelError(f"config.json: {key} is {table.get(key)!r}; an OpenVLA-7B that can be flown has {value!r}")
+    own = table.get(KEY, {})
     try:
-        dino, siglip = _towers(told, own)
-        config = Config(dino, siglip, _language(told["text_config"]), own.get("chunk"))
+        dino, siglip = _towers(table, own)
+        config = Config(dino, siglip, _language(table["text_config"]), own.get("chunk"))
         _check(config)
     except (KeyError, TypeError, ValueError, AttributeError, ZeroDivisionError) as error:
         raise ModelError(f"config.json does not describe an OpenVLA: {type(error).__name__} {error}") from None
@@ -131,22 +131,22 @@ def write_config(config: Config, norm_stats: Mapping[str, Any]) -> dict[str, Any
     }
 
 
-def _towers(told: Mapping[str, Any], own: Mapping[str, Any]) -> tuple[TowerSize, TowerSize]:
+def _towers(table: Mapping[str, Any], own: Mapping[str, Any]) -> tuple[TowerSize, TowerSize]:
     if "towers" in own:
         dino, siglip = (TowerSize(**tower) for tower in own["towers"])
         return dino, siglip
-    names = list(told["timm_model_ids"])
+    names = list(table["timm_model_ids"])
     if names != list(PUBLISHED_TOWERS):
         raise ValueError(f"timm_model_ids are {names}, not {list(PUBLISHED_TOWERS)}")
     return DINO, SIGLIP
 
 
-def _language(told: Mapping[str, Any]) -> LanguageSize:
+def _language(table: Mapping[str, Any]) -> LanguageSize:
     known = asdict(LanguageSize())
-    given = {key: told[key] for key in known if told.get(key) is not None}
+    given = {key: table[key] for key in known if table.get(key) is not None}
     if "num_key_value_heads" not in given and "num_attention_heads" in given:
         given["num_key_value_heads"] = given["num_attention_heads"]
-    nested = told.get("rope_parameters") or {}
+    nested = table.get("rope_parameters") or {}
     return LanguageSize(**{**given, **({"rope_theta": nested["rope_theta"]} if "rope_theta" in nested else {})})
 
 

@@ -48,11 +48,11 @@ class ImagePreparation:
         return np.concatenate(towers)
 
 
-def read_preparation(told: Mapping[str, Any]) -> ImagePreparation:
+def read_preparation(table: Mapping[str, Any]) -> ImagePreparation:
     """The settings in a published `preprocessor_config.json`; raises `ModelError` if it belongs to another model."""
     try:
         means, deviations = (
-            tuple(tuple(float(value) for value in tower) for tower in told[name]) for name in ("means", "stds")
+            tuple(tuple(float(value) for value in tower) for tower in table[name]) for name in ("means", "stds")
         )
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(
@@ -89,10 +89,10 @@ def prompt_ids(encode: Encoder, instruction: str) -> list[int]:
     return [BEGIN, *encode(prompt(instruction)), SPACE]
 
 
-def check_tokenizer(told: Mapping[str, Any], where: str) -> None:
+def check_tokenizer(table: Mapping[str, Any], where: str) -> None:
     """Raises `ModelError` where a `tokenizer.json` is not Llama's."""
     try:
-        pieces = dict(told["model"]["vocab"])
+        pieces = dict(table["model"]["vocab"])
     except (KeyError, TypeError, ValueError):
         raise ModelError(f"{where} has no vocabulary; copy the tokenizer.json of the published OpenVLA") from None
     wrong = [

@@ -104,8 +104,8 @@ def save(network: OpenVlaNetwork, folder: Path, statistics: Mapping[str, ActionS
     if head:
         save_file(head, folder / HEAD)
     _save_sharded({published_name(name): value for name, value in everything.items()}, folder)
-    told = write_config(network.config, {key: {"action": values.to_json()} for key, values in statistics.items()})
-    (folder / CONFIG).write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+    table = write_config(network.config, {key: {"action": values.to_json()} for key, values in statistics.items()})
+    (folder / CONFIG).write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
 
 
 def quantise(layers: nn.Module, quantisation: Quantisation, device: str | torch.device) -> None:

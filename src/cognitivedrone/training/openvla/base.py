@@ -101,14 +101,14 @@ def check_machine(needed: int, free: int, device: str, folder: Path) -> None:
     """Raise `TrainingError` if a fine-tuning that needs this many bytes does not fit, or there is no GPU for it."""
     if device == "cuda":
         needed += WORKSPACE
-    told = f"fine-tuning {folder} needs {needed / 1e9:.1f} GB"
+    needs = f"fine-tuning {folder} needs {needed / 1e9:.1f} GB"
     if device == "cpu" and needed > SMALL:
         raise TrainingError(
-            f"{told} of GPU memory, and this machine has no GPU that PyTorch can use; train on one that has"
+            f"{needs} of GPU memory, and this machine has no GPU that PyTorch can use; train on one that has"
         )
     if needed > free:
         way_out = "take a smaller --micro-batch, or several GPUs and --shard" if device == "cuda" else "close what runs"
-        raise TrainingError(f"{told} of {'GPU ' * (device == 'cuda')}memory, has {free / 1e9:.1f} GB free; {way_out}")
+        raise TrainingError(f"{needs} of {'GPU ' * (device == 'cuda')}memory, has {free / 1e9:.1f} GB free; {way_out}")
 
 
 def check_merging(needed: int, free: int, folder: Path) -> None:

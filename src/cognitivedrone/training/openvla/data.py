@@ -22,8 +22,8 @@ from cognitivedrone.models.openvla.actions import ActionStatistics, from_tokens,
 from cognitivedrone.models.openvla.config import ACTION_SIZE, PADDING
 from cognitivedrone.models.openvla.network import IGNORED
 from cognitivedrone.models.openvla.prepare import END, Encoder, ImagePreparation, prompt_ids
-from cognitivedrone.training.common.run_log import DIMENSIONS
-from cognitivedrone.training.common.training_task import Row
+from cognitivedrone.training.trainer.run_log import DIMENSIONS
+from cognitivedrone.training.trainer.training_task import Row
 from cognitivedrone.types import Category, FloatArray, Task
 
 Numbers: TypeAlias = NDArray[np.int64]

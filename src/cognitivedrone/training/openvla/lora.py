@@ -37,9 +37,6 @@ from cognitivedrone.models.openvla.checkpoint import Checkpoint
 from cognitivedrone.models.openvla.config import ACTION_SIZE, KEY
 from cognitivedrone.models.openvla.prepare import read_encoder
 from cognitivedrone.models.openvla.weights import load, save
-from cognitivedrone.training.common.checkpoint import CHECKPOINT, read_checkpoint, save_checkpoint
-from cognitivedrone.training.common.run_log import RunLog
-from cognitivedrone.training.common.training_task import Row
 from cognitivedrone.training.openvla.adapters import (
     add_adapters,
     as_module,
@@ -61,6 +58,9 @@ from cognitivedrone.training.openvla.data import (
     validation_rows,
 )
 from cognitivedrone.training.openvla.recipes import PAPER, LoraRecipe
+from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint, save_checkpoint
+from cognitivedrone.training.trainer.run_log import RunLog
+from cognitivedrone.training.trainer.training_task import Row
 
 MERGED = "merged"
 Found: TypeAlias = tuple[dict[str, Tensor], dict[str, Any]]
@@ -233,7 +233,7 @@ def _train(
     if found is not None:
         take_moments(optimizer, list(trained), found[0])
     make = SampleMaker(config.flights, read_encoder(base.tokenizer), base.preparation)
-    keeper = _Keeper(config, accelerator, report)
+    manager = _CheckpointManager(config, accelerator, report)
     shown = Progress(disable=not accelerator.is_main_process, refresh_per_second=1)
     with ThreadPoolExecutor(1) as pool, shown as progress:
         bar = progress.add_task(recipe.name, total=recipe.steps, completed=step)
@@ -242,14 +242,14 @@ def _train(
             samples = coming.result()
             if step + 1 < recipe.steps:
                 coming = pool.submit(_samples_of_step, config, make, accelerator, step + 1)
-            keeper.follow(*_step(network, optimizer, accelerator, samples, step))
+            manager.follow(*_step(network, optimizer, accelerator, samples, step))
             step += 1
             progress.update(bar, completed=step)
             if step % recipe.save_every == 0 or step == recipe.steps:
                 row: Row = {}
                 if step % recipe.validate_every == 0 or step == recipe.steps:
                     row = validate(network, accelerator, make, recipe)
-                keeper.end_round(row, state_of(optimizer, list(trained)), step)
+                manager.end_round(row, state_of(optimizer, list(trained)), step)
 
 
 def _samples_of_step(config: FineTuning, make: SampleMaker, accelerator: Accelerator, step: int) -> list[Samples]:
@@ -273,10 +273,10 @@ def _step(
         last = number == len(micro_batches) - 1
         with nullcontext() if last else accelerator.no_sync(network):
             with accelerator.autocast():
-                said = network(**_on(samples, accelerator.device))
-            accelerator.backward(said.loss * share)
-        loss = loss + said.loss.detach() * share
-        right = said.logits.detach().argmax(-1) == said.targets
+                output = network(**_on(samples, accelerator.device))
+            accelerator.backward(output.loss * share)
+        loss = loss + output.loss.detach() * share
+        right = output.logits.detach().argmax(-1) == output.targets
         hits = hits + right.view(-1, ANSWER)[:, :ACTION_SIZE].float().mean() * share
     if not math.isfinite(float(loss)):
         raise TrainingError(f"step {step}: the loss is not finite; start anew with a smaller learning rate")
@@ -296,13 +296,13 @@ def validate(network: nn.Module, accelerator: Accelerator, make: SampleMaker, re
     with torch.no_grad(), accelerator.autocast():
         for first in range(0, len(own), recipe.micro_batch):
             samples = make(own[first : first + recipe.micro_batch])
-            said = network(**_on(samples, accelerator.device))
-            found.append(_answers(said.logits, said.targets))
+            output = network(**_on(samples, accelerator.device))
+            found.append(_answers(output.logits, output.targets))
     network.train()
     gathered = accelerator.gather(torch.cat(found))
-    told = gathered.view(processes, len(own), 2, ACTION_SIZE).transpose(0, 1).flatten(0, 1)[: len(rows)].cpu().numpy()
+    pairs = gathered.view(processes, len(own), 2, ACTION_SIZE).transpose(0, 1).flatten(0, 1)[: len(rows)].cpu().numpy()
     actions = make.flights.steps.actions()[rows]
-    return answer_measures(actions, told[:, 0].astype("int64"), told[:, 1], make.flights.statistics)
+    return answer_measures(actions, pairs[:, 0].astype("int64"), pairs[:, 1], make.flights.statistics)
 
 
 def _answers(logits: Tensor, targets: Tensor) -> Tensor:
@@ -316,7 +316,7 @@ def _on(samples: Samples, device: torch.device) -> dict[str, Tensor]:
     return {name: value.to(device, non_blocking=True) for name, value in samples.items()}
 
 
-class _Keeper:
+class _CheckpointManager:
     """Work beside the steps: checkpoints, rows, curves. Every process has one; the main process's writes."""
 
     def __init__(self, config: FineTuning, accelerator: Accelerator, report: Callable[[str], None]) -> None:

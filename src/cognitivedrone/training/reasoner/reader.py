@@ -14,11 +14,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.panel_reader import Reader, ReaderConfig
-from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
-from cognitivedrone.training.common.checkpoint import read_checkpoint, restore, save_checkpoint
-from cognitivedrone.training.common.panel_crops import PanelCrops, WiderWorld
-from cognitivedrone.training.common.sampling import Batch
-from cognitivedrone.training.common.training_task import Batches, Given, Learner, Recipe, Row, to_tensors
+from cognitivedrone.training.perception.attributes import ATTRIBUTES, AttributeIndex
+from cognitivedrone.training.perception.panel_crops import PanelCrops, WiderWorld
+from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore, save_checkpoint
+from cognitivedrone.training.trainer.training_task import Batch, Batches, Given, Learner, Recipe, Row, to_tensors
 
 _VALIDATION = 10**6
 
@@ -65,7 +64,7 @@ class ReaderTraining:
 
     def loss_module(self, network: nn.Module) -> ReaderLoss:
         """The reader with its loss."""
-        assert isinstance(network, Reader)  # noqa: S101  (tells the type checker)
+        assert isinstance(network, Reader)  # noqa: S101  (for the type checker)
         return ReaderLoss(network, AttributeIndex(self.attributes), self.recipe.smoothing)
 
     def learner(self, network: nn.Module) -> None:
@@ -117,7 +116,7 @@ class ReaderTraining:
 
     def export(self, checkpoint: Path, folder: Path) -> None:
         """The calibrated reader, with which policies are trained; they hold it in their own files."""
-        from cognitivedrone.training.common.calibration import calibrated
+        from cognitivedrone.training.perception.calibration import calibrated
 
         tensors, facts = read_checkpoint(checkpoint)
         reader = self.network()

@@ -1,12 +1,12 @@
 """The gate selector as a training task: sentences and described scenes, without images.
 
 Its tasks come from the generators of all families, including the hard ones, with training ingredients. Panels are
-described as the panel reader would tell them, with its own doubts and errors.
+described as the panel reader would describe them, with its own doubts and errors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -18,24 +18,20 @@ from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.gate_selector import GateSelector, SelectorConfig
-from cognitivedrone.models.reasoner_file import REMEMBERED, SELECTOR_FILE
-from cognitivedrone.models.sentence import WordConfig
-from cognitivedrone.models.small_vla import Language
-from cognitivedrone.models.text import TOKEN, Lexicon
-from cognitivedrone.reasoners.calculator import calculate, evaluate
-from cognitivedrone.reasoners.small import value_index
-from cognitivedrone.training.common.attributes import AttributeIndex
-from cognitivedrone.training.common.calibration import calibration_crops, temperature_of
-from cognitivedrone.training.common.lexicon import training_lexicon, with_vectors
-from cognitivedrone.training.common.problems import NAMES, SHARES, Mix, Problem, Problems
-from cognitivedrone.training.common.readings import Readings, readings_of
-from cognitivedrone.training.common.sampling import Batch, token_noise
-from cognitivedrone.training.common.start import Start, read_start
-from cognitivedrone.training.common.training_task import Batches, Given, Learner, Recipe, Row, to_tensors
-from cognitivedrone.training.small_vla.trained import trained
+from cognitivedrone.models.reasoner_file import SELECTOR_FILE
+from cognitivedrone.models.scene_tokens import INPUTS, SceneTokenizer, stacked
+from cognitivedrone.reasoners.scene_text import ReadScene, SceneWriter
+from cognitivedrone.training.language.problems import NAMES, SHARES, Mix, Problem, Problems
+from cognitivedrone.training.perception.attributes import AttributeIndex
+from cognitivedrone.training.perception.calibration import calibration_crops, temperature_of
+from cognitivedrone.training.perception.readings import Readings, readings_of
+from cognitivedrone.training.reasoner.pretrained import ORIGIN, packaged_pieces, pretrained_pieces, take_pretrained
+from cognitivedrone.training.trainer.start import Start, read_start
+from cognitivedrone.training.trainer.training_task import Batch, Batches, Given, Learner, Recipe, Row, to_tensors
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 
 _VALIDATION = 10**6
+_POOL = 8  # batches that are drawn at once and sorted by length: padding costs as much as text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,101 +39,71 @@ class SelectorRecipe(Recipe):
     """Everything that determines a training run of the gate selector, except its start, processes and seed."""
 
     network: SelectorConfig = field(default_factory=SelectorConfig)
-    batch: int = 256
-    """Tasks; processes share them."""
-    validation_tasks: int = 3000
-    mix: Mix = field(default_factory=lambda: Mix(families=SHARES | {"memory": 0.6}, earlier=0.15))
-    earlier_from: int = 4_000
-    """First step with earlier stages: from the start, they would teach to ignore the memory before it is understood."""
+    pretrained: bool = True
+    """Whether it starts from the pretrained encoder."""
+    batch: int = 24
+    """Problems; processes share them."""
+    validation_tasks: int = 600
+    mix: Mix = field(default_factory=lambda: Mix(families=SHARES | {"memory": 0.6}, earlier=0.08))
     doubt: float = 0.5
     """Share of attributes that are read with the reader's own doubts."""
-    lost_words: float = 0.03
-    """Share of words that are not understood at all."""
-    strange_words: float = 0.05
-    """Share of words in whose place a word stands that no training sentence has: that a sentence is not understood is
-    no sign that no gate matches the instruction."""
-    hidden_words: float = 0.25
-    """Share of words that are read by their word vector and spelling alone, as synonyms are that were never trained."""
-    token_noise: float = 0.3
-    """Share of sentences with token noise: words lost, left out and added."""
 
     model_file: ClassVar[str] = SELECTOR_FILE
     needs_start: ClassVar[bool] = True
 
     def training(self, given: Given) -> SelectorTraining:
-        """A new gate selector, for what the panel reader of the policy tells."""
-        lexicon = training_lexicon(self.mix)
-        network = replace(self.network, words=WordConfig(len(lexicon.words), lexicon.trained))
-        return SelectorTraining(replace(self, network=network), lexicon, read_start(given.start, "policy"))
+        """A new gate selector, for what the panel reader of the policy reads."""
+        pieces = pretrained_pieces() if self.pretrained else packaged_pieces()
+        network = replace(self.network, pieces=len(pieces))
+        return SelectorTraining(replace(self, network=network), pieces, read_start(given.start, "reader"))
 
 
 class Encoder:
-    """Encodes problems as inputs of the gate selector."""
+    """Writes problems as a reader reports them, and encodes them as inputs of the gate selector."""
 
-    def __init__(self, recipe: SelectorRecipe, lexicon: Lexicon, readings: Readings) -> None:
-        self._recipe, self._lexicon, self._readings = recipe, lexicon, readings
-        self._strange = np.array([lexicon.encode(word, 1)[0] for word in lexicon.words[lexicon.trained :]])
+    def __init__(self, doubt: float, tokenizer: SceneTokenizer, readings: Readings) -> None:
+        self._doubt, self._tokenizer, self._readings = doubt, tokenizer, readings
+        self._writer = SceneWriter(readings.index.schema)
 
-    def encode(self, rng: np.random.Generator, problems: list[Problem], *, noise: bool) -> Batch:
-        """A batch; with `noise`, words are lost."""
-        n, length, size = len(problems), self._recipe.network.text_length, len(self._readings.index.schema.names)
-        batch: Batch = {
-            "tokens": np.zeros((n, length, TOKEN), np.int64),
-            "panels": np.zeros((n, 3, size), np.float32),
-            "looks": np.zeros((n, 3, 8), np.float32),
-            "board": np.zeros((n, size), np.float32),
-            "values": np.zeros((n, 5), np.int64),
-            "remembered": np.zeros((n, REMEMBERED, size), np.float32),
-            "stages": np.full((n, REMEMBERED, 3), -1, np.int64),
-            "target": np.array([problem.target for problem in problems]),
-        }
-        for row, problem in enumerate(problems):
-            batch["tokens"][row] = self._tokens(rng, problem.sentence, noise=noise)
-            batch["looks"][row] = [look_of(gate) for gate in problem.gates]
-            for place, label in enumerate(problem.labels):
-                batch["panels"][row, place] = self._read(rng, label)
-            if problem.board is not None:
-                batch["board"][row] = self._read(rng, problem.board)
-            batch["values"][row] = values_of(problem.sentence, problem.labels, problem.board)
-            for stage, (labels, flown) in enumerate(problem.before):
-                for place, label in enumerate(labels):
-                    at = 3 * stage + place
-                    batch["remembered"][row, at] = self._read(rng, label)
-                    batch["stages"][row, at] = stage, len(problem.before) - 1 - stage, int(place == flown)
-        return batch
+    def scene(self, rng: np.random.Generator, problem: Problem) -> ReadScene:
+        """A problem's scene as a reader could have read it."""
+        size = len(self._readings.index.schema.names)
+        return ReadScene(
+            panels=np.stack([self._read(rng, label) for label in problem.labels]),
+            looks=np.stack([look_of(gate) for gate in problem.gates]),
+            board=np.zeros(size, np.float32) if problem.board is None else self._read(rng, problem.board),
+            earlier=[
+                [(self._read(rng, label), int(place == flown)) for place, label in enumerate(labels)]
+                for labels, flown in problem.before
+            ],
+        )
+
+    def encode(self, rng: np.random.Generator, problem: Problem) -> tuple[NDArray[np.int64], ...]:
+        """Tokens, positions and parts of one problem."""
+        text = self._writer.write(problem.sentence, self.scene(rng, problem))
+        return self._tokenizer.encode(text.parts)
+
+    def batches(self, rng: np.random.Generator, problems: Sequence[Problem], size: int) -> list[Batch]:
+        """All of the problems in batches of similar lengths, with their targets and families."""
+        encoded = [self.encode(rng, problem) for problem in problems]
+        order = sorted(range(len(problems)), key=lambda number: len(encoded[number][0]))
+        return [
+            {
+                **stacked([encoded[number] for number in part]),
+                "target": np.array([problems[number].target for number in part]),
+                "family": np.array([NAMES.index(problems[number].family) for number in part]),
+            }
+            for part in (order[first : first + size] for first in range(0, len(order), size))
+        ]
 
     def _read(self, rng: np.random.Generator, label: str) -> NDArray[np.float32]:
-        return self._readings.draw(rng, label, self._recipe.doubt)
-
-    def _tokens(self, rng: np.random.Generator, sentence: str, *, noise: bool) -> NDArray[np.int64]:
-        tokens = self._lexicon.encode(sentence, self._recipe.network.text_length)
-        if not noise:
-            return tokens
-        lost = (rng.random(len(tokens)) < self._recipe.lost_words) & (tokens[:, 0] > 0)
-        tokens[lost] = 0
-        tokens[lost, 0] = 1
-        if len(self._strange):
-            strange = (rng.random(len(tokens)) < self._recipe.strange_words) & (tokens[:, 0] > 0)
-            tokens[strange] = self._strange[rng.integers(len(self._strange), size=int(strange.sum()))]
-        return token_noise(rng, tokens) if rng.random() < self._recipe.token_noise else tokens
+        return self._readings.draw(rng, label, self._doubt)
 
 
 def look_of(gate: Gate) -> NDArray[np.float32]:
     """(8,) colours, shapes and sizes of a gate, one of each."""
-    told = [gate.color == name for name in COLORS] + [gate.shape == name for name in SHAPES]
-    return np.array([*told, *(gate.size == name for name in SIZES)], dtype=np.float32)
-
-
-def values_of(sentence: str, labels: tuple[str, ...], board: str | None) -> list[int]:
-    """The five input values of the gate selector: of the sums on panels and board, and of the sum in the sentence."""
-    on_panels = [_sum(label) for label in labels]
-    on_board = None if board is None else _sum(board)
-    return [value_index(value) for value in (*on_panels, on_board, calculate(sentence, on_board))]
-
-
-def _sum(label: str) -> int | None:
-    kind, _, rest = label.partition("/")
-    return evaluate(rest.rpartition("@")[0]) if kind == "sum" else None
+    attributes = [gate.color == name for name in COLORS] + [gate.shape == name for name in SHAPES]
+    return np.array([*attributes, *(gate.size == name for name in SIZES)], dtype=np.float32)
 
 
 class SelectorLoss(nn.Module):
@@ -155,33 +121,9 @@ class SelectorLoss(nn.Module):
         return loss, {"choice": loss.detach(), "choice accuracy": right.detach()}
 
     def logits(self, batch: dict[str, Tensor]) -> Tensor:
-        """Logits (B, 4); skips unused words and memories."""
-        words = int((batch["tokens"][..., 0] != 0).sum(1).max())
-        panels = int((batch["stages"][..., 0] >= 0).sum(1).max())
-        logits: Tensor = self.network(
-            batch["tokens"][:, :words],
-            batch["panels"],
-            batch["looks"],
-            batch["board"],
-            batch["values"],
-            batch["remembered"][:, :panels],
-            batch["stages"][:, :panels],
-        )
+        """Logits (B, 4)."""
+        logits: Tensor = self.network(*(batch[name] for name in INPUTS))
         return logits.float()
-
-
-def take_language(network: GateSelector, lexicon: Lexicon, language: Language, known: Lexicon) -> None:
-    """Start a gate selector with what a policy's language, for the words `known`, has learnt of words and sentences."""
-    rows = {word: row for row, word in enumerate(known.words[: known.trained])}
-    with torch.no_grad():
-        for row, word in enumerate(lexicon.words[: lexicon.trained]):
-            if word in rows:
-                network.words.own.weight[row] = language.words.own.weight[rows[word]]
-        network.words.groups.load_state_dict(language.words.groups.state_dict())
-        network.words.meaning.load_state_dict(language.words.meaning.state_dict())
-        length = min(len(network.places), len(language.places))
-        network.places[:length] = language.places[:length]
-        network.layers.load_state_dict(language.layers.state_dict())
 
 
 @dataclass(frozen=True)
@@ -189,36 +131,34 @@ class SelectorTraining:
     """Training task of the gate selector."""
 
     recipe: SelectorRecipe
-    lexicon: Lexicon
+    pieces: tuple[str, ...]
     start: Start
-    """The policy whose panel reader it listens to."""
+    """The panel reader that it listens to, or a policy with it."""
 
     def identity(self) -> dict[str, Any]:
-        """Its recipe, and the policy's origin."""
-        return {"recipe": self.recipe.facts(), "data": self.start.origin}
+        """Its recipe, and the origin of policy and encoder."""
+        pretrained = f"; {ORIGIN}" if self.recipe.pretrained else ""
+        return {"recipe": self.recipe.facts(), "data": f"{self.start.origin}{pretrained}"}
 
     def facts(self) -> dict[str, Any]:
-        """Words and attribute values."""
+        """Word pieces and attribute values."""
         return {
-            "vocabulary": list(self.lexicon.words),
-            "trained_words": self.lexicon.trained,
+            "pieces": list(self.pieces),
             "attributes": self.start.facts["attributes"],
             "policy": str(self.start.path),
         }
 
     def network(self) -> GateSelector:
-        """A new gate selector, which knows the policy's language already."""
-        network = GateSelector(self.recipe.network, len(self.start.facts["attributes"]))
-        with_vectors(network.words, self.lexicon)
-        network.words.hidden = self.recipe.hidden_words
-        policy, known = trained(self.start)
-        if (policy.config.text_width, policy.config.text_layers) == (self.recipe.network.width, len(network.layers)):
-            take_language(network, self.lexicon, policy.language, known)
+        """A new gate selector, which knows English already; what it knows of single words stays as it is."""
+        network = GateSelector(self.recipe.network)
+        if self.recipe.pretrained:
+            take_pretrained(network)
+        network.words.requires_grad_(requires_grad=False)
         return network
 
     def loss_module(self, network: nn.Module) -> SelectorLoss:
         """The gate selector with its loss."""
-        assert isinstance(network, GateSelector)  # noqa: S101  (tells the type checker)
+        assert isinstance(network, GateSelector)  # noqa: S101  (for the type checker)
         return SelectorLoss(network)
 
     def learner(self, network: nn.Module) -> None:
@@ -236,28 +176,19 @@ class SelectorTraining:
         def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
             del learner
             rng = np.random.default_rng(seed)
-            early = seed[-1] * self.recipe.round_steps < self.recipe.earlier_from
-            problems = Problems(replace(self.recipe.mix, earlier=0.0) if early else self.recipe.mix)
-            waiting: list[Problem] = []
+            problems = Problems(self.recipe.mix)
             while True:
-                while len(waiting) < self.recipe.batch:
-                    waiting += problems.draw(rng)
-                now, waiting = waiting[: self.recipe.batch], waiting[self.recipe.batch :]
-                yield encoder.encode(rng, now, noise=True)
+                pool = encoder.batches(rng, drawn(problems, rng, _POOL * self.recipe.batch), self.recipe.batch)
+                for number in rng.permutation(len(pool)):
+                    yield pool[int(number)]
 
         return made
 
     def validation(self, seed: int) -> list[Batch]:
-        """Problems of another seed, with all of their words; with the family of each."""
+        """Problems of another seed, with the family of each."""
         rng = np.random.default_rng((seed, _VALIDATION))
-        drawn, encoder = Problems(self.recipe.mix), self._encoder()
-        problems: list[Problem] = []
-        while len(problems) < self.recipe.validation_tasks:
-            problems += drawn.draw(rng)
-        parts = [problems[first : first + 250] for first in range(0, len(problems), 250)]
-        families = [np.array([NAMES.index(problem.family) for problem in part]) for part in parts]
-        encoded = [encoder.encode(rng, part, noise=False) for part in parts]
-        return [batch | {"family": family} for batch, family in zip(encoded, families, strict=True)]
+        problems = drawn(Problems(self.recipe.mix), rng, self.recipe.validation_tasks)
+        return self._encoder().batches(rng, problems, 2 * self.recipe.batch)
 
     def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
         """Loss and accuracy of the choice, overall and by family."""
@@ -284,35 +215,60 @@ class SelectorTraining:
         return {}
 
     def export(self, checkpoint: Path, folder: Path) -> None:
-        """The files of gate selector and panel reader, which belong together; the gate selector is calibrated."""
-        from cognitivedrone.training.reasoner.export import export_panel_reader, export_selector
+        """The calibrated gate selector and the picture classifier; the policy's export has a reasoner's other files."""
+        from cognitivedrone.training.reasoner.classifier import write_classifier
+        from cognitivedrone.training.reasoner.export import export_selector
 
         export_selector(checkpoint, folder, self.temperature)
-        export_panel_reader(self.start, folder)
+        if self.recipe.pretrained:
+            write_classifier(folder)
 
-    def temperature(self, network: GateSelector) -> float:
-        """The temperature at which a trained gate selector's probabilities are right, for panels drawn by artists that
-        were never trained, all of them read with their doubts.
+    def temperature(self, choose: Callable[[Batch], Tensor]) -> float:
+        """The temperature at which the probabilities of a gate selector, given as its logits (B, 4) of a batch, are
+        right, for panels drawn by artists that were never trained, all of them read with their doubts.
         """
         index = AttributeIndex(self.start.facts["attributes"])
-        recipe = replace(self.recipe, doubt=1.0)
         readings = readings_of(self.start, index, lambda size: calibration_crops(size, index))
-        encoder = Encoder(recipe, self.lexicon, readings)
-        rng, drawn = np.random.default_rng((0, _VALIDATION + 2)), Problems(recipe.mix)
-        loss_module, logits, targets = SelectorLoss(network).eval(), [], []
-        for _ in range(-(-recipe.validation_tasks // 250)):
-            problems: list[Problem] = []
-            while len(problems) < 250:
-                problems += drawn.draw(rng)
-            batch = to_tensors(encoder.encode(rng, problems[:250], noise=False))
-            with torch.no_grad():
-                logits.append(loss_module.logits(batch) * network.temperature)
-            targets.append(batch["target"])
-        return temperature_of(torch.cat(logits), torch.cat(targets))
+        encoder = Encoder(1.0, SceneTokenizer(self.pieces), readings)
+        rng = np.random.default_rng((0, _VALIDATION + 2))
+        problems = drawn(Problems(self.recipe.mix), rng, self.recipe.validation_tasks)
+        batches = encoder.batches(rng, problems, 2 * self.recipe.batch)
+        logits = torch.cat([choose(batch) for batch in batches])
+        return temperature_of(logits, torch.cat([torch.from_numpy(batch["target"]) for batch in batches]))
 
     def _encoder(self) -> Encoder:
         index = AttributeIndex(self.start.facts["attributes"])
-        return Encoder(self.recipe, self.lexicon, readings_of(self.start, index))
+        return Encoder(self.recipe.doubt, SceneTokenizer(self.pieces), readings_of(self.start, index))
 
 
-SELECTOR = SelectorRecipe(name="selector", steps=7_000, learning_rate=1e-3, warmup_steps=300)
+def drawn(problems: Problems, rng: np.random.Generator, count: int) -> list[Problem]:
+    """So many problems."""
+    found: list[Problem] = []
+    while len(found) < count:
+        found += problems.draw(rng)
+    return found[:count]
+
+
+SELECTOR = SelectorRecipe(
+    name="selector",
+    steps=4_000,
+    learning_rate=1e-4,
+    warmup_steps=50,
+    decay_share=0.8,
+    weight_decay=0.01,
+    round_steps=50,
+    validate_every=500,
+)
+DEBUG_SELECTOR = replace(
+    SELECTOR,
+    name="debug-selector",
+    network=SelectorConfig(width=32, layers=2, apart=1, heads=2, hidden=64),
+    pretrained=False,
+    steps=6,
+    warmup_steps=1,
+    batch=8,
+    validation_tasks=32,
+    round_steps=2,
+    validate_every=2,
+)
+"""The whole path in seconds, for tests."""

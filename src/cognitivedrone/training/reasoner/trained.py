@@ -1,16 +1,13 @@
-"""The trained gate selector, from its checkpoint or file."""
+"""The trained gate selector, from its checkpoint."""
 
 from __future__ import annotations
 
 from cognitivedrone.models.gate_selector import GateSelector, SelectorConfig
-from cognitivedrone.models.text import Lexicon
-from cognitivedrone.training.common.start import Start
+from cognitivedrone.training.trainer.start import Start
 
 
-def trained_selector(start: Start) -> tuple[GateSelector, Lexicon]:
-    """The gate selector in `start`, and its words."""
-    facts = start.facts
-    selector = GateSelector(SelectorConfig.of(facts["recipe"]["network"]), len(facts["attributes"]))
+def trained_selector(start: Start) -> GateSelector:
+    """The gate selector in `start`."""
+    selector = GateSelector(SelectorConfig.of(start.facts["recipe"]["network"]))
     start.restore(selector)
-    selector.eval()
-    return selector, Lexicon(tuple(facts["vocabulary"]), facts["trained_words"])
+    return selector.eval()

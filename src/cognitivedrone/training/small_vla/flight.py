@@ -10,16 +10,13 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import torch
-from torch import nn
 
 from cognitivedrone.models.small_vla import SmallVLA
-from cognitivedrone.models.text import Lexicon
-from cognitivedrone.training.common.sampling import StreamRecipe
-from cognitivedrone.training.common.start import read_start
-from cognitivedrone.training.common.training_task import Given
-from cognitivedrone.training.small_vla.losses import LossModule
 from cognitivedrone.training.small_vla.policy import PolicyTraining, TrainRecipe
+from cognitivedrone.training.small_vla.sampling import StreamRecipe
 from cognitivedrone.training.small_vla.trained import trained
+from cognitivedrone.training.trainer.start import read_start
+from cognitivedrone.training.trainer.training_task import Given
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,13 +26,12 @@ class FlightRecipe(TrainRecipe):
     needs_start: ClassVar[bool] = True
 
     def training(self, given: Given) -> FlightTraining:
-        """The policy of a checkpoint or model file, which gives its network and words."""
+        """The policy of a checkpoint or model file, which gives its network."""
         origin = read_start(given.start, "policy")
         origin.reader_facts()  # a racing policy has no language to keep
-        network = trained(origin)[0].config
-        lexicon = Lexicon(tuple(origin.facts["vocabulary"]), origin.facts["trained_words"])
+        network = trained(origin).config
         recipe = replace(self, network=network, stream=replace(self.stream, chunk=network.chunk))
-        return FlightTraining(recipe, lexicon, tuple(origin.facts["attributes"]), origin, given.data)
+        return FlightTraining(recipe, tuple(origin.facts["attributes"]), origin, given.data)
 
 
 FLIGHT = FlightRecipe(
@@ -43,7 +39,7 @@ FLIGHT = FlightRecipe(
     steps=2_000,
     learning_rate=5e-4,
     decay_share=0.6,
-    stream=StreamRecipe(typed=0.5, token_noise=0.1, layouts=0.8, texts=0),
+    stream=StreamRecipe(typed=0.5, layouts=0.8),
 )
 
 
@@ -53,22 +49,10 @@ class FlightTraining(PolicyTraining):
 
     def network(self) -> SmallVLA:
         """The policy's network, channels last in memory for speed; only finding gates and flying can learn."""
-        assert self.start is not None  # noqa: S101  (tells the type checker)
-        network, _ = trained(self.start)
+        assert self.start is not None  # noqa: S101  (for the type checker)
+        network = trained(self.start)
         for part in (network.language, network.reader):
             assert part is not None  # noqa: S101
             part.requires_grad_(requires_grad=False)
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return network
-
-    def loss_module(self, network: nn.Module) -> LossModule:
-        """The network with the recipe's loss weights; its language stays in evaluation mode."""
-        assert isinstance(network, SmallVLA)  # noqa: S101
-        return _FlightLoss(network, self.recipe.losses)
-
-
-class _FlightLoss(LossModule):
-    def train(self, mode: bool = True) -> _FlightLoss:
-        super().train(mode)
-        self.network.language.eval()
-        return self

@@ -1,12 +1,13 @@
-"""Training on language alone: teaches a trained policy to understand more, without frames.
+"""Training of language: the text encoder, and what its sentences mean among described scenes. It needs no frames.
 
-The small VLA fuses vision and language late, where it compares what panels show with sentences. So everything but its
-language can be frozen, and that learns from sentences and described scenes.
+The encoder begins as that of a trained gate selector, which began as a pretrained one; attribute values begin as their
+names in its words. So what a name means that no training sentence has is not lost. Word embeddings and first layers
+stay as they are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,87 +15,166 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F  # noqa: N812
 
-from cognitivedrone.models.sentence import WordConfig
-from cognitivedrone.models.small_vla import SmallVLA, SmallVLAConfig
-from cognitivedrone.models.text import Lexicon
-from cognitivedrone.training.common.attributes import AttributeIndex
-from cognitivedrone.training.common.lexicon import training_lexicon, with_vectors
-from cognitivedrone.training.common.problems import ALONE, NAMES, Mix, Problem, Problems
-from cognitivedrone.training.common.readings import readings_of
-from cognitivedrone.training.common.sampling import Batch, TextMix, described
-from cognitivedrone.training.common.start import Start, read_start
-from cognitivedrone.training.common.training_task import Batches, Given, Learner, Recipe, Row, to_tensors
-from cognitivedrone.training.small_vla.losses import text_loss
-from cognitivedrone.training.small_vla.pilot import NetworkPilot
-from cognitivedrone.training.small_vla.policy import trial
-from cognitivedrone.training.small_vla.trained import trained
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.models.attributes import AttributeSchema
+from cognitivedrone.models.gate_selector import SelectorConfig
+from cognitivedrone.models.language import Language, LanguageConfig, TextEncoder
+from cognitivedrone.models.panel_reader import Reader, ReaderConfig
+from cognitivedrone.models.scene_tokens import INPUTS, SceneTokenizer, number_text, stacked
+from cognitivedrone.models.text_encoder import FILE
+from cognitivedrone.training.language.problems import ALONE, NAMES, Mix, Problem, Problems
+from cognitivedrone.training.perception.attributes import AttributeIndex
+from cognitivedrone.training.perception.calibration import calibration_crops, temperature_of
+from cognitivedrone.training.perception.readings import Readings, readings_of
+from cognitivedrone.training.small_vla.described import TextMix, described, text_loss
+from cognitivedrone.training.trainer.start import Start, read_start, restore_part
+from cognitivedrone.training.trainer.training_task import Batch, Batches, Given, Learner, Recipe, Row, to_tensors
+from cognitivedrone.types import COLORS, SHAPES, SIZES
 
 _VALIDATION = 10**6
+_POOL = 8  # batches that are drawn at once and sorted by length: padding costs as much as text
+_FROZEN_LAYERS = 2
+_LENGTH = 0.7  # of the vectors that attribute values begin with
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LanguageRecipe(Recipe):
-    """Everything that determines a training run on language alone, except its start, processes and seed."""
+    """Everything that determines a training run on language, except its start, processes and seed."""
 
-    batch: int = 256
-    """Number of sentences; processes share them."""
+    batch: int = 64
+    """Sentences; processes share them."""
+    network: LanguageConfig = field(default_factory=LanguageConfig)
     mix: TextMix = field(default_factory=TextMix)
-    validation_sentences: int = 3000
-    fly_tasks: int = 60
-    """Number of tasks in a trial."""
+    validation_sentences: int = 2000
 
+    model_file: ClassVar[str] = FILE
     needs_start: ClassVar[bool] = True
 
     def training(self, given: Given) -> LanguageTraining:
-        """The policy of a checkpoint or model file; beside the words that it knows, those that are taught."""
-        origin = read_start(given.start, "policy")
-        known = Lexicon(tuple(origin.facts["vocabulary"]), origin.facts["trained_words"])
-        new = training_lexicon(self.mix.problems)
-        return LanguageTraining(self, origin, known.taught(new.words[2 : new.trained]))
+        """With the encoder of the gate selector whose checkpoint is given, and the panel reader that it listens to."""
+        if given.start is None or str(given.start) == "small":
+            raise TrainingError(
+                "the recipe language starts from a gate selector; give its checkpoint, as in --start"
+                " out/selector/checkpoint.safetensors"
+            )
+        selector = read_start(given.start, "selector")
+        reader = read_start(Path(selector.facts["policy"]), "reader")
+        network = replace(self.network, size=selector.facts["recipe"]["network"]["width"])
+        return LanguageTraining(replace(self, network=network), selector, reader)
 
 
-_FAMILIES = ALONE | {"exclusion": 0.2, "attributes": 0.16, "letters": 0.04, "digits": 0.04, "logos": 0.05}
-_MIX = TextMix(problems=Mix(families=_FAMILIES, lacking=0.4))
-LANGUAGE = LanguageRecipe(name="language", steps=8_000, learning_rate=1e-3, decay_share=0.5, mix=_MIX)
-"""More of what is learnt late: two features, of which one must be absent, and what has many names."""
+_FAMILIES = ALONE | {"exclusion": 0.12, "attributes": 0.12, "relations": 0.06, "counting": 0.02}
+LANGUAGE = LanguageRecipe(
+    name="language",
+    steps=3_400,
+    learning_rate=1e-3,
+    warmup_steps=50,
+    decay_share=0.7,
+    weight_decay=0.01,
+    clip=1.0,
+    mix=TextMix(problems=Mix(families=_FAMILIES, lacking=0.3)),
+)
+DEBUG_LANGUAGE = replace(
+    LANGUAGE,
+    name="debug-language",
+    network=LanguageConfig(width=24, layers=1, heads=2),
+    steps=4,
+    warmup_steps=1,
+    batch=8,
+    validation_sentences=32,
+    round_steps=2,
+    validate_every=2,
+)
+"""The whole path in seconds, for tests."""
+
+
+class LanguageNetwork(nn.Module):
+    """Text encoder and language; and the panel reader that they were trained for, which stays as it is."""
+
+    learning_rates: ClassVar[dict[str, float]] = {"encoder": 0.1}
+    """Of parts, as shares of the recipe's."""
+
+    def __init__(self, encoder: SelectorConfig, language: LanguageConfig, reader: ReaderConfig, names: Sequence[str]):
+        super().__init__()
+        self.encoder = TextEncoder(encoder)
+        self.language = Language(language, AttributeSchema(tuple(names)))
+        self.reader = Reader(reader, len(names)).requires_grad_(requires_grad=False)
+        for part in (self.encoder.words, self.encoder.places, self.encoder.embedded):
+            part.requires_grad_(requires_grad=False)
+        for layer in self.encoder.layers[:_FROZEN_LAYERS]:
+            layer.requires_grad_(requires_grad=False)
+
+    def train(self, mode: bool = True) -> LanguageNetwork:
+        """As for every module, but the reader keeps its statistics."""
+        super().train(mode)
+        self.reader.eval()
+        return self
 
 
 @dataclass(frozen=True)
 class LanguageTraining:
-    """A small VLA that is frozen except for its language."""
+    """Training task of text encoder and language."""
 
     recipe: LanguageRecipe
-    start: Start
-    """The policy."""
-    lexicon: Lexicon
-    """The policy's words, and new ones."""
+    selector: Start
+    """The gate selector whose encoder it begins with."""
+    reader: Start
 
     def identity(self) -> dict[str, Any]:
-        """Recipe, with the policy's network and stream, and the start."""
-        told = self.start.facts["recipe"]
-        network = told["network"] | {"words": {"words": len(self.lexicon.words), "trained": self.lexicon.trained}}
+        """Recipe, with the sizes of all networks, and the starts."""
+        network = {
+            "encoder": self.selector.facts["recipe"]["network"],
+            "language": self.recipe.network.facts(),
+            "reader": self.reader.reader_facts(),
+        }
         return {
-            "recipe": self.recipe.facts() | {"network": network, "stream": told.get("stream")},
-            "data": self.start.origin,
+            "recipe": self.recipe.facts() | {"network": network},
+            "data": f"{self.selector.origin}; {self.reader.origin}",
         }
 
     def facts(self) -> dict[str, Any]:
-        """Words and attribute values."""
-        return {
-            "vocabulary": list(self.lexicon.words),
-            "trained_words": self.lexicon.trained,
-            "attributes": self.start.facts["attributes"],
-        }
+        """Word pieces, and attribute values."""
+        return {"pieces": self.selector.facts["pieces"], "attributes": self.reader.facts["attributes"]}
 
-    def network(self) -> SmallVLA:
-        """The policy's network, extended for new words; only its language can learn."""
-        return extended(self.start, self.lexicon)
+    @property
+    def index(self) -> AttributeIndex:
+        """The attribute values."""
+        return AttributeIndex(tuple(self.reader.facts["attributes"]))
+
+    @property
+    def tokenizer(self) -> SceneTokenizer:
+        """Of the encoder's word pieces."""
+        return SceneTokenizer(self.selector.facts["pieces"])
+
+    def network(self) -> LanguageNetwork:
+        """The encoder of the gate selector, and a language that knows the names of attribute values."""
+        names = self.reader.facts["attributes"]
+        network = LanguageNetwork(
+            SelectorConfig.of(self.selector.facts["recipe"]["network"]),
+            self.recipe.network,
+            ReaderConfig.of(self.reader.reader_facts()),
+            names,
+        )
+        restore_part(self.reader, "reader", network.reader)
+        weights = self.selector.tensors()
+        own = {name: weights[name][: len(value)] for name, value in network.encoder.state_dict().items()}
+        network.encoder.load_state_dict(own)
+        with torch.no_grad():
+            network.eval()
+            meanings = _meanings(network.encoder, self.tokenizer, [spoken(name) for name in names])
+            for span in self.index.groups.values():
+                meanings[span] = F.normalize(meanings[span] - meanings[span].mean(0), dim=-1)
+            network.language.prototypes.copy_(_LENGTH * meanings)
+            looks = _meanings(network.encoder, self.tokenizer, [f"{word} gate" for word in (*COLORS, *SHAPES, *SIZES)])
+            network.language.looks.copy_(_LENGTH * F.normalize(looks - looks.mean(0), dim=-1))
+        return network.train()
 
     def loss_module(self, network: nn.Module) -> LanguageLoss:
-        """The policy with its language loss."""
-        assert isinstance(network, SmallVLA)  # noqa: S101  (tells the type checker)
-        return LanguageLoss(network)
+        """The network with its loss."""
+        assert isinstance(network, LanguageNetwork)  # noqa: S101  (for the type checker)
+        return LanguageLoss(network, self.index.schema)
 
     def learner(self, network: nn.Module) -> None:
         """None: nothing flies."""
@@ -105,38 +185,23 @@ class LanguageTraining:
         return replace(self, recipe=replace(self.recipe, batch=-(-self.recipe.batch // processes)))
 
     def batches(self) -> Batches:
-        """Endless sentences."""
-        readings = readings_of(self.start, AttributeIndex(self.start.facts["attributes"]))
-        length = self.start.facts["recipe"]["network"]["text_length"]
-        recipe = self.recipe
+        """Endless sentences, in batches of similar lengths."""
+        readings, tokenizer, recipe = self._readings(), self.tokenizer, self.recipe
 
         def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
             del learner
             rng, problems = np.random.default_rng(seed), Problems(recipe.mix.problems)
-            waiting: list[Problem] = []
             while True:
-                while len(waiting) < recipe.batch:
-                    waiting += problems.draw(rng)
-                now, waiting = waiting[: recipe.batch], waiting[recipe.batch :]
-                yield described(rng, now, self.lexicon, length, readings, recipe.mix)
+                pool = _parts(problems, rng, _POOL * recipe.batch, recipe.batch)
+                for number in rng.permutation(len(pool)):
+                    yield described(rng, pool[int(number)], tokenizer, readings, recipe.mix)
 
         return made
 
     def validation(self, seed: int) -> list[Batch]:
-        """Unaltered sentences of another seed, with the family of each."""
-        readings = readings_of(self.start, AttributeIndex(self.start.facts["attributes"]))
-        plain = replace(self.recipe.mix, token_noise=0.0, hidden=0.0)
-        rng, drawn = np.random.default_rng((seed, _VALIDATION)), Problems(plain.problems)
-        problems: list[Problem] = []
-        while len(problems) < self.recipe.validation_sentences:
-            problems += drawn.draw(rng)
-        length = self.start.facts["recipe"]["network"]["text_length"]
-        parts = [problems[first : first + 250] for first in range(0, len(problems), 250)]
-        return [
-            described(rng, part, self.lexicon, length, readings, plain)
-            | {"family": np.array([NAMES.index(problem.family) for problem in part])}
-            for part in parts
-        ]
+        """Sentences of another seed, with the family of each."""
+        rng, problems = np.random.default_rng((seed, _VALIDATION)), Problems(self.recipe.mix.problems)
+        return self._described(rng, problems, self._readings(), replace(self.recipe.mix, hidden=0.0))
 
     def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
         """Loss, and share of sentences that were understood, overall and by family."""
@@ -146,61 +211,92 @@ class LanguageTraining:
         losses, rights = [], []
         with torch.no_grad(), autocast():
             for batch in batches:
-                loss, understood = text_loss(loss_module.network, to_tensors(batch, device))
+                tensors = to_tensors(batch, device)
+                loss, logits = loss_module.answers(tensors)
                 losses.append(float(loss))
-                rights.append(understood.cpu().numpy())
+                rights.append((logits.argmax(-1) == tensors["text_target"]).cpu().numpy())
         loss_module.train()
         right, family = np.concatenate(rights), np.concatenate([batch["family"] for batch in batches])
         row: Row = {"text": float(np.mean(losses)), "text accuracy": float(right.mean())}
         return row | {f"text accuracy {NAMES[i]}": float(right[family == i].mean()) for i in np.unique(family)}
 
     def trial(self, network: nn.Module) -> Row:
-        """Success in closed loop on training tasks under another seed, by family."""
-        assert isinstance(network, SmallVLA)  # noqa: S101
-        return trial(NetworkPilot(network, self.lexicon), "open-v1:train", self.recipe.fly_tasks)
+        """Empty: there are no trials beside the curves."""
+        del network
+        return {}
 
     def export(self, checkpoint: Path, folder: Path) -> None:
-        """The ONNX file that flies."""
-        from cognitivedrone.training.small_vla.export import export
+        """The text encoder; and the language in the checkpoint is calibrated."""
+        from cognitivedrone.training.small_vla.export import export_language
 
-        export(checkpoint, folder / self.recipe.model_file)
+        export_language(checkpoint, folder, self.temperature)
 
+    def temperature(self, loss_module: LanguageLoss) -> float:
+        """The temperature at which its probabilities are right, for panels drawn by artists that were never trained."""
+        readings = readings_of(self.reader, self.index, lambda size: calibration_crops(size, self.index))
+        mix = replace(self.recipe.mix, doubt=1.0, hidden=0.0)
+        rng = np.random.default_rng((0, _VALIDATION + 2))
+        batches = self._described(rng, Problems(mix.problems), readings, mix)
+        loss_module.eval()
+        with torch.no_grad():
+            logits = torch.cat([loss_module.answers(to_tensors(batch, torch.device("cpu")))[1] for batch in batches])
+        return temperature_of(logits, torch.cat([torch.from_numpy(batch["text_target"]) for batch in batches]))
 
-def extended(start: Start, lexicon: Lexicon) -> SmallVLA:
-    """The policy of a start with the words of a larger lexicon; only its language can learn."""
-    before, known = trained(start)
-    config: SmallVLAConfig = replace(before.config, words=WordConfig(len(lexicon.words), lexicon.trained))
-    network = SmallVLA(config, before.schema)
-    tensors = before.state_dict()
-    own = network.language.words.own.weight.detach().clone()
-    rows = {word: row for row, word in enumerate(known.words[: known.trained])}
-    for row, word in enumerate(lexicon.words[: lexicon.trained]):
-        if word in rows:
-            own[row] = tensors["language.words.own.weight"][rows[word]]
-    tensors["language.words.own.weight"] = own
-    tensors["language.words.vectors"] = network.language.words.vectors
-    network.load_state_dict(tensors)
-    with_vectors(network.language.words, lexicon)
-    network.requires_grad_(requires_grad=False)
-    network.language.requires_grad_()
-    return network
+    def _described(self, rng: np.random.Generator, problems: Problems, readings: Readings, mix: TextMix) -> list[Batch]:
+        parts = _parts(problems, rng, self.recipe.validation_sentences, 100)
+        return [
+            described(rng, part, self.tokenizer, readings, mix)
+            | {"family": np.array([NAMES.index(problem.family) for problem in part])}
+            for part in parts
+        ]
+
+    def _readings(self) -> Readings:
+        return readings_of(self.reader, self.index)
 
 
 class LanguageLoss(nn.Module):
-    """The policy and its language loss; all else stays in evaluation mode."""
+    """Text encoder and language, with their loss."""
 
-    def __init__(self, network: SmallVLA) -> None:
+    def __init__(self, network: LanguageNetwork, schema: AttributeSchema) -> None:
         super().__init__()
         self.network = network
-
-    def train(self, mode: bool = True) -> LanguageLoss:
-        """As for every module, but frozen parts keep their statistics."""
-        super().train(mode)
-        self.network.finder.eval()
-        self.network.flight.eval()
-        return self
+        self._schema = schema
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
         """The loss; and, detached, the same and the share of sentences that were understood."""
-        loss, right = text_loss(self.network, batch)
-        return loss, {"text": loss.detach(), "text accuracy": right.float().mean()}
+        loss, logits = self.answers(batch)
+        right = (logits.argmax(-1) == batch["text_target"]).float().mean()
+        return loss, {"text": loss.detach(), "text accuracy": right.detach()}
+
+    def answers(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """The loss, and logits (T, 4)."""
+        words = self.network.encoder(*(batch[name] for name in INPUTS))
+        return text_loss(self.network.language, self._schema, words, batch)
+
+
+def spoken(name: str) -> str:
+    """The name of an attribute value in words: "concept/letter:A" is "letter A", "hat_color/red" "hat color red"."""
+    group, _, value = name.partition("/")
+    kind, _, concept = value.partition(":")
+    words = (concept or kind).replace("_", " ")
+    if group != "concept":
+        return f"{group.replace('_', ' ')} {words}"
+    if kind == "number":
+        return f"number {number_text(int(words)) if words.isdecimal() else words}"
+    return {"letter": f"letter {words}", "logo": f"logo of {words}"}.get(kind, words)
+
+
+def _meanings(encoder: TextEncoder, tokenizer: SceneTokenizer, texts: Sequence[str]) -> Tensor:
+    """(n, W) of texts, each of length 1."""
+    batch = stacked([tokenizer.encode((text,)) for text in texts])
+    words = encoder(*(torch.from_numpy(batch[name]) for name in INPUTS))
+    return F.normalize(words.sum(1), dim=-1)  # the mean's direction: padding is zero
+
+
+def _parts(problems: Problems, rng: np.random.Generator, count: int, size: int) -> list[list[Problem]]:
+    """So many problems, in parts of similar lengths."""
+    pool: list[Problem] = []
+    while len(pool) < count:
+        pool += problems.draw(rng)
+    pool = sorted(pool[:count], key=lambda problem: len(problem.sentence))
+    return [pool[first : first + size] for first in range(0, count, size)]

@@ -1,8 +1,8 @@
 """Losses of the small VLA: one for each part of it, all from one batch of a `RolloutStream`.
 
 Each part learns from the simulator's ground truth, not from the errors of the parts before it: gates are read at their
-true cells and panels in their true boxes, with noise as large as the network's errors in flight. The panel reader is
-not among them: it was trained before, and stays as it is.
+true cells and panels in their true boxes, with noise as large as the network's errors in flight. Panel reader and
+language are not among them: they were trained before, and stay as they are.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from cognitivedrone.models.small_vla import Flight, SmallVLA
 
 _BLUR_BINS = 2.0  # width of the smoothed labels, so that a neighbouring bin is nearly right
 _BOX_SHIFT, _BOX_SCALE = 0.06, 0.08  # noise of the boxes in which panels are read, in heights
-_NAMING_SHARE = 0.4  # weight of naming the right concept, beside choosing among three
 _NEIGHBOUR = 0.15  # share of gates that are read one cell off
 
 
@@ -39,7 +38,6 @@ class LossWeights:
     place: float = 2.0
     looks: float = 0.5
     choice: float = 1.0
-    text: float = 2.0
     action: float = 1.0
 
 
@@ -63,16 +61,7 @@ class LossModule(nn.Module):
         scene = network.finder.look(image)
         slots, board_cell_known = true_slots(batch, jitter=self.training)
         seen = network.finder.attend(scene, slots)
-        with torch.no_grad():  # the reader was trained before, from panels alone
-            read = network.read(image, _jittered(batch["panel"], self.training))
-        n, sentences = batch["tokens"].shape[:2]
-        query, _ = network.language(
-            _trimmed(batch["tokens"].flatten(0, 1)),
-            read[:, SLOTS].repeat_interleave(sentences, 0),
-            batch["legible"][:, SLOTS].float().repeat_interleave(sentences, 0),
-        )
-        gates = network.language.describe(read[:, :SLOTS], look_probabilities(seen.looks))
-        match = network.language.match(query.view(n, sentences, -1), gates)
+        match = self._match(image, seen, batch)
         logits = network.flight.choose(match, seen, batch["state"])
         present = torch.cat([batch["in_view"], torch.ones_like(batch["in_view"][:, :1])], dim=1)
         logits = logits + (present.float()[:, None] - 1) * 1e4
@@ -84,41 +73,32 @@ class LossModule(nn.Module):
             "choice": F.cross_entropy(logits.flatten(0, 1), batch["choice"].flatten()),
             "action": self._action_loss(raw, batch),
         }
-        measures = {}
-        if "text_tokens" in batch:
-            parts["text"], right = text_loss(network, batch)
-            measures["text accuracy"] = right.float().mean()
         total = torch.stack([getattr(weights, name) * loss for name, loss in parts.items()]).sum()
-        measures |= {name: loss.detach() for name, loss in parts.items()}
+        measures = {name: loss.detach() for name, loss in parts.items()}
         with torch.no_grad():
             right = logits.argmax(-1) == batch["choice"]
             clear = (batch["in_view"] & batch["legible"][:, :SLOTS]).all(dim=1)
             measures["choice accuracy"] = known_mean(right.float(), clear[:, None].expand_as(right))
         return total, measures
 
+    def _match(self, image: Tensor, seen: Seen, batch: dict[str, Tensor]) -> Tensor:
+        """Logits (B, K, S) of the gates for every sentence. Reader and language were trained before."""
+        network, looks = self.network, look_probabilities(seen.looks)
+        if network.language is None:
+            return network.prefer(looks).expand(-1, batch["choice"].shape[1], -1)
+        n, sentences = batch["words"].shape[:2]
+        with torch.no_grad():
+            read = network.read(image, _jittered(batch["panel"], self.training))
+        query, _ = network.language(
+            batch["words"].flatten(0, 1).float(),
+            read[:, SLOTS].repeat_interleave(sentences, 0),
+            batch["legible"][:, SLOTS].float().repeat_interleave(sentences, 0),
+        )
+        return network.language.match(query.view(n, sentences, -1), read[:, :SLOTS], looks)
+
     def _action_loss(self, raw: Tensor, batch: dict[str, Tensor]) -> Tensor:
         target, taught = action_targets(batch)
         return known_mean(action_loss(self.network.flight, raw, target).mean(dim=(-1, -2)), taught)
-
-
-def text_loss(network: SmallVLA, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-    """Loss of sentences about described scenes, and which of them (T,) were right; fields as in `sampling.described`.
-
-    Sentences that are open have no knowable right gate: the target prefers no gate.
-    """
-    language, target, named = network.language, batch["text_target"], batch["text_named"]
-    query, absent = language(_trimmed(batch["text_tokens"]), batch["text_board"].float(), batch["text_board_seen"])
-    looks = F.one_hot(batch["text_looks"], 8).sum(-2).float()
-    gates = language.describe(batch["text_panels"].float(), looks)
-    logits = torch.cat([language.match(query[:, None], gates)[:, 0], absent[:, None]], dim=1)
-    # Three panels are too few to separate a wrong sum from a right one: a single concept is classified among all.
-    concepts = network.schema.groups["concept"]
-    among_all = query @ language.prototypes[concepts].float().T * language.scale
-    meant = (named - concepts.start).clamp(0)
-    naming = known_mean(F.cross_entropy(among_all, meant, reduction="none"), named >= 0)
-    evenly = -logits[:, :SLOTS].log_softmax(-1).mean(-1)
-    choice = torch.where(batch["text_open"], evenly, F.cross_entropy(logits, target, reduction="none")).mean()
-    return choice + _NAMING_SHARE * naming, logits.detach().argmax(-1) == target
 
 
 def action_targets(batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
@@ -226,12 +206,6 @@ def _jittered(boxes: Tensor, jitter: bool) -> Tensor:
     height = boxes[..., 2:]
     shift = torch.randn_like(boxes[..., :2]) * _BOX_SHIFT * height
     return torch.cat([boxes[..., :2] + shift, height * torch.exp(torch.randn_like(height) * _BOX_SCALE)], dim=-1)
-
-
-def _trimmed(tokens: Tensor) -> Tensor:
-    """The tokens without columns that are padding in every row."""
-    longest = int((tokens[..., 0] != 0).sum(dim=1).max())
-    return tokens[:, :longest]
 
 
 def known_mean(values: Tensor, known: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""The small VLA as a training task: its vocabulary, batches, curves and trials."""
+"""The small VLA as a training task: its batches, curves and trials."""
 
 from __future__ import annotations
 
@@ -13,21 +13,19 @@ from torch import nn
 from cognitivedrone.data.store import Store
 from cognitivedrone.envs.track_runner import TrackConfig
 from cognitivedrone.errors import TrainingError
+from cognitivedrone.models.language import LanguageConfig
 from cognitivedrone.models.panel_reader import ReaderConfig
-from cognitivedrone.models.sentence import WordConfig
 from cognitivedrone.models.small_vla import SmallVLA, SmallVLAConfig
-from cognitivedrone.models.text import Lexicon
+from cognitivedrone.models.text_encoder import encoder_of
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.tasks.racing import INSTRUCTIONS
-from cognitivedrone.training.common.attributes import ATTRIBUTES, AttributeIndex
-from cognitivedrone.training.common.lexicon import training_lexicon, with_vectors
-from cognitivedrone.training.common.sampling import Batch, SampleSource, StreamRecipe
-from cognitivedrone.training.common.start import Start, read_start, restore_part
-from cognitivedrone.training.common.training_task import Batches, Given, Recipe, Row
+from cognitivedrone.training.perception.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.training.small_vla.losses import LossModule, LossWeights
 from cognitivedrone.training.small_vla.pilot import NetworkPilot, fly_suite
 from cognitivedrone.training.small_vla.recorded import training_batches
+from cognitivedrone.training.small_vla.sampling import SampleSource, StreamRecipe
 from cognitivedrone.training.small_vla.validation import validate
+from cognitivedrone.training.trainer.start import Start, read_start, restore_part
+from cognitivedrone.training.trainer.training_task import Batch, Batches, Given, Recipe, Row
 
 _VALIDATION = 10**6  # rank of the generator of validation frames: no training process has it
 
@@ -47,21 +45,20 @@ class TrainRecipe(Recipe):
     takes_data: ClassVar[bool] = True
 
     def training(self, given: Given) -> PolicyTraining:
-        """A new policy, with the panel reader of the start, by default the packaged one; a racing policy has none."""
+        """A new policy, with panel reader and language of the start, by default the packaged ones; a racing policy has
+        none of both.
+        """
         if self.network.reader is None:
-            lexicon = Lexicon.of(INSTRUCTIONS)
-            names: tuple[str, ...] = ATTRIBUTES
-            origin = None
-        else:
-            origin = read_start(given.start, "reader")
-            lexicon, names = training_lexicon(self.stream.text_mix.problems), tuple(origin.facts["attributes"])
+            network = replace(self.network, chunk=self.stream.chunk)
+            return PolicyTraining(replace(self, network=network), ATTRIBUTES, None, given.data)
+        origin = read_start(given.start, "language")
         network = replace(
             self.network,
-            words=WordConfig(len(lexicon.words), lexicon.trained),
-            reader=None if origin is None else ReaderConfig.of(origin.reader_facts()),
+            reader=ReaderConfig.of(origin.reader_facts()),
+            language=LanguageConfig.of(origin.language_facts()),
             chunk=self.stream.chunk,
         )
-        return PolicyTraining(replace(self, network=network), lexicon, names, origin, given.data)
+        return PolicyTraining(replace(self, network=network), tuple(origin.facts["attributes"]), origin, given.data)
 
 
 @dataclass(frozen=True)
@@ -69,43 +66,41 @@ class PolicyTraining:
     """A small VLA that learns from flights made during training, or from a data set."""
 
     recipe: TrainRecipe
-    """Its network is as large as words and attribute values require."""
-    lexicon: Lexicon
+    """Its network is as large as attribute values and language require."""
     attributes: tuple[str, ...]
-    """Names of the attribute values that its panel reader tells."""
+    """Names of the attribute values that its panel reader gives."""
     start: Start | None = None
-    """Where its panel reader comes from."""
+    """Where its panel reader and its language come from."""
     data: Path | None = None
 
+    @property
+    def encoder(self) -> Path | None:
+        """File of the text encoder; None for a racing policy."""
+        return None if self.start is None else encoder_of(self.start.path)
+
     def identity(self) -> dict[str, Any]:
-        """Recipe, the reader's origin, and the data set's hash."""
+        """Recipe, the start's origin, and the data set's hash."""
         origins = [] if self.start is None else [self.start.origin]
         origins += [f"store {Store(self.data).content_hash()}"] if self.data else []
         return {"recipe": self.recipe.facts()} | ({"data": ", ".join(origins)} if origins else {})
 
     def facts(self) -> dict[str, Any]:
-        """Words and attribute values."""
-        return {
-            "vocabulary": list(self.lexicon.words),
-            "trained_words": self.lexicon.trained,
-            "attributes": list(self.attributes),
-        }
+        """Attribute values, and the digest of the text encoder."""
+        return {"attributes": list(self.attributes), "encoder": self.start.encoder().digest if self.start else ""}
 
     def network(self) -> SmallVLA:
-        """The network, channels last in memory for speed; its reader is trained already and stays as it is."""
+        """The network, channels last in memory for speed; its reader and language are trained already and stay."""
         network = SmallVLA(self.recipe.network, AttributeIndex(self.attributes).schema)
-        with_vectors(network.language.words, self.lexicon)
-        if self.start is not None and network.reader is not None:
-            restore_part(self.start, "reader", network.reader)
-            network.reader.requires_grad_(requires_grad=False)
-        if not self.recipe.stream.texts:  # which alone teach it; processes that train together wait for every gradient
-            network.language.absent.requires_grad_(requires_grad=False)
+        for name, part in (("reader", network.reader), ("language", network.language)):
+            if self.start is not None and part is not None:
+                restore_part(self.start, name, part)
+                part.requires_grad_(requires_grad=False)
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return network
 
     def loss_module(self, network: nn.Module) -> LossModule:
         """The network with the recipe's loss weights."""
-        assert isinstance(network, SmallVLA)  # noqa: S101  (tells the type checker)
+        assert isinstance(network, SmallVLA)  # noqa: S101  (for the type checker)
         return LossModule(network, self.recipe.losses)
 
     def learner(self, network: nn.Module) -> NetworkPilot | None:
@@ -113,15 +108,11 @@ class PolicyTraining:
         return self._pilot(network) if self.data is None and self.recipe.stream.learner > 0 else None
 
     def share(self, processes: int) -> Self:
-        """Processes share frames and sentences."""
+        """Processes share the frames."""
         stream = self.recipe.stream
         if stream.batch % processes:
             raise TrainingError(f"a batch of {stream.batch} frames cannot be shared by {processes} processes")
-        part = replace(
-            stream,
-            batch=stream.batch // processes,
-            texts=-(-stream.texts // processes),
-        )
+        part = replace(stream, batch=stream.batch // processes)
         return replace(self, recipe=replace(self.recipe, stream=part))
 
     def batches(self) -> Batches:
@@ -147,18 +138,18 @@ class PolicyTraining:
         return trial(self._pilot(network), "open-v1:race" if racing else "open-v1:train", count)
 
     def export(self, checkpoint: Path, folder: Path) -> None:
-        """The ONNX file that flies."""
+        """The ONNX file that flies; and, of a policy that reads, panel reader and language for a reasoner."""
         from cognitivedrone.training.small_vla.export import export  # processes that make batches do without ONNX
 
-        export(checkpoint, folder / self.recipe.model_file, data=self.data)
+        export(checkpoint, folder / self.recipe.model_file, data=self.data, encoder=self.encoder)
 
     def source(self) -> SampleSource:
         """What samples are made with."""
-        return SampleSource(self.lexicon, self.recipe.network.text_length, self.attributes, self.start)
+        return SampleSource(self.encoder)
 
     def _pilot(self, network: nn.Module) -> NetworkPilot:
         assert isinstance(network, SmallVLA)  # noqa: S101
-        return NetworkPilot(network, self.lexicon)
+        return NetworkPilot(network, self.encoder)
 
 
 def trial(pilot: NetworkPilot, suite: str, count: int) -> Row:

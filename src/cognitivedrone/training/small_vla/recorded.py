@@ -19,10 +19,10 @@ from cognitivedrone.envs.track_runner import stage_of
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.frames import rotate_yaw, yaw_of
 from cognitivedrone.tasks.validate import right_gate
-from cognitivedrone.training.common.ground_truth import Poses
-from cognitivedrone.training.common.sampling import Batch, Sampler, SampleSource, Setting, StreamRecipe
-from cognitivedrone.training.common.training_task import Batches, Learner
+from cognitivedrone.training.perception.ground_truth import Poses
+from cognitivedrone.training.small_vla.sampling import Sampler, SampleSource, Setting, StreamRecipe
 from cognitivedrone.training.small_vla.stream import RolloutStream
+from cognitivedrone.training.trainer.training_task import Batch, Batches, Learner
 
 
 class Recorded:
@@ -46,14 +46,13 @@ class Recorded:
     def batches(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
         """Endless batches: all steps in a new random order, again and again; no `learner` can fly here."""
         del learner
-        self._sampler.begin()
         rng = np.random.default_rng(seed)
         left = np.empty(0, np.int64)
         while True:
             while len(left) < self._recipe.batch:
                 left = np.concatenate([left, rng.permutation(self._steps)])
             taken, left = left[: self._recipe.batch], left[self._recipe.batch :]
-            yield self._sample(rng, taken) | self._sampler.beside(rng)
+            yield self._sample(rng, taken)
 
     def _sample(self, rng: np.random.Generator, steps: NDArray[np.int64]) -> Batch:
         settings = [self._setting(row) for row in self._episode[steps].tolist()]

@@ -17,27 +17,25 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.envs.drone import clip_action
-from cognitivedrone.envs.track_runner import draw_start, scenery_of, stage_of
+from cognitivedrone.envs.track_runner import TrackConfig, draw_start
+from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.frames import rotate_yaw
-from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
 from cognitivedrone.layout import draw_layout
 from cognitivedrone.policies.expert import intent
 from cognitivedrone.sim.airframe import RACER
 from cognitivedrone.sim.drone_world import Start
-from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.racing import crowded_task, race_task
 from cognitivedrone.tasks.validate import right_gate
-from cognitivedrone.training.common.ground_truth import Poses
-from cognitivedrone.training.common.sampling import Batch, Sampler, SampleSource, Setting, StreamRecipe
-from cognitivedrone.training.common.training_task import Filling, Learner
-from cognitivedrone.types import CONTROL_HZ, FloatArray, Image, Stage, Task
+from cognitivedrone.training.perception.ground_truth import Poses
+from cognitivedrone.training.small_vla.sampling import Sampler, SampleSource, Setting, StreamRecipe
+from cognitivedrone.training.trainer.training_task import Batch, Filling, Learner
+from cognitivedrone.types import FloatArray, Image, Stage, Task
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN, varied_appearance
 
-_TOO_LONG = 14 * CONTROL_HZ  # control steps after which a flight is hopeless
+_HOPELESS = TrackConfig(time_limit_s=14.1)  # a flight of so long leads nowhere
 _BOUND_M = 9.0  # beyond this distance from the stage's origin there is nothing to learn
 
 
@@ -50,7 +48,6 @@ class _Flight(Setting):
         self.wander = wander
         self.speed = speed
         self.wrong = np.zeros(4)
-        self.steps = 0
 
 
 class RolloutStream:
@@ -58,39 +55,37 @@ class RolloutStream:
 
     def __init__(self, recipe: StreamRecipe, source: SampleSource) -> None:
         self.recipe = recipe
-        self._labels: LabelPack = load_pack()
         self._sampler = Sampler(recipe, source)
-        self._simulator = Simulator(recipe.worlds)
+        self._worlds = Worlds(recipe.worlds, load_pack(), _HOPELESS)
         self._rng = np.random.default_rng()
         self._learner: Learner | None = None
         self._flights: list[_Flight] = []
-        self._told: Filling = lambda *_: None
+        self._report: Filling = lambda *_: None
 
-    def watch(self, told: Filling) -> None:
+    def watch(self, report: Filling) -> None:
         """Report from now on how the buffer for the next batches fills."""
-        self._told = told
+        self._report = report
 
     def close(self) -> None:
         """Free the renderer."""
-        self._simulator.close()
+        self._worlds.close()
 
     def __call__(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
         """Endless batches, from flights that all begin now; the `learner`, if given, flies some."""
         self._rng, self._learner = np.random.default_rng(seed), learner
-        self._sampler.begin()
         self._flights = [self._begin(world) for world in range(self.recipe.worlds)]
         pool: list[Batch] = []
         size = self.recipe.batch * self.recipe.pool
         while True:
             while (made := sum(len(part["flown"]) for part in pool)) < size:
-                self._told(made, size)
+                self._report(made, size)
                 pool.extend(self._step())
-            self._told(size, size)
+            self._report(size, size)
             together = {name: np.concatenate([part[name] for part in pool]) for name in pool[0]}
             order = self._rng.permutation(len(together["flown"]))
             for first in range(0, size, self.recipe.batch):
                 chosen = order[first : first + self.recipe.batch]
-                yield {name: values[chosen] for name, values in together.items()} | self._sampler.beside(self._rng)
+                yield {name: values[chosen] for name, values in together.items()}
             pool = [{name: values[order[size:]] for name, values in together.items()}]
 
     def _begin(self, world: int) -> _Flight:
@@ -102,13 +97,13 @@ class RolloutStream:
         # A share of zero draws nothing: the recipes without layouts stay as they are, to the bit.
         if recipe.layouts and rng.random() < recipe.layouts:
             task = replace(task, layout=draw_layout(rng, task.gates, board=task.board is not None))
-        stage = stage_of(task)
         appearance = varied_appearance(rng) if rng.random() < recipe.varied else PLAIN
         start, velocity = self._draw_start()
-        self._simulator.begin(world, stage, scenery_of(stage, self._labels, appearance), start)
-        self._simulator.flight.reset(
-            world, np.array(start.position), start.yaw, rotate_yaw(velocity, start.yaw), wind=np.array(start.wind)
-        )
+        runner, flight = self._worlds.runners[world], self._worlds.simulator.flight
+        runner.begin((task,), rng, start, appearance)
+        position, wind = np.array(start.position), np.array(start.wind)
+        flight.reset(world, position, start.yaw, rotate_yaw(velocity, start.yaw), wind=wind)
+        stage = runner.stage
         others = [gate for gate in self._sampler.askable(task) if gate != task.target and stage.only is None]
         learner = self._learner is not None and world < recipe.learner * recipe.worlds
         flown = right_gate(task) if learner or not others or rng.random() < 0.5 else int(rng.choice(others))
@@ -132,7 +127,7 @@ class RolloutStream:
         return published, np.zeros(3)
 
     def _poses(self, worlds: NDArray[np.intp]) -> Poses:
-        flight = self._simulator.flight
+        flight = self._worlds.simulator.flight
         return Poses(
             flight.position[worlds], flight.quaternion[worlds], flight.velocity[worlds], flight.body_rates[worlds, 2]
         )
@@ -142,30 +137,28 @@ class RolloutStream:
         taken = np.flatnonzero(self._rng.random(self.recipe.worlds) < self.recipe.sampled)
         led = np.array([w for w, flight in enumerate(self._flights) if flight.learner], dtype=np.intp)
         shown = np.union1d(taken, led)
-        frames = self._simulator.frames(worlds=shown.tolist())
+        frames = self._worlds.simulator.frames(worlds=shown.tolist())
         samples = []
         if len(taken):
             flights = [self._flights[world] for world in taken]
             seen = frames[np.isin(shown, taken)]
             samples.append(self._sampler.sample(self._rng, self._poses(taken), flights, seen))
         self._command(led, frames[np.isin(shown, led)])
-        gate_events = self._simulator.advance()
-        flight = self._simulator.flight
-        far = (np.abs(flight.position[:, :2]) > _BOUND_M).any(axis=1) | flight.diverged
-        for world, gate_event in enumerate(gate_events):
-            if gate_event is not None or far[world] or self._flights[world].steps > _TOO_LONG:
+        results = self._worlds.advance()
+        far = np.abs(self._worlds.simulator.flight.position[:, :2]).max(axis=1) > _BOUND_M
+        for world, result in enumerate(results):
+            if result is not None or far[world]:
                 self._flights[world] = self._begin(world)
         return samples
 
     def _command(self, led: NDArray[np.intp], frames: Image) -> None:
         """Command every drone."""
-        flight, flights = self._simulator.flight, self._flights
+        flight, flights = self._worlds.simulator.flight, self._flights
         centers = np.stack([geometry.gate_centers(each.stage)[each.flown] for each in flights])
         yaws = np.array([geometry.gate_yaws(each.stage)[each.flown] for each in flights])
         actions = intent(flight.position, flight.velocity, flight.yaw, centers, yaws, self.recipe.expert)
         kicks = self._rng.standard_normal((len(flights), 4)) * (1.0, 1.0, 0.6, 0.8)
         for world, each in enumerate(flights):
-            each.steps += 1
             actions[world, :3] *= each.speed / self.recipe.expert.speed_m_s
             # Random wrong command, correlated over half a second, with the standard deviation `wander`.
             each.wrong = 0.82 * each.wrong + 0.57 * each.wander * kicks[world]
@@ -173,4 +166,4 @@ class RolloutStream:
         if self._learner is not None and len(led):
             texts = [flights[world].task.instruction for world in led]
             actions[led] = self._learner.act(frames, self._poses(led).state(), texts)
-        flight.command(clip_action(actions))
+        self._worlds.command(actions)

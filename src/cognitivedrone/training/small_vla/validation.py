@@ -12,10 +12,9 @@ import torch
 from torch import Tensor
 
 from cognitivedrone.models.small_vla import Flight, SmallVLA
-from cognitivedrone.training.common.run_log import DIMENSIONS
-from cognitivedrone.training.common.sampling import Batch
-from cognitivedrone.training.common.training_task import Row, to_tensors
 from cognitivedrone.training.small_vla.losses import LossModule, action_loss, action_targets, true_slots
+from cognitivedrone.training.trainer.run_log import DIMENSIONS
+from cognitivedrone.training.trainer.training_task import Batch, Row, to_tensors
 
 
 def validate(loss_module: LossModule, batches: Sequence[Batch], autocast: Any) -> Row:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from cognitivedrone.tasks.knowledge import Claim, own_claims
-from cognitivedrone.training.common.fact_phrasing import AS_NOUN
+from cognitivedrone.training.language.fact_phrasing import AS_NOUN
 from cognitivedrone.training.teach.statement import Statement
 
 FACTS_FILE = "facts.csv"

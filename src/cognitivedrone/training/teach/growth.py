@@ -1,21 +1,19 @@
-"""Networks with more words and attribute values than they were trained with; what they answered before stays."""
+"""A policy with more attribute values than it was trained with; what it answered before stays."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.gate_selector import GateSelector
-from cognitivedrone.models.sentence import WordConfig
 from cognitivedrone.models.small_vla import SmallVLA
-from cognitivedrone.models.text import Lexicon
-from cognitivedrone.training.common.lexicon import with_vectors
-from cognitivedrone.training.common.start import Start
-from cognitivedrone.training.reasoner.trained import trained_selector
+from cognitivedrone.models.text_encoder import TextEncoderModel, encoder_of
+from cognitivedrone.training.small_vla.language import spoken
 from cognitivedrone.training.small_vla.trained import trained
+from cognitivedrone.training.trainer.start import Start
 
 _UNSEEN_BIAS = -4.0  # a new concept begins as an unlikely one
 
@@ -26,42 +24,27 @@ def with_names(known: tuple[str, ...], new: tuple[str, ...]) -> tuple[str, ...]:
     return (*known[:end], *new, *known[end:])
 
 
-def grown_policy(start: Start, names: tuple[str, ...], lexicon: Lexicon) -> SmallVLA:
-    """A policy for more attribute values and words."""
-    before, words = trained(start)
-    config = replace(before.config, words=WordConfig(len(lexicon.words), lexicon.trained))
-    network = SmallVLA(config, AttributeSchema(names))
+def grown_policy(start: Start, names: tuple[str, ...]) -> SmallVLA:
+    """A policy for more attribute values. A new one begins as what its name means, so it is understood by name."""
+    before = trained(start)
+    assert before.reader is not None and before.language is not None  # noqa: S101, PT018  (for the type checker)
+    network = SmallVLA(before.config, AttributeSchema(names))
     rows = _rows(before.schema.names, names)
-    moved = {
-        "reader.attributes.weight": (rows, 0), "reader.attributes.bias": (rows, 0), "reader.temperature": (rows, 0),
-        "language.prototypes": (rows, 0), "language.words.own.weight": (_rows(_own(words), _own(lexicon)), 0),
-    }  # fmt: skip
-    _move(before, network, moved)
-    with_vectors(network.language.words, lexicon)
+    moved = ("reader.attributes.weight", "reader.attributes.bias", "reader.temperature", "language.prototypes")
+    _move(before, network, moved, rows)
     new = [row for row in range(len(names)) if row not in set(rows.tolist())]
-    with torch.no_grad():
-        assert network.reader is not None  # noqa: S101  (tells the type checker)
-        network.reader.attributes.bias[new] = _UNSEEN_BIAS
+    if new:
+        concepts = [name for name in before.schema.names if name.startswith("concept/")]
+        encoder = TextEncoderModel.load(encoder_of(start.path))
+        texts = [spoken(name) for name in (*concepts, *(names[row] for row in new))]
+        meanings = torch.from_numpy(encoder.meanings(texts))
+        known, taught = meanings[: len(concepts)], meanings[len(concepts) :]
+        with torch.no_grad():
+            assert network.reader is not None and network.language is not None  # noqa: S101, PT018
+            network.reader.attributes.bias[new] = _UNSEEN_BIAS
+            length = before.language.prototypes.norm(dim=-1).mean()
+            network.language.prototypes[new] = length * F.normalize(taught - known.mean(0), dim=-1)
     return network
-
-
-def grown_selector(start: Start, names: tuple[str, ...], lexicon: Lexicon) -> GateSelector:
-    """A gate selector for more attribute values and words."""
-    before, words = trained_selector(start)
-    config = replace(before.config, words=WordConfig(len(lexicon.words), lexicon.trained))
-    network = GateSelector(config, len(names))
-    rows = _rows(tuple(start.facts["attributes"]), names)
-    _move(
-        before,
-        network,
-        {"attributes.weight": (rows, 1), "words.own.weight": (_rows(_own(words), _own(lexicon)), 0)},
-    )
-    with_vectors(network.words, lexicon)
-    return network
-
-
-def _own(lexicon: Lexicon) -> tuple[str, ...]:
-    return lexicon.words[: lexicon.trained]
 
 
 def _rows(before: tuple[str, ...], after: tuple[str, ...]) -> Tensor:
@@ -70,13 +53,9 @@ def _rows(before: tuple[str, ...], after: tuple[str, ...]) -> Tensor:
     return torch.tensor([places[name] for name in before])
 
 
-def _move(before: nn.Module, after: nn.Module, moved: dict[str, tuple[Tensor, int]]) -> None:
-    """Copy all weights; those in `moved` to other rows along an axis. Word vectors are set by the caller."""
+def _move(before: nn.Module, after: nn.Module, moved: Sequence[str], rows: Tensor) -> None:
+    """Copy all weights; those in `moved` to other rows."""
     state = after.state_dict()
     for name, value in before.state_dict().items():
-        if name in moved:
-            rows, axis = moved[name]
-            state[name] = state[name].index_copy(axis, rows, value)
-        elif not name.endswith("words.vectors"):
-            state[name] = value
+        state[name] = state[name].index_copy(0, rows, value) if name in moved else value
     after.load_state_dict(state)

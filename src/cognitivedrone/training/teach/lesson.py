@@ -22,13 +22,15 @@ from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.format import read_tasks
 from cognitivedrone.tasks.vocabulary import LETTERS, LOGOS
-from cognitivedrone.training.common.attributes import concept_name
+from cognitivedrone.training.perception.attributes import concept_name
 from cognitivedrone.training.teach.facts import facts_file, stated
 from cognitivedrone.training.teach.statement import Statement
 from cognitivedrone.types import COLORS, SHAPES, Task
 
 LARGEST_LESSON = 5_000
 """Maximum number of concepts."""
+_MOST_NOTES = 6
+"""Maximum number of phrases that the reasoner gets for a concept: it reads them with every panel that shows it."""
 _NUMBERED = re.compile(r"(.*[^\W\d_])[\s_-]*\d+")
 _NOT_LETTERS = re.compile(r"[\W_]+")
 _GATE_WITH = re.compile(r"^.*\bgate (?:with|of|that has|showing) (.+?)[.!]?$", re.IGNORECASE)
@@ -64,11 +66,19 @@ class Lesson:
         """All words that it brings, as sentences."""
         return tuple(text for each in self.statements for text in (*each.phrases, *each.sentences))
 
+    def notes(self) -> dict[str, str]:
+        """Statements about the concepts beside their names, by the names of their attribute values."""
+        found: dict[str, list[str]] = {}
+        for statement in self.statements:
+            for name in statement.true if not statement.by_name else ():
+                found.setdefault(name, []).extend((*statement.phrases, *statement.sentences)[:1])
+        return {name: "; ".join(texts[:_MOST_NOTES]) for name, texts in found.items()}
+
 
 def read_lesson(labels: Path, tasks: Path | None = None) -> Lesson:
     """The lesson in a folder of pictures, with their `facts.csv` if any, and in a task file or folder if given.
 
-    Tasks about pictures that the folder lacks are left out, with a warning; names that can mean two things are told in
+    Tasks about pictures that the folder lacks are left out, with a warning; names that can mean two things are put in
     another. Raises `TrainingError` for fewer than two concepts or too many, or if no task is left; `LabelError` for a
     broken picture, `TaskError` for a broken task file or table.
     """
@@ -133,31 +143,31 @@ def _pictures(pack: FolderPack) -> tuple[dict[str, tuple[str, ...]], dict[str, s
 
 
 def _by_name(pictures: dict[str, tuple[str, ...]], kinds: dict[str, str]) -> list[Statement]:
-    """Every concept by its name; "the letter A" and "the 7" besides. A name of two concepts is said with its kind."""
+    """Every concept by its name; "the letter A" and "the 7" besides. A name of two concepts appears with its kind."""
     made = []
     shared = _shared_names(pictures)
     for name in pictures:
         kind, _, concept = name.removeprefix("concept/").partition(":")
-        said = concept.replace("_", " ")
+        noun = concept.replace("_", " ")
         if kind == "thing":
             folder = _NOT_LETTERS.sub(" ", kinds[name]).strip().casefold()
-            phrases = (f"{said} of {folder}", f"the {said} among {folder}") if said in shared else _named(said)
+            phrases = (f"{noun} of {folder}", f"the {noun} among {folder}") if noun in shared else _named(noun)
         else:
-            phrases = (f"the {kind} {said}",) if said in shared else (said, f"the {kind} {said}")
+            phrases = (f"the {kind} {noun}",) if noun in shared else (noun, f"the {kind} {noun}")
         others = tuple(other for other in pictures if other != name)
         alike = tuple(other for other in others if kinds[other] == kinds[name])
         made.append(Statement(phrases, (), (name,), alike if len(alike) > 1 else others, by_name=True))
     return made
 
 
-def _named(said: str) -> tuple[str, ...]:
-    return said, f"the {said}", f"a {said}"
+def _named(noun: str) -> tuple[str, ...]:
+    return noun, f"the {noun}", f"a {noun}"
 
 
 def _shared_names(pictures: Iterable[str]) -> frozenset[str]:
     """Names of more than one concept, such as the fruit and the brand."""
     counted = Counter(name.partition(":")[2].replace("_", " ").casefold() for name in pictures)
-    return frozenset(said for said, count in counted.items() if count > 1)
+    return frozenset(noun for noun, count in counted.items() if count > 1)
 
 
 def _tell_collisions(pictures: dict[str, tuple[str, ...]]) -> None:

@@ -10,10 +10,10 @@ from PIL import ImageEnhance, ImageFilter
 from cognitivedrone.labels import load_pack
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.generate import Draw
-from cognitivedrone.training.common.attributes import AttributeIndex
-from cognitivedrone.training.common.panel_crops import PanelCrops, WiderWorld, panel_image_of
-from cognitivedrone.training.common.problems import ABSENT, Problem, Problems, draw_gates, problem_of
-from cognitivedrone.training.common.wordings import TYPED
+from cognitivedrone.training.language.problems import ABSENT, Problem, Problems, draw_gates, problem_of
+from cognitivedrone.training.language.wordings import TYPED
+from cognitivedrone.training.perception.attributes import AttributeIndex
+from cognitivedrone.training.perception.panel_crops import PanelCrops, WiderWorld, panel_image_of
 from cognitivedrone.training.teach.lesson import Lesson, attribute_of
 from cognitivedrone.training.teach.statement import Statement
 from cognitivedrone.types import Image, Task
@@ -120,11 +120,11 @@ class LessonProblems:
         if not absent:
             names[target] = statement.true[int(rng.integers(len(statement.true)))]
         whole = len(statement.phrases) + len(statement.sentences)
-        said = int(rng.integers(whole))
-        if said < len(statement.phrases):
-            sentence = Draw(rng, TYPED, target).frame(statement.phrases[said])
+        choice = int(rng.integers(whole))
+        if choice < len(statement.phrases):
+            sentence = Draw(rng, TYPED, target).frame(statement.phrases[choice])
         else:
-            sentence = statement.sentences[said - len(statement.phrases)]
+            sentence = statement.sentences[choice - len(statement.phrases)]
         first, second, third = (f"taught/{name}" for name in names)
         labels = first, second, third
         return Problem(sentence, "taught", labels, draw_gates(rng), None, ABSENT if absent else target)

@@ -1,36 +1,41 @@
-"""The recipe `teach`: policy and reasoner together learn a lesson, and keep what they knew."""
+"""The recipe `teach`: a policy learns a lesson, and keeps what it knew; its reasoner gets it as phrases."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.gate_selector import GateSelector, SelectorConfig
+from cognitivedrone.errors import ModelError, TrainingError
+from cognitivedrone.models.reasoner_file import SELECTOR_FILE, GateSelectorModel
 from cognitivedrone.models.small_vla import SmallVLA
-from cognitivedrone.models.text import Lexicon
+from cognitivedrone.models.text_encoder import TextEncoderModel, encoder_of, packed
 from cognitivedrone.terminal import console
-from cognitivedrone.training.common.attributes import AttributeIndex
-from cognitivedrone.training.common.problems import Problem, Problems
-from cognitivedrone.training.common.readings import Readings, readings_of
-from cognitivedrone.training.common.sampling import Batch, TextMix, described
-from cognitivedrone.training.common.start import Start, read_start
-from cognitivedrone.training.common.training_task import Batches, Given, Learner, Recipe, Row, to_tensors
+from cognitivedrone.training.language.problems import Problem, Problems
+from cognitivedrone.training.perception.attributes import AttributeIndex
+from cognitivedrone.training.perception.readings import Readings, readings_of
+from cognitivedrone.training.reasoner.pretrained import packaged_selector
 from cognitivedrone.training.reasoner.reader import ReaderLoss
-from cognitivedrone.training.reasoner.selector import Encoder, SelectorLoss, SelectorRecipe
-from cognitivedrone.training.small_vla.losses import text_loss
-from cognitivedrone.training.teach.growth import grown_policy, grown_selector, with_names
+from cognitivedrone.training.small_vla.described import TextMix, scenes, text_loss
+from cognitivedrone.training.teach.growth import grown_policy, with_names
 from cognitivedrone.training.teach.lesson import Lesson, read_lesson
 from cognitivedrone.training.teach.practice import LessonCrops, LessonProblems
+from cognitivedrone.training.trainer.start import Start, read_start
+from cognitivedrone.training.trainer.training_task import Batch, Batches, Given, Learner, Recipe, Row, to_tensors
 
 _VALIDATION = 10**6
+_POOL, _REPEATS = 16, 4  # batches whose sentences are encoded at once, and how often each sentence is used
+_TOGETHER = 64
+
+_Encoded: TypeAlias = tuple[Problem, NDArray[np.float32]]
+"""A problem, and its sentence as the text encoder reads it (L, W)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,15 +43,13 @@ class TeachRecipe(Recipe):
     """Everything that determines a lesson's training, except lesson, start, processes and seed."""
 
     batch: int = 96
-    """Panel crops, and sentences for the policy and for the reasoner; processes share them."""
+    """Panel crops, and as many sentences; processes share them."""
     share: float = 0.4
     """Share of crops and sentences about the lesson; the others keep what was known."""
     steps_for_each: float = 4.4
     """Further steps for each picture."""
     most_steps: int = 2_000
     mix: TextMix = field(default_factory=TextMix)
-    selector: SelectorRecipe = field(default_factory=lambda: SelectorRecipe(name="selector", steps=0))
-    """What the reasoner's sentences are like."""
     validation_problems: int = 600
 
     needs_start: ClassVar[bool] = True
@@ -63,7 +66,6 @@ class TeachRecipe(Recipe):
         steps = min(self.most_steps, self.steps + round(self.steps_for_each * sum(map(len, lesson.pictures.values()))))
         if os.environ.get("RANK", "0") == "0":  # one of several processes
             console().print(summary_of(lesson, tuple(policy.facts["attributes"])))
-            console().print("reading panels of what was known, half a minute")
         readings = readings_of(policy, AttributeIndex(policy.facts["attributes"]))
         return TeachTraining(replace(self, steps=steps), lesson, policy, selector, readings)
 
@@ -71,30 +73,27 @@ class TeachRecipe(Recipe):
 def summary_of(lesson: Lesson, known: tuple[str, ...]) -> str:
     """What a lesson teaches, in words."""
     again = sorted(name.partition(":")[2].replace("_", " ") for name in set(lesson.names) & set(known))
-    told = f"{len(lesson.names)} concepts in {sum(map(len, lesson.pictures.values()))} pictures"
-    told += f", {len(lesson.tasks)} tasks" if lesson.tasks else ""
-    told += f", {lesson.facts} statements from facts.csv" if lesson.facts else ""
+    summary = f"{len(lesson.names)} concepts in {sum(map(len, lesson.pictures.values()))} pictures"
+    summary += f", {len(lesson.tasks)} tasks" if lesson.tasks else ""
+    summary += f", {lesson.facts} statements from facts.csv" if lesson.facts else ""
     if again:
         more = f" and {len(again) - 8} more" if len(again) > 8 else ""
-        told += f"; known already and taught again: {', '.join(again[:8])}{more}"
-    return told
+        summary += f"; known already and taught again: {', '.join(again[:8])}{more}"
+    return summary
 
 
-def pilot_of(start: Path | None) -> tuple[Start, Start]:
-    """Policy and gate selector of the packaged pilot, or of the folder of an earlier lesson."""
-    if start is not None and start.is_dir():
-        from cognitivedrone.models.reasoner_file import SELECTOR_FILE
+def pilot_of(start: Path | None) -> tuple[Start, Path]:
+    """Policy, and file of the gate selector, of the packaged pilot or of the folder of an earlier lesson.
 
-        return read_start(start / "model.onnx", "policy"), read_start(start / SELECTOR_FILE, "selector")
-    return read_start(start, "policy"), read_start(None, "selector")
-
-
-class Pilot(nn.Module):
-    """Policy and gate selector, which are taught together."""
-
-    def __init__(self, policy: SmallVLA, selector: GateSelector) -> None:
-        super().__init__()
-        self.policy, self.selector = policy, selector
+    Raises `TrainingError`.
+    """
+    folder = start if start is not None and start.is_dir() else None
+    selector = folder / SELECTOR_FILE if folder else packaged_selector()
+    try:
+        GateSelectorModel.load(selector)
+    except ModelError as error:
+        raise TrainingError(str(error)) from None
+    return read_start(folder / "model.onnx" if folder else start, "policy"), selector
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,8 @@ class TeachTraining:
     recipe: TeachRecipe
     lesson: Lesson
     policy: Start
-    selector: Start
+    selector: Path
+    """File of the reasoner's gate selector."""
     readings: Readings
     """How the panels of what was known are read; made once, because it takes as long as 50 steps."""
 
@@ -114,36 +114,28 @@ class TeachTraining:
         known = tuple(self.policy.facts["attributes"])
         return with_names(known, self.lesson.new(known))
 
-    def lexicon(self, start: Start) -> Lexicon:
-        """The words that were known, and the new ones."""
-        known = Lexicon(tuple(start.facts["vocabulary"]), start.facts["trained_words"])
-        return known.taught(self.lesson.sentences())
-
     def identity(self) -> dict[str, Any]:
         """Recipe, lesson and start."""
         return {
             "recipe": self.recipe.facts(),
-            "data": f"lesson {self.lesson.digest}, {self.policy.origin}, {self.selector.origin}",
+            "data": f"lesson {self.lesson.digest}, {self.policy.origin}",
         }
 
     def facts(self) -> dict[str, Any]:
         """The attribute values."""
         return {"attributes": list(self.names), "taught": list(self.lesson.names)}
 
-    def network(self) -> Pilot:
-        """The pilot, grown for new words and concepts; how it finds gates and flies stays as it is."""
-        pilot = Pilot(
-            grown_policy(self.policy, self.names, self.lexicon(self.policy)),
-            grown_selector(self.selector, self.names, self.lexicon(self.selector)),
-        )
-        pilot.policy.finder.requires_grad_(requires_grad=False)
-        pilot.policy.flight.requires_grad_(requires_grad=False)
-        pilot.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        return pilot
+    def network(self) -> SmallVLA:
+        """The policy, grown for new concepts; how it finds gates and flies stays as it is."""
+        policy = grown_policy(self.policy, self.names)
+        policy.finder.requires_grad_(requires_grad=False)
+        policy.flight.requires_grad_(requires_grad=False)
+        policy.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        return policy
 
     def loss_module(self, network: nn.Module) -> TeachLoss:
-        """The pilot with its losses."""
-        assert isinstance(network, Pilot)  # noqa: S101  (tells the type checker)
+        """The policy with its losses."""
+        assert isinstance(network, SmallVLA)  # noqa: S101  (for the type checker)
         return TeachLoss(network, AttributeIndex(self.names))
 
     def learner(self, network: nn.Module) -> None:
@@ -161,24 +153,24 @@ class TeachTraining:
         def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
             del learner
             rng = np.random.default_rng(seed)
-            policy, selector = makers.problems(self.recipe.mix.problems), makers.problems(self.recipe.selector.mix)
+            problems = LessonProblems(self.lesson, Problems(self.recipe.mix.problems), self.recipe.share)
             while True:
-                yield makers.batch(rng, policy, selector, self.recipe.batch, self.recipe.share)
+                pool = makers.pool(rng, problems, _POOL * self.recipe.batch)
+                for _ in range(_REPEATS * _POOL):
+                    yield makers.batch(rng, pool, self.recipe.batch, self.recipe.share)
 
         return made
 
     def validation(self, seed: int) -> list[Batch]:
         """Pictures and problems of the lesson alone, of another seed."""
         rng, makers = np.random.default_rng((seed, _VALIDATION)), self._makers()
-        policy, selector = (
-            LessonProblems(self.lesson, Problems(mix), 1.0)
-            for mix in (self.recipe.mix.problems, self.recipe.selector.mix)
-        )
+        problems = LessonProblems(self.lesson, Problems(self.recipe.mix.problems), 1.0)
         count = -(-self.recipe.validation_problems // self.recipe.batch)
-        return [makers.batch(rng, policy, selector, self.recipe.batch, 1.0) for _ in range(count)]
+        pool = makers.pool(rng, problems, self.recipe.validation_problems)
+        return [makers.batch(rng, pool, self.recipe.batch, 1.0) for _ in range(count)]
 
     def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
-        """How much of the lesson is understood: pictures read, and problems solved by policy and reasoner."""
+        """How much of the lesson is understood: pictures read, and problems solved."""
         assert isinstance(loss_module, TeachLoss)  # noqa: S101
         device = next(loss_module.parameters()).device
         loss_module.eval()
@@ -197,9 +189,24 @@ class TeachTraining:
 
     def export(self, checkpoint: Path, folder: Path) -> None:
         """The files of policy, panel reader and gate selector."""
-        from cognitivedrone.training.teach.export import export_pilot
+        from cognitivedrone.models.small_file import statistics_of
+        from cognitivedrone.training.reasoner.export import write_taught_selector
+        from cognitivedrone.training.small_vla.export import copy_encoder, provenance_of, write_policy
+        from cognitivedrone.training.small_vla.parts import write_reasoner_parts
+        from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore
 
-        export_pilot(self, checkpoint, folder)
+        tensors, facts = read_checkpoint(checkpoint)
+        policy = self.network()
+        restore(tensors, policy, None)
+        policy.eval()
+        provenance = provenance_of(facts)
+        action = statistics_of(self.policy.facts["action"], str(self.policy.path))
+        encoder = self.policy.facts["encoder"]
+        copy_encoder(encoder_of(self.policy.path), folder)
+        # The picture classifier is not asked: the reader knows the user's own photographs now.
+        write_policy(policy, encoder, action, provenance, folder / self.recipe.model_file, classifier=False)
+        write_reasoner_parts(policy, encoder, provenance, folder, classifier=False)
+        write_taught_selector(self.selector, self.names, self.lesson.notes(), folder)
 
     def _makers(self) -> _Makers:
         return _Makers(self)
@@ -214,29 +221,25 @@ class _Makers:
         readings = training.readings.moved(index)
         config = training.policy.facts["recipe"]["network"]
         self._readings = readings
-        self._words = training.lexicon(training.policy)
-        self._length = config["text_length"]
+        self._encoder = TextEncoderModel.load(encoder_of(training.policy.path), threads=torch.get_num_threads())
         self._crops = LessonCrops(training.lesson, index, config["reader"]["crop_size"])
-        selector = replace(
-            training.recipe.selector, network=SelectorConfig.of(training.selector.facts["recipe"]["network"])
-        )
-        self._encoder = Encoder(selector, training.lexicon(training.selector), readings)
 
-    def problems(self, mix: Any) -> LessonProblems:
-        """Problems of the lesson among known ones."""
-        return LessonProblems(self.training.lesson, Problems(mix), self.training.recipe.share)
+    def pool(self, rng: np.random.Generator, problems: LessonProblems, count: int) -> list[_Encoded]:
+        """So many problems, their sentences encoded, those of similar lengths together."""
+        drawn = sorted(_taken(rng, problems, count), key=lambda problem: len(problem.sentence))
+        parts = (drawn[first : first + _TOGETHER] for first in range(0, count, _TOGETHER))
+        return [
+            (problem, words)
+            for part in parts
+            for problem, words in zip(part, self._encoder.batch([each.sentence for each in part]), strict=True)
+        ]
 
-    def batch(
-        self, rng: np.random.Generator, policy: LessonProblems, selector: LessonProblems, count: int, share: float
-    ) -> Batch:
-        """Crops and sentences; the selector's fields begin with `selector_`."""
+    def batch(self, rng: np.random.Generator, pool: Sequence[_Encoded], count: int, share: float) -> Batch:
+        """Crops, and sentences of the pool about scenes that are read anew."""
         images, attributes = self._crops.draw(rng, count, share)
-        text = described(
-            rng, _taken(rng, policy, count), self._words, self._length, self._readings, self.training.recipe.mix
-        )
-        chosen = self._encoder.encode(rng, _taken(rng, selector, count), noise=share < 1)
-        batch: Batch = {"crop": images, "attributes": attributes, **text}
-        return batch | {f"selector_{name}": values for name, values in chosen.items()}
+        chosen = [pool[number] for number in rng.integers(len(pool), size=count).tolist()]
+        text = scenes(rng, [problem for problem, _ in chosen], self._readings, self.training.recipe.mix)
+        return {"crop": images, "attributes": attributes, "words": packed([words for _, words in chosen]), **text}
 
 
 def _taken(rng: np.random.Generator, problems: LessonProblems, count: int) -> list[Problem]:
@@ -247,14 +250,13 @@ def _taken(rng: np.random.Generator, problems: LessonProblems, count: int) -> li
 
 
 class TeachLoss(nn.Module):
-    """The pilot and the losses of its three parts that learn."""
+    """The policy and the losses of its two parts that learn."""
 
-    def __init__(self, network: Pilot, index: AttributeIndex) -> None:
+    def __init__(self, network: SmallVLA, index: AttributeIndex) -> None:
         super().__init__()
         self.network = network
-        assert network.policy.reader is not None  # noqa: S101  (tells the type checker)
-        self._reading = ReaderLoss(network.policy.reader, index, smoothing=0.05)
-        self._choosing = SelectorLoss(network.selector)
+        assert network.reader is not None  # noqa: S101  (for the type checker)
+        self._reading = ReaderLoss(network.reader, index, smoothing=0.05)
 
     def train(self, mode: bool = True) -> TeachLoss:
         """As for every module, but batch statistics stay: half of a batch would be the lesson's."""
@@ -265,17 +267,13 @@ class TeachLoss(nn.Module):
         return self
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss; and, detached, how many pictures are read, and how many problems are solved by which part."""
+        """The loss; and, detached, how many pictures are read, and how many problems are solved."""
         reading, read = self._reading(batch)
-        text, right = text_loss(self.network.policy, batch)
-        prefix = "selector_"
-        chosen = {name.removeprefix(prefix): value for name, value in batch.items() if name.startswith(prefix)}
-        choosing, choice = self._choosing(chosen)
-        return reading + 2.0 * text + choosing, {
-            "pictures read": read["accuracy"],
-            "policy right": right.float().mean(),
-            "reasoner right": choice["choice accuracy"],
-        }
+        language = self.network.language
+        assert language is not None  # noqa: S101
+        text, logits = text_loss(language, self.network.schema, batch["words"], batch)
+        right = (logits.argmax(-1) == batch["text_target"]).float().mean()
+        return reading + 2.0 * text, {"pictures read": read["accuracy"], "policy right": right.detach()}
 
 
 TEACH = TeachRecipe(

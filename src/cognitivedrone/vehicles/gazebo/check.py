@@ -75,11 +75,11 @@ def _problem(checker: Checker, file: Path) -> str:
     with tempfile.TemporaryDirectory() as home:
         done = _ran((*checker.command, str(file)), home)
         logs = [path.read_text(encoding="utf-8", errors="replace") for path in Path(home).rglob("*.log")]
-    said = done.stderr.strip()
-    if done.returncode and not said:
-        said = done.stdout.strip() or f"exit code {done.returncode}"
+    output = done.stderr.strip()
+    if done.returncode and not output:
+        output = done.stdout.strip() or f"exit code {done.returncode}"
     unknown = [line for log in logs for line in log.splitlines() if _UNKNOWN in line]
-    return " ".join((said or "\n".join(dict.fromkeys(unknown))).split())
+    return " ".join((output or "\n".join(dict.fromkeys(unknown))).split())
 
 
 def _ran(command: Sequence[str], home: str) -> subprocess.CompletedProcess[str]:

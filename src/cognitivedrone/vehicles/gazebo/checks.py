@@ -1,6 +1,6 @@
 """Checks of a running Gazebo on the ground: each measures one thing and returns a `Finding`.
 
-Times are Gazebo's unless they are said to be of the wall clock. The limits are those of tests/external/gazebo.md.
+Times are Gazebo's unless stated to be of the wall clock. The limits are those of tests/external/gazebo.md.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Scene:
         self.stages = stages
         self.labels = labels
         self.opened = False
-        self.heard = 0
+        self.complaints_before = 0
         """Number of complaints that a check has already reported."""
         self.shown = 0
         """Index of the stage in Gazebo."""
@@ -124,18 +124,18 @@ def loading(scene: Scene) -> Finding:
     finally:
         path.close()
     complaints = scene.server.complaints()
-    scene.heard = len(complaints)
+    scene.complaints_before = len(complaints)
     complaints = [line for line in complaints if NO_PLUGIN not in line and "ArduPilotPlugin" not in line]
-    return Finding("loaded, and time passes", _told(complaints), {"complaints": len(complaints)})
+    return Finding("loaded, and time passes", _problem(complaints), {"complaints": len(complaints)})
 
 
 def leftovers(scene: Scene) -> Finding:
     """Gazebo printed no warning or error since it loaded the world, but what a slow ArduPilot makes its plugin say."""
-    later = scene.server.complaints()[scene.heard :]
+    later = scene.server.complaints()[scene.complaints_before :]
     complaints = [line for line in later if not _EXPECTED.search(line)]
     slow = len(later) - len(complaints)
     figure = f"ArduPilot's plugin says {slow} times that frames were lost or repeated" if slow else "nothing more in it"
-    return Finding(figure, _told(complaints), {"complaints": len(complaints), "frames_lost_or_repeated": slow})
+    return Finding(figure, _problem(complaints), {"complaints": len(complaints), "frames_lost_or_repeated": slow})
 
 
 def places(scene: Scene) -> Finding:
@@ -305,7 +305,7 @@ def _rate(stamps: Sequence[float]) -> tuple[float, int]:
     return (len(stamps) - 1) / (stamps[-1] - stamps[0]), int((np.diff(stamps) <= 0).sum())
 
 
-def _told(complaints: Sequence[str]) -> str:
+def _problem(complaints: Sequence[str]) -> str:
     """Gazebo's complaints as a problem; empty without any."""
     more = f" (and {len(complaints) - 1} more lines in gazebo.log)" if len(complaints) > 1 else ""
     return f"Gazebo says: {complaints[0]}{more}" if complaints else ""

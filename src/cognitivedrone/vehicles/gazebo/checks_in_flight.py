@@ -32,7 +32,7 @@ HOVER_S, HOVER_M, HOVER_RAD = 5.0, 0.15, math.radians(5)
 FORWARD_M_S, FORWARD_S, FORWARD_OFF = 1.0, 3.0, 0.1
 """Velocity setpoint, its duration, and the relative tolerance of the speed in the last second."""
 HALF_S, HALF_OFF_S = 0.59, 0.15
-"""Time to half the velocity as recorded from ArduCopter (docs/flight.md), and its tolerance, s."""
+"""Time to half the velocity as recorded from ArduCopter (docs/vehicles.md), and its tolerance, s."""
 YAW_RAD_S, YAW_S, YAW_OFF = 0.5, 3.0, 0.1
 """Yaw rate setpoint, as above."""
 ESTIMATE_M: Final = 0.15

@@ -122,8 +122,8 @@ def _tasks_of(file: Path) -> Iterator[Task]:
     kind, category = file.stem, file.parent.name.lower().replace(" ", "_")
     ours = {"category": category} if kind not in PUBLISHED_TYPES and category in CATEGORIES else {}
     for index, obj in enumerate(content):
-        told = {**ours, **obj} if isinstance(obj, dict) else obj
-        yield task_from_json(told, where=f"{file}[{index}]", kind=kind, default_id=f"{kind}/{index:04d}")
+        table = {**ours, **obj} if isinstance(obj, dict) else obj
+        yield task_from_json(table, where=f"{file}[{index}]", kind=kind, default_id=f"{kind}/{index:04d}")
 
 
 def _pictures_of(file: Path, tasks: Iterable[Task]) -> dict[PurePosixPath, Path]:

@@ -143,7 +143,8 @@ def write_pictures(stage: Stage, labels: LabelPack, appearance: Appearance, out:
     folder = out / "textures"
     folder.mkdir(parents=True, exist_ok=True)
     pictures = [_write_label(reference, labels.image(reference), folder) for reference in stage.labels]
-    board = None if stage.board is None else _write_label(stage.board, labels.image(stage.board), folder)
+    more = geometry.board_label(stage)
+    board = None if more is None else _write_label(more, labels.image(more), folder)
     for pattern in PATTERNS:
         name = pattern_file(pattern)
         if name is not None and pattern in (appearance.floor_pattern, appearance.surroundings_pattern):

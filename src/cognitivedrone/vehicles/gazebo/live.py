@@ -43,7 +43,7 @@ PLACE_M, PLACE_RAD = 1e-3, math.radians(0.1)
 _OURS = re.compile(r"(gate_[123]|panel_[123]|board|floor|room)(_\d+)?")
 _SUN = re.compile(rf"{SUN}(_\d+)?")
 _LOOK_AGAIN_S = 0.02
-_TOLD = 3
+_LISTED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +99,8 @@ def differences(places: Mapping[str, tuple[FloatArray, FloatArray]], wanted: Map
     `places` are the positions and quaternions of all entities by name; those that are not ours are ignored.
     """
     ours = {name for name in places if _OURS.fullmatch(name)}
-    told = [f"{name} is missing" for name in sorted(wanted.keys() - ours)]
-    told += [f"{name} is still there" for name in sorted(ours - wanted.keys())]
+    complaints = [f"{name} is missing" for name in sorted(wanted.keys() - ours)]
+    complaints += [f"{name} is still there" for name in sorted(ours - wanted.keys())]
     for name in sorted(ours & wanted.keys()):
         prop, (position, quaternion) = wanted[name], places[name]
         if prop is None:
@@ -108,9 +108,9 @@ def differences(places: Mapping[str, tuple[FloatArray, FloatArray]], wanted: Map
         off = float(np.linalg.norm(position - prop.position))
         turned = abs(float(wrap_angle(yaw_of(quaternion) - prop.yaw)))
         if off > PLACE_M or turned > PLACE_RAD:
-            told.append(f"{name} is {off:.3f} m and {math.degrees(turned):.1f} degrees from its place")
-    more = [f"and {len(told) - _TOLD} more"] if len(told) > _TOLD else []
-    return ", ".join(told[:_TOLD] + more)
+            complaints.append(f"{name} is {off:.3f} m and {math.degrees(turned):.1f} degrees from its place")
+    more = [f"and {len(complaints) - _LISTED} more"] if len(complaints) > _LISTED else []
+    return ", ".join(complaints[:_LISTED] + more)
 
 
 class GazeboWorld:
@@ -136,7 +136,7 @@ class GazeboWorld:
         self._services = self.bindings.new_services()
         with ExitStack() as undo:
             undo.callback(self.close)
-            self._meet()
+            self._find_server()
             self._look_around()
             try:
                 write_meshes(self._folder)
@@ -243,7 +243,7 @@ class GazeboWorld:
         self._path = self._poses = None
         self._services.close()
 
-    def _meet(self) -> None:
+    def _find_server(self) -> None:
         """Check that Gazebo runs our world."""
         delivered, reply = self._request("/gazebo/worlds", "Empty", "StringMsg_V")
         if not delivered:

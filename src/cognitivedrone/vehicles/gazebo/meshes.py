@@ -16,12 +16,14 @@ from cognitivedrone.types import SHAPES, SIZES, FloatArray, Shape, Size
 from cognitivedrone.world.assets import Assets, Placed, build_assets
 
 PANEL: Final = "panel"
+PILLAR: Final = "pillar"
 FLOOR: Final = "floor"
 ROOM: Final = "room"
 MATERIALS_FILE: Final = "white.mtl"
 MATERIALS: Final = "newmtl white\nKd 1 1 1\n"
 """What every mesh is made of, until the SDF file says otherwise: Gazebo warns of a mesh without a material."""
 _MATERIAL: Final = "white"
+_SIDES: Final = 24  # of a pillar
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +46,25 @@ def gate_mesh(size: Size, shape: Shape) -> str:
 
 
 def world_meshes() -> dict[str, Mesh]:
-    """Every mesh of our world by file name: six gates, the unit panel, floor and room."""
+    """Every mesh of our world by file name: six gates, the unit panel, a pillar, floor and room."""
     assets = build_assets(slots=1, image_size=16)  # the model is only read, not rendered
     placed = {gate_mesh(size, shape): assets.gates[size, shape] for size in SIZES for shape in SHAPES}
     placed |= {PANEL: assets.panel, FLOOR: assets.floor, ROOM: assets.room}
-    return {name: _read(assets, where) for name, where in placed.items()}
+    return {name: _read(assets, where) for name, where in placed.items()} | {PILLAR: _pillar()}
+
+
+def _pillar() -> Mesh:
+    """An upright prism of diameter and height 1, in place of a cylinder."""
+    turn = np.linspace(0.0, 2 * np.pi, _SIDES, endpoint=False)
+    ring = np.column_stack([np.cos(turn), np.sin(turn)]) / 2
+    rings = [np.column_stack([ring, np.full(_SIDES, z)]) for z in (-0.5, 0.5)]
+    low = np.arange(_SIDES)
+    high, after = low + _SIDES, (low + 1) % _SIDES
+    caps = [np.column_stack([np.full(_SIDES - 2, k), low[1:-1] + k, low[2:] + k]) for k in (0, _SIDES)]
+    faces = np.concatenate(
+        [np.column_stack([low, after, high]), np.column_stack([after, after + _SIDES, high]), caps[0][:, ::-1], caps[1]]
+    )
+    return Mesh(np.concatenate(rings), faces, np.zeros((1, 2)), np.zeros_like(faces))
 
 
 def obj_text(name: str, mesh: Mesh) -> str:

@@ -11,14 +11,13 @@ from dataclasses import dataclass, replace
 from typing import Final
 from xml.etree import ElementTree as ET
 
-import numpy as np
-
-from cognitivedrone.frames import rotate_yaw
+from cognitivedrone.errors import GazeboError
 from cognitivedrone.sim.airframe import GRAVITY
 from cognitivedrone.types import COLORS, Stage
-from cognitivedrone.vehicles.gazebo.meshes import FLOOR, PANEL, ROOM, gate_mesh
+from cognitivedrone.vehicles.gazebo.meshes import FLOOR, PANEL, PILLAR, ROOM, gate_mesh
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import RGB, Appearance, Pattern
+from cognitivedrone.world.scene import OBSTACLE_COLORS, OBSTACLE_GLOW
 
 VERSION: Final = "1.9"
 WORLD: Final = "cognitivedrone"
@@ -107,6 +106,8 @@ def props_of(
     `labels` are the pictures of gates 1 to 3. A single gate has no panel. Floor and room belong to the stage: they move
     and turn with it.
     """
+    if stage.landing:
+        raise GazeboError("worlds for Gazebo have no landing pads; export each stage before the landing with --task ID")
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
     home = (float(stage.origin[0]), float(stage.origin[1]), 0.0)
     paper = paint((appearance.panel_brightness,) * 3, 1.0, appearance)
@@ -124,8 +125,10 @@ def props_of(
             _panel(f"panel_{index + 1}", labels[index], (x, y, z), float(yaws[index]), geometry.PANEL_HEIGHT, paper)
         )
     if board is not None:
-        x, y, z = (float(value) for value in np.array(home) + rotate_yaw(geometry.BOARD_CENTER, stage.yaw))
-        props.append(_panel("board", board, (x, y, z), stage.yaw, geometry.BOARD_HEIGHT, paper))
+        center, yaw, _, height = geometry.board_panel(stage, board.aspect)
+        x, y, z = (float(value) for value in center)
+        props.append(_panel("board", board, (x, y, z), yaw, height, paper))
+    props += _obstacles(stage, appearance)
     floor = paint(appearance.floor, 0.0, appearance)
     props.append(Prop(FLOOR, FLOOR, home, stage.yaw, floor, texture=pattern_file(appearance.floor_pattern)))
     room = paint(appearance.surroundings, appearance.surroundings_glow, appearance)
@@ -243,6 +246,18 @@ def _panel(
 ) -> Prop:
     scale = (1.0, picture.aspect * height, height)
     return Prop(name, PANEL, place, yaw, paper, scale, picture.file)
+
+
+def _obstacles(stage: Stage, appearance: Appearance) -> list[Prop]:
+    """Boxes and pillars; not the panel of a landmark."""
+    found, props = geometry.solids(stage), []
+    for index in range(len(found.yaws) - (stage.landmark is not None)):
+        is_round, (depth, width, height) = bool(found.round[index]), (2 * found.halves[index]).tolist()
+        scale = (depth, width, height) if is_round else (depth / geometry.PANEL_DEPTH, width, height)
+        x, y, z = found.centers[index].tolist()
+        mesh, color = PILLAR if is_round else PANEL, paint(OBSTACLE_COLORS[is_round], OBSTACLE_GLOW, appearance)
+        props.append(Prop(f"obstacle_{index + 1}", mesh, (x, y, z), float(found.yaws[index]), color, scale))
+    return props
 
 
 def _ground() -> ET.Element:

@@ -72,11 +72,11 @@ class Check:
 
 
 class Report:
-    """The checks so far; `tell` hears of each."""
+    """The checks so far; `report_check` receives each."""
 
-    def __init__(self, tell: Callable[[Check], None]) -> None:
+    def __init__(self, report_check: Callable[[Check], None]) -> None:
         self.checks: list[Check] = []
-        self._tell = tell
+        self._report = report_check
 
     @property
     def failed(self) -> bool:
@@ -99,14 +99,14 @@ class Report:
 
     def _add(self, check: Check) -> None:
         self.checks.append(check)
-        self._tell(check)
+        self._report(check)
 
 
 def selftest(
     out: Path,
     *,
     arducopter: Path | None = None,
-    tell: Callable[[Check], None] = lambda _: None,
+    report_check: Callable[[Check], None] = lambda _: None,
     bindings: Bindings | None = None,
     autopilot: Callable[[Path], Autopilot] | None = None,
 ) -> Report:
@@ -122,7 +122,7 @@ def selftest(
     found = find_track(open_suite(_SUITE), track="0")
     exported = write(found, out / "world", load_pack(), RELEASES[bindings.release.name])
     scene = Scene(out, exported.worlds, stages_of(found), load_pack())
-    report = Report(tell)
+    report = Report(report_check)
     with ExitStack() as stack:
         stack.callback(lambda: _save(report, out, bindings))
         stack.callback(scene.close)

@@ -16,6 +16,7 @@ from contextlib import suppress
 from typing import Final, Protocol
 
 from cognitivedrone.errors import GazeboError
+from cognitivedrone.processes import environment
 
 _PROGRAM: Final = "cognitivedrone.vehicles.gazebo.caller"
 
@@ -46,6 +47,7 @@ class ServiceProcess:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
+            env=environment(),
             start_new_session=True,  # ctrl-C is for us
         )
         self._one_at_a_time = threading.Lock()

@@ -36,18 +36,18 @@ class Autopilot:
     """The first firmware that is flown, and what the ones before lack."""
     lack: str
     timeout: str
-    """The parameter that tells how long it flies on by the last velocity, s."""
+    """The parameter for how long it flies on by the last velocity, s."""
     on_silence: str
-    """The parameter that tells what it does when we fall silent."""
+    """The parameter for what it does when we fall silent."""
     reports: Mapping[str, int]
     """Messages beside attitude and position, by name and number."""
     flies_by_stream: bool = False
     """Whether it takes up `guided`, arms and climbs only while velocities come. One that does not climbs by a command,
     and a velocity would end the climb."""
     asked_for_mode: bool = False
-    """Whether it heartbeats once a second whatever it is told, so that it is asked for each heartbeat."""
-    tells_prearm: bool = False
-    """Whether SYS_STATUS tells of its checks before arming without naming them as present."""
+    """Whether it heartbeats once a second whatever it is commanded, so that it is asked for each heartbeat."""
+    reports_prearm: bool = False
+    """Whether SYS_STATUS reports its checks before arming without naming them as present."""
     exact_integers: bool = False
     """Whether the bytes of an integer parameter are sent as they are, in place of a float."""
 
@@ -121,7 +121,7 @@ PX4: Final = Autopilot(
     reports={"SYS_STATUS": 1, "ESTIMATOR_STATUS": 230, "RC_CHANNELS": 65, "POSITION_TARGET_LOCAL_NED": 85},
     flies_by_stream=True,
     asked_for_mode=True,
-    tells_prearm=True,
+    reports_prearm=True,
     exact_integers=True,
 )  # fmt: skip
 """Modes by px4_custom_mode.h: main mode, and sub mode of AUTO and POSCTL."""

@@ -93,7 +93,7 @@ class MavlinkVehicle:
             armed=telemetry.armed,
             battery=telemetry.battery,
             frame_age_s=now - self._camera.seen_at,
-            link_age_s=now - telemetry.heard_at,
+            link_age_s=now - telemetry.received_at,
             decision=decision.kind if decision is not None else "fly",
             reason=decision.reason if decision is not None else "",
         )

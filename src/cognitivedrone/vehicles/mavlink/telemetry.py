@@ -13,6 +13,7 @@ import numpy as np
 
 from cognitivedrone.errors import import_extra
 from cognitivedrone.frames import enu_to_ned, flu_to_frd, world_to_heading
+from cognitivedrone.printable import visible
 from cognitivedrone.types import FloatArray
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, Autopilot
 
@@ -69,7 +70,7 @@ class Telemetry:
 
     mode: str = ""
     armed: bool = False
-    heard_at: float = -math.inf
+    received_at: float = -math.inf
     """Any message."""
     heartbeat_at: float = -math.inf
     position: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
@@ -168,9 +169,9 @@ class Telemetry:
         )
 
 
-def heard(before: Telemetry, message: Any, now: float, autopilot: Autopilot = ARDUPILOT) -> Telemetry:
+def updated(before: Telemetry, message: Any, now: float, autopilot: Autopilot = ARDUPILOT) -> Telemetry:
     """The telemetry after one more message of the vehicle; one without useful content only proves the link."""
-    t = replace(before, heard_at=now)
+    t = replace(before, received_at=now)
     match message.get_type():
         case "HEARTBEAT":
             armed = bool(message.base_mode & ARMED_FLAG)
@@ -192,7 +193,7 @@ def heard(before: Telemetry, message: Any, now: float, autopilot: Autopilot = AR
                 status_at=now,
                 battery=left / 100 if left >= 0 else None,
                 battery_at=now if left >= 0 else t.battery_at,
-                prearm=bool(healthy & PREARM_BIT) if checks or autopilot.tells_prearm else None,
+                prearm=bool(healthy & PREARM_BIT) if checks or autopilot.reports_prearm else None,
                 receiver=t.receiver or bool(present & REMOTE_BIT),
                 remote_at=now if present & healthy & REMOTE_BIT else t.remote_at,
             )
@@ -209,8 +210,8 @@ def heard(before: Telemetry, message: Any, now: float, autopilot: Autopilot = AR
             sticks = sticks if all(0 < pulse < 0xFFFF for pulse in sticks) else ()
             return replace(t, sticks=sticks, remote_at=now if sticks and not t.receiver else t.remote_at)
         case "STATUSTEXT":
-            said = Text(now, message.severity, message.text.rstrip("\0"))
-            return replace(t, texts=(*t.texts, said)[-TEXTS_KEPT:])
+            text = Text(now, message.severity, visible(message.text.rstrip("\0")))
+            return replace(t, texts=(*t.texts, text)[-TEXTS_KEPT:])
     return t
 
 
@@ -221,8 +222,8 @@ def stick_moved(before: tuple[int, ...], now: tuple[int, ...]) -> bool:
 
 def last_words(telemetry: Telemetry, since: float) -> str:
     """The vehicle's status texts since then, as a clause that ends an error message."""
-    said = list(dict.fromkeys(text.text for text in telemetry.texts if text.time >= since))
-    return f"; it reports: {'; '.join(said[-4:])}" if said else ""
+    texts = list(dict.fromkeys(text.text for text in telemetry.texts if text.time >= since))
+    return f"; it reports: {'; '.join(texts[-4:])}" if texts else ""
 
 
 def is_vehicle(message: Any) -> bool:

@@ -1,6 +1,6 @@
 """An ArduCopter process on our physics: found, started in a folder of its own, connected to, and ended.
 
-The binary is built for SITL from ArduPilot's tree (docs/ardupilot.md). It asks `links.sitl.SitlServer` for every step
+The binary is built for SITL from ArduPilot's tree (docs/vehicles.md). It asks `links.sitl.SitlServer` for every step
 of physics, and listens for MAVLink on TCP. Options of its command line:
 https://ardupilot.org/dev/docs/sitl-simulator-software-in-the-loop.html.
 """
@@ -18,6 +18,7 @@ from typing import TypeVar
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.sim.airframe import IRIS, Airframe
+from cognitivedrone.vehicles.mavlink.renames import with_both_names
 from cognitivedrone.vehicles.program import Program
 from cognitivedrone.vehicles.sitl.physics import LINEAR_THRUST
 
@@ -43,7 +44,7 @@ COMPASS_OFS3_Z -18
 AHRS_EKF_TYPE 3
 """
 """What any of our airframes needs: how it is built, the offsets of the compasses that ArduCopter itself simulates, and
-that its estimator is the real one (docs/ardupilot.md)."""
+that its estimator is the real one (docs/vehicles.md)."""
 SPIN_MIN, SPIN_MAX = 0.15, 0.95
 """Motor commands that ArduCopter maps its outputs 0 and 1 to: MOT_SPIN_MIN and MOT_SPIN_MAX."""
 PARAMETERS_FILE, OUTPUT_FILE = "cognitivedrone.parm", "arducopter.log"
@@ -61,7 +62,7 @@ def find_binary(named: Path | None, way_out: str) -> Path:
     named = named or (Path(os.environ[BINARY_VARIABLE]) if os.environ.get(BINARY_VARIABLE) else None)
     if named is None:
         raise LinkError(
-            f"--link sitl needs an ArduCopter binary: {way_out}; docs/ardupilot.md says how to build and fly it"
+            f"--link sitl needs an ArduCopter binary: {way_out}; docs/vehicles.md says how to build and fly it"
         )
     if not (named.is_file() and os.access(named, os.X_OK)):
         raise LinkError(f"{named} is not a program that can be run: {way_out}")
@@ -79,7 +80,8 @@ def tuning(airframe: Airframe) -> str:
     gains |= {f"ATC_RAT_YAW_{name}": g * yaw for name, g in _YAW_GAINS.items()}
     gains |= {f"PSC_ACCZ_{name}": g * climb for name, g in _CLIMB_GAINS.items()}
     hover, _ = _at_hover(airframe)
-    return "".join(f"{name} {value:.6g}\n" for name, value in {"MOT_THST_HOVER": hover, **gains}.items())
+    values = with_both_names({"MOT_THST_HOVER": hover, **gains})  # the binary's version is not known before it runs
+    return "".join(f"{name} {value:.6g}\n" for name, value in values.items())
 
 
 _ROLL_GAINS = {"P": 0.135, "I": 0.135, "D": 0.0036}

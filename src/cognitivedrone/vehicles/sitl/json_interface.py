@@ -31,7 +31,6 @@ NUDGE_S = 1e-10
 """By so much every timestamp is longer than whole microseconds: see `timestamp`."""
 _PACKETS = {18458: struct.Struct("<HHI16H"), 29569: struct.Struct("<HHI32H")}
 _MOTORS = 4
-_FULL_ESTIMATOR = 3
 _TAKEN_AT_ONCE = 4096
 
 
@@ -83,15 +82,6 @@ def write_state(sensed: Sensed, steps: int) -> bytes:
         "battery": {"voltage": BATTERY_V, "current": round(sensed.current, 3)},
     }
     return b"\n" + json.dumps(state, separators=(",", ":"), allow_nan=False).encode() + b"\n"
-
-
-def require_estimator(ahrs_ekf_type: float) -> None:
-    """Raise `RunError` unless AHRS_EKF_TYPE, read from the autopilot, names the estimator that real vehicles fly."""
-    if ahrs_ekf_type != _FULL_ESTIMATOR:
-        raise RunError(
-            f"AHRS_EKF_TYPE is {ahrs_ekf_type:g}: the autopilot would take its state from the simulator; set it to"
-            f" {_FULL_ESTIMATOR} and restart the autopilot"
-        )
 
 
 class SitlServer:

@@ -23,7 +23,14 @@ from cognitivedrone.vehicles.mavlink.client.traffic import (
     request_time,
 )
 from cognitivedrone.vehicles.mavlink.client.transport import Transport
-from cognitivedrone.vehicles.mavlink.telemetry import GROUND_STATION, Telemetry, dialect, heard, is_vehicle, last_words
+from cognitivedrone.vehicles.mavlink.telemetry import (
+    GROUND_STATION,
+    Telemetry,
+    dialect,
+    is_vehicle,
+    last_words,
+    updated,
+)
 
 T = TypeVar("T")
 
@@ -40,6 +47,12 @@ RESULTS = {1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed"
 IN_PROGRESS = 5
 REQUEST_MESSAGE = 512
 """MAV_CMD_REQUEST_MESSAGE."""
+SIGNED = 1
+"""Bit of a packet's incompatibility flags: https://mavlink.io/en/guide/message_signing.html."""
+SIGNS = (
+    "it signs its packets, and may ignore ours, which are not signed: switch signing off on this link, or put a router"
+    " between that signs"
+)
 MODE_S = 0.1
 """How often a vehicle that heartbeats too seldom by itself is asked for a heartbeat."""
 
@@ -87,9 +100,13 @@ class Connection:
         self._stopping = threading.Event()
         self._failure: LinkError | None = None
         self._replies: dict[Hashable, Any] = {}
+        self._asked_for: set[Hashable] = set()
+        """Parameters and commands whose answers are kept: a flood of others must not fill the memory."""
         self._kinds: dict[str, int] = {}
-        """MAV_PARAM_TYPE of the parameters heard."""
+        """MAV_PARAM_TYPE of the parameters received."""
         self.vehicle: Vehicle | None = None
+        self.signs = False
+        """Whether the vehicle signs its packets: then it may ignore ours."""
         self.telemetry = Telemetry()
         self.traffic = Traffic(nonce=secrets.randbelow(1000))
         """Other senders on the link, and whether our packets reach the vehicle."""
@@ -103,7 +120,7 @@ class Connection:
 
     @property
     def autopilot(self) -> Autopilot:
-        """What the vehicle runs; ArduPilot until it is heard, and for what is not flown."""
+        """What the vehicle runs; ArduPilot until its heartbeat arrives, and for what is not flown."""
         return AUTOPILOTS.get(self.vehicle.autopilot, ARDUPILOT) if self.vehicle is not None else ARDUPILOT
 
     def check(self) -> None:
@@ -161,14 +178,13 @@ class Connection:
                     self.until(lambda: bool(last_words(self.telemetry, began)), 0.3)
                     words = last_words(self.telemetry, began - 3.0)
                     raise LinkError(f"the vehicle refused {what}: {RESULTS.get(result, f'result {result}')}{words}")
-        raise LinkError(
-            f"the vehicle did not answer to {what}, asked {TRIES} times;"
-            " is another program using this link, or is it one-way?"
-        )
+        cause = SIGNS if self.signs else "is another program using this link, or is it one-way?"
+        raise LinkError(f"the vehicle did not answer to {what}, asked {TRIES} times; {cause}")
 
     def order(self, number: int, *parameters: float, attempt: int = 0) -> None:
         """Send a COMMAND_LONG without waiting for an answer."""
         vehicle = self._target()
+        self._asked_for.add(("ack", number))
         seven = (*parameters, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)[:7]
         self.send("command_long", vehicle.system, vehicle.component, number, attempt, *seven)
 
@@ -191,7 +207,7 @@ class Connection:
         vehicle = self._target()
         with self._asking:
             for name in names:
-                self._replies.pop(("parameter", name), None)
+                self._forget_parameter(name)
             for _ in range(TRIES):
                 missing = [name for name in names if ("parameter", name) not in self._replies]
                 for name in missing:
@@ -204,25 +220,30 @@ class Connection:
         """Set a parameter and see that it took; raises `LinkError` where it did not."""
         with self._asking:
             for _ in range(TRIES):
-                self.tell_parameter(name, value)
+                self.send_parameter(name, value)
                 echo = self.wait(lambda: self._replies.get(("parameter", name)), ACK_S)
                 if echo is not None and math.isclose(echo, value, rel_tol=1e-5):
                     return
         raise LinkError(f"the vehicle did not take {name} = {value:g}; set it with a ground station")
 
-    def tell_parameter(self, name: str, value: float) -> None:
-        """Set a parameter without waiting; `told_parameter` gives the vehicle's answer."""
+    def send_parameter(self, name: str, value: float) -> None:
+        """Set a parameter without waiting; `reported_parameter` gives the vehicle's answer."""
         vehicle = self._target()
-        self._replies.pop(("parameter", name), None)
+        self._forget_parameter(name)
         # ArduPilot takes every parameter as a float.
         kind = self._kinds.get(name, REAL32) if self.autopilot.exact_integers else REAL32
         field = self.autopilot.parameter_field(value, kind)
         self.send("param_set", vehicle.system, vehicle.component, name.encode(), field, kind)
 
-    def told_parameter(self, name: str) -> float | None:
+    def reported_parameter(self, name: str) -> float | None:
         """The value that the vehicle last reported since the parameter was requested or set."""
         value: float | None = self._replies.get(("parameter", name))
         return value
+
+    def _forget_parameter(self, name: str) -> None:
+        """What was reported of it, because it is asked for again."""
+        self._asked_for.add(("parameter", name))
+        self._replies.pop(("parameter", name), None)
 
     def _target(self) -> Vehicle:
         if self.vehicle is None:
@@ -300,7 +321,7 @@ class Connection:
                 self._log(bytes(message.get_msgbuf()))
                 # A message with an impossible value must not end the loop; the values it should have set grow old.
                 with contextlib.suppress(ValueError, OverflowError):
-                    self._hear(message, peer, now)
+                    self._receive(message, peer, now)
             self._news.notify_all()
 
     def _messages(self, decoder: Any, data: bytes) -> Sequence[Any]:
@@ -312,7 +333,7 @@ class Connection:
             self.traffic = replace(self.traffic, broken=self.traffic.broken + 1)
             return ()
 
-    def _hear(self, message: Any, peer: Hashable, now: float) -> None:
+    def _receive(self, message: Any, peer: Hashable, now: float) -> None:
         kind, sender = message.get_type(), (message.get_srcSystem(), message.get_srcComponent())
         if kind == "HEARTBEAT":
             wanted = self._system in (None, sender[0])
@@ -332,16 +353,19 @@ class Connection:
             if now - self._mover[1] < ALONE_S:
                 return
         self._peer, self._mover = (peer, now), (None, -math.inf)
+        self.signs = bool(message.get_header().incompat_flags & SIGNED)
         if kind == "HEARTBEAT":
             self._transport.answer_to(peer)  # wherever the vehicle has moved to
-        self.telemetry = heard(self.telemetry, message, now, self.autopilot)
-        if kind == "COMMAND_ACK" and message.target_system in (0, OUR_SYSTEM):
-            self._replies["ack", message.command] = message.result
+        self.telemetry = updated(self.telemetry, message, now, self.autopilot)
+        if kind == "COMMAND_ACK":
+            if message.target_system in (0, OUR_SYSTEM) and ("ack", message.command) in self._asked_for:
+                self._replies["ack", message.command] = message.result
         elif kind == "TIMESYNC":
             self.traffic = answered(self.traffic, message, now)
         elif kind == "PARAM_VALUE":
-            self._kinds[message.param_id] = message.param_type
-            self._replies["parameter", message.param_id] = self.autopilot.parameter(message)
+            if ("parameter", message.param_id) in self._asked_for:
+                self._kinds[message.param_id] = message.param_type
+                self._replies["parameter", message.param_id] = self.autopilot.parameter(message)
         else:
             self._replies[kind] = message
 

@@ -23,15 +23,17 @@ import numpy as np
 from cognitivedrone.control.health import Health
 from cognitivedrone.errors import LinkError
 from cognitivedrone.types import Action, FloatArray
+from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.mavlink.client.connection import Connection
 from cognitivedrone.vehicles.mavlink.client.expected import EXPECTED
 from cognitivedrone.vehicles.mavlink.client.guard import Decision, Guard
 from cognitivedrone.vehicles.mavlink.client.handshake import HOME_POSITION, MavlinkConfig, Met, meet
 from cognitivedrone.vehicles.mavlink.client.health import OWN_TARGETS_S, Asked, Baseline, health_of
 from cognitivedrone.vehicles.mavlink.client.parameters import ParameterChanges, journal_of
-from cognitivedrone.vehicles.mavlink.client.preflight import FRESH_S, Checklist, Facts, build_checklist, corrections
+from cognitivedrone.vehicles.mavlink.client.preflight import FRESH_S, Facts, build_checklist, corrections
 from cognitivedrone.vehicles.mavlink.client.setpoints import SETPOINT_S, STREAM_FIRST_S, climb, fields_of
 from cognitivedrone.vehicles.mavlink.client.transport import open_transport
+from cognitivedrone.vehicles.mavlink.renames import Own, read_by_either_name
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, last_words
 
 SET_MODE, ARM, TAKE_OFF = 176, 400, 22
@@ -77,7 +79,7 @@ class FlightCore:
         self._lock = threading.RLock()
         self._command: FloatArray | None = None
         self._command_at = self._frame_at = 0.0
-        self._said_at = -math.inf
+        self._sent_at = -math.inf
         self._baseline = Baseline()
         self._sent: tuple[tuple[float, float], ...] = ()
         self._changes = ParameterChanges(None)
@@ -127,12 +129,16 @@ class FlightCore:
         if not self.telemetry.armed:
             self._changes.put_back(self.link)  # of a flight that could not
         config, autopilot = self.config, self.link.autopilot
-        values = self.link.parameters([expected.name for expected in EXPECTED[autopilot.name]])
+        names = [expected.name for expected in EXPECTED[autopilot.name]]
+        own = read_by_either_name(self.link.parameters, names, self.met.version)
+        values = {name: it.older(name) for name, it in own.items()}
         changed = corrections(values, config.ceiling_m, config.only, autopilot) if config.set_parameters else {}
-        self._changes.make(self.link, values, changed)
+        wanted = {name: own[name].having(name, value) for name, value in changed.items()}
+        self._changes.make(self.link, {it.name: it.value for it in own.values()}, dict(wanted.values()))
         values |= changed
+        own |= {name: Own(*it) for name, it in wanted.items()}
         self._guided_timeout_s = values[autopilot.timeout]
-        # One that was heard only just now may not have been asked yet: give it as long as an answer may take.
+        # One that was received only just now may not have been asked yet: give it as long as an answer may take.
         self.link.until(lambda: self.link.traffic.answered_at > -math.inf, FRESH_S)
         return build_checklist(
             Facts(
@@ -148,6 +154,7 @@ class FlightCore:
                 ceiling_m=config.ceiling_m,
                 judges_time=config.clock == "wall" and not self.met.simulated,
                 autopilot=autopilot,
+                own=own,
             ),
             config.only,
         )
@@ -165,7 +172,7 @@ class FlightCore:
             self._get_ready()
             checklist = self.checklist(frame_age())
             if checklist.bad:
-                raise LinkError(f"not fit to fly:\n{checklist}\nchange what is bad, or allow it: set_parameters=True")
+                raise LinkError(checklist.refusal(consent=self.config.set_parameters))
             if not confirm(checklist):
                 raise LinkError("the take-off was not confirmed; nothing was armed")
             self._modes = frozenset({self.telemetry.mode})
@@ -297,9 +304,9 @@ class FlightCore:
     def _stream(self) -> None:
         """The velocity until it is up: none on the ground, then upwards, and more slowly near the height."""
         now = monotonic()
-        if not self._streaming or self.phase not in ("ground", "climbing") or now - self._said_at < SETPOINT_S:
+        if not self._streaming or self.phase not in ("ground", "climbing") or now - self._sent_at < SETPOINT_S:
             return
-        self._said_at = now
+        self._sent_at = now
         climbs = self.phase == "climbing" and self.telemetry.armed
         left = self.home[2] + self.config.takeoff_height_m - self.telemetry.position[2]
         self._setpoint(climb(float(left)) if climbs else np.zeros(4, dtype=np.float32))
@@ -367,9 +374,9 @@ class FlightCore:
             return decision.kind == "fly"
         order = self._guard.order(decision, health, self._landing)
         period = SETPOINT_S if order.mode is None else REPEAT_S
-        if before is not None and before.kind == decision.kind and now - self._said_at < period:
+        if before is not None and before.kind == decision.kind and now - self._sent_at < period:
             return False
-        self._said_at = now
+        self._sent_at = now
         if order.setpoint is not None:
             self._setpoint(order.setpoint)
         if order.mode is not None:

@@ -1,6 +1,7 @@
 """The parameters of a vehicle that safety rests on: what they must be, why, and what they are set to with consent.
 
-Meanings are those of ArduCopter 4.6 (https://ardupilot.org/copter/docs/parameters.html) and of PX4 1.14 to 1.16
+Names, units and meanings are those of ArduCopter 4.6 (https://ardupilot.org/copter/docs/parameters.html; those of 4.7
+are in `renames.py`) and of PX4 1.14 to 1.16
 (https://docs.px4.io/main/en/advanced_config/parameter_reference.html).
 """
 
@@ -8,14 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
+from cognitivedrone.vehicles.checklist import State
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, PX4
 from cognitivedrone.vehicles.mavlink.client.health import BLIND_M
 from cognitivedrone.vehicles.mavlink.client.traffic import OUR_SYSTEM
-
-State = Literal["ok", "look", "bad"]
-"""Good; for the person to judge; and what nobody should fly with."""
 
 CONTINUE_GUIDED, CONTINUE_PILOT = 4, 16
 """Bits of FS_OPTIONS: GUIDED goes on without the remote control; modes that a pilot flies go on without us."""
@@ -40,6 +39,8 @@ class Expected:
     """From the value found to the one that is set, with consent, where that is bad."""
     required: bool = True
     """Whether a vehicle without it is not flown."""
+    renamed: tuple[str, str] | None = None
+    """`needed` and `why` where the vehicle has it under its new name, if they differ."""
 
 
 def _one_of(*values: float, otherwise: State = "bad") -> Callable[[float, Values, float], State]:
@@ -60,7 +61,7 @@ def _ground_failsafe(value: float, values: Values, ceiling_m: float) -> State:
 def _return_height(_value: float, values: Values, ceiling_m: float) -> State:
     height = values.get("RTL_ALT")
     climb = values.get("RTL_CLIMB_MIN") or 0.0
-    return "ok" if height is not None and height / 100 <= ceiling_m and climb == 0 else "look"
+    return "ok" if height is not None and height / 100 <= ceiling_m and climb == 0 else "warn"
 
 
 def _options(value: float, _values: Values, _ceiling_m: float) -> State:
@@ -78,8 +79,8 @@ ARDUCOPTER_PARAMETERS: Final = (
         lambda _: OUR_SYSTEM,
     ),
     Expected(
-        "FS_GCS_ENABLE", "5 or 4; 1 or 3 if RTL_ALT is below our ceiling",
-        "what it does when we fall silent: 5 lands; 7 brakes and stays, 1 climbs to RTL_ALT", _ground_failsafe,
+        "FS_GCS_ENABLE", "5 or 4; 1 or 3 if a return stays below our ceiling",
+        "what it does when we fall silent: 5 lands; 7 brakes and stays, 1 returns, and climbs first", _ground_failsafe,
         lambda _: 5,
     ),
     Expected(
@@ -97,7 +98,8 @@ ARDUCOPTER_PARAMETERS: Final = (
     ),
     Expected(
         "ARMING_CHECK", "1", "its own checks before arming: 1 is all, 0 none",
-        lambda value, _values, _ceiling: "ok" if value == 1 else "look" if value else "bad", lambda _: 1,
+        lambda value, _values, _ceiling: "ok" if value == 1 else "warn" if value else "bad", lambda _: 1,
+        renamed=("0", "its own checks before arming that it leaves out: 0 is none, -1 all"),
     ),
     Expected("FENCE_ENABLE", "1", "its own geofence, behind ours", _one_of(1), lambda _: 1),
     Expected(
@@ -110,29 +112,29 @@ ARDUCOPTER_PARAMETERS: Final = (
     ),
     Expected(
         "BATT_LOW_VOLT", "above 0, for your battery", "below this voltage the battery is low",
-        lambda value, _values, _ceiling: "ok" if value > 0 else "look", required=False,
+        lambda value, _values, _ceiling: "ok" if value > 0 else "warn", required=False,
     ),
     Expected(
         "RTL_ALT", "cm, below our ceiling", "a return climbs to it first: yours, and the failsafes'", _return_height,
-        required=False,
+        required=False, renamed=("m, below our ceiling", "a return climbs to it first: yours, and the failsafes'"),
     ),
     Expected(
-        "RTL_CLIMB_MIN", "0", "a return climbs at least so far, cm", _one_of(0, otherwise="look"), required=False
+        "RTL_CLIMB_MIN", "0", "a return climbs at least so far", _one_of(0, otherwise="warn"), required=False
     ),
     Expected(
         "FS_THR_ENABLE", "1 to 6", "what it does when the remote control is lost",
-        _one_of(1, 3, 4, 5, 6, otherwise="look"), required=False,
+        _one_of(1, 3, 4, 5, 6, otherwise="warn"), required=False,
     ),
     Expected(
         "FS_EKF_ACTION", "1 or 3", "what it does when it no longer knows where it is: 1 lands",
-        _one_of(1, 3, otherwise="look"), required=False,
+        _one_of(1, 3, otherwise="warn"), required=False,
     ),
     Expected(
         "FS_EKF_THRESH", "above 0", "when its state estimator counts as bad; 0 never",
-        lambda value, _values, _ceiling: "ok" if value > 0 else "look", required=False,
+        lambda value, _values, _ceiling: "ok" if value > 0 else "warn", required=False,
     ),
     Expected(
-        "FS_CRASH_CHECK", "1", "stops the motors after a crash", _one_of(1, otherwise="look"), required=False
+        "FS_CRASH_CHECK", "1", "stops the motors after a crash", _one_of(1, otherwise="warn"), required=False
     ),
 )  # fmt: skip
 """Parameters of ArduCopter 4.6, in the order of the checklist."""
@@ -153,11 +155,11 @@ def _offboard_loss(value: float, values: Values, ceiling_m: float) -> State:
 
 def _px4_return_height(_value: float, values: Values, ceiling_m: float) -> State:
     height = values.get("RTL_RETURN_ALT")
-    return "ok" if height is not None and height <= ceiling_m else "look"
+    return "ok" if height is not None and height <= ceiling_m else "warn"
 
 
 def _above_zero(value: float, _values: Values, _ceiling_m: float) -> State:
-    return "ok" if value > 0 else "look"
+    return "ok" if value > 0 else "warn"
 
 
 PX4_PARAMETERS: Final = (
@@ -177,9 +179,9 @@ PX4_PARAMETERS: Final = (
         lambda found: int(found) & ~OFFBOARD_EXCEPTED,
     ),
     Expected(
-        "NAV_DLL_ACT", "0", "when no ground station is heard: it also acts against a pilot; in OFFBOARD, COM_OBL_RC_ACT"
+        "NAV_DLL_ACT", "0", "when no ground station is there: it also acts against a pilot; in OFFBOARD, COM_OBL_RC_ACT"
         " lands. 5 and 6 stop the motors",
-        lambda value, _values, _ceiling: "ok" if value == 0 else "look" if value in (1, 2, 3) else "bad", lambda _: 0,
+        lambda value, _values, _ceiling: "ok" if value == 0 else "warn" if value in (1, 2, 3) else "bad", lambda _: 0,
     ),
     Expected("GF_ACTION", "3 or 5", "what it does outside its geofence: 5 lands; 0 and 1 only report, 2 stays",
              _one_of(3, 5), lambda _: 5),
@@ -192,16 +194,16 @@ PX4_PARAMETERS: Final = (
     Expected("MAV_FWDEXTSP", "1", "whether it takes velocities from outside at all", _one_of(1), required=False),
     Expected(
         "COM_RC_OVERRIDE", "with 2", "2: sticks that are moved in OFFBOARD give control; without, we stop it",
-        lambda value, _values, _ceiling: "ok" if int(value) & STICKS_TAKE_OVER else "look", required=False,
+        lambda value, _values, _ceiling: "ok" if int(value) & STICKS_TAKE_OVER else "warn", required=False,
     ),
-    Expected("COM_RC_IN_MODE", "not 4", "4: your sticks are not heard",
-             lambda value, _values, _ceiling: "look" if value == 4 else "ok", required=False),
+    Expected("COM_RC_IN_MODE", "not 4", "4: your sticks are ignored",
+             lambda value, _values, _ceiling: "warn" if value == 4 else "ok", required=False),
     Expected("NAV_RCL_ACT", "1 to 3", "what it does when the remote control is lost",
-             _one_of(1, 2, 3, otherwise="look"), required=False),
-    Expected("COM_DL_LOSS_T", "s", "how long no ground station is heard before NAV_DLL_ACT",
+             _one_of(1, 2, 3, otherwise="warn"), required=False),
+    Expected("COM_DL_LOSS_T", "s", "how long no ground station is there before NAV_DLL_ACT",
              lambda _value, _values, _ceiling: "ok", required=False),
     Expected("COM_FAIL_ACT_T", "s", "it hovers so long before most of its failsafes act",
-             lambda value, _values, _ceiling: "ok" if value <= 5 else "look", required=False),
+             lambda value, _values, _ceiling: "ok" if value <= 5 else "warn", required=False),
     Expected("RTL_RETURN_ALT", "m, below our ceiling", "a return climbs to it first: yours, and the failsafes'",
              _px4_return_height, required=False),
     Expected("COM_DISARM_LAND", "above 0, s", "it stops its motors so long after landing", _above_zero,

@@ -101,7 +101,7 @@ def health_of(
         command=asked.command,
         command_age_s=asked.now - asked.command_at,
         frame_age_s=asked.now - asked.frame_at,
-        link_age_s=age(t.heard_at),
+        link_age_s=age(t.received_at),
         state_age_s=age(t.state_at) + lateness,
         heartbeat_age_s=age(t.heartbeat_at),
         uplink_age_s=age(traffic.answered_at),

@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import threading
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -45,11 +46,11 @@ class Parameters(Protocol):
         """Set one and see that it took."""
         ...
 
-    def tell_parameter(self, name: str, value: float) -> None:
+    def send_parameter(self, name: str, value: float) -> None:
         """Set one, without waiting."""
         ...
 
-    def told_parameter(self, name: str) -> float | None:
+    def reported_parameter(self, name: str) -> float | None:
         """The value that the vehicle last reported."""
         ...
 
@@ -85,7 +86,7 @@ class ParameterChanges:
     def __init__(self, journal: Path | None) -> None:
         self._journal = journal
         self._open = {} if journal is None else _read(journal)
-        self._said_at = -math.inf
+        self._printed_at = -math.inf
         self._waiting = False
         """A thread waits in `put_back`: the loop that reads the link leaves it the work. Both may still send once."""
         self._keeping = threading.Lock()
@@ -134,17 +135,17 @@ class ParameterChanges:
         if self._journal is None or not self._open or self._waiting:
             return
         changes = {name: change for name, change in dict(self._open).items() if not flying or name in ACTS_IN_FLIGHT}
-        back = [name for name, change in changes.items() if link.told_parameter(name) == _float32(change.was)]
+        back = [name for name, change in changes.items() if link.reported_parameter(name) == _float32(change.was)]
         for name in back:
             self._open.pop(name, None)
         if back:
             with contextlib.suppress(LinkError):  # a full disk: the next start finds them as they were
                 self._keep()
-        if now - self._said_at >= REPEAT_S:
-            self._said_at = now
+        if now - self._printed_at >= REPEAT_S:
+            self._printed_at = now
             for name, change in changes.items():
                 if name not in back:
-                    link.tell_parameter(name, change.was)
+                    link.send_parameter(name, change.was)
 
     def _keep(self) -> None:
         """Write the journal whole, or remove it with the last change."""
@@ -164,14 +165,22 @@ class ParameterChanges:
             ) from None
 
 
+_NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
+"""How vehicles name their parameters."""
+
+
 def _read(journal: Path) -> dict[str, Change]:
     """What an earlier run left behind."""
     try:
         content = json.loads(read_regular(journal, LARGEST))
-        return {str(name): Change(float(was), float(now)) for name, (was, now) in content.items()}
+        changes = {name: Change(float(was), float(now)) for name, (was, now) in content.items()}
+        for name, change in changes.items():
+            if not (_NAME.fullmatch(name) and math.isfinite(change.was) and math.isfinite(change.now)):
+                raise ValueError(f"{name[:40]!r} is no parameter with two finite values")
+        return changes
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise LinkError(
             f"cannot read {journal}, the journal of the vehicle's parameters before an earlier flight: {error};"
             " check them with a ground station, then remove it"

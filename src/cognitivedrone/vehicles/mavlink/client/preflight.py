@@ -6,51 +6,20 @@ must be is in `expected.py`.
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 
 from cognitivedrone.errors import LinkError
+from cognitivedrone.vehicles.checklist import Checklist, Finding, State
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS, Autopilot
 from cognitivedrone.vehicles.mavlink.client.connection import Vehicle
-from cognitivedrone.vehicles.mavlink.client.expected import EXPECTED, Expected, State, Values
+from cognitivedrone.vehicles.mavlink.client.expected import EXPECTED, Expected, Values
 from cognitivedrone.vehicles.mavlink.client.traffic import OUR_SYSTEM, Traffic
+from cognitivedrone.vehicles.mavlink.renames import Own
 from cognitivedrone.vehicles.mavlink.telemetry import COPTER_TYPES, Telemetry
 
 KINDS = {0: "generic vehicle", 1: "fixed wing", 10: "ground rover", 11: "boat", 12: "submarine"}
 FRESH_S = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One row of the checklist."""
-
-    what: str
-    state: State
-    found: str
-    needed: str = ""
-    why: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Checklist:
-    """All of it; `str` of it is what a person reads before saying yes."""
-
-    findings: tuple[Finding, ...]
-
-    def __str__(self) -> str:
-        rows = [("what", "found", "needed", "why"), *((f.what, f.found, f.needed, f.why) for f in self.findings)]
-        widths = [max(len(row[column]) for row in rows) for column in range(3)]
-        heads = ["      ", *(f"[{finding.state:^4}]" for finding in self.findings)]
-        lines = []
-        for head, row in zip(heads, rows, strict=True):
-            cells = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=False))
-            lines.append(f"{head} {cells}  {row[3]}".rstrip())
-        return "\n".join(lines)
-
-    @property
-    def bad(self) -> tuple[Finding, ...]:
-        """What nobody should fly with."""
-        return tuple(finding for finding in self.findings if finding.state == "bad")
 
 
 def check_vehicle(vehicle: Vehicle, version: int | None) -> tuple[int, int] | None:
@@ -104,7 +73,7 @@ class Facts:
     """By our steady clock, s."""
     version: tuple[int, int] | None
     values: Values
-    """Of the autopilot's parameters in `EXPECTED`; none where the vehicle does not know one."""
+    """Of the autopilot's parameters in `EXPECTED`, by its names and in its units; none where the vehicle has none."""
     changed: Collection[str]
     """Those that this program has set."""
     telemetry: Telemetry
@@ -118,6 +87,8 @@ class Facts:
     """Whether the vehicle's time is compared with the wall clock: not for a simulation that runs at another speed."""
     low_battery: float = 0.3
     autopilot: Autopilot = ARDUPILOT
+    own: Mapping[str, Own] = field(default_factory=dict)
+    """The same as the vehicle has them, where that may differ."""
 
 
 def build_checklist(facts: Facts, only: Collection[str] | None = None) -> Checklist:
@@ -127,14 +98,15 @@ def build_checklist(facts: Facts, only: Collection[str] | None = None) -> Checkl
     findings.append(
         Finding(
             "you",
-            "look",
+            "warn",
             f"it will climb to {facts.takeoff_height_m:g} m",
             "propellers clear, people away, remote at hand",
         )
     )
     if only is not None:
+        blocking = {_own(name, facts).name for name in only}
         findings = [
-            f if f.state != "bad" or f.what in only else Finding(f.what, "look", f.found, f.needed, f.why)
+            f if f.state != "bad" or f.what in blocking else Finding(f.what, "warn", f.found, f.needed, f.why)
             for f in findings
         ]
     return Checklist(tuple(findings))
@@ -155,7 +127,7 @@ def _states(facts: Facts) -> list[Finding]:
     running = t.vehicle_time > 0 and (late < FRESH_S / 2 or not facts.judges_time)
     heartbeat = now - t.heartbeat_at
     rows = [
-        row("firmware", version is not None, firmware, oldest, autopilot.lack, "look"),
+        row("firmware", version is not None, firmware, oldest, autopilot.lack, "warn"),
         row("clock", running, clock, "running, on time", "late or frozen telemetry is noticed by it"),
         row("heartbeat", heartbeat < FRESH_S, _ago(heartbeat), "10 a second", "how a pilot's change of mode is seen"),
         row("answers", answer < FRESH_S, _ago(answer), "within 1 s", "that our commands arrive"),
@@ -175,7 +147,7 @@ def _states(facts: Facts) -> list[Finding]:
             "received" if t.sticks else "none: nobody can take over by hand",
             "on, in your hands",
             "the pilot always wins; one that is lost, or switched on, in flight stops it",
-            "look",
+            "warn",
         ),
     ]
     age = facts.frame_age_s
@@ -191,21 +163,28 @@ def _battery(t: Telemetry, low: float) -> Finding:
     why = f"it lands below {BATTERY_LANDS:.0%}"
     if t.battery is None:
         found = "SYS_STATUS is not reported" if t.status_at < 0 else "not reported: nothing lands it when it is low"
-        return Finding("battery", "bad" if t.status_at < 0 else "look", found, f"{low:.0%} or more", why)
+        return Finding("battery", "bad" if t.status_at < 0 else "warn", found, f"{low:.0%} or more", why)
     return Finding("battery", "ok" if t.battery >= low else "bad", f"{t.battery:.0%} left", f"{low:.0%} or more", why)
 
 
 BATTERY_LANDS = 0.2
 
 
+def _own(name: str, facts: Facts) -> Own:
+    """A parameter as the vehicle has it."""
+    return facts.own.get(name) or Own(name, facts.values.get(name))
+
+
 def _parameter(expected: Expected, facts: Facts) -> Finding:
-    value = facts.values[expected.name]
+    name, value = expected.name, facts.values[expected.name]
+    own = _own(name, facts)
+    needed, why = (expected.needed, expected.why) if own.name == name or not expected.renamed else expected.renamed
     if value is None:
-        state: State = "bad" if expected.required else "look"
-        return Finding(expected.name, state, "not known to the vehicle", expected.needed, expected.why)
-    by_us = ", set by this program" if expected.name in facts.changed else ""
+        return Finding(own.name, "bad" if expected.required else "warn", "not known to the vehicle", needed, why)
+    by_us = ", set by this program" if name in facts.changed else ""
     state = expected.judge(value, facts.values, facts.ceiling_m)
-    return Finding(expected.name, state, f"{value:g}{by_us}", expected.needed, expected.why)
+    settable = state == "bad" and expected.wanted is not None
+    return Finding(own.name, state, f"{own.value:.7g}{by_us}", needed, why, settable)
 
 
 def _others(traffic: Traffic) -> list[Finding]:
@@ -216,7 +195,7 @@ def _others(traffic: Traffic) -> list[Finding]:
         rows.append(
             Finding(
                 "ground station",
-                "bad" if masks else "look",
+                "bad" if masks else "warn",
                 f"system {system} is connected too (component {component})",
                 f"not system {OUR_SYSTEM}, which is ours" if masks else "it must not command",
                 "its heartbeat would hide our silence" if masks else "only one may command",

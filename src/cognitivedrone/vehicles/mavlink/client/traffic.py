@@ -26,8 +26,15 @@ COMMANDING: Final = frozenset(
     }
 )
 """Messages that move a vehicle."""
-MOVING_COMMANDS: Final = frozenset({16, 20, 21, 22, 176, 192, 252, 300, 400})
-"""MAV_CMD that do: waypoint, return, land, take off, set mode, reposition, pause, start a mission, arm."""
+MOVING_COMMANDS: Final = frozenset({16, 20, 21, 22, 115, 176, 178, 185, 192, 193, 252, 300, 400, 43000, 43001, 43002})
+"""MAV_CMD that do: waypoint, return, land, take off, turn, set mode, change speed, terminate, reposition, pause (two of
+them), start a mission, arm, change the speed, height and heading of GUIDED."""
+MISSION_ITEMS: Final = frozenset({"MISSION_ITEM", "MISSION_ITEM_INT"})
+MOVING_ITEMS: Final = frozenset({2, 3})
+"""`current` of a mission item that is none, but an order to fly there, or to its height, at once:
+https://mavlink.io/en/messages/common.html#MISSION_ITEM."""
+MOST_STATIONS = 16
+"""Ground stations that are remembered: more are a flood."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +69,19 @@ def noticed(before: Traffic, message: Any, vehicle: tuple[int, int] | None, now:
     if sender == (OUR_SYSTEM, OUR_COMPONENT):
         return before
     if kind == "HEARTBEAT" and message.type == GROUND_STATION:
+        masks = sender[0] == OUR_SYSTEM and not before.masks
+        if sender in before.ground_stations or (len(before.ground_stations) >= MOST_STATIONS and not masks):
+            return before
         return replace(before, ground_stations=before.ground_stations | {sender})
     for_vehicle = vehicle is not None and getattr(message, "target_system", getattr(message, "target", -1)) in (
         0,
         vehicle[0],
     )
-    moves = kind in COMMANDING or (kind in ("COMMAND_LONG", "COMMAND_INT") and message.command in MOVING_COMMANDS)
+    moves = (
+        kind in COMMANDING
+        or (kind in ("COMMAND_LONG", "COMMAND_INT") and message.command in MOVING_COMMANDS)
+        or (kind in MISSION_ITEMS and message.current in MOVING_ITEMS)
+    )
     if for_vehicle and moves:
         who = f"system {sender[0]}, component {sender[1]}, commands the vehicle too ({kind})"
         return replace(before, commander=who, commander_at=now)

@@ -29,12 +29,13 @@ import numpy as np
 
 from cognitivedrone.control.safety import Decision, SafetyConfig
 from cognitivedrone.errors import LinkError, import_extra
+from cognitivedrone.processes import environment
 from cognitivedrone.types import Action, FloatArray, Observation
 from cognitivedrone.vehicles.camera import Camera
+from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS
 from cognitivedrone.vehicles.mavlink.client.core import PAUSE_S, LandingMode
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, Met
-from cognitivedrone.vehicles.mavlink.client.preflight import Checklist
 from cognitivedrone.vehicles.mavlink.client.tlog import TlogWriter, leave
 from cognitivedrone.vehicles.mavlink.guard.messages import Kind, Reply, Snapshot, from_json, pack, to_json, unpack
 from cognitivedrone.vehicles.mavlink.telemetry import TEXTS_KEPT, Telemetry, Text, dialect, last_words
@@ -70,7 +71,7 @@ class GuardedDrone:
         """What of the log could not be written, once it is closed."""
         self._safety = safety or SafetyConfig()
         self._snapshot = Snapshot()
-        self._heard_at = math.inf
+        self._received_at = math.inf
         self._frame_at = 0.0
         self._texts: deque[Text] = deque(maxlen=TEXTS_KEPT)
         self._replies: deque[Reply] = deque()
@@ -141,11 +142,11 @@ class GuardedDrone:
     def take_off(self, confirm: Callable[[Checklist], bool]) -> None:
         """Wait until it is ready, have a person confirm the checklist, arm, and climb: `FlightCore.take_off`."""
         self._replies.clear()
-        self._tell_of_the_camera()
+        self._send_camera_age()
         self._post(Kind.TAKE_OFF)
         checklist = self._reply("checklist")
         answer = confirm(from_json(Checklist, checklist.content))
-        self._tell_of_the_camera()
+        self._send_camera_age()
         self._post(Kind.CONFIRM if answer else Kind.REFUSE)
         self._reply("flying")
 
@@ -212,10 +213,6 @@ class GuardedDrone:
                 f" {self.telemetry.mode}{last_words(self.telemetry, monotonic() - 5)}; take over by hand"
             )
 
-    def dismiss(self) -> None:
-        """End the heartbeats to a vehicle that was taken over; its own failsafes may then act."""
-        self._post(Kind.DISMISS)
-
     def close(self) -> None:
         """Land a drone that is still ours, then hang up.
 
@@ -236,7 +233,7 @@ class GuardedDrone:
             except OSError:
                 data = b""
             with self._news:
-                self._heard_at = monotonic()
+                self._received_at = monotonic()
                 self._news.notify_all()
                 if not data:
                     self._gone = True
@@ -276,7 +273,7 @@ class GuardedDrone:
                 self._gone = True
             return self._sequence
 
-    def _tell_of_the_camera(self) -> None:
+    def _send_camera_age(self) -> None:
         self._frame_at = monotonic() - self.camera.read().age_s
         self._post(Kind.FRAME)
 
@@ -292,7 +289,7 @@ class GuardedDrone:
                 self._wait(lambda: (kind != "flying" or self._snapshot.phase != "climbing") or None, START_S)
                 return reply
             if kind in ("checklist", "flying"):  # a vehicle may take minutes until it is ready
-                self._tell_of_the_camera()
+                self._send_camera_age()
         raise LinkError(f"the guard process has not answered in {timeout_s:g} s")
 
     def _wait(self, found: Callable[[], T | None], timeout_s: float) -> T | None:
@@ -315,7 +312,7 @@ class GuardedDrone:
             raise LinkError(
                 f"the guard process has ended ({self._how()}); the vehicle now acts by its {self._on_silence}"
             )
-        if monotonic() - self._heard_at > STOPPED_S:
+        if monotonic() - self._received_at > STOPPED_S:
             raise LinkError(f"the guard process {self.process} has sent nothing for {STOPPED_S:g} s; is it stopped?")
 
     def _how(self) -> str:
@@ -357,17 +354,16 @@ def _start(
         "pilot": theirs.fileno(), "log": log, "process": os.getpid(),
     }  # fmt: skip
     root = str(Path(__file__).parents[4])
-    environment = {
-        **os.environ,
+    variables = {
+        **environment(),
         "PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH")))),
-        "PYTHONSAFEPATH": "1",  # nothing that lies in the working directory is imported
         "OPENBLAS_NUM_THREADS": "1",
     }
     return subprocess.Popen(  # noqa: S603
         [sys.executable, "-m", "cognitivedrone.vehicles.mavlink.guard", json.dumps(settings)],
         stdin=subprocess.DEVNULL,
         pass_fds=[file for file in (theirs.fileno(), log) if file >= 0],
-        env=environment,
+        env=variables,
         # Its own session: ctrl-C and a terminal that goes away end the pilot process, which the guard notices.
         start_new_session=True,
     )

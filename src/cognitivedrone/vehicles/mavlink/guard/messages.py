@@ -46,8 +46,6 @@ class Kind(IntEnum):
     RETURN = 7
     HANG_UP = 8
     """The pilot process is done: leave once the drone is down, or its pilot has it and it is down."""
-    DISMISS = 9
-    """Leave at once, unless the drone is still ours."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,8 +165,8 @@ class Snapshot:
         t = self.telemetry
         return _SNAPSHOT.pack(
             _SNAP, self.sequence, PHASES.index(self.phase), DECISIONS.index(self.decision), t.mode.encode()[:16],
-            t.armed, *self.sent, *t.position, t.position_at, *t.velocity, t.yaw, t.yaw_rate, t.attitude_at, t.heard_at,
-            t.vehicle_time, math.nan if t.battery is None else t.battery, *self.home, self.start,
+            t.armed, *self.sent, *t.position, t.position_at, *t.velocity, t.yaw, t.yaw_rate, t.attitude_at,
+            t.received_at, t.vehicle_time, math.nan if t.battery is None else t.battery, *self.home, self.start,
             self.reason.encode()[:200],
         )  # fmt: skip
 
@@ -194,11 +192,11 @@ def unpack(data: bytes) -> Snapshot | Reply:
         return Reply(*json.loads(data[1:]))
     (
         _, sequence, phase, decision, mode, armed, s0, s1, s2, s3, x, y, z, position_at, vx, vy, vz, yaw, yaw_rate,
-        attitude_at, heard_at, vehicle_time, battery, h0, h1, h2, start, reason,
+        attitude_at, received_at, vehicle_time, battery, h0, h1, h2, start, reason,
     ) = _SNAPSHOT.unpack(data)  # fmt: skip
     telemetry = Telemetry(
-        mode=_text(mode), armed=armed, heard_at=heard_at, position=np.array([x, y, z]), velocity=np.array([vx, vy, vz]),
-        position_at=position_at, yaw=yaw, yaw_rate=yaw_rate, attitude_at=attitude_at, vehicle_time=vehicle_time,
+        mode=_text(mode), armed=armed, received_at=received_at, position=np.array([x, y, z]), position_at=position_at,
+        velocity=np.array([vx, vy, vz]), yaw=yaw, yaw_rate=yaw_rate, attitude_at=attitude_at, vehicle_time=vehicle_time,
         battery=None if math.isnan(battery) else battery,
     )  # fmt: skip
     return Snapshot(

@@ -21,10 +21,10 @@ import numpy as np
 
 from cognitivedrone.control.safety import Guard, SafetyConfig
 from cognitivedrone.errors import CognitiveDroneError, LinkError
+from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.mavlink.client.connection import WATCH_S
 from cognitivedrone.vehicles.mavlink.client.core import FlightCore
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
-from cognitivedrone.vehicles.mavlink.client.preflight import Checklist
 from cognitivedrone.vehicles.mavlink.client.tlog import PacketLog
 from cognitivedrone.vehicles.mavlink.client.transport import open_transport
 from cognitivedrone.vehicles.mavlink.guard.messages import (
@@ -77,12 +77,12 @@ class GuardProcess:
         self._answer: bool | None = None
         self._frame_at = -np.inf
         self._texts: tuple[Text, ...] = ()
-        self._told_at = self._told_heard_at = -np.inf
-        self._told_sequence = 0
+        self._sent_at = self._last_received = -np.inf
+        self._sent_sequence = 0
         self._sent = np.zeros(4, dtype=np.float32)
         self._stopped = False
         """By a message that could not be flown by, since the last one that could."""
-        self._deaf_until = -np.inf
+        self._ignore_until = -np.inf
         self._ran_at = _steady()
         self._cut_at: float | None = None
         self._opened_at = -np.inf
@@ -97,11 +97,11 @@ class GuardProcess:
         signal.set_wakeup_fd(self._woken.fileno(), warn_on_full_buffer=False)
         for number in NAMES:
             signal.signal(number, lambda number, _: self._signals.append(number))
-        self._begin(self._meet)
+        self._begin(self._accept)
         while (code := self._code()) is None:
             self._go_on()
-        self._say(Reply("words", _LAST_WORDS[code]))
-        self._tell()
+        self._say(Reply("words", _FINAL_MESSAGES[code]))
+        self._send()
         return code
 
     def _go_on(self) -> None:
@@ -117,7 +117,7 @@ class GuardProcess:
     def _step(self) -> None:
         self._look_at_the_time()
         files = [file for file in (self._wake.fileno(), self._watched) if file >= 0]
-        if self._pilot is not None and time.monotonic() >= self._deaf_until:
+        if self._pilot is not None and time.monotonic() >= self._ignore_until:
             files.append(self._pilot.fileno())
         if self._cut_at is None:
             self._core.link.step(WATCH_S, *files)
@@ -128,7 +128,7 @@ class GuardProcess:
         self._take_signals()
         self._watch_pilot()
         self._read_pilot()
-        self._tell()
+        self._send()
 
     # What ends a flight.
 
@@ -198,13 +198,13 @@ class GuardProcess:
         if core.phase == "released" and not core.telemetry.armed:
             self._landed_at = self._landed_at or now
             return None if core.restoring and now - self._landed_at < RESTORE_S else LANDED
-        return LOST if now - core.telemetry.heard_at > GONE_S else None
+        return LOST if now - core.telemetry.received_at > GONE_S else None
 
     # The pilot process.
 
     def _read_pilot(self) -> None:
         for _ in range(AT_ONCE):
-            if self._pilot is None or time.monotonic() < self._deaf_until:
+            if self._pilot is None or time.monotonic() < self._ignore_until:
                 return
             try:
                 data = self._pilot.recv(MESSAGE_BYTES + 1)
@@ -243,8 +243,6 @@ class GuardProcess:
             case Kind.HANG_UP:
                 self._leaving = True
                 self._land("the pilot process hung up")
-            case Kind.DISMISS:
-                self._dismissed = True
 
     def _refuse(self, fault: Fault) -> None:
         """Stop the drone; land it where that happens again and again."""
@@ -255,7 +253,7 @@ class GuardProcess:
         if not self._stopped and self._core.phase == "flying":
             self._stopped, self._sent = True, self._core.command(np.full(4, np.nan))
         if fault.kind == "flood":
-            self._deaf_until = now + WATCH_S
+            self._ignore_until = now + WATCH_S
         if fault.kind == "flood" or len(self._faults) > MOST_FAULTS:
             self._faults.clear()
             self._land(f"the pilot process sends what cannot be flown by: {fault.reason}")
@@ -263,8 +261,8 @@ class GuardProcess:
     def _say(self, reply: Reply) -> None:
         self._replies.append(reply.pack())
 
-    def _tell(self) -> None:
-        """Tell the pilot process what is new, without ever waiting for it."""
+    def _send(self) -> None:
+        """Send the pilot process what is new, without ever waiting for it."""
         core, now = self._core, time.monotonic()
         telemetry = core.telemetry
         for text in telemetry.texts:
@@ -275,9 +273,10 @@ class GuardProcess:
             while self._replies and self._pilot is not None:
                 self._pilot.send(self._replies[0], socket.MSG_DONTWAIT)
                 self._replies.popleft()
-            fresh = self._inbox.sequence > self._told_sequence or telemetry.heard_at > self._told_heard_at
-            if self._pilot is not None and (fresh or now - self._told_at >= WATCH_S):
-                self._told_at, self._told_heard_at, self._told_sequence = now, telemetry.heard_at, self._inbox.sequence
+            fresh = self._inbox.sequence > self._sent_sequence or telemetry.received_at > self._last_received
+            if self._pilot is not None and (fresh or now - self._sent_at >= WATCH_S):
+                self._sent_at, self._sent_sequence = now, self._inbox.sequence
+                self._last_received = telemetry.received_at
                 self._pilot.send(self._snapshot(telemetry).pack(), socket.MSG_DONTWAIT)
         except BlockingIOError:
             pass  # it does not read: there will be a newer one
@@ -313,7 +312,7 @@ class GuardProcess:
         self._worker = threading.Thread(target=work, name="take-off", daemon=True)
         self._worker.start()
 
-    def _meet(self) -> Reply:
+    def _accept(self) -> Reply:
         self._core.meet()
         return Reply("met", to_json(self._core.met))
 
@@ -333,7 +332,7 @@ class GuardProcess:
         return bool(self._answer)
 
 
-_LAST_WORDS: dict[int, str] = {
+_FINAL_MESSAGES: dict[int, str] = {
     LANDED: "the drone is on the ground",
     LOST: "the vehicle was lost",
     LEFT: "dismissed; the vehicle was not ours any more, and armed",

@@ -71,7 +71,7 @@ class Commands:
         self._vehicle = vehicle
         self._modes = vehicle.modes
         self._ids = {getattr(m, f"MAVLINK_MSG_ID_{name}"): name for name in REPORTS}
-        self._told_refusal = -math.inf
+        self._refusal_sent = -math.inf
         self._messages: dict[str, Callable[[Any, Any], None]] = {
             "HEARTBEAT": self._heartbeat,
             "COMMAND_LONG": self._command_long,
@@ -108,7 +108,7 @@ class Commands:
 
     def _heartbeat(self, _peer: Peer, message: Any) -> None:
         if message.get_srcSystem() == self._vehicle.parameters["SYSID_MYGCS"]:
-            self._modes.heard_ground_station()
+            self._modes.note_ground_station()
 
     # Commands
 
@@ -208,8 +208,8 @@ class Commands:
             self._modes.aim(target)
             return
         self._modes.stop()
-        if vehicle.time - self._told_refusal >= 1.0:  # setpoints may arrive at 50 Hz; limit the messages
-            self._told_refusal = vehicle.time
+        if vehicle.time - self._refusal_sent >= 1.0:  # setpoints may arrive at 50 Hz; limit the messages
+            self._refusal_sent = vehicle.time
             vehicle.say(Severity.WARNING, f"Target refused: {target or f'frame {t.coordinate_frame} is unknown'}")
 
     # Parameters

@@ -159,7 +159,7 @@ class FlightModes:
         if self.mode == Mode.GUIDED:
             self._climb_to = self._target = None
 
-    def heard_ground_station(self) -> None:
+    def note_ground_station(self) -> None:
         """Note a heartbeat of the ground station."""
         self._ground_station, self._silent = self._time, False
 

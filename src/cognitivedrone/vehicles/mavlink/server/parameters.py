@@ -1,6 +1,7 @@
 """Parameters of the simulated vehicle: a small set, each of which affects the simulation or describes it.
 
-Names, units and meanings are ArduCopter's (https://ardupilot.org/copter/docs/parameters.html).
+Names, units and meanings are those of ArduCopter 4.6 (https://ardupilot.org/copter/docs/parameters.html); a vehicle
+that plays 4.7 shows its own (`renames.py`) to whoever asks.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from cognitivedrone.sim.autopilot import AutopilotGains
+from cognitivedrone.vehicles.mavlink.renames import RENAMED, name_in
 
 Kind = Literal["int8", "int16", "float"]
 
@@ -65,44 +67,61 @@ TABLE: dict[str, Parameter] = {
     "WPNAV_SPEED_UP": Parameter(_GAINS.max_climb * 100, 10, _GAINS.max_climb * 100, "float", "cm/s"),
 }
 """Built-in limits of the autopilot on acceleration, jerk and tilt are read-only."""
-_NAMES = tuple(sorted(TABLE))
 
 
 class Parameters:
-    """The values of one vehicle."""
+    """The values of one vehicle. Inside it they are asked for as in `TABLE`; all else here is as others see them."""
 
-    def __init__(self, system_id: int) -> None:
-        self._values = {name: TABLE[name].default for name in _NAMES}
+    def __init__(self, system_id: int, firmware: tuple[int, int] = (4, 6)) -> None:
+        self._values = {name: entry.default for name, entry in TABLE.items()}
         self._values["SYSID_THISMAV"] = float(system_id)
+        self._ours = {name_in(name, firmware): name for name in TABLE}
+        self._names = tuple(sorted(self._ours))
 
     def __len__(self) -> int:
-        return len(_NAMES)
+        return len(self._names)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(_NAMES)
+        return iter(self._names)
 
     def __contains__(self, name: object) -> bool:
-        return name in self._values
+        return name in self._ours
 
     def __getitem__(self, name: str) -> float:
+        """The value of an entry of `TABLE`."""
         return self._values[name]
 
     def name(self, index: int) -> str | None:
         """The name at an index of the list."""
-        return _NAMES[index] if 0 <= index < len(_NAMES) else None
+        return self._names[index] if 0 <= index < len(self._names) else None
 
     def index(self, name: str) -> int:
         """The index of a name in the list."""
-        return _NAMES.index(name)
+        return self._names.index(name)
+
+    def reported(self, name: str) -> float:
+        """The value as it is sent."""
+        return self._newer(name, self._values[self._ours[name]])
+
+    def kind(self, name: str) -> Kind:
+        """The type that it is sent as; what has another unit than in 4.6 is a float."""
+        return TABLE[self._ours[name]].kind if self._newer(name, 1.0) == 1.0 else "float"
 
     def set(self, name: str, value: float) -> str | None:
         """Change a value; returns the reason as text if it is refused."""
-        entry = TABLE[name]
-        if name == "SYSID_THISMAV" or entry.low == entry.high:
-            return None if value == self._values[name] else f"{name} cannot be changed here"
-        if not (math.isfinite(value) and entry.low <= value <= entry.high):
-            return f"{name} takes {entry.low:g} to {entry.high:g}"
-        if entry.kind != "float" and value != round(value):
+        ours = self._ours[name]
+        entry = TABLE[ours]
+        low, high = sorted((self._newer(name, entry.low), self._newer(name, entry.high)))
+        if ours == "SYSID_THISMAV" or low == high:
+            return None if math.isclose(value, self.reported(name), rel_tol=1e-6) else f"{name} cannot be changed here"
+        if not (math.isfinite(value) and low <= value <= high):
+            return f"{name} takes {low:g} to {high:g}"
+        if self.kind(name) != "float" and value != round(value):
             return f"{name} takes whole numbers"
-        self._values[name] = value
+        self._values[ours] = value if name == ours else RENAMED[ours].older(value)
         return None
+
+    def _newer(self, name: str, value: float) -> float:
+        """A value of `TABLE` as it is sent."""
+        ours = self._ours[name]
+        return value if name == ours else RENAMED[ours].newer(value)

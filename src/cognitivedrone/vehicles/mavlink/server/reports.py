@@ -42,6 +42,8 @@ class Snapshot:
     """Whether fences are enabled."""
     breaches: int
     breach_count: int
+    firmware: tuple[int, int]
+    """Major and minor version."""
 
     @property
     def boot_ms(self) -> int:
@@ -225,7 +227,7 @@ def _target(m: Any, s: Snapshot) -> Any:
     )
 
 
-def _version(m: Any, _s: Snapshot) -> Any:
+def _version(m: Any, s: Snapshot) -> Any:
     capabilities = (
         m.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
         | m.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
@@ -234,7 +236,7 @@ def _version(m: Any, _s: Snapshot) -> Any:
         | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
         | m.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     )
-    version = 4 << 24 | 6 << 16 | 0 << 8 | m.FIRMWARE_VERSION_TYPE_DEV
+    version = s.firmware[0] << 24 | s.firmware[1] << 16 | 0 << 8 | m.FIRMWARE_VERSION_TYPE_DEV
     return m.MAVLink_autopilot_version_message(
         capabilities, version, 0, 0, 0, list(SIMULATED), [0] * 8, [0] * 8, 0, 0, 0
     )

@@ -1,4 +1,4 @@
-"""The simulator as a MAVLink vehicle: it behaves like ArduCopter 4.6, so that ground stations can fly it.
+"""The simulator as a MAVLink vehicle: it behaves like ArduCopter, so that ground stations can fly it.
 
 One `SimulatedVehicle` is one world of a `Simulator`, the flight modes that control it, and its ports. The vehicle has
 its own time: `step` advances it, `serve` does so at the pace of the wall clock.
@@ -20,11 +20,12 @@ import numpy as np
 from cognitivedrone.errors import RunError
 from cognitivedrone.frames import yaw_of
 from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.gate_monitor import GateEvent
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.types import DroneState, Image
 from cognitivedrone.vehicles.mavlink.server.commands import Commands
 from cognitivedrone.vehicles.mavlink.server.modes import FlightModes, Mode, Severity
-from cognitivedrone.vehicles.mavlink.server.parameters import TABLE, Parameters
+from cognitivedrone.vehicles.mavlink.server.parameters import Parameters
 from cognitivedrone.vehicles.mavlink.server.ports import Address, Port, endpoint, open_port
 from cognitivedrone.vehicles.mavlink.server.reports import REPORTS, Snapshot, battery_volts
 from cognitivedrone.vehicles.mavlink.server.targets import Home
@@ -53,6 +54,8 @@ class VehicleConfig:
     """`udpout:host:port` sends first, as a listening ground station expects; `udpin` and `tcpin` listen. There is no
     authentication: use addresses other than the loopback only on purpose."""
     system_id: int = 1
+    firmware: tuple[int, int] = (4, 6)
+    """The version of ArduCopter that it says it is: since 4.7 parameters have other names, units and senses."""
     latitude: float = -35.363262
     """Degrees, of the vehicle's initial position; the default is ArduPilot's airfield."""
     longitude: float = 149.165237
@@ -80,7 +83,7 @@ class _Peer:
     address: Address
     mav: Any
     """pymavlink's encoder and parser."""
-    heard: float
+    received_at: float
     """Time of its last message, s."""
     rates: dict[str, float] = field(default_factory=lambda: {name: rate for name, (_, rate) in REPORTS.items()})
     due: dict[str, float] = field(default_factory=dict)
@@ -97,13 +100,20 @@ class SimulatedVehicle:
 
     Use it as a context manager, or call `close`. All methods are thread-safe. Raises `MissingExtra` without pymavlink,
     `RunError` if a port cannot be opened. The simulator must have one world; the caller keeps ownership.
+    `judge` is called with every event at a gate, and may show another stage.
     """
 
-    def __init__(self, simulator: Simulator, config: VehicleConfig | None = None) -> None:
+    def __init__(
+        self,
+        simulator: Simulator,
+        config: VehicleConfig | None = None,
+        judge: Callable[[GateEvent], None] = lambda _: None,
+    ) -> None:
         if simulator.worlds != 1:
             raise RunError(f"a vehicle is one world; this simulator has {simulator.worlds}")
         self.config = config or VehicleConfig()
         self.simulator = simulator
+        self._judge = judge
         self.time = 0.0
         """Since the vehicle started, s."""
         self.battery = 1.0
@@ -111,7 +121,7 @@ class SimulatedVehicle:
         self._m = dialect()
         self._lock = threading.RLock()
         self._steps = 0
-        self.parameters = Parameters(self.config.system_id)
+        self.parameters = Parameters(self.config.system_id, self.config.firmware)
         self.modes = FlightModes(self.parameters, self._stand(), self.say)
         self._commands = Commands(self._m, self)
         self._peers: list[_Peer] = []
@@ -144,12 +154,14 @@ class SimulatedVehicle:
                 state = self.simulator.state(0)
                 self.modes.voltage = battery_volts(self.battery)
                 self.simulator.command(0, self.modes.update(state, self.time))
-                self.simulator.advance(STEP_TICKS)
+                (gate_event,) = self.simulator.advance(STEP_TICKS)
+                if gate_event is not None:
+                    self._judge(gate_event)
                 self._steps += 1
                 self.time = self._steps * STEP_S
                 if self.modes.armed:
                     self.battery = max(0.0, self.battery - STEP_S / (60 * self.config.battery_minutes))
-                self._tell()
+                self._report()
 
     def listen(self) -> None:
         """Process and answer received messages; no simulated time passes."""
@@ -207,6 +219,7 @@ class SimulatedVehicle:
             bool(self.parameters["FENCE_ENABLE"]),
             modes.breaches,
             modes.breach_count,
+            self.config.firmware,
         )
 
     def close(self) -> None:
@@ -247,7 +260,7 @@ class SimulatedVehicle:
                 if heeded > MAX_MESSAGES or message.get_type() == "BAD_DATA" or not self._for_us(message):
                     continue
                 if self._keep(peer):
-                    peer.heard = self.time
+                    peer.received_at = self.time
                     self._commands.heed(peer, message)
         connected = set(port.peers())
         self._peers = [
@@ -255,7 +268,7 @@ class SimulatedVehicle:
             for peer in self._peers
             if peer.port is not port
             or peer.address in connected
-            or (port.datagrams and self.time - peer.heard < FORGET_S)
+            or (port.datagrams and self.time - peer.received_at < FORGET_S)
         ]
 
     def _for_us(self, message: Any) -> bool:
@@ -288,7 +301,7 @@ class SimulatedVehicle:
             peer.mav.statustext_send(int(Severity.INFO), b"CognitiveDrone: a simulated copter")
         return True
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         """Send every report that is due."""
         snapshot: Snapshot | None = None
         for peer in list(self._peers):
@@ -307,7 +320,7 @@ class SimulatedVehicle:
         m = self._m
         kind = {"int8": m.MAV_PARAM_TYPE_INT8, "int16": m.MAV_PARAM_TYPE_INT16, "float": m.MAV_PARAM_TYPE_REAL32}
         p = self.parameters
-        peer.mav.param_value_send(name.encode(), p[name], kind[TABLE[name].kind], len(p), p.index(name))
+        peer.mav.param_value_send(name.encode(), p.reported(name), kind[p.kind(name)], len(p), p.index(name))
 
 
 def serve(

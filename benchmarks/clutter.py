@@ -1,0 +1,60 @@
+"""Flights past obstacles of finished runs: success, collisions, clearance and path length.
+
+python benchmarks/clutter.py results/oracle results/small --out results/clutter.json
+
+Each run is the folder that `cognitivedrone bench --suite open-v3:clutter --policy P --reasoner R --out FOLDER` made.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from cognitivedrone.benchmark.measurements import OUT_HELP, keep
+from cognitivedrone.benchmark.scores.results import read_results
+from cognitivedrone.errors import RunError
+
+
+@dataclass(frozen=True)
+class Config:
+    """Which runs are counted."""
+
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    out: Annotated[Path | None, tyro.conf.arg(help=OUT_HELP)] = None
+
+
+def row_of(run: Path) -> dict[str, object]:
+    """The figures of one run."""
+    summary = read_results(run).summary()
+    past, overall = summary.obstacles, summary.overall
+    if past is None or past.per_100_m is None:
+        raise RunError(f"{run} has no flight past obstacles; give runs of open-v3:clutter")
+    outcomes = {outcome: count for outcome, count in overall.outcomes.items() if count and outcome != "passed"}
+    return {
+        "pilot": run.name,
+        "n": overall.n,
+        "passed": overall.passed,
+        "choice_accuracy": overall.choice_accuracy,
+        "collisions": past.collisions,
+        "touched": past.touched,
+        "collisions_per_100_m": past.per_100_m,
+        "smallest_passed_m": past.smallest_passed_m,
+        "spl": past.spl,
+        "ended": ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()),
+    }
+
+
+def main(config: Config) -> None:
+    """Print and keep the figures."""
+    rows = [row_of(run) for run in config.runs]
+    for row in rows:
+        print(json.dumps(row))
+    keep(config.out, "flights past the obstacles of the suite open-v3:clutter", rows, seed=0)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config))

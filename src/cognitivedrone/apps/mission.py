@@ -1,0 +1,152 @@
+"""A flight of the command `fly` as its loop sees it: what to do now, and where the loop's reports go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from cognitivedrone.apps.config import FlyPlan
+from cognitivedrone.apps.ending import ending_of, flown_by_estimate, out_of_time
+from cognitivedrone.apps.orders import Orders
+from cognitivedrone.apps.values import Ending, Instrument, Step
+from cognitivedrone.control.hold import Hold
+from cognitivedrone.control.latency import TimedPolicy
+from cognitivedrone.control.loop import Segment
+from cognitivedrone.control.passage import Passage
+from cognitivedrone.control.planning import Plans
+from cognitivedrone.control.second_look import SecondLook
+from cognitivedrone.interfaces import Drone
+from cognitivedrone.tasks.directives import HOLD
+from cognitivedrone.tasks.missions import is_mission, sub_goals
+from cognitivedrone.types import Action, Event, Guidance, Observation, SubGoal
+from cognitivedrone.vehicles.contract import Vehicle
+
+
+class Mission:
+    """The current segment: the latest typed instruction, else the command's, else the scene's."""
+
+    def __init__(
+        self,
+        plan: FlyPlan,
+        vehicle: Vehicle,
+        orders: Orders,
+        now: Callable[[], float],
+        hold: Hold,
+        passage: Passage | None,
+        plain: Callable[[str], str | None],
+        drone: Drone,
+        plans: Plans = sub_goals,
+    ) -> None:
+        self.segment: Segment | None = None
+        self.ending: Ending | None = None
+        self._plan, self._vehicle, self._orders, self._now, self._hold = plan, vehicle, orders, now, hold
+        self._passage, self._plain, self._drone, self._plans = passage, plain, drone, plans
+        self._stage = 0
+        self._newest = (0, 0)
+        """Number of the newest sentence, and the stage at which it was given."""
+
+    def __call__(self) -> Segment | None:
+        """The segment of now; none once the flight is over, for the reason `ending`."""
+        count, typed = self._orders.given
+        track = self._vehicle.track_runner
+        instruction = typed or self._plan.instruction or (track and track.task.mission) or ""
+        gates = self._passage.gates if self._passage is not None else 0
+        self.ending = (
+            self._orders.ending
+            or ending_of(self._vehicle, instruction.strip())
+            or flown_by_estimate(gates, self._asked(instruction))
+        )
+        if self.ending is None and self._now() >= self._plan.time_limit:
+            self.ending = out_of_time(self._vehicle, self._plan.time_limit)
+            if self._hold.active:
+                self.ending = Ending("unsure", f"{self.ending.reason}; it hovered, only {_doubt(self._hold)}")
+        if self.ending is not None and self._hold.given_up:
+            self.ending = replace(
+                self.ending, reason=f"{self.ending.reason}; {self._hold.reason or _doubt(self._hold)}"
+            )
+        if self.ending is not None:
+            return None
+        index, truth = (track.index, track.truth()) if track is not None else (gates, None)
+        of_scene = truth.task.instruction if truth is not None else ""
+        self._hold.begin(index + count)
+        goal = self._goal(instruction, count, index)
+        if goal is not None and goal.kind == "land" and not (truth is not None and truth.task.landing):
+            self.ending = Ending("ordered", "landed where it was, as the mission says: there is no pad here")
+            return None
+        sentence = instruction if goal is None else goal.instruction
+        # The words of a reasoner's own plan are its own: only what people type is put into plain words.
+        own = goal is not None and self._plans(instruction) != sub_goals(instruction)
+        plain = sentence if own else self._plain(sentence)
+        if plain is None:
+            self._hold.give_up(f"{sentence!r} was not understood")
+            plain = self.segment.instruction if self.segment is not None else HOLD
+        if track is not None and self._hold.active:  # while it looks again, it has not declined
+            track.decline(self._hold.given_up)
+        if index != self._stage and isinstance(self._drone, SecondLook):
+            self._drone.begin_stage()
+        self._stage = index
+        self.segment = Segment(index + count, plain or of_scene, truth, goal)
+        return self.segment
+
+    def _asked(self, instruction: str) -> int:
+        """Gates to fly through: those of the mission, or of the plan."""
+        goals = self._plans(instruction)
+        return sum(goal.kind == "fly" for goal in goals) if is_mission(goals) else self._plan.gates
+
+    def _goal(self, instruction: str, count: int, index: int) -> SubGoal | None:
+        """The sub-goal of now, if the sentence is a mission: it begins where it was given."""
+        if count != self._newest[0]:
+            self._newest = count, index
+        goals = self._plans(instruction)
+        return goals[min(index - self._newest[1], len(goals) - 1)] if is_mission(goals) else None
+
+
+class Recorder:
+    """Combines the loop's reports with the vehicle's status, and passes them to the instruments."""
+
+    def __init__(
+        self, instruments: Sequence[Instrument], mission: Mission, vehicle: Vehicle, timed: TimedPolicy, hold: Hold
+    ) -> None:
+        self.late = 0
+        self.answers_s: list[float] = []
+        self._instruments, self._mission, self._vehicle, self._timed = instruments, mission, vehicle, timed
+        self._decisions = 0
+        self._decision = "fly"
+        self._hold, self._held = hold, False
+
+    def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:
+        """Report a control step."""
+        segment, status = self._mission.segment, self._vehicle.status()
+        if segment is None:
+            return
+        if status.decision != self._decision:
+            self._decision = status.decision
+            self.note(Event(observation.time, "guard", f"{status.decision}: {status.reason}".rstrip(": ")))
+        if self._hold.active != self._held:
+            self._held = self._hold.active
+            change = f"{'hovering' if self._held else 'flying on'}, {_doubt(self._hold)}"
+            self.note(Event(observation.time, "hold" if self._held else "sure", change))
+        thought = self._timed.took_s[-1] if len(self._timed.took_s) > self._decisions else None
+        self._decisions = len(self._timed.took_s)
+        step = Step(
+            observation.time, segment.index, segment.instruction, observation, action, guidance, thought, status,
+            0 if self._vehicle.track_runner is None else self._vehicle.track_runner.index,
+        )  # fmt: skip
+        for instrument in self._instruments:
+            instrument.step(step)
+
+    def note(self, event: Event) -> None:
+        """Report an event."""
+        self.late += event.kind == "late"
+        track = self._vehicle.track_runner
+        if event.kind in ("declined", "resumed") and track is not None and not self._hold.active:
+            track.decline(event.kind == "declined")
+        if event.kind in ("adopted", "agreed", "kept") and event.age_s is not None:
+            self.answers_s.append(event.age_s)
+        for instrument in self._instruments:
+            instrument.event(event)
+
+
+def _doubt(hold: Hold) -> str:
+    """The pilot's certainty, as text."""
+    return f"{hold.sure:.0%} sure that the scene shows what is asked for"

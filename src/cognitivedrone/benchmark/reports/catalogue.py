@@ -1,0 +1,80 @@
+"""Tables of what comes with the package: suites, task families, airframes, policies, reasoners."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterable, Iterator, Mapping
+
+from rich.console import Group, RenderableType
+from rich.padding import Padding
+from rich.text import Text
+
+from cognitivedrone.errors import PolicyError
+from cognitivedrone.policies import POLICIES
+from cognitivedrone.reasoners import NONE, REASONERS
+from cognitivedrone.registry import load, usage
+from cognitivedrone.sim.airframe import AIRFRAMES
+from cognitivedrone.tasks import ABOUT, FAMILIES, SUITES, load_suite
+
+
+def catalogue() -> RenderableType:
+    """The names that other commands take: lists that stay readable from 60 columns on."""
+    sections = [_section("Suites (--suite)", map(_suite, SUITES))]
+    families: dict[str, list[str]] = {}
+    for family, category in FAMILIES.items():
+        families.setdefault(category, []).append(family)
+    sections += [
+        _section("Task families, by category", (_entry(name, ", ".join(all_)) for name, all_ in families.items())),
+        _section("Policies (--policy NAME:VALUE,option=value)", _plugins("policy", POLICIES)),
+        _section(
+            "Reasoners (--reasoner NAME:VALUE,option=value)",
+            [*_plugins("reasoner", REASONERS), _entry(NONE, "No reasoner: the policy gets the raw instruction.")],
+        ),
+        _section(
+            "Policies and reasoners of your own",
+            [
+                _entry("MODULE:ATTRIBUTE", "A class or function of your own; its folder is on PYTHONPATH."),
+                _entry("MODULE:ATTRIBUTE:VALUE,option=value", "The same with arguments."),
+            ],
+        ),
+    ]
+    return Group(*sections, f"Airframes (--airframe): {', '.join(AIRFRAMES)}")
+
+
+def _section(title: str, entries: Iterable[RenderableType]) -> RenderableType:
+    return Group(Text(title, "underline"), *(Padding(entry, (0, 0, 0, 2), expand=False) for entry in entries), "")
+
+
+def _suite(name: str) -> RenderableType:
+    suite = load_suite(name)
+    n_tasks, n_tracks = suite.n_tasks, len(suite.tracks)
+    size = f"{n_tasks} tasks"
+    if name.endswith(":train"):
+        size = "unlimited tasks"
+    elif n_tracks != n_tasks:
+        size += f" in {n_tracks} episodes"
+    return _entry(f"{name:<17} {size}, hash {suite.digest[:12]}", ABOUT[name])
+
+
+def _plugins(kind: str, table: Mapping[str, str]) -> Iterator[RenderableType]:
+    """Every plug-in with its argument, in brackets if it is optional, what it does, and its options."""
+    for name in table:
+        try:
+            factory = load(kind, name, table)
+        except PolicyError as error:
+            yield _entry(name, str(error))
+            continue
+        written = usage(name, factory)
+        about = [" ".join((inspect.getdoc(factory) or "").partition("\n\n")[0].split())]
+        if options := _OPTION.findall(written):
+            about.append(f"options: {', '.join(options)}")
+        yield _entry(_OPTION.sub("", written), *about)
+
+
+_OPTION = re.compile(r"\[,(\w+=[^\]]+)\]")
+
+
+def _entry(written: str, *about: str) -> RenderableType:
+    lines = (Padding(Text(line, overflow="fold"), (0, 0, 0, 4), expand=False) for line in about)
+    return Group(Text(written, "bold", overflow="fold"), *lines)

@@ -1,0 +1,112 @@
+"""`resolve`: a plan becomes a `Job`, once; below it no name is looked up, and every worker gets the job unchanged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cognitivedrone import policies, reasoners, registry
+from cognitivedrone.benchmark.config import Plan
+from cognitivedrone.benchmark.runs.provenance import own_module
+from cognitivedrone.benchmark.runs.shard import parse_shard
+from cognitivedrone.benchmark.scores.results import FILES, REQUIRED, RunFacts, SuiteFacts, versions
+from cognitivedrone.control.latency import Delays, parse_delays
+from cognitivedrone.envs.track_runner import TrackConfig
+from cognitivedrone.errors import RunError
+from cognitivedrone.files import digest_of_file
+from cognitivedrone.labels import load_pack
+from cognitivedrone.labels.folder import digest_of_labels
+from cognitivedrone.plan import PilotSpec, Scenario
+from cognitivedrone.policies import POLICIES, model_file
+from cognitivedrone.reasoners import NONE, REASONERS, reasoner_file
+from cognitivedrone.sim.airframe import find_airframe
+from cognitivedrone.tasks import SUITES, Suite
+from cognitivedrone.tasks.scenario import suite_of
+from cognitivedrone.tasks.suites import CONDITIONS
+from cognitivedrone.vehicles import autopilot_file, check_tracks, check_vehicle
+from cognitivedrone.vehicles.contract import Request
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """A plan with everything that its names stand for."""
+
+    plan: Plan
+    suite: Suite
+    facts: RunFacts
+    """The identity of the run."""
+    delays: Delays
+    """Inference latency to charge."""
+    episodes: range
+    """Indices of the tracks to fly."""
+    request: Request
+    """The vehicle, with its scene."""
+
+
+def resolve(plan: Plan, *, named: bool = True) -> Job:
+    """Look up and check everything that a plan names, before anything is started or written.
+
+    If the pilot is not `named` but passed as objects, its files are unknown. Raises `RunError` for a vehicle or suite
+    that cannot be flown like that, and the specific error for anything that is missing.
+    """
+    scenario = plan.scenario
+    check_vehicle(plan.vehicle, scenario)
+    _check_conditions(scenario)
+    suite = suite_of(scenario, plan.episodes)
+    delays = parse_delays(plan.latency)
+    policy, reasoner = plan.pilot.policy, plan.pilot.reasoner
+    model, answers = (model_file(policy), reasoner_file(reasoner)) if named else (None, None)
+    autopilot = autopilot_file(plan.vehicle)
+    labels = scenario.labels
+    resolved = {"labels": None if labels is None else digest_of_labels(labels), "latency": delays.identity}
+    pack = load_pack(labels)
+    options = plan.identity(resolved) | {"model": None if model is None else digest_of_file(model)}
+    own = {"policy_code": own_module(policy, POLICIES), "reasoner_code": own_module(reasoner, REASONERS)}
+    optional = {"reasoner_model": answers, **(own if named else {}), "autopilot": autopilot}
+    options |= {key: digest_of_file(file) for key, file in optional.items() if file is not None}
+    facts = RunFacts(
+        suite=SuiteFacts(suite.name, suite.digest, suite.n_tasks),
+        policy=policy,
+        reasoner=reasoner,
+        options={key: options[key] for key in (*REQUIRED, *options)},  # keeps the order of existing files
+        versions=versions(),
+    )
+    episodes = range(len(suite.tracks))[: plan.episodes]
+    if plan.shard is not None:
+        episodes = parse_shard(plan.shard).of(episodes)
+    if not episodes:
+        raise RunError(f"--shard {plan.shard} has no episode; give at most as many shards as the run has episodes")
+    check_tracks(plan.vehicle, (suite.tracks[index] for index in episodes))
+    request = Request(plan.vehicle, pack, find_airframe(scenario.airframe), TrackConfig.of(scenario))
+    if labels is not None or suite.name not in SUITES:  # the shipped pack draws every shipped suite
+        tasks = [task for index in episodes for task in suite.tracks[index]]
+        marks = [task.landmark.label for task in tasks if task.landmark]
+        shown = [reference for task in tasks for reference in (*task.labels, task.board) if reference]
+        for reference in sorted({*shown, *marks}):
+            pack.image(reference)
+    return Job(plan, suite, facts, delays, episodes, request)
+
+
+def plan_of(facts: RunFacts, pilot: PilotSpec, **changes: object) -> Plan:
+    """The plan of a recorded run, with a pilot; `changes` give what a run records only by its hash."""
+    names = Plan.identity_names()
+    given = {
+        names[key]: value for key, value in facts.options.items() if key in names and key not in ("episodes", *FILES)
+    }
+    return Plan.of(**{"pilot": pilot, "suite": facts.suite.name, **given, **changes})
+
+
+def pilot_of(facts: RunFacts, policy: str | None, reasoner: str | None) -> PilotSpec:
+    """Who flew a recorded run. A user's own code is imported only if it is given here, not because a file names it."""
+    if policy is None:
+        registry.check_self_contained("policy", facts.policy, POLICIES, policies.SELF_CONTAINED)
+    if reasoner is None and facts.reasoner != NONE:
+        registry.check_self_contained("reasoner", facts.reasoner, REASONERS, reasoners.SELF_CONTAINED)
+    return PilotSpec(policy or facts.policy, reasoner or facts.reasoner)
+
+
+def _check_conditions(scenario: Scenario) -> None:
+    """Raise `RunError` for a suite that is scored under other conditions."""
+    conditions = CONDITIONS.get(scenario.suite, {}) if scenario.tasks is None else {}
+    if any(getattr(scenario, name) != value for name, value in conditions.items()):
+        words = " ".join(f"--{name} {value}" for name, value in conditions.items())
+        raise RunError(f"suite {scenario.suite!r} is scored under its own conditions only; add {words}")

@@ -1,0 +1,145 @@
+"""Two runs over the same tasks, paired task by task."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from cognitivedrone.benchmark.scores.results import Results, read_results
+from cognitivedrone.benchmark.scores.scoring import (
+    Interval,
+    Paired,
+    counts,
+    difference_interval,
+    mcnemar,
+    pair,
+    passes,
+)
+from cognitivedrone.errors import RunError
+from cognitivedrone.plan import Rule
+from cognitivedrone.types import ALL_CATEGORIES, Category, StageResult
+
+SIGNIFICANT: Final = 0.05
+"""A difference less probable than this by chance is called significant."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The difference between b and a over a set of tasks."""
+
+    table: Paired
+    rate_a: float | None
+    rate_b: float | None
+    difference: float | None
+    """rate_b - rate_a"""
+    ci95: Interval | None
+    p: float
+    """Two-sided exact McNemar."""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Paired comparison of two runs."""
+
+    name_a: str
+    name_b: str
+    suite: str
+    rule: Rule
+    overall: Difference
+    categories: Mapping[Category, Difference]
+    left_out: int
+    """Stages that are invalid in either run."""
+    other_differences: tuple[str, ...]
+    """Options and versions in which the runs differ, besides the pilot."""
+
+    @property
+    def verdict(self) -> str:
+        """The overall difference in one sentence."""
+        table, p = self.overall.table, self.overall.p
+        if table.n == 0:
+            return "no task counts in both runs, so they cannot be compared"
+        more = abs(table.only_b - table.only_a)
+        sentence = f"{'B' if table.only_b > table.only_a else 'A'} passes {more} more of {table.n} tasks"
+        if more == 0:
+            sentence = f"A and B pass equally many of {table.n} tasks"
+        significant = "a significant difference" if p < SIGNIFICANT else "no significant difference"
+        return f"{sentence}; {significant} (McNemar, p = {p:.3g})"
+
+
+def compare(a: Path, b: Path, *, rule: Rule = "through") -> Comparison:
+    """Pair two finished runs, each given as its folder or its results.json.
+
+    Raises `RunError` if they did not fly the same tasks with the same seed.
+    """
+    return compare_results(read_results(a), read_results(b), rule=rule, names=(str(a), str(b)))
+
+
+def compare_results(
+    a: Results, b: Results, *, rule: Rule = "through", names: tuple[str, str] = ("A", "B")
+) -> Comparison:
+    """As `compare`, for loaded results; `names` are used in error messages."""
+    for what, in_a, in_b in (
+        ("suite", f"{a.run.suite.name} ({a.run.suite.digest[:12]})", f"{b.run.suite.name} ({b.run.suite.digest[:12]})"),
+        ("seed", a.run.option("seed"), b.run.option("seed")),
+        ("track option", a.run.option("track"), b.run.option("track")),
+    ):
+        if in_a != in_b:
+            raise RunError(f"{names[0]} and {names[1]} cannot be paired: their {what} differs, {in_a} and {in_b}")
+    stages_a, stages_b = _by_task(a, names[0]), _by_task(b, names[1])
+    if stages_a.keys() != stages_b.keys():
+        raise RunError(
+            f"{names[0]} and {names[1]} cannot be paired: {len(stages_a.keys() ^ stages_b.keys())} tasks were flown in "
+            "only one of them; run both with the same --episodes"
+        )
+    pairs = [(stages_a[task], stages_b[task]) for task in stages_a]
+    valid = [(x, y) for x, y in pairs if counts(x) and counts(y)]
+    present = [category for category in ALL_CATEGORIES if any(x.category == category for x, _ in valid)]
+    return Comparison(
+        name_a=_pilot(a),
+        name_b=_pilot(b),
+        suite=a.run.suite.name,
+        rule=rule,
+        overall=_difference(valid, rule),
+        categories={c: _difference([(x, y) for x, y in valid if x.category == c], rule) for c in present},
+        left_out=len(pairs) - len(valid),
+        other_differences=_other_differences(a, b),
+    )
+
+
+def _difference(pairs: list[tuple[StageResult, StageResult]], rule: Rule) -> Difference:
+    table = pair((passes(x, rule), passes(y, rule)) for x, y in pairs)
+    n = table.n
+    return Difference(
+        table=table,
+        rate_a=(table.both + table.only_a) / n if n else None,
+        rate_b=(table.both + table.only_b) / n if n else None,
+        difference=table.difference,
+        ci95=difference_interval(table),
+        p=mcnemar(table.only_a, table.only_b),
+    )
+
+
+def _by_task(results: Results, name: str) -> dict[str, StageResult]:
+    stages = [stage for episode in results.episodes for stage in episode.stages]
+    by_task = {stage.task_id: stage for stage in stages}
+    if len(by_task) != len(stages):
+        raise RunError(
+            f"{name} flew {len(stages) - len(by_task)} tasks more than once, by their ids; it cannot be paired"
+        )
+    return by_task
+
+
+def _pilot(results: Results) -> str:
+    return f"policy {results.run.policy}, reasoner {results.run.reasoner}"
+
+
+def _other_differences(a: Results, b: Results) -> tuple[str, ...]:
+    of_a, of_b = (
+        {name: run.run.option(name) for name in ("appearance", "airframe", "labels", "link", "wind_m_s", "latency")}
+        | dict(run.run.versions)
+        | {"renderer": run.renderer}
+        for run in (a, b)
+    )
+    return tuple(f"{key}: {of_a[key]} and {of_b.get(key)}" for key in of_a if of_a[key] != of_b.get(key))

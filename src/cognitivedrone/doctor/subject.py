@@ -1,0 +1,167 @@
+"""The policy under examination: asked about views as at the start of a flight, its answers checked, timed and kept."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cognitivedrone.control.calls import begin_stage
+from cognitivedrone.control.latency import TimedPolicy
+from cognitivedrone.doctor.views import View
+from cognitivedrone.interfaces import Policy
+from cognitivedrone.types import ACTION_LIMITS, ActionChunk, EpisodeContext, Image
+
+Numbers = NDArray[np.float64]
+ImageChange = Callable[[Image], Image]
+StateChange = Callable[[Numbers], Numbers]
+SEED = 7
+LIMITS = np.array(ACTION_LIMITS)
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A view with an instruction, and maybe something that is not as in flight."""
+
+    view: View
+    gate: int
+    """The gate that is meant."""
+    instruction: str
+    image: Image | None = None
+    """In place of the view's."""
+    state: Numbers | None = None
+    """(5,) in place of the view's: velocity, height, yaw rate."""
+    reset_instruction: str | None = None
+    """What `reset` gets, where that differs from the observation's instruction."""
+
+    @property
+    def seen(self) -> Image:
+        """The image."""
+        return self.view.observation.image if self.image is None else self.image
+
+    @property
+    def numbers(self) -> Numbers:
+        """(5,) the state."""
+        seen = self.view.observation
+        given = np.array([*seen.velocity, seen.height, seen.yaw_rate], np.float64)
+        return given if self.state is None else self.state
+
+    @property
+    def expected(self) -> Numbers:
+        """(4,) the expert's command."""
+        return np.asarray(self.view.commands[self.gate], np.float64)
+
+
+@dataclass
+class Subject:
+    """A policy and what was seen of it; `clock` returns seconds."""
+
+    policy: Policy
+    clock: Callable[[], float] = time.perf_counter
+    seconds: list[float] = field(default_factory=list)
+    """Of every answer."""
+    lengths: set[int] = field(default_factory=set)
+    """Of the chunks."""
+    largest: Numbers = field(default_factory=lambda: np.zeros(4))
+    """(4,) largest magnitude of each component of a command."""
+    changes_image: bool = False
+    """Whether it has written into an observation's image."""
+    reuses_array: bool = False
+    """Whether an answer changed after it was given."""
+    _last: tuple[ActionChunk, ActionChunk] | None = None
+
+    def __post_init__(self) -> None:
+        self._timed = TimedPolicy(self.policy)
+
+    def start(self, question: Question) -> None:
+        """Tell it that a flight begins."""
+        reset_instruction = question.instruction if question.reset_instruction is None else question.reset_instruction
+        seed = SEED if self.policy.needs_seed else 0
+        begin_stage(self._timed, EpisodeContext(reset_instruction, seed, 0, question.view.truth(question.gate)))
+
+    def answer(self, question: Question) -> ActionChunk:
+        """Its commands (k, 4), without a new start. Raises `PolicyError` for what it raises, and for wrong answers."""
+        state, image = question.numbers, question.seen
+        seen = replace(
+            question.view.observation,
+            image=image.copy(),
+            instruction=question.instruction,
+            velocity=state[:3].astype(np.float32),
+            height=float(state[3]),
+            yaw_rate=float(state[4]),
+            time=0.0,
+        )
+        begin = self.clock()
+        given = self._timed.act(seen)
+        self.seconds.append(self.clock() - begin)
+        if self._last is not None and not np.array_equal(*self._last):
+            self.reuses_array = True
+        chunk = given.copy()
+        self._last = given, chunk
+        self.changes_image |= not np.array_equal(seen.image, image)
+        self.lengths.add(len(chunk))
+        self.largest = np.maximum(self.largest, np.abs(chunk).max(axis=0))
+        return chunk
+
+    def ask(self, question: Question) -> ActionChunk:
+        """Its commands (k, 4) at the start of a flight; raises as `answer`."""
+        self.start(question)
+        return self.answer(question)
+
+    def first(self, questions: Sequence[Question]) -> Numbers:
+        """(n, 4) the first command for each question, each at the start of a flight."""
+        return np.array([self.ask(question)[0] for question in questions], np.float64)
+
+
+def agreement(answers: Numbers, expected: Numbers) -> float:
+    """How well answers (n, 4) turn to where they should, -1 to 1: mean correlation of sideways and yaw commands."""
+    return (correlation(answers[:, 1], expected[:, 1]) + correlation(answers[:, 3], expected[:, 3])) / 2
+
+
+def correlation(a: Numbers, b: Numbers) -> float:
+    """Cosine of two arrays of equal shape; 0 where one is zero."""
+    size = float(np.sqrt((a * a).sum() * (b * b).sum()))
+    return float((a * b).sum()) / size if size > 0 else 0.0
+
+
+def distance(answers: Numbers, others: Numbers) -> float:
+    """Root mean square difference of commands (n, 4), as a share of the limits."""
+    return float(np.sqrt((((answers - others) / LIMITS) ** 2).mean()))
+
+
+def unchanged(value: Any) -> Any:
+    """The same value."""
+    return value
+
+
+def expected_of(questions: list[Question]) -> Numbers:
+    """(n, 4) the expert's commands."""
+    return np.array([question.expected for question in questions])
+
+
+def with_image(questions: list[Question], change: ImageChange) -> list[Question]:
+    """The questions, each with its image changed."""
+    return [
+        replace(question, image=np.ascontiguousarray(change(question.view.observation.image))) for question in questions
+    ]
+
+
+def with_images(
+    questions: list[Question], images: list[np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]
+) -> list[Question]:
+    """The questions, each with another image."""
+    return [replace(question, image=image) for question, image in zip(questions, images, strict=True)]
+
+
+def size(answers: Numbers) -> float:
+    """Root mean square of commands (n, 4), as a share of the limits."""
+    return max(distance(answers, np.zeros_like(answers)), 1e-9)
+
+
+def percent(share: float) -> str:
+    """A share in per cent."""
+    return f"{100 * share:.2g} %"

@@ -1,0 +1,1 @@
+"""Films of flights: first-person and chase view, map, directive, command and outcome; and their pages."""

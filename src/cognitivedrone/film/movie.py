@@ -1,0 +1,115 @@
+"""The film of a flight, 1280 x 720: instruction, the drone's view, a view from behind, map, gates, command, outcome."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from PIL import Image as PillowImage
+from PIL import ImageDraw
+
+from cognitivedrone.envs.captions import font, wrap
+from cognitivedrone.film.frame import Film, FilmFrame, Scene
+from cognitivedrone.film.overlays import draw_gates, draw_map, draw_sticks, end_card
+from cognitivedrone.film.panel import INK, PANEL, PANEL_HEIGHT, SOFT, compose
+from cognitivedrone.film.panel import WIDTH as CLIP_WIDTH
+from cognitivedrone.film.video import FILM, write_mp4
+from cognitivedrone.sim.airframe import RACER, Airframe
+from cognitivedrone.sim.chase import FILM_SIZE, ChaseView
+from cognitivedrone.types import CONTROL_HZ, FloatArray, Image, Vector
+
+FPS: Final = 2 * CONTROL_HZ
+"""Of films: the chase view shows an intermediate pose between two control steps."""
+END_S: Final = 2.5
+"""Duration of the end card."""
+LONGEST_S: Final = 5
+"""A picture is shown for at most so long."""
+_WIDTH, _HEIGHT = FILM_SIZE
+_TOP: Final = _HEIGHT - CLIP_WIDTH - PANEL_HEIGHT  # height of the line with the instruction
+_CHASE: Final = (_WIDTH - CLIP_WIDTH, (_WIDTH - CLIP_WIDTH) * 9 // 16)
+_STRIP_TOP: Final = _TOP + _CHASE[1]
+_STRIP: Final = _HEIGHT - _STRIP_TOP
+_MAP_WIDTH, _STICKS_WIDTH = 250, 262
+
+
+def write_film(film: Film, out: Path, airframe: Airframe = RACER) -> int:
+    """Write an MP4 to `out`; returns the number of its frames; nothing is written for a film without frames."""
+    return write_mp4(pictures(film, airframe), out, FPS, FILM)
+
+
+def pictures(film: Film, airframe: Airframe = RACER) -> Iterator[Image]:
+    """The frames (720, 1280, 3) of a film, 20 a second, and its end card; the chase view only if the scene is known."""
+    path: list[Vector] = []
+    stage, last = -1, None
+    asked = ""
+    with ExitStack() as stack:
+        chase: ChaseView | None = None
+        for frame, following in itertools.pairwise(itertools.chain(film.frames, [None])):
+            if frame is None:
+                continue
+            # The last steps of a track are counted as after its last stage.
+            now = min(frame.stage, max(len(film.scenes) - 1, 0))
+            scene = film.scenes[now] if film.scenes else None
+            if now != stage:
+                stage, path = now, path[-1:]
+                if scene is not None and chase is None:
+                    chase = stack.enter_context(ChaseView(scene.stage, scene.scenery, *_CHASE, airframe=airframe))
+                elif scene is not None and chase is not None:
+                    chase.place(scene.stage, scene.scenery)
+            if frame.position is not None:
+                path.append(frame.position)
+            asked = frame.asked or frame.instruction
+            base = _layout(film, frame, scene, path)
+            parts = _parts(frame, following)
+            for part in range(parts):
+                if chase is not None and (pose := _pose(frame, following, part / parts)) is not None:
+                    base.paste(PillowImage.fromarray(chase.frame(*pose, seconds=1 / FPS)), (CLIP_WIDTH, _TOP))
+                last = base
+                yield np.asarray(base)
+    if last is not None:
+        card = np.asarray(end_card(last, film.verdict, asked, _STRIP_TOP if film.scenes else _HEIGHT, CLIP_WIDTH))
+        for _ in range(round(END_S * FPS)):
+            yield card
+
+
+def _parts(frame: FilmFrame, following: FilmFrame | None) -> int:
+    """Pictures until the next control step, which may be late: the film keeps the time of the flight."""
+    usual = FPS // CONTROL_HZ
+    if following is None:
+        return usual
+    return min(max(round(following.time * FPS) - round(frame.time * FPS), 1), LONGEST_S * FPS)
+
+
+def _layout(film: Film, frame: FilmFrame, scene: Scene | None, path: list[Vector]) -> PillowImage.Image:
+    """Everything but the chase view."""
+    picture = PillowImage.new("RGB", (_WIDTH, _HEIGHT), PANEL)
+    pen = ImageDraw.Draw(picture)
+    lines = wrap(frame.asked or frame.instruction, _WIDTH - 40, font(28), 1)
+    pen.text((16, 10), lines[0] if lines else "", INK, font(28))
+    pen.text((16, 48), (wrap(film.title, _WIDTH - 40, font(16), 1) or [""])[0], SOFT, font(16))
+    picture.paste(PillowImage.fromarray(compose(frame, max(len(film.scenes), 1))), (0, _TOP))
+    if scene is None:
+        size = (_WIDTH - CLIP_WIDTH, _HEIGHT - _TOP - _STRIP)
+        picture.paste(draw_map(size, None, path, frame), (CLIP_WIDTH, _TOP))
+    else:
+        picture.paste(draw_map((_MAP_WIDTH, _STRIP), scene, path, frame), (CLIP_WIDTH, _STRIP_TOP))
+        wide = _WIDTH - CLIP_WIDTH - _MAP_WIDTH - _STICKS_WIDTH
+        picture.paste(draw_gates((wide, _STRIP), scene, frame), (CLIP_WIDTH + _MAP_WIDTH, _STRIP_TOP))
+    picture.paste(draw_sticks((_STICKS_WIDTH, _STRIP), frame), (_WIDTH - _STICKS_WIDTH, _STRIP_TOP))
+    return picture
+
+
+def _pose(frame: FilmFrame, following: FilmFrame | None, share: float) -> tuple[FloatArray, FloatArray] | None:
+    """Position and attitude at a share of the way to the next control step; none if unknown."""
+    if frame.position is None or frame.quaternion is None:
+        return None
+    position, attitude = np.asarray(frame.position, np.float64), np.asarray(frame.quaternion, np.float64)
+    if following is not None and following.position is not None and following.quaternion is not None:
+        position = position + share * (following.position - position)
+        other = np.asarray(following.quaternion, np.float64)
+        attitude = attitude + share * ((other if other @ attitude >= 0 else -other) - attitude)
+    return position, attitude / np.linalg.norm(attitude)

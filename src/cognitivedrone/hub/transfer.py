@@ -1,0 +1,193 @@
+"""Push a folder to the Hugging Face Hub, and pull one from there, through `huggingface_hub`.
+
+The token is the library's affair: it comes from HF_TOKEN or from `hf auth login`, and is never read or shown here.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+from cognitivedrone.errors import CognitiveDroneError, HubError, import_extra
+from cognitivedrone.files import reason_of, replace_file, writing
+from cognitivedrone.hub.contents import SUFFIXES, RepoType, check_names, contents_of, kind_of, size_text
+from cognitivedrone.usage_reports import switch_off
+
+ENDPOINT: Final = "https://huggingface.co"
+MOST_FILES: Final = 50_000
+_OF_THE_HUB: Final = (".gitattributes", "README.md")
+"""Files that the Hub adds by itself; a data set's folder must not hold them."""
+_REPLACED: Final = [*(f"*{suffix}" for suffix in SUFFIXES if suffix != ".md"), "*.tfrecord-*", "SHA256SUMS"]
+"""What a new commit deletes, unless it brings it again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Transfer:
+    """What was pushed or pulled."""
+
+    name: str
+    """USER/NAME; of a data set datasets/USER/NAME."""
+    kind: str
+    """In words."""
+    revision: str
+    """Commit."""
+    endpoint: str
+    files: int
+    bytes: int
+
+
+def push(folder: Path, name: str, *, public: bool = False) -> Transfer:
+    """Upload the model or data set in a folder as one commit; the repository is made if there is none, private unless
+    `public`. Files that the folder no longer has are deleted there.
+
+    Raises `HubError`, `MissingExtra`, and for a damaged folder `ModelError` or `DataError`.
+    """
+    shared = contents_of(folder)
+    repo_type, kind = shared.repo_type, shared.kind
+    stated, short = _typed(name)
+    if stated not in (None, repo_type):
+        raise HubError(f"{folder} holds a {kind}, and {name} names a data set; write {short}")
+    api, endpoint = _api()
+    with _refusals(name, endpoint):
+        made = api.create_repo(short, repo_type=repo_type, private=not public, exist_ok=True)
+        done = api.upload_folder(
+            repo_id=made.repo_id, repo_type=repo_type, folder_path=folder,
+            allow_patterns=list(shared.files) if repo_type == "model" else None, delete_patterns=_REPLACED,
+            commit_message=f"Upload a {kind}",
+        )  # fmt: skip
+    return Transfer(_shown(made.repo_id, repo_type), kind, done.oid, endpoint, len(shared.files), shared.bytes)
+
+
+def pull(name: str, folder: Path, *, revision: str = "main", max_gb: float = 20.0) -> Transfer:
+    """Download a model or data set into a new folder, at one commit, which is recorded in FOLDER.hub.json beside it.
+
+    What may hold code, is too large or of no known kind is refused, and leaves no folder; an interrupted download goes
+    on the next time. Raises `HubError`, `MissingExtra`, and for damaged files `ModelError` or `DataError`.
+    """
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise HubError(f"{folder}: is not empty; give a new folder")
+    api, endpoint = _api()
+    with _refusals(name, endpoint):
+        repo_type, short, commit = _find(api, name, revision)
+        tree = api.list_repo_tree(short, recursive=True, revision=commit, repo_type=repo_type)
+        listed = {
+            entry.path: int(entry.size)
+            for entry in itertools.islice(tree, MOST_FILES + 1)
+            if hasattr(entry, "size") and entry.path not in _OF_THE_HUB
+        }
+    if len(listed) > MOST_FILES:
+        raise HubError(f"{name}: has more than {MOST_FILES:,} files; no model or data set of this package has")
+    check_names(listed)
+    if (size := sum(listed.values())) > max_gb * 1e9:
+        raise HubError(f"{name}: has {size_text(size)}, more than {max_gb:g} GB; allow more with --max-gb")
+    part = folder.with_name(f"{folder.name}.part")
+    with _refusals(name, endpoint), writing(part, HubError):
+        part.mkdir(parents=True, exist_ok=True)
+        api.snapshot_download(
+            short, repo_type=repo_type, revision=commit, local_dir=part, cache_dir=part / ".cache",
+            ignore_patterns=list(_OF_THE_HUB),
+        )  # fmt: skip
+    try:
+        kind = _check(part, listed, repo_type, name)
+    except CognitiveDroneError:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+    done = Transfer(_shown(short, repo_type), kind, commit, endpoint, len(listed), size)
+    with writing(folder, HubError):
+        if folder.exists():
+            folder.rmdir()
+        part.rename(folder)
+        record = json.dumps(asdict(done), indent=2) + "\n"
+        replace_file(folder.with_name(f"{folder.name}.hub.json"), record.encode())
+    return done
+
+
+def _check(part: Path, listed: dict[str, int], repo_type: RepoType, name: str) -> str:
+    """The kind of what was downloaded, once it is nothing but what was listed."""
+    shutil.rmtree(part / ".cache", ignore_errors=True)
+    there = {path.relative_to(part).as_posix(): path for path in part.rglob("*") if not path.is_dir()}
+    if any(path.is_symlink() for path in there.values()):
+        raise HubError(f"{name}: holds a link; links are not shared")
+    if {each: path.stat().st_size for each, path in there.items()} != listed:
+        raise HubError(f"{name}: sent other files than it lists; try again, or ask whom it belongs to")
+    found, kind = kind_of(part)
+    if found != repo_type:
+        raise HubError(f"{name}: is a {repo_type} on the Hub, but holds a {kind}")
+    return kind
+
+
+def _find(api: Any, name: str, revision: str) -> tuple[RepoType, str, str]:
+    """Type, name without its type, and commit; a name without a type is a model's, or else a data set's."""
+    from huggingface_hub.errors import RepositoryNotFoundError
+
+    stated, short = _typed(name)
+    types: tuple[RepoType, ...] = ("model", "dataset") if stated is None else (stated,)
+    for repo_type in types:
+        try:
+            return repo_type, short, str(api.repo_info(short, repo_type=repo_type, revision=revision).sha)
+        except RepositoryNotFoundError:
+            if repo_type == types[-1]:
+                raise
+    raise AssertionError
+
+
+def _typed(name: str) -> tuple[RepoType | None, str]:
+    short = name.removeprefix("datasets/")
+    return (None if short == name else "dataset"), short
+
+
+def _shown(short: str, repo_type: RepoType) -> str:
+    return f"datasets/{short}" if repo_type == "dataset" else short
+
+
+def _api() -> tuple[Any, str]:
+    """The library's client, and the address of the Hub: HF_ENDPOINT, or the public one."""
+    switch_off()
+    endpoint = os.environ.get("HF_ENDPOINT", ENDPOINT).rstrip("/")
+    try:
+        place = urlsplit(endpoint)
+    except ValueError as error:
+        raise HubError(f"HF_ENDPOINT is {endpoint}, which is no address ({error}); correct or unset it") from None
+    if place.scheme != "https" and place.hostname not in ("127.0.0.1", "::1", "localhost"):
+        raise HubError(f"HF_ENDPOINT is {endpoint}, where a token could be read on its way; give an https address")
+    return import_extra("huggingface_hub", "hub").HfApi(endpoint=endpoint, library_name="cognitivedrone"), endpoint
+
+
+@contextmanager
+def _refusals(name: str, endpoint: str) -> Iterator[None]:
+    """Turn the errors of library, server and network into one sentence with the way out."""
+    from huggingface_hub import errors
+
+    try:
+        yield
+    except errors.RevisionNotFoundError:
+        raise HubError(f"{name}: has no such revision at {endpoint}; give a branch, tag or commit of it") from None
+    except (errors.RepositoryNotFoundError, errors.LocalTokenNotFoundError):
+        raise HubError(f"{name}: {_ACCESS.format(endpoint)}") from None
+    except errors.HfHubHTTPError as refused:
+        status = refused.response.status_code
+        reason = _ACCESS.format(endpoint) if status in (401, 403) else f"{endpoint} answered {status}; try again later"
+        raise HubError(f"{name}: {reason}") from None
+    except errors.HFValidationError:
+        raise HubError(f"{name!r} is no name on the Hub; write USER/NAME") from None
+    except CognitiveDroneError:
+        raise
+    except OSError as failed:
+        raise HubError(f"{name}: {endpoint} cannot be reached or read: {reason_of(failed)}") from None
+    except Exception as failed:
+        # The library wraps what breaks an upload off; the errors of its HTTP client have no common public type.
+        if not (isinstance(failed, RuntimeError) or type(failed).__module__.startswith(("httpx", "hf_xet"))):
+            raise
+        reason = f"cannot be reached, or broke off: {type(failed.__cause__ or failed).__name__}"
+        raise HubError(f"{name}: {endpoint} {reason}; check the network and try again") from None
+
+
+_ACCESS: Final = "is not at {}, or not open to you; check the name, and log in with `hf auth login` or set HF_TOKEN"

@@ -1,0 +1,123 @@
+"""The text encoder that policies share: an instruction in, the meaning of each of its tokens in context out.
+
+It runs once for an instruction, not once for a frame. Contract of its graph; the batch is a dynamic axis, L the number
+of tokens, W the width: inputs `tokens`, `positions`, `parts` int64 (batch, L); output `words` float32 (batch, L, W),
+zero where there is no token. The description holds the word pieces, and the digest by which a policy names the encoder
+that it was trained with. The network is `models.language.TextEncoder`.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections import OrderedDict
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cognitivedrone.errors import ModelError
+from cognitivedrone.models.calculator import calculate
+from cognitivedrone.models.onnx_file import check_graph, count_of, field_of, open_model
+from cognitivedrone.models.scene_tokens import INPUTS, SceneTokenizer, number_text, stacked
+
+TEXT_ENCODER, FILE = "text-encoder", "text_encoder.onnx"
+_KEPT = 512  # instructions whose meaning is remembered
+_ANY = 1
+
+Floats = NDArray[np.float32]
+
+
+def parts_of(instruction: str) -> tuple[str, ...]:
+    """The instruction, and the result of the calculation that it asks for, if it asks for one."""
+    answer = calculate(instruction, None)
+    return (instruction,) if answer is None else (instruction, f"answer: {number_text(answer)}")
+
+
+class TextEncoderModel:
+    """The text encoder, run by ONNX Runtime on the CPU."""
+
+    def __init__(self, session: Any, tokenizer: SceneTokenizer, digest: str, size: int) -> None:
+        self._session = session
+        self.tokenizer = tokenizer
+        self.digest = digest
+        self.size = size
+        """The width W."""
+        self._known: OrderedDict[str, Floats] = OrderedDict()
+
+    @classmethod
+    def load(cls, path: Path | None = None, *, threads: int = 1) -> TextEncoderModel:
+        """Load a file, by default the packaged one; raises `ModelError` where it is missing, broken or another kind."""
+        path = path or packaged_encoder()
+        session, table = open_model(path, TEXT_ENCODER, threads=threads, optimise=True)
+        where = str(path)
+        outputs = {"words": ("tensor(float)", (_ANY, count_of(table, "size", where)))}
+        check_graph(session, dict.fromkeys(INPUTS, ("tensor(int64)", (_ANY,))), outputs, where)
+        pieces = field_of(table, "pieces", list, where)
+        if not all(isinstance(piece, str) for piece in pieces):
+            raise ModelError(f"the word pieces in {where} contain an entry that is not a word")
+        tokenizer = SceneTokenizer(pieces, f"the list of word pieces in {where}")
+        return cls(session, tokenizer, field_of(table, "digest", str, where), table["size"])
+
+    @classmethod
+    def of_digest(cls, digest: str, model: Path, *, threads: int = 1) -> TextEncoderModel:
+        """The text encoder of a model's file, which names it by its digest; raises `ModelError` where it is another."""
+        path = encoder_of(model)
+        found = _shared(path, threads, path.stat().st_mtime_ns if path.is_file() else 0)
+        if found.digest != digest:
+            raise ModelError(
+                f"{model} was trained with another text encoder than {path}; put the {FILE} that came with it beside"
+                " it, or train it again"
+            )
+        return found
+
+    def words(self, instruction: str) -> Floats:
+        """(L, W) of an instruction, remembered."""
+        found = self._known.get(instruction)
+        if found is None:
+            found = self.batch([instruction])[0]
+            self._known[instruction] = found
+            while len(self._known) > _KEPT:
+                self._known.popitem(last=False)
+        return found
+
+    def batch(self, instructions: Sequence[str]) -> Floats:
+        """(n, L, W) of n instructions, padded with zeros to the longest."""
+        tokens = stacked([self.tokenizer.encode(parts_of(text)) for text in instructions])
+        (words,) = self._session.run(("words",), tokens)
+        found: Floats = words
+        return found
+
+    def meanings(self, texts: Sequence[str]) -> Floats:
+        """(n, W): what n texts mean as a whole, each of length 1: the sum of their tokens."""
+        sums: Floats = self.batch(texts).sum(axis=1)
+        sums /= np.linalg.norm(sums, axis=1, keepdims=True)
+        return sums
+
+
+@functools.lru_cache(maxsize=4)
+def _shared(path: Path, threads: int, changed_ns: int) -> TextEncoderModel:  # noqa: ARG001  (part of the key)
+    """One text encoder for policy and reasoner, loaded again when its file changed."""
+    return TextEncoderModel.load(path, threads=threads)
+
+
+def packed(words: Sequence[Floats]) -> Floats:
+    """(n, L, W) of several instructions, padded with zeros."""
+    longest = max(len(each) for each in words)
+    batch = np.zeros((len(words), longest, words[0].shape[1]), np.float32)
+    for row, each in enumerate(words):
+        batch[row, : len(each)] = each
+    return batch
+
+
+def encoder_of(model: Path) -> Path:
+    """The text encoder of a model's file: the one beside it, or the packaged one."""
+    beside = model.parent / FILE
+    return beside if beside.is_file() else packaged_encoder()
+
+
+def packaged_encoder() -> Path:
+    """The file of the packaged text encoder."""
+    return Path(str(resources.files("cognitivedrone.models"))) / "weights" / FILE

@@ -1,0 +1,1 @@
+"""What every rollout shares, whoever asks for it: the workers that fly."""

@@ -1,0 +1,188 @@
+"""Workers on the machines of a Ray cluster: actors, each with one worker process of its own.
+
+An actor flies through a `ProcessPool` of one, so that a policy that hangs or crashes costs the same item, with the same
+message, as in a local run. An actor that is lost, with its node or alone, is replaced, and its item is done again: work
+is repeatable, so the results are those of a run in which nothing was lost.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from cognitivedrone.cluster import ray_cluster
+from cognitivedrone.errors import CognitiveDroneError, RunError
+from cognitivedrone.rollout.pool import JOIN_TIMEOUT_S, Answer, Item, Pool, ProcessPool, Work, WorkerCrash, WorkerLost
+
+LOSSES = 3
+"""An item that has cost so many actors ends the work: it is probably the cause."""
+
+
+class Actor:
+    """Runs in a process of the cluster: a worker process and the connection to it."""
+
+    def __init__(self, work: Work[Any, Any], folder: Path, paths: list[str]) -> None:
+        self._work, self._folder, self._paths = work, folder, paths
+        self._pool: ProcessPool[Any, Any] | None = None
+
+    def open(self) -> None:
+        """Start the worker, once. Raises `RunError` if this node would do other work: other files or versions."""
+        if self._pool is not None:
+            return
+        # As in a local worker, relative paths and the user's own modules are those of the process that began the run.
+        with contextlib.suppress(OSError):
+            os.chdir(self._folder)
+        sys.path += [path for path in self._paths if path not in sys.path]
+        try:
+            differing = self._work.differences()
+        except CognitiveDroneError as error:
+            raise RunError(f"node {os.uname().nodename} cannot fly this run: {error}") from None
+        if differing:
+            raise RunError(
+                f"node {os.uname().nodename} would fly another run: {differing}; "
+                "give every node the same files at the same paths and the same versions"
+            )
+        self._pool = ProcessPool(self._work, 1)
+        self._pool.ready()
+
+    def fly(self, item: Any) -> list[tuple[Any, str]]:
+        """All answers to one item."""
+        assert self._pool is not None  # noqa: S101 - an actor flies after it was opened
+        return [*self._pool.fly([item])]
+
+    def close(self) -> None:
+        """Shut the worker down."""
+        if self._pool is not None:
+            self._pool.close()
+
+
+class RayPool(Pool[Item, Answer]):
+    """Flies on a Ray cluster, in `workers` actors, or as many as it has room for, but at most `most`.
+
+    Each actor reserves `cpus` and `gpus`.
+    """
+
+    def __init__(
+        self, work: Work[Item, Answer], workers: int | None, most: int, *, cpus: int = 1, gpus: float = 0.0
+    ) -> None:
+        self._work = work
+        self._stack = ExitStack()
+        self._ray: Any = self._stack.enter_context(ray_cluster(RunError))
+        try:
+            room = _room(self._ray, cpus, gpus)
+            # A number that was asked for may be more than there is room for now: a cluster may grow.
+            self.size = min(workers or room, most)
+            if not room:
+                wanted = f"{cpus} CPU" + (f", {gpus:g} GPU" if gpus else "")
+                raise RunError(
+                    f"no node of the Ray cluster has room for a worker ({wanted}); 'ray status' shows its nodes"
+                )
+            self._arguments = self._ray.put(work), Path.cwd(), sys.path
+            self._actor = self._ray.remote(num_cpus=cpus, num_gpus=gpus)(Actor)
+            self._pending: dict[Any, tuple[Any, Item | None]] = {}
+            self._idle: list[Any] = []
+            for _ in range(self.size):
+                self._start_actor()
+        except BaseException:
+            self._stack.close()
+            raise
+
+    def _start_actor(self) -> None:
+        # It waits in the cluster's queue until a node has room.
+        self._open(self._actor.remote(*self._arguments))
+
+    def _open(self, actor: Any) -> None:
+        self._pending[actor.open.remote()] = actor, None
+
+    def ready(self) -> None:
+        """As `Pool.ready`."""
+        lost = Counter[str]()
+        while not self._idle:
+            self._receive(lost)
+
+    def fly(self, items: Sequence[Item]) -> Iterator[tuple[Answer, str]]:
+        """As `Pool.fly`. Raises `RunError` if an item loses its actor several times."""
+        todo = deque(items)
+        left = len(todo)
+        lost = Counter[str]()
+        while left:
+            while todo and self._idle:
+                actor, item = self._idle.pop(), todo.popleft()
+                self._pending[actor.fly.remote(item)] = actor, item
+            lost_item, answers = self._receive(lost)
+            if answers is not None:
+                left -= 1
+                yield from answers
+            elif lost_item is not None:
+                todo.appendleft(lost_item)
+
+    def _receive(self, lost: Counter[str]) -> tuple[Item | None, list[tuple[Answer, str]] | None]:
+        """Wait for an actor's next message: the answers to an item, or the item of an actor that was lost, or neither.
+
+        `lost` counts the actors that an item has cost, by its title; "" stands for opening an actor.
+        """
+        (message,), _ = self._ray.wait(list(self._pending))
+        actor, item = self._pending.pop(message)
+        errors = self._ray.exceptions
+        try:
+            answers = self._ray.get(message)
+        except errors.RayTaskError as raised:
+            if not isinstance(raised.cause, WorkerLost):
+                raise _cause(raised) from None
+            loss: Exception = raised.cause
+        except errors.RayError as error:
+            loss = error
+        else:
+            self._idle.append(actor)
+            lost[""] = 0
+            return None, answers
+        self._replace(actor)
+        title = "" if item is None else self._work.title(item)
+        lost[title] += 1
+        if not title and lost[title] >= LOSSES * self.size:
+            raise RunError(f"no worker of the Ray cluster becomes ready; continue with --resume; the last loss: {loss}")
+        if title and lost[title] >= LOSSES:
+            raise RunError(f"{title} has lost its worker {LOSSES} times; continue with --resume; the last loss: {loss}")
+        return item, None
+
+    def _replace(self, actor: Any) -> None:
+        self._ray.kill(actor)
+        self._start_actor()
+        # The idle ones may have been on the same node; no episode is to be charged with that.
+        for other in self._idle:
+            self._open(other)
+        self._idle.clear()
+
+    def close(self) -> None:
+        """As `Pool.close`."""
+        closing = [actor.close.remote() for actor in self._idle]
+        if closing:
+            self._ray.wait(closing, num_returns=len(closing), timeout=JOIN_TIMEOUT_S)
+        self.stop()
+
+    def stop(self) -> None:
+        """As `Pool.stop`; leaves the cluster as it was found."""
+        for actor in [*self._idle, *(actor for actor, _ in self._pending.values())]:
+            self._ray.kill(actor)
+        self._stack.close()
+
+
+def _room(ray: Any, cpus: int, gpus: float) -> int:
+    """How many workers the cluster's nodes have room for."""
+    wanted = {"CPU": float(cpus)} | ({"GPU": gpus} if gpus else {})
+    nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+    return sum(min(int(node.get(kind, 0) / amount) for kind, amount in wanted.items()) for node in nodes)
+
+
+def _cause(raised: Any) -> BaseException:
+    """What an actor raised: an error of this package, or a `WorkerCrash` with the traceback."""
+    cause = raised.cause
+    if isinstance(cause, CognitiveDroneError):
+        return cause
+    return WorkerCrash(f"a worker of the Ray cluster failed: {type(cause).__name__}: {cause}", str(raised))

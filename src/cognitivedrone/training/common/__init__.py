@@ -1,1 +1,0 @@
-"""Shared parts of all training runs: the trainer, checkpoints, curves, samples and their ground truth."""

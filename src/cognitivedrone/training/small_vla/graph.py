@@ -1,0 +1,119 @@
+"""Networks as ONNX graphs with small weights."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import torch
+from torch import Tensor, nn
+
+_HALVED_FROM = 256  # elements; smaller tensors are biases, scales and shapes
+_ROUNDED_FROM = 4096  # elements; smaller matrices stay as they are
+
+
+def write_onnx(
+    network: nn.Module,
+    example: Mapping[str, Tensor],
+    outputs: Sequence[str],
+    path: Path,
+    *,
+    second: Mapping[str, Any] | None = None,
+    smaller: Callable[[Any], None] | None = None,
+) -> None:
+    """Write a network as an ONNX graph with a dynamic batch; `second` has the inputs whose second dimension is dynamic,
+    too, with that dimension. Large weights are made `smaller`, by default of half precision.
+    """
+    network = network.to("cpu").eval()
+    batch = torch.export.Dim("batch", min=1, max=1024)
+    shapes = tuple({0: batch} | ({1: second[name]} if second and name in second else {}) for name in example)
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about the exporter's internals
+        torch.onnx.export(
+            network,
+            tuple(example.values()),
+            str(path),
+            dynamo=True,
+            dynamic_shapes=shapes,
+            external_data=False,
+            input_names=list(example),
+            output_names=list(outputs),
+            verbose=False,
+            optimize=False,  # keeps every weight under its own name, so that a training run can start from the file
+        )
+    model = onnx.load(str(path))
+    cast_to_known_types(model)
+    (smaller or _halve)(model)
+    _forget_the_making(model)
+    onnx.save(model, str(path))
+
+
+def cast_to_known_types(model: Any) -> None:
+    """Replace casts to the type of another tensor by casts to that type.
+
+    The exporter makes the absent biases of convolutions as zeros of the input's type. As long as that depends on a
+    frame, the runtime cannot fold them, and neither merges convolutions with normalisations nor uses its fast layout.
+    """
+    graph = model.graph
+    values = [*onnx.shape_inference.infer_shapes(model).graph.value_info, *graph.input]
+    types = {value.name: value.type.tensor_type.elem_type for value in values}
+    types |= {tensor.name: tensor.data_type for tensor in graph.initializer}
+    for node in graph.node:
+        if node.op_type == "CastLike":
+            node.op_type = "Cast"
+            node.attribute.append(onnx.helper.make_attribute("to", types[node.input[1]]))
+            del node.input[1:]
+
+
+def _halve(model: Any) -> None:
+    """Store large single-precision weights in half precision; the runtime converts them once, on loading."""
+    graph = model.graph
+    casts = []
+    for tensor in graph.initializer:
+        if tensor.data_type != onnx.TensorProto.FLOAT or np.prod(tensor.dims) < _HALVED_FROM:
+            continue
+        name = tensor.name
+        half = onnx.numpy_helper.from_array(onnx.numpy_helper.to_array(tensor).astype(np.float16), f"{name}.half")
+        tensor.CopyFrom(half)
+        casts.append(onnx.helper.make_node("Cast", [f"{name}.half"], [name], to=onnx.TensorProto.FLOAT))
+    for cast in reversed(casts):
+        graph.node.insert(0, cast)
+
+
+def in_eight_bits(model: Any) -> None:
+    """Store large matrices as integers of eight bits and a scale for each row, as symmetric as the weights are.
+
+    The runtime turns them into single precision once, on loading; so only the weights are rounded, by 0.4 % of the
+    largest of their row at most.
+    """
+    graph, nodes = model.graph, []
+    for tensor in list(graph.initializer):
+        if tensor.data_type != onnx.TensorProto.FLOAT or len(tensor.dims) != 2 or np.prod(tensor.dims) < _ROUNDED_FROM:
+            continue
+        name, values = tensor.name, onnx.numpy_helper.to_array(tensor)
+        scale = np.maximum(np.abs(values).max(axis=1, keepdims=True) / 127, 1e-12).astype(np.float32)
+        rounded = np.rint(values / scale).astype(np.int8)
+        tensor.CopyFrom(onnx.numpy_helper.from_array(rounded, f"{name}.eight"))
+        graph.initializer.append(onnx.numpy_helper.from_array(scale, f"{name}.scale"))
+        nodes += [
+            onnx.helper.make_node("Cast", [f"{name}.eight"], [f"{name}.cast"], to=onnx.TensorProto.FLOAT),
+            onnx.helper.make_node("Mul", [f"{name}.cast", f"{name}.scale"], [name]),
+        ]
+    for node in reversed(nodes):
+        graph.node.insert(0, node)
+
+
+def _forget_the_making(model: Any) -> None:
+    """Remove the source locations of the traced parts: they are useless in flight, and contain names of folders."""
+    graph = model.graph
+    for part in (graph, *graph.node, *graph.input, *graph.output, *graph.value_info, *graph.initializer):
+        part.ClearField("metadata_props")
+        part.ClearField("doc_string")
+    # Shapes inside the graph are inferred again on loading.
+    graph.ClearField("value_info")

@@ -1,0 +1,1 @@
+"""Training of any small network: the contract of a recipe, the trainer, checkpoints, logs and prefetching."""

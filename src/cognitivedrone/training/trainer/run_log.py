@@ -1,0 +1,125 @@
+"""The log of a training run: a row of measures every so often: JSON lines, TensorBoard, curves and words."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from torch.utils.tensorboard import SummaryWriter
+
+from cognitivedrone.files import replace_file
+from cognitivedrone.training.trainer.training_task import Row
+
+METRICS = "metrics.jsonl"
+CURVES = "curves.png"
+DIMENSIONS = ("vx", "vy", "vz", "yaw_rate")
+"""Of an action, as measures name them."""
+
+
+class RunLog:
+    """Writes metrics.jsonl, curves.png and tensorboard/ into the folder of a training run, and a line for people."""
+
+    def __init__(self, out: Path, report: Callable[[str], None], rate: str, headlines: Mapping[str, str]) -> None:
+        self._out, self._report = out, report
+        self._rate, self._headlines = rate, headlines
+        self._board = SummaryWriter(str(out / "tensorboard"))
+
+    def write(self, row: Row) -> None:
+        """Take in the measures of row["step"]; rows of that step and later ones, left by a kill, are dropped.
+
+        The line for people has the measure `rate`, such as "steps_per_s", and of `headlines` (names of measures, and
+        what to call them) those that are in the row.
+        """
+        step = row["step"]
+        rows = [old for old in read_rows(self._out / METRICS) if old["step"] < step] + [row]
+        replace_file(self._out / METRICS, "".join(json.dumps(each) + "\n" for each in rows).encode())
+        for name, value in row.items():
+            if name != "step":
+                self._board.add_scalar(name.replace(" ", "/", 1), value, step)
+        self._board.flush()
+        shown = [f"{called} {row[name]:.3f}" for name, called in self._headlines.items() if name in row]
+        self._report("  ".join([f"step {step}", f"{row[self._rate]:.2f} {self._rate.replace('_per_s', '/s')}", *shown]))
+        draw_curves(rows, self._out / CURVES)
+
+
+def read_rows(path: Path) -> list[Row]:
+    """The rows of a metrics file, one JSON object per line; a truncated line is skipped."""
+    rows = []
+    for line in path.read_text().splitlines() if path.exists() else []:
+        try:
+            rows.append(json.loads(line))
+        except ValueError:
+            continue
+    return rows
+
+
+def draw_curves(rows: Sequence[Row], path: Path) -> None:
+    """Plot the rows of a training run into a PNG: a panel for every kind of measure that they have."""
+    import matplotlib as mpl  # takes a second to import
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+    from matplotlib.ticker import MaxNLocator
+
+    present = dict.fromkeys(name for row in rows for name, value in row.items() if value is not None)
+    panels = [(title, lines) for title, lines in _panels(list(present)) if lines]
+    columns = 2 if len(panels) == 4 else min(len(panels), 3)
+    height = -(-len(panels) // columns)
+    figure, axes = plt.subplots(
+        height, columns, figsize=(5.2 * columns, 4.4 * height), squeeze=False, layout="constrained"
+    )
+    for axis in axes.flat[len(panels) :]:
+        axis.remove()
+    for axis, (title, lines) in zip(axes.flat, panels, strict=False):
+        axis.set_title(title, loc="left", fontsize=11)
+        axis.set_xlabel("step")
+        axis.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+        axis.grid(alpha=0.25)
+        axis.spines[["top", "right"]].set_visible(False)
+        for number, (name, label) in enumerate(lines.items()):
+            style, width = ("k--", 1.2) if name.startswith("baseline") else ("-", 2.4 if number == 0 else 1.2)
+            points = [(row["step"], row[name]) for row in rows if row.get(name) is not None]
+            marker = "o" if len(points) < 8 else None  # so few are measurements rather than a line
+            axis.plot(*zip(*points, strict=True), style, label=label, linewidth=width, marker=marker, markersize=4)
+        if title.startswith("loss"):
+            axis.set_yscale("log")
+        elif title in _SHARES:
+            axis.set_ylim(-0.02, 1.02)
+        # Below the panel, where it covers no line.
+        axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3, frameon=False)
+    figure.savefig(path, dpi=90)
+    plt.close(figure)
+
+
+_LESSON = "the lesson, understood", "understood in training, old and new"
+_SHARES = (*_LESSON, "right gate, panels legible", "closed-loop success", "action accuracy (256 tokens)")
+_LOSSES = ("heat", "place", "looks", "attributes", "panel_crops", "choice", "text", "action")
+
+
+def _panels(names: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
+    """Titles, and the measures among `names` that belong there, with what to call them."""
+
+    def of(*wanted: tuple[str, str]) -> dict[str, str]:
+        return {name: label for name, label in wanted if name in names}
+
+    def each(name: str) -> dict[str, str]:
+        parts = ((f"{name} {dimension}", dimension) for dimension in DIMENSIONS)
+        return of((name, "overall"), *parts, (f"baseline {name}", "majority token"))
+
+    lesson = ("pictures read", "policy right", "reasoner right")
+    losses = of(("train loss", "total"), *((name, name) for name in _LOSSES))
+    successes = sorted(name for name in names if name.startswith("success"))
+    return [
+        ("loss", losses),
+        (_LESSON[0], of(*((name, name) for name in lesson))),
+        (_LESSON[1], of(*((f"train {name}", name) for name in lesson))),
+        ("L1 error, m/s and rad/s", each("l1")),
+        ("action accuracy (256 tokens)", each("accuracy") if "cross-entropy" in names else {}),
+        ("cross-entropy of actions", each("cross-entropy")),
+        (
+            "right gate, panels legible",
+            of(("choice accuracy", "overall"), ("text accuracy", "from ground-truth panels")),
+        ),
+        ("closed-loop success", {name: name.removeprefix("success ") or name for name in successes}),
+    ]

@@ -1,0 +1,143 @@
+"""What a training run starts from: a checkpoint, a model file, or the packaged weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from torch import Tensor, nn
+
+from cognitivedrone.errors import ModelError, TrainingError
+from cognitivedrone.models.small_file import FORMER, KIND
+from cognitivedrone.models.text_encoder import TextEncoderModel, encoder_of
+from cognitivedrone.training.trainer.checkpoint import origin_of, read_checkpoint
+
+Part = Literal["policy", "language", "reader", "selector"]
+_HAS: dict[Part, tuple[Part, ...]] = {"policy": ("language", "reader"), "language": ("reader",)}
+SHIPPED = "small"
+"""The name of the packaged weights, as in `--start small`."""
+_FILE = "small.onnx"
+
+
+@dataclass(frozen=True)
+class Start:
+    """Trained weights and what is known of them. Small enough to be handed to other processes by its path."""
+
+    path: Path
+    part: Part
+    origin: str
+    """Where they come from, in words."""
+    facts: dict[str, Any]
+
+    def tensors(self) -> dict[str, Tensor]:
+        """The weights by name."""
+        return _weights(self.path)
+
+    def reader_facts(self) -> dict[str, Any]:
+        """Sizes of the panel reader. Raises `TrainingError` if there is none."""
+        network: dict[str, Any] = self.facts["recipe"]["network"]
+        sizes: dict[str, Any] | None = network if self.part == "reader" else network["reader"]
+        if sizes is None:
+            raise TrainingError(f"{self.path}: this policy has no panel reader; start from one that reads panels")
+        return sizes
+
+    def restore(self, network: nn.Module) -> None:
+        """Load all weights. Raises `TrainingError` where the network is another one."""
+        _load(self.path, network, self.tensors())
+
+    def encoder(self) -> TextEncoderModel:
+        """The text encoder that its language was trained with. Raises `ModelError` if it is not there."""
+        digest = self.facts.get("encoder")
+        return TextEncoderModel.of_digest(digest, self.path) if digest else TextEncoderModel.load(encoder_of(self.path))
+
+    def language_facts(self) -> dict[str, Any]:
+        """Sizes of the language."""
+        sizes: dict[str, Any] = self.facts["recipe"]["network"]["language"]
+        return sizes
+
+
+def _part_of(recipe: dict[str, Any]) -> Part:
+    if "stream" in recipe:
+        return "policy"
+    if "language" in recipe.get("network", {}):
+        return "language"
+    return "selector" if "mix" in recipe else "reader"
+
+
+def read_start(path: Path | None, part: Part) -> Start:
+    """A start from a checkpoint or a policy's model file; None, or "small", is the packaged policy.
+
+    A policy has language and reader, and language has a reader. Raises `TrainingError`.
+    """
+    if path is None or str(path) == SHIPPED:
+        path = Path(str(resources.files("cognitivedrone.models") / "weights" / _FILE))
+    if path.suffix == ".onnx":
+        facts = _facts_of_model(path)
+        return Start(path, "policy", f"from {path.name}, {facts['origin']}", facts)
+    facts = read_checkpoint(path)[1]
+    if "attributes" not in facts or "vocabulary" in facts:
+        raise TrainingError(f"{path}: the checkpoint is of an earlier version of the networks; train it again")
+    found = _part_of(facts["recipe"])
+    if found != part and part not in _HAS.get(found, ()):
+        raise TrainingError(f"{path}: this is the checkpoint of a {found}; expected that of a {part}")
+    return Start(path, found, origin_of(facts), facts)
+
+
+def restore_part(start: Start, part: str, network: nn.Module) -> None:
+    """Load a part of another network, such as the reader of a policy. Raises `TrainingError`."""
+    tensors = start.tensors()
+    prefix = f"{part}."
+    own = {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+    _load(start.path, network, own or tensors)
+
+
+def _load(path: Path, network: nn.Module, tensors: dict[str, Tensor]) -> None:
+    # Model files hold what flying needs: not how often batch statistics were updated.
+    kept = {name: value for name, value in network.state_dict().items() if not name.endswith("num_batches_tracked")}
+    try:
+        network.load_state_dict({name: tensors[name].to(value.dtype) for name, value in kept.items()}, strict=False)
+    except (KeyError, RuntimeError) as error:
+        reason = str(error).splitlines()[-1].strip()
+        raise TrainingError(f"{path}: its weights are those of another network ({reason})") from None
+
+
+def _weights(path: Path) -> dict[str, Tensor]:
+    if path.suffix == ".onnx":
+        return _weights_of_model(path)
+    tensors, _ = read_checkpoint(path)
+    return {name.removeprefix("network."): value for name, value in tensors.items() if name.startswith("network.")}
+
+
+def _weights_of_model(path: Path) -> dict[str, Tensor]:
+    """The weights in an ONNX file, in single precision."""
+    import onnx
+
+    model = onnx.load(str(path))
+    found = {}
+    for tensor in model.graph.initializer:
+        value = torch.from_numpy(onnx.numpy_helper.to_array(tensor).copy())
+        name = tensor.name.removesuffix(".half")
+        found[name] = value.float() if value.is_floating_point() else value
+    return found
+
+
+def _facts_of_model(path: Path) -> dict[str, Any]:
+    from cognitivedrone.models.onnx_file import open_model
+
+    try:
+        _, table = open_model(path, KIND, threads=1, optimise=False, former=FORMER)
+    except ModelError as error:
+        raise TrainingError(str(error)) from None
+    origin = table["provenance"]
+    return {
+        "recipe": {"network": table["network"], "name": origin["recipe"]},
+        "attributes": table["facets"],
+        "encoder": table["encoder"],
+        "action": table.get("action"),
+        "step": origin["steps"],
+        "origin": f"{origin['recipe']} of {origin['trained']}",
+        "data": origin["data"],
+    }

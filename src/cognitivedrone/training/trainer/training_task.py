@@ -1,0 +1,194 @@
+"""Interface between the trainer and its training tasks, the same for every small model."""
+
+from __future__ import annotations
+
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, Self, TypeAlias, runtime_checkable
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.types import FloatArray, Image
+
+Batch: TypeAlias = dict[str, NDArray[np.generic]]
+"""Named arrays whose first axis is the sample. Of frames:
+
+image (B, 256, 256, 3) uint8; state (B, 5); the fields of `Truths`; looks (B, 3, 3), see `gate_looks`; flown (B,) the
+gate flown at; words (B, K, L, W) encoded sentences, asked (B, K) the gate asked for, choice (B, K) the same, or 3 if it
+is not in view. Of sentences without a frame: the fields of `described`.
+"""
+Row = dict[str, Any]
+"""Measures by name: one point of the learning curves."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Schedule:
+    """Duration and learning rate of a training run."""
+
+    name: str
+    steps: int
+    """Steps of the optimiser."""
+    learning_rate: float = 1.2e-3
+    warmup_steps: int = 200
+    decay_share: float = 0.6
+    """Final share of the training over which the learning rate decays linearly to zero."""
+    weight_decay: float = 0.02
+    clip: float = 2.0
+    """Maximum norm of the gradient of each part of the network."""
+    round_steps: int = 250
+    """Steps between checkpoints; also between updates of the policy under training."""
+    validate_every: int = 500
+    """Steps between points of the learning curves; a multiple of `round_steps` or equal to it."""
+    fly_every: int = 2000
+    """Steps between trials, and one at the end; a multiple of `validate_every`. 0: none at all."""
+
+    def of_length(self, steps: int) -> Self:
+        """The same training with so many steps; raises `TrainingError` for fewer than one."""
+        if steps < 1:
+            raise TrainingError(f"--steps is {steps}; it must be at least 1")
+        shorter = replace(self, steps=steps, warmup_steps=min(self.warmup_steps, steps // 5))
+        if steps >= self.round_steps:
+            return shorter
+        # One round, and no trial: dozens of flights would take far longer than the steps.
+        return replace(shorter, round_steps=steps, validate_every=steps, fly_every=0)
+
+    def facts(self) -> dict[str, Any]:
+        """As JSON gives them back: tuples as lists."""
+        facts: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        return facts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Given:
+    """What a training run is given beside its recipe; which of it is used depends on the recipe."""
+
+    start: Path | None = None
+    """Trained weights: a checkpoint, a model file, the folder of a taught pilot, or "small" for the packaged ones."""
+    data: Path | None = None
+    """A data set of flights."""
+    labels: Path | None = None
+    """A folder of pictures."""
+    tasks: Path | None = None
+    """A task file, or a folder of them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recipe(Schedule, ABC):
+    """Everything that decides what comes out of a training run, but its start, its data, processes and seed."""
+
+    model_file: ClassVar[str] = "model.onnx"
+    """What is written at the end."""
+    needs_start: ClassVar[bool] = False
+    """Whether it starts from trained weights; by default the packaged ones."""
+    takes_data: ClassVar[bool] = False
+    """Whether it can learn from a data set."""
+    needs_labels: ClassVar[bool] = False
+    """Whether it learns a user's pictures."""
+
+    @abstractmethod
+    def training(self, given: Given) -> TrainingTask:
+        """What is trained, with what is given. Raises `TrainingError`."""
+
+
+class Learner(Protocol):
+    """Policy under training: actions for images (n, 256, 256, 3), states (n, 5) and sentences."""
+
+    def act(self, images: Image, states: NDArray[np.float32], texts: list[str]) -> FloatArray:
+        """Actions (n, 4), m/s and rad/s."""
+        ...
+
+
+class Batches(Protocol):
+    """Endless source of batches: the same for the same seed and policy. A training run's seed ends with its round."""
+
+    def __call__(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
+        """If there are flights, the `learner` flies some of them."""
+        ...
+
+
+Filling: TypeAlias = Callable[[int, int], None]
+"""Called with the number of samples made, and the number needed before the next batches can be drawn."""
+
+
+@runtime_checkable
+class Watched(Protocol):
+    """Batches with a slow start that report their progress."""
+
+    def watch(self, report: Filling) -> None:
+        """Register a callback for the progress."""
+        ...
+
+
+class LossModule(Protocol):
+    """A network with its losses; a `torch.nn.Module`."""
+
+    network: nn.Module
+
+    def __call__(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss, and detached losses and measures by name."""
+        ...
+
+
+class TrainingTask(Protocol):
+    """A training task. Generating processes get a copy, so it is small and can be pickled."""
+
+    @property
+    def recipe(self) -> Schedule:
+        """The recipe: duration, learning rate, and everything else that determines the result."""
+        ...
+
+    def identity(self) -> dict[str, Any]:
+        """The identity of a training run, as plain JSON values: `resume` requires an equal one."""
+        ...
+
+    def facts(self) -> dict[str, Any]:
+        """Further facts for the checkpoint, as plain JSON values."""
+        ...
+
+    def network(self) -> nn.Module:
+        """A new network, with random weights."""
+        ...
+
+    def loss_module(self, network: nn.Module) -> nn.Module:
+        """The network with its losses: a `LossModule`."""
+        ...
+
+    def learner(self, network: nn.Module) -> Learner | None:
+        """The network, with weights that are set later, as the policy under training; `None` if none flies."""
+        ...
+
+    def share(self, processes: int) -> Self:
+        """The share of one of several processes, which together make the batches. Raises `TrainingError`."""
+        ...
+
+    def batches(self) -> Batches:
+        """The source of training batches; opens simulators and files."""
+        ...
+
+    def validation(self, seed: int) -> list[Batch]:
+        """Batches that are never used for training."""
+        ...
+
+    def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
+        """A point of the learning curves."""
+        ...
+
+    def trial(self, network: nn.Module) -> Row:
+        """Performance of the network, in closed loop or alone; rows with "success"."""
+        ...
+
+    def export(self, checkpoint: Path, folder: Path) -> None:
+        """Write the recipe's `model_file` into a folder. Raises `TrainingError` for a bad checkpoint."""
+        ...
+
+
+def to_tensors(batch: Batch, device: torch.device | str = "cpu") -> dict[str, Tensor]:
+    """The arrays of a batch as tensors, sharing memory if possible."""
+    return {name: torch.from_numpy(np.ascontiguousarray(values)).to(device) for name, values in batch.items()}

@@ -1,0 +1,137 @@
+"""`fly` with a mission: a scene for each sub-goal, flown one after another, and a landing."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+
+from cognitivedrone.apps.config import FlyPlan
+from cognitivedrone.apps.fly import fly_mission
+from cognitivedrone.apps.orders import Orders
+from cognitivedrone.errors import NotUnderstood, ReasonerError
+from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.pilot import Pilot
+from cognitivedrone.play.board import goals_of, goals_table
+from cognitivedrone.policies import make_policy
+from cognitivedrone.tasks.missions import sub_goals
+from cognitivedrone.terminal import console
+from cognitivedrone.types import SubGoal
+
+
+def flown(sentence, out, **changes):
+    plan = FlyPlan.of(instruction=sentence, out=out, film=False, view=False, **changes)
+    return fly_mission(plan, console=console(file=io.StringIO()), keyboard=io.StringIO(), pace="lockstep")
+
+
+def test_a_mission_is_flown_part_after_part_and_lands_on_its_pad(tmp_path):
+    sentence = "first the elephant, then the number 7, then land on the green pad"
+    summary = flown(sentence, tmp_path / "out")
+    assert summary.ending.kind == "passed"
+    assert "landed on the green pad" in summary.ending.reason
+    assert [result.outcome for result in summary.results] == ["passed"] * 3
+    assert [task.mission for task in summary.track] == [sentence] * 3
+    assert [task.landing for task in summary.track] == [False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("sentence", "says"),
+    [
+        ("first the dog then the glorp", "of sub-goal 2, not understood: 'glorp'"),
+        ("first the dog, then the red gate, never through red", "forbids it"),
+        ("first the dog, then land on the red pad, then the cat", "goes on after the landing"),
+        ("land", "names no gate to fly through and no pad"),
+        (", then ".join(["fly to the dog"] * 50), "has 50 sub-goals"),
+    ],
+)
+def test_what_cannot_be_flown_is_reported_before_take_off(tmp_path, sentence, says):
+    with pytest.raises(NotUnderstood, match=says):
+        flown(sentence, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+class Typed(Orders):
+    """A sentence that is typed at the tenth step."""
+
+    steps = 0
+
+    @property
+    def given(self) -> tuple[int, str]:
+        self.steps += 1
+        if self.steps == 10:
+            self.say("land on the red pad, please")
+        return super().given
+
+
+def test_a_landing_that_is_typed_where_there_is_no_pad_ends_the_flight_there(tmp_path):
+    plan = FlyPlan.of(instruction="the elephant", out=tmp_path / "out", film=False, view=False)
+    quiet = console(file=io.StringIO())
+    summary = fly_mission(plan, console=quiet, keyboard=io.StringIO(), pace="lockstep", orders=Typed())
+    assert (summary.ending.kind, summary.exit_code) == ("ordered", 0)
+    assert "there is no pad here" in summary.ending.reason
+    assert summary.seconds < 1.5
+
+
+def test_a_real_vehicle_does_not_land_on_pads(tmp_path):
+    with pytest.raises(NotUnderstood, match="with --link sim only"):
+        flown(
+            "the dog, then land on red", tmp_path / "out", link="mavlink:udp:127.0.0.1:1", camera="http://127.0.0.1:1/"
+        )
+
+
+def test_ardupilot_in_the_loop_does_not_land_on_pads_either(tmp_path):
+    with pytest.raises(NotUnderstood, match="with --link sim only"):
+        flown("the dog, then land on red", tmp_path / "out", link="sitl", airframe="iris")
+
+
+class Planner(Reasoner):
+    """Plans as it was told to, and names no gate."""
+
+    def __init__(self, *goals):
+        self.goals, self.asked = goals, []
+
+    def plan(self, mission):
+        if not self.goals:
+            raise ReasonerError("schema", "the plan is empty; there is nothing to fly")
+        return self.goals
+
+    def refine(self, image, instruction):
+        self.asked.append(instruction)
+        raise ReasonerError("unsure", "it cannot tell")
+
+
+def planned(sentence, out, *goals):
+    """The flight, and the sentences that the reasoner was asked about."""
+    plan = FlyPlan.of(instruction=sentence, out=out, film=False, view=False, hold_below=0, time_limit=30)
+    reasoner = Planner(*goals)
+    summary = fly_mission(
+        plan, console=console(file=io.StringIO()), keyboard=io.StringIO(), pace="lockstep",
+        pilot=Pilot(make_policy("oracle"), reasoner),
+    )  # fmt: skip
+    return summary, reasoner.asked
+
+
+def test_the_reasoners_own_plan_is_flown(tmp_path):
+    goals = SubGoal("fly", "Fly to the grey giant"), SubGoal("land", "Land on the green pad")
+    summary, asked = planned("first the elephant, then land on the green pad", tmp_path / "out", *goals)
+    assert [result.outcome for result in summary.results] == ["passed", "passed"]
+    assert set(asked) == {"Fly to the grey giant"}
+
+
+def test_a_mission_without_a_plan_is_not_flown(tmp_path):
+    with pytest.raises(NotUnderstood, match="the mission was not planned: the plan is empty"):
+        planned("first the elephant, then land on the green pad", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_sentence_that_is_no_mission_is_not_planned(tmp_path):
+    summary, asked = planned("the elephant", tmp_path / "out")
+    assert summary.ending.kind == "passed"
+    assert len(set(asked)) == 1
+
+
+def test_the_page_lists_what_is_done_and_what_is_to_do():
+    mission = "first the dog, then the cat, then land on red"
+    shown = [["Fly to the dog", "done"], ["Fly to the cat", "doing"], ["Land on the red pad", "to do"]]
+    assert goals_table(sub_goals(mission), 1) == shown
+    assert goals_of(None) == []

@@ -1,0 +1,41 @@
+"""Runs of policies that do not see, or do not read, come with a warning; others do not."""
+
+import json
+
+import pytest
+
+from cognitivedrone import evaluate
+from cognitivedrone.benchmark.scores.results import read_results
+from cognitivedrone.benchmark.scores.suspicions import suspicions
+
+
+def output(policy, **options):
+    return list(suspicions(evaluate(policy, workers=0, progress=False, **options).results))
+
+
+def test_a_policy_that_gives_the_same_answer_whatever_it_sees_is_named(tmp_path):
+    evaluation = evaluate("user_pilots:Constant", episodes=2, workers=0, out=tmp_path / "run", clips=0, progress=False)
+    (warning,) = suspicions(evaluation.results)
+    assert "the same answer (0, 0, 0.1, 0) for all images and sentences, in every flight" in warning
+    assert "warning: the policy gave the same answer" in " ".join(evaluation.table().split())
+    document = json.loads((tmp_path / "run" / "results.json").read_text())
+    assert [episode["repeated"] for episode in document["episodes"]] == [[0.0, 0.0, pytest.approx(0.1), 0.0]] * 2
+    assert list(suspicions(read_results(tmp_path / "run"))) == [warning]
+
+
+def test_a_chunk_that_is_repeated_counts_as_the_same_answer():
+    assert "in every flight" in output("user_pilots:Constant:rows=7", episodes=1)[0]
+
+
+def test_an_answer_that_differs_between_flights_alone_is_named():
+    assert "throughout each flight" in output("user_pilots:PerFlight", episodes=2)[0]
+
+
+def test_a_policy_that_flies_at_one_gate_whatever_it_reads_is_named():
+    (warning,) = output("user_pilots:Straight", suite="open-v1:test", episodes=16)
+    assert "of 16 flights went to gate 2, which " in warning
+    assert "seems not to follow the instruction" in warning
+
+
+def test_a_pilot_that_sees_and_reads_gets_no_warning():
+    assert output("oracle", suite="open-v1:test", episodes=16) == []

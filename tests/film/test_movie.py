@@ -1,0 +1,125 @@
+"""Films of flights, written and read back: what they show, how long, and their page."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cognitivedrone.cli import main
+from cognitivedrone.errors import PluginError
+from cognitivedrone.film.frame import Film, FilmFrame, Scene, Verdict, reading_of
+from cognitivedrone.film.movie import END_S, FPS, LONGEST_S, pictures
+from cognitivedrone.film.overlays import READING
+from cognitivedrone.film.page import write_flight
+from cognitivedrone.film.video import read_mp4
+from cognitivedrone.frames import quaternion_from_yaw
+from cognitivedrone.reasoners.scene_text import UNREADABLE
+from cognitivedrone.sim.drone_world import Scenery
+from cognitivedrone.types import Event, Gate, Guidance, SeenPanel, Stage
+
+GATES = (Gate("big", "round", "red"), Gate("small", "square", "blue"), Gate("big", "triangle", "green"))
+SCENE = Scene(Stage(GATES, ("",) * 3), Scenery((np.full((8, 8, 3), 200, np.uint8),) * 3), ("cat", "dog", "<b>owl"))
+VERDICT = Verdict("good", "Passed: through gate 1", ("2.0 s flown",))
+CARD = round(END_S * FPS)
+
+
+def flight(steps: int, *, times: tuple[float, ...] = (), known: bool = True) -> list[FilmFrame]:
+    guidance = Guidance("Fly through the big red round gate", 0, 0.9)
+    image = np.full((256, 256, 3), (10, 120, 30), np.uint8)
+    return [
+        FilmFrame(
+            image, guidance.directive, guidance, np.array([1.0, 0, 0, 0.5]), times[i] if times else i / 10, 0,
+            "Find the <cat>", np.array([0.2 * i, 0.0, 1.0]) if known else None,
+            quaternion_from_yaw(0.1 * i) if known else None,
+        )
+        for i in range(steps)
+    ]  # fmt: skip
+
+
+def test_a_film_read_back_shows_the_views_and_ends_with_the_outcome(tmp_path: Path) -> None:
+    events = [Event(0.1, "adopted", "Fly <through>")]
+    page = write_flight(tmp_path / "new", Film("small on sim", flight(4), [SCENE], VERDICT, events))
+    shown = list(read_mp4(page.with_name("flight.mp4")))
+    assert len(shown) == 4 * 2 + CARD
+    first = shown[0].astype(int)
+    assert first.shape == (720, 1280, 3)
+    assert np.allclose(first[400:700, 20:500].mean(axis=(0, 1)), (10, 120, 30), atol=6)  # the drone's view
+    chase = first[80:512, 512:]
+    assert (chase[..., 2] - chase[..., 0])[:100].max() > 60  # sky
+    assert (chase[..., 0] - chase[..., 1]).max() > 100  # the red gate
+    assert abs(shown[0].astype(int) - shown[1])[80:512, 512:].mean() > 0.3  # between two control steps it moves on
+    assert abs(shown[2].astype(int) - shown[1])[512:, 1018:].max() < 60
+    card = shown[-1].astype(int)
+    assert card[300:460].max() > 150
+    assert ((card[..., 1] - card[..., 0] > 100) & (card[..., 1] > 150)).sum() > 500  # the outcome, green
+    text = page.read_text()
+    assert "Passed: through gate 1" in text
+    assert "Fly &lt;through&gt;" in text
+    assert 'src="flight.mp4"' in text
+    assert not list(page.parent.glob("*.part"))
+
+
+def test_what_is_read_of_the_panels_is_in_film_and_page(tmp_path: Path) -> None:
+    box = (100.0, 60.0, 40.0)
+    dog = SeenPanel("blue", box, "dog or maybe wolf", (("dog", 0.75), ("<wolf>", 0.2), ("cat", 0.001)), 0.9)
+    people = SeenPanel("green", box, "a person (bald)", (("cat", 0.1),))
+    assert reading_of(dog) == ("dog", dog.readings)
+    assert reading_of(people) == ("a person (bald)", ())
+    assert reading_of(replace(people, shown=UNREADABLE, readings=(("", 0.4),))) == ("nothing known", ())
+    assert reading_of(replace(people, shown=UNREADABLE)) == ("cat", people.readings)
+    frames = flight(3)
+    frames = [frames[0], *(replace(frame, seen=(dog, people), stage=1) for frame in frames[1:])]
+    first, *_, last = pictures(Film("", frames, [SCENE], VERDICT))
+    strip = np.s_[512:, 762:1018]  # the list of gates, also when the track is over, and on the end card
+    shown = [((picture[strip] == READING).all(axis=2)).any() for picture in (first, last)]
+    assert shown == [False, True]
+    map_of = np.s_[512:, 512:762]
+    assert (last[map_of] == (250, 204, 21)).all(axis=2).any()  # the path
+    page = write_flight(tmp_path, Film("", frames, [SCENE], VERDICT)).read_text()
+    assert "<td>gate 2, blue</td><td>dog</td><td>dog (75%), &lt;wolf&gt; (20%)</td>" in page
+    assert "<td>gate 3, green</td><td>&lt;b&gt;owl</td><td>a person (bald)</td>" in page
+
+
+def test_a_film_keeps_the_time_of_late_steps_and_shortens_long_pauses() -> None:
+    shown = list(pictures(Film("", flight(4, times=(0.0, 0.3, 0.4, 60.0)), [], VERDICT)))
+    assert len(shown) == 6 + 2 + LONGEST_S * FPS + 2 + CARD
+
+
+def test_a_flight_in_an_unknown_world_and_one_without_a_step_are_shown_as_far_as_they_go(tmp_path: Path) -> None:
+    assert len(list(pictures(Film("", flight(2, known=False), [], VERDICT)))) == 4 + CARD
+    page = write_flight(tmp_path, Film("", [], [], VERDICT))
+    assert "There is no film" in page.read_text()
+    assert not page.with_name("flight.mp4").exists()
+
+
+def test_an_episode_of_a_run_is_filmed_as_it_was_flown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = tmp_path / "run"
+    words = ["--suite", "open-v1:smoke", "--policy", "oracle", "--episodes", "2", "--clips", "0", "--workers", "0"]
+    main(["bench", *words, "--out", str(run)])
+    capsys.readouterr()
+    main(["film", str(run), "--episode", "1"])
+    assert "Passed: through gate" in capsys.readouterr().out
+    steps = json.loads((run / "results.json").read_text())["episodes"][1]["steps"]
+    assert len(list(read_mp4(run / "films" / "0001" / "flight.mp4"))) == 2 * steps + CARD
+    for words, output in (
+        (["--episode", "2"], "has no episode 2; it has 0 to 1"),
+        (["--tasks", "nowhere.json"], "nowhere.json"),
+    ):
+        with pytest.raises(SystemExit):
+            main(["film", str(run), *words])
+        assert output in capsys.readouterr().err
+
+
+def test_a_run_never_names_code_that_filming_it_would_import(tmp_path: Path) -> None:
+    from cognitivedrone.benchmark.runs.film import film_episode
+
+    main(["bench", "--suite", "open-v1:smoke", "--policy", "hover", "--episodes", "1", "--clips", "0", "--workers", "0",
+          "--out", str(tmp_path / "run")])  # fmt: skip
+    file = tmp_path / "run" / "results.json"
+    file.write_text(file.read_text().replace('"policy": "hover"', '"policy": "os:system"'))
+    with pytest.raises(PluginError, match="os:system"):
+        film_episode(tmp_path / "run")

@@ -1,0 +1,225 @@
+"""The calculator does what sentences ask, for every sum of the training tasks, and nothing else."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cognitivedrone.models.calculator import calculate, evaluate, numeral
+from cognitivedrone.tasks.suites import drawn_task, train_task
+
+
+@pytest.mark.parametrize(
+    ("sentence", "value"),
+    [
+        ("Fly through the gate with the number equal to 3*3", 9),
+        ("Fly to the gate with the result of 14+(5+0)", 19),
+        ("Take the gate under the value of (7 + 2) * 2", 18),
+        ("Go through the gate with seven times two", 14),
+        ("the answer to 12 − 5", 7),
+        ("the answer to 3 × 4", 12),
+        ("3x5", 15),
+        ("Add 3 and 4, then take away 2, and fly through the gate with the number you get", 5),
+        ("Subtract 4 from 12, then multiply the result by 2, and fly on", 16),
+        ("Multiply 2 by five, then add 1, and fly", 11),
+        ("Fly through the gate with the number seventeen", None),
+        ("Fly through the gate with the number 7", None),
+        ("Find the animal with 4-legs", None),
+        ("", None),
+    ],
+)
+def test_what_a_sentence_asks(sentence, value):
+    assert calculate(sentence) == value
+
+
+def test_more_or_less_than_the_board():
+    assert calculate("Fly through the gate with the number that is 3 more than the sum on the board", 9) == 12
+    assert calculate("Fly through the gate with the number that is 3 less than the sum on the board", 9) == 6
+    assert calculate("Fly through the gate with the number that is 3 more than the sum on the board") is None
+
+
+ONES = [
+    *("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"),
+    *("thirteen", "fourteen", "fifteen", "sixteen", "seventeen", "eighteen", "nineteen"),
+]
+TENS = ["twenty", "thirty", "forty", "fifty", "sixty", "seventy", "eighty", "ninety"]
+
+
+def in_number_words(value):
+    """A number in words, written for this test alone."""
+    if value < 20:
+        return ONES[value]
+    if value < 100:
+        return TENS[value // 10 - 2] + (f"-{ONES[value % 10]}" if value % 10 else "")
+    if value < 1000:
+        return f"{ONES[value // 100]} hundred" + (f" and {in_number_words(value % 100)}" if value % 100 else "")
+    rest = value % 1000
+    joint = " and " if rest < 100 else " "
+    return f"{ONES[value // 1000]} thousand" + (f"{joint}{in_number_words(rest)}" if rest else "")
+
+
+@pytest.mark.parametrize("family", ["math", "two_step"])
+def test_all_sums_of_the_generators(family):
+    rng = np.random.default_rng(0)
+    for number in range(300):
+        task = drawn_task(family, rng, f"t/{number}")
+        board = None
+        if task.board is not None:
+            board = evaluate(re.search(r"sum/(.*)@", task.board)[1])
+        assert calculate(task.instruction, board) == int(task.options[task.target]), task.instruction
+
+
+def test_no_number_elsewhere_is_taken_for_a_sum():
+    for index in range(2000):
+        task = train_task(index, 5)
+        if task.family not in ("math",):
+            assert calculate(task.instruction) is None, task.instruction
+
+
+@pytest.mark.parametrize(
+    "expression", ["__import__('os')", "2**9", "9/3", "1.5+1", "(" * 40 + "1" + ")" * 40, "9999999*9999999", "", "1+"]
+)
+def test_nothing_but_arithmetic_is_evaluated(expression):
+    assert evaluate(expression) is None
+
+
+@pytest.mark.parametrize(
+    ("sentence", "value"),
+    [
+        ("a third of twelve", 4),
+        ("half of 8 pls", 4),
+        ("one half of twenty-eight", 14),
+        ("two thirds of nine", 6),
+        ("1/3 of 12", 4),
+        ("¾ of 8", 6),
+        ("half of nine", None),
+        ("9/2", None),
+        ("double 6", 12),
+        ("thrice 4", 12),
+        ("a dozen", 12),
+        ("half a dozen plus one", 7),
+        ("half a dozen apples", None),
+        ("two dozen minus 4", 20),
+        ("a couple more than five", 7),
+        ("seven times the sum of two and three", 35),
+        ("twice the sum of 3 and 4", 14),
+        ("3 more than 9", 12),
+        ("one more than ten", 11),
+        ("5 less than 12", 7),
+        ("the difference between 4 and 9", 5),
+        ("the product of 2, 3 and 4", 24),
+        ("three squared", 9),
+        ("the square of 3", 9),
+        ("2^3", 8),
+        ("two³", 8),
+        ("the square root of 16", 4),
+        ("the square root of 15", None),
+        ("what do you get if you take 4 from 9", 5),
+        ("take 4 away from 9", 5),
+        ("9 take away 4", 5),
+        ("start with 5, add 3, double it, then subtract 1", 15),
+        ("3 + 4, times 2", 14),
+        ("(2+three)*2", 10),
+        ("9 divided by 3", 3),
+        ("4 divided by 0", None),
+        ("10% of 50", 5),
+        ("fifty percent of eight", 4),
+        ("twenty-one minus one", 20),
+        ("two hundred and five minus two hundred", 5),
+        ("IV + V", 9),
+        ("roman numeral XIV", 14),
+        ("I add 2 and 8, then multiply the result by 1", 10),
+        ("-3+5", 2),
+        # Two readings with different values, two sums of different value
+        ("twice three plus four", None),
+        ("the sum of 2 and 3 times 4", None),
+        ("3+4 or 5+6", None),
+        # Corrections
+        ("3+4, no wait, 5+6", 11),
+        ("not 3+4, take 2+2", 4),
+        ("no, 3 isn't 8+10, go to the right one", 18),
+        # Words of arithmetic that ask for none
+        ("the letter that is second of the three in the alphabet", None),
+        ("the only number below 12", None),
+        ("anything above 5", None),
+        ("the one less than ten", None),
+        ("the gate between 3 and 4", None),
+        ("more butterflies than lemons", None),
+        ("one of those three", None),
+        ("take the square gate", None),
+        ("my number is 7 - go there", None),
+        ("12.5 - 3", None),
+        ("2" * 200 + "+1", None),
+        ("(" * 300 + "1+1" + ")" * 300, None),
+    ],
+)
+def test_arithmetic_in_words(sentence, value):
+    assert calculate(sentence) == value
+
+
+@pytest.mark.parametrize(
+    ("sentence", "value"),
+    [
+        ("twice the sum on the board", 18),
+        ("solve the board, then add 3", 12),
+        ("take 2 from the sum on the board", 7),
+        ("the board minus 2", 7),
+        ("take the sum on the board and take away 2", 7),
+        ("a third of what's on the board", 3),
+        ("the answer to the sum on the board", None),
+        ("the correct answer", None),
+    ],
+)
+def test_sums_with_the_board(sentence, value):
+    assert calculate(sentence, 9) == value
+    assert calculate(sentence) is None
+
+
+@pytest.mark.parametrize(
+    ("words", "value"),
+    [("twenty-first", 21), ("12th", 12), ("a hundred", 100), ("hundredth", 100), ("zero", 0), ("three two", None),
+     ("", None), ("cat", None), ("nine thousand nine hundred and ninety-nine", 9999)],
+)  # fmt: skip
+def test_numerals(words, value):
+    assert numeral(words) == value
+
+
+ORDINAL = {"one": "first", "two": "second", "three": "third", "five": "fifth", "eight": "eighth", "nine": "ninth",
+           "twelve": "twelfth"}  # fmt: skip
+
+
+def test_every_number_to_9999_is_read_as_it_is_written():
+    for value in (*range(1200), *range(1200, 10000, 37), 9999):
+        output = in_number_words(value)
+        assert numeral(output) == value, output
+        head, _, last = output.replace("-", " ").rpartition(" ")
+        ordinal = ORDINAL.get(last) or (last[:-1] + "ieth" if last.endswith("y") else last + "th")
+        assert value == 0 or numeral(f"{head} {ordinal}") == value
+
+
+EXPRESSIONS = st.recursive(
+    st.integers(0, 99).map(str),
+    lambda inner: st.tuples(inner, st.sampled_from("+-*"), inner).map(lambda each: f"({each[0]}{each[1]}{each[2]})"),
+    max_leaves=4,
+)
+
+
+@given(EXPRESSIONS, st.booleans())
+def test_what_is_written_in_signs_or_in_words_is_worked_out_alike(expression, words):
+    value = eval(expression)  # noqa: S307 - digits, signs and brackets only
+    if expression.isdigit() or len(expression) > 40:
+        return
+    signs = {"+": " plus ", "-": " minus ", "*": " times "}
+    spoken = re.sub(r"\d+|[-+*]", lambda part: signs.get(part[0]) or f" {in_number_words(int(part[0]))} ", expression)
+    expected = value if abs(value) <= 10**6 else None
+    assert calculate(f"go to {spoken if words else expression} please") == expected
+    assert evaluate(expression) == expected
+
+
+@given(st.text(max_size=200))
+def test_no_text_breaks_the_calculator(text):
+    assert calculate(text) is None or isinstance(calculate(text), int)

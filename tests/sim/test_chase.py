@@ -1,0 +1,81 @@
+"""The chase view: it shows the drone in its stage, follows it smoothly, and never touches what the policy sees."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from cognitivedrone.errors import RenderError
+from cognitivedrone.frames import quaternion_from_yaw
+from cognitivedrone.sim.camera import Cameras
+from cognitivedrone.sim.chase import ChaseView
+from cognitivedrone.sim.drone_world import Scenery
+from cognitivedrone.types import Gate, Stage
+
+LEVEL = quaternion_from_yaw(0.0)
+STAGE = Stage(
+    (Gate("big", "round", "red"), Gate("small", "square", "blue"), Gate("big", "triangle", "green")), ("",) * 3
+)
+PICTURE = np.full((64, 64, 3), (200, 120, 40), np.uint8)
+SCENERY = Scenery((PICTURE, PICTURE, PICTURE))
+
+
+@pytest.fixture(scope="module")
+def view() -> Iterator[ChaseView]:
+    with ChaseView(STAGE, SCENERY, 160, 90) as made:
+        yield made
+
+
+def test_it_shows_drone_shadow_gates_panels_and_sky(view: ChaseView) -> None:
+    view.cut()
+    near = view.frame((0.0, 0.0, 0.8), LEVEL).astype(int)
+    assert near.shape == (90, 160, 3)
+    red, green, blue = np.moveaxis(near, -1, 0)
+    assert (blue - red)[:15].max() > 60  # sky
+    assert (red - green).max() > 100  # the left gate
+    assert (green - red).max() > 100  # the right one
+    assert ((abs(red - 200) < 55) & (blue < 100) & (green > 80)).sum() > 100  # panels
+    drone = near[50:75, 70:90]
+    assert drone.min() < 60  # a carbon frame above a bright floor
+
+
+def test_the_camera_follows_with_a_lag_and_arrives(view: ChaseView) -> None:
+    view.cut()
+    first = view.frame((0.0, 0.0, 1.0), LEVEL)
+    moving = view.frame((0.6, 0.0, 1.0), LEVEL, 0.05).astype(int)
+    for _ in range(60):
+        view.frame((0.6, 0.0, 1.0), LEVEL, 0.05)
+    still = view.frame((0.6, 0.0, 1.0), LEVEL, 0.0).astype(int)
+    view.cut()
+    cut = view.frame((0.6, 0.0, 1.0), LEVEL, 0.0).astype(int)
+    assert abs(moving - first).mean() > 1
+    assert abs(moving - cut).mean() > 3 * abs(still - cut).mean()
+
+
+def test_another_stage_replaces_the_first(view: ChaseView) -> None:
+    view.place(Stage(STAGE.gates, STAGE.labels, only=0, origin=(9.0, 2.0), yaw=1.0), SCENERY)
+    view.cut()
+    one = view.frame((9.0, 2.0, 1.0), quaternion_from_yaw(1.0)).astype(int)
+    view.place(STAGE, SCENERY)
+    assert (one[..., 0] - one[..., 1]).max() > 100
+    assert (one[..., 1] - one[..., 0]).max() < 60
+
+
+def test_the_policy_sees_the_same_with_and_without_it(view: ChaseView) -> None:
+    with Cameras(1) as cameras:
+        cameras.set_stage(0, STAGE, SCENERY.panels)
+        before = cameras.first_person([[0.0, 0.0, 1.0]], [LEVEL])
+        view.frame((0.0, 0.0, 1.0), LEVEL)
+        assert np.array_equal(before, cameras.first_person([[0.0, 0.0, 1.0]], [LEVEL]))
+
+
+def test_a_closed_view_says_so() -> None:
+    view = ChaseView(STAGE, SCENERY, 64, 36)
+    view.close()
+    view.close()
+    with pytest.raises(RenderError, match="closed"):
+        view.frame((0.0, 0.0, 1.0), LEVEL)
+    with pytest.raises(RenderError, match="closed"):
+        view.place(STAGE, SCENERY)

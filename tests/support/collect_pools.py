@@ -1,0 +1,33 @@
+"""Collections without worker processes: a generator flies in this one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from types import SimpleNamespace
+from typing import Any
+
+from cognitivedrone.collect.fleet import Fleet, FlownEpisode
+from cognitivedrone.collect.job import Job
+
+Fly = Callable[[Fleet, Sequence[Sequence[int]]], Iterator[FlownEpisode]]
+
+
+def forwards(fleet: Fleet, batches: Sequence[Sequence[int]]) -> Iterator[FlownEpisode]:
+    """Batch by batch."""
+    for batch in batches:
+        yield from fleet.fly(batch)
+
+
+def flying(fly: Fly) -> Any:
+    """In place of `collector.pool_of`."""
+
+    @contextmanager
+    def pool_of(job: Job, config: object, most: int) -> Iterator[Any]:
+        fleet = job.open()
+        try:
+            yield SimpleNamespace(fly=lambda batches: ((flown, "") for flown in fly(fleet, batches)))
+        finally:
+            fleet.close()
+
+    return pool_of

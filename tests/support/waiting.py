@@ -1,0 +1,15 @@
+"""Waiting for what another thread or process does, as long as a busy machine may take."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+
+def soon(holds: Callable[[], object], timeout_s: float = 30.0) -> float:
+    """Seconds until it holds."""
+    began = time.monotonic()
+    while not holds():
+        assert time.monotonic() - began < timeout_s
+        time.sleep(0.002)
+    return time.monotonic() - began

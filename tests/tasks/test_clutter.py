@@ -1,0 +1,105 @@
+"""Obstacles of tasks: the suite keeps its promises, files are read as written, and faults are said in one sentence."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from cognitivedrone.errors import TaskError
+from cognitivedrone.obstacles import solids_of
+from cognitivedrone.tasks import load_suite
+from cognitivedrone.tasks.clutter import CLEAR_M, SEEN, cluttered, has_ways, is_free, is_in_the_way, seen_share
+from cognitivedrone.tasks.format import task_from_json, task_to_json
+
+TASKS = [task for (task,) in load_suite("open-v3:clutter").tracks]
+PLAIN = next(task for (task,) in load_suite("open-v1:test").tracks if task.board is None)
+PILLAR = {"kind": "pillar", "x": 2.0, "y": 0.5, "width": 0.3, "height": 2.0}
+WALL = {"kind": "wall", "x": 2.5, "y": -1.0, "width": 1.5, "height": 1.0}
+BEAM = {"kind": "beam", "x": 2.5, "y": -1.0, "width": 1.5, "height": 0.1, "above": 1.2}
+MARK = {"label": "animal/cat@noto", "x": 3.0, "y": 2.2, "height": 2.0, "yaw": 0.4}
+
+
+def test_the_suite_has_all_kinds_and_counts():
+    assert {len(task.obstacles) for task in TASKS} == {*range(2, 9)}
+    assert {each.kind for task in TASKS for each in task.obstacles} == {"pillar", "wall", "beam", "frame"}
+    assert sum(task.landmark is not None for task in TASKS) > 50
+    assert 100 < sum(task.layout is not None for task in TASKS) < 170
+
+
+@pytest.mark.parametrize("task", TASKS[::20], ids=lambda task: task.id)
+def test_something_is_in_the_way_but_there_is_a_way_and_the_panels_are_seen(task):
+    assert is_in_the_way(task)
+    assert is_free(task)
+    assert has_ways(task)
+    assert CLEAR_M > 0.28 + 0.1
+    assert seen_share(solids_of(task.obstacles, task.landmark), task.layout) >= SEEN
+
+
+def test_equal_seeds_draw_equal_obstacles():
+    first, second = (cluttered(np.random.default_rng(3), PLAIN, "frame", 4) for _ in range(2))
+    assert first == second
+    assert task_from_json(json.loads(json.dumps(task_to_json(first))), where="x") == first
+
+
+def test_defaults_of_a_file():
+    task = read([PILLAR, WALL, BEAM], MARK)
+    assert [each.depth for each in task.obstacles] == [0.1] * 3
+    assert {"obstacles", "landmark"}.isdisjoint(task_to_json(PLAIN))
+
+
+def read(obstacles, landmark=None, **more):
+    return task_from_json(task_to_json(PLAIN) | {"obstacles": obstacles, "landmark": landmark} | more, where="f[0]")
+
+
+@pytest.mark.parametrize(
+    ("obstacles", "message"),
+    [
+        ({}, "obstacles must be a list of objects, not dict"),
+        ([PILLAR] * 1000, "1000 obstacles are too many; leave 20 at most"),
+        ([3], "obstacle 1 has the unknown kind 3"),
+        ([PILLAR, {**PILLAR, "kind": "pilar"}], "obstacle 2 has the unknown kind 'pilar'; did you mean 'pillar'"),
+        ([{**PILLAR, "kind": ["pillar"]}], "unknown kind"),
+        ([{**PILLAR, "yaw": 1.0}], "obstacle 1, a pillar, has the unknown key 'yaw'; it has x, y, width, height"),
+        ([{**PILLAR, "x": "2"}], "obstacle 1, a pillar, has x '2'; give it a number"),
+        ([{**PILLAR, "x": True}], "has x True; give it a number"),
+        ([{key: value for key, value in BEAM.items() if key != "above"}], "a beam, has above None; give it a number"),
+        ([{**PILLAR, "width": -0.3}], "obstacle 1, a pillar, has width -0.3; make it 0.05 to 6"),
+        ([{**PILLAR, "height": float("nan")}], "has height nan; make it"),
+        ([{**PILLAR, "x": 10**400}], "has x inf; make it -4 to 8.5"),
+        ([{**PILLAR, "x": -0.5}], "obstacle 1, a pillar, overlaps the start box; move it away"),
+        ([{**PILLAR, "x": 5.1, "y": 0.2}], "overlaps the opening or the panel of gate 2; move it away"),
+        ([WALL, {**BEAM, "x": 4.0, "y": 4.0, "above": 2.6}], "obstacle 2, a beam, overlaps the opening or the panel"),
+        ([{**BEAM, "kind": "frame"}], "too narrow for an opening"),
+    ],
+)
+def test_faults_of_obstacles_are_said_in_one_sentence(obstacles, message):
+    with pytest.raises(TaskError, match=r"^f\[0\]: ") as caught:
+        read(obstacles)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("landmark", "message"),
+    [
+        (3, "landmark must be an object, not int"),
+        ({**MARK, "label": 3}, "the label of the landmark must be a string"),
+        ({**MARK, "height": 0.2}, "the landmark has height 0.2; make it 1.2 to 4"),
+        ({**MARK, "x": 5.0, "y": 0.0}, "the landmark overlaps the opening or the panel of gate 2"),
+        ({**MARK, "wide": 3}, "the landmark has the unknown key 'wide'"),
+    ],
+)
+def test_faults_of_landmarks(landmark, message):
+    with pytest.raises(TaskError) as caught:
+        read([], landmark)
+    assert message in str(caught.value)
+
+
+def test_a_landing_has_no_obstacles_and_a_board_no_landmark():
+    with pytest.raises(TaskError, match="a board or a landmark"):
+        read([], MARK, board="sum/1+2@inter")
+    landing = next(task for track in load_suite("open-v3:missions").tracks for task in track if task.landing)
+    with pytest.raises(TaskError, match="a landing has three pads and nothing else"):
+        task_from_json(task_to_json(landing) | {"obstacles": [PILLAR]}, where="f[0]")

@@ -1,0 +1,206 @@
+"""Missions: sentences cut into sub-goals, landing stages, and the suite of missions."""
+
+from __future__ import annotations
+
+import pytest
+
+from cognitivedrone.errors import TaskError
+from cognitivedrone.tasks import SUITES, load_suite
+from cognitivedrone.tasks.build import build_suite
+from cognitivedrone.tasks.format import task_from_json, task_to_json
+from cognitivedrone.tasks.mission_tasks import landing_task
+from cognitivedrone.tasks.missions import is_mission, lands, pad_directive, problem_of, sub_goals
+from cognitivedrone.tasks.suites import train_task
+
+MISSIONS = "open-v3:missions"
+
+
+@pytest.mark.parametrize(
+    ("sentence", "goals"),
+    [
+        ("first the cat, then whatever it eats, then land on the blue pad",
+         ["Fly to the cat", "Fly to whatever the cat eats", "Land on the blue pad"]),
+        ("First, the animal that barks. After that the sum of 3 and 4, and finally land on the green pad!",
+         ["Fly to the animal that barks", "Fly to the sum of 3 and 4", "Land on the green pad"]),
+        ("through the dog twice, then land", ["Fly through the dog", "Fly through the dog", "Land on the pad"]),
+        ("before you land on the red pad, fly through the trophy", ["Fly through the trophy", "Land on the red pad"]),
+        ("after the cat, fly to the dog", ["Fly to the cat", "Fly to the dog"]),
+        ("Go through the apple and land on the blue pad", ["Go through the apple", "Land on the blue pad"]),
+    ],
+)  # fmt: skip
+def test_a_mission_is_cut_into_its_parts_in_their_order(sentence, goals):
+    found = sub_goals(sentence)
+    assert [goal.instruction for goal in found] == goals
+    assert [goal.kind for goal in found] == ["land" if goal.startswith("Land") else "fly" for goal in goals]
+    assert problem_of(found) == ""
+
+
+@pytest.mark.parametrize(
+    ("sentence", "kinds"),
+    [
+        ("cat, then dog, then land", "ffl"),
+        ("frist the banana then the car", "ff"),
+        ("lion, tiger, touch down on green", "ffl"),
+        ("1) the letter B 2) number seven 3) land on blue", "ffl"),
+        ("start at the piano, next the drum, finish on the green pad", "ffl"),
+        ("I'd like you to visit the frog first and the owl second", "ff"),
+        ("before you land on the blue pad, take the gate with the rocket", "fl"),
+        ("take the train after the rocket", "ff"),
+        ("the train, but the rocket before that", "ff"),
+        ("pass the dog two times and then come home to the red pad", "ffl"),
+        ("if you see a cat fly through it, otherwise take the dog, then land on the red pad", "fl"),
+        ("cat if there is one, else the dog; after that the number 4", "ff"),
+        ("through the umbrella, through the hat, down on the red one", "ffl"),
+        ("first off go for the man with the beard, then for the woman in the red hat, then you can land", "ffl"),
+        ("biggest number, followed by the smallest, and finish with a landing on blue", "ffl"),
+        ("your route today is apple, banana, cherry", "fff"),
+        ("never go through red; first the bus then the bike", "ff"),
+        ("bus first, bike next, no blue gates please", "ff"),
+        ("after passing the tomato head over to the cucumber", "ff"),
+        ("as soon as you have done the violin, do the trumpet", "ff"),
+        ("land on the red pad after the chicken", "fl"),
+        ("the answer to 3 plus 4, then the animal that barks", "ff"),
+        ("wherever the cow is, go there, then on to the milk", "ff"),
+        ("ghost & then pumpkin & land pls", "ffl"),
+        ("cat then dog", "ff"),
+        ("the horse and after that whatever has wheels", "ff"),
+        ("go see the elephant. then the ice cream. then park on the red pad", "ffl"),
+        ("1. guitar 2. apple", "ff"),
+        ("fly through the bee's gate, and once you're past it look for something sweet", "ff"),
+        ("owl second, frog first", "ff"),
+        ("after the rocket take the train", "ff"),
+        ("take the rocket before the train", "ff"),
+        ("pass the dog twice", "ff"),
+        ("do the fish gate twice then set her down on blue", "ffl"),
+        ("take the cat if there is one, otherwise the dog, and land", "fl"),
+        ("fly to the cat and fly to the dog", "ff"),
+        ("fly to the cat, go to the dog, and fly to the horse", "fff"),
+        ("fly to the cat 5 times", "fffff"),
+        ("after the dog the cat", "ff"),
+        ("the dog && land", "fl"),
+        ("dog then land", "fl"),
+        ("hover over the banana then land", "fl"),
+        ("zuerst der Hund, dann die Katze", "ff"),
+        ("vuela al perro, luego aterriza", "fl"),
+        ("fly to the dog, then land on the red landing pad please", "fl"),
+        ("hit up the pizza, swing by the burger and end on the green pad", "ffl"),
+    ],
+)
+def test_missions_are_cut_as_people_type_them(sentence, kinds):
+    assert "".join(goal.kind[0] for goal in sub_goals(sentence)) == kinds
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "the one that is not the cat",
+        "twice three plus four",
+        "start with ten, take away three, then put two back",
+        "neither the cat nor the dog",
+        "the gate after the red one",
+        "first letter of the alphabet",
+        "the last one",
+        "second from the left",
+        "the person with a hat and glasses",
+        "the animal that comes before winter",
+        "something you eat after dinner",
+        "the gate that was first last time",
+        "double three, then take two off",
+        "the number after seven",
+        "what comes after C",
+        "add two to the board, then double it",
+        "long hair then? no, short hair",
+        "the thing you put on first in the morning",
+        "the bird, not the fish, and be quick",
+        "fly to the dog, no wait, fly to the cat",
+        "don't fly to the dog, fly to the cat",
+        "go to the red gate, go through it",
+        "fly to three times four",
+        "Look for the bee and go through the gate below",
+    ],
+)
+def test_steps_of_a_calculation_or_a_story_are_no_mission(sentence):
+    assert not is_mission(sub_goals(sentence))
+
+
+@pytest.mark.parametrize(
+    "part", [",", ". ", "if then ", "otherwise if then ", "then ", "once you have ", "first ", "\U0001f431"]
+)
+def test_a_long_sentence_of_anything_is_cut_or_left_alone(part):
+    """Patterns whose time grows faster than the sentence would not come to an end here."""
+    goals = sub_goals(part * (20_000 // len(part)))
+    assert len(goals) >= 1
+    assert all(goal.kind == "fly" for goal in goals)
+
+
+def test_a_condition_is_one_sub_goal_with_another_way():
+    (goal,) = sub_goals("if there is a bus take it, otherwise the bicycle")
+    assert (goal.instruction, goal.otherwise) == ("Fly to a bus", "Fly to the bicycle")
+    first, last = sub_goals("First, if you see a lion, fly to the cow, otherwise to the zebra, then land on red")
+    assert (first.instruction, first.otherwise) == ("Fly to the cow", "Fly to the zebra")
+    assert last.instruction == "Land on the red pad"
+
+
+def test_a_colour_that_is_never_flown_through_holds_for_every_gate_but_no_pad():
+    goals = sub_goals("First the dog, then the letter B, then land on the red pad, but never through red")
+    assert [goal.avoid for goal in goals] == [{"red"}, {"red"}, frozenset()]
+
+
+@pytest.mark.parametrize(
+    ("sentence", "says"),
+    [
+        ("first the dog, then through the red gate, never through red", "asks for the red gate and forbids it"),
+        ("first the dog, then land on the red pad, then the cat", "goes on after the landing"),
+        ("land on the red pad then fly to the dog", "goes on after the landing"),
+        (", then ".join(["fly to the dog"] * 50), "has 50 sub-goals"),
+        (" and ".join(["fly to the dog"] * 110), "has 110 sub-goals"),
+        ("; ".join(["go to the dog"] * 13), "has 13 sub-goals"),
+        ("fly to the cat 999999999 times", "has over 999 sub-goals"),
+        ("the dog, then land on the yellow pad", "asks to land on the yellow pad; there are red, green and blue pads"),
+        ("land on the moon", "asks to land on the moon"),
+    ],
+)
+def test_what_cannot_be_flown_is_said(sentence, says):
+    assert says in problem_of(sub_goals(sentence))
+
+
+def test_no_sentence_of_any_other_task_is_a_mission():
+    tasks = [task for name in SUITES if name != MISSIONS for track in load_suite(name).tracks for task in track]
+    for task in [*tasks, *(train_task(index) for index in range(3000))]:
+        (goal,) = sub_goals(task.instruction)
+        assert goal.instruction == task.instruction
+        assert not is_mission((goal,))
+
+
+def test_a_directive_to_land_names_its_pad():
+    assert lands(pad_directive("green")) == (True, "green")
+    assert lands("land on the pad.") == (True, None)
+    assert lands("Fly through the small red round gate") == (False, None)
+    assert lands("Land on the purple pad") == (False, None)
+
+
+def test_a_landing_is_written_and_read_and_stands_alone():
+    task = landing_task("blue", 1, ("red", "blue", "green"), "x/1")
+    assert task.directive == "Land on the blue pad"
+    assert task_from_json(task_to_json(task), where="t") == task
+    for change, says in (
+        ({"landing": 1}, "landing is 1; make it true"),
+        ({"board": "sum/1+2@inter"}, "a landing has three pads and nothing else"),
+        ({"prompt_simpler": "Land on the red pad"}, "must name the right pad, blue"),
+        ({"prompt_simpler": "Fly through the gate"}, "write it as 'Land on the red pad'"),
+        ({"mission": ""}, "mission is empty"),
+    ):
+        with pytest.raises(TaskError, match=says):
+            task_from_json(task_to_json(task) | change, where="t")
+
+
+def test_the_suite_has_typed_and_generated_missions_each_with_one_sentence():
+    suite = load_suite(MISSIONS)
+    assert list(suite.tracks) == build_suite(MISSIONS)
+    assert len(suite.tracks) == 150
+    for number, track in enumerate(suite.tracks):
+        (sentence,) = {task.mission for task in track}
+        assert 2 <= len(track) <= 4
+        assert [task.landing for task in track[:-1]] == [False] * (len(track) - 1)
+        if number < 100:
+            assert [goal.instruction for goal in sub_goals(sentence)] == [task.instruction for task in track]
