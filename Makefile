@@ -1,14 +1,20 @@
-# make bench         environment, install, the smoke suite, table and HTML report
-# make test          environment, all checks, all tests
-# make test-smoke    runs/smoke.sh: every step of runs/reproduce.sh in tiny sizes (needs PyTorch: make test TORCH=1)
-# make docs          the documentation as a site: build/site/index.html
-# make test-wheel    the built wheel in a fresh environment of PYTHON=python3.13: smoke suite, fast tests
-# make test-sdist    the same from the source archive
-# make test-lowest   the same with the lowest allowed version of every dependency (needs uv)
+# make bench           environment, install, the smoke suite, table and HTML report
+# make test            environment, all checks, all tests
+# make docs            the documentation as a site: build/site/index.html
+# make gate            .ci/run, which every commit of the main branch has passed, from a clean clone of HEAD
+# make release-check   the rest, from a clean clone of HEAD: reproduction in small, other Pythons and versions, image
+# make lock            constraints.txt from pyproject.toml; UPGRADE=1 takes the newest of everything
+#
+# Parts of release-check:
+# make test-smoke      runs/smoke.sh: every step of runs/reproduce.sh in tiny sizes (needs PyTorch: make test TORCH=1)
+# make test-wheel      the built wheel in a fresh environment of PYTHON=python3.13: smoke suite, fast tests
+# make test-sdist      the same from the source archive
+# make test-lowest     the same with the lowest allowed version of every dependency (needs uv)
+# make test-newest     all tests with the newest allowed version of every dependency, where any warning is an error
 PYTHON ?= python3
 RUN := .venv/bin
 
-.PHONY: bench test test-smoke check docs format test-wheel test-sdist test-lowest
+.PHONY: bench test tests check docs format gate lock release-check test-smoke test-wheel test-sdist test-lowest test-newest
 
 bench:
 	@$(PYTHON) scripts/setup.py
@@ -22,16 +28,31 @@ check:
 	else echo "mypy is left out: the types of PyTorch are not here"; fi
 	$(RUN)/lint-imports
 
-test: check
+tests:
+	@$(PYTHON) scripts/setup.py dev
 	$(RUN)/pytest -n 2 --dist worksteal
 
-test-smoke:
-	SMOKE=1 $(RUN)/pytest tests/scripts/test_smoke.py
+test: check tests
 
 docs:
 	@$(PYTHON) scripts/setup.py docs
 	$(RUN)/mkdocs build --strict
 	@echo "build/site/index.html; with its search: $(RUN)/mkdocs serve"
+
+gate:
+	$(PYTHON) scripts/clean_clone.py .ci/run
+
+release-check:
+	$(PYTHON) scripts/clean_clone.py $(PYTHON) scripts/release_check.py
+
+lock:
+	@$(PYTHON) scripts/setup.py dev
+	$(RUN)/python -m pip install --quiet --disable-pip-version-check uv
+	echo 'hatchling>=1.25' | $(RUN)/uv pip compile --quiet --universal --python-version 3.11 --extra dev --extra dev-torch \
+	  --no-annotate --custom-compile-command "make lock" $(if $(UPGRADE),--upgrade) --output-file constraints.txt pyproject.toml -
+
+test-smoke:
+	SMOKE=1 $(RUN)/pytest tests/scripts/test_smoke.py
 
 test-wheel:
 	$(PYTHON) scripts/test_wheel.py
@@ -41,6 +62,9 @@ test-sdist:
 
 test-lowest:
 	$(PYTHON) scripts/test_wheel.py --lowest
+
+test-newest:
+	$(PYTHON) scripts/test_wheel.py --newest
 
 format:
 	@$(PYTHON) scripts/setup.py dev

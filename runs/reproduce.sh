@@ -68,7 +68,7 @@ train small small --start "$out/language/checkpoint.safetensors"
 train flight flight --start "$out/small/checkpoint.safetensors"
 train race race
 mkdir -p "$out/reasoner"
-cp "$out"/selector/*.onnx "$out"/flight/{panel_reader,language,text_encoder}.onnx "$out/reasoner"
+cp -p "$out"/selector/*.onnx "$out"/flight/{panel_reader,language,text_encoder}.onnx "$out/reasoner"
 
 # What a fixed set of the expert's flights is worth against flights made during training; the paper has 8,062.
 for flights in "${sets[@]}"; do

@@ -2,6 +2,9 @@
 
 Usage: python3 scripts/setup.py [EXTRA ...]
 
+Every dependency comes in the version that constraints.txt names, so that a package that is released tonight changes
+nothing here tomorrow. An installation that was killed is begun anew.
+
 Works where Debian's python3 comes without `venv`, and looks for an OpenGL library for off-screen rendering and, for
 the tests, for libsdformat. System packages are installed by root alone: asked for at a terminal, said beforehand
 elsewhere. Everybody else is shown the line to type.
@@ -24,6 +27,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv"
 PYTHON = VENV / "bin" / "python"
+LOCK = "constraints.txt"
 GL_PACKAGES = ["libegl1", "libgl1-mesa-dri", "libopengl0"]
 SDFORMAT = "libsdformat12-12"
 TORCH = "torch==2.13.0"  # as in the extra dev-torch
@@ -63,8 +67,13 @@ def make_venv_with_pip() -> bool:
     return subprocess.run([sys.executable, "-m", "venv", VENV], check=False, capture_output=True).returncode == 0
 
 
+def begun() -> Path:
+    """The mark of an installation that has not ended."""
+    return VENV / "installing"
+
+
 def make_venv() -> None:
-    if PYTHON.exists() and run(PYTHON, "-c", "import pip"):
+    if not begun().exists() and PYTHON.exists() and run(PYTHON, "-c", "import pip"):
         return
     shutil.rmtree(VENV, ignore_errors=True)
     if make_venv_with_pip():
@@ -79,7 +88,7 @@ def make_venv() -> None:
 
 
 def stamp_of(extras: list[str]) -> str:
-    text = (ROOT / "pyproject.toml").read_text() + ",".join(extras) + sys.version
+    text = (ROOT / "pyproject.toml").read_text() + (ROOT / LOCK).read_text() + ",".join(extras) + sys.version
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -100,9 +109,15 @@ def announce(extras: list[str]) -> None:
 def install(extras: list[str]) -> None:
     if installed(extras):
         return
-    target = f"{ROOT}[{','.join(extras)}]" if extras else str(ROOT)
-    if not run(PYTHON, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-e", target):
-        sys.exit("The installation failed; the lines above say why.")
+    target = f".[{','.join(extras)}]" if extras else "."
+    # By variables, which reach what the package itself is built with, too: newer pips want the second for that.
+    locked = {**os.environ, "PIP_CONSTRAINT": LOCK, "PIP_BUILD_CONSTRAINT": LOCK}
+    command = [str(PYTHON), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-e", target]
+    begun().touch()
+    done = subprocess.run(command, cwd=ROOT, env=locked, check=False)
+    begun().unlink()
+    if done.returncode != 0:
+        sys.exit("The installation failed; the lines above say why. It can be run again once that is mended.")
     (VENV / ("installed-" + ("-".join(extras) or "base"))).write_text(stamp_of(extras))
 
 

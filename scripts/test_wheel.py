@@ -1,10 +1,12 @@
 """Try the built wheel in a fresh environment: the smoke suite, then the fast tests. Standard library only.
 
-Usage: PYTHON scripts/test_wheel.py [--lowest] [--sdist]
+Usage: PYTHON scripts/test_wheel.py [--lowest | --newest] [--sdist]
 
 The environment is of the Python that runs this script, is in a temporary folder, and has the light extras: tests of
-PyTorch and Ray are skipped. With --lowest every dependency that pyproject.toml names comes in the lowest
-version that it allows, as uv finds it. With --sdist the source archive is built first; wheel and tests come out of it.
+PyTorch and Ray are skipped. Every dependency comes in the newest version that pyproject.toml allows, and any warning is
+an error, also one that is raised inside of another package. With --lowest what pyproject.toml names comes in the lowest
+version that it allows, as uv finds it. With --newest all tools of a developer are installed, PyTorch too, and the tests
+are those that the other runs leave out. With --sdist the source archive is built first; wheel and tests come out of it.
 """
 
 from __future__ import annotations
@@ -62,7 +64,9 @@ def unpacked(pip: list[object], folder: Path) -> Path:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--lowest", action="store_true", help="the lowest allowed version of each dependency")
+    versions = parser.add_mutually_exclusive_group()
+    versions.add_argument("--lowest", action="store_true", help="the lowest allowed version of each dependency")
+    versions.add_argument("--newest", action="store_true", help="all tools, and the tests that need them")
     parser.add_argument("--sdist", action="store_true", help="from the source archive")
     options = parser.parse_args()
     lowest = options.lowest
@@ -76,15 +80,19 @@ def main() -> None:
         step("wheel", *pip, "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, root)
         pins = pinned_to_lowest(pip, folder) if lowest else []
         (wheel,) = folder.glob("cognitivedrone-*.whl")
-        step("installation", *pip, "install", "--quiet", f"{wheel}[{','.join(EXTRAS)}]", *pins)
+        extras = ["dev", "dev-torch"] if options.newest else EXTRAS
+        step("installation", *pip, "install", "--quiet", f"{wheel}[{','.join(extras)}]", *pins)
         imported = subprocess.run([binaries / "python", "-c", WHERE], cwd=folder, capture_output=True, text=True)
         if not imported.stdout.startswith(str(folder / "venv")):
             sys.exit(f"the installed package is not what is imported: {imported.stdout}{imported.stderr}")
         step("versions", *pip, "freeze")
         step("smoke suite", binaries / "cognitivedrone", "bench", "--suite", "open-v1:smoke", "--out", folder / "smoke")
-        tests = [root / "tests" / part for part in FAST_TESTS]
         pytest = [binaries / "python", "-m", "pytest", "-q", "-n", "2", "-p", "no:cacheprovider"]
-        step("fast tests", *pytest, *tests, cwd=root)
+        tests: list[object] = [root / "tests" / part for part in FAST_TESTS]
+        if options.newest:
+            step("the other tests", *pytest, "-W", "error", *(f"--ignore={part}" for part in tests), cwd=root)
+        else:
+            step("fast tests", *pytest, *([] if lowest else ["-W", "error"]), *tests, cwd=root)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 import cognitivedrone
 
@@ -71,16 +72,39 @@ def test_a_workflow_may_only_read_and_names_its_actions_by_commit(workflow):
     assert all(re.fullmatch(r" # v\d+\.\d+\.\d+", version) for _, version in used)
 
 
-def test_the_workflow_runs_the_one_check_with_the_packages_that_the_readme_names():
-    commands = re.findall(
-        r"^      - run: (.*)$", (ROOT / ".github/workflows/check.yml").read_text(), flags=re.MULTILINE
-    )
-    assert commands[-1] == ".ci/run"
+@pytest.mark.parametrize(("workflow", "check"), [("check", ".ci/run"), ("release-check", "make release-check")])
+def test_a_workflow_runs_its_check_with_the_packages_that_the_readme_names(workflow, check):
+    commands = re.findall(r"^      - run: (.*)$", text(f".github/workflows/{workflow}.yml"), flags=re.MULTILINE)
+    assert commands[-1] == check
     wanted = re.search(r"sudo apt-get install (.+?) +#", text("README.md"))[1]
     assert commands[:-1] == [f"sudo apt-get update && sudo apt-get install --yes {wanted}"]
 
 
-def test_the_workflow_has_every_python_that_the_check_tries():
-    tried = re.search(r"^for version in (.+); do$", text(".ci/run"), flags=re.MULTILINE)[1].split()
-    given = re.findall(r"^            (3\.\d+)$", text(".github/workflows/check.yml"), flags=re.MULTILINE)
-    assert sorted(given) == sorted(tried)
+def test_the_workflow_has_every_python_that_the_release_check_tries():
+    tried = re.search(r"^VERSIONS = \[(.+)\]$", text("scripts/release_check.py"), flags=re.MULTILINE)[1]
+    given = re.findall(r"^            (3\.\d+)$", text(".github/workflows/release-check.yml"), flags=re.MULTILINE)
+    assert sorted(given) == sorted(re.findall(r"3\.\d+", tried))
+
+
+def requirements(extra: str) -> list[Requirement]:
+    """What an extra brings, through the extras that it names."""
+    project = tomllib.loads(text("pyproject.toml"))["project"]
+    lines = project["optional-dependencies"][extra] if extra else project["dependencies"]
+    found = []
+    for needed in map(Requirement, lines):
+        if needed.name == "cognitivedrone":
+            found += [deeper for inner in needed.extras for deeper in requirements(inner)]
+        else:
+            found.append(needed)
+    return found
+
+
+@pytest.mark.parametrize("extra", ["", "dev", "dev-torch"])
+def test_the_lock_file_has_an_allowed_version_of_everything_that_is_installed_for_tests(extra):
+    lines = [line for line in text("constraints.txt").splitlines() if not line.startswith("#")]
+    locked = [Requirement(line) for line in lines]
+    assert not [pin for pin in locked if pin.url or not re.fullmatch(r"==[\w.+]+", str(pin.specifier))]
+    for needed in requirements(extra):
+        versions = [str(pin.specifier)[2:] for pin in locked if pin.name.lower() == needed.name.lower()]
+        assert versions, f"{needed.name} is not locked: make lock"
+        assert all(needed.specifier.contains(version) for version in versions), f"{needed}: make lock"

@@ -160,3 +160,34 @@ def test_what_is_installed_and_where_is_shown_before_anything_runs(setup, ran, m
     before = ran[-1][1] + capsys.readouterr().out
     setup.main()  # installed by now
     assert ran[-1][1] + capsys.readouterr().out == before
+
+
+def test_an_installation_that_was_killed_is_begun_anew_and_one_that_failed_is_not(setup, ran, monkeypatch):
+    monkeypatch.setattr(setup, "PYTHON", setup.VENV / "bin" / "python")
+    setup.PYTHON.parent.mkdir()
+    setup.PYTHON.touch()
+    killed = setup.VENV / "half-a-package"
+    killed.touch()
+    monkeypatch.setattr(setup.subprocess, "run", lambda command, **_: subprocess.CompletedProcess(command, 1))
+    with pytest.raises(SystemExit, match="can be run again"):
+        setup.install([])
+    monkeypatch.setattr(setup, "run", lambda *_: True)
+    setup.make_venv()
+    assert killed.exists()
+    (setup.VENV / "installing").touch()
+    monkeypatch.setattr(setup, "make_venv_with_pip", lambda: True)
+    setup.make_venv()
+    assert not killed.exists()
+
+
+def test_everything_is_installed_in_the_version_of_the_lock_file(setup, monkeypatch):
+    seen = []
+
+    def run(command, **options):
+        seen.append((options["cwd"], options["env"]["PIP_CONSTRAINT"]))
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(setup.subprocess, "run", run)
+    setup.install([])
+    (folder, name) = seen[0]
+    assert (folder / name).read_text().startswith("# ")
