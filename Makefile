@@ -30,7 +30,7 @@ check:
 
 tests:
 	@$(PYTHON) scripts/setup.py dev
-	$(RUN)/pytest -n 2 --dist worksteal
+	$(RUN)/pytest -n 2 --dist worksteal --durations 30
 
 test: check tests
 
