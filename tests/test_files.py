@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
+import stat
 import threading
 from pathlib import Path
 
@@ -14,11 +16,17 @@ from hypothesis import strategies as st
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import (
     LONGEST_NAME,
+    check_no_link,
     check_regular,
+    create,
     digest_of_file,
+    is_left_over,
     read_regular,
+    remove,
+    remove_left_over,
     replace_file,
     replacing,
+    replacing_folder,
     safe_name,
     writing,
 )
@@ -86,7 +94,7 @@ def odd_files(tmp_path: Path) -> dict[str, Path]:
 
 def test_nothing_but_files_is_read_and_nothing_is_waited_for(odd_files: dict[str, Path]) -> None:
     for says, path in odd_files.items():
-        for ask in (check_regular, lambda path: read_regular(path, 10)):
+        for ask in (check_regular, digest_of_file, lambda path: read_regular(path, 10)):
             with pytest.raises(OSError) as refused:  # noqa: PT011
                 ask(path)
             assert refused.value.strerror in says.split("|")
@@ -141,7 +149,7 @@ def test_an_error_while_a_file_is_written_leaves_the_old_one_alone(tmp_path: Pat
     path.write_bytes(b"old")
 
     def stopped() -> None:
-        with replacing(path, tmp_path / "beside") as beside:
+        with replacing(path) as beside:
             beside.write_bytes(b"half of the n")
             raise KeyboardInterrupt
 
@@ -157,11 +165,161 @@ def test_a_files_hash_is_that_of_its_content(tmp_path: Path) -> None:
     assert digest_of_file(path) == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
 
 
-def test_nothing_is_written_through_a_link_with_the_temporary_name(tmp_path):
-    other = tmp_path / "other"
-    other.write_text("precious")
-    (tmp_path / "page.html.tmp").symlink_to(other)
-    replace_file(tmp_path / "page.html", b"new")
-    assert other.read_text() == "precious"
-    assert (tmp_path / "page.html").read_bytes() == b"new"
-    assert not (tmp_path / "page.html").is_symlink()
+def test_a_sparse_file_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "model"
+    with path.open("wb") as file:
+        file.truncate(3 * 10**9)
+
+    def opened(*_: object, **__: object) -> int:
+        raise AssertionError
+
+    monkeypatch.setattr(os, "open", opened)
+    for ask in (check_regular, digest_of_file, read_regular):
+        with pytest.raises(OSError, match="it has 3,000,000,000 bytes, and at most 1,000 are read"):
+            ask(path, 1000)
+
+
+def test_a_file_without_a_size_is_read_up_to_its_limit() -> None:
+    with pytest.raises(OSError, match="at most 10 are read"):
+        read_regular(Path("/proc/self/status"), 10)
+
+
+@pytest.fixture
+def precious(tmp_path: Path) -> Path:
+    """A folder of somebody else, with a file."""
+    folder = tmp_path / "theirs"
+    folder.mkdir()
+    (folder / "file").write_text("precious")
+    return folder
+
+
+def kept(precious: Path) -> bool:
+    return [path.name for path in precious.iterdir()] == ["file"] and (precious / "file").read_text() == "precious"
+
+
+def test_nothing_is_written_through_a_link(tmp_path: Path, precious: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("page.html", "page.html.tmp", "page.html.part", ".page.html.tmp", "log", "hard"):
+        (out / name).symlink_to(precious / "file")
+    (out / "hard").unlink()
+    (out / "hard").hardlink_to(precious / "file")
+    replace_file(out / "page.html", b"new")
+    for name in ("log", "hard"):
+        with create(out / name) as log:
+            log.write(b"new")
+    assert kept(precious)
+    for name in ("page.html", "log", "hard"):
+        assert (out / name).read_bytes() == b"new"
+        assert not (out / name).is_symlink()
+
+
+def test_the_temporary_name_cannot_be_foreseen(tmp_path: Path) -> None:
+    names = set()
+    for _ in range(20):
+        with replacing(tmp_path / ("x" * 255)) as temporary:
+            names.add(temporary.name)
+            assert is_left_over(temporary.name)
+            assert temporary.parent == tmp_path
+            assert not temporary.stat().st_size
+    assert len(names) == 20
+
+
+def test_a_link_that_takes_the_temporary_files_place_does_not_become_the_file(tmp_path: Path, precious: Path) -> None:
+    path = tmp_path / "file"
+
+    def write_another_file() -> None:
+        with replacing(path) as temporary:
+            temporary.unlink()
+            temporary.symlink_to(precious / "file")
+
+    with pytest.raises(OSError, match="it is a link, not a file"):
+        write_another_file()
+    assert not path.exists()
+    assert not path.is_symlink()
+    assert kept(precious)
+
+
+def test_files_get_the_permissions_that_the_user_gives_new_files(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        replace_file(tmp_path / "whole", b"")
+        create(tmp_path / "log").close()
+        with replacing_folder(tmp_path / "folder"):
+            pass
+    finally:
+        os.umask(before)
+    assert [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("whole", "log", "folder")] == [
+        0o640, 0o640, 0o750
+    ]  # fmt: skip
+
+
+def test_a_folder_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
+    def fail() -> None:
+        with replacing_folder(tmp_path / "deep" / "out") as folder:
+            (folder / "half").write_text("")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    assert not list((tmp_path / "deep").iterdir())
+    with replacing_folder(tmp_path / "deep" / "out") as folder:
+        (folder / "whole").write_text("")
+    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["out"]
+    with pytest.raises(OSError, match="not empty"), replacing_folder(tmp_path / "deep" / "out"):
+        pass
+    assert [path.name for path in (tmp_path / "deep").rglob("*")] == ["out", "whole"]
+
+
+def test_files_and_folders_are_removed(tmp_path: Path, precious: Path) -> None:
+    (tmp_path / "out/shards/deep").mkdir(parents=True)
+    (tmp_path / "out/shards/deep/link").symlink_to(precious)
+    (tmp_path / "out/shards/file").write_text("")
+    remove(tmp_path / "out", "shards/file")
+    remove(tmp_path / "out", "shards/file")
+    remove(tmp_path / "out", "no/such/file")
+    remove(tmp_path / "no", "such/file")
+    assert [path.name for path in (tmp_path / "out/shards").iterdir()] == ["deep"]
+    remove(tmp_path / "out", "shards")
+    assert not list((tmp_path / "out").iterdir())
+    remove(tmp_path / "out")
+    assert kept(precious)
+
+
+def test_nothing_is_removed_through_a_link(tmp_path: Path, precious: Path) -> None:
+    out = tmp_path / "out"
+    (out / "real").mkdir(parents=True)
+    (precious / ".x.0.tmp").write_text("left over, but not by us")
+    for link in (out / "shards", out / "real" / "shards"):
+        link.symlink_to(precious)
+    (out / "link").symlink_to(precious / "file")
+    attempts = (
+        lambda: remove(out, "shards"), lambda: remove(out, "shards/file"), lambda: remove(out, "real/shards/file"),
+        lambda: remove(out, "link"), lambda: remove(out / "shards"), lambda: remove_left_over(out, "shards"),
+        lambda: check_no_link(out, "shards"),
+    )  # fmt: skip
+    for attempt in attempts:
+        with pytest.raises(OSError, match="is a link or in one") as refused:
+            attempt()
+        assert refused.value.errno == errno.ELOOP
+    (precious / ".x.0.tmp").unlink()
+    assert kept(precious)
+    assert (out / "link").is_symlink()
+
+
+def test_a_folder_that_is_reached_through_the_users_own_link_is_written_and_cleared(tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "out").symlink_to(tmp_path / "disk")
+    replace_file(tmp_path / "out" / "file", b"x")
+    remove(tmp_path / "out", "file")
+    assert not list((tmp_path / "disk").iterdir())
+
+
+def test_what_killed_writers_left_is_removed_and_what_living_ones_write_is_not(tmp_path: Path) -> None:
+    for name in (".file.0123456789abcdef.tmp", ".of-an-earlier-version.77.tmp", "named.tmp", ".hidden"):
+        (tmp_path / name).write_text("half")
+    with replacing(tmp_path / "file") as temporary:
+        remove_left_over(tmp_path)
+        assert {path.name for path in tmp_path.iterdir()} == {temporary.name, "named.tmp", ".hidden"}
+    remove_left_over(tmp_path, "nothing")
+    assert {path.name for path in tmp_path.iterdir()} == {"file", "named.tmp", ".hidden"}

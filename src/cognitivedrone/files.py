@@ -1,8 +1,17 @@
 """Files and folders whose names or contents come from somebody else, and disks that refuse.
 
-`safe_name` is the only way from a text of some data to a part of a path, `read_regular` the way to read a file that
-could be a pipe, a device or endless, `replacing` the way to write one whole or not at all, `writing` the way to tell in
-one sentence that a disk is full, and `take_lock` the lock of a folder that has one writer.
+Everything that is named from outside is opened, written and removed here, and nowhere else:
+
+| | |
+|---|---|
+| `safe_name` | from a text of some data to a part of a path |
+| `open_regular`, `read_regular`, `digest_of_file` | read what could be a pipe, a device, endless or sparse |
+| `check_regular` | the same check for what a library opens by its name |
+| `replacing`, `replace_file`, `replacing_folder` | write whole or not at all, through no link |
+| `create` | a new file that grows, such as a log, through no link |
+| `remove`, `remove_left_over` | remove, through no link |
+| `writing` | tells in one sentence that a disk is full |
+| `take_lock` | the lock of a folder that has one writer |
 """
 
 from __future__ import annotations
@@ -12,10 +21,14 @@ import errno
 import fcntl
 import hashlib
 import os
+import secrets
+import shutil
 import stat
 import unicodedata
 from collections.abc import Iterator
-from pathlib import Path
+from contextlib import ExitStack
+from pathlib import Path, PurePath
+from typing import BinaryIO
 
 from cognitivedrone.errors import CognitiveDroneError
 
@@ -23,6 +36,7 @@ LONGEST_NAME = 100
 """Maximum length of the result of `safe_name` in bytes of UTF-8; file systems allow 255."""
 _HASHED = 8
 _KINDS = (
+    (stat.S_ISLNK, "a link"),
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe"),
     (stat.S_ISSOCK, "a socket"),
@@ -50,66 +64,200 @@ def _fits(character: str) -> bool:
     return character in "._- " or unicodedata.category(character)[0] in "LMN"
 
 
-def check_regular(path: Path) -> None:
-    """Raise `OSError`, whose `strerror` describes what is at `path`, unless that is a regular file; opens nothing."""
-    _refuse_others(path.stat().st_mode, path)
+def check_regular(path: Path, max_bytes: int | None = None) -> None:
+    """Raise `OSError`, whose `strerror` describes what is at `path`, unless it is a file of at most that size.
+
+    Opens nothing.
+    """
+    _check(path.stat(), path, max_bytes)
 
 
-def read_regular(path: Path, max_bytes: int) -> bytes:
-    """The content of a regular file of at most that size.
+@contextlib.contextmanager
+def open_regular(path: Path, max_bytes: int | None = None) -> Iterator[BinaryIO]:
+    """A regular file of at most that size, opened for reading.
 
     Raises `OSError`, whose `strerror` gives the reason, for unreadable and larger files, and at once for folders,
-    pipes, devices and sockets.
+    pipes, devices and sockets. A sparse file has the size that reading it would give.
     """
-    check_regular(path)
+    check_regular(path, max_bytes)
     # The file may have been replaced since; and without O_NONBLOCK, opening a pipe waits for a writer.
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     with open(descriptor, "rb") as file:  # noqa: PTH123 - of a descriptor
-        facts = os.fstat(descriptor)
-        _refuse_others(facts.st_mode, path)
+        _check(os.fstat(descriptor), path, max_bytes)
+        yield file
+
+
+def read_regular(path: Path, max_bytes: int) -> bytes:
+    """The content of a regular file of at most that size; `OSError` as `open_regular`."""
+    with open_regular(path, max_bytes) as file:
         content = file.read(max_bytes + 1)
-    if len(content) > max_bytes:
-        size = max(facts.st_size, len(content))
-        raise OSError(errno.EFBIG, f"it has {size:,} bytes, and at most {max_bytes:,} are read", str(path))
+    if len(content) > max_bytes:  # it grows, or is one of the kernel's, which have no size
+        raise _too_large(len(content), path, max_bytes)
     return content
 
 
-def _refuse_others(mode: int, path: Path) -> None:
-    if not stat.S_ISREG(mode):
-        kind = next((name for is_kind, name in _KINDS if is_kind(mode)), "something else")
+def digest_of_file(path: Path, max_bytes: int | None = None) -> str:
+    """SHA-256 of a file's content, hexadecimal; `OSError` as `open_regular`."""
+    with open_regular(path, max_bytes) as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _check(facts: os.stat_result, path: Path, max_bytes: int | None) -> None:
+    if not stat.S_ISREG(facts.st_mode):
+        kind = next((name for is_kind, name in _KINDS if is_kind(facts.st_mode)), "something else")
         raise OSError(errno.EINVAL, f"it is {kind}, not a file", str(path))
+    if max_bytes is not None and facts.st_size > max_bytes:
+        raise _too_large(facts.st_size, path, max_bytes)
+
+
+def _too_large(size: int, path: Path, max_bytes: int) -> OSError:
+    return OSError(errno.EFBIG, f"it has {size:,} bytes, and at most {max_bytes:,} are read", str(path))
 
 
 def replace_file(path: Path, content: bytes) -> None:
     """Write a file whole or not at all, as `replacing` does. Raises `OSError`."""
     with replacing(path) as temporary:
-        temporary.write_bytes(content)
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        with open(descriptor, "wb") as file:  # noqa: PTH123 - of a descriptor
+            file.write(content)
 
 
 @contextlib.contextmanager
-def replacing(path: Path, temporary: Path | None = None) -> Iterator[Path]:
-    """A neighbour of `path` to write into, which takes its place at the end, once it is safe on disk.
+def replacing(path: Path) -> Iterator[Path]:
+    """An empty neighbour of `path` to write into, which takes its place at the end, once it is safe on disk.
 
+    Its name cannot be foreseen, so that nobody can put a link there. A link at `path` itself is replaced, not followed.
     A kill or a full disk at any moment leaves the old file or the new one; an error leaves nothing beside it. Raises
     `OSError`.
     """
-    temporary = temporary or path.with_name(path.name + ".tmp")
+    temporary = _neighbour(path, _TEMPORARY)
+    descriptor = os.open(temporary, _NEW, 0o666)
     try:
-        temporary.unlink(missing_ok=True)  # through a link of that name, another file would be written
+        with contextlib.suppress(OSError):  # of a file system without locks
+            take_lock(descriptor)  # until it is closed, `remove_left_over` leaves it alone
         yield temporary
-        with temporary.open("rb") as file:
+        _check(temporary.lstat(), temporary, None)
+        with open_regular(temporary) as file:  # which is not ours where a library has put its own there
             os.fsync(file.fileno())
         temporary.replace(path)
     except BaseException:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise
+    finally:
+        os.close(descriptor)
 
 
-def digest_of_file(path: Path) -> str:
-    """SHA-256 of a file's content, hexadecimal."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+@contextlib.contextmanager
+def replacing_folder(path: Path) -> Iterator[Path]:
+    """A new folder beside `path`, in a folder that is made if necessary, which takes its name at the end.
+
+    `path` must not exist by then, or be an empty folder. An error removes what was written. Raises `OSError`.
+    """
+    temporary = _neighbour(path, _UNFINISHED)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary.mkdir()
+    try:
+        yield temporary
+        temporary.replace(path)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+
+
+def create(path: Path) -> BinaryIO:
+    """A new, empty file at `path`, opened for writing without a buffer; a file or link that was there is removed.
+
+    For what grows, such as a log; whatever else is written belongs into `replacing`. Raises `OSError`.
+    """
+    path.unlink(missing_ok=True)
+    return open(os.open(path, _NEW, 0o666), "wb", buffering=0)  # noqa: PTH123 - of a descriptor
+
+
+def remove(root: Path, name: str | PurePath = "") -> None:
+    """Remove the file or folder of that name below `root`, or `root` itself; nothing if there is none.
+
+    Raises `OSError`, and removes nothing, if it is a link, or in a folder that is one. Links within a removed folder
+    are removed, not followed.
+    """
+    whole = root / name
+    parts = PurePath(name).parts or (root.name,)
+    with ExitStack() as opened:
+        try:
+            folder = _open_folder(root if name else root.parent, opened)
+            for part in parts[:-1]:
+                folder = _open_folder(part, opened, within=folder, whole=whole)
+            mode = os.lstat(parts[-1], dir_fd=folder).st_mode
+        except FileNotFoundError:
+            return
+        if stat.S_ISLNK(mode):
+            raise _through_a_link(whole)
+        if stat.S_ISDIR(mode):
+            shutil.rmtree(parts[-1], dir_fd=folder)
+        else:
+            os.unlink(parts[-1], dir_fd=folder)
+
+
+def remove_left_over(root: Path, name: str = "") -> None:
+    """Remove the temporary files that killed writers left in a folder below `root`; those of living writers stay.
+
+    Raises `OSError` if the folder is a link.
+    """
+    folder = root / name
+    if not folder.is_dir():
+        return
+    for path in [*folder.glob(f".*{_TEMPORARY}")]:
+        if not _is_being_written(path):
+            remove(root, path.relative_to(root))
+
+
+def is_left_over(name: str) -> bool:
+    """Whether a file's or folder's name is one of those under which things are written until they are whole."""
+    return name.startswith(".") and name.endswith((_TEMPORARY, _UNFINISHED))
+
+
+def check_no_link(root: Path, name: str) -> None:
+    """Raise `OSError` if the part `name` of the folder `root` is a link."""
+    if (root / name).is_symlink():
+        raise _through_a_link(root / name)
+
+
+_TEMPORARY, _UNFINISHED = ".tmp", ".partial"
+_NEW = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+
+
+def _neighbour(path: Path, suffix: str) -> Path:
+    return path.with_name(f".{path.name[: LONGEST_NAME // 4]}.{secrets.token_hex(8)}{suffix}")
+
+
+def _open_folder(name: Path | str, opened: ExitStack, within: int | None = None, whole: Path | None = None) -> int:
+    flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC | (0 if within is None else os.O_NOFOLLOW)
+    try:
+        descriptor = os.open(name, flags, dir_fd=within)
+    except OSError as error:
+        if within is not None and whole is not None and error.errno in (errno.ENOTDIR, errno.ELOOP):
+            raise _through_a_link(whole) from None
+        raise
+    opened.callback(os.close, descriptor)
+    return descriptor
+
+
+def _through_a_link(path: Path) -> OSError:
+    reason = f"{path.name!r} is a link or in one, and nothing is written or removed through links"
+    return OSError(errno.ELOOP, reason, str(path))
+
+
+def _is_being_written(path: Path) -> bool:
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
+        return True  # gone, or none of ours
+    try:
+        return not take_lock(descriptor)
+    except OSError:  # a file system without locks: nobody knows
+        return False
+    finally:
+        os.close(descriptor)
 
 
 def take_lock(descriptor: int) -> bool:

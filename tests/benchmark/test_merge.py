@@ -172,6 +172,14 @@ def test_a_shard_has_a_folder_of_its_own(config):
     assert out_of(Plan.of(shard="2/8")) == Path("results/open-v1-test-small-none-shard-2-of-8")
 
 
+def test_errors_that_are_a_link_are_left_out(config, parts, tmp_path):
+    (tmp_path / "keys").mkdir()
+    (tmp_path / "keys" / "episode-0001.txt").write_text("secret")
+    (parts[0] / "errors").symlink_to(tmp_path / "keys")
+    merge(parts, tmp_path / "merged")
+    assert not (tmp_path / "merged" / "errors").exists()
+
+
 def test_links_among_the_errors_of_a_shard_are_left_out(config, parts, tmp_path):
     secret = tmp_path / "secret"
     secret.write_text("private")

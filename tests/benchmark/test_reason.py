@@ -202,6 +202,17 @@ def test_answers_are_not_thrown_away_unasked(config):
     assert len((config.out / "reason.jsonl").read_text().splitlines()) == 2
 
 
+@pytest.mark.parametrize("link", [Path.symlink_to, Path.hardlink_to])
+def test_answers_are_not_written_through_a_link(config, tmp_path, link):
+    theirs = tmp_path / "theirs"
+    theirs.write_text("precious")
+    config.out.mkdir(parents=True)
+    link(config.out / "reason.jsonl", theirs)
+    asked(config.changed(episodes=2, overwrite=True))
+    assert theirs.read_text() == "precious"
+    assert len((config.out / "reason.jsonl").read_text().splitlines()) == 2
+
+
 def test_ctrl_c_keeps_the_answers(config):
     with pytest.raises(Interrupted, match=r"stopped after 2 answers, all kept in .*reason\.jsonl"):
         asked(config.changed(reasoner="reason_fakes:Interrupted"))

@@ -143,3 +143,29 @@ def test_a_damaged_run_file_is_one_sentence(folder, facts, content):
     (folder / EPISODES_FILE).write_text(content + "\n")
     with pytest.raises(RunError, match=r"line 1 is not a record"):
         read_records(folder)
+
+
+@pytest.mark.parametrize("options", [{"resume": True}, {"overwrite": True}])
+def test_records_with_another_name_elsewhere_are_not_changed_there(folder, facts, tmp_path, options):
+    other = tmp_path / "other"
+    other.hardlink_to(folder / EPISODES_FILE)
+    before = other.read_bytes()
+    with pytest.raises(RunError, match="a hard link"):
+        RunFolder(folder, facts, **options)
+    assert other.read_bytes() == before
+
+
+def test_endless_records_are_refused_by_their_size(folder, facts):
+    with (folder / EPISODES_FILE).open("r+b") as file:
+        file.truncate(2**40)  # sparse
+    for read in (lambda: read_records(folder), lambda: RunFolder(folder, facts, resume=True)):
+        with pytest.raises(RunError, match="1,099,511,627,776 bytes, and at most"):
+            read()
+
+
+def test_what_a_killed_run_left_does_not_keep_a_new_one_from_its_folder(tmp_path, facts):
+    path = tmp_path / "new"
+    path.mkdir()
+    (path / ".run.json.0123456789abcdef.tmp").write_text("{")
+    with RunFolder(path, facts):
+        assert sorted(entry.name for entry in path.iterdir()) == [EPISODES_FILE, "run.json"]

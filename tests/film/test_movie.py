@@ -63,6 +63,24 @@ def test_a_film_read_back_shows_the_views_and_ends_with_the_outcome(tmp_path: Pa
     assert not list(page.parent.glob("*.part"))
 
 
+def test_nothing_is_filmed_through_a_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    theirs = tmp_path / "theirs"
+    theirs.write_text("precious")
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("flight.mp4", "flight.mp4.part", "flight.html", "flight.html.tmp"):
+        (out / name).symlink_to(theirs)
+
+    def write(film: Film, path: Path, airframe: object) -> int:
+        with path.open("ab") as file:  # as FFmpeg does, through a link if there is one
+            return file.write(b"film" * len(list(film.frames)))
+
+    monkeypatch.setattr("cognitivedrone.film.page.write_film", write)
+    assert write_flight(out, Film("", flight(3), [], VERDICT)) == out / "flight.html"
+    assert theirs.read_text() == "precious"
+    assert (out / "flight.mp4").read_bytes() == b"film" * 3
+
+
 def test_what_is_read_of_the_panels_is_in_film_and_page(tmp_path: Path) -> None:
     box = (100.0, 60.0, 40.0)
     dog = SeenPanel("blue", box, "dog or maybe wolf", (("dog", 0.75), ("<wolf>", 0.2), ("cat", 0.001)), 0.9)
@@ -105,9 +123,12 @@ def test_an_episode_of_a_run_is_filmed_as_it_was_flown(tmp_path: Path, capsys: p
     assert "Passed: through gate" in capsys.readouterr().out
     steps = json.loads((run / "results.json").read_text())["episodes"][1]["steps"]
     assert len(list(read_mp4(run / "films" / "0001" / "flight.mp4"))) == 2 * steps + CARD
+    (run / "films").rename(tmp_path / "elsewhere")
+    (run / "films").symlink_to(tmp_path / "elsewhere")
     for words, output in (
         (["--episode", "2"], "has no episode 2; it has 0 to 1"),
         (["--tasks", "nowhere.json"], "nowhere.json"),
+        ([], "'films' is a link or in one"),
     ):
         with pytest.raises(SystemExit):
             main(["film", str(run), *words])

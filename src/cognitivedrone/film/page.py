@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
 from cognitivedrone.errors import RunError
-from cognitivedrone.files import replace_file, writing
+from cognitivedrone.files import remove_left_over, replace_file, replacing, writing
 from cognitivedrone.film.frame import Film, FilmFrame, reading_of
 from cognitivedrone.film.movie import write_film
 from cognitivedrone.pages import render_page
@@ -31,12 +32,11 @@ def write_flight(folder: Path, film: Film, airframe: Airframe = RACER) -> Path:
     read: dict[int, tuple[SeenPanel, ...]] = {}
     with writing(folder, RunError, "give another folder with --out"):
         folder.mkdir(parents=True, exist_ok=True)
-        part = folder / f"{FILM_FILE}.part"
-        try:
-            if write_film(replace(film, frames=_noted(film, read)), part, airframe):
-                part.replace(folder / FILM_FILE)
-        finally:
-            part.unlink(missing_ok=True)
+        remove_left_over(folder)
+        frames = _noted(film, read)
+        if (first := next(frames, None)) is not None:
+            with replacing(folder / FILM_FILE) as part:
+                write_film(replace(film, frames=chain([first], frames)), part, airframe)
         page = render_page(
             "cognitivedrone.film", "flight.html.j2", {"visible": visible}, film=film, video=FILM_FILE,
             read=_readings(film, read), events=film.events[:SHOWN], there=(folder / FILM_FILE).is_file(),

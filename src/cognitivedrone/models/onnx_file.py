@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from cognitivedrone.errors import ModelError, import_extra
-from cognitivedrone.files import read_regular, reason_of
+from cognitivedrone.files import read_regular, reason_of, replacing
 from cognitivedrone.models.checksum import BLANK, check, seal
 from cognitivedrone.usage_reports import switch_off
 
@@ -54,10 +54,9 @@ def write_table(path: str | Path, kind: str, table: Mapping[str, Any]) -> None:
     others = {entry.key: entry.value for entry in model.metadata_props if entry.key != KEY}
     text = json.dumps({"format": FORMAT, "checksum": BLANK, "kind": kind, **table}, ensure_ascii=False)
     onnx.helper.set_model_props(model, {**others, KEY: text})
-    whole = Path(f"{path}.part")
-    onnx.save(model, str(whole))
-    seal(whole)
-    whole.replace(path)
+    with replacing(Path(path)) as whole:
+        onnx.save(model, str(whole))
+        seal(whole)
 
 
 def open_model(

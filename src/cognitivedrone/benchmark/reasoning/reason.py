@@ -37,7 +37,7 @@ from cognitivedrone.envs.track_runner import (
 )
 from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.errors import PluginError, ReasonerError, RunError
-from cognitivedrone.files import writing
+from cognitivedrone.files import create, remove, writing
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.interrupts import watched
@@ -234,8 +234,8 @@ def _open_answers(out: Path, *, overwrite: bool) -> Iterator[Callable[[Answer], 
         raise RunError(f"{out} already contains answers; give --overwrite to delete them, or another --out")
     with writing(path, RunError, "give another --out"):
         out.mkdir(parents=True, exist_ok=True)
-        (out / SUMMARY_FILE).unlink(missing_ok=True)
-        file = path.open("wb", buffering=0)
+        remove(out, SUMMARY_FILE)
+        file = create(path)
 
     def keep(answer: Answer) -> None:
         line = (dumps(answer) + "\n").encode("utf-8", "backslashreplace")

@@ -10,6 +10,7 @@ from cognitivedrone.benchmark.runs.episode import PilotRunner
 from cognitivedrone.benchmark.runs.job import pilot_of, plan_of, resolve
 from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.errors import RunError
+from cognitivedrone.files import check_no_link, writing
 from cognitivedrone.film.frame import Film, scenes_of, verdict_of
 from cognitivedrone.film.page import write_flight
 from cognitivedrone.tasks import SUITES
@@ -55,6 +56,11 @@ def film_episode(
         raise RunError(f"the run flew the tasks {facts.suite.name!r}; give their file or folder with --tasks")
     if facts.option("labels") is not None and labels is None:
         raise RunError("the run showed pictures of its own; give their folder with --labels")
+    folder = out or run / FILMS_FOLDER / f"{episode:04}"
+    if out is None:
+        with writing(folder, RunError, "give another folder with --out"):
+            check_no_link(run, FILMS_FOLDER)
+            check_no_link(run / FILMS_FOLDER, folder.name)
     given = {"tasks": tasks, "labels": labels, "shard": None}
     job = resolve(plan_of(facts, pilot_of(facts, policy, reasoner), **given))
     if job.suite.digest != facts.suite.digest:
@@ -69,6 +75,5 @@ def film_episode(
     verdict = verdict_of(flown.result.stages)
     title = f"{facts.suite.name}, episode {episode}: {facts.policy} + {facts.reasoner}"
     film = Film(title, flown.film or (), scenes, verdict)
-    folder = out or run / FILMS_FOLDER / f"{episode:04}"
     page = write_flight(folder, film, job.request.airframe)
     return Filmed(page, verdict.headline, ends == ended)

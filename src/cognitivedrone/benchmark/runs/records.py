@@ -10,7 +10,6 @@ import contextlib
 import errno
 import json
 import os
-import shutil
 import stat
 import zlib
 from dataclasses import dataclass
@@ -21,7 +20,16 @@ from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, loads
 from cognitivedrone.benchmark.scores.results import RunFacts, write_whole
 from cognitivedrone.benchmark.scores.run_types import Rollout, Trace
 from cognitivedrone.errors import RunError
-from cognitivedrone.files import check_regular, read_regular, reason_of, take_lock, writing
+from cognitivedrone.files import (
+    is_left_over,
+    open_regular,
+    read_regular,
+    reason_of,
+    remove,
+    remove_left_over,
+    take_lock,
+    writing,
+)
 from cognitivedrone.types import EpisodeResult
 
 RUN_FILE: Final = "run.json"
@@ -30,6 +38,8 @@ PRODUCTS: Final = ("results.json", "report.html", "error.txt")
 """Other files that a run writes into its folder."""
 MAX_RUN_BYTES: Final = 2**20
 """Largest run.json."""
+MAX_EPISODES_BYTES: Final = 2**30
+"""Largest episodes.jsonl."""
 ERRORS_FOLDER: Final = "errors"
 """Tracebacks of policies and reasoners, one file per episode."""
 
@@ -67,15 +77,15 @@ class RunFolder:
             raise
 
     def _prepare(self, facts: RunFacts, *, keep: bool) -> None:
+        remove_left_over(self.path)
         if keep:
             self.records, length = _read(self._file, self.path / EPISODES_FILE)
             self._file.truncate(length)
             return
         self.records = {}
         self._file.truncate(0)
-        for name in PRODUCTS:
-            (self.path / name).unlink(missing_ok=True)
-        shutil.rmtree(self.path / ERRORS_FOLDER, ignore_errors=True)
+        for name in (*PRODUCTS, ERRORS_FOLDER):
+            remove(self.path, name)
         write_whole(self.path / RUN_FILE, dumps(facts, indent=1) + "\n")
 
     records: dict[int, Record]
@@ -129,8 +139,7 @@ def read_records(path: Path) -> dict[int, Record]:
     """The records of a run folder by episode, read-only; an incomplete line is skipped."""
     file = path / EPISODES_FILE
     try:
-        check_regular(file)  # opening a pipe would wait for a writer
-        with file.open("rb") as stream:
+        with open_regular(file, MAX_EPISODES_BYTES) as stream:
             return _read(stream, file)[0]
     except OSError as error:
         raise RunError(f"{file} cannot be read: {reason_of(error)}; give the --out folder of a run") from None
@@ -149,8 +158,9 @@ def _holds_run(path: Path) -> bool:
     if RUN_FILE in names:
         return True
     # Left by a run that was killed right after its start.
-    begun = {RUN_FILE + ".tmp"} | ({EPISODES_FILE} if (path / EPISODES_FILE).is_file() else set())
-    if names - begun or (EPISODES_FILE in names and (path / EPISODES_FILE).stat().st_size):
+    begun = {EPISODES_FILE} if (path / EPISODES_FILE).is_file() else set()
+    others = {name for name in names - begun if not is_left_over(name)}
+    if others or (EPISODES_FILE in names and (path / EPISODES_FILE).stat().st_size):
         raise RunError(f"{path} is not empty and contains no run ({RUN_FILE} is missing); give another --out")
     return False
 
@@ -186,13 +196,24 @@ def _lock(path: Path) -> BinaryIO:
         path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666
     )
     file = open(descriptor, "a+b")  # noqa: PTH123, SIM115 - of a descriptor; closed with the folder
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+    if refusal := _refusal_of(os.fstat(descriptor)):
         file.close()
-        raise OSError(errno.EINVAL, "it is not a file", str(path))
+        raise OSError(errno.EINVAL, refusal, str(path))
     if not take_lock(file.fileno()):
         file.close()
         raise RunError(f"another run is writing to {path.parent} right now; wait for it, or give another --out")
     return file
+
+
+def _refusal_of(facts: os.stat_result) -> str:
+    """Why a file is not written to; empty if it may be."""
+    if not stat.S_ISREG(facts.st_mode):
+        return "it is not a file"
+    if facts.st_nlink > 1:
+        return "the file has another name elsewhere (a hard link) and would change there, too; copy the folder instead"
+    if facts.st_size > MAX_EPISODES_BYTES:
+        return f"it has {facts.st_size:,} bytes, and at most {MAX_EPISODES_BYTES:,} are read"
+    return ""
 
 
 def _line(record: Record) -> bytes:

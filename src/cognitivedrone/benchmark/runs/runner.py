@@ -33,7 +33,7 @@ from cognitivedrone.benchmark.scores.results import (
 from cognitivedrone.benchmark.scores.run_types import Rollout
 from cognitivedrone.benchmark.scores.scoring import counts, passes
 from cognitivedrone.errors import RunError
-from cognitivedrone.files import safe_name, writing
+from cognitivedrone.files import check_no_link, safe_name, writing
 from cognitivedrone.interrupts import watched
 from cognitivedrone.pilot import Pilot
 from cognitivedrone.progress import progress_bar
@@ -182,6 +182,7 @@ def _keep_error(flown: Rollout, path: Path, *, stop: bool) -> None:
     file = path / ERRORS_FOLDER / f"episode-{flown.result.episode:04}.txt"
     with writing(file, RunError):
         file.parent.mkdir(exist_ok=True)
+        check_no_link(path, ERRORS_FOLDER)
     write_whole(file, flown.error)
     if stop:
         what = flown.result.message or "the reasoner raised an exception"

@@ -151,7 +151,7 @@ def write_classifier(folder: Path) -> Path:
     now = datetime.now(UTC).isoformat(timespec="seconds")
     provenance = Provenance("classifier", ORIGIN, commit() or "unknown", now, 0, {})
     example = {"crops": torch.zeros(2, SIDE, SIDE, 3, dtype=torch.uint8)}
-    with replacing(path, path.with_suffix(".part.onnx")) as beside:
+    with replacing(path) as beside:
         write_onnx(network, example, ("shares",), beside)
         write_table(beside, CLASSIFIER, {"names": list(table), "provenance": asdict(provenance)})
     PictureClassifier.load(path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -11,9 +10,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from cognitivedrone.files import replacing
+from cognitivedrone.files import read_regular, replacing
 from cognitivedrone.models.gate_selector import GateSelector
-from cognitivedrone.models.onnx_file import Provenance, open_model, write_table
+from cognitivedrone.models.onnx_file import LARGEST_BYTES, Provenance, open_model, write_table
 from cognitivedrone.models.reasoner_file import (
     FORMER_SELECTORS,
     SELECTOR,
@@ -55,7 +54,7 @@ def write_selector(
     path = folder / SELECTOR_FILE
     path.parent.mkdir(parents=True, exist_ok=True)
     table = {"facets": list(names), "pieces": list(pieces), "notes": {}, "network": selector.config.facts()}
-    with replacing(path, path.with_suffix(".part.onnx")) as beside:
+    with replacing(path) as beside:
         write_onnx(selector, example, ("logits",), beside, second=second, smaller=in_eight_bits)
         write_table(beside, SELECTOR, {**table, "provenance": asdict(provenance)})
     GateSelectorModel.load(path)
@@ -71,7 +70,7 @@ def write_taught_selector(source: Path, names: Sequence[str], notes: Mapping[str
     kept = {name: table[name] for name in ("pieces", "network", "provenance")}
     path = folder / SELECTOR_FILE
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path, path.with_suffix(".part.onnx")) as beside:
-        shutil.copyfile(source, beside)
+    with replacing(path) as beside:
+        beside.write_bytes(read_regular(source, LARGEST_BYTES))
         write_table(beside, SELECTOR, {**kept, "facets": list(names), "notes": {**table["notes"], **notes}})
     return path

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from datetime import UTC, datetime
@@ -16,11 +15,11 @@ import numpy as np
 import torch
 
 from cognitivedrone import checkout
-from cognitivedrone.files import replacing
+from cognitivedrone.files import read_regular, replace_file, replacing
 from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.gate_selector import SelectorConfig
 from cognitivedrone.models.language import PARTS, LanguageConfig
-from cognitivedrone.models.onnx_file import Provenance
+from cognitivedrone.models.onnx_file import LARGEST_BYTES, Provenance
 from cognitivedrone.models.panel_reader import ReaderConfig
 from cognitivedrone.models.scene_tokens import LENGTHS
 from cognitivedrone.models.small_file import ActionStatistics, Description, SmallModel, describe
@@ -65,7 +64,7 @@ def export(
 def copy_encoder(encoder: Path | None, folder: Path) -> None:
     """Put the text encoder beside a policy's file, if it is not the packaged one or there already."""
     if encoder is not None and encoder.resolve() not in (packaged_encoder().resolve(), (folder / FILE).resolve()):
-        shutil.copyfile(encoder, folder / FILE)
+        replace_file(folder / FILE, read_regular(encoder, LARGEST_BYTES))
 
 
 def write_policy(
@@ -86,7 +85,7 @@ def write_policy(
         classifier=classifier,
         provenance=provenance,
     )
-    with replacing(out, out.with_suffix(".part.onnx")) as beside:
+    with replacing(out) as beside:
         write_graph(network, beside, classifier=classifier)
         describe(beside, description)
         SmallModel.load(beside)  # a file that cannot be loaded never replaces the old one

@@ -117,6 +117,6 @@ def _write(
     smaller: Callable[[Any], None] | None = None,
 ) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path, path.with_suffix(".part.onnx")) as beside:
+    with replacing(path) as beside:
         write_onnx(network, example, outputs, beside, second=second, smaller=smaller)
         write_table(beside, kind, {**table, "provenance": asdict(provenance)})
