@@ -233,3 +233,48 @@ def test_a_shard_of_another_set_is_not_taken_for_ours(tmp_path: Path, flights: l
     for name in ("shard-00001.parquet", "shard-00001.json"):
         shutil.copy(theirs.path / "shards" / name, ours.path / "shards" / name)
     assert writer_at(tmp_path / "ours", resume=True).missing_shards(2) == [1]
+
+
+@pytest.mark.parametrize("folder", ["shards", "partial"])
+def test_nothing_is_removed_or_written_through_a_link(
+    store: Path, tmp_path: Path, flights: list[Episode], folder: str
+) -> None:
+    theirs = tmp_path / "theirs"
+    shutil.copytree(store / "shards", theirs)
+    (theirs / ".shard-00001.parquet.77.tmp").write_text("of another collection")
+    before = files_of(theirs)
+    if folder == "shards":
+        shutil.rmtree(store / "shards")
+    opened = writer_at(store, resume=True) if folder == "partial" else None
+    (store / folder).symlink_to(theirs)
+    with pytest.raises(DataError, match=f"'{folder}' is a link or in one"):
+        writer_at(store, resume=True)
+    if opened is not None:  # the link came later
+        for attempt in (lambda: opened.finish(4), lambda: opened.keep(1, flights[:2], {})):
+            with pytest.raises(DataError, match=" is a link or in one"):
+                attempt()
+    assert files_of(theirs) == before
+
+
+@pytest.mark.parametrize(
+    "name", ["manifest.json", "SHA256SUMS", "shards/shard-00001.json", "shards/shard-00001.parquet"]
+)
+def test_pipes_and_sparse_files_in_a_store_are_refused_at_once(store: Path, flights: list[Episode], name: str) -> None:
+    whole = files_of(store)
+
+    def sparse(path: Path) -> None:
+        with path.open("wb") as file:
+            file.truncate(2**38)
+
+    for spoil in (os.mkfifo, sparse):
+        (store / name).unlink()
+        spoil(store / name)
+        assert verify(store) if name != "manifest.json" else True
+        if name == "manifest.json":
+            with pytest.raises(DataError, match="manifest"):
+                Store.open(store)
+        writer = writer_at(store, resume=True)
+        for number in writer.missing_shards(5):
+            writer.write_shard(number, flights[8 * number : 8 * number + 8], {"collision": number})
+        writer.finish(5)
+        assert files_of(store) == whole

@@ -29,6 +29,9 @@ from cognitivedrone.types import Task
 FOOTER_KEY: Final = "cognitivedrone"
 MAX_TEXT_BYTES: Final = 256 * 2**20
 """Of a store's JSON files and SHA256SUMS."""
+MAX_SHARD_BYTES: Final = 16 * 2**30
+"""Of a shard; 64 episodes have some 200 MB."""
+SHARD_SUFFIX: Final = ".parquet"
 WIDTHS: Final[dict[str, tuple[str, int]]] = {
     "action": ("float32", 4),
     "sent": ("float32", 4),
@@ -90,9 +93,8 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
 
     In any case `path` is either unchanged or complete. Raises `DataError` with the file's name.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with clear_errors(path, "written"):
-        with files.replacing(path, temporary):
+        with files.replacing(path) as temporary:
             write(temporary)
         with folder_descriptor(path.parent) as folder:
             os.fsync(folder)  # the new name must also survive a power failure
@@ -106,12 +108,6 @@ def folder_descriptor(path: Path) -> Iterator[int]:
         yield descriptor
     finally:
         os.close(descriptor)
-
-
-def remove_left_over(folder: Path) -> None:
-    """Remove files that killed writers left in a folder."""
-    for path in folder.glob(".*.tmp"):
-        path.unlink(missing_ok=True)
 
 
 def json_text(content: object) -> str:
@@ -147,10 +143,10 @@ def read_text(path: Path) -> str:
 
 
 def sha256_of(path: Path) -> str:
-    """Hexadecimal content hash of a file; raises `DataError`."""
+    """Hexadecimal content hash of a file of the store; raises `DataError`."""
+    limit = MAX_SHARD_BYTES if path.suffix == SHARD_SUFFIX else MAX_TEXT_BYTES
     with clear_errors(path, "read"):
-        files.check_regular(path)
-        return files.digest_of_file(path)
+        return files.digest_of_file(path, limit)
 
 
 def write_shard_file(path: Path, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> None:
@@ -219,7 +215,7 @@ class ShardFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         with clear_errors(path, "read"):
-            files.check_regular(path)
+            files.check_regular(path, MAX_SHARD_BYTES)
             self._file = pq.ParquetFile(path, memory_map=True)
             footer = json.loads(self._file.metadata.metadata[FOOTER_KEY.encode()])
             self.facts: list[dict[str, Any]] = footer["episodes"]

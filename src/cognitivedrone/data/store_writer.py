@@ -35,7 +35,7 @@ from cognitivedrone.data.shards import (
     clear_errors,
     json_text,
     read_json,
-    remove_left_over,
+    read_text,
     sha256_of,
     write_atomically,
     write_json,
@@ -44,6 +44,7 @@ from cognitivedrone.data.shards import (
 )
 from cognitivedrone.data.statistics import draw_splits, statistics
 from cognitivedrone.errors import DataError
+from cognitivedrone.files import check_no_link, is_left_over, remove, remove_left_over
 from cognitivedrone.tasks.format import write_tasks
 
 PACKAGES: Final = ("cognitivedrone", "mujoco", "numpy", "pillow", "pyarrow")
@@ -92,6 +93,8 @@ class StoreWriter:
     def _start(self, resume: bool) -> None:
         if self.path.exists() and not self.path.is_dir():
             raise DataError(f"{self.path}: is a file; give a new folder")
+        for folder in (SHARDS, PARTIAL):
+            check_no_link(self.path, folder)
         manifest = self.path / MANIFEST
         if not self._only_left_over():
             if not manifest.exists() and not self._looks_like_a_store():
@@ -114,7 +117,7 @@ class StoreWriter:
         )
 
     def _looks_like_a_store(self) -> bool:
-        names = {entry.name for entry in self.path.iterdir() if not entry.name.endswith(".tmp")}
+        names = {entry.name for entry in self.path.iterdir() if not is_left_over(entry.name)}
         return SHARDS in names and names <= _NAMES
 
     def _is_begun(self) -> bool:
@@ -150,8 +153,8 @@ class StoreWriter:
 
     def _clear_up(self) -> None:
         """Remove leftovers of a killed process."""
-        for folder in (self.path, self.path / SHARDS, self.path / PARTIAL):
-            remove_left_over(folder)
+        for folder in ("", SHARDS, PARTIAL):
+            remove_left_over(self.path, folder)
 
     def missing_shards(self, total: int) -> list[int]:
         """Of the shards 0 to total - 1, those that are not intact on disk: the ones that remain to be flown.
@@ -172,9 +175,12 @@ class StoreWriter:
         """The receipt of a shard if both are intact; None otherwise."""
         path = self.path / receipt_name(shard)
         try:
-            recorded = path.read_bytes()
+            recorded = read_text(path).encode()
+            size = (self.path / shard).stat().st_size
+            if not _states(recorded, "bytes", size):  # before it is hashed, however large it is
+                return None
             digest = sha256_of(self.path / shard)
-            if not _is_of(recorded, digest):
+            if not _states(recorded, "sha256", digest):
                 return None
             receipt = receipt_of(self.path / shard, shard, digest)
         except (DataError, OSError):
@@ -202,8 +208,9 @@ class StoreWriter:
             raise DataError(f"{shard}: episode {indices.most_common(1)[0][0]} is repeated; give every index once")
         path, receipt = self.path / shard, self.path / receipt_name(shard)
         with clear_errors(path, "written"):
+            check_no_link(self.path, path.parent.name)
             path.parent.mkdir(exist_ok=True)
-            receipt.unlink(missing_ok=True)
+            remove(self.path, receipt_name(shard))
         write_shard_file(path, ordered, dropped)
         content = receipt_of(path, shard, sha256_of(path))
         write_text(receipt, receipt_text(content, self._making))
@@ -211,7 +218,7 @@ class StoreWriter:
 
     def _remove(self, shard: str) -> None:
         for name in (receipt_name(shard), shard):
-            (self.path / name).unlink(missing_ok=True)
+            remove(self.path, name)
 
     def keep(self, number: int, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> None:
         """Save some episodes of shard `number` for a later `resume`. Raises `DataError`."""
@@ -276,19 +283,19 @@ class StoreWriter:
                 self._remove(shard_name(number))
         partial = self.path / PARTIAL
         if partial.is_dir():
-            for path in partial.glob("shard-*"):
-                path.unlink()
+            for path in [*partial.glob("shard-*")]:
+                remove(self.path, path.relative_to(self.path))
             if not any(partial.iterdir()):
-                partial.rmdir()
+                remove(self.path, PARTIAL)
 
 
-def _is_of(receipt: bytes, digest: str) -> bool:
-    """Whether a receipt belongs to a file of this hash, without opening any other file."""
+def _states(receipt: bytes, key: str, value: object) -> bool:
+    """Whether a receipt says this of its file, without opening any other file."""
     try:
         content = json.loads(receipt)
     except ValueError:
         return False
-    return isinstance(content, dict) and content.get("sha256") == digest
+    return isinstance(content, dict) and content.get(key) == value
 
 
 def _making_recorded(receipt: Path) -> str | None:

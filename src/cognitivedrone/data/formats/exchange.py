@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -19,7 +17,7 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.data.episode import Conditions, Encoding, Episode, Split
 from cognitivedrone.errors import DataError, TaskError
-from cognitivedrone.files import check_regular, read_regular, reason_of
+from cognitivedrone.files import check_regular, read_regular, reason_of, replacing_folder
 from cognitivedrone.tasks import task_from_json, task_to_json
 
 MAX_SIDE = 2048
@@ -47,18 +45,15 @@ def new_folder(out: Path) -> Iterator[Path]:
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise DataError(f"{out}: exists already; give a new or an empty folder, nothing is overwritten")
-    partial = out.parent / f".{out.name}.{os.getpid()}.partial"
+    partial = out
     try:
-        partial.mkdir(parents=True)
-        yield partial
-        partial.rename(out)
+        with replacing_folder(out) as partial:
+            yield partial
     except OSError as error:
         place = str(error.filename or out).replace(str(partial), str(out))
         raise DataError(f"{place}: cannot be written ({reason_of(error)}); nothing was left at {out}") from error
     except (UnicodeEncodeError, UnicodeDecodeError) as error:
         raise DataError(f"{out}: cannot be written, a text of the data has no UTF-8 ({error.reason})") from None
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def record_of(split: Split, episode: Episode) -> dict[str, Any]:
