@@ -8,7 +8,7 @@ Everything that is named from outside is opened, written and removed here, and n
 | `open_regular`, `read_regular`, `digest_of_file` | read what could be a pipe, a device, endless or sparse |
 | `check_regular` | the same check for what a library opens by its name |
 | `replacing`, `replace_file`, `replacing_folder` | write whole or not at all, through no link |
-| `create` | a new file that grows, such as a log, through no link |
+| `create`, `append` | a file that grows, such as a log, through no link |
 | `remove`, `remove_left_over` | remove, through no link |
 | `writing` | tells in one sentence that a disk is full |
 | `take_lock` | the lock of a folder that has one writer |
@@ -165,13 +165,33 @@ def replacing_folder(path: Path) -> Iterator[Path]:
         raise
 
 
-def create(path: Path) -> BinaryIO:
-    """A new, empty file at `path`, opened for writing without a buffer; a file or link that was there is removed.
+def create(path: Path, buffering: int = -1) -> BinaryIO:
+    """A new, empty file at `path`, opened for writing; a file or link that was there is removed.
 
     For what grows, such as a log; whatever else is written belongs into `replacing`. Raises `OSError`.
     """
     path.unlink(missing_ok=True)
-    return open(os.open(path, _NEW, 0o666), "wb", buffering=0)  # noqa: PTH123 - of a descriptor
+    return open(os.open(path, _NEW, 0o666), "wb", buffering)  # noqa: PTH123 - of a descriptor
+
+
+def append(path: Path) -> BinaryIO:
+    """A file at `path`, made if there is none, opened for reading and for writing at its end.
+
+    Raises `OSError` if it is a link, no regular file, or has another name elsewhere (a hard link), where it would
+    change as well.
+    """
+    flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    file = open(os.open(path, flags, 0o666), "a+b")  # noqa: PTH123, SIM115 - of a descriptor
+    try:
+        facts = os.fstat(file.fileno())
+        _check(facts, path, None)
+        if facts.st_nlink > 1:
+            reason = "it has another name elsewhere (a hard link) and would change there, too; copy it instead"
+            raise OSError(errno.EMLINK, reason, str(path))
+    except BaseException:
+        file.close()
+        raise
+    return file
 
 
 def remove(root: Path, name: str | PurePath = "") -> None:

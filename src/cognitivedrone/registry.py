@@ -30,12 +30,13 @@ from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from cognitivedrone.errors import PluginError, did_you_mean
-from cognitivedrone.files import check_regular, reason_of
+from cognitivedrone.files import check_regular, read_regular, reason_of
 from cognitivedrone.interrupts import is_ctrl_c
 from cognitivedrone.printable import visible
 from cognitivedrone.usage_reports import switch_off
 
 _SWITCH = {"yes": True, "true": True, "on": True, "1": True, "no": False, "false": False, "off": False, "0": False}
+_LARGEST_SOURCE = 2**20
 _CLASSES_SHOWN = 4
 """At most so many classes of a file are named."""
 
@@ -123,7 +124,9 @@ def _hint_for_file(kind: str, name: str) -> str:
         return f"{kind} {name!r}: there is no such file; your own is written {stem}:CLASS" if stem != name else ""
     classes = ["CLASS"]
     with suppress(OSError, SyntaxError, ValueError):
-        found = [node.name for node in ast.parse(file.read_bytes()).body if isinstance(node, ast.ClassDef)]
+        found = [
+            node.name for node in ast.parse(read_regular(file, _LARGEST_SOURCE)).body if isinstance(node, ast.ClassDef)
+        ]
         classes = found[:_CLASSES_SHOWN] or classes
     written = " or ".join(f"{stem}:{name}" for name in classes)
     return f"{kind} {name!r} is a file's name; name a class in it: PYTHONPATH={file.parent} ... {written}"

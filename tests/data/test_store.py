@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import errno
+import io
 import json
 import os
 import pickle
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from factory import assert_same_episode, make_episode
 from made_stores import RECIPE, files_of, seal, write_store, writer_at
+from PIL import Image as PillowImage
 from typechecked import unchecked
 
 from cognitivedrone.data.episode import Encoding, Episode, decode_image, encode_image
+from cognitivedrone.data.shards import FOOTER_KEY, SCHEMA, ShardFile
 from cognitivedrone.data.store import Store
 from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.data.verify import verify
@@ -325,3 +330,50 @@ def test_flights_that_do_not_fit_are_refused(tmp_path: Path, flights: list[Episo
     with pytest.raises(DataError, match=r"episode 0 is in shards/shard-00000\.parquet and in shards/shard-00001"):
         writer.finish()
     assert writer.missing_shards(3) == [2]
+
+
+@pytest.mark.parametrize("side", [12_000, 30_000])
+@pytest.mark.filterwarnings("error")
+def test_a_huge_frame_is_named_before_it_is_decoded(tmp_path: Path, side: int) -> None:
+    coded = io.BytesIO()
+    PillowImage.new("1", (side, side)).save(coded, "PNG")
+    flight = replace(make_episode(0, length=2), images=(coded.getvalue(),) * 2)
+    path = write_store(tmp_path / "store", [flight])
+    with pytest.raises(DataError, match=r"step 1, is broken \(.*a frame has at most 2048 pixels a side"):
+        Store.open(path).steps([1])
+
+
+def forged(path: Path, change: Callable[[pa.Table], pa.Table], **options: Any) -> None:
+    """Rewrite a shard with other rows, or otherwise compressed, under the footer that it had."""
+    before = pq.ParquetFile(path)
+    footer = {FOOTER_KEY: before.metadata.metadata[FOOTER_KEY.encode()]}
+    pq.write_table(change(before.read()).replace_schema_metadata(footer), path, **options)
+
+
+def test_rows_that_cannot_be_in_so_few_bytes_are_not_read(tmp_path: Path) -> None:
+    path = write_store(tmp_path / "store", [make_episode(0, length=2)]) / "shards/shard-00000.parquet"
+    forged(path, lambda table: pa.concat_tables([table.slice(0, 1)] * 20_000).combine_chunks(), compression="zstd")
+    assert path.stat().st_size < 400_000
+    with pytest.raises(DataError, match="its 20,000 steps do not fit into"):
+        ShardFile(path)
+
+
+def test_frames_that_are_compressed_a_second_time_are_not_read(tmp_path: Path) -> None:
+    path = write_store(tmp_path / "store", [make_episode(0, length=2)]) / "shards/shard-00000.parquet"
+    bomb = pa.array([bytes(2**24)] * 2, pa.binary())
+    forged(path, lambda table: table.set_column(2, SCHEMA.field("image"), bomb), compression="zstd")
+    with pytest.raises(DataError, match="the frames of row group 0 are compressed a second time"):
+        ShardFile(path)
+
+
+def test_numbers_that_unpack_to_more_than_a_row_has_are_not_read(tmp_path: Path) -> None:
+    path = write_store(tmp_path / "store", [make_episode(0, length=2)]) / "shards/shard-00000.parquet"
+    long = pa.array([[0.0] * 2**20] * 2, pa.list_(pa.float32()))
+    forged(
+        path,
+        lambda table: table.set_column(3, "action", long),
+        compression={"image": "none", "action.list.element": "zstd"},
+        use_dictionary=False,
+    )
+    with pytest.raises(DataError, match=r"column action.list.element of row group 0 unpacks to .* bytes for 2 steps"):
+        ShardFile(path)

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import os
+import resource
 import socket
 import threading
 import time
+from io import BytesIO
 from pathlib import Path
 
 import av
@@ -16,6 +19,7 @@ from hypothesis import strategies as st
 from PIL import Image as Pictures
 
 from cognitivedrone.errors import CameraError
+from cognitivedrone.pictures import MAX_PICTURE_BYTES
 from cognitivedrone.vehicles.camera import CameraConfig, ChangingCamera, Shot, cropped_fov, fit, open_camera
 
 
@@ -57,6 +61,51 @@ def over(camera) -> str:
         return ""
 
     return wait(output)
+
+
+@pytest.fixture(scope="module")
+def huge() -> bytes:
+    """A JPEG of 12,000 x 12,000 pixels in 1.7 MB."""
+    coded = BytesIO()
+    Pictures.new("L", (12_000, 12_000)).save(coded, "JPEG", quality=1)
+    return coded.getvalue()
+
+
+def test_a_huge_image_of_a_folder_is_refused_before_it_is_decoded(tmp_path, huge):
+    (tmp_path / "1.jpg").write_bytes(huge)
+    with pytest.raises(CameraError, match=r"1\.jpg: it has 12000 x 12000 pixels; at most 40 million are read"):
+        open_camera(str(tmp_path))
+
+
+@pytest.mark.parametrize("spoil", ["pipe", "sparse", "folder"])
+def test_what_is_no_image_file_in_a_folder_is_refused_at_once(tmp_path, spoil):
+    file = tmp_path / "1.png"
+    if spoil == "pipe":
+        os.mkfifo(file)
+    elif spoil == "folder":
+        file.mkdir()
+    else:
+        with file.open("wb") as opened:
+            opened.truncate(MAX_PICTURE_BYTES + 1)
+    with pytest.raises(CameraError, match=rf"1\.png: it (is a pipe|is a folder|has {MAX_PICTURE_BYTES + 1:,} bytes)"):
+        open_camera(str(tmp_path))
+
+
+def test_huge_frames_of_a_video_are_refused_before_they_are_decoded(tmp_path, huge):
+    (tmp_path / "camera.mjpeg").write_bytes(2 * huge)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(CameraError, match="its frames are too large; at most 40 million pixels are read"):
+        open_camera(str(tmp_path / "camera.mjpeg"))
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB; one such frame has 144 MB
+
+
+def test_frames_that_become_huge_end_the_camera(tmp_path, huge):
+    small = BytesIO()
+    Pictures.new("RGB", (320, 240), (200, 0, 0)).save(small, "JPEG")
+    (tmp_path / "camera.mjpeg").write_bytes(small.getvalue() + 2 * huge)
+    camera = open_camera(str(tmp_path / "camera.mjpeg"))
+    assert "its frames are too large" in over(camera)
+    camera.close()
 
 
 @given(st.integers(1, 700), st.integers(1, 700))

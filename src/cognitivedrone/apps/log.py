@@ -31,7 +31,7 @@ from cognitivedrone.apps.bag import BagLog
 from cognitivedrone.apps.values import Step, Summary
 from cognitivedrone.data.formats.bags import Ros
 from cognitivedrone.errors import RunError
-from cognitivedrone.files import writing
+from cognitivedrone.files import create, replace_file, replacing, writing
 from cognitivedrone.film.frame import FilmFrame
 from cognitivedrone.film.video import read_mp4
 from cognitivedrone.frames import quaternion_from_yaw
@@ -87,7 +87,8 @@ class FlightLog:
         check_free(out)
         _make(out)
         with writing(out, RunError, "give another folder with --out"):
-            (out / ABOUT_FILE).write_text(json.dumps(self._about, indent=2, default=str) + "\n")
+            text = json.dumps(self._about, indent=2, default=str)
+            replace_file(out / ABOUT_FILE, f"{text}\n".encode("utf-8", "backslashreplace"))
             self._bag = None if ros is None else BagLog(out / BAG_FOLDER, ros, self._about)
             self._film = _Film(out / CAMERA_FILE)
 
@@ -121,11 +122,13 @@ class FlightLog:
             self._write_tables(summary, error)
 
     def _write_tables(self, summary: Summary | None, error: str) -> None:
-        pq.write_table(pa.Table.from_pylist(self._steps, STEP_COLUMNS), self.out / STEPS_FILE)
+        with replacing(self.out / STEPS_FILE) as steps:
+            pq.write_table(pa.Table.from_pylist(self._steps, STEP_COLUMNS), steps)
         events = [
             {"time_s": e.time, "kind": e.kind, "text": without_logins(e.text), "age_s": e.age_s} for e in self.events
         ]
-        pq.write_table(pa.Table.from_pylist(events, EVENT_COLUMNS), self.out / EVENTS_FILE)
+        with replacing(self.out / EVENTS_FILE) as table:
+            pq.write_table(pa.Table.from_pylist(events, EVENT_COLUMNS), table)
         ended: dict[str, Any] = {"steps": len(self._steps), "frames_dropped": self.dropped, "error": error or None}
         if self._bag is not None:
             ended["dropped_from_bag"] = self._bag.dropped
@@ -137,7 +140,7 @@ class FlightLog:
                 "late": summary.late,
             }
         text = json.dumps({**self._about, "end": ended}, indent=2, default=str)
-        (self.out / ABOUT_FILE).write_text(without_logins(text) + "\n")
+        replace_file(self.out / ABOUT_FILE, f"{without_logins(text)}\n".encode("utf-8", "backslashreplace"))
 
 
 def _film_frame(step: Step, seen_panels: Sequence[SeenPanel]) -> FilmFrame:
@@ -190,6 +193,7 @@ class _Film:
 
     def __init__(self, path: Path) -> None:
         options = {"movflags": "frag_keyframe+empty_moov+default_base_moof", "flush_packets": "1"}
+        create(path).close()
         self._container = av.open(str(path), "w", format="mp4", options=options)
         encoding = {"crf": "20", "preset": "veryfast", "tune": "zerolatency", "g": str(CONTROL_HZ), "threads": "1"}
         self._stream = self._container.add_stream("libx264", rate=CONTROL_HZ, options=encoding)

@@ -18,6 +18,7 @@ import numpy as np
 
 from cognitivedrone.control.calls import NO_WATCH, Watch, calling, check_chunk
 from cognitivedrone.errors import SimulationError
+from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.types import ActionChunk, EpisodeContext, Observation
 
@@ -162,7 +163,10 @@ def _delay(value: str, text: str, files: bool) -> tuple[Delay, str]:
         raise SimulationError(f"--latency {text}: {value!r} is neither a time such as 80ms nor a file; {_HOW}")
     if path.stat().st_size > _LARGEST_FILE:
         raise SimulationError(f"--latency {text}: {path} is over {_LARGEST_FILE // 10**6} MB; give fewer samples")
-    content = path.read_bytes()
+    try:
+        content = read_regular(path, _LARGEST_FILE)
+    except OSError as error:
+        raise SimulationError(f"--latency {text}: {path} cannot be read: {reason_of(error)}; {_HOW}") from None
     samples = tuple(_samples(content.decode("utf-8", errors="replace"), path))
     if not samples:
         raise SimulationError(f"--latency {text}: {path} contains no number; write one delay in ms per line")

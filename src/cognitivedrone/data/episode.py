@@ -11,6 +11,7 @@ from jaxtyping import Float32, Float64
 from PIL import Image as PillowImage
 
 from cognitivedrone.choices import AppearanceName
+from cognitivedrone.pictures import MAX_SIDE, open_picture
 from cognitivedrone.types import ActionChunk, Float32Array, Float64Array, Image, Task
 
 Encoding = Literal["jpeg", "png", "webp"]
@@ -88,6 +89,10 @@ def encode_image(image: Image, encoding: Encoding, quality: int = 95) -> bytes:
 
 
 def decode_image(data: bytes) -> Image:
-    """(H, W, 3) uint8 RGB of an encoded frame."""
-    with PillowImage.open(BytesIO(data)) as picture:
+    """(H, W, 3) uint8 RGB of an encoded frame.
+
+    Raises `ValueError`, before it is decoded, for one of more than `MAX_SIDE` pixels a side; and `OSError`,
+    `ValueError` or `SyntaxError` for what is no whole JPEG, PNG or WebP.
+    """
+    with open_picture(data, ("JPEG", "PNG", "WEBP"), max_side=MAX_SIDE) as picture:
         return np.asarray(picture.convert("RGB"))

@@ -31,6 +31,11 @@ MAX_TEXT_BYTES: Final = 256 * 2**20
 """Of a store's JSON files and SHA256SUMS."""
 MAX_SHARD_BYTES: Final = 16 * 2**30
 """Of a shard; 64 episodes have some 200 MB."""
+MIN_FRAME_BYTES: Final = 20
+"""Of any encoded picture; one pixel as WebP has 30."""
+MAX_ROW_BYTES: Final = 128
+"""Of a step in one column of numbers, with what Parquet adds."""
+_PAGE_BYTES: Final = 4096  # of headers, in a column of one row group
 SHARD_SUFFIX: Final = ".parquet"
 WIDTHS: Final[dict[str, tuple[str, int]]] = {
     "action": ("float32", 4),
@@ -103,7 +108,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
 @contextlib.contextmanager
 def folder_descriptor(path: Path) -> Iterator[int]:
     """A folder, opened for syncing or locking."""
-    descriptor = os.open(path, os.O_RDONLY)
+    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
     try:
         yield descriptor
     finally:
@@ -122,11 +127,7 @@ def write_json(path: Path, content: object) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically. Raises `DataError`."""
-
-    def write(temporary: Path) -> None:
-        temporary.write_text(text, encoding="utf-8")
-
-    write_atomically(path, write)
+    write_atomically(path, lambda temporary: files.replace_file(temporary, text.encode()))
 
 
 def read_json(path: Path) -> Any:
@@ -209,6 +210,26 @@ def _facts(episode: Episode) -> dict[str, Any]:
     }
 
 
+def check_unpacked_size(metadata: Any, file_bytes: int) -> None:
+    """Raise `ValueError`, by its footer, for a shard that would be much larger in memory than on disk.
+
+    Frames are stored as they are, each in at least `MIN_FRAME_BYTES`, so the file bounds the number of rows; and the
+    numbers of a row have less than `MAX_ROW_BYTES`, however well they are compressed.
+    """
+    if metadata.num_rows * MIN_FRAME_BYTES > file_bytes:
+        raise ValueError(f"its {metadata.num_rows:,} steps do not fit into {file_bytes:,} bytes")
+    for number in range(metadata.num_row_groups):
+        group = metadata.row_group(number)
+        for column in map(group.column, range(group.num_columns)):
+            if column.path_in_schema == "image":
+                packed = column.compression != "UNCOMPRESSED" or column.has_dictionary_page
+                if packed or column.total_uncompressed_size > file_bytes:
+                    raise ValueError(f"the frames of row group {number} are compressed a second time")
+            elif column.total_uncompressed_size > group.num_rows * MAX_ROW_BYTES + _PAGE_BYTES:
+                unpacked = f"{column.total_uncompressed_size:,} bytes for {group.num_rows:,} steps"
+                raise ValueError(f"column {column.path_in_schema} of row group {number} unpacks to {unpacked}")
+
+
 class ShardFile:
     """A shard opened for reading, memory-mapped. Do not share it between threads."""
 
@@ -217,6 +238,7 @@ class ShardFile:
         with clear_errors(path, "read"):
             files.check_regular(path, MAX_SHARD_BYTES)
             self._file = pq.ParquetFile(path, memory_map=True)
+            check_unpacked_size(self._file.metadata, path.stat().st_size)
             footer = json.loads(self._file.metadata.metadata[FOOTER_KEY.encode()])
             self.facts: list[dict[str, Any]] = footer["episodes"]
             self.dropped: dict[str, int] = footer["dropped"]

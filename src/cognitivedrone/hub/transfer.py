@@ -8,16 +8,15 @@ from __future__ import annotations
 import itertools
 import json
 import os
-import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlsplit
 
 from cognitivedrone.errors import CognitiveDroneError, HubError, import_extra
-from cognitivedrone.files import reason_of, replace_file, writing
+from cognitivedrone.files import check_no_link, reason_of, remove, replace_file, writing
 from cognitivedrone.hub.contents import SUFFIXES, RepoType, check_names, contents_of, kind_of, size_text
 from cognitivedrone.usage_reports import switch_off
 
@@ -91,6 +90,7 @@ def pull(name: str, folder: Path, *, revision: str = "main", max_gb: float = 20.
     part = folder.with_name(f"{folder.name}.part")
     with _refusals(name, endpoint), writing(part, HubError):
         part.mkdir(parents=True, exist_ok=True)
+        check_no_link(part.parent, part.name)  # of an interrupted download, which goes on
         api.snapshot_download(
             short, repo_type=repo_type, revision=commit, local_dir=part, cache_dir=part / ".cache",
             ignore_patterns=list(_OF_THE_HUB),
@@ -98,13 +98,12 @@ def pull(name: str, folder: Path, *, revision: str = "main", max_gb: float = 20.
     try:
         kind = _check(part, listed, repo_type, name)
     except CognitiveDroneError:
-        shutil.rmtree(part, ignore_errors=True)
+        with suppress(OSError):
+            remove(part)
         raise
     done = Transfer(_shown(short, repo_type), kind, commit, endpoint, len(listed), size)
     with writing(folder, HubError):
-        if folder.exists():
-            folder.rmdir()
-        part.rename(folder)
+        part.replace(folder)
         record = json.dumps(asdict(done), indent=2) + "\n"
         replace_file(folder.with_name(f"{folder.name}.hub.json"), record.encode())
     return done
@@ -112,7 +111,8 @@ def pull(name: str, folder: Path, *, revision: str = "main", max_gb: float = 20.
 
 def _check(part: Path, listed: dict[str, int], repo_type: RepoType, name: str) -> str:
     """The kind of what was downloaded, once it is nothing but what was listed."""
-    shutil.rmtree(part / ".cache", ignore_errors=True)
+    with writing(part, HubError):
+        remove(part, ".cache")
     there = {path.relative_to(part).as_posix(): path for path in part.rglob("*") if not path.is_dir()}
     if any(path.is_symlink() for path in there.values()):
         raise HubError(f"{name}: holds a link; links are not shared")

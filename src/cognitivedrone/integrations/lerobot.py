@@ -16,7 +16,7 @@ from gymnasium import spaces
 
 from cognitivedrone.envs.spaces import action_space, observation_space
 from cognitivedrone.errors import RunError, TaskError
-from cognitivedrone.files import writing
+from cognitivedrone.files import append, writing
 from cognitivedrone.integrations.flights import CAMERA, Flights, View, metrics_of
 from cognitivedrone.plan import Scenario
 from cognitivedrone.types import CONTROL_HZ, Action
@@ -131,8 +131,8 @@ class LeRobotEnv(gymnasium.Env[dict[str, Any], Action]):
     def _write(self, metrics: dict[str, Any]) -> None:
         if self._results is not None:
             line = json.dumps(self._info(seed=self._seed, **metrics))
-            with writing(self._results, RunError), self._results.open("a", encoding="utf-8") as file:
-                file.write(line + "\n")
+            with writing(self._results, RunError), append(self._results) as file:
+                file.write(f"{line}\n".encode())
 
     def _info(self, **more: Any) -> dict[str, Any]:
         return {"episode": self._episode, **more}

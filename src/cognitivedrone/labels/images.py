@@ -16,11 +16,11 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from cognitivedrone import types
 from cognitivedrone.errors import LabelError
 from cognitivedrone.files import read_regular, reason_of
+from cognitivedrone.pictures import MAX_PIXELS
 
 SIDE = 256
 """Maximum length of the longer side of returned images, px."""
 MAX_FILE_BYTES = 20_000_000
-MAX_PIXELS = 40_000_000
 MAX_THINGS = 16
 """Maximum number of things on one panel."""
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")

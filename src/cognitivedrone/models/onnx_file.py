@@ -59,6 +59,16 @@ def write_table(path: str | Path, kind: str, table: Mapping[str, Any]) -> None:
         seal(whole)
 
 
+def check_model_file(path: Path) -> None:
+    """Raise `ModelError` unless there is a file that is small enough for a model, before it is read or hashed."""
+    if not path.is_file():
+        raise ModelError(f"there is no model file {path}")
+    if path.stat().st_size > LARGEST_BYTES:
+        raise ModelError(
+            f"{path} has {path.stat().st_size / 2**20:.0f} MB; a small model has at most {LARGEST_BYTES / 2**20:.0f} MB"
+        )
+
+
 def open_model(
     path: Path, kind: str, *, threads: int, optimise: bool, former: Mapping[str, str] | None = None
 ) -> tuple[Any, dict[str, Any]]:
@@ -68,12 +78,7 @@ def open_model(
     Raises `ModelError` where it cannot be loaded, does not match its checksum, or is of another kind or format; warns
     where it has no checksum.
     """
-    if not path.is_file():
-        raise ModelError(f"there is no model file {path}")
-    if path.stat().st_size > LARGEST_BYTES:
-        raise ModelError(
-            f"{path} has {path.stat().st_size / 2**20:.0f} MB; a small model has at most {LARGEST_BYTES / 2**20:.0f} MB"
-        )
+    check_model_file(path)
     try:
         content = read_regular(path, LARGEST_BYTES)
     except OSError as error:

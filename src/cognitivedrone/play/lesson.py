@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import Final
 
 from cognitivedrone.errors import TrainingError
+from cognitivedrone.files import read_regular
 from cognitivedrone.plan import PilotSpec
 from cognitivedrone.processes import environment
 
+_RECIPE_BYTES: Final = 2**20
 _STEP: Final = re.compile(r"step (\d+)")
 _END_S: Final = 5.0
 
@@ -76,5 +78,5 @@ class Lesson:
 
     def _steps(self) -> int:
         """Steps of the lesson, as the training wrote down."""
-        recipe = json.loads((self.out / "recipe.json").read_text(encoding="utf-8"))
+        recipe = json.loads(read_regular(self.out / "recipe.json", _RECIPE_BYTES))
         return int(recipe["recipe"]["steps"])

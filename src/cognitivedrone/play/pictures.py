@@ -12,7 +12,7 @@ import numpy as np
 
 from cognitivedrone.apps.scene import MADE, ChosenScene
 from cognitivedrone.errors import LabelError
-from cognitivedrone.files import replace_file
+from cognitivedrone.files import replace_file, replacing
 from cognitivedrone.labels.images import SUFFIXES, read_image
 from cognitivedrone.tasks.suites import drawn_task, suite_of_tasks
 from cognitivedrone.types import Task
@@ -55,16 +55,14 @@ def keep_picture(folder: Path, name: str, content: bytes, slot: int, taken: Coll
     while called in taken:  # telephones call every photograph "image"
         called, number = f"{first} {number}", number + 1
     place = _file(folder, called)
-    part = place.with_name(f".{place.name}.part")
     place.parent.mkdir(parents=True, exist_ok=True)
-    replace_file(part, content)
-    try:
-        image = read_image(part)
-    except LabelError as error:
-        raise LabelError(str(error).replace(str(part), repr(called))) from None
-    finally:
-        part.unlink(missing_ok=True)
-    image.save(place)
+    with replacing(place) as part:
+        replace_file(part, content)
+        try:
+            image = read_image(part)
+        except LabelError as error:
+            raise LabelError(str(error).replace(str(part), repr(called))) from None
+        image.save(part, "PNG")
     return Picture(called, f"{KIND}/{place.stem}")
 
 

@@ -15,7 +15,9 @@ from typing import Any, Literal
 import numpy as np
 
 from cognitivedrone.errors import MissingExtra, ModelError, PolicyError, import_extra
+from cognitivedrone.files import read_regular
 from cognitivedrone.interfaces import Policy
+from cognitivedrone.models.openvla.checkpoint import read_header
 from cognitivedrone.policies.small import state_of
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, Observation
 
@@ -24,6 +26,7 @@ IMAGE_KEY, STATE_KEY, ACTION_KEY = "observation.images.front", "observation.stat
 SHAPES = {STATE_KEY: (5,), ACTION_KEY: (4,)}
 _IMAGE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 WEIGHTS = "model.safetensors"
+MAX_CONFIG_BYTES = 16 * 2**20
 FILES = ("config.json", WEIGHTS, "policy_preprocessor.json", "policy_postprocessor.json")
 
 
@@ -48,8 +51,9 @@ class LeRobot(Policy):
 
     @classmethod
     def file_of(cls, folder: Path, *, device: str | None = None) -> Path:  # noqa: ARG003
-        """The checkpoint's weights; raises `ModelError` if they are missing."""
+        """The checkpoint's weights; raises `ModelError` if they are missing or cut short."""
         read_config(Path(folder))
+        read_header(Path(folder) / WEIGHTS)  # a run hashes it before it is loaded, however large it is
         return Path(folder) / WEIGHTS
 
     def reset(self, context: EpisodeContext) -> None:
@@ -83,8 +87,8 @@ def read_config(folder: Path) -> dict[str, Any]:
             " lerobot-train wrote, or a local copy of one"
         )
     try:
-        config = json.loads((folder / FILES[0]).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        config = json.loads(read_regular(folder / FILES[0], MAX_CONFIG_BYTES).decode())
+    except (OSError, ValueError, RecursionError) as error:
         raise ModelError(f"{folder / FILES[0]} cannot be read ({error}); copy it again") from None
     if not isinstance(config, dict):
         raise ModelError(f"{folder / FILES[0]} is not an object; copy it again")

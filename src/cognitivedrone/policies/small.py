@@ -16,6 +16,7 @@ import numpy as np
 
 from cognitivedrone.errors import ModelError, NonFiniteAction, PluginError, PolicyError
 from cognitivedrone.interfaces import Policy, attempt
+from cognitivedrone.models.onnx_file import check_model_file
 from cognitivedrone.models.opinions import Opinions
 from cognitivedrone.models.small_file import Output, SmallModel
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, FloatArray, Image, Observation
@@ -87,7 +88,7 @@ class Small(Policy):
 
     @classmethod
     def file_of(cls, path: Path | str | None = None, *, stack: int = 1) -> Path:  # noqa: ARG003
-        """The model file of a policy made with `path`; raises `PolicyError` if it does not exist."""
+        """The model file of a policy made with `path`; raises `ModelError` if it does not exist or is too large."""
         packaged = Path(str(resources.files("cognitivedrone.models") / "weights" / cls.weights))
         if path is None and not packaged.is_file():
             raise ModelError(
@@ -95,8 +96,7 @@ class Small(Policy):
                 " `cognitivedrone train` and give its file, as in --policy small:model.onnx"
             )
         found = packaged if path is None else Path(path)
-        if not found.is_file():
-            raise ModelError(f"there is no model file {found}")
+        check_model_file(found)  # a run hashes it before it is loaded
         return found
 
     def reset(self, context: EpisodeContext) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from importlib.resources import files
+from importlib import resources
 from typing import Any
 
 from cognitivedrone.errors import ReasonerError
@@ -56,7 +56,7 @@ _KEYS = frozenset(PLAN_SCHEMA["properties"]["sub_goals"]["items"]["required"])
 
 def plan_prompt() -> str:
     """The text of the prompt, with `{instruction}` for the mission."""
-    return (files("cognitivedrone.reasoners") / "prompts" / "mission.txt").read_text(encoding="utf-8")
+    return (resources.files("cognitivedrone.reasoners") / "prompts" / "mission.txt").read_text(encoding="utf-8")
 
 
 def read_plan(text: str, finish_reason: str | None = None) -> tuple[SubGoal, ...]:

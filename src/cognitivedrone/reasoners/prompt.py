@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
+import errno
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from cognitivedrone.errors import PluginError, ReasonerError
+from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.types import COLORS, SHAPES, SIZES
 
 PLACEHOLDER = "{instruction}"
@@ -53,17 +55,14 @@ def load_prompt(path: Path | None = None) -> str:
     Raises `PluginError` if the file cannot be read, is too long, or lacks the placeholder.
     """
     if path is None:
-        return (files("cognitivedrone.reasoners") / "prompts" / "gate.txt").read_text(encoding="utf-8")
+        return (resources.files("cognitivedrone.reasoners") / "prompts" / "gate.txt").read_text(encoding="utf-8")
     try:
-        with path.open("rb") as file:
-            content = file.read(MAX_PROMPT_BYTES + 1)
-        text = content.decode("utf-8")
+        text = read_regular(path, MAX_PROMPT_BYTES).decode("utf-8")
     except OSError as error:
-        raise PluginError(f"prompt file {path}: {error.strerror}") from None
+        way_out = "; a longer prompt is too slow" if error.errno == errno.EFBIG else ""
+        raise PluginError(f"prompt file {path}: {reason_of(error)}{way_out}") from None
     except UnicodeDecodeError:
         raise PluginError(f"prompt file {path} is not text in UTF-8") from None
-    if len(content) > MAX_PROMPT_BYTES:
-        raise PluginError(f"prompt file {path} is over {MAX_PROMPT_BYTES} bytes; a prompt of that length is too slow")
     if PLACEHOLDER not in text:
         raise PluginError(f"prompt file {path} lacks {PLACEHOLDER}; write it where the instruction belongs")
     return text

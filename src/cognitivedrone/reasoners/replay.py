@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, get_args
 
 from cognitivedrone.errors import GroundTruthError, PluginError, ReasonerError, ReasonerFault, did_you_mean
+from cognitivedrone.files import check_regular, read_regular, reason_of
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.types import EpisodeContext, Guidance, Image
 
@@ -45,18 +47,17 @@ def read_answers(path: Path) -> dict[str, tuple[Entry, ...]]:
 
 
 def _content(path: Path) -> bytes:
-    if not path.is_file():
-        raise PluginError(f"replay: there is no file {path}; give one as replay:FILE, such as a run's reason.jsonl")
     try:
-        with path.open("rb") as stream:
-            content = stream.read(MAX_FILE_BYTES + 1)
+        return read_regular(path, MAX_FILE_BYTES)
     except OSError as error:
-        raise PluginError(f"replay: {path} cannot be read: {error.strerror}") from None
-    if len(content) > MAX_FILE_BYTES:
-        raise PluginError(
-            f"replay: {path} is larger than {MAX_FILE_BYTES >> 20} MB; keep only the tasks that are flown"
-        )
-    return content
+        raise _refusal(path, error) from None
+
+
+def _refusal(path: Path, error: OSError) -> PluginError:
+    if isinstance(error, FileNotFoundError):
+        return PluginError(f"replay: there is no file {path}; give one as replay:FILE, such as a run's reason.jsonl")
+    way_out = "keep only the tasks that are flown" if error.errno == errno.EFBIG else "give a file of answers"
+    return PluginError(f"replay: {path} cannot be read: {reason_of(error)}; {way_out}")
 
 
 def _entry(obj: Mapping[str, Any], where: str) -> Entry:
@@ -95,7 +96,11 @@ class Replay(Reasoner):
 
     @classmethod
     def file_of(cls, path: Path | str) -> Path:
-        """The file of answers, which is part of a run's identity."""
+        """The file of answers, which is part of a run's identity; raises `PluginError` if it cannot be read."""
+        try:
+            check_regular(Path(path), MAX_FILE_BYTES)  # a run hashes it before it is read
+        except OSError as error:
+            raise _refusal(Path(path), error) from None
         return Path(path)
 
     def reset(self, context: EpisodeContext) -> None:

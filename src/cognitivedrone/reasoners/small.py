@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, ReasonerError
 from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.models.onnx_file import check_model_file
 from cognitivedrone.models.opinions import Opinions
 from cognitivedrone.models.picture_classifier import PictureClassifier, classifier_of
 from cognitivedrone.models.reasoner_file import (
@@ -101,8 +102,13 @@ class SmallReasoner(Reasoner):
 
     @classmethod
     def file_of(cls, folder: Path | str | None = None) -> Path:
-        """The panel reader's file, which identifies the reasoner in a run; raises `ModelError` if it is missing."""
-        return _place_of(folder) / READER_FILE
+        """The panel reader's file, which identifies the reasoner in a run.
+
+        Raises `ModelError` if it is missing or too large.
+        """
+        found = _place_of(folder) / READER_FILE
+        check_model_file(found)  # a run hashes it before it is loaded
+        return found
 
     def reset(self, context: EpisodeContext) -> None:
         """Forget everything at the start of a flight.

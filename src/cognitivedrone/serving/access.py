@@ -9,12 +9,14 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from cognitivedrone.errors import MessageError, ServerError
-from cognitivedrone.files import reason_of
+from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.remote.messages import TOKEN_VARIABLE
 from cognitivedrone.serving.config import LOOPBACK
 
 SHORTEST_TOKEN = 16
 """In characters; shorter ones can be guessed."""
+MAX_TOKEN_BYTES = 4096
+"""Of a token's file."""
 _SCHEMES = ("api-key", "bearer")
 
 
@@ -25,7 +27,7 @@ def token_of(host: str, token_file: Path | None) -> str | None:
     """
     if token_file is not None:
         try:
-            token = token_file.read_text("utf-8").strip()
+            token = read_regular(token_file, MAX_TOKEN_BYTES).decode().strip()
         except (OSError, UnicodeDecodeError) as error:
             reason = reason_of(error) if isinstance(error, OSError) else "it is not text"
             raise ServerError(f"--token-file {token_file} cannot be read: {reason}") from None

@@ -19,6 +19,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from cognitivedrone.files import replace_file
 from cognitivedrone.layout import draw_layout
 from cognitivedrone.tasks.absent import KINDS, LOOKS, absent_puzzle
 from cognitivedrone.tasks.clutter import KINDS as OBSTACLES
@@ -218,7 +219,7 @@ def main(folder: Path) -> None:
     for name in BUILT:
         path = folder / file_of(name)
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(suite_text(name, build_suite(name)), encoding="utf-8")
+        replace_file(path, suite_text(name, build_suite(name)).encode())
         sys.stdout.write(f"{path}\n")
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, cast, get_args
 
 from cognitivedrone.errors import TaskError, did_you_mean
-from cognitivedrone.files import read_regular, reason_of
+from cognitivedrone.files import read_regular, reason_of, replace_file
 from cognitivedrone.printable import unprintable
 from cognitivedrone.tasks.families import FAMILIES
 from cognitivedrone.tasks.validate import check_text, validate_task
@@ -368,4 +368,4 @@ def read_tasks(path: Path) -> list[Task]:
 def write_tasks(path: Path, tasks: Iterable[Task]) -> None:
     """Write a task file in the published layout, one task per line."""
     lines = ",\n".join(json.dumps(task_to_json(task), ensure_ascii=False) for task in tasks)
-    path.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
+    replace_file(path, f"[\n{lines}\n]\n".encode())

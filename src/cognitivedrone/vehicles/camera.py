@@ -30,14 +30,18 @@ from typing import Any, Literal, Protocol
 import av
 import numpy as np
 from PIL import Image as Pictures
-from PIL import UnidentifiedImageError
 
 from cognitivedrone.errors import CameraError
+from cognitivedrone.files import read_regular, reason_of
+from cognitivedrone.pictures import MAX_PICTURE_BYTES, MAX_PIXELS, open_picture
 from cognitivedrone.types import IMAGE_SIZE, Image
 
 STREAMS = ("rtsp://", "rtsps://", "http://", "https://", "udp://", "tcp://", "srt://")
 PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp"})
+FORMATS = ("PNG", "JPEG", "BMP", "WEBP")
 AtEnd = Literal["loop", "end"]
+_OF_DECODERS = {"max_pixels": str(MAX_PIXELS)}
+_LIMIT = f"at most {MAX_PIXELS / 1e6:.0f} million pixels are read"
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +220,9 @@ class VideoCamera:
                     self._news.notify_all()
             why = f"{self._source} has ended" if not self._live else f"{self._source} was closed by the other side"
         except (av.error.FFmpegError, OSError, ValueError) as error:
-            why = f"cannot read {self._source}: {error}"
+            # What FFmpeg says of a frame beyond `max_pixels`, without a reason; broken frames are another error.
+            too_large = isinstance(error, av.error.ArgumentError) and "avcodec_send_packet" in str(error)
+            why = f"cannot read {self._source}: {f'its frames are too large; {_LIMIT}' if too_large else error}"
         with self._news:
             self._over = why
             self._news.notify_all()
@@ -228,6 +234,7 @@ class VideoCamera:
             with self._open() as container:
                 if not container.streams.video:
                     raise ValueError("it contains no video")
+                container.streams.video[0].codec_context.options = _OF_DECODERS
                 for frame in container.decode(video=0):
                     if not self._live:
                         now, due = time.monotonic(), float(frame.time or 0.0)
@@ -236,6 +243,8 @@ class VideoCamera:
                             return
                     if self._stopping.is_set():
                         return
+                    if frame.width * frame.height > MAX_PIXELS:
+                        raise ValueError(f"its frame has {frame.width} x {frame.height} pixels; {_LIMIT}")
                     yield fit(frame.to_ndarray(format="rgb24"))
             if begin is None or self._config.at_end == "end":
                 return
@@ -243,13 +252,17 @@ class VideoCamera:
     def _open(self) -> Any:
         # Options of FFmpeg's demuxers: no queue of old frames, and TCP, which never delivers partial frames.
         options = {"fflags": "nobuffer", "rtsp_transport": "tcp"} if self._source.startswith("rtsp") else {}
+        options |= _OF_DECODERS  # which run already while the size of the frames is looked for
         timeout = (self._config.open_s, self._config.silence_s) if self._live else None
         return av.open(self._source, format=self._container, options=options, timeout=timeout)
 
 
 def _picture(file: Path) -> Image:
     try:
-        with Pictures.open(file) as picture:
+        with open_picture(read_regular(file, MAX_PICTURE_BYTES), FORMATS) as picture:
             return fit(np.asarray(picture.convert("RGB")))
-    except (OSError, UnidentifiedImageError) as error:
-        raise CameraError(f"cannot read the image {file}: {error}") from None
+    except OSError as error:
+        raise CameraError(f"cannot read the image {file}: {reason_of(error)}") from None
+    except Exception as error:  # Pillow raises many kinds for broken files
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise CameraError(f"cannot read the image {file}: {reason}") from None

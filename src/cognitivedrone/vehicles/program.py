@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from cognitivedrone.files import create, open_regular
+
 _STARTER = "import ctypes, os, sys; ctypes.CDLL(None).prctl(1, 9); os.execvp(sys.argv[1], sys.argv[1:])"
 _DIES_WITH_US = (sys.executable, "-I", "-S", "-c", _STARTER) if sys.platform == "linux" else ()
 """What starts a program that Linux kills when we end, however we end (PR_SET_PDEATHSIG): left alone, ArduCopter would
@@ -26,7 +28,7 @@ class Program:
 
     def __init__(self, command: Sequence[str], folder: Path, output: Path) -> None:
         self.output = output
-        with output.open("wb") as file:
+        with create(output) as file:
             self._process = subprocess.Popen(  # noqa: S603
                 [*_DIES_WITH_US, *command],
                 cwd=folder,
@@ -43,7 +45,8 @@ class Program:
 
     def printed(self) -> list[str]:
         """The lines that it has printed, without empty ones."""
-        lines = self.output.read_text(encoding="utf-8", errors="replace").split("\n")
+        with open_regular(self.output) as file:
+            lines = file.read().decode(errors="replace").split("\n")
         return [line.strip() for line in lines if line.strip()]
 
     def last_words(self) -> str:

@@ -235,7 +235,7 @@ def _open_answers(out: Path, *, overwrite: bool) -> Iterator[Callable[[Answer], 
     with writing(path, RunError, "give another --out"):
         out.mkdir(parents=True, exist_ok=True)
         remove(out, SUMMARY_FILE)
-        file = create(path)
+        file = create(path, buffering=0)
 
     def keep(answer: Answer) -> None:
         line = (dumps(answer) + "\n").encode("utf-8", "backslashreplace")

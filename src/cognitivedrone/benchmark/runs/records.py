@@ -7,10 +7,8 @@ line is dropped on resume, and its episode is flown again.
 from __future__ import annotations
 
 import contextlib
-import errno
 import json
 import os
-import stat
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +19,8 @@ from cognitivedrone.benchmark.scores.results import RunFacts, write_whole
 from cognitivedrone.benchmark.scores.run_types import Rollout, Trace
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import (
+    append,
+    check_regular,
     is_left_over,
     open_regular,
     read_regular,
@@ -68,6 +68,8 @@ class RunFolder:
     def _open(self, facts: RunFacts, *, resume: bool, overwrite: bool) -> None:
         path = self.path
         exists = _check(path, facts, resume=resume, overwrite=overwrite)
+        if exists and resume and (path / EPISODES_FILE).exists():
+            check_regular(path / EPISODES_FILE, MAX_EPISODES_BYTES)
         path.mkdir(parents=True, exist_ok=True)
         self._file = _lock(path / EPISODES_FILE)
         try:
@@ -191,29 +193,11 @@ def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def _lock(path: Path) -> BinaryIO:
-    # Neither a pipe, which would wait, nor a file elsewhere, which would be emptied.
-    descriptor = os.open(
-        path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666
-    )
-    file = open(descriptor, "a+b")  # noqa: PTH123, SIM115 - of a descriptor; closed with the folder
-    if refusal := _refusal_of(os.fstat(descriptor)):
-        file.close()
-        raise OSError(errno.EINVAL, refusal, str(path))
+    file = append(path)  # closed with the folder
     if not take_lock(file.fileno()):
         file.close()
         raise RunError(f"another run is writing to {path.parent} right now; wait for it, or give another --out")
     return file
-
-
-def _refusal_of(facts: os.stat_result) -> str:
-    """Why a file is not written to; empty if it may be."""
-    if not stat.S_ISREG(facts.st_mode):
-        return "it is not a file"
-    if facts.st_nlink > 1:
-        return "the file has another name elsewhere (a hard link) and would change there, too; copy the folder instead"
-    if facts.st_size > MAX_EPISODES_BYTES:
-        return f"it has {facts.st_size:,} bytes, and at most {MAX_EPISODES_BYTES:,} are read"
-    return ""
 
 
 def _line(record: Record) -> bytes:
@@ -236,7 +220,7 @@ def _parse(line: bytes, where: str) -> Record:
 def _read(file: BinaryIO, path: Path) -> tuple[dict[int, Record], int]:
     """The records, and the length in bytes of the intact part of the file."""
     file.seek(0)
-    lines = file.read().splitlines(keepends=True)
+    lines = file.read(MAX_EPISODES_BYTES).splitlines(keepends=True)
     records: dict[int, Record] = {}
     length = 0
     for number, line in enumerate(lines, start=1):

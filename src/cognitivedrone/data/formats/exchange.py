@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
-from io import BytesIO
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,12 +15,10 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.data.episode import Conditions, Encoding, Episode, Split
 from cognitivedrone.errors import DataError, TaskError
-from cognitivedrone.files import check_regular, read_regular, reason_of, replacing_folder
+from cognitivedrone.files import check_regular, create, read_regular, reason_of, replacing_folder
+from cognitivedrone.pictures import MAX_SIDE, open_picture
 from cognitivedrone.tasks import task_from_json, task_to_json
 
-MAX_SIDE = 2048
-"""Maximum side of an imported frame, pixels; ours have 256."""
-MAX_FRAME_BYTES = 32 * 2**20
 MAX_JSON_BYTES = 256 * 2**20
 
 STEP_ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
@@ -155,17 +151,10 @@ def brief(error: Exception) -> str:
 
 
 def _opened(data: bytes, where: str) -> PillowImage.Image:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of odd metadata, and of sizes, for which the limit below is stricter
-        try:
-            picture = PillowImage.open(BytesIO(data), formats=("JPEG", "PNG", "WEBP"))
-        except PillowImage.DecompressionBombError as error:
-            raise DataError(f"{where}: {error}; a frame has at most {MAX_SIDE} pixels a side") from None
-    if max(picture.size) > MAX_SIDE:
-        raise DataError(
-            f"{where}: has {picture.width} x {picture.height} pixels; a frame has at most {MAX_SIDE} a side"
-        )
-    return picture
+    try:
+        return open_picture(data, ("JPEG", "PNG", "WEBP"), max_side=MAX_SIDE)
+    except ValueError as error:
+        raise DataError(f"{where}: {error}") from None
 
 
 def read_json(path: Path) -> Any:
@@ -190,7 +179,8 @@ def check_file(path: Path) -> None:
 
 def write_json(path: Path, content: Any) -> None:
     """A JSON file, indented, UTF-8."""
-    path.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    with create(path) as file:  # in a new folder, which is whole or not there
+        file.write(f"{json.dumps(content, indent=2, ensure_ascii=False)}\n".encode())
 
 
 def _magic(data: bytes) -> Encoding | None:

@@ -10,8 +10,9 @@ import av
 import numpy as np
 
 from cognitivedrone.data.episode import decode_image
-from cognitivedrone.data.formats.exchange import MAX_SIDE, check_file
+from cognitivedrone.data.formats.exchange import check_file
 from cognitivedrone.errors import DataError
+from cognitivedrone.pictures import MAX_SIDE
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Image
 
 CODEC, PIXELS = "libx264", "yuv420p"
@@ -53,8 +54,10 @@ def read_frames(path: Path) -> Iterator[Image]:
     """The frames of a file in order, (256, 256, 3) RGB; `DataError` if it cannot be decoded."""
     check_file(path)
     try:
-        with av.open(str(path)) as container:
+        limit = {"max_pixels": str(MAX_SIDE**2)}  # also while FFmpeg looks for the size
+        with av.open(str(path), options=limit) as container:
             size = container.streams.video[0].codec_context
+            size.options = limit
             if max(size.width, size.height) > MAX_SIDE:
                 raise DataError(
                     f"{path}: has {size.width} x {size.height} pixels; a frame has at most {MAX_SIDE} a side"

@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from cognitivedrone.data.episode import Conditions, Episode, Split, decode_image, encode_image
 from cognitivedrone.data.formats.exchange import (
-    MAX_FRAME_BYTES,
     MAX_JSON_BYTES,
     STEP_ARRAYS,
     check_image,
@@ -40,8 +39,9 @@ from cognitivedrone.data.formats.exchange import (
     write_json,
 )
 from cognitivedrone.errors import DataError, TaskError
-from cognitivedrone.files import read_regular, reason_of, safe_name
+from cognitivedrone.files import create, read_regular, reason_of, safe_name
 from cognitivedrone.frames import world_to_heading, wrap_angle, yaw_of
+from cognitivedrone.pictures import MAX_FRAME_BYTES
 from cognitivedrone.tasks import task_from_json, task_to_json
 from cognitivedrone.tasks.format import PUBLISHED_TYPES
 from cognitivedrone.types import CONTROL_HZ, FloatArray, Quaternions
@@ -124,13 +124,16 @@ def _write_flight(folder: Path, split: Split, episode: Episode) -> None:
     path = np.vstack([episode.position, episode.final_position])
     actions = published_actions(path, episode.quaternion)
     table = np.column_stack([actions, episode.position, episode.quaternion[:, [1, 2, 3, 0]]])
-    with (folder / "data.csv").open("w", newline="", encoding="ascii") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows([number, *row] for number, row in enumerate(table.tolist(), 1))
+    file = StringIO(newline="")
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows([number, *row] for number, row in enumerate(table.tolist(), 1))
+    with create(folder / "data.csv") as written:  # in a new folder, which is whole or not there
+        written.write(file.getvalue().encode("ascii"))
     for number, image in enumerate(episode.images, 1):
         jpeg = image if episode.encoding == "jpeg" else encode_image(decode_image(image), "jpeg")
-        _frame_path(folder, number).write_bytes(jpeg)
+        with create(_frame_path(folder, number)) as frame:
+            frame.write(jpeg)
 
 
 def _frame_path(folder: Path, number: int) -> Path:

@@ -40,6 +40,7 @@ from cognitivedrone.data.formats.tfrecord import (
     write_record,
 )
 from cognitivedrone.errors import DataError
+from cognitivedrone.files import create
 from cognitivedrone.types import IMAGE_SIZE
 
 NAME = "cognitivedrone"
@@ -156,7 +157,7 @@ class _SplitWriter:
     def write(self, payload: bytes) -> None:
         if self._file is None or self._written > SHARD_BYTES:
             self._close_shard()
-            self._file = (self._folder / f"{self._split}-{len(self.lengths)}.part").open("wb")
+            self._file = create(self._folder / f"{self._split}-{len(self.lengths)}.part")
             self._written = 0
             self.lengths.append(0)
         self._written += write_record(self._file, payload)
@@ -168,7 +169,7 @@ class _SplitWriter:
         self._close_shard()
         for number in range(len(self.lengths)):
             part = self._folder / f"{self._split}-{number}.part"
-            part.rename(self._folder / _shard_name(self._split, number, len(self.lengths)))
+            part.replace(self._folder / _shard_name(self._split, number, len(self.lengths)))
 
     def describe(self) -> dict[str, Any]:
         """The entry of the split in dataset_info.json."""

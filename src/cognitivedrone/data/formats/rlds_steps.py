@@ -18,6 +18,7 @@ from cognitivedrone.data.episode import Split, decode_image
 from cognitivedrone.data.formats.rlds import Record, records
 from cognitivedrone.data.store import Batch
 from cognitivedrone.errors import DataError
+from cognitivedrone.files import open_regular
 from cognitivedrone.types import IMAGE_SIZE, Task
 
 
@@ -131,7 +132,7 @@ def _frame(flight: _Flight, step: int) -> NDArray[np.uint8]:
     """(256, 256, 3)."""
     first, size = flight.frames[step].tolist()
     try:
-        with flight.shard.open("rb") as file:
+        with open_regular(flight.shard) as file:
             file.seek(first)
             decoded = decode_image(file.read(size))
         if decoded.shape != (IMAGE_SIZE, IMAGE_SIZE, 3):

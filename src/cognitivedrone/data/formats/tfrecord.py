@@ -7,6 +7,7 @@ from a name to one list of bytes, float32 or int64.
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -19,10 +20,13 @@ from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from cognitivedrone.errors import DataError
+from cognitivedrone.files import open_regular
 
 Feature: TypeAlias = Sequence[bytes] | NDArray[np.float32] | NDArray[np.int64]
 """A list of byte strings, or a flat array of float32 or int64."""
 
+MAX_RECORD_BYTES = 2**30
+"""Of one episode; protocol buffers have at most twice as many."""
 HEAD_BYTES = 12
 """Size of the framing before a payload."""
 FRAME_BYTES = 16
@@ -63,12 +67,17 @@ def write_record(file: BinaryIO, payload: bytes) -> int:
 def read_records(path: Path) -> Iterator[bytes]:
     """The payloads of a file in order; `DataError` names the file and the truncated or altered record."""
     try:
-        with path.open("rb") as file:
-            size, number = path.stat().st_size, 0
+        with open_regular(path) as file:
+            size, number = os.fstat(file.fileno()).st_size, 0
             while head := file.read(HEAD_BYTES):
                 if len(head) < HEAD_BYTES or _masked_crc(head[:8]) != head[8:]:
                     raise DataError(f"{path}: record {number} has a broken head; copy or export the file again")
                 (length,) = struct.unpack("<Q", head[:8])
+                if length > MAX_RECORD_BYTES:
+                    raise DataError(
+                        f"{path}: record {number} has {length:,} bytes, and at most {MAX_RECORD_BYTES:,} are read;"
+                        " export flights of fewer steps"
+                    )
                 if file.tell() + length + 4 > size:
                     raise DataError(f"{path}: cut off within record {number}; copy or export the file again")
                 payload, check = file.read(length), file.read(4)

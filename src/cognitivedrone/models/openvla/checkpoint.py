@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cognitivedrone.errors import ModelError
-from cognitivedrone.files import check_regular, read_regular
+from cognitivedrone.files import open_regular, read_regular
 from cognitivedrone.models.openvla.actions import ActionStatistics, choose_statistics
 from cognitivedrone.models.openvla.config import Config, read_config
 from cognitivedrone.models.openvla.prepare import ImagePreparation, check_tokenizer, read_preparation
@@ -140,11 +140,10 @@ def read_header(path: Path) -> dict[str, Any]:
     The format: eight bytes of length (little endian), then JSON with `dtype`, `shape` and `data_offsets` by name.
     """
     try:
-        check_regular(path)
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             size = int.from_bytes(file.read(8), "little")
             text = file.read(size) if 2 <= size <= LARGEST_HEADER else b""
-            held = path.stat().st_size - 8 - size
+            held = os.fstat(file.fileno()).st_size - 8 - size
         header: dict[str, Any] = json.loads(text)
         header.pop("__metadata__", None)
         end = max((int(entry["data_offsets"][1]) for entry in header.values()), default=0)

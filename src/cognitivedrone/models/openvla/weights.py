@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import json
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,14 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from cognitivedrone.errors import MissingExtra
+from cognitivedrone.files import read_regular, replace_file
 from cognitivedrone.models.openvla.actions import ActionStatistics
 from cognitivedrone.models.openvla.checkpoint import (
     CONFIG,
     GROUP,
     HEAD,
     INDEX,
+    LARGEST_HEADER,
     PREPARATION,
     TOKENIZER,
     WEIGHTS,
@@ -94,7 +95,7 @@ def save(network: OpenVlaNetwork, folder: Path, statistics: Mapping[str, ActionS
     folder.mkdir(parents=True, exist_ok=True)
     for name in (TOKENIZER, PREPARATION):
         if (base / name).is_file() and base.resolve() != folder.resolve():
-            shutil.copyfile(base / name, folder / name)
+            replace_file(folder / name, read_regular(base / name, LARGEST_HEADER))
     everything = {name: value.detach().contiguous().cpu() for name, value in network.state_dict().items()}
     head = {
         name.removeprefix(HEAD_PREFIX): everything.pop(name)
@@ -105,7 +106,7 @@ def save(network: OpenVlaNetwork, folder: Path, statistics: Mapping[str, ActionS
         save_file(head, folder / HEAD)
     _save_sharded({published_name(name): value for name, value in everything.items()}, folder)
     table = write_config(network.config, {key: {"action": values.to_json()} for key, values in statistics.items()})
-    (folder / CONFIG).write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
+    replace_file(folder / CONFIG, f"{json.dumps(table, indent=2)}\n".encode())
 
 
 def quantise(layers: nn.Module, quantisation: Quantisation, device: str | torch.device) -> None:
@@ -151,7 +152,7 @@ def _save_sharded(tensors: dict[str, Tensor], folder: Path) -> None:
         save_file(shard, folder / file, metadata)
         placed |= dict.fromkeys(shard, file)
     index = {"metadata": {"total_size": sum(value.nbytes for value in tensors.values())}, "weight_map": placed}
-    (folder / INDEX).write_text(json.dumps(index, indent=2) + "\n", encoding="utf-8")
+    replace_file(folder / INDEX, f"{json.dumps(index, indent=2)}\n".encode())
 
 
 def _give_rotation(network: OpenVlaNetwork, device: str | torch.device) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cognitivedrone.errors import TrainingError
+from cognitivedrone.files import open_regular
 from cognitivedrone.models.openvla.actions import ActionStatistics
 from cognitivedrone.models.openvla.checkpoint import Checkpoint, inspect
 from cognitivedrone.models.openvla.config import IMAGE, PATCHES, Config
@@ -40,7 +41,7 @@ def fingerprint(base: Checkpoint) -> str:
     for path in sorted(set(base.files.values())):
         size = path.stat().st_size
         digest.update(f"{path.name} {size}".encode())
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             file.seek(max(size - _TAIL, 0))
             digest.update(file.read())
     return digest.hexdigest()[:16]

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -32,6 +31,7 @@ from torch.distributed.fsdp import MixedPrecisionPolicy
 from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.errors import TrainingError
+from cognitivedrone.files import remove, remove_left_over, replace_file, replacing_folder
 from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.models.openvla.checkpoint import Checkpoint
 from cognitivedrone.models.openvla.config import ACTION_SIZE, KEY
@@ -128,8 +128,9 @@ def fine_tune(config: FineTuning, report: Callable[[str], None] = print) -> Path
         recompute = _recomputes(config, accelerator)
         if accelerator.is_main_process:
             out.mkdir(parents=True, exist_ok=True)
-            shutil.rmtree(out / MERGED, ignore_errors=True)  # of an earlier checkpoint
-            (out / "recipe.json").write_text(json.dumps(config.identity, indent=2) + "\n")
+            remove_left_over(out)
+            remove(out, MERGED)  # of an earlier checkpoint
+            replace_file(out / "recipe.json", f"{json.dumps(config.identity, indent=2)}\n".encode())
         _train(config, accelerator, found, report, recompute=recompute)
     merges = accelerator.is_main_process and (step < recipe.steps or not (out / MERGED).is_dir())
     accelerator.end_training()  # no process has to wait for the merging
@@ -153,12 +154,10 @@ def merge(config: FineTuning) -> Path:
     network = load(base, "cpu", torch.float32 if base.stored_bytes == 4 else torch.bfloat16)
     take_adapters(add_adapters(network, config.recipe), found[0])
     merge_adapters(network)
-    merged, beside = config.out / MERGED, config.out / f"{MERGED}.part"
-    for old in (beside, merged):
-        shutil.rmtree(old, ignore_errors=True)
-    save(network, beside, {config.key: config.flights.statistics}, base.folder)
-    beside.rename(merged)
-    return merged
+    remove(config.out, MERGED)
+    with replacing_folder(config.out / MERGED) as beside:
+        save(network, beside, {config.key: config.flights.statistics}, base.folder)
+    return config.out / MERGED
 
 
 def _found(config: FineTuning, *, resume: bool) -> Found | None:

@@ -116,9 +116,9 @@ class ThingShares(nn.Module):
 
 def classes_by_thing() -> dict[str, list[int]]:
     """The classes of each thing that has some, by its attribute value."""
-    path = resources.files("cognitivedrone.training.reasoner") / "photograph_classes.csv"
+    text = resources.files("cognitivedrone.training.reasoner").joinpath("photograph_classes.csv").read_text("utf-8")
     found = {}
-    for row in csv.DictReader(path.read_text().splitlines()):
+    for row in csv.DictReader(text.splitlines()):
         bounds = (part.partition("-") for part in row["classes"].split())
         classes = [number for first, _, last in bounds for number in range(int(first), int(last or first) + 1)]
         found[f"concept/thing:{row['thing']}"] = classes

@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from cognitivedrone.files import read_regular, replacing
+from cognitivedrone.files import read_regular, replace_file, replacing
 from cognitivedrone.models.gate_selector import GateSelector
 from cognitivedrone.models.onnx_file import LARGEST_BYTES, Provenance, open_model, write_table
 from cognitivedrone.models.reasoner_file import (
@@ -71,6 +71,6 @@ def write_taught_selector(source: Path, names: Sequence[str], notes: Mapping[str
     path = folder / SELECTOR_FILE
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as beside:
-        beside.write_bytes(read_regular(source, LARGEST_BYTES))
+        replace_file(beside, read_regular(source, LARGEST_BYTES))
         write_table(beside, SELECTOR, {**kept, "facets": list(names), "notes": {**table["notes"], **notes}})
     return path

@@ -15,12 +15,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cognitivedrone.errors import LabelError, TrainingError
+from cognitivedrone.files import read_regular
 from cognitivedrone.labels import load_pack
 from cognitivedrone.labels.folder import FolderPack
 from cognitivedrone.models.text import NUMBER_WORDS
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.facts import KIND_OF
-from cognitivedrone.tasks.format import read_tasks
+from cognitivedrone.tasks.format import MAX_FILE_BYTES, read_tasks
 from cognitivedrone.tasks.vocabulary import LETTERS, LOGOS
 from cognitivedrone.training.perception.attributes import concept_name
 from cognitivedrone.training.teach.facts import facts_file, stated
@@ -100,7 +101,7 @@ def read_lesson(labels: Path, tasks: Path | None = None) -> Lesson:
     _tell_collisions(pictures)
     digest = hashlib.sha256(pack.digest.encode())
     for path in (*_task_files(tasks), *([table] if table else [])):
-        digest.update(path.read_bytes())
+        digest.update(read_regular(path, MAX_FILE_BYTES))
     statements = (*_by_name(pictures, kinds), *_by_tasks(read, pictures), *facts)
     return Lesson(labels, read, pictures, kinds, statements, len(facts), digest.hexdigest())
 

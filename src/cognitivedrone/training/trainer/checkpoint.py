@@ -13,7 +13,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.files import check_regular, reason_of, replacing
+from cognitivedrone.files import check_regular, open_regular, reason_of, replacing
 from cognitivedrone.models.checksum import BLANK, Finding, check, seal
 
 CHECKPOINT = "checkpoint.safetensors"
@@ -71,7 +71,7 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 def _finding(path: Path) -> Finding:
     if not path.stat().st_size:
         return "unknown"  # safetensors reports the error of an empty file
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+    with open_regular(path) as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         return check(content)
 
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
 
-from cognitivedrone.files import replace_file
+from cognitivedrone.files import read_regular, replace_file
 from cognitivedrone.training.trainer.training_task import Row
 
 METRICS = "metrics.jsonl"
 CURVES = "curves.png"
+MAX_METRICS_BYTES = 256 * 2**20
 DIMENSIONS = ("vx", "vy", "vz", "yaw_rate")
 """Of an action, as measures name them."""
 
@@ -46,7 +48,7 @@ class RunLog:
 def read_rows(path: Path) -> list[Row]:
     """The rows of a metrics file, one JSON object per line; a truncated line is skipped."""
     rows = []
-    for line in path.read_text().splitlines() if path.exists() else []:
+    for line in read_regular(path, MAX_METRICS_BYTES).decode().splitlines() if path.exists() else []:
         try:
             rows.append(json.loads(line))
         except ValueError:
@@ -88,8 +90,10 @@ def draw_curves(rows: Sequence[Row], path: Path) -> None:
             axis.set_ylim(-0.02, 1.02)
         # Below the panel, where it covers no line.
         axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3, frameon=False)
-    figure.savefig(path, dpi=90)
+    drawn = BytesIO()
+    figure.savefig(drawn, dpi=90)
     plt.close(figure)
+    replace_file(path, drawn.getvalue())
 
 
 _LESSON = "the lesson, understood", "understood in training, old and new"

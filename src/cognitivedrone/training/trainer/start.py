@@ -11,6 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from cognitivedrone.errors import ModelError, TrainingError
+from cognitivedrone.files import read_regular
+from cognitivedrone.models.onnx_file import LARGEST_BYTES
 from cognitivedrone.models.small_file import FORMER, KIND
 from cognitivedrone.models.text_encoder import TextEncoderModel, encoder_of
 from cognitivedrone.training.trainer.checkpoint import origin_of, read_checkpoint
@@ -115,7 +117,7 @@ def _weights_of_model(path: Path) -> dict[str, Tensor]:
     """The weights in an ONNX file, in single precision."""
     import onnx
 
-    model = onnx.load(str(path))
+    model = onnx.load_model_from_string(read_regular(path, LARGEST_BYTES))
     found = {}
     for tensor in model.graph.initializer:
         value = torch.from_numpy(onnx.numpy_helper.to_array(tensor).copy())

@@ -20,6 +20,7 @@ from rich.progress import Progress, SpinnerColumn, TaskID, TimeElapsedColumn
 from torch import nn
 
 from cognitivedrone.errors import TrainingError
+from cognitivedrone.files import remove, replace_file
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.terminal import console
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint
@@ -129,7 +130,7 @@ def _begin(config: TrainConfig, network: nn.Module, optimizer: torch.optim.Optim
         return int(found["step"])
     if main:
         (config.out / "learners").mkdir(parents=True, exist_ok=True)
-        (config.out / "recipe.json").write_text(json.dumps(identity, indent=2))
+        replace_file(config.out / "recipe.json", json.dumps(identity, indent=2).encode())
     return 0
 
 
@@ -274,7 +275,7 @@ class _CheckpointManager:
         facts = self._facts | {"step": step}
         round_ = (step - 1) // schedule.round_steps
         save_checkpoint(learner_path(out, round_), loss_module.network, None, facts)
-        learner_path(out, round_ - 4).unlink(missing_ok=True)
+        remove(out, learner_path(out, round_ - 4).relative_to(out))
         save_checkpoint(out / CHECKPOINT, loss_module.network, optimizer, facts)
         self._sums.clear()
         self._count, self._since = 0, time.monotonic()

@@ -15,7 +15,6 @@ file name: some models show a picture with another name, and some misspell the n
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -23,8 +22,8 @@ from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
 from cognitivedrone.errors import GazeboError, did_you_mean
-from cognitivedrone.files import read_regular, reason_of, safe_name
-from cognitivedrone.labels.images import SUFFIXES, read_image
+from cognitivedrone.files import read_regular, reason_of, replace_file, safe_name
+from cognitivedrone.labels.images import MAX_FILE_BYTES, SUFFIXES, read_image
 from cognitivedrone.tasks.format import PUBLISHED_TYPES, read_json, task_from_json, write_tasks
 from cognitivedrone.types import CATEGORIES, Task
 
@@ -68,7 +67,7 @@ def import_collector(source: Path, out: Path) -> Imported:
     try:
         for name, picture in pictures.items():
             (labels / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(picture, labels / name)
+            replace_file(labels / name, read_regular(picture, MAX_FILE_BYTES))
         write_tasks(out / TASKS_FILE, tasks)
     except OSError as error:
         raise GazeboError(f"cannot write {error.filename or out}: {error.strerror or error}") from None

@@ -23,6 +23,7 @@ from PIL import Image as Pictures
 
 from cognitivedrone.envs.track_runner import next_place, stage_of
 from cognitivedrone.errors import GazeboError, TaskError, did_you_mean
+from cognitivedrone.files import replace_file
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
@@ -112,9 +113,9 @@ def write(track: Track, out: Path, labels: LabelPack, release: Release, appearan
         write_meshes(out)
         for stage, name in zip(stages, names, strict=True):
             props = write_pictures(stage, labels, appearance, out)
-            (out / name).write_text(document(world_of(stage, props, appearance)), encoding="utf-8")
-        (out / PARAMETERS_FILE).write_text(parameters(), encoding="utf-8")
-        (out / README_FILE).write_text(_readme(track, names, release), encoding="utf-8")
+            replace_file(out / name, document(world_of(stage, props, appearance)).encode())
+        replace_file(out / PARAMETERS_FILE, parameters().encode())
+        replace_file(out / README_FILE, _readme(track, names, release).encode())
     except OSError as error:
         raise GazeboError(
             f"cannot write {error.filename or out}: {error.strerror or error};"
@@ -134,8 +135,8 @@ def write_meshes(out: Path) -> None:
     folder = out / "meshes"
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in _mesh_texts().items():
-        (folder / f"{name}.obj").write_text(text, encoding="ascii")
-    (folder / MATERIALS_FILE).write_text(MATERIALS, encoding="ascii")
+        replace_file(folder / f"{name}.obj", text.encode("ascii"))
+    replace_file(folder / MATERIALS_FILE, MATERIALS.encode("ascii"))
 
 
 def write_pictures(stage: Stage, labels: LabelPack, appearance: Appearance, out: Path) -> tuple[Prop, ...]:

@@ -20,6 +20,7 @@ from typing import Final, Literal
 
 from cognitivedrone import checkout
 from cognitivedrone.errors import CognitiveDroneError, GazeboError, LinkError
+from cognitivedrone.files import replace_file
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import open_suite
 from cognitivedrone.vehicles.gazebo.bindings import Bindings, load_bindings, simulator_versions
@@ -193,6 +194,6 @@ def _save(report: Report, out: Path, bindings: Bindings) -> None:
         "checks": [asdict(check) for check in report.checks],
     }
     try:
-        (out / RESULTS_FILE).write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+        replace_file(out / RESULTS_FILE, f"{json.dumps(results, indent=2)}\n".encode())
     except OSError as error:
         raise GazeboError(f"cannot write {out / RESULTS_FILE}: {error.strerror or error}") from None

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from cognitivedrone.errors import LinkError
+from cognitivedrone.files import replace_file
 from cognitivedrone.sim.airframe import IRIS, Airframe
 from cognitivedrone.vehicles.mavlink.renames import with_both_names
 from cognitivedrone.vehicles.program import Program
@@ -150,7 +151,7 @@ class ArduCopter:
         """Where it listens for MAVLink; it starts with the first connection."""
         self.output = folder.resolve() / OUTPUT_FILE
         ours = folder.resolve() / PARAMETERS_FILE
-        ours.write_text(("" if airframe is None else PARAMETERS + tuning(airframe)) + parameters)
+        replace_file(ours, (("" if airframe is None else PARAMETERS + tuning(airframe)) + parameters).encode())
         options = {
             "model": "JSON:127.0.0.1",
             "instance": f"{instance}",

@@ -21,7 +21,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from cognitivedrone.errors import LinkError
-from cognitivedrone.files import read_regular, reason_of, replace_file, safe_name
+from cognitivedrone.files import read_regular, reason_of, remove, replace_file, safe_name
 
 ACTS_IN_FLIGHT: Final = frozenset(
     {
@@ -155,7 +155,7 @@ class ParameterChanges:
             with self._keeping:
                 content = {name: [change.was, change.now] for name, change in dict(self._open).items()}
                 if not content:
-                    self._journal.unlink(missing_ok=True)
+                    remove(self._journal.parent, self._journal.name)
                     return
                 self._journal.parent.mkdir(parents=True, exist_ok=True)
                 replace_file(self._journal, json.dumps(content, indent=1).encode())

@@ -5,7 +5,6 @@ A tlog is the format that ground stations replay: 8 bytes of big-endian microsec
 
 from __future__ import annotations
 
-import os
 import socket
 import struct
 import subprocess
@@ -14,6 +13,7 @@ import time
 from pathlib import Path
 
 from cognitivedrone.errors import LinkError
+from cognitivedrone.files import create
 
 WRITER = Path(__file__).with_name("tlog_writer.py")
 BUFFER = 1 << 20
@@ -51,7 +51,7 @@ class TlogWriter:
     def __init__(self, path: Path) -> None:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+            file = create(path)
         except OSError as error:
             raise LinkError(f"cannot write the log {path}: {error.strerror}") from None
         source, self.sink = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -62,7 +62,7 @@ class TlogWriter:
             command, stdin=source.fileno(), stdout=file, stderr=subprocess.PIPE, start_new_session=True
         )
         source.close()
-        os.close(file)
+        file.close()
 
     def close(self) -> str:
         """Close this copy of `sink`; returns the writer's report of what it could not write, if the writer ends now."""

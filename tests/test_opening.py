@@ -1,0 +1,150 @@
+"""Files are opened, written and removed by `cognitivedrone.files` alone, as a look at the source shows."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import cognitivedrone
+
+SOURCE = Path(cognitivedrone.__file__).parent
+ALLOWED: dict[str, frozenset[str]] = {
+    name: frozenset(calls)
+    for name, calls in {
+        # The one place.
+        "files.py": {"open", "os.open", "os.unlink", "shutil.rmtree", "temporary.unlink", "path.unlink"},
+        # Devices of the system, under names that nobody outside gives.
+        "apps/orders.py": {"os.open"},
+        "cli/__init__.py": {"os.open"},
+        "cli/streams.py": {"os.open", "open"},
+        "benchmark/runs/provenance.py": {"Path('/proc/cpuinfo').read_text"},
+        "models/openvla/checkpoint.py": {"Path('/proc/meminfo').read_text"},
+        "training/trainer/precision.py": {"processor.read_text"},
+        "vehicles/gazebo/caller.py": {"os.fdopen"},  # of a pipe of its own
+        # Files of this package, or of one that is installed beside it.
+        "errors.py": {"this.read_text"},
+        "data/formats/__init__.py": {"file.read_text"},
+        "labels/extended.py": {"(_FOLDER / name / 'manifest.json').read_bytes", "zipfile.ZipFile"},
+        "labels/shipped.py": {"(self._folder / 'manifest.json').read_bytes", "Image.open"},
+        "play/server.py": {"found.read_bytes"},
+        "training/language/wordings.py": {"entry.read_text"},
+        "training/reasoner/classifier.py": {"torch.load"},
+        "training/reasoner/pretrained.py": {"(_folder() / 'tokenizer.json').read_text", "load_file"},
+        # In a temporary folder of its own, of a name that nobody foresees.
+        "rollout/pool.py": {"crash_file.open", "worker.crash_file.read_text"},
+        "training/processes.py": {"written.write_text", "file.read_text"},
+        "vehicles/gazebo/check.py": {"path.read_text"},
+        "vehicles/gazebo/selftest.py": {"(folder.parent / 'world' / PARAMETERS_FILE).read_text"},
+        # In memory.
+        "training/perception/photographic.py": {"PillowImage.open"},
+        "training/trainer/run_log.py": {"figure.savefig"},
+        # Folders of the store, to lock and to sync.
+        "data/shards.py": {"os.open", "pq.ParquetWriter", "pq.ParquetFile"},
+        # Libraries that open files by their names: written beside, in a new folder, or checked before they are read.
+        "apps/log.py": {"pq.write_table", "av.open"},
+        "data/formats/lerobot.py": {"pq.write_table", "pq.ParquetWriter", "pq.read_table", "pq.read_schema"},
+        "data/formats/lerobot_video.py": {"av.open"},
+        "film/video.py": {"av.open"},
+        "models/checksum.py": {"path.open"},
+        "models/onnx_file.py": {"onnx.load", "onnx.save"},
+        "models/openvla/weights.py": {"safe_open", "save_file"},
+        "training/small_vla/graph.py": {"onnx.load", "onnx.save"},
+        "training/trainer/checkpoint.py": {"safe_open", "save_file"},
+        "vehicles/camera.py": {"av.open"},
+    }.items()
+}
+"""What modules open by themselves, and why that is safe there."""
+
+METHODS = frozenset(
+    {"read_text", "read_bytes", "write_text", "write_bytes", "unlink", "rmdir", "rename", "touch", "savefig"}
+)
+"""Methods of paths, whatever they are called on."""
+FUNCTIONS = frozenset(
+    {"open", "os.open", "os.fdopen", "io.open", "io.FileIO", "os.remove", "os.unlink", "os.rename", "os.replace",
+     "os.rmdir", "os.truncate", "shutil.rmtree", "shutil.copyfile", "shutil.copy", "shutil.copy2", "shutil.copytree",
+     "shutil.move", "tempfile.mktemp", "tempfile.mkstemp", "np.load", "np.save", "np.savez", "np.fromfile",
+     "np.loadtxt", "np.memmap", "torch.load", "torch.save"}
+)  # fmt: skip
+OF_LIBRARIES = frozenset(
+    {"av.open", "pq.ParquetFile", "pq.ParquetWriter", "pq.read_table", "pq.read_schema", "pq.read_metadata",
+     "pq.write_table", "safe_open", "save_file", "load_file", "onnx.load", "onnx.save", "zipfile.ZipFile",
+     "tarfile.open"}
+)  # fmt: skip
+"""Functions of libraries that open what they are given by its name."""
+PICTURES = frozenset({"Image", "PillowImage", "Pictures"})
+
+
+def opened(source: str) -> Iterator[tuple[int, str]]:
+    """Lines of calls that open, write or remove a file by its name, with what is called."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call) and (name := _suspect(node)):
+            yield node.lineno, name
+
+
+def _suspect(call: ast.Call) -> str:
+    name = ast.unparse(call.func)
+    last = name.rpartition(".")[2]
+    if name in FUNCTIONS or name in OF_LIBRARIES:
+        return name
+    if isinstance(call.func, ast.Attribute) and last in METHODS:
+        return "" if "resources.files(" in name else name  # a file of the package
+    if last == "open" and name.rpartition(".")[0] in PICTURES:  # what is in memory has no name
+        of = call.args[0]
+        return "" if isinstance(of, ast.Call) and ast.unparse(of.func) in ("BytesIO", "io.BytesIO") else name
+    if last == "open" and any(_is_mode(each) for each in (*call.args, *(each.value for each in call.keywords))):
+        return name
+    return ""
+
+
+def _is_mode(node: ast.expr) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, str) and set(node.value) <= set("rwaxbt+")
+
+
+@pytest.mark.parametrize(
+    ("source", "name"),
+    [
+        ("open(name)", "open"),
+        ("path.open('rb')", "path.open"),
+        ("path.open(mode='w')", "path.open"),
+        ("(folder / 'x').read_text()", "(folder / 'x').read_text"),
+        ("os.open(path, os.O_RDONLY)", "os.open"),
+        ("Image.open(path)", "Image.open"),
+        ("pq.ParquetFile(path)", "pq.ParquetFile"),
+        ("path.unlink()", "path.unlink"),
+        ("shutil.rmtree(path)", "shutil.rmtree"),
+    ],
+)
+def test_what_opens_a_file_is_found(source: str, name: str) -> None:
+    assert list(opened(source)) == [(1, name)]
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "Image.open(BytesIO(data))",
+        "resources.files('x').joinpath('y').read_text()",
+        "Store.open(folder)",
+        "self.connection.open()",
+    ],
+)
+def test_what_opens_no_file_of_others_is_not_taken_for_it(source: str) -> None:
+    assert not list(opened(source))
+
+
+def test_only_one_module_opens_what_is_named_from_outside() -> None:
+    found = {
+        path.relative_to(SOURCE).as_posix(): list(opened(path.read_text(encoding="utf-8")))
+        for path in sorted(SOURCE.rglob("*.py"))
+    }
+    others = [
+        f"{name}:{line}: {call}"
+        for name, calls in found.items()
+        for line, call in calls
+        if call not in ALLOWED.get(name, ())
+    ]
+    assert not others, "use cognitivedrone.files for what is named from outside:\n" + "\n".join(others)
+    idle = {name: calls - {call for _, call in found.get(name, ())} for name, calls in ALLOWED.items()}
+    assert not any(idle.values()), "these are not called any more; take them off the list"
