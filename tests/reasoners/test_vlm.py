@@ -314,7 +314,7 @@ def test_arguments_that_do_not_do(argument, expected):
 
 @pytest.mark.parametrize(
     ("content", "expected"),
-    [(b"no place", r"lacks \{instruction\}"), (b"\xff{instruction}", "UTF-8"), (b"{instruction}" * 2000, "20000")],
+    [(b"no place", r"lacks \{instruction\}"), (b"\xff{instruction}", "UTF-8"), (b"{instruction}" * 2000, "20,000")],
 )
 def test_prompt_files_that_do_not_do(tmp_path, content, expected):
     file = tmp_path / "p.txt"

@@ -207,6 +207,17 @@ def test_a_finished_training_has_nothing_left_to_do(runs: Runs, start: Given) ->
     assert before == {path: path.stat().st_mtime_ns for path in runs.whole.rglob("*")}
 
 
+@pytest.mark.parametrize("name", ["learners", "tensorboard"])
+def test_nothing_is_trained_through_a_link(tmp_path: Path, start: Given, name: str) -> None:
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).symlink_to(theirs)
+    with pytest.raises(TrainingError, match=f"'{name}' is a link or in one"):
+        train(TrainConfig(tmp_path / "out", training_of(start), seed=3))
+    assert not list(theirs.iterdir())
+
+
 def test_a_training_is_not_begun_over_another(runs: Runs, start: Given) -> None:
     with pytest.raises(TrainingError, match="holds a training run already; go on with --resume or choose another"):
         train(TrainConfig(runs.whole, training_of(start), seed=3))

@@ -20,7 +20,7 @@ from cognitivedrone.benchmark.runs.runner import results_folder, run
 from cognitivedrone.benchmark.scores.results import Results, write_whole
 from cognitivedrone.benchmark.scores.scoring import CHANCE, OUTCOMES, Interval, wilson
 from cognitivedrone.errors import RunError, did_you_mean
-from cognitivedrone.files import safe_name
+from cognitivedrone.files import check_no_link, safe_name, writing
 from cognitivedrone.reasoners import NONE
 from cognitivedrone.tasks import Suite, open_suite
 from cognitivedrone.tasks.format import task_to_json
@@ -138,7 +138,9 @@ def _change(variant: Variant, rng: np.random.Generator, track: Track) -> Track |
 
 def _fly(plan: AuditPlan, folder: Path, tracks: list[Track], variant: Variant, progress: bool) -> Results:
     file = folder.with_suffix(".json")
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    with writing(folder, RunError, "give another --out"):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        check_no_link(folder.parent, folder.name)
     write_whole(file, json.dumps([task_to_json(task) for track in tracks for task in track], indent=1) + "\n")
     policy, reasoner = plan.pilot.policy, plan.pilot.reasoner
     if variant.camera:

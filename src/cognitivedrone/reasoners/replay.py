@@ -54,7 +54,7 @@ def _content(path: Path) -> bytes:
 
 
 def _refusal(path: Path, error: OSError) -> PluginError:
-    if isinstance(error, FileNotFoundError):
+    if isinstance(error, FileNotFoundError) or path.is_dir():
         return PluginError(f"replay: there is no file {path}; give one as replay:FILE, such as a run's reason.jsonl")
     way_out = "keep only the tasks that are flown" if error.errno == errno.EFBIG else "give a file of answers"
     return PluginError(f"replay: {path} cannot be read: {reason_of(error)}; {way_out}")

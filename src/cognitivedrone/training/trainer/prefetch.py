@@ -21,11 +21,13 @@ from cognitivedrone.training.trainer.training_task import Batch, TrainingTask, W
 _AHEAD = 6  # batches made in advance
 _PATIENCE_S = 600.0
 _TOLD_EVERY_S = 0.5
+LEARNERS = "learners"
+"""Folder of the networks that make the data, in the folder of a run."""
 
 
 def learner_path(out: Path, round_: int) -> Path:
     """File of the weights at the end of a round. The next round but one flies with them, so that no process waits."""
-    return out / "learners" / f"{round_:05d}.safetensors"
+    return out / LEARNERS / f"{round_:05d}.safetensors"
 
 
 class PrefetchQueue:

@@ -14,6 +14,7 @@ from cognitivedrone.training.trainer.training_task import Row
 
 METRICS = "metrics.jsonl"
 CURVES = "curves.png"
+BOARD = "tensorboard"
 MAX_METRICS_BYTES = 256 * 2**20
 DIMENSIONS = ("vx", "vy", "vz", "yaw_rate")
 """Of an action, as measures name them."""
@@ -25,7 +26,7 @@ class RunLog:
     def __init__(self, out: Path, report: Callable[[str], None], rate: str, headlines: Mapping[str, str]) -> None:
         self._out, self._report = out, report
         self._rate, self._headlines = rate, headlines
-        self._board = SummaryWriter(str(out / "tensorboard"))
+        self._board = SummaryWriter(str(out / BOARD))
 
     def write(self, row: Row) -> None:
         """Take in the measures of row["step"]; rows of that step and later ones, left by a kill, are dropped.

@@ -20,13 +20,13 @@ from rich.progress import Progress, SpinnerColumn, TaskID, TimeElapsedColumn
 from torch import nn
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.files import remove, replace_file
+from cognitivedrone.files import check_no_link, remove, remove_left_over, replace_file, writing
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.terminal import console
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint
 from cognitivedrone.training.trainer.precision import trains_in_bf16
-from cognitivedrone.training.trainer.prefetch import PrefetchQueue, learner_path
-from cognitivedrone.training.trainer.run_log import RunLog
+from cognitivedrone.training.trainer.prefetch import LEARNERS, PrefetchQueue, learner_path
+from cognitivedrone.training.trainer.run_log import BOARD, RunLog
 from cognitivedrone.training.trainer.training_task import Batch, Row, Schedule, TrainingTask, to_tensors
 
 _VALIDATED = ("choice accuracy", "text accuracy", "l1", "accuracy", "cross-entropy", "success")
@@ -116,6 +116,12 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
 def _begin(config: TrainConfig, network: nn.Module, optimizer: torch.optim.Optimizer, main: bool) -> int:
     """Create the folder, or restore its content; returns the step to continue from."""
     path, identity = config.out / CHECKPOINT, _identity(config)
+    if main:
+        with writing(config.out, TrainingError, "give another folder"):
+            for name in (LEARNERS, BOARD):
+                check_no_link(config.out, name)
+                remove_left_over(config.out, name)
+            remove_left_over(config.out)
     if path.exists():
         if not config.resume:
             raise TrainingError(
@@ -129,7 +135,7 @@ def _begin(config: TrainConfig, network: nn.Module, optimizer: torch.optim.Optim
         restore(tensors, network, optimizer)
         return int(found["step"])
     if main:
-        (config.out / "learners").mkdir(parents=True, exist_ok=True)
+        (config.out / LEARNERS).mkdir(parents=True, exist_ok=True)
         replace_file(config.out / "recipe.json", json.dumps(identity, indent=2).encode())
     return 0
 
