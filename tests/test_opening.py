@@ -43,9 +43,16 @@ ALLOWED: dict[str, frozenset[str]] = {
         "training/trainer/run_log.py": {"figure.savefig"},
         # Folders of the store, to lock and to sync.
         "data/shards.py": {"os.open", "pq.ParquetWriter", "pq.ParquetFile"},
-        # Libraries that open files by their names: written beside, in a new folder, or checked before they are read.
+        # Libraries that open files by their names: written beside, in a new folder, or checked
+        # before they are read.
         "apps/log.py": {"pq.write_table", "av.open"},
-        "data/formats/lerobot.py": {"pq.write_table", "pq.ParquetWriter", "pq.read_table", "pq.read_schema"},
+        "data/formats/lerobot.py": {
+            "pq.write_table",
+            "pq.ParquetWriter",
+            "pq.read_table",
+            "pq.read_schema",
+            "pq.read_metadata",
+        },
         "data/formats/lerobot_video.py": {"av.open"},
         "film/video.py": {"av.open"},
         "models/checksum.py": {"path.open"},
@@ -71,7 +78,7 @@ FUNCTIONS = frozenset(
 OF_LIBRARIES = frozenset(
     {"av.open", "pq.ParquetFile", "pq.ParquetWriter", "pq.read_table", "pq.read_schema", "pq.read_metadata",
      "pq.write_table", "safe_open", "save_file", "load_file", "onnx.load", "onnx.save", "zipfile.ZipFile",
-     "tarfile.open"}
+     "Tokenizer.from_file", "tarfile.open"}
 )  # fmt: skip
 """Functions of libraries that open what they are given by its name."""
 PICTURES = frozenset({"Image", "PillowImage", "Pictures"})

@@ -118,5 +118,5 @@ def test_a_file_that_cannot_be_is_reported(tmp_path, monkeypatch):
         Replay(written(tmp_path / "empty.jsonl"))
     monkeypatch.setattr(replay, "MAX_FILE_BYTES", 1 << 20)
     (tmp_path / "large.jsonl").write_bytes(b"\n" * ((1 << 20) + 1))
-    with pytest.raises(PolicyError, match=r"large\.jsonl is larger than 1 MB"):
+    with pytest.raises(PolicyError, match=r"large\.jsonl cannot be read: it has 1,048,577 bytes"):
         Replay(str(tmp_path / "large.jsonl"))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image as Picture
 
 from cognitivedrone.errors import ModelError, PolicyError
+from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.models.openvla.config import IMAGE, WORDS
 from cognitivedrone.types import Image
 
@@ -25,6 +26,7 @@ SPACE = 29_871
 """Id of the single space between "Out:" and the action tokens."""
 PIECES = {"<unk>": 0, "<s>": BEGIN, "</s>": END, "<0x0A>": 13, "▁In": 512, ":": 29_901, "▁": SPACE}
 """Tokens that identify Llama's tokenizer."""
+MAX_TOKENIZER_BYTES = 100_000_000
 LONGEST_INSTRUCTION = 1000
 """Maximum length in characters."""
 
@@ -108,10 +110,13 @@ def check_tokenizer(table: Mapping[str, Any], where: str) -> None:
 
 
 def read_encoder(path: Path) -> Encoder:
-    """The tokenizer in a `tokenizer.json`; needs the library `tokenizers`."""
+    """The tokenizer in a `tokenizer.json`; needs the library `tokenizers`. Raises `ModelError` for no file."""
     from tokenizers import Tokenizer
 
-    tokenizer = Tokenizer.from_file(str(path))
+    try:
+        tokenizer = Tokenizer.from_str(read_regular(path, MAX_TOKENIZER_BYTES).decode())
+    except OSError as error:
+        raise ModelError(f"{path} cannot be read: {reason_of(error)}; copy the checkpoint again") from None
     # The user's text is plain text: a "</s>" in it must not end the text.
     tokenizer.encode_special_tokens = True
     tokenizer.no_padding()
