@@ -214,6 +214,15 @@ def test_nothing_is_written_through_a_link(tmp_path: Path, precious: Path) -> No
         assert not (out / name).is_symlink()
 
 
+def test_a_pipe_is_not_replaced_by_a_file(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for write in (lambda path: replace_file(path, b"x"), create):
+        with pytest.raises(OSError, match="it is a pipe, not a file"):
+            write(tmp_path / "pipe")
+    assert (tmp_path / "pipe").is_fifo()
+    assert len(list(tmp_path.iterdir())) == 1
+
+
 def test_the_temporary_name_cannot_be_foreseen(tmp_path: Path) -> None:
     names = set()
     for _ in range(20):

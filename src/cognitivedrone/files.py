@@ -110,6 +110,14 @@ def _check(facts: os.stat_result, path: Path, max_bytes: int | None) -> None:
         raise _too_large(facts.st_size, path, max_bytes)
 
 
+def _refuse_special(path: Path) -> None:
+    """Raise `OSError` for a device, pipe or socket, which nobody means to have removed for a file."""
+    with contextlib.suppress(FileNotFoundError):
+        mode = path.lstat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISLNK(mode) or stat.S_ISDIR(mode)):
+            _check(path.lstat(), path, None)
+
+
 def _too_large(size: int, path: Path, max_bytes: int) -> OSError:
     return OSError(errno.EFBIG, f"it has {size:,} bytes, and at most {max_bytes:,} are read", str(path))
 
@@ -130,6 +138,7 @@ def replacing(path: Path) -> Iterator[Path]:
     A kill or a full disk at any moment leaves the old file or the new one; an error leaves nothing beside it. Raises
     `OSError`.
     """
+    _refuse_special(path)
     temporary = _neighbour(path, _TEMPORARY)
     descriptor = os.open(temporary, _NEW, 0o666)
     try:
@@ -170,6 +179,7 @@ def create(path: Path, buffering: int = -1) -> BinaryIO:
 
     For what grows, such as a log; whatever else is written belongs into `replacing`. Raises `OSError`.
     """
+    _refuse_special(path)
     path.unlink(missing_ok=True)
     return open(os.open(path, _NEW, 0o666), "wb", buffering)  # noqa: PTH123 - of a descriptor
 

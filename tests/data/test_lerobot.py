@@ -11,7 +11,7 @@ from factory import make_episode
 
 from cognitivedrone.collect.importing import import_set
 from cognitivedrone.data.episode import Episode, Split
-from cognitivedrone.data.formats import export, import_, lerobot
+from cognitivedrone.data.formats import exchange, export, import_, lerobot
 from cognitivedrone.data.formats.lerobot_stats import image_stats, number_stats
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
@@ -123,6 +123,16 @@ def test_broken_parquet_is_named(copied, name, damage):
         path.unlink()
     with pytest.raises(DataError, match=r"file-000\.parquet: (not a whole parquet file|cannot be read)"):
         list(import_(copied, "lerobot"))
+
+
+def test_tables_that_would_fill_the_memory_are_not_read(copied, monkeypatch):
+    table = pq.read_table(copied / DATA).slice(0, 1)
+    pq.write_table(pa.concat_tables([table] * 500).combine_chunks(), copied / DATA, compression="zstd")
+    for limit in ("MAX_ROWS", "MAX_UNPACKED_BYTES"):
+        with monkeypatch.context() as patched:
+            patched.setattr(exchange, limit, 400)
+            with pytest.raises(DataError, match=r"file-000\.parquet: has .* rows and .* bytes when unpacked; at most"):
+                list(import_(copied, "lerobot"))
 
 
 def test_missing_steps_are_counted(copied):

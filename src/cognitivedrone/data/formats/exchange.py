@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -20,6 +20,10 @@ from cognitivedrone.pictures import MAX_SIDE, open_picture
 from cognitivedrone.tasks import task_from_json, task_to_json
 
 MAX_JSON_BYTES = 256 * 2**20
+MAX_ROWS = 10_000_000
+"""Of one file that is read; ours have less than a million."""
+MAX_UNPACKED_BYTES = 4 * 2**30
+"""Of the columns of one file that are read."""
 
 STEP_ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "action": (np.float32, (4,)),
@@ -175,6 +179,20 @@ def check_file(path: Path) -> None:
         check_regular(path)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({reason_of(error)}); copy or export the data set again") from None
+
+
+def check_unpacked_size(metadata: Any, path: Path, columns: Collection[str]) -> None:
+    """Raise `DataError`, by its footer, for a file whose columns would fill the memory."""
+    groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
+    chunks = [group.column(number) for group in groups for number in range(group.num_columns)]
+    unpacked = sum(
+        chunk.total_uncompressed_size for chunk in chunks if chunk.path_in_schema.partition(".")[0] in columns
+    )
+    if metadata.num_rows > MAX_ROWS or unpacked > MAX_UNPACKED_BYTES:
+        raise DataError(
+            f"{path}: has {metadata.num_rows:,} rows and {unpacked:,} bytes when unpacked; at most {MAX_ROWS:,} rows"
+            f" and {MAX_UNPACKED_BYTES:,} bytes of one file are read"
+        )
 
 
 def write_json(path: Path, content: Any) -> None:

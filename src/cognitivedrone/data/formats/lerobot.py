@@ -28,6 +28,7 @@ from cognitivedrone.data.episode import Episode, Split, encode_image
 from cognitivedrone.data.formats.exchange import (
     brief,
     check_file,
+    check_unpacked_size,
     episode_from,
     new_folder,
     plain_facts,
@@ -47,10 +48,6 @@ IMAGE_KEY = "observation.images.front"
 CHUNK_SIZE = 1000
 """Files per folder."""
 FILE_MB = 100
-MAX_ROWS = 10_000_000
-"""Of one file that is read; ours have less than a million."""
-MAX_UNPACKED_BYTES = 4 * 2**30
-"""Of the columns of one file that are read."""
 """A data file is closed once its frames exceed this size."""
 
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
@@ -386,24 +383,10 @@ def _read_table(path: Path, columns: Collection[str]) -> pa.Table:
     """These columns of a file, as far as they are there; others may be of any size."""
     check_file(path)
     try:
-        _check_unpacked_size(pq.read_metadata(path), path, columns)
+        check_unpacked_size(pq.read_metadata(path), path, columns)
         return pq.read_table(path, columns=[name for name in pq.read_schema(path).names if name in columns])
     except (OSError, pa.ArrowException) as error:
         raise DataError(f"{path}: not a whole parquet file ({brief(error)}); copy or export it again") from None
-
-
-def _check_unpacked_size(metadata: Any, path: Path, columns: Collection[str]) -> None:
-    """Raise `DataError`, by its footer, for a file whose columns would fill the memory."""
-    groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
-    chunks = [group.column(number) for group in groups for number in range(group.num_columns)]
-    unpacked = sum(
-        chunk.total_uncompressed_size for chunk in chunks if chunk.path_in_schema.partition(".")[0] in columns
-    )
-    if metadata.num_rows > MAX_ROWS or unpacked > MAX_UNPACKED_BYTES:
-        raise DataError(
-            f"{path}: has {metadata.num_rows:,} rows and {unpacked:,} bytes when unpacked; at most {MAX_ROWS:,} rows"
-            f" and {MAX_UNPACKED_BYTES:,} bytes of one file are read"
-        )
 
 
 def _step_arrays(steps: pa.Table) -> dict[str, NDArray[Any]]:
