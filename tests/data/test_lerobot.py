@@ -135,6 +135,18 @@ def test_tables_that_would_fill_the_memory_are_not_read(copied, monkeypatch):
                 list(import_(copied, "lerobot"))
 
 
+def test_a_frame_that_thousands_of_rows_share_is_not_read_once_for_each(copied, monkeypatch):
+    table = pq.read_table(copied / DATA)
+    frame = pa.array([{"bytes": bytes(2**22), "path": None}], table.schema.field(lerobot.IMAGE_KEY).type)
+    few = table.slice(0, 1).set_column(table.column_names.index(lerobot.IMAGE_KEY), lerobot.IMAGE_KEY, frame)
+    rows = pa.concat_tables([few] * 40).combine_chunks()  # 40 frames of 4 MB, stored once
+    pq.write_table(rows, copied / DATA, compression="zstd")
+    assert (copied / DATA).stat().st_size < 10**5
+    monkeypatch.setattr(exchange, "MAX_UNPACKED_BYTES", 2**27)
+    with pytest.raises(DataError, match=r"has 40 rows and .* bytes when unpacked; at most"):
+        list(import_(copied, "lerobot"))
+
+
 def test_missing_steps_are_counted(copied):
     table = pq.read_table(copied / DATA)
     pq.write_table(table.slice(1), copied / DATA)

@@ -185,14 +185,19 @@ def check_unpacked_size(metadata: Any, path: Path, columns: Collection[str]) -> 
     """Raise `DataError`, by its footer, for a file whose columns would fill the memory."""
     groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
     chunks = [group.column(number) for group in groups for number in range(group.num_columns)]
-    unpacked = sum(
-        chunk.total_uncompressed_size for chunk in chunks if chunk.path_in_schema.partition(".")[0] in columns
-    )
+    within = tuple(f"{name}." for name in columns)  # names have dots as well
+    unpacked = sum(_unpacked_bytes(chunk) for chunk in chunks if f"{chunk.path_in_schema}.".startswith(within))
     if metadata.num_rows > MAX_ROWS or unpacked > MAX_UNPACKED_BYTES:
         raise DataError(
             f"{path}: has {metadata.num_rows:,} rows and {unpacked:,} bytes when unpacked; at most {MAX_ROWS:,} rows"
             f" and {MAX_UNPACKED_BYTES:,} bytes of one file are read"
         )
+
+
+def _unpacked_bytes(chunk: Any) -> int:
+    """At most so many bytes: of a dictionary, every row may name the longest entry."""
+    repeats = chunk.num_values if chunk.has_dictionary_page and chunk.physical_type == "BYTE_ARRAY" else 1
+    return int(repeats * chunk.total_uncompressed_size)
 
 
 def write_json(path: Path, content: Any) -> None:
