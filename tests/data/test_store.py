@@ -377,3 +377,12 @@ def test_numbers_that_unpack_to_more_than_a_row_has_are_not_read(tmp_path: Path)
     )
     with pytest.raises(DataError, match=r"column action.list.element of row group 0 unpacks to .* bytes for 2 steps"):
         ShardFile(path)
+
+
+def test_a_text_that_every_row_repeats_is_not_read(tmp_path: Path) -> None:
+    path = write_store(tmp_path / "store", [make_episode(0, length=40)]) / "shards/shard-00000.parquet"
+    text = pa.array(["x" * 4096] * 40)
+    options = {"compression": {"image": "none", "more": "zstd"}, "use_dictionary": ["more"]}
+    forged(path, lambda table: table.append_column("more", text), **options)
+    with pytest.raises(DataError, match=r"column more of row group 0 unpacks to .* bytes for 40 steps"):
+        ShardFile(path)

@@ -225,9 +225,15 @@ def check_unpacked_size(metadata: Any, file_bytes: int) -> None:
                 packed = column.compression != "UNCOMPRESSED" or column.has_dictionary_page
                 if packed or column.total_uncompressed_size > file_bytes:
                     raise ValueError(f"the frames of row group {number} are compressed a second time")
-            elif column.total_uncompressed_size > group.num_rows * MAX_ROW_BYTES + _PAGE_BYTES:
-                unpacked = f"{column.total_uncompressed_size:,} bytes for {group.num_rows:,} steps"
+            elif (size := unpacked_bytes(column)) > group.num_rows * MAX_ROW_BYTES + _PAGE_BYTES:
+                unpacked = f"{size:,} bytes for {group.num_rows:,} steps"
                 raise ValueError(f"column {column.path_in_schema} of row group {number} unpacks to {unpacked}")
+
+
+def unpacked_bytes(chunk: Any) -> int:
+    """At most so many bytes has a column chunk in memory: of a dictionary, every row may name the longest entry."""
+    repeats = chunk.num_values if chunk.has_dictionary_page and chunk.physical_type == "BYTE_ARRAY" else 1
+    return int(repeats * chunk.total_uncompressed_size)
 
 
 class ShardFile:

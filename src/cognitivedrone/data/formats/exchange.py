@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from cognitivedrone.data.episode import Conditions, Encoding, Episode, Split
+from cognitivedrone.data.shards import unpacked_bytes
 from cognitivedrone.errors import DataError, TaskError
 from cognitivedrone.files import check_regular, create, read_regular, reason_of, replacing_folder
 from cognitivedrone.pictures import MAX_SIDE, open_picture
@@ -186,18 +187,12 @@ def check_unpacked_size(metadata: Any, path: Path, columns: Collection[str]) -> 
     groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
     chunks = [group.column(number) for group in groups for number in range(group.num_columns)]
     within = tuple(f"{name}." for name in columns)  # names have dots as well
-    unpacked = sum(_unpacked_bytes(chunk) for chunk in chunks if f"{chunk.path_in_schema}.".startswith(within))
+    unpacked = sum(unpacked_bytes(chunk) for chunk in chunks if f"{chunk.path_in_schema}.".startswith(within))
     if metadata.num_rows > MAX_ROWS or unpacked > MAX_UNPACKED_BYTES:
         raise DataError(
             f"{path}: has {metadata.num_rows:,} rows and {unpacked:,} bytes when unpacked; at most {MAX_ROWS:,} rows"
             f" and {MAX_UNPACKED_BYTES:,} bytes of one file are read"
         )
-
-
-def _unpacked_bytes(chunk: Any) -> int:
-    """At most so many bytes: of a dictionary, every row may name the longest entry."""
-    repeats = chunk.num_values if chunk.has_dictionary_page and chunk.physical_type == "BYTE_ARRAY" else 1
-    return int(repeats * chunk.total_uncompressed_size)
 
 
 def write_json(path: Path, content: Any) -> None:
