@@ -27,6 +27,7 @@ import stat
 import unicodedata
 from collections.abc import Iterator
 from contextlib import ExitStack
+from io import BufferedReader
 from pathlib import Path, PurePath
 from typing import BinaryIO
 
@@ -73,7 +74,7 @@ def check_regular(path: Path, max_bytes: int | None = None) -> None:
 
 
 @contextlib.contextmanager
-def open_regular(path: Path, max_bytes: int | None = None) -> Iterator[BinaryIO]:
+def open_regular(path: Path, max_bytes: int | None = None) -> Iterator[BufferedReader]:
     """A regular file of at most that size, opened for reading.
 
     Raises `OSError`, whose `strerror` gives the reason, for unreadable and larger files, and at once for folders,
