@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone import files
 from cognitivedrone.data.episode import Conditions, Episode
+from cognitivedrone.data.pages import check_pages
 from cognitivedrone.errors import CognitiveDroneError, DataError
 from cognitivedrone.tasks.format import task_from_json, task_to_json
 from cognitivedrone.types import Task
@@ -245,6 +246,7 @@ class ShardFile:
             files.check_regular(path, MAX_SHARD_BYTES)
             self._file = pq.ParquetFile(path, memory_map=True)
             check_unpacked_size(self._file.metadata, path.stat().st_size)
+            check_pages(path, self._file.metadata)
             footer = json.loads(self._file.metadata.metadata[FOOTER_KEY.encode()])
             self.facts: list[dict[str, Any]] = footer["episodes"]
             self.dropped: dict[str, int] = footer["dropped"]
