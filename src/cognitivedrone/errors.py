@@ -34,7 +34,6 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import json
 import shlex
 import sys
 import warnings
@@ -45,6 +44,7 @@ from urllib.parse import unquote, urlsplit
 
 from cognitivedrone.choices import MessageFault as MessageFault
 from cognitivedrone.choices import ReasonerFault as ReasonerFault
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.printable import visible, wrapped
 
 
@@ -226,7 +226,7 @@ def install_command(extra: str) -> str:
         origin = this.read_text("direct_url.json") or "{}"
     python = shlex.quote(sys.executable)
     command = f"uv pip install --python {python}" if installer == "uv" else f"{python} -m pip install"
-    source = json.loads(origin)
+    source = parse_json(origin)
     url = source.get("url", "")
     if source.get("dir_info", {}).get("editable"):
         return f"{command} -e {shlex.quote(unquote(urlsplit(url).path) + f'[{extra}]')}"

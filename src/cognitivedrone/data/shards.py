@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from cognitivedrone import files
 from cognitivedrone.data.episode import Conditions, Episode
 from cognitivedrone.errors import CognitiveDroneError, DataError
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.tasks.format import task_from_json, task_to_json
 from cognitivedrone.types import Task
 
@@ -69,7 +70,6 @@ def clear_errors(path: Path, doing: str) -> Iterator[None]:
         ArithmeticError,
         AttributeError,
         LookupError,
-        RecursionError,
         TypeError,
         ValueError,
     ) as error:
@@ -137,7 +137,7 @@ def read_json(path: Path) -> Any:
     """The content of a JSON file of the store; raises `DataError`."""
     text = read_text(path)
     with clear_errors(path, "read"):
-        return json.loads(text)
+        return parse_json(text)
 
 
 def read_text(path: Path) -> str:
@@ -221,7 +221,7 @@ class ShardFile:
         with clear_errors(path, "read"):
             files.check_regular(path)
             self._file = pq.ParquetFile(path, memory_map=True)
-            footer = json.loads(self._file.metadata.metadata[FOOTER_KEY.encode()])
+            footer = parse_json(self._file.metadata.metadata[FOOTER_KEY.encode()])
             self.facts: list[dict[str, Any]] = footer["episodes"]
             self.dropped: dict[str, int] = footer["dropped"]
             self._row_groups = {facts["index"]: number for number, facts in enumerate(self.facts)}

@@ -75,7 +75,7 @@ def verify(path: Path | str) -> list[Problem]:
         problems += [*_stray_files(root, manifest), *_episode_problems(manifest)]
         problems += _sum_problems(manifest, sums or {}, hash_of, problems)
         return problems or list(_derived_problems(root, manifest))
-    except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError, RecursionError) as error:
+    except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         return [Problem(MANIFEST, f"is damaged (no usable {error})")]
 
 

@@ -13,6 +13,7 @@ from typing import Any, TypeVar, cast
 
 from cognitivedrone.errors import ModelError, import_extra
 from cognitivedrone.files import read_regular, reason_of
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.models.checksum import BLANK, check, seal
 from cognitivedrone.usage_reports import switch_off
 
@@ -121,8 +122,8 @@ def _read_table(session: Any, kind: str, where: str, former: Mapping[str, str]) 
     """The description in an open file, of a format read here and of this kind; raises `ModelError` for any other."""
     try:
         text = session.get_modelmeta().custom_metadata_map.get(KEY)
-        table = None if text is None else json.loads(text)
-    except (ValueError, RecursionError) as error:
+        table = None if text is None else parse_json(text)
+    except ValueError as error:
         raise ModelError(f"the description in {where} is not JSON: {error}") from None
     if text is None:
         raise ModelError(

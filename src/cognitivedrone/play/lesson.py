@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 import sys
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from cognitivedrone.errors import TrainingError
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.plan import PilotSpec
 from cognitivedrone.processes import environment
 
@@ -76,5 +76,5 @@ class Lesson:
 
     def _steps(self) -> int:
         """Steps of the lesson, as the training wrote down."""
-        recipe = json.loads((self.out / "recipe.json").read_text(encoding="utf-8"))
+        recipe = parse_json((self.out / "recipe.json").read_text(encoding="utf-8"))
         return int(recipe["recipe"]["steps"])

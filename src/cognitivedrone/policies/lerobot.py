@@ -7,7 +7,6 @@ nothing is unpickled or downloaded. The policy must take the features of our LeR
 
 from __future__ import annotations
 
-import json
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +15,7 @@ import numpy as np
 
 from cognitivedrone.errors import MissingExtra, ModelError, PolicyError, import_extra
 from cognitivedrone.interfaces import Policy
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.policies.small import state_of
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, Observation
 
@@ -83,7 +83,7 @@ def read_config(folder: Path) -> dict[str, Any]:
             " lerobot-train wrote, or a local copy of one"
         )
     try:
-        config = json.loads((folder / FILES[0]).read_text(encoding="utf-8"))
+        config = parse_json((folder / FILES[0]).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ModelError(f"{folder / FILES[0]} cannot be read ({error}); copy it again") from None
     if not isinstance(config, dict):

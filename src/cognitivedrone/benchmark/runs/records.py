@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import json
 import os
 import shutil
 import stat
@@ -22,6 +21,7 @@ from cognitivedrone.benchmark.scores.results import RunFacts, write_whole
 from cognitivedrone.benchmark.scores.run_types import Rollout, Trace
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import check_regular, read_regular, reason_of, take_lock, writing
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.types import EpisodeResult
 
 RUN_FILE: Final = "run.json"
@@ -160,7 +160,7 @@ def _same_run(path: Path, facts: RunFacts) -> None:
     file = path / RUN_FILE
     try:
         found = loads(read_regular(file, MAX_RUN_BYTES).decode("utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, ValueError) as error:
         raise RunError(f"{file} cannot be read ({error}); give another --out, or --overwrite") from None
     if differing := differences(found, encode(facts)):
         raise RunError(f"{path} contains another run: {differing}; give another --out, or --overwrite")
@@ -203,9 +203,9 @@ def _line(record: Record) -> bytes:
 def _parse(line: bytes, where: str) -> Record:
     """Parse one line of the file. Raises `RunError` if its checksum or content is wrong."""
     try:
-        document = json.loads(line)
+        document = parse_json(line)
         body, stated = document["record"], document["crc32"]
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError):
         raise RunError(f"{where} is not a record; repeat the run with --overwrite") from None
     if f"{zlib.crc32(dumps(body).encode()):08x}" != stated:
         raise RunError(f"{where} does not match its checksum; repeat the run with --overwrite")

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import read_regular, reason_of
+from cognitivedrone.json_text import parse_json
 
 T = TypeVar("T")
 _SURROGATE = re.compile("[\ud800-\udfff]")
@@ -42,9 +43,9 @@ def dumps(value: Any, *, indent: int | None = None) -> str:
 def loads(text: str) -> Any:
     """Parse JSON as strictly as `dumps` writes it: no name twice in an object, no NaN and no infinity.
 
-    Raises `ValueError`, and `RecursionError` for thousands of brackets.
+    Raises `ValueError`.
     """
-    return json.loads(text, object_pairs_hook=_named_once, parse_constant=_finite, parse_float=_finite)
+    return parse_json(text)
 
 
 def read_document(path: Path, schema: str, kind: str, way_out: str, max_bytes: int) -> dict[str, Any]:
@@ -53,27 +54,12 @@ def read_document(path: Path, schema: str, kind: str, way_out: str, max_bytes: i
         document = loads(read_regular(path, max_bytes).decode("utf-8"))
     except OSError as error:
         raise RunError(f"{path} cannot be read ({reason_of(error)}); {way_out}") from None
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise RunError(f"{path} cannot be read: {error}; {way_out}") from None
     found = document.pop("schema", None) if isinstance(document, dict) else None
     if found != schema:
         raise RunError(f"{path} is no {kind} of this version: its schema is {found!r}, not {schema!r}; {way_out}")
     return dict(document)
-
-
-def _named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) != len(pairs):
-        names = [name for name, _ in pairs]
-        raise ValueError(f"the name {max(names, key=names.count)[:80]!r} is given twice in an object")
-    return found
-
-
-def _finite(text: str) -> float:
-    number = float(text)
-    if not math.isfinite(number):
-        raise ValueError(f"{text[:20]} is no finite number")
-    return number
 
 
 def decode(kind: type[T], value: Any, where: str) -> T:

@@ -10,7 +10,6 @@ action_head.safetensors        of the parallel decoder, if config.json has a chu
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Mapping
@@ -20,6 +19,7 @@ from typing import Any, Literal
 
 from cognitivedrone.errors import ModelError
 from cognitivedrone.files import check_regular, read_regular
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.models.openvla.actions import ActionStatistics, choose_statistics
 from cognitivedrone.models.openvla.config import Config, read_config
 from cognitivedrone.models.openvla.prepare import ImagePreparation, check_tokenizer, read_preparation
@@ -145,12 +145,12 @@ def read_header(path: Path) -> dict[str, Any]:
             size = int.from_bytes(file.read(8), "little")
             text = file.read(size) if 2 <= size <= LARGEST_HEADER else b""
             held = path.stat().st_size - 8 - size
-        header: dict[str, Any] = json.loads(text)
+        header: dict[str, Any] = parse_json(text)
         header.pop("__metadata__", None)
         end = max((int(entry["data_offsets"][1]) for entry in header.values()), default=0)
     except OSError as error:
         raise ModelError(f"{path}: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError):
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError):
         raise ModelError(f"{path} is not a safetensors file; if it is a pointer of Git LFS, fetch the file") from None
     if held != end:
         raise ModelError(f"{path} is truncated: it holds {held} bytes of tensors, not {end}; copy it again")
@@ -212,10 +212,10 @@ def _head(folder: Path, config: Config) -> Path | None:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        table = json.loads(read_regular(path, LARGEST_HEADER).decode())
+        table = parse_json(read_regular(path, LARGEST_HEADER).decode())
     except OSError as error:
         raise ModelError(f"{path}: {error.strerror}; the folder of a whole OpenVLA checkpoint has it") from None
-    except (ValueError, RecursionError):
+    except ValueError:
         raise ModelError(f"{path} is not JSON; if it is a pointer of Git LFS, fetch the file") from None
     if not isinstance(table, dict):
         raise ModelError(f"{path} is not a JSON object")

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import check_regular, reason_of, replacing
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.models.checksum import BLANK, Finding, check, seal
 
 CHECKPOINT = "checkpoint.safetensors"
@@ -51,7 +52,7 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
                 raise TrainingError(
                     f"{path}: not a whole checkpoint (it does not match its checksum); delete it or take an earlier one"
                 )
-            facts = json.loads(metadata[_KEY])
+            facts = parse_json(metadata[_KEY])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
     except FileNotFoundError:
         raise TrainingError(f"{path}: no such checkpoint") from None
@@ -60,7 +61,7 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         raise TrainingError(f"{path}: not a whole checkpoint ({reason}); delete it or take an earlier one") from None
     except SafetensorError as error:
         raise TrainingError(f"{path}: not a whole checkpoint ({error}); delete it or take an earlier one") from None
-    except (KeyError, RecursionError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError):
         raise TrainingError(f"{path}: a safetensors file, but not a checkpoint of this project") from None
     if not isinstance(facts, dict) or facts.get("format") != FORMAT:
         found = facts.get("format") if isinstance(facts, dict) else "unknown"
