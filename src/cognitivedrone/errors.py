@@ -45,14 +45,14 @@ from urllib.parse import unquote, urlsplit
 from cognitivedrone.choices import MessageFault as MessageFault
 from cognitivedrone.choices import ReasonerFault as ReasonerFault
 from cognitivedrone.json_text import parse_json
-from cognitivedrone.printable import visible, wrapped
+from cognitivedrone.printable import visible, without_secrets, wrapped
 
 
 class CognitiveDroneError(Exception):
     """Base of everything this package raises on purpose.
 
     Messages repeat texts of others: of policies, servers and files. What no file or terminal takes, such as a lone
-    surrogate, is shown as an escape sequence.
+    surrogate, is shown as an escape sequence, and addresses without their secrets.
     """
 
     exit_code = 2
@@ -201,7 +201,7 @@ def _remade(kind: type[CognitiveDroneError], arguments: tuple[Any, ...], state: 
 
 
 def _shown(text: str) -> str:
-    return visible(text, keep="\n\t")
+    return visible(without_secrets(text), keep="\n\t")
 
 
 def import_extra(module: str, extra: str, package: str | None = None) -> Any:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import hmac
 import os
+import stat
 import time
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
 from cognitivedrone.errors import MessageError, ServerError
-from cognitivedrone.files import reason_of
+from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.remote.messages import TOKEN_VARIABLE
 from cognitivedrone.serving.config import LOOPBACK
 
 SHORTEST_TOKEN = 16
 """In characters; shorter ones can be guessed."""
+_LARGEST_FILE = 4096
 _SCHEMES = ("api-key", "bearer")
 
 
@@ -25,7 +28,13 @@ def token_of(host: str, token_file: Path | None) -> str | None:
     """
     if token_file is not None:
         try:
-            token = token_file.read_text("utf-8").strip()
+            token = read_regular(token_file, _LARGEST_FILE).decode("utf-8").strip()
+            if token_file.stat().st_mode & stat.S_IROTH:
+                warnings.warn(
+                    f"--token-file {token_file} can be read by every user of this machine; make it yours alone with"
+                    f" `chmod 600 {token_file}`",
+                    stacklevel=2,
+                )
         except (OSError, UnicodeDecodeError) as error:
             reason = reason_of(error) if isinstance(error, OSError) else "it is not text"
             raise ServerError(f"--token-file {token_file} cannot be read: {reason}") from None
@@ -39,7 +48,7 @@ def token_of(host: str, token_file: Path | None) -> str | None:
     if not token and host not in LOOPBACK:
         raise ServerError(
             f"--host {host} lets other machines connect, which needs a token: write one to a file, as with"
-            f" `openssl rand -hex 24 > token`, and give --token-file token, or set {TOKEN_VARIABLE}"
+            f" `(umask 077; openssl rand -hex 24 > token)`, and give --token-file token, or set {TOKEN_VARIABLE}"
         )
     return token or None
 

@@ -36,6 +36,7 @@ from cognitivedrone.errors import RunError
 from cognitivedrone.files import safe_name, writing
 from cognitivedrone.interrupts import watched
 from cognitivedrone.pilot import Pilot
+from cognitivedrone.printable import shown_address
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.rollout.pool import InProcess, Pool, ProcessPool, WorkerCrash
 from cognitivedrone.rollout.ray_pool import RayPool
@@ -113,7 +114,8 @@ def out_of(plan: Plan) -> Path:
     """The run's folder: the one given, or one named after suite, policy and reasoner."""
     if plan.out is not None:
         return plan.out
-    names = [plan.scenario.title, plan.pilot.policy, plan.pilot.reasoner, *(["track"] if plan.scenario.track else [])]
+    pilot = plan.pilot.shown
+    names = [plan.scenario.title, pilot.policy, pilot.reasoner, *(["track"] if plan.scenario.track else [])]
     if plan.shard is not None:
         shard = parse_shard(plan.shard)
         names.append(f"shard-{shard.number}-of-{shard.count}")
@@ -127,7 +129,7 @@ def results_folder(*names: str) -> Path:
 
 def command_of(plan: Plan) -> str:
     """The command line that repeats the run, without options that do not affect the results."""
-    return shlex.join(["cognitivedrone", "bench", *plan.words()])
+    return shlex.join(["cognitivedrone", "bench", *map(shown_address, plan.words())])
 
 
 def _pool_of(flights: Flights, most: int, pilot: Pilot | None) -> Pool[Wanted, Rollout]:
