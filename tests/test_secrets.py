@@ -45,7 +45,14 @@ def test_the_pilot_of_a_run_is_recorded_without_them() -> None:
         lambda: str(reason.out_of(ReasonPlan.of(reasoner=SERVER))),
         lambda: str(Learner(SERVER, 0.0, None).facts()),
         lambda: announced(ServePlan.of(policy=SERVER), Address("127.0.0.1", 1)),
-        lambda: command_line(FlyPlan.of(policy=SERVER, camera="rtsp://me:SECRET@host/?pw=SECRET")),
+        lambda: command_line(
+            FlyPlan.of(
+                instruction="go",
+                policy=SERVER,
+                link="mavlink:udp:127.0.0.1:9",
+                camera="rtsp://me:SECRET@host/?pw=SECRET",
+            )
+        ),
         lambda: str(PilotSpec(SERVER, SERVER).shown),
     ],
 )

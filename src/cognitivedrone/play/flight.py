@@ -92,8 +92,9 @@ class FlightControls(Controls):
 
 def command_line(plan: FlyPlan) -> str:
     """The command that flies a plan without the page."""
-    changes = plan.changed(out=None, instruction="", view=True, film=True, page=False, page_port=0).changes()
-    changes.pop("page_port", None)
+    changes = plan.changed(out=None, view=True, film=True, page=False, page_port=0).changes()
+    for name in ("page_port", "instruction"):  # the latter has no flag
+        changes.pop(name, None)
     words = [word for name, value in changes.items() for word in (_flag(name), shown_address(str(value)))]
     return shlex.join(["cognitivedrone", "fly", *([plan.instruction] if plan.instruction else []), *words])
 

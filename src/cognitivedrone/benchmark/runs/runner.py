@@ -64,7 +64,7 @@ def run(
     began = time.perf_counter()
     job = resolve(plan, named=pilot is None)
     facts, path = job.facts, out_of(plan)
-    flown_before = check_folder(path, facts, resume=plan.resume, overwrite=plan.overwrite)
+    flown_before = check_folder(path, facts, tracks=job.suite.tracks, resume=plan.resume, overwrite=plan.overwrite)
     missing = [episode for episode in job.episodes if episode not in flown_before]
     if not missing and (path / RESULTS_FILE).exists() and (path / REPORT_FILE).exists():
         finished = read_results(path)
@@ -76,7 +76,9 @@ def run(
         screen = console(stderr=True)
         with screen.status("starting the simulators") if progress else nullcontext():
             pool = stack.enter_context(_pool_of(Flights(job, runner), max(len(missing), 1), pilot))
-        folder = stack.enter_context(RunFolder(path, facts, resume=plan.resume, overwrite=plan.overwrite))
+        folder = stack.enter_context(
+            RunFolder(path, facts, tracks=job.suite.tracks, resume=plan.resume, overwrite=plan.overwrite)
+        )
         try:
             link = _fly_missing(pool, folder, missing, job, show=progress)
             records = [folder.records[episode] for episode in job.episodes]
