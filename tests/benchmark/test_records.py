@@ -189,7 +189,7 @@ def test_a_line_that_names_no_run_is_refused(folder, facts):
         (lambda result: result.update(episode=99), "the suite has the episodes 0 to"),
         (lambda result: result["stages"][0].update(target=99), "its target is 99"),
         (lambda result: result["stages"][0].update(task_id="else"), "its task_id is 'else'"),
-        (lambda result: result["stages"][0].update(category="semantic"), "its category is 'semantic'"),
+        (lambda result: result["stages"][0].update(category="racing"), "its category is 'racing'"),
         (lambda result: result["stages"][0].update(family="else"), "its family is 'else'"),
         (lambda result: result["stages"][0].update(chosen=99), "with the gate 99"),
         (lambda result: result["stages"][0].update(outcome="passed", chosen=None), "cannot have ended as passed"),
