@@ -42,7 +42,8 @@ def decode(
         return (converter or STRICT).structure(value, kind)
     except (cattrs.BaseValidationError, cattrs.ForbiddenExtraKeysError, Unfit) as fault:
         problem, _, path = cattrs.transform_error(fault, "", _problem)[0].rpartition(" @ ")
-        raise error(f"{where}{path.lstrip('.') if where.endswith(' ') else path} {problem}") from None
+        place = f"{where}{path.lstrip('.') if where.endswith(' ') else path}".rstrip()
+        raise error(f"{place} {problem}") from None
 
 
 def check_form(kind: type[Any], value: Any, where: str, error: type[CognitiveDroneError]) -> None:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import numpy as np
+
 from cognitivedrone.errors import ModelError, import_extra
 from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.json_text import parse_json
@@ -130,7 +132,7 @@ def _read_table(session: Any, kind: str, where: str, former: Mapping[str, str]) 
             f"{where} does not describe itself: it lacks the metadata {KEY!r} that `cognitivedrone train` writes"
         )
     version = table.get("format") if isinstance(table, dict) else None
-    if version not in (1, FORMAT):
+    if version not in (1, FORMAT) or isinstance(version, bool):
         raise ModelError(
             f"{where} is a model file of format {version!r} and this version reads formats 1 and {FORMAT};"
             " use a file and a release of cognitivedrone that match"
@@ -140,6 +142,18 @@ def _read_table(session: Any, kind: str, where: str, former: Mapping[str, str]) 
         raise ModelError(f"{where} is {former[found['kind']]}; use the release that it came with, or train it again")
     if found.get("kind") != kind:
         raise ModelError(f"{where} is a model of kind {found.get('kind')!r}, not {kind!r}")
+    return found
+
+
+def numbers_of(session: Any, outputs: Sequence[str], inputs: Mapping[str, Any], what: str) -> list[Any]:
+    """These outputs of a network; raises `ModelError` where one is not a number, as of weights that are none."""
+    found: list[Any] = session.run(outputs, inputs)
+    for name, values in zip(outputs, found, strict=True):
+        if np.isnan(values).any():
+            raise ModelError(
+                f"{what} answers with values that are not numbers ({name}), so its weights are damaged; train or"
+                " download it again"
+            )
     return found
 
 

@@ -133,6 +133,11 @@ class Output:
     """(n, 3, 4) of each gate's panel: centre u, v and height in pixels, and the number of its gate's colour; None of
     models that do not ask the picture classifier."""
 
+    def without_numbers(self) -> str | None:
+        """The name of the first part that holds a value which is not a number; none if there is none."""
+        parts = ((field.name, getattr(self, field.name)) for field in fields(self))
+        return next((name for name, values in parts if values is not None and np.isnan(values).any()), None)
+
 
 def describe(path: str | Path, description: Description) -> None:
     """Write the description and a checksum into an ONNX file, replacing existing ones.

@@ -24,6 +24,7 @@ from cognitivedrone.models.openvla.actions import ActionStatistics, choose_stati
 from cognitivedrone.models.openvla.config import Config, read_config
 from cognitivedrone.models.openvla.prepare import ImagePreparation, check_tokenizer, read_preparation
 from cognitivedrone.models.openvla.tensors import Shapes, check_tensors, head_tensors, unused_tensors, used_tensors
+from cognitivedrone.schema import check_form
 
 Quantisation = Literal["none", "int8", "int4"]
 DecoderName = Literal["ar", "parallel"]
@@ -43,6 +44,19 @@ BYTES_PER_WEIGHT: dict[Quantisation, float] = {"none": 2.0, "int8": 1.0, "int4":
 """Bytes per weight of a matrix in Llama's layers; scale and zero have 2 bytes each."""
 _WORK = 0.04
 """Memory for activations, keys, values and workspaces, as a fraction of the weights."""
+
+
+class _NotTensors(ModelError):
+    """A header of another form."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Tensor:
+    """A tensor in the header of a safetensors file."""
+
+    dtype: str
+    shape: tuple[int, ...]
+    data_offsets: tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,10 +161,11 @@ def read_header(path: Path) -> dict[str, Any]:
             held = path.stat().st_size - 8 - size
         header: dict[str, Any] = parse_json(text)
         header.pop("__metadata__", None)
-        end = max((int(entry["data_offsets"][1]) for entry in header.values()), default=0)
+        check_form(dict[str, _Tensor], header, "", _NotTensors)
+        end = max((entry["data_offsets"][1] for entry in header.values()), default=0)
     except OSError as error:
         raise ModelError(f"{path}: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError):
+    except (ValueError, TypeError, AttributeError, _NotTensors):
         raise ModelError(f"{path} is not a safetensors file; if it is a pointer of Git LFS, fetch the file") from None
     if held != end:
         raise ModelError(f"{path} is truncated: it holds {held} bytes of tensors, not {end}; copy it again")
@@ -160,7 +175,10 @@ def read_header(path: Path) -> dict[str, Any]:
 def _own_statistics(folder: Path, table: Mapping[str, Any]) -> dict[str, Any]:
     """Action statistics from the configuration `table`, and from fine-tuning."""
     fine_tuned = _read_json(folder / STATISTICS) if (folder / STATISTICS).is_file() else {}
-    return {**table.get("norm_stats", {}), **fine_tuned}
+    published = table.get("norm_stats", {})
+    if not isinstance(published, dict):
+        raise ModelError(f"{CONFIG}: norm_stats is {type(published).__name__}; it must be an object, by data set")
+    return {**published, **fine_tuned}
 
 
 def _tensors(folder: Path) -> tuple[Shapes, dict[str, Path], int]:
