@@ -37,8 +37,8 @@ def parse_json(
     """The value of a JSON text in UTF-8.
 
     Raises `NotJSON`, a `ValueError`, for anything else: also for a name that an object has twice, more than `max_depth`
-    lists and objects within each other, more than `max_bytes` bytes (or characters), numbers that no float holds, and
-    NaN and infinity unless they may be there (`non_finite`). `objects` makes something else than a dict of the pairs of
+    lists and objects within each other, more than `max_bytes` bytes (or characters), whole numbers of more than 300
+    digits, and NaN and what is infinite as a float unless they may be there (`non_finite`). `objects` makes something else than a dict of the pairs of
     an object, and then says itself what it thinks of names given twice.
     """
     if len(content) > max_bytes:
@@ -50,8 +50,8 @@ def parse_json(
     hooks: dict[str, Any] = {"object_pairs_hook": objects or _each_name_once}
     if not non_finite:
         hooks["parse_constant"] = _finite
-        if _LARGE_NUMBER.search(text):  # seldom; these hooks take as long as the rest of the parser
-            hooks |= {"parse_float": _finite, "parse_int": _whole}
+    if _LARGE_NUMBER.search(text):  # seldom; these hooks take as long as the rest of the parser
+        hooks |= {"parse_int": _whole} | ({} if non_finite else {"parse_float": _finite})
     try:
         value = json.loads(text, **hooks)
     except RecursionError:

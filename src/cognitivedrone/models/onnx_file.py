@@ -138,10 +138,10 @@ def _read_table(session: Any, kind: str, where: str, former: Mapping[str, str]) 
             " use a file and a release of cognitivedrone that match"
         )
     found = cast(dict[str, Any], table)
-    if found.get("kind") in former:
+    if isinstance(found.get("kind"), str) and found["kind"] in former:
         raise ModelError(f"{where} is {former[found['kind']]}; use the release that it came with, or train it again")
     if found.get("kind") != kind:
-        raise ModelError(f"{where} is a model of kind {found.get('kind')!r}, not {kind!r}")
+        raise ModelError(f"{where} is a model of kind {found.get('kind')!r:.60}, not {kind!r}")
     return found
 
 
@@ -189,6 +189,14 @@ def field_of(table: Mapping[str, Any], name: str, kind: type[T], where: str) -> 
     if not isinstance(value, kind) or isinstance(value, bool):
         raise ModelError(f"{name!r} of the description in {where} is {value!r:.60}, which is not a {kind.__name__}")
     return value
+
+
+def texts_of(table: Mapping[str, Any], name: str, where: str) -> tuple[str, ...]:
+    """A field that is a list of texts; raises `ModelError`."""
+    values = field_of(table, name, list, where)
+    if not all(isinstance(value, str) for value in values):
+        raise ModelError(f"{name!r} of the description in {where} holds something else than text")
+    return tuple(values)
 
 
 def count_of(table: Mapping[str, Any], name: str, where: str) -> int:

@@ -37,6 +37,7 @@ from cognitivedrone.models.onnx_file import (
     field_of,
     open_model,
     provenance_of,
+    texts_of,
     write_table,
 )
 from cognitivedrone.models.opinions import Opinions
@@ -108,7 +109,7 @@ class Description:
             chunk=count_of(table, "chunk", where),
             action=statistics_of(field_of(table, "action", dict, where), where),
             network=field_of(table, "network", dict, where),
-            attributes=tuple(field_of(table, "facets", list, where)),
+            attributes=texts_of(table, "facets", where),
             classifier=table.get("classifier") is True,
             provenance=provenance_of(table, where),
         )

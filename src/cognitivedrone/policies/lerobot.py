@@ -7,6 +7,7 @@ nothing is unpickled or downloaded. The policy must take the features of our LeR
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
@@ -17,6 +18,7 @@ from cognitivedrone.errors import MissingExtra, ModelError, PolicyError, import_
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.json_text import parse_json
 from cognitivedrone.policies.small import state_of
+from cognitivedrone.schema import check_form
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, Observation
 
 EXTRA = "lerobot"
@@ -83,7 +85,7 @@ def read_config(folder: Path) -> dict[str, Any]:
             " lerobot-train wrote, or a local copy of one"
         )
     try:
-        config = parse_json((folder / FILES[0]).read_text(encoding="utf-8"))
+        config = parse_json((folder / FILES[0]).read_text(encoding="utf-8"), non_finite=True)
     except (OSError, ValueError) as error:
         raise ModelError(f"{folder / FILES[0]} cannot be read ({error}); copy it again") from None
     if not isinstance(config, dict):
@@ -91,11 +93,19 @@ def read_config(folder: Path) -> dict[str, Any]:
     return config
 
 
+@dataclass(frozen=True, slots=True)
+class _Feature:
+    """What config.json says of an input or an output."""
+
+    shape: tuple[int, ...] = ()
+
+
 def check_features(folder: Path, config: dict[str, Any]) -> None:
     """Raises `ModelError` unless the policy takes what our drone sees and answers what it flies."""
     features = {**_features(config, "input_features"), **_features(config, "output_features")}
+    check_form(dict[str, _Feature], features, f"{folder / FILES[0]}: ", ModelError)
     for key, feature in features.items():
-        shape = tuple(feature.get("shape") or ()) if isinstance(feature, dict) else ()
+        shape = tuple(feature.get("shape", ()))
         if key != IMAGE_KEY and shape != SHAPES.get(key):
             raise ModelError(
                 f"{folder} is a policy with {key} {shape}; ours has {IMAGE_KEY}, {STATE_KEY} (5,) and {ACTION_KEY}"

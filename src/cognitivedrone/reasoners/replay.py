@@ -31,7 +31,7 @@ def read_answers(path: Path) -> dict[str, tuple[Entry, ...]]:
             continue
         where = f"{path} line {number}"
         try:
-            obj = parse_json(line)
+            obj = parse_json(line, non_finite=True)
         except ValueError:
             raise PluginError(f"{where} is not JSON; every line must be one object") from None
         if not isinstance(obj, dict) or not isinstance(obj.get("task"), str):

@@ -195,9 +195,11 @@ def raise_error(frame: str, where: str) -> None:
     the last line of its traceback.
     """
     try:
-        error = parse_json(frame)["error"]
+        error = parse_json(frame, non_finite=True)["error"]
         code, fault = error["code"], error.get("fault")
         message = " ".join(str(error["message"]).split())[:LONGEST_ERROR]
+        if not isinstance(code, str) or not isinstance(fault, str | None):
+            raise TypeError("code and fault are words")
     except (ValueError, TypeError, KeyError, AttributeError):
         last = (frame.strip().splitlines() or ["an empty text"])[-1]
         raise ServerError(f"the policy server at {where} failed: {last[:300]}") from None

@@ -331,7 +331,7 @@ def read_json(path: Path, max_bytes: int = MAX_FILE_BYTES) -> object:
     """
     try:
         content = read_regular(path, max_bytes)
-        return parse_json(content)
+        return parse_json(content, non_finite=True)  # the errors of a task name its field
     except OSError as error:
         raise TaskError(f"{path}: cannot be read ({reason_of(error)}); give a task file or a folder of them") from None
     except NotJSON as error:
