@@ -38,8 +38,8 @@ def parse_json(
 
     Raises `NotJSON`, a `ValueError`, for anything else: also for a name that an object has twice, more than `max_depth`
     lists and objects within each other, more than `max_bytes` bytes (or characters), whole numbers of more than 300
-    digits, and NaN and what is infinite as a float unless they may be there (`non_finite`). `objects` makes something else than a dict of the pairs of
-    an object, and then says itself what it thinks of names given twice.
+    digits, and NaN and what is infinite as a float unless they may be there (`non_finite`). `objects` makes something
+    else than a dict of the pairs of an object, and then says itself what it thinks of names given twice.
     """
     if len(content) > max_bytes:
         raise NotJSON(f"it has {len(content):,} bytes, and at most {max_bytes:,} are read")
