@@ -11,6 +11,7 @@ from cognitivedrone.apps.config import FlyPlan
 from cognitivedrone.audit.config import AuditPlan
 from cognitivedrone.audit.report import audit_table
 from cognitivedrone.audit.run import folder_of
+from cognitivedrone.benchmark import measurements
 from cognitivedrone.benchmark.config import Plan, ReasonPlan
 from cognitivedrone.benchmark.reasoning import reason
 from cognitivedrone.benchmark.runs import runner
@@ -54,6 +55,7 @@ def test_the_pilot_of_a_run_is_recorded_without_them() -> None:
             )
         ),
         lambda: str(PilotSpec(SERVER, SERVER).shown),
+        lambda: measurements.command_line(["benchmarks/some.py", "--policy", SERVER]),
     ],
 )
 def test_what_is_shown_of_a_pilot_has_none(shown: Callable[[], str]) -> None:

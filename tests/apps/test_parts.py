@@ -224,6 +224,7 @@ def test_the_login_of_a_camera_is_not_in_the_log(tmp_path):
     log = FlightLog(tmp_path / "f", {"config": {"safety": {"camera": "rtsp://user:a secret@10.0.0.5/live?t=secret"}}})
     assert "secret" not in (tmp_path / "f" / "flight.json").read_text()  # also of a flight that was killed
     log.event(Event(0.0, "guard", "cannot read rtsp://user:secret@10.0.0.5/live"))
+    assert log.events[0].text == "cannot read rtsp://***@10.0.0.5/live"  # which the film's page shows
     log.close(None, "rtsp://user:secret@10.0.0.5/live gave no frame")
     assert "secret" not in (tmp_path / "f" / "flight.json").read_text()
     about = json.loads((tmp_path / "f" / "flight.json").read_text())

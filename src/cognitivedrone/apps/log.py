@@ -104,7 +104,8 @@ class FlightLog:
             self._bag.step(step)
 
     def event(self, event: Event) -> None:
-        """Record an event."""
+        """Record an event; its text goes into tables, the bag and the page of the film."""
+        event = replace(event, text=without_secrets(event.text))
         self.events.append(event)
         if self._bag is not None:
             self._bag.event(event)
@@ -124,9 +125,7 @@ class FlightLog:
 
     def _write_tables(self, summary: Summary | None, error: str) -> None:
         pq.write_table(pa.Table.from_pylist(self._steps, STEP_COLUMNS), self.out / STEPS_FILE)
-        events = [
-            {"time_s": e.time, "kind": e.kind, "text": without_secrets(e.text), "age_s": e.age_s} for e in self.events
-        ]
+        events = [{"time_s": e.time, "kind": e.kind, "text": e.text, "age_s": e.age_s} for e in self.events]
         pq.write_table(pa.Table.from_pylist(events, EVENT_COLUMNS), self.out / EVENTS_FILE)
         ended: dict[str, Any] = {"steps": len(self._steps), "frames_dropped": self.dropped, "error": error or None}
         if self._bag is not None:
