@@ -326,3 +326,47 @@ def test_a_progress_bar_fits_into_80_columns_from_its_first_moment():
     assert any("starting" in line for line in lines)
     assert any("8000/8062" in line and "1234.5/s" in line and "…" in line for line in lines)
     assert max(len(line.rstrip("\x1b[2K")) for line in lines) <= 90  # with control characters
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (KeyError("lengths"), "KeyError: 'lengths'"),
+        (RecursionError("maximum recursion depth exceeded"), "RecursionError: maximum"),
+        (MemoryError(), "MemoryError"),
+        (ValueError("one\ntwo \x1b[31m rtsp://me:secret@camera/"), "ValueError: one two"),
+        (ImportError("initialization failed"), "ImportError: initialization failed"),
+    ],
+)
+def test_an_error_that_nobody_expected_is_one_sentence_with_the_place_of_its_traceback(
+    capsys, monkeypatch, tmp_path, error, told
+):
+    def broken() -> None:
+        raise error
+
+    monkeypatch.setattr("cognitivedrone.cli.load", lambda name: broken)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with pytest.raises(SystemExit) as stop:
+        main(["list"])
+    assert stop.value.code == 1
+    output = capsys.readouterr().err
+    assert output.startswith("cognitivedrone: an error that nobody expected")
+    assert told in output
+    assert output.count("\n") == 1
+    (written,) = tmp_path.iterdir()
+    assert str(written) in output
+    text = written.read_text()
+    assert "in broken" in text
+    assert written.stat().st_mode & 0o077 == 0
+    assert not any(part in output + text for part in ("secret", "\x1b"))
+
+
+def test_without_a_place_for_the_traceback_it_is_printed(capsys, monkeypatch, tmp_path):
+    def broken() -> None:
+        raise ArithmeticError("odd")
+
+    monkeypatch.setattr("cognitivedrone.cli.load", lambda name: broken)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "nowhere"))
+    with pytest.raises(SystemExit):
+        main(["list"])
+    assert "in broken" in capsys.readouterr().err

@@ -14,7 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cognitivedrone.printable import message, unprintable, visible, wrapped
+from cognitivedrone.errors import CameraError, PolicyRaised
+from cognitivedrone.printable import message, shown_address, unprintable, visible, wrapped
 
 ANY = st.text(st.characters(codec=None, exclude_categories=()), max_size=40)
 
@@ -71,10 +72,40 @@ def test_a_message_keeps_its_lines_and_nothing_else() -> None:
         ("cannot read rtsp://user:secret@10.0.0.5/live: refused", "cannot read rtsp://***@10.0.0.5/live: refused"),
         ("'http://u:se@cret@host:80/a@b'", "'http://***@host:80/a@b'"),
         ("http://host/a@b and me@example.org", "http://host/a@b and me@example.org"),
+        ("(rtsp://u:it's@host/1), rtsp://a:b@c", "(rtsp://***@host/1), rtsp://***@c"),
+        ("rtsp://admin:pa/ss?w#d@host/1 twice: rtsp://u:1/2@host", "rtsp://***@host/1 twice: rtsp://***@host"),
+        ("ws://h/?token=T; correct it", "ws://h/?token=***; correct it"),
+        ('"HTTPS://h/x?a=T&b=U;c#V", "next"', '"HTTPS://h/x?a=***&b=***&***#***", "next"'),
+        ("http://h/?SECRET.", "http://h/?***."),
+        ("rtsp://h/user=admin_password=PW_channel=1.sdp?x", "rtsp://h/user=admin_password=***?***"),
+        ("http://[::1]:80/stream and http://h/a,b?", "http://[::1]:80/stream and http://h/a,b?"),
     ],
 )
-def test_no_login_of_an_address_is_shown(text: str, shown: str) -> None:
+def test_no_secret_of_an_address_is_shown(text: str, shown: str) -> None:
     assert message(text) == shown
+
+
+@pytest.mark.parametrize(
+    ("address", "shown"),
+    [
+        ("/dev/video0", "/dev/video0"),
+        ("gazebo:/camera?x", "gazebo:/camera?x"),
+        ('http://me:a b"c@host/x?pw=d e', "http://***@host/x?pw=***"),
+        ("http://host/x?pw=a,b=c", "http://host/x?pw=***"),
+        ("remote:ws://host/?token=T,rows=3", "remote:ws://host/?token=***,rows=3"),
+        ("my_module:Policy:wss://me:pw@host,url=http://h?k=v", "my_module:Policy:wss://***@host,url=http://h?k=***"),
+        ("vlm:http://127.0.0.1:8000/v1,model=org/name", "vlm:http://127.0.0.1:8000/v1,model=org/name"),
+    ],
+)
+def test_an_address_is_shown_without_its_secrets(address: str, shown: str) -> None:
+    assert shown_address(address) == shown
+    assert shown_address(shown) == shown
+
+
+def test_an_error_tells_no_secret() -> None:
+    error = CameraError("cannot read rtsp://me:PW@host/: 'rtsp://me:PW@host/?t=PW' is not there")
+    assert "PW" not in str(error)
+    assert "PW" not in PolicyRaised("ws://h?t=PW", "Traceback: ws://h?t=PW").trace
 
 
 def test_a_terminal_gets_lines_of_its_width_and_a_file_those_that_there_are() -> None:

@@ -34,7 +34,6 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import json
 import shlex
 import sys
 import warnings
@@ -45,14 +44,15 @@ from urllib.parse import unquote, urlsplit
 
 from cognitivedrone.choices import MessageFault as MessageFault
 from cognitivedrone.choices import ReasonerFault as ReasonerFault
-from cognitivedrone.printable import visible, wrapped
+from cognitivedrone.json_text import parse_json
+from cognitivedrone.printable import visible, without_secrets, wrapped
 
 
 class CognitiveDroneError(Exception):
     """Base of everything this package raises on purpose.
 
     Messages repeat texts of others: of policies, servers and files. What no file or terminal takes, such as a lone
-    surrogate, is shown as an escape sequence.
+    surrogate, is shown as an escape sequence, and addresses without their secrets.
     """
 
     exit_code = 2
@@ -201,7 +201,7 @@ def _remade(kind: type[CognitiveDroneError], arguments: tuple[Any, ...], state: 
 
 
 def _shown(text: str) -> str:
-    return visible(text, keep="\n\t")
+    return visible(without_secrets(text), keep="\n\t")
 
 
 def import_extra(module: str, extra: str, package: str | None = None) -> Any:
@@ -226,7 +226,7 @@ def install_command(extra: str) -> str:
         origin = this.read_text("direct_url.json") or "{}"
     python = shlex.quote(sys.executable)
     command = f"uv pip install --python {python}" if installer == "uv" else f"{python} -m pip install"
-    source = json.loads(origin)
+    source = parse_json(origin)
     url = source.get("url", "")
     if source.get("dir_info", {}).get("editable"):
         return f"{command} -e {shlex.quote(unquote(urlsplit(url).path) + f'[{extra}]')}"

@@ -14,12 +14,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, Field, dataclass, field
+from dataclasses import MISSING, Field, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_type_hints
 
 from cognitivedrone.choices import AppearanceName as AppearanceName
 from cognitivedrone.errors import LinkError, did_you_mean
+from cognitivedrone.printable import shown_address
 from cognitivedrone.ranges import WIND, Range, Seed, check_arguments
 
 Rule = Literal["through", "within_1m"]
@@ -189,6 +190,11 @@ class PilotSpec(Options):
     """Policy: a name, small:MODEL.onnx for a model file, or your own as module:attribute."""
     reasoner: str = _option("none", command="always")
     """Reasoner: a name, none to give the policy the raw instruction, or your own as module:attribute."""
+
+    @property
+    def shown(self) -> PilotSpec:
+        """As it is printed and stored: addresses of servers without their secrets."""
+        return replace(self, policy=shown_address(self.policy), reasoner=shown_address(self.reasoner))
 
 
 @dataclass(frozen=True, slots=True)

@@ -222,11 +222,15 @@ def test_the_frame_server_has_limits():
 
 
 def test_the_login_of_a_camera_is_not_in_the_log(tmp_path):
-    log = FlightLog(tmp_path / "f", {"config": {"safety": {"camera": "rtsp://user:secret@10.0.0.5/live"}}})
+    log = FlightLog(tmp_path / "f", {"config": {"safety": {"camera": "rtsp://user:a secret@10.0.0.5/live?t=secret"}}})
+    assert "secret" not in (tmp_path / "f" / "flight.json").read_text()  # also of a flight that was killed
     log.event(Event(0.0, "guard", "cannot read rtsp://user:secret@10.0.0.5/live"))
+    assert log.events[0].text == "cannot read rtsp://***@10.0.0.5/live"  # which the film's page shows
     log.close(None, "rtsp://user:secret@10.0.0.5/live gave no frame")
     assert "secret" not in (tmp_path / "f" / "flight.json").read_text()
-    assert json.loads((tmp_path / "f" / "flight.json").read_text())["end"]["error"].startswith("rtsp://***@10.0.0.5")
+    about = json.loads((tmp_path / "f" / "flight.json").read_text())
+    assert about["config"]["safety"]["camera"] == "rtsp://***@10.0.0.5/live?t=***"
+    assert about["end"]["error"].startswith("rtsp://***@10.0.0.5")
     assert pq.read_table(tmp_path / "f" / "events.parquet")["text"].to_pylist() == [
         "cannot read rtsp://***@10.0.0.5/live"
     ]

@@ -2,13 +2,15 @@ from __future__ import annotations
 
 import json
 import os
+import zlib
 from dataclasses import replace
 
 import pytest
 from benchmark_fakes import FakeRunner
 
 from cognitivedrone.benchmark.runs.job import resolve
-from cognitivedrone.benchmark.runs.records import EPISODES_FILE, RunFolder, read_records
+from cognitivedrone.benchmark.runs.records import EPISODES_FILE, RunFolder, check_folder, digest_of_run, read_records
+from cognitivedrone.benchmark.scores.codec import dumps
 from cognitivedrone.errors import RunError
 
 
@@ -140,9 +142,11 @@ def test_a_damaged_run_file_is_one_sentence(folder, facts, content):
     (folder / "run.json").write_text(content)
     with pytest.raises(RunError, match=r"cannot be read|contains another run"):
         RunFolder(folder, facts, resume=True)
+    with pytest.raises(RunError, match=r"run\.json"):
+        read_records(folder)
     (folder / EPISODES_FILE).write_text(content + "\n")
     with pytest.raises(RunError, match=r"line 1 is not a record"):
-        read_records(folder)
+        read_records(folder, facts)
 
 
 @pytest.mark.parametrize("options", [{"resume": True}, {"overwrite": True}])
@@ -169,3 +173,64 @@ def test_what_a_killed_run_left_does_not_keep_a_new_one_from_its_folder(tmp_path
     (path / ".run.json.0123456789abcdef.tmp").write_text("{")
     with RunFolder(path, facts):
         assert sorted(entry.name for entry in path.iterdir()) == [EPISODES_FILE, "run.json"]
+
+
+def rewritten(folder, number, change):
+    """Change a record, with a checksum that is right."""
+    file = folder / EPISODES_FILE
+    lines = file.read_text().splitlines(keepends=True)
+    document = json.loads(lines[number])
+    change(document["record"]["result"])
+    run, body = document["run"], dumps(document["record"])
+    lines[number] = f'{{"crc32":"{zlib.crc32(f"{run} {body}".encode()):08x}","run":"{run}","record":{body}}}\n'
+    file.write_text("".join(lines))
+
+
+def test_a_line_of_another_run_is_refused(folder, facts, flown, tmp_path):
+    other = replace(facts, options={**facts.options, "wind_m_s": 2.0})
+    assert digest_of_run(other) != digest_of_run(facts)
+    with RunFolder(tmp_path / "other", other) as opened:
+        opened.append(flown[3], "imagination")
+    lines = (folder / EPISODES_FILE).read_text().splitlines(keepends=True)
+    pasted = (tmp_path / "other" / EPISODES_FILE).read_text()
+    (folder / EPISODES_FILE).write_text("".join(lines[:3]) + pasted)
+    for read in (lambda: RunFolder(folder, facts, resume=True), lambda: read_records(folder)):
+        with pytest.raises(RunError, match=r"line 4 is of another run"):
+            read()
+
+
+def test_a_line_that_names_no_run_is_refused(folder, facts):
+    lines = (folder / EPISODES_FILE).read_text().splitlines()
+    document = json.loads(lines[0])
+    del document["run"]
+    (folder / EPISODES_FILE).write_text(json.dumps(document) + "\n")
+    with pytest.raises(RunError, match="does not say of which run it is"):
+        RunFolder(folder, facts, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda result: result.update(seed=7), "its seed is 7, and the run's 0"),
+        (lambda result: result.update(episode=99), "the suite has the episodes 0 to"),
+        (lambda result: result["stages"][0].update(target=99), "its target is 99"),
+        (lambda result: result["stages"][0].update(task_id="else"), "its task_id is 'else'"),
+        (lambda result: result["stages"][0].update(category="racing"), "its category is 'racing'"),
+        (lambda result: result["stages"][0].update(family="else"), "its family is 'else'"),
+        (lambda result: result["stages"][0].update(chosen=99), "with the gate 99"),
+        (lambda result: result["stages"][0].update(outcome="passed", chosen=None), "cannot have ended as passed"),
+        (lambda result: result.update(stages=[]), "it has 0 stages, and its track 1"),
+        (lambda result: result["stages"].append(result["stages"][0]), "it has 2 stages, and its track 1"),
+    ],
+)
+def test_a_record_that_does_not_fit_the_suite_is_refused_even_with_its_checksum(folder, config, change, reason):
+    job = resolve(config)
+    tracks = job.suite.tracks
+    with RunFolder(folder, job.facts, tracks=tracks, resume=True) as opened:
+        assert len(opened.records) == 4
+    rewritten(folder, 2, change)
+    before = (folder / EPISODES_FILE).read_bytes()
+    for read in (RunFolder, check_folder):
+        with pytest.raises(RunError, match=reason):
+            read(folder, job.facts, tracks=tracks, resume=True)
+    assert (folder / EPISODES_FILE).read_bytes() == before

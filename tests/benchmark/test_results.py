@@ -114,3 +114,9 @@ def test_what_json_allows_and_we_never_write_is_refused(tmp_path, content, expec
     file.write_text(content)
     with pytest.raises(RunError, match=expected):
         read_results(file)
+
+
+def test_an_episode_without_a_stage_is_refused(document):
+    document["episodes"][0]["stages"] = []
+    with pytest.raises(RunError, match="episode 0 has no stage; the file was changed"):
+        results_from_json(document, "here")

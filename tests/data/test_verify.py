@@ -142,7 +142,7 @@ def test_tasks_and_splits_that_do_not_follow(store: Path) -> None:
 
 def test_a_damaged_manifest(store: Path) -> None:
     edit(store / "manifest.json", lambda manifest: manifest.pop("splits"))
-    assert verify(store) == [Problem("manifest.json", "is damaged (no usable 'splits')")]
+    assert verify(store) == [Problem("manifest.json", "is damaged: splits is missing")]
     (store / "manifest.json").write_text('{"format": ')
     assert verify(store) == [Problem("manifest.json", "is damaged: it is not JSON")]
     (store / "manifest.json").unlink()

@@ -63,7 +63,6 @@ def test_pickled_weights_are_no_checkpoint(tmp_path):
         ("input_features", "observation.images.wrist", {"type": "VISUAL", "shape": [3, 256, 256]}),
         ("input_features", "observation.state", {"type": "STATE", "shape": [14]}),
         ("output_features", "action", {"type": "ACTION", "shape": [7]}),
-        ("output_features", "action", "nonsense"),
     ],
 )
 def test_a_policy_for_another_robot_is_refused(tmp_path, kind, key, feature):
@@ -164,3 +163,13 @@ def test_a_damaged_checkpoint_is_reported_with_lerobots_version(checkpoint, tmp_
     (tmp_path / WEIGHTS).write_bytes(b"\x00" * 64)
     with pytest.raises(ModelError, match=r"cannot be loaded by lerobot \d+\.\d+"):
         make_policy(f"lerobot:{tmp_path},device=cpu")
+
+
+@pytest.mark.parametrize(
+    "feature", [7, None, "nonsense", {"shape": 7}, {"shape": True}, {"shape": ["x"]}, {"shape": 1e300}]
+)
+def test_a_feature_of_another_form_is_told_in_one_sentence(tmp_path, feature):
+    with pytest.raises(ModelError, match=r"config\.json: .*must be"):
+        check_features(
+            tmp_path, {**CONFIG, "input_features": {**CONFIG["input_features"], "observation.state": feature}}
+        )

@@ -303,6 +303,7 @@ def test_nobody_there_is_reported_before_take_off(monkeypatch):
 @pytest.mark.parametrize("token", [None, "another-token-0123456789"])
 def test_a_client_without_the_servers_token_is_refused(token, monkeypatch, tmp_path):
     (tmp_path / "token").write_text("the-servers-token-0123456789\n")
+    (tmp_path / "token").chmod(0o600)
     plan = ServePlan.of(policy="hover", port=0, token_file=tmp_path / "token")
     with serving(plan) as address:
         monkeypatch.delenv("COGNITIVEDRONE_SERVER_TOKEN", raising=False)

@@ -102,6 +102,20 @@ def test_an_answer_that_is_not_finite_is_not_flown(policy):
         policy.act(replace(OBSERVATION, yaw_rate=float("nan")))
 
 
+@pytest.mark.parametrize("name", ["choice", "gates", "present"])
+def test_what_is_not_a_number_ends_the_flight_instead_of_a_search_without_end(policy, monkeypatch, name):
+    run = policy.model.run
+
+    def broken(*inputs, **more):
+        output = run(*inputs, **more)
+        whole = getattr(output, name)
+        return replace(output, **{name: np.full((1,) if whole is None else whole.shape, np.nan, np.float32)})
+
+    monkeypatch.setattr(policy.model, "run", broken)
+    with pytest.raises(NonFiniteAction, match=f"{name} holds values that are not numbers.*weights are damaged"):
+        policy.act(OBSERVATION)
+
+
 def test_a_model_file_is_given_behind_the_name(tiny_model_file):
     policy = make_policy(f"small:{tiny_model_file}")
     assert isinstance(policy, Small)

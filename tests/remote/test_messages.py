@@ -172,7 +172,16 @@ def test_an_exception_of_a_policys_own_is_a_policy_error():
     assert code_of(PolicyRaised("it raised", "trace")) == "policy_error"
 
 
-@pytest.mark.parametrize("frame", ["Traceback\n  ...\nKeyError: 'x'", '{"error": 3}', "[]", "", "\n", '{"error": {}}'])
+STRANGE = [
+    '{"error": {"code": [], "message": "no"}}',
+    '{"error": {"code": "no_answer", "fault": {}, "message": "no"}}',
+    '{"error": ' * 2000 + "1" + "}" * 2000,
+]
+
+
+@pytest.mark.parametrize(
+    "frame", ["Traceback\n  ...\nKeyError: 'x'", '{"error": 3}', "[]", "", "\n", '{"error": {}}', *STRANGE]
+)
 def test_any_other_servers_error_is_reported_by_its_last_line(frame):
     with pytest.raises(ServerError, match="the policy server at here failed: ") as caught:
         raise_error(frame, "here")

@@ -11,6 +11,7 @@ import pytest
 from policy_clients import Client, observation
 
 from cognitivedrone.serving import admission, protocols
+from cognitivedrone.serving.access import token_of
 from cognitivedrone.serving.config import ServePlan
 from cognitivedrone.serving.server import serving
 
@@ -165,6 +166,7 @@ def test_pings_are_answered():
 def token(tmp_path):
     file = tmp_path / "token"
     file.write_text(TOKEN)
+    file.chmod(0o600)
     return file
 
 
@@ -240,3 +242,10 @@ def test_a_connection_that_is_being_accepted_when_the_server_stops_is_closed():
                 for _ in range(20):
                     stack.enter_context(socket.create_connection((address.host, address.port), 5))
     gc.collect()
+
+
+def test_a_token_that_everybody_can_read_gets_a_warning(token):
+    assert token_of("127.0.0.1", token) == TOKEN
+    token.chmod(0o644)
+    with pytest.warns(UserWarning, match=r"can be read by every user of this machine; .*chmod 600"):
+        assert token_of("127.0.0.1", token) == TOKEN

@@ -277,6 +277,7 @@ def closed(connection):
 def guarded(tmp_path_factory):
     file = tmp_path_factory.mktemp("token") / "token"
     file.write_text(f"{TOKEN}\n")
+    file.chmod(0o600)
     with served(token_file=file) as where:
         yield where
 

@@ -92,7 +92,7 @@ def test_a_sum_and_its_board_say_the_same(tmp_path: Path) -> None:
 def test_a_key_that_stands_twice_is_ambiguous(tmp_path: Path) -> None:
     path = tmp_path / "tasks.json"
     path.write_text(json.dumps([TASK]).replace('"correct":', '"correct": 1, "correct":'))
-    with pytest.raises(TaskError, match="the key 'correct' appears twice in one object"):
+    with pytest.raises(TaskError, match="the name 'correct' is given twice in an object"):
         read_tasks(path)
 
 

@@ -181,3 +181,38 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(TrainingError, match="it is a pipe, not a file"):
         read_checkpoint(tmp_path / "pipe")
+
+
+@pytest.mark.parametrize(
+    ("facts", "reason"),
+    [
+        ({}, "step is missing"),
+        ({"step": "x"}, "step must be a whole number"),
+        ({"step": True}, "step must be a whole number"),
+        ({"step": 1, "format": True}, "checkpoint of format True"),
+    ],
+)
+def test_facts_of_another_form_are_told_in_one_sentence(tmp_path: Path, facts: dict[str, object], reason: str) -> None:
+    path = tmp_path / "checkpoint.safetensors"
+    save_checkpoint(path, network(), None, facts)
+    with pytest.raises(TrainingError, match=reason):
+        read_checkpoint(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("optimizer.x.exp_avg", torch.zeros(1)),
+        ("optimizer.0", torch.zeros(1)),
+        ("optimizer.99.exp_avg", torch.zeros(1)),
+        ("optimizer.0.exp_avg", torch.zeros(7, 7, 7)),
+        ("optimizer.0.exp_avg_sq", torch.tensor(float("nan"))),
+    ],
+)
+def test_the_state_of_another_optimizer_is_told_in_one_sentence(
+    saved: tuple[Path, nn.Module, torch.optim.Optimizer], name: str, value: torch.Tensor
+) -> None:
+    tensors = {**read_checkpoint(saved[0])[0], name: value}
+    other = network()
+    with pytest.raises(TrainingError, match="the state of another optimiser"):
+        restore(tensors, other, optimizer_of(other))

@@ -99,6 +99,11 @@ def test_an_answer_that_was_asked_for_is_kept_in_a_flood():
     link.step(0.0)
     assert link.reported_parameter("FS_OPTIONS") == 16.0
     assert link.reported_parameter("P1") is None
+    link.send_parameter("FS_OPTIONS", 16.0)
+    for value in (float("nan"), float("inf")):
+        transport.feed(packed(m.MAVLink_param_value_message(b"FS_OPTIONS", value, 9, 1, 0)), VEHICLE)
+        link.step(0.0)
+        assert link.reported_parameter("FS_OPTIONS") is None  # as if it had not answered
     link.close()
 
 

@@ -39,8 +39,9 @@ def verdict_of_flight(summary: Summary) -> Verdict:
 
 def film_flight(plan: FlyPlan, log: FlightLog, scenes: Sequence[Scene], summary: Summary, console: Console) -> None:
     """Write flight.mp4 and flight.html beside the log. A failure is reported, and the flight counts without them."""
+    pilot = plan.pilot.shown
     film = Film(
-        f"{plan.pilot.policy} + {plan.pilot.reasoner} on {plan.vehicle.link}"
+        f"{pilot.policy} + {pilot.reasoner} on {plan.vehicle.link}"
         + (f": {plan.instruction}" if is_mission(sub_goals(plan.instruction)) else ""),
         _counted(log, summary.steps),
         scenes,

@@ -248,9 +248,8 @@ def _fly(
         keys = stack.enter_context(Keyboard(keyboard, orders.say))
         shown: Instruments | Printer = Printer(console)
         if plan.view and console.is_terminal:
-            shown = Instruments(
-                f"{plan.pilot.policy} + {plan.pilot.reasoner} on {plan.vehicle.link}", lambda: keys.typed
-            )
+            names = plan.pilot.shown
+            shown = Instruments(f"{names.policy} + {names.reasoner} on {plan.vehicle.link}", lambda: keys.typed)
             stack.enter_context(Live(shown, console=console, refresh_per_second=REDRAWN_HZ))
         instruments = (log, shown) if page is None else (log, shown, page)
         recorder = Recorder(instruments, mission, vehicle, timed, hold)

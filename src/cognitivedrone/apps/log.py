@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import queue
+import re
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -36,7 +37,7 @@ from cognitivedrone.film.frame import FilmFrame
 from cognitivedrone.film.video import read_mp4
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.printable import without_logins
+from cognitivedrone.printable import shown_address, without_secrets
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Event, Image, SeenPanel
 
 STEPS_FILE, EVENTS_FILE, CAMERA_FILE, BAG_FOLDER, ABOUT_FILE = (
@@ -59,6 +60,7 @@ STEP_COLUMNS = pa.schema(
 EVENT_COLUMNS = pa.schema(
     [("time_s", pa.float64()), ("kind", pa.string()), ("text", pa.string()), ("age_s", pa.float64())]
 )
+_WHOLE_ADDRESS = re.compile(r"[\w.:+-]+://")
 _TICKS_PER_S = 1000
 _NO_IMAGE = np.empty((0, 0, 3), np.uint8)
 _QUEUED = 5 * CONTROL_HZ
@@ -79,7 +81,7 @@ class FlightLog:
         self._reasoner = reasoner
         self.dropped = 0
         """Number of frames missing from the film because the disk was too slow or full."""
-        self._about = dict(about)
+        self._about: dict[str, Any] = _shown(dict(about))
         self.events: list[Event] = []
         self._steps: list[dict[str, Any]] = []
         self._filmed: list[FilmFrame] = []
@@ -103,7 +105,8 @@ class FlightLog:
             self._bag.step(step)
 
     def event(self, event: Event) -> None:
-        """Record an event."""
+        """Record an event; its text goes into tables, the bag and the page of the film."""
+        event = replace(event, text=without_secrets(event.text))
         self.events.append(event)
         if self._bag is not None:
             self._bag.event(event)
@@ -124,9 +127,7 @@ class FlightLog:
     def _write_tables(self, summary: Summary | None, error: str) -> None:
         with replacing(self.out / STEPS_FILE) as steps:
             pq.write_table(pa.Table.from_pylist(self._steps, STEP_COLUMNS), steps)
-        events = [
-            {"time_s": e.time, "kind": e.kind, "text": without_logins(e.text), "age_s": e.age_s} for e in self.events
-        ]
+        events = [{"time_s": e.time, "kind": e.kind, "text": e.text, "age_s": e.age_s} for e in self.events]
         with replacing(self.out / EVENTS_FILE) as table:
             pq.write_table(pa.Table.from_pylist(events, EVENT_COLUMNS), table)
         ended: dict[str, Any] = {"steps": len(self._steps), "frames_dropped": self.dropped, "error": error or None}
@@ -139,8 +140,19 @@ class FlightLog:
                 "seconds": round(summary.seconds, 3),
                 "late": summary.late,
             }
-        text = json.dumps({**self._about, "end": ended}, indent=2, default=str)
-        replace_file(self.out / ABOUT_FILE, f"{without_logins(text)}\n".encode("utf-8", "backslashreplace"))
+        text = json.dumps({**self._about, "end": _shown(ended)}, indent=2, default=str)
+        replace_file(self.out / ABOUT_FILE, f"{text}\n".encode("utf-8", "backslashreplace"))
+
+
+def _shown(value: Any) -> Any:
+    """JSON values of which every address is without its secrets: logs are given to others."""
+    if isinstance(value, Mapping):
+        return {name: _shown(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_shown(each) for each in value]
+    if not isinstance(value, str):
+        return value
+    return shown_address(value) if _WHOLE_ADDRESS.match(value) else without_secrets(value)
 
 
 def _film_frame(step: Step, seen_panels: Sequence[SeenPanel]) -> FilmFrame:

@@ -27,7 +27,8 @@ VERDICTS: Final = {True: "yes", False: "NO", None: "too few"}
 
 def audit_table(plan: AuditPlan, rows: Sequence[Row]) -> RenderableType:
     """The rows, one a variant, below the names of their audits. In 80 columns; names wrap where they do not fit."""
-    title = f"audit of {plan.pilot.policy}, reasoner {plan.pilot.reasoner}, on {plan.source.title}"
+    pilot = plan.pilot.shown
+    title = f"audit of {pilot.policy}, reasoner {pilot.reasoner}, on {plan.source.title}"
     table = new_table(title, "", "n", "rate", "95 % CI", "before", "declined", "sound")
     table.columns[0].no_wrap = False
     for row, last in zip(rows, [None, *rows], strict=False):

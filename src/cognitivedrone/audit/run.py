@@ -95,7 +95,8 @@ def audit(plan: AuditPlan, *, progress: bool = True) -> list[Row]:
 
 def folder_of(plan: AuditPlan) -> Path:
     """The folder given, or one named after suite, policy and reasoner."""
-    return plan.out or results_folder("audit", plan.source.title, plan.pilot.policy, plan.pilot.reasoner)
+    pilot = plan.pilot.shown
+    return plan.out or results_folder("audit", plan.source.title, pilot.policy, pilot.reasoner)
 
 
 def _chosen(names: Iterable[str]) -> tuple[Audit, ...]:
@@ -208,8 +209,8 @@ def _write(folder: Path, plan: AuditPlan, suite: Suite, rows: list[Row]) -> None
     document = {
         "schema": SCHEMA,
         "suite": {"name": suite.name, "digest": suite.digest},
-        "policy": plan.pilot.policy,
-        "reasoner": plan.pilot.reasoner,
+        "policy": plan.pilot.shown.policy,
+        "reasoner": plan.pilot.shown.reasoner,
         "episodes": plan.episodes,
         "seed": plan.source.seed,
         "rows": [asdict(row) for row in rows],

@@ -111,7 +111,7 @@ def _call_of(plan: Plan) -> str:
     """The call that repeats a run of objects, without options that do not affect the results."""
     named = ("policy", "reasoner", "suite", "tasks")
     options = [f"{name}={value!r}" for name, value in plan.changes().items() if name not in named]
-    pilot, scenario = plan.pilot, plan.scenario
+    pilot, scenario = plan.pilot.shown, plan.scenario
     reasoner = [] if pilot.reasoner == NONE else [f"reasoner={pilot.reasoner}"]
     where = repr(str(scenario.tasks or scenario.suite))
     return f"evaluate({', '.join([pilot.policy, where, *reasoner, *options])})"

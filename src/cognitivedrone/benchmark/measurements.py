@@ -18,6 +18,7 @@ from typing import Any, Final
 from cognitivedrone.benchmark.runs.provenance import platform_facts
 from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, read_document
 from cognitivedrone.benchmark.scores.results import versions, write_whole
+from cognitivedrone.printable import shown_address
 
 SCHEMA: Final = "cognitivedrone.measurement/1"
 OUT_HELP: Final = "file for the figures, such as results/NAME.json"
@@ -99,7 +100,7 @@ def command_line(words: Sequence[str]) -> str:
         if not skip and word != "--out" and not word.startswith("--out="):
             kept.append(word)
         skip = word == "--out"
-    return shlex.join(["python", *kept])
+    return shlex.join(["python", *map(shown_address, kept)])
 
 
 def write_measurement(path: Path, made: Measurement) -> None:

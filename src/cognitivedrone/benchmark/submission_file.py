@@ -16,6 +16,7 @@ from typing import Final
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, read_document
+from cognitivedrone.benchmark.scores.possible import impossible
 from cognitivedrone.benchmark.scores.results import FILES, RunFacts, check_options, write_whole
 from cognitivedrone.benchmark.scores.scoring import Interval, Summary, mean_of, score, summarize
 from cognitivedrone.errors import RunError
@@ -37,8 +38,6 @@ _URL: Final = re.compile(
 """Addresses that mean the same in Markdown and HTML, and to a reader: no brackets, quotes, blanks or user names."""
 _COMMIT: Final = re.compile(r"[0-9a-f]{40}(-dirty)?|")
 _DIGEST: Final = re.compile(r"[0-9a-f]{64}")
-_GOES_ON: Final = ("passed", "wrong_gate")
-"""Outcomes after which a track goes on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,33 +234,9 @@ def stages_of(run: SubmittedRun, where: str) -> Iterator[StageResult]:
     if [len(track) for track in tracks] != [len(stages) for stages in run.flown]:
         raise RunError(f"{where}: the flights are not those of the suite; the file was changed")
     for track, stages in zip(tracks, run.flown, strict=True):
-        over = False
+        if why := impossible(track, [(end.outcome, end.chosen) for end in stages]):
+            raise RunError(f"{where}: {why}; the file was changed")
         for task, end in zip(track, stages, strict=True):
-            if over != (end.outcome == "not_reached") or not _possible(end, task.target):
-                raise RunError(
-                    f"{where}: {task.id} cannot have ended as {end.outcome} with the gate {end.chosen}; the file was"
-                    " changed"
-                )
-            over = end.outcome not in _GOES_ON
             yield StageResult(
                 task.id, task.category, task.family, task.target, end.outcome, end.chosen, 0.0, 0.0, None, None, None
             )
-
-
-def _possible(end: Ended, target: int | None) -> bool:
-    """Whether a stage with this right gate can have ended so."""
-    if end.chosen is not None and not 0 <= end.chosen <= 2:
-        return False
-    match end.outcome:
-        case "passed":
-            return end.chosen == target
-        case "wrong_gate":
-            return end.chosen not in (None, target)
-        case "hesitated":
-            return target is None
-        case "false_alarm":
-            return target is not None
-        case "invalid" | "policy_error" | "not_reached":
-            return end.chosen is None
-        case _:
-            return True

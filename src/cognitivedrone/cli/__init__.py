@@ -12,6 +12,8 @@ import importlib
 import inspect
 import os
 import sys
+import tempfile
+import traceback
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
@@ -20,7 +22,7 @@ import tyro
 from cognitivedrone.cli.streams import prepare_streams
 from cognitivedrone.errors import CognitiveDroneError, UsageError, did_you_mean, plain_warnings
 from cognitivedrone.files import reason_of
-from cognitivedrone.printable import wrapped
+from cognitivedrone.printable import message, wrapped
 from cognitivedrone.processes import SAFE_PATH
 from cognitivedrone.ranges import check_arguments, check_words
 from cognitivedrone.usage_reports import switch_off
@@ -78,11 +80,14 @@ FIRST = (
     ("play", "the live page: type an instruction, watch the drone think and fly"),
 )
 """Suggested first commands."""
+UNEXPECTED = 1
+"""Exit code of a command that ends by an error of the program's own."""
+_LONGEST_ERROR = 300
 
 
 @plain_warnings()
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; a user error ends in one sentence and exit code 2."""
+    """Run the command; a user error ends in one sentence and exit code 2, any other error in one and exit code 1."""
     prepare_streams()
     switch_off()
     if arguments is None:
@@ -103,11 +108,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt as stop:
         _report(str(stop) or "stopped")
         sys.exit(130)
-    except ImportError as error:
-        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
-            raise
-        _report("stopped")  # ctrl-C while a compiled module was being loaded, which then fails
-        sys.exit(130)
+    except Exception as error:
+        if isinstance(error, ImportError) and isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            _report("stopped")  # ctrl-C while a compiled module was being loaded, which then fails
+            sys.exit(130)
+        _drop_output()
+        _end(_unexpected(error), UNEXPECTED)
+
+
+def _unexpected(error: Exception) -> str:
+    """The sentence for what nothing else has caught, with the place of its traceback."""
+    told = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    sentence = f"an error that nobody expected: {' '.join(told.split())[:_LONGEST_ERROR]}"
+    text = message("".join(traceback.format_exception(error)))
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", prefix=f"{PROGRAM}-error-", suffix=".txt", delete=False, encoding="utf-8", errors="backslashreplace"
+        ) as file:
+            file.write(text)
+    except OSError:  # no room for it
+        return f"{sentence}; please report it, with this traceback:\n{text.rstrip()}"
+    return f"{sentence}; please report it, with the traceback that is in {file.name}"
 
 
 def _run(arguments: list[str]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -15,6 +15,7 @@ from cognitivedrone.errors import DataError, RunError
 from cognitivedrone.files import digest_of_file
 from cognitivedrone.plan import TaskSource
 from cognitivedrone.policies import make_policy, model_file
+from cognitivedrone.printable import shown_address
 from cognitivedrone.tasks import Suite
 
 
@@ -31,7 +32,7 @@ class Learner:
 
     def facts(self) -> dict[str, Any]:
         """The policy's entry in the manifest."""
-        return asdict(self)
+        return asdict(replace(self, policy=shown_address(self.policy)))
 
 
 def learner_of(policy: str, beta: float) -> Learner:

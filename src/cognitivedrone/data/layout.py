@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from cognitivedrone.data.checksums import SUMS, read_sums
+from cognitivedrone.data.forms import check_manifest
 from cognitivedrone.data.shards import ShardFile, clear_errors, folder_descriptor, json_text, read_json, sha256_of
 from cognitivedrone.data.statistics import Flown
 from cognitivedrone.errors import DataError
@@ -40,6 +41,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
     if manifest.get("complete") is False:
         raise DataError(f"{path}: is not finished; go on with `cognitivedrone collect ... --resume`")
     check_sum(path, MANIFEST)
+    check_manifest(manifest, str(path / MANIFEST))
     return manifest
 
 
@@ -47,7 +49,7 @@ def check_format(path: Path, manifest: Any) -> None:
     """Raise `DataError` unless the manifest is that of a store of a supported version."""
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         raise DataError(f"{path / MANIFEST}: is not the manifest of a data set of this package; give another folder")
-    if manifest.get("version") != FORMAT_VERSION:
+    if manifest.get("version") != FORMAT_VERSION or isinstance(manifest["version"], bool):
         raise DataError(
             f"{path / MANIFEST}: the store has version {manifest.get('version')!r}, this release reads "
             f"{FORMAT_VERSION}; collect it again or use the release that made it"

@@ -22,8 +22,10 @@ from numpy.typing import NDArray
 
 from cognitivedrone import files
 from cognitivedrone.data.episode import Conditions, Episode
+from cognitivedrone.data.forms import check_footer
 from cognitivedrone.data.pages import check_pages
 from cognitivedrone.errors import CognitiveDroneError, DataError
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.tasks.format import task_from_json, task_to_json
 from cognitivedrone.types import Task
 
@@ -60,6 +62,8 @@ SCHEMA: Final = pa.schema(
     + [pa.field("image", pa.binary(), nullable=False)]
     + [pa.field(name, _arrow_type(*WIDTHS[name]), nullable=False) for name in WIDTHS]
 )
+_ORDER: Final = ("episode", "step")
+"""Columns that say which step of which episode a row is."""
 COMPRESSION: Final = {"episode": "zstd", "step": "zstd", "image": "none"} | {
     name if width == 1 else f"{name}.list.element": "zstd" for name, (_, width) in WIDTHS.items()
 }
@@ -78,7 +82,6 @@ def clear_errors(path: Path, doing: str) -> Iterator[None]:
         ArithmeticError,
         AttributeError,
         LookupError,
-        RecursionError,
         TypeError,
         ValueError,
     ) as error:
@@ -135,7 +138,7 @@ def read_json(path: Path) -> Any:
     """The content of a JSON file of the store; raises `DataError`."""
     text = read_text(path)
     with clear_errors(path, "read"):
-        return json.loads(text)
+        return parse_json(text)
 
 
 def read_text(path: Path) -> str:
@@ -247,24 +250,51 @@ class ShardFile:
             self._file = pq.ParquetFile(path, memory_map=True)
             check_unpacked_size(self._file.metadata, path.stat().st_size)
             check_pages(path, self._file.metadata)
-            footer = json.loads(self._file.metadata.metadata[FOOTER_KEY.encode()])
-            self.facts: list[dict[str, Any]] = footer["episodes"]
-            self.dropped: dict[str, int] = footer["dropped"]
-            self._row_groups = {facts["index"]: number for number, facts in enumerate(self.facts)}
+            held = (self._file.metadata.metadata or {}).get(FOOTER_KEY.encode(), b"")
+            footer = parse_json(held, max_bytes=MAX_TEXT_BYTES)
+            self._check_columns()
+        check_footer(footer, path)
+        self.facts: list[dict[str, Any]] = footer["episodes"]
+        self.dropped: dict[str, int] = footer["dropped"]
+        self._row_groups = {facts["index"]: number for number, facts in enumerate(self.facts)}
         if self._file.num_row_groups != len(self.facts):
             raise DataError(f"{path}: lists {len(self.facts)} episodes but holds {self._file.num_row_groups}")
+        for number, facts in enumerate(self.facts):
+            rows = self._file.metadata.row_group(number).num_rows
+            if rows != facts["length"]:
+                raise DataError(f"{path}, episode {facts['index']}: has {facts['length']} steps but {rows} rows")
+
+    def _check_columns(self) -> None:
+        found = self._file.schema_arrow
+        for column in SCHEMA:
+            kind = found.field(column.name).type if column.name in found.names else "missing"
+            if not (kind == column.type or str(kind) == str(column.type)):
+                raise DataError(f"{self.path}: the column {column.name} is {kind}; it must be {column.type}")
 
     def images(self, index: int) -> Any:
         """The encoded frames of an episode as an Arrow binary array, in order of time."""
         with clear_errors(self.path, f"read at episode {index}"):
-            table = self._file.read_row_group(self._row_groups[index], columns=["image"], use_threads=False)
-            return table["image"].combine_chunks()
+            table = self._file.read_row_group(self._row_groups[index], columns=[*_ORDER, "image"], use_threads=False)
+        self._check_order(table, [(index, table.num_rows)])
+        return table["image"].combine_chunks()
 
     def numbers(self, names: Iterable[str]) -> dict[str, NDArray[Any]]:
         """Whole columns of the shard, (steps,) or (steps, width), episode after episode."""
         with clear_errors(self.path, "read"):
-            table = self._file.read(columns=list(names), use_threads=False)
+            table = self._file.read(columns=[*_ORDER, *names], use_threads=False)
+        self._check_order(table, [(facts["index"], facts["length"]) for facts in self.facts])
+        with clear_errors(self.path, "read"):
             return {name: _to_numpy(table[name], name) for name in names}
+
+    def _check_order(self, table: Any, lengths: Sequence[tuple[int, int]]) -> None:
+        """Raise `DataError` unless the rows are those of these episodes, step by step, with all of their values."""
+        if any(table[name].null_count for name in table.column_names):
+            raise DataError(f"{self.path}: lacks values; collect it again with --resume")
+        found = [table[name].to_numpy() for name in _ORDER]
+        meant = [np.repeat([index for index, _ in lengths], [length for _, length in lengths])]
+        meant.append(np.concatenate([np.empty(0, np.int64), *(np.arange(length) for _, length in lengths)]))
+        if not all(map(np.array_equal, found, meant)):
+            raise DataError(f"{self.path}: the rows of an episode are those of another; collect it again with --resume")
 
     def rows(self) -> Iterator[tuple[dict[str, Any], slice]]:
         """The facts of each episode, and where its steps stand in what `numbers` gives."""
@@ -278,7 +308,9 @@ class ShardFile:
         number = self._row_groups[index]
         facts = self.facts[number]
         with clear_errors(self.path, f"read at episode {index}"):
-            table = self._file.read_row_group(number, use_threads=False)
+            table = self._file.read_row_group(number, columns=SCHEMA.names, use_threads=False)
+        self._check_order(table, [(index, facts["length"])])
+        with clear_errors(self.path, f"read at episode {index}"):
             arrays: dict[str, Any] = {name: _to_numpy(table[name], name) for name in WIDTHS}
             conditions = facts["conditions"]
             return Episode(

@@ -45,6 +45,7 @@ from cognitivedrone.data.shards import (
 from cognitivedrone.data.statistics import draw_splits, statistics
 from cognitivedrone.errors import DataError
 from cognitivedrone.files import check_no_link, is_left_over, remove, remove_left_over
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.tasks.format import write_tasks
 
 PACKAGES: Final = ("cognitivedrone", "mujoco", "numpy", "pillow", "pyarrow")
@@ -83,7 +84,7 @@ class StoreWriter:
             "episodes_per_shard": episodes_per_shard,
             "versions": {package: version(package) for package in PACKAGES},
         } | ({"policy": dict(policy)} if policy else {})
-        self._head = json.loads(json.dumps(head))  # as it is read back: tuples become lists
+        self._head = parse_json(json.dumps(head))  # as it is read back: tuples become lists
         self._making = making_of(self._head)
         self._receipts: dict[int, dict[str, Any]] = {}
         """Receipts of the shards that were written, or found intact."""
@@ -292,7 +293,7 @@ class StoreWriter:
 def _states(receipt: bytes, key: str, value: object) -> bool:
     """Whether a receipt says this of its file, without opening any other file."""
     try:
-        content = json.loads(receipt)
+        content = parse_json(receipt)
     except ValueError:
         return False
     return isinstance(content, dict) and content.get(key) == value

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from cognitivedrone.data.checksums import SUMS, read_sums
+from cognitivedrone.data.content import faults_of
+from cognitivedrone.data.forms import check_manifest
 from cognitivedrone.data.layout import (
     MANIFEST,
     PARTIAL,
@@ -52,9 +54,9 @@ class Problem:
 def verify(path: Path | str) -> list[Problem]:
     """All faults of the store at `path`; an empty list if it is intact.
 
-    Reads every byte, and requires a checksum for every file. Content computed from the shards (statistics, splits,
-    tasks) is compared only if the files themselves are intact. Raises `DataError` if there is no finished store of this
-    version.
+    Reads every byte, and requires a checksum for every file. Frames are decoded, numbers must be finite, and rows those
+    of their episode. Content computed from the shards (statistics, splits, tasks) is compared only if the files
+    themselves are intact. Raises `DataError` if there is no finished store of this version.
     """
     root = Path(path)
 
@@ -75,7 +77,7 @@ def verify(path: Path | str) -> list[Problem]:
         problems += [*_stray_files(root, manifest), *_episode_problems(manifest)]
         problems += _sum_problems(manifest, sums or {}, hash_of, problems)
         return problems or list(_derived_problems(root, manifest))
-    except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError, RecursionError) as error:
+    except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         return [Problem(MANIFEST, f"is damaged (no usable {error})")]
 
 
@@ -104,7 +106,13 @@ def _manifest(root: Path, sums: Mapping[str, str] | None, hash_of: _Hashes) -> d
     if sums and sums.get(MANIFEST) != hash_of(MANIFEST):
         return Problem(MANIFEST, f"is altered: its content does not match the hash in {SUMS}")
     check_format(root, manifest)
-    return manifest if manifest.get("complete") is True else Problem(MANIFEST, "is damaged (no usable 'complete')")
+    if manifest.get("complete") is not True:
+        return Problem(MANIFEST, "is damaged (no usable 'complete')")
+    try:
+        check_manifest(manifest, "is damaged")
+    except DataError as error:
+        return Problem(MANIFEST, str(error))
+    return manifest
 
 
 def _shard_problems(root: Path, manifest: dict[str, Any], hash_of: _Hashes) -> Iterator[Problem]:
@@ -124,15 +132,18 @@ def _shard_problems(root: Path, manifest: dict[str, Any], hash_of: _Hashes) -> I
 
 
 def _content_problems(file: Path, receipt: dict[str, Any]) -> Iterator[Problem]:
-    """Faults of a shard whose hash is right: differences between manifest and content."""
+    """Faults of a shard whose hash is right: differences between manifest and content, and episodes of no use."""
     try:
-        facts = ShardFile(file).facts
+        shard = ShardFile(file)
     except DataError as error:
         yield Problem(receipt["file"], str(error))
         return
-    found = [(fact["index"], fact["length"]) for fact in facts]
+    found = [(fact["index"], fact["length"]) for fact in shard.facts]
     if found != list(zip(receipt["episodes"], receipt["lengths"], strict=True)):
         yield Problem(receipt["file"], "holds other episodes, or other lengths, than the manifest says")
+        return
+    for fault in faults_of(shard):
+        yield Problem(receipt["file"], fault)
 
 
 def _receipt_problems(root: Path, manifest: dict[str, Any], sums: Mapping[str, str] | None) -> Iterator[Problem]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import zipfile
 from functools import cache, lru_cache
 from pathlib import Path
@@ -20,6 +19,7 @@ from PIL import Image
 
 from cognitivedrone import types
 from cognitivedrone.errors import LabelError, did_you_mean
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.labels.images import SIDE, draw_several, frozen_array
 from cognitivedrone.labels.people import BACKGROUNDS
 from cognitivedrone.labels.portraits import draw_portrait
@@ -49,7 +49,7 @@ class ExtendedPack:
     def __init__(self, name: str) -> None:
         self.name = name
         content = (_FOLDER / name / "manifest.json").read_bytes()
-        manifest = json.loads(content)
+        manifest = parse_json(content)
         extends = manifest["extends"]
         self._base = extended_pack(extends) if extends in EXTENDED_PACKS else shipped_pack(extends)
         self.digest: str = hashlib.sha256(content + self._base.digest.encode()).hexdigest()

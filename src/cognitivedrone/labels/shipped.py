@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from functools import cache, lru_cache
 from pathlib import Path
@@ -12,6 +11,7 @@ from PIL import Image
 
 from cognitivedrone import types
 from cognitivedrone.errors import LabelError, did_you_mean
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.labels.images import SIDE, draw_several, frozen_array
 from cognitivedrone.labels.people import BACKGROUNDS, draw_person
 from cognitivedrone.labels.text import LONGEST_SUM, is_sum, sum_panel, text_panel
@@ -42,7 +42,7 @@ class ShippedPack:
         self.name = name
         self._folder = _FOLDER / name
         content = (self._folder / "manifest.json").read_bytes()
-        manifest = json.loads(content)
+        manifest = parse_json(content)
         self.digest: str = hashlib.sha256(content).hexdigest()
         """Hash of the manifest, which holds the hash of every file."""
         self._offsets: dict[str, tuple[int, int]] = {layer: (x, y) for layer, (x, y) in manifest["people"].items()}

@@ -11,8 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import numpy as np
+
 from cognitivedrone.errors import ModelError, import_extra
 from cognitivedrone.files import read_regular, reason_of, replacing
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.models.checksum import BLANK, check, seal
 from cognitivedrone.usage_reports import switch_off
 
@@ -125,24 +128,36 @@ def _read_table(session: Any, kind: str, where: str, former: Mapping[str, str]) 
     """The description in an open file, of a format read here and of this kind; raises `ModelError` for any other."""
     try:
         text = session.get_modelmeta().custom_metadata_map.get(KEY)
-        table = None if text is None else json.loads(text)
-    except (ValueError, RecursionError) as error:
+        table = None if text is None else parse_json(text)
+    except ValueError as error:
         raise ModelError(f"the description in {where} is not JSON: {error}") from None
     if text is None:
         raise ModelError(
             f"{where} does not describe itself: it lacks the metadata {KEY!r} that `cognitivedrone train` writes"
         )
     version = table.get("format") if isinstance(table, dict) else None
-    if version not in (1, FORMAT):
+    if version not in (1, FORMAT) or isinstance(version, bool):
         raise ModelError(
             f"{where} is a model file of format {version!r} and this version reads formats 1 and {FORMAT};"
             " use a file and a release of cognitivedrone that match"
         )
     found = cast(dict[str, Any], table)
-    if found.get("kind") in former:
+    if isinstance(found.get("kind"), str) and found["kind"] in former:
         raise ModelError(f"{where} is {former[found['kind']]}; use the release that it came with, or train it again")
     if found.get("kind") != kind:
-        raise ModelError(f"{where} is a model of kind {found.get('kind')!r}, not {kind!r}")
+        raise ModelError(f"{where} is a model of kind {found.get('kind')!r:.60}, not {kind!r}")
+    return found
+
+
+def numbers_of(session: Any, outputs: Sequence[str], inputs: Mapping[str, Any], what: str) -> list[Any]:
+    """These outputs of a network; raises `ModelError` where one is not a number, as of weights that are none."""
+    found: list[Any] = session.run(outputs, inputs)
+    for name, values in zip(outputs, found, strict=True):
+        if np.isnan(values).any():
+            raise ModelError(
+                f"{what} answers with values that are not numbers ({name}), so its weights are damaged; train or"
+                " download it again"
+            )
     return found
 
 
@@ -178,6 +193,14 @@ def field_of(table: Mapping[str, Any], name: str, kind: type[T], where: str) -> 
     if not isinstance(value, kind) or isinstance(value, bool):
         raise ModelError(f"{name!r} of the description in {where} is {value!r:.60}, which is not a {kind.__name__}")
     return value
+
+
+def texts_of(table: Mapping[str, Any], name: str, where: str) -> tuple[str, ...]:
+    """A field that is a list of texts; raises `ModelError`."""
+    values = field_of(table, name, list, where)
+    if not all(isinstance(value, str) for value in values):
+        raise ModelError(f"{name!r} of the description in {where} holds something else than text")
+    return tuple(values)
 
 
 def count_of(table: Mapping[str, Any], name: str, where: str) -> int:

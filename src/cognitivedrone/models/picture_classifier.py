@@ -15,7 +15,7 @@ import PIL.Image
 from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError
-from cognitivedrone.models.onnx_file import check_graph, field_of, open_model
+from cognitivedrone.models.onnx_file import check_graph, field_of, numbers_of, open_model
 from cognitivedrone.types import IMAGE_SIZE, Image
 
 CLASSIFIER_FILE: Final = "picture_classifier.onnx"
@@ -55,7 +55,7 @@ class PictureClassifier:
 
     def shares(self, crops: NDArray[np.uint8]) -> Floats:
         """Probabilities (n, things) for crops (n, SIDE, SIDE, 3); what is missing to 1 is something else."""
-        (shares,) = self._session.run(("shares",), {"crops": crops})
+        (shares,) = numbers_of(self._session, ("shares",), {"crops": crops}, "the picture classifier")
         found: Floats = shares
         return found
 

@@ -29,6 +29,7 @@ from cognitivedrone.models.onnx_file import (
     Provenance,
     check_graph,
     field_of,
+    numbers_of,
     open_model,
     provenance_of,
 )
@@ -105,7 +106,7 @@ class PanelReaderModel:
                 "paper": np.full(len(COLORS), NONE, np.float32),
             }
         inputs = {"image": image[None]} | {name: value[None] for name, value in opinions.items()}
-        readings, looks, boxes = self._session.run(("readings", "looks", "boxes"), inputs)
+        readings, looks, boxes = numbers_of(self._session, ("readings", "looks", "boxes"), inputs, "the panel reader")
         return PanelReading(readings[0], looks[0], boxes[0])
 
 
@@ -143,7 +144,8 @@ class GateSelectorModel:
 
     def logits(self, batch: Mapping[str, NDArray[Any]]) -> Floats:
         """(B, 4), for a batch of `scene_tokens.stacked`."""
-        (logits,) = self._session.run(("logits",), {name: batch[name] for name in INPUTS})
+        inputs = {name: batch[name] for name in INPUTS}
+        (logits,) = numbers_of(self._session, ("logits",), inputs, "the gate selector")
         found: Floats = logits
         return found
 
@@ -183,7 +185,8 @@ class LanguageModel:
             "board": board,
             "seen": np.float32(board.max(initial=0.0) > 0),
         }
-        (logits,) = self._session.run(("logits",), {name: np.asarray(value)[None] for name, value in inputs.items()})
+        batch = {name: np.asarray(value)[None] for name, value in inputs.items()}
+        (logits,) = numbers_of(self._session, ("logits",), batch, "the language")
         found: Floats = logits[0]
         return found
 

@@ -37,6 +37,7 @@ from cognitivedrone.models.onnx_file import (
     field_of,
     open_model,
     provenance_of,
+    texts_of,
     write_table,
 )
 from cognitivedrone.models.opinions import Opinions
@@ -108,7 +109,7 @@ class Description:
             chunk=count_of(table, "chunk", where),
             action=statistics_of(field_of(table, "action", dict, where), where),
             network=field_of(table, "network", dict, where),
-            attributes=tuple(field_of(table, "facets", list, where)),
+            attributes=texts_of(table, "facets", where),
             classifier=table.get("classifier") is True,
             provenance=provenance_of(table, where),
         )
@@ -132,6 +133,11 @@ class Output:
     panels: Float32[Float32Array, "images 3 4"] | None = None
     """(n, 3, 4) of each gate's panel: centre u, v and height in pixels, and the number of its gate's colour; None of
     models that do not ask the picture classifier."""
+
+    def without_numbers(self) -> str | None:
+        """The name of the first part that holds a value which is not a number; none if there is none."""
+        parts = ((field.name, getattr(self, field.name)) for field in fields(self))
+        return next((name for name, values in parts if values is not None and np.isnan(values).any()), None)
 
 
 def describe(path: str | Path, description: Description) -> None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError
 from cognitivedrone.models.calculator import calculate
-from cognitivedrone.models.onnx_file import check_graph, count_of, field_of, open_model
+from cognitivedrone.models.onnx_file import check_graph, count_of, field_of, numbers_of, open_model
 from cognitivedrone.models.scene_tokens import INPUTS, SceneTokenizer, number_text, stacked
 
 TEXT_ENCODER, FILE = "text-encoder", "text_encoder.onnx"
@@ -86,7 +86,7 @@ class TextEncoderModel:
     def batch(self, instructions: Sequence[str]) -> Floats:
         """(n, L, W) of n instructions, padded with zeros to the longest."""
         tokens = stacked([self.tokenizer.encode(parts_of(text)) for text in instructions])
-        (words,) = self._session.run(("words",), tokens)
+        (words,) = numbers_of(self._session, ("words",), tokens, "the text encoder")
         found: Floats = words
         return found
 

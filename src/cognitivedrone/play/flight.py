@@ -19,6 +19,7 @@ from cognitivedrone.play.board import LiveBoard
 from cognitivedrone.play.channels import Channels
 from cognitivedrone.play.config import PageSpec
 from cognitivedrone.play.server import Controls, serving_page
+from cognitivedrone.printable import shown_address
 from cognitivedrone.serving.access import token_of
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.types import ACTION_LIMITS, Action
@@ -91,10 +92,15 @@ class FlightControls(Controls):
 
 def command_line(plan: FlyPlan) -> str:
     """The command that flies a plan without the page."""
-    changes = plan.changed(out=None, instruction="", view=True, film=True, page=False, page_port=0).changes()
-    changes.pop("page_port", None)
-    words = [word for name, value in changes.items() for word in (f"--{name.replace('_', '-')}", str(value))]
+    changes = plan.changed(out=None, view=True, film=True, page=False, page_port=0).changes()
+    for name in ("page_port", "instruction"):  # the latter has no flag
+        changes.pop(name, None)
+    words = [word for name, value in changes.items() for word in (_flag(name), shown_address(str(value)))]
     return shlex.join(["cognitivedrone", "fly", *([plan.instruction] if plan.instruction else []), *words])
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 class FlightPage(FlightControls):
@@ -119,7 +125,7 @@ class FlightPage(FlightControls):
                 "sentences": list(self.sentences),
                 "instruction": plan.instruction,
                 "command": command_line(plan),
-                "pilot": f"{plan.pilot.policy} + {plan.pilot.reasoner} on {plan.vehicle.link}",
+                "pilot": f"{plan.pilot.shown.policy} + {plan.pilot.shown.reasoner} on {plan.vehicle.link}",
                 "steered": self.steered,
             },
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 import sys
@@ -15,6 +14,7 @@ from typing import Final
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import read_regular
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.plan import PilotSpec
 from cognitivedrone.processes import environment
 
@@ -78,5 +78,5 @@ class Lesson:
 
     def _steps(self) -> int:
         """Steps of the lesson, as the training wrote down."""
-        recipe = json.loads(read_regular(self.out / "recipe.json", _RECIPE_BYTES))
+        recipe = parse_json(read_regular(self.out / "recipe.json", _RECIPE_BYTES))
         return int(recipe["recipe"]["steps"])

@@ -23,6 +23,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from cognitivedrone.errors import CognitiveDroneError, ServerError
 from cognitivedrone.files import reason_of
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.labels.images import MAX_FILE_BYTES
 from cognitivedrone.play.access import Guarded
 from cognitivedrone.play.channels import Channels, Reader
@@ -134,7 +135,7 @@ class _App:
     async def _receive(self, page: WebSocket) -> None:
         while True:
             try:
-                values = json.loads(await page.receive_text())
+                values = parse_json(await page.receive_text())
                 command = values.pop("do")
                 if not isinstance(command, str):
                     raise ServerError("a command is a word")
@@ -143,7 +144,7 @@ class _App:
                 return
             except CognitiveDroneError as error:
                 await page.send_text(json.dumps({"channel": "error", "text": str(error)}))
-            except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            except (ValueError, KeyError, TypeError, AttributeError):
                 await page.send_text(json.dumps({"channel": "error", "text": "the page sent something unreadable"}))
 
 

@@ -324,7 +324,7 @@ class Studio(FlightControls):
                 "film": None if self._film is None else self._flights,
                 "command": self._command,
                 "folder": str(self.out),
-                "pilot": f"{self._spec.policy} + {self._spec.reasoner}",
+                "pilot": f"{self._spec.shown.policy} + {self._spec.shown.reasoner}",
                 "steered": True,
                 "lesson": None if lesson is None else {"text": lesson.text, "share": lesson.share, "done": lesson.done},
             },

@@ -7,7 +7,7 @@ nothing is unpickled or downloaded. The policy must take the features of our LeR
 
 from __future__ import annotations
 
-import json
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
@@ -17,8 +17,10 @@ import numpy as np
 from cognitivedrone.errors import MissingExtra, ModelError, PolicyError, import_extra
 from cognitivedrone.files import read_regular
 from cognitivedrone.interfaces import Policy
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.models.openvla.checkpoint import read_header
 from cognitivedrone.policies.small import state_of
+from cognitivedrone.schema import check_form
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, Observation
 
 EXTRA = "lerobot"
@@ -87,19 +89,27 @@ def read_config(folder: Path) -> dict[str, Any]:
             " lerobot-train wrote, or a local copy of one"
         )
     try:
-        config = json.loads(read_regular(folder / FILES[0], MAX_CONFIG_BYTES).decode())
-    except (OSError, ValueError, RecursionError) as error:
+        config = parse_json(read_regular(folder / FILES[0], MAX_CONFIG_BYTES), non_finite=True)
+    except (OSError, ValueError) as error:
         raise ModelError(f"{folder / FILES[0]} cannot be read ({error}); copy it again") from None
     if not isinstance(config, dict):
         raise ModelError(f"{folder / FILES[0]} is not an object; copy it again")
     return config
 
 
+@dataclass(frozen=True, slots=True)
+class _Feature:
+    """What config.json says of an input or an output."""
+
+    shape: tuple[int, ...] = ()
+
+
 def check_features(folder: Path, config: dict[str, Any]) -> None:
     """Raises `ModelError` unless the policy takes what our drone sees and answers what it flies."""
     features = {**_features(config, "input_features"), **_features(config, "output_features")}
+    check_form(dict[str, _Feature], features, f"{folder / FILES[0]}: ", ModelError)
     for key, feature in features.items():
-        shape = tuple(feature.get("shape") or ()) if isinstance(feature, dict) else ()
+        shape = tuple(feature.get("shape", ()))
         if key != IMAGE_KEY and shape != SHAPES.get(key):
             raise ModelError(
                 f"{folder} is a policy with {key} {shape}; ours has {IMAGE_KEY}, {STATE_KEY} (5,) and {ACTION_KEY}"

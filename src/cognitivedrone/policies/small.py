@@ -178,6 +178,11 @@ class Small(Policy):
         action: ActionChunk = output.action[0]
         if not np.isfinite(action).all():
             raise NonFiniteAction(f"the model answered {action[0].tolist()} to the state {frame.state.tolist()}")
+        if name := output.without_numbers():  # the drone would look for a gate until its time is over
+            raise NonFiniteAction(
+                f"the model's {name} holds values that are not numbers, for the state {frame.state.tolist()}; if it is"
+                " so for every frame, its weights are damaged: train or download it again"
+            )
         self.declines = self._presence.update(output)
         return np.zeros_like(action) if self.declines else action
 

@@ -12,6 +12,7 @@ from importlib import resources
 from typing import Any
 
 from cognitivedrone.errors import ReasonerError
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.reasoners.reply import answer_of, quote
 from cognitivedrone.tasks.missions import LONGEST, pad_directive
 from cognitivedrone.types import COLORS, Color, SubGoal
@@ -68,8 +69,8 @@ def read_plan(text: str, finish_reason: str | None = None) -> tuple[SubGoal, ...
     plain = answer_of(text, finish_reason, LONGEST_PLAN)
     start, end = plain.find("{"), plain.rfind("}")
     try:
-        found = json.loads(plain[start : end + 1]) if start >= 0 else None
-    except (ValueError, RecursionError):
+        found = parse_json(plain[start : end + 1]) if start >= 0 else None
+    except ValueError:
         found = None
     if not isinstance(found, dict):
         raise ReasonerError("garbage", f"the plan is not JSON: {quote(text)}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, get_args
@@ -11,6 +10,7 @@ from typing import Any, Final, get_args
 from cognitivedrone.errors import GroundTruthError, PluginError, ReasonerError, ReasonerFault, did_you_mean
 from cognitivedrone.files import check_regular, read_regular, reason_of
 from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.types import EpisodeContext, Guidance, Image
 
 MAX_FILE_BYTES: Final = 64 * 2**20
@@ -33,8 +33,8 @@ def read_answers(path: Path) -> dict[str, tuple[Entry, ...]]:
             continue
         where = f"{path} line {number}"
         try:
-            obj = json.loads(line)
-        except (ValueError, RecursionError):
+            obj = parse_json(line, non_finite=True)
+        except ValueError:
             raise PluginError(f"{where} is not JSON; every line must be one object") from None
         if not isinstance(obj, dict) or not isinstance(obj.get("task"), str):
             raise PluginError(

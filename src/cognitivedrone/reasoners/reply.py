@@ -6,11 +6,11 @@ continues well enough without an answer.
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 
 from cognitivedrone.errors import ReasonerError, ReasonerFault
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.reasoners.sentences import Description, contradicts, describe, read_sentences
 from cognitivedrone.types import Guidance
 
@@ -203,7 +203,7 @@ def _fields(block: str) -> dict[str, str] | None:
 def _pairs(block: str) -> list[tuple[str, str, bool]]:
     """Key, value, and whether something unexpected follows the value."""
     try:
-        pairs = json.loads(block, object_pairs_hook=list) if block.startswith("{") else None
+        pairs = parse_json(block, objects=list) if block.startswith("{") else None
     except ValueError:
         pairs = None
     if pairs is None:

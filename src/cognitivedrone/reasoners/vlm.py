@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import base64
 import io
-import json
 import os
 import time
 import warnings
@@ -30,6 +29,7 @@ from cognitivedrone.errors import (
     import_extra,
 )
 from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.reasoners.mission_plan import PLAN_AGAIN, PLAN_SCHEMA, PLAN_TOKENS, plan_prompt, read_plan
 from cognitivedrone.reasoners.prompt import (
     AGAIN,
@@ -333,9 +333,9 @@ def _checked(timeout: float) -> float:
 
 def _model_names(body: bytes) -> list[str]:
     try:
-        models = json.loads(body)["data"]
+        models = parse_json(body)["data"]
         return [model["id"] for model in models if isinstance(model["id"], str)]
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError):
         return []
 
 
@@ -343,8 +343,8 @@ def _answer_text(body: bytes) -> tuple[str, str | None]:
     """The model's text in a response of the chat API, and its `finish_reason`; raises `ReasonerError`."""
     text = body.decode("utf-8", "replace")
     try:
-        response = json.loads(text)
-    except (ValueError, RecursionError):
+        response = parse_json(text)
+    except ValueError:
         raise ReasonerError("garbage", f"the server's response is not JSON: {quote(text)}") from None
     try:
         choice = response["choices"][0]

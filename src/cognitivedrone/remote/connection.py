@@ -16,7 +16,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from cognitivedrone.errors import CognitiveDroneError, MessageError, PluginError, ServerError, import_extra
-from cognitivedrone.printable import visible, without_logins
+from cognitivedrone.printable import visible
 from cognitivedrone.remote.codec import EXTRA, pack, unpack
 from cognitivedrone.remote.messages import OURS, PROTOCOL, TOKEN_VARIABLE, Message, raise_error
 from cognitivedrone.remote.proxy import proxy_hint
@@ -61,7 +61,7 @@ class Connection:
         except ValueError:  # a port out of range, brackets that are no IPv6 address
             valid = False
         if not valid:
-            raise PluginError(f"{without_logins(url)!r} is no address of a policy server; write remote:ws://HOST:PORT")
+            raise PluginError(f"{url!r} is no address of a policy server; write remote:ws://HOST:PORT")
         if parts.username or parts.password:
             raise PluginError(
                 "a login in the address of a policy server would appear in results; put the server's token in the"

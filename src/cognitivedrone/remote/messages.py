@@ -24,6 +24,7 @@ from cognitivedrone.errors import (
     ReasonerError,
     ServerError,
 )
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.types import IMAGE_SIZE, EpisodeContext, Guidance, Image, Observation
 
 PROTOCOL: Final = 1
@@ -194,10 +195,12 @@ def raise_error(frame: str, where: str) -> None:
     the last line of its traceback.
     """
     try:
-        error = json.loads(frame)["error"]
+        error = parse_json(frame, non_finite=True)["error"]
         code, fault = error["code"], error.get("fault")
         message = " ".join(str(error["message"]).split())[:LONGEST_ERROR]
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        if not isinstance(code, str) or not isinstance(fault, str | None):
+            raise TypeError("code and fault are words")
+    except (ValueError, TypeError, KeyError, AttributeError):
         last = (frame.strip().splitlines() or ["an empty text"])[-1]
         raise ServerError(f"the policy server at {where} failed: {last[:300]}") from None
     if code == "no_answer":

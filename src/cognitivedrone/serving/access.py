@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hmac
 import os
+import stat
 import time
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -28,6 +30,12 @@ def token_of(host: str, token_file: Path | None) -> str | None:
     if token_file is not None:
         try:
             token = read_regular(token_file, MAX_TOKEN_BYTES).decode().strip()
+            if token_file.stat().st_mode & stat.S_IROTH:
+                warnings.warn(
+                    f"--token-file {token_file} can be read by every user of this machine; make it yours alone with"
+                    f" `chmod 600 {token_file}`",
+                    stacklevel=2,
+                )
         except (OSError, UnicodeDecodeError) as error:
             reason = reason_of(error) if isinstance(error, OSError) else "it is not text"
             raise ServerError(f"--token-file {token_file} cannot be read: {reason}") from None
@@ -41,7 +49,7 @@ def token_of(host: str, token_file: Path | None) -> str | None:
     if not token and host not in LOOPBACK:
         raise ServerError(
             f"--host {host} lets other machines connect, which needs a token: write one to a file, as with"
-            f" `openssl rand -hex 24 > token`, and give --token-file token, or set {TOKEN_VARIABLE}"
+            f" `(umask 077; openssl rand -hex 24 > token)`, and give --token-file token, or set {TOKEN_VARIABLE}"
         )
     return token or None
 

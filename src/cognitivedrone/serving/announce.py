@@ -18,8 +18,8 @@ EVERY_ADDRESS = {"0.0.0.0": "ADDRESS-OF-THIS-MACHINE", "::": "ADDRESS-OF-THIS-MA
 def announced(plan: ServePlan, address: Address) -> str:
     """Some lines for a person who wants to use the server."""
     shown = Address(EVERY_ADDRESS.get(address.host, address.host), address.port)
-    reasoner = plan.pilot.reasoner
-    pilot = plan.pilot.policy if reasoner == "none" else f"{plan.pilot.policy} behind {reasoner}"
+    reasoner = plan.pilot.shown.reasoner
+    pilot = plan.pilot.shown.policy if reasoner == "none" else f"{plan.pilot.shown.policy} behind {reasoner}"
     policy = f"--policy remote:ws://{shown}"
     lines = [
         f"serving {pilot} at ws://{address} (ctrl-C stops)",

@@ -16,6 +16,7 @@ import numpy as np
 from starlette.requests import Request
 
 from cognitivedrone.errors import MessageError
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.remote.codec import array_of
 from cognitivedrone.remote.messages import IMAGE, PROMPT, STATE, TIME, read_observation
 from cognitivedrone.serving.access import RateLimit
@@ -86,8 +87,8 @@ class Rest:
 
 def _object(text: bytes | str) -> dict[str, Any]:
     try:
-        payload = json.loads(text)
-    except (ValueError, RecursionError):
+        payload = parse_json(text)
+    except ValueError:
         raise MessageError("bad_message", "the request is not JSON") from None
     if not isinstance(payload, dict):
         raise MessageError("bad_message", f"the request is {type(payload).__name__!r}; expected a JSON object")

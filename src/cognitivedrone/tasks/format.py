@@ -21,6 +21,7 @@ from typing import Any, cast, get_args
 
 from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.files import read_regular, reason_of, replace_file
+from cognitivedrone.json_text import NotJSON, parse_json
 from cognitivedrone.printable import unprintable
 from cognitivedrone.tasks.families import FAMILIES
 from cognitivedrone.tasks.validate import check_text, validate_task
@@ -330,21 +331,11 @@ def read_json(path: Path, max_bytes: int = MAX_FILE_BYTES) -> object:
     """
     try:
         content = read_regular(path, max_bytes)
-        return json.loads(content.decode("utf-8"), object_pairs_hook=_each_key_once)
+        return parse_json(content, non_finite=True)  # the errors of a task name its field
     except OSError as error:
         raise TaskError(f"{path}: cannot be read ({reason_of(error)}); give a task file or a folder of them") from None
-    except (ValueError, RecursionError) as error:
+    except NotJSON as error:
         raise TaskError(f"{path}: not JSON ({str(error)[:80]}); a task file is a list of tasks") from None
-
-
-def _each_key_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """The object of these keys and values. Duplicate keys are an error, because either value could be meant."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        seen: set[str] = set()
-        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
-        raise ValueError(f"the key {twice[:40]!r} appears twice in one object")
-    return found
 
 
 def read_tasks(path: Path) -> list[Task]:

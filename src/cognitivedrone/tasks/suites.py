@@ -15,6 +15,7 @@ from typing import Any, overload
 import numpy as np
 
 from cognitivedrone.errors import TaskError, did_you_mean
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.printable import unprintable
 from cognitivedrone.tasks.directives import HOLD, write_directive
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, generator
@@ -240,7 +241,7 @@ def file_of(name: str) -> str:
 def _fixed_suite(name: str) -> Suite:
     file_name = file_of(name)
     text = resources.files("cognitivedrone.tasks").joinpath("suites", file_name).read_text(encoding="utf-8")
-    content = json.loads(text)
+    content = parse_json(text)
     digest = digest_of(content["tracks"])
     if digest != content["digest"]:
         raise TaskError(f"suite {name!r}: the content of suites/{file_name} does not match its hash; reinstall")

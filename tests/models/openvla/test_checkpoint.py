@@ -59,6 +59,22 @@ def told_by(folder):
     return json.loads((folder / "config.json").read_text())
 
 
+HEADERS = [
+    struct.pack("<Q", len(text)) + text
+    for text in (
+        b'{"a": []}',
+        b'{"a": {"dtype": "F32", "data_offsets": [0, 0]}}',
+        b'{"a": {"dtype": "F32", "shape": [1], "data_offsets": [0]}}',
+        b'{"a": {"dtype": "F32", "shape": ["x"], "data_offsets": [0, 0]}}',
+        b'{"a": {"dtype": 7, "shape": [1], "data_offsets": [0, 0]}}',
+        b'{"a": {"dtype": "F32", "shape": [1], "data_offsets": [0, 1e400]}}',
+        b"[" * 2000 + b"]" * 2000,
+    )
+]
+"""Of safetensors files; none describes tensors."""
+TOWER = {"width": 48, "depth": 3, "heads": 4, "hidden": 192}
+
+
 def tell(folder, **changes):
     (folder / "config.json").write_text(json.dumps(told_by(folder) | changes))
 
@@ -213,7 +229,9 @@ class TestFaults:
         with pytest.raises(PolicyError, match=r"is truncated.*copy it again"):
             inspect(folder)
 
-    @pytest.mark.parametrize("content", [b"", b"abc", struct.pack("<Q", 10**12), struct.pack("<Q", 4) + b"[12]"])
+    @pytest.mark.parametrize(
+        "content", [b"", b"abc", struct.pack("<Q", 10**12), struct.pack("<Q", 4) + b"[12]", *HEADERS]
+    )
     def test_files_that_are_no_safetensors(self, tmp_path, content):
         (tmp_path / "x.safetensors").write_bytes(content)
         with pytest.raises(PolicyError, match="is not a safetensors file"):
@@ -234,6 +252,18 @@ class TestFaults:
             ({"model_type": "llava"}, "model_type is 'llava'; an OpenVLA-7B that can be flown has 'openvla'"),
             ({"image_resize_strategy": "letterbox"}, "image_resize_strategy is 'letterbox'"),
             ({"cognitivedrone": {}, "timm_model_ids": ["vit_x"]}, "timm_model_ids are"),
+            ({"text_config": {"num_hidden_layers": 10**12}}, "num_hidden_layers is 1000000000000; it must be from 0"),
+            ({"text_config": {"num_hidden_layers": 2000}}, "a part has 2000 layers; at most 1000 are read"),
+            ({"text_config": {"hidden_size": "x"}}, "hidden_size must be a whole number, not 'x'"),
+            ({"text_config": {"hidden_size": True}}, "hidden_size must be a whole number, not True"),
+            ({"cognitivedrone": {"towers": [TOWER]}}, "towers has 1 items; it must have 2"),
+            ({"cognitivedrone": {"towers": [TOWER, {**TOWER, "depth": 10**12}]}}, "depth is 1000000000000"),
+            ({"cognitivedrone": {"towers": [TOWER, {**TOWER, "width": [1]}]}}, "width must be a whole number"),
+            ({"cognitivedrone": []}, "does not describe an OpenVLA"),
+            ({"norm_stats": [1]}, "norm_stats is list; it must be an object"),
+            ({"norm_stats": {"a": 7}}, "lack readable q01 and q99: must be an object"),
+            ({"norm_stats": {"a": {"action": {"q01": ["x"] * 4, "q99": [1] * 4}}}}, "must be a number, not 'x'"),
+            ({"norm_stats": {"a": {"action": {"q01": [0] * 4, "q99": [1] * 4, "mask": 7}}}}, "mask must be a list"),
             ({"text_config": None}, "does not describe an OpenVLA"),
             ({"text_config": {"num_attention_heads": 0}}, "does not describe an OpenVLA: ZeroDivisionError"),
             ({"cognitivedrone": {"chunk": "x"}}, "does not describe an OpenVLA: TypeError"),

@@ -41,6 +41,7 @@ from cognitivedrone.files import create, remove, writing
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.interrupts import watched
+from cognitivedrone.printable import shown_address
 from cognitivedrone.progress import counted
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, DroneWorld, Start
@@ -122,7 +123,7 @@ def out_of(plan: ReasonPlan) -> Path:
     """The folder of the answers: the one given, or one named after suite and reasoner."""
     if plan.out is not None:
         return plan.out
-    names = ["reason", plan.scenario.title, plan.reasoner]
+    names = ["reason", plan.scenario.title, shown_address(plan.reasoner)]
     return results_folder(*names, *(["track"] if plan.scenario.track else []))
 
 
@@ -255,16 +256,17 @@ def _open_answers(out: Path, *, overwrite: bool) -> Iterator[Callable[[Answer], 
 def _document(results: ReasonResults, options: Mapping[str, Any]) -> Mapping[str, object]:
     """The content of reason.json."""
     plan = results.plan
+    reasoner, words = shown_address(plan.reasoner), map(shown_address, plan.words())
     names = ("seed", "track", "episodes", "appearance", "labels", "reasoner_model")
     return {
         "schema": SCHEMA,
         "suite": results.suite,
-        "reasoner": plan.reasoner,
+        "reasoner": reasoner,
         "options": {**{name: options.get(name) for name in names}, "frames": plan.frames},
         "versions": versions(),
         "renderer": results.renderer,
         "scores": results.summary,
-        "platform": platform_facts(shlex.join(["cognitivedrone", "reason", *plan.words()]), reasoner=plan.reasoner),
+        "platform": platform_facts(shlex.join(["cognitivedrone", "reason", *words]), reasoner=reasoner),
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "wall_s": round(results.wall_s, 3),
     }

@@ -10,6 +10,7 @@ from rich.text import Text
 from cognitivedrone.benchmark.reasoning.reason import ReasonResults
 from cognitivedrone.benchmark.reasoning.reason_scoring import ReasonScore
 from cognitivedrone.benchmark.reports.tables import DASH, add_parts, interval, new_table, percent, words
+from cognitivedrone.printable import shown_address
 
 COLUMNS = ("", "n", "gate", "95 % CI", "colour", "shape", "size", "all", "faults")
 
@@ -20,7 +21,7 @@ def reason_table(results: ReasonResults) -> RenderableType:
     `gate` counts directives that fit the right gate and no other; the other columns count the parts that they name.
     """
     summary = results.summary
-    table = new_table(f"{results.suite.name}: reasoner {results.plan.reasoner}", *COLUMNS, gap=0)
+    table = new_table(f"{results.suite.name}: reasoner {shown_address(results.plan.reasoner)}", *COLUMNS, gap=0)
     table.add_row("overall", *_cells(summary.overall), style="bold", end_section=True)
     add_parts(table, summary.categories, summary.families, _cells)
     return Group(table, "", *_notes(results))

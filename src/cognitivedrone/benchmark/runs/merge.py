@@ -16,6 +16,7 @@ from cognitivedrone.benchmark.runs.records import (
     Record,
     RunFolder,
     check_folder,
+    check_records,
     differences,
     read_records,
 )
@@ -63,13 +64,16 @@ def merge(parts: Sequence[Path], out: Path, *, overwrite: bool = False) -> Resul
     check_folder(out, facts, overwrite=overwrite)
     records = {episode: part.records[episode] for part in read for episode in part.records}
     ordered = [records[episode] for episode in sorted(records)]
+    tracks = _tracks(facts, ordered)
+    for part in read:
+        check_records(part.records, facts, tracks, str(part.path))
     with RunFolder(out, facts, overwrite=overwrite) as folder:
         for record in ordered:
             folder.append(Rollout(record.result, record.trace), record.renderer)
         for part in read:
             _copy_errors(part.path, out)
         results = _joined(read, facts, ordered)
-        write_products(out, results, ordered, tracks=_tracks(facts, ordered))
+        write_products(out, results, ordered, tracks=tracks)
     return results
 
 
@@ -81,7 +85,7 @@ def _read(path: Path) -> _Part:
     written = results.run.option("shard")
     if written is None:
         raise RunError(f"{path} is not a shard: it was flown without --shard; leave it out")
-    records = read_records(path)
+    records = read_records(path, results.run)
     if dumps([records[episode].result for episode in sorted(records)]) != dumps(results.episodes):
         raise RunError(f"{path}: its records are not the episodes of its results; fly the shard again with --overwrite")
     return _Part(path, parse_shard(written), results, records)

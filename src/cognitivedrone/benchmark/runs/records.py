@@ -1,20 +1,23 @@
 """The folder of a run in progress: run.json identifies the run, episodes.jsonl records what has been flown.
 
-Every episode is one line with its own checksum, on disk before the next one counts. If the run is killed, an incomplete
-line is dropped on resume, and its episode is flown again.
+Every episode is one line with its own checksum and the digest of its run, on disk before the next one counts. If
+the run is killed, an incomplete line is dropped on resume, and its episode is flown again.
 """
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, loads
+from cognitivedrone.benchmark.scores.possible import impossible
 from cognitivedrone.benchmark.scores.results import RunFacts, write_whole
 from cognitivedrone.benchmark.scores.run_types import Rollout, Trace
 from cognitivedrone.errors import RunError
@@ -30,7 +33,8 @@ from cognitivedrone.files import (
     take_lock,
     writing,
 )
-from cognitivedrone.types import EpisodeResult
+from cognitivedrone.json_text import parse_json
+from cognitivedrone.types import EpisodeResult, Track
 
 RUN_FILE: Final = "run.json"
 EPISODES_FILE: Final = "episodes.jsonl"
@@ -40,6 +44,8 @@ MAX_RUN_BYTES: Final = 2**20
 """Largest run.json."""
 MAX_EPISODES_BYTES: Final = 2**30
 """Largest episodes.jsonl."""
+MAX_LINE_BYTES: Final = 64 * 2**20
+"""Largest record."""
 ERRORS_FOLDER: Final = "errors"
 """Tracebacks of policies and reasoners, one file per episode."""
 
@@ -57,11 +63,21 @@ class RunFolder:
     """An open run folder, locked against other processes until it is closed.
 
     Raises `RunError`, without changes, if the folder contains another run, or this run and neither `resume` nor
-    `overwrite` is set.
+    `overwrite` is set; also for records of other flights than those through the suite's `tracks`, if they are given.
     """
 
-    def __init__(self, path: Path, facts: RunFacts, *, resume: bool = False, overwrite: bool = False) -> None:
+    def __init__(
+        self,
+        path: Path,
+        facts: RunFacts,
+        *,
+        tracks: Sequence[Track] = (),
+        resume: bool = False,
+        overwrite: bool = False,
+    ) -> None:
         self.path = path
+        self._digest = digest_of_run(facts)
+        self._tracks = tracks
         with writing(path, RunError, "give another --out"):
             self._open(facts, resume=resume, overwrite=overwrite)
 
@@ -81,7 +97,8 @@ class RunFolder:
     def _prepare(self, facts: RunFacts, *, keep: bool) -> None:
         remove_left_over(self.path)
         if keep:
-            self.records, length = _read(self._file, self.path / EPISODES_FILE)
+            self.records, length = _read(self._file, self.path / EPISODES_FILE, self._digest)
+            check_records(self.records, facts, self._tracks, str(self.path / EPISODES_FILE))
             self._file.truncate(length)
             return
         self.records = {}
@@ -95,14 +112,14 @@ class RunFolder:
 
     def append(self, flown: Rollout, renderer: str) -> None:
         """Write one episode to disk."""
-        line = _line(Record(flown.result, flown.trace, renderer))
+        line = _line(Record(flown.result, flown.trace, renderer), self._digest)
         kept = "free disk space, then continue with the same command and --resume; flown episodes are kept"
         with writing(self.path / EPISODES_FILE, RunError, kept):
             self._file.write(line)
             self._file.flush()
             os.fsync(self._file.fileno())
         # Keep exactly what a later resume would read, to the last digit.
-        self.records[flown.result.episode] = _parse(line, "the record just written")
+        self.records[flown.result.episode] = _parse(line, self._digest, "the record just written")
 
     def close(self) -> None:
         """Release the folder's lock."""
@@ -117,11 +134,54 @@ class RunFolder:
         self.close()
 
 
-def check_folder(path: Path, facts: RunFacts, *, resume: bool = False, overwrite: bool = False) -> frozenset[int]:
+def check_folder(
+    path: Path, facts: RunFacts, *, tracks: Sequence[Track] = (), resume: bool = False, overwrite: bool = False
+) -> frozenset[int]:
     """The episodes that a `RunFolder` with these arguments would have on record. Same errors, no changes."""
     with writing(path, RunError, "give another --out"):
         exists = _check(path, facts, resume=resume, overwrite=overwrite)
-    return frozenset(read_records(path)) if exists and resume and (path / EPISODES_FILE).exists() else frozenset()
+    if not (exists and resume and (path / EPISODES_FILE).exists()):
+        return frozenset()
+    records = read_records(path, facts)
+    check_records(records, facts, tracks, str(path / EPISODES_FILE))
+    return frozenset(records)
+
+
+def digest_of_run(facts: RunFacts) -> str:
+    """What its records say of a run: 16 hexadecimal digits of the SHA-256 of its identity."""
+    given = {name: value for name, value in _flat(encode(facts)).items() if value is not None}
+    text = json.dumps(given, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def check_records(records: Mapping[int, Record], facts: RunFacts, tracks: Sequence[Track], where: str) -> None:
+    """Raise `RunError` for records of flights that this run's suite, with these tracks, does not have.
+
+    Without tracks, which are not known of a suite from files that are elsewhere, only the seed is looked at.
+    """
+    for episode, record in records.items():
+        if problem := _unlike(record.result, facts, tracks):
+            raise RunError(f"{where}: episode {episode} is none of this run, {problem}; give --overwrite")
+
+
+def _unlike(result: EpisodeResult, facts: RunFacts, tracks: Sequence[Track]) -> str | None:
+    if result.seed != facts.option("seed"):
+        return f"its seed is {result.seed}, and the run's {facts.option('seed')}"
+    if not tracks:
+        return None
+    if not 0 <= result.episode < len(tracks):
+        return f"the suite has the episodes 0 to {len(tracks) - 1}"
+    track = tracks[result.episode]
+    for task, stage in zip(track, result.stages, strict=False):
+        for name, found, meant in (
+            ("task_id", stage.task_id, task.id),
+            ("category", stage.category, task.category),
+            ("family", stage.family, task.family),
+            ("target", stage.target, task.target),
+        ):
+            if found != meant:
+                return f"its {name} is {found!r:.60}, and {meant!r} in the suite"
+    return impossible(track, [(stage.outcome, stage.chosen) for stage in result.stages])
 
 
 def _check(path: Path, facts: RunFacts, *, resume: bool, overwrite: bool) -> bool:
@@ -137,12 +197,16 @@ def _check(path: Path, facts: RunFacts, *, resume: bool, overwrite: bool) -> boo
     return exists
 
 
-def read_records(path: Path) -> dict[int, Record]:
-    """The records of a run folder by episode, read-only; an incomplete line is skipped."""
+def read_records(path: Path, facts: RunFacts | None = None) -> dict[int, Record]:
+    """The records of a run folder by episode, read-only; an incomplete line is skipped.
+
+    Raises `RunError` for records of another run than that of these facts; by default, those of the folder's run.json.
+    """
     file = path / EPISODES_FILE
+    digest = digest_of_run(_facts_in(path) if facts is None else facts)
     try:
         with open_regular(file, MAX_EPISODES_BYTES) as stream:
-            return _read(stream, file)[0]
+            return _read(stream, file, digest)[0]
     except OSError as error:
         raise RunError(f"{file} cannot be read: {reason_of(error)}; give the --out folder of a run") from None
 
@@ -167,13 +231,24 @@ def _holds_run(path: Path) -> bool:
     return False
 
 
+def _content_of(file: Path) -> Any:
+    """The content of run.json; raises `RunError`."""
+    try:
+        return loads(read_regular(file, MAX_RUN_BYTES).decode("utf-8"))
+    except OSError as error:
+        raise RunError(f"{file} cannot be read ({reason_of(error)}); give another --out, or --overwrite") from None
+    except ValueError as error:
+        raise RunError(f"{file} cannot be read ({error}); give another --out, or --overwrite") from None
+
+
+def _facts_in(path: Path) -> RunFacts:
+    """The identity of the run in a folder; raises `RunError`."""
+    return decode(RunFacts, _content_of(path / RUN_FILE), str(path / RUN_FILE))
+
+
 def _same_run(path: Path, facts: RunFacts) -> None:
     """Raise `RunError` unless run.json describes the same run."""
-    file = path / RUN_FILE
-    try:
-        found = loads(read_regular(file, MAX_RUN_BYTES).decode("utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise RunError(f"{file} cannot be read ({error}); give another --out, or --overwrite") from None
+    found = _content_of(path / RUN_FILE)
     if differing := differences(found, encode(facts)):
         raise RunError(f"{path} contains another run: {differing}; give another --out, or --overwrite")
 
@@ -200,24 +275,32 @@ def _lock(path: Path) -> BinaryIO:
     return file
 
 
-def _line(record: Record) -> bytes:
+def _line(record: Record, run: str) -> bytes:
     body = dumps(record)
-    return f'{{"crc32":"{zlib.crc32(body.encode()):08x}","record":{body}}}\n'.encode()
+    return f'{{"crc32":"{_checksum(run, body)}","run":"{run}","record":{body}}}\n'.encode()
 
 
-def _parse(line: bytes, where: str) -> Record:
-    """Parse one line of the file. Raises `RunError` if its checksum or content is wrong."""
+def _checksum(run: str, body: str) -> str:
+    return f"{zlib.crc32(f'{run} {body}'.encode()):08x}"
+
+
+def _parse(line: bytes, run: str, where: str) -> Record:
+    """Parse one line of the file of a run. Raises `RunError` if its checksum, run or content is wrong."""
     try:
-        document = json.loads(line)
-        body, stated = document["record"], document["crc32"]
-    except (ValueError, KeyError, TypeError, RecursionError):
+        document = parse_json(line, max_bytes=MAX_LINE_BYTES)
+        body, stated, of = document["record"], document["crc32"], document.get("run")
+    except (ValueError, LookupError, TypeError, AttributeError):
         raise RunError(f"{where} is not a record; repeat the run with --overwrite") from None
-    if f"{zlib.crc32(dumps(body).encode()):08x}" != stated:
+    if of is None:
+        raise RunError(f"{where} does not say of which run it is, as records of this version do; give --overwrite")
+    if _checksum(str(of), dumps(body)) != stated:
         raise RunError(f"{where} does not match its checksum; repeat the run with --overwrite")
+    if of != run:
+        raise RunError(f"{where} is of another run; take the line out, or repeat the run with --overwrite")
     return decode(Record, body, where)
 
 
-def _read(file: BinaryIO, path: Path) -> tuple[dict[int, Record], int]:
+def _read(file: BinaryIO, path: Path, run: str) -> tuple[dict[int, Record], int]:
     """The records, and the length in bytes of the intact part of the file."""
     file.seek(0)
     lines = file.read(MAX_EPISODES_BYTES).splitlines(keepends=True)
@@ -226,7 +309,7 @@ def _read(file: BinaryIO, path: Path) -> tuple[dict[int, Record], int]:
     for number, line in enumerate(lines, start=1):
         if number == len(lines) and not line.endswith(b"\n"):
             break
-        record = _parse(line, f"{path} line {number}")
+        record = _parse(line, run, f"{path} line {number}")
         if record.result.episode in records:
             raise RunError(f"{path} line {number} repeats episode {record.result.episode}; give --overwrite")
         records[record.result.episode] = record

@@ -36,6 +36,7 @@ from cognitivedrone.errors import RunError
 from cognitivedrone.files import check_no_link, safe_name, writing
 from cognitivedrone.interrupts import watched
 from cognitivedrone.pilot import Pilot
+from cognitivedrone.printable import shown_address
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.rollout.pool import InProcess, Pool, ProcessPool, WorkerCrash
 from cognitivedrone.rollout.ray_pool import RayPool
@@ -63,7 +64,7 @@ def run(
     began = time.perf_counter()
     job = resolve(plan, named=pilot is None)
     facts, path = job.facts, out_of(plan)
-    flown_before = check_folder(path, facts, resume=plan.resume, overwrite=plan.overwrite)
+    flown_before = check_folder(path, facts, tracks=job.suite.tracks, resume=plan.resume, overwrite=plan.overwrite)
     missing = [episode for episode in job.episodes if episode not in flown_before]
     if not missing and (path / RESULTS_FILE).exists() and (path / REPORT_FILE).exists():
         finished = read_results(path)
@@ -75,7 +76,9 @@ def run(
         screen = console(stderr=True)
         with screen.status("starting the simulators") if progress else nullcontext():
             pool = stack.enter_context(_pool_of(Flights(job, runner), max(len(missing), 1), pilot))
-        folder = stack.enter_context(RunFolder(path, facts, resume=plan.resume, overwrite=plan.overwrite))
+        folder = stack.enter_context(
+            RunFolder(path, facts, tracks=job.suite.tracks, resume=plan.resume, overwrite=plan.overwrite)
+        )
         try:
             link = _fly_missing(pool, folder, missing, job, show=progress)
             records = [folder.records[episode] for episode in job.episodes]
@@ -113,7 +116,8 @@ def out_of(plan: Plan) -> Path:
     """The run's folder: the one given, or one named after suite, policy and reasoner."""
     if plan.out is not None:
         return plan.out
-    names = [plan.scenario.title, plan.pilot.policy, plan.pilot.reasoner, *(["track"] if plan.scenario.track else [])]
+    pilot = plan.pilot.shown
+    names = [plan.scenario.title, pilot.policy, pilot.reasoner, *(["track"] if plan.scenario.track else [])]
     if plan.shard is not None:
         shard = parse_shard(plan.shard)
         names.append(f"shard-{shard.number}-of-{shard.count}")
@@ -127,7 +131,7 @@ def results_folder(*names: str) -> Path:
 
 def command_of(plan: Plan) -> str:
     """The command line that repeats the run, without options that do not affect the results."""
-    return shlex.join(["cognitivedrone", "bench", *plan.words()])
+    return shlex.join(["cognitivedrone", "bench", *map(shown_address, plan.words())])
 
 
 def _pool_of(flights: Flights, most: int, pilot: Pilot | None) -> Pool[Wanted, Rollout]:

@@ -50,7 +50,8 @@ def plot(points: Points, config: SweepPlan) -> str:
     longest = max(ms for ms, _ in points) or 1.0
     scores = [results.summary().overall for _, results in points]
     xs = [_LEFT + ms / longest * (_WIDTH - _LEFT - _RIGHT) for ms, _ in points]
-    title = escape(f"{config.scenario.title}: {config.pilot.policy}, reasoner {config.pilot.reasoner}")
+    pilot = config.pilot.shown
+    title = escape(f"{config.scenario.title}: {pilot.policy}, reasoner {pilot.reasoner}")
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" font-family="sans-serif" '
         'font-size="12"><rect width="100%" height="100%" fill="white"/>',

@@ -11,17 +11,20 @@ import dataclasses
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import Any, TypeVar, get_origin
 
 import cattrs
 import numpy as np
-from cattrs.gen import make_dict_structure_fn, make_dict_unstructure_fn, override
+from cattrs.gen import make_dict_unstructure_fn, override
 from numpy.typing import NDArray
 
+from cognitivedrone import schema
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import read_regular, reason_of
+from cognitivedrone.json_text import parse_json
 
 T = TypeVar("T")
 _SURROGATE = re.compile("[\ud800-\udfff]")
@@ -42,9 +45,9 @@ def dumps(value: Any, *, indent: int | None = None) -> str:
 def loads(text: str) -> Any:
     """Parse JSON as strictly as `dumps` writes it: no name twice in an object, no NaN and no infinity.
 
-    Raises `ValueError`, and `RecursionError` for thousands of brackets.
+    Raises `ValueError`.
     """
-    return json.loads(text, object_pairs_hook=_named_once, parse_constant=_finite, parse_float=_finite)
+    return parse_json(text)
 
 
 def read_document(path: Path, schema: str, kind: str, way_out: str, max_bytes: int) -> dict[str, Any]:
@@ -53,7 +56,7 @@ def read_document(path: Path, schema: str, kind: str, way_out: str, max_bytes: i
         document = loads(read_regular(path, max_bytes).decode("utf-8"))
     except OSError as error:
         raise RunError(f"{path} cannot be read ({reason_of(error)}); {way_out}") from None
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise RunError(f"{path} cannot be read: {error}; {way_out}") from None
     found = document.pop("schema", None) if isinstance(document, dict) else None
     if found != schema:
@@ -61,117 +64,19 @@ def read_document(path: Path, schema: str, kind: str, way_out: str, max_bytes: i
     return dict(document)
 
 
-def _named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) != len(pairs):
-        names = [name for name, _ in pairs]
-        raise ValueError(f"the name {max(names, key=names.count)[:80]!r} is given twice in an object")
-    return found
-
-
-def _finite(text: str) -> float:
-    number = float(text)
-    if not math.isfinite(number):
-        raise ValueError(f"{text[:20]} is no finite number")
-    return number
-
-
 def decode(kind: type[T], value: Any, where: str) -> T:
     """`value` as a `kind`: a dataclass, or any type that its hints may contain. Raises `RunError` with the place."""
-    try:
-        return _CONVERTER.structure(value, kind)
-    except (cattrs.BaseValidationError, cattrs.ForbiddenExtraKeysError, _Unfit) as error:
-        problem, _, path = cattrs.transform_error(error, "", _problem)[0].rpartition(" @ ")
-        raise RunError(f"{where}{path} {problem}") from None
-
-
-class _Unfit(ValueError):
-    """A value that its hint does not allow; the message completes "<place> ..."."""
-
-
-def _problem(error: BaseException, _kind: type | None) -> str:
-    """Message for one failed field; it follows the place."""
-    if isinstance(error, cattrs.ForbiddenExtraKeysError):
-        known = ", ".join(field.name for field in dataclasses.fields(error.cl))
-        return f"has {min(error.extra_fields)!r}, which this version does not know; known: {known}"
-    if isinstance(error, KeyError):
-        return "is missing"
-    return str(error)
-
-
-def _must_be(wanted: str, value: Any) -> _Unfit:
-    found = repr(value)
-    return _Unfit(f"must be {wanted}, not {found if len(found) <= 60 else found[:57] + '...'}")
-
-
-def _read_int(value: Any, _: Any) -> int:
-    if not isinstance(value, int) or isinstance(value, bool):
-        raise _must_be("a whole number", value)
-    return value
-
-
-def _read_float(value: Any, _: Any) -> float:
-    if value is None:
-        return math.nan
-    if not isinstance(value, (int, float)) or isinstance(value, bool):
-        raise _must_be("a number", value)
-    return float(value)
-
-
-def _read_str(value: Any, _: Any) -> str:
-    if not isinstance(value, str):
-        raise _must_be("text", value)
-    return value
-
-
-def _read_bool(value: Any, _: Any) -> bool:
-    if not isinstance(value, bool):
-        raise _must_be("true or false", value)
-    return value
-
-
-def _read_literal(value: Any, hint: Any) -> Any:
-    if value not in get_args(hint):
-        raise _Unfit(f"is {value!r}; it must be one of {', '.join(map(repr, get_args(hint)))}")
-    return value
+    return schema.decode(kind, value, where, RunError, _CONVERTER)
 
 
 def _read_points(value: Any, _: Any) -> NDArray[np.float32]:
     """(n, 3) float32."""
-    try:
+    with suppress(TypeError, ValueError, OverflowError), np.errstate(over="ignore"):
         if isinstance(value, Sequence) and not isinstance(value, str):
-            return np.array(value, dtype=np.float32).reshape(-1, 3)
-    except (TypeError, ValueError):
-        pass
-    raise _must_be("a list of [x, y, z]", value)
-
-
-def _read_tuple(value: Any, hint: Any) -> tuple[Any, ...]:
-    """Tuples hold one kind of value, any number of them or as many as the hint lists."""
-    kinds = get_args(hint)
-    if not isinstance(value, list):
-        raise _must_be("a list", value)
-    if kinds[-1] is not Ellipsis and len(value) != len(kinds):
-        raise _Unfit(f"has {len(value)} items; it must have {len(kinds)}")
-    return tuple(_CONVERTER.structure(value, list[kinds[0]]))  # type: ignore[valid-type]
-
-
-def _read_mapping(value: Any, hint: Any) -> dict[Any, Any]:
-    if not isinstance(value, dict):
-        raise _must_be("an object", value)
-    key, item = get_args(hint)
-    return _CONVERTER.structure(value, dict[key, item])  # type: ignore[valid-type]
-
-
-def _dataclass_reader(kind: type[Any], converter: cattrs.Converter) -> Callable[[Any, Any], Any]:
-    read = make_dict_structure_fn(kind, converter, _cattrs_forbid_extra_keys=True)
-
-    def read_object(value: Any, hint: Any) -> Any:
-        if not isinstance(value, dict):
-            raise _must_be("an object", value)
-        return read(value, hint)
-
-    return read_object
+            points = np.array(value, dtype=np.float32).reshape(-1, 3)
+            if np.isfinite(points).all():
+                return points
+    raise schema.must_be("a list of [x, y, z]", value)
 
 
 def _dataclass_writer(kind: type[Any], converter: cattrs.Converter) -> Callable[[Any], Any]:
@@ -192,23 +97,13 @@ def _is_array(hint: Any) -> bool:
     return np.ndarray in (hint, get_origin(hint)) or (get_origin(hint) or hint) is NDArray
 
 
-def _origin_is(origin: Any) -> Callable[[Any], bool]:
-    return lambda hint: get_origin(hint) is origin
-
-
 def _is_dataclass(hint: Any) -> bool:
     return isinstance(hint, type) and dataclasses.is_dataclass(hint)
 
 
 def _make_converter() -> cattrs.Converter:
-    converter = cattrs.Converter(unstruct_collection_overrides={tuple: list})
-    for kind, read in ((int, _read_int), (float, _read_float), (str, _read_str), (bool, _read_bool)):
-        converter.register_structure_hook(kind, read)
-    converter.register_structure_hook_func(_origin_is(Literal), _read_literal)
-    converter.register_structure_hook_func(_origin_is(tuple), _read_tuple)
-    converter.register_structure_hook_func(_origin_is(Mapping), _read_mapping)
+    converter = schema.make_reader(unknown="refused")
     converter.register_structure_hook_func(_is_array, _read_points)
-    converter.register_structure_hook_factory(_is_dataclass, _dataclass_reader)
     converter.register_unstructure_hook_factory(_is_dataclass, _dataclass_writer)
     converter.register_unstructure_hook(bool, bool)
     converter.register_unstructure_hook(np.integer, int)

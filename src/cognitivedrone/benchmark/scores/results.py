@@ -131,6 +131,8 @@ def results_from_json(document: Mapping[str, Any], where: str) -> Results:
     numbers = [episode.episode for episode in results.episodes]
     if numbers != sorted({*numbers}) or (numbers and numbers[0] < 0):
         raise RunError(f"{where}: its episodes are not in order, or one is there twice; the file was changed")
+    if empty := [episode.episode for episode in results.episodes if not episode.stages]:
+        raise RunError(f"{where}: episode {empty[0]} has no stage; the file was changed")
     written = document.get("scores")
     for rule in RULES:
         if not isinstance(written, dict) or written.get(rule) != encode(results.summary(rule)):

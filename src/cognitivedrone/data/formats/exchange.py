@@ -18,6 +18,7 @@ from cognitivedrone.data.pages import check_pages
 from cognitivedrone.data.shards import unpacked_bytes
 from cognitivedrone.errors import DataError, TaskError
 from cognitivedrone.files import check_regular, create, read_regular, reason_of, replacing_folder
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.pictures import MAX_SIDE, open_picture
 from cognitivedrone.tasks import task_from_json, task_to_json
 
@@ -109,7 +110,7 @@ def episode_from(
         )
     except TaskError as error:
         raise DataError(str(error)) from None
-    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError) as error:
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
         raise DataError(f"{where}: not an episode of this format ({type(error).__name__}: {brief(error)})") from None
     if facts.get("split") not in ("train", "val"):
         raise DataError(f"{where}: split is {facts.get('split')!r}; it must be train or val")
@@ -166,12 +167,12 @@ def _opened(data: bytes, where: str) -> PillowImage.Image:
 def read_json(path: Path) -> Any:
     """The content of a JSON file; `DataError` if it is missing, not a regular file, too large or malformed."""
     try:
-        return json.loads(read_regular(path, MAX_JSON_BYTES).decode("utf-8"))
+        return parse_json(read_regular(path, MAX_JSON_BYTES).decode("utf-8"))
     except OSError as error:
         raise DataError(
             f"{path}: cannot be read ({reason_of(error)}); is this the folder of a whole data set?"
         ) from None
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise DataError(f"{path}: not JSON ({brief(error)})") from None
 
 

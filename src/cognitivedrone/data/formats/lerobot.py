@@ -41,6 +41,7 @@ from cognitivedrone.data.formats.lerobot_video import PIXELS, VideoWriter, read_
 from cognitivedrone.data.shards import ShardFile, write_shard_file
 from cognitivedrone.errors import DataError
 from cognitivedrone.files import remove
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE
 
 VERSION = "v3.0"
@@ -344,7 +345,7 @@ def read(path: Path) -> Iterator[tuple[Split, Episode]]:
             table, opened = _read_table(data_path, _STEP), data_path
             frames = read_frames(video_path) if is_video else None
         try:
-            number, length, record = row["episode_index"], row["length"], json.loads(row["record"])
+            number, length, record = row["episode_index"], row["length"], parse_json(row["record"])
             steps = table.filter(pc.equal(table["episode_index"], number)).sort_by("frame_index")
             arrays = _step_arrays(steps)
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, pa.ArrowException) as error:

@@ -42,6 +42,7 @@ from cognitivedrone.data.formats.bags import (
 )
 from cognitivedrone.data.formats.exchange import check_file, episode_from, new_folder, record_of
 from cognitivedrone.errors import DataError
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.types import CONTROL_HZ, FloatArray
 
 ACTION, EPISODE = "/action", "/episode"
@@ -84,7 +85,7 @@ def _read_one(ros: Ros, folder: Path) -> tuple[Split, Episode]:
         check_file(part)
     try:
         found = {topic: [message for _, message in messages] for topic, messages in ros.read(folder).items()}
-        record = json.loads(found[EPISODE][0].data)
+        record = parse_json(found[EPISODE][0].data)
         steps = [found[topic] for topic in _STEPS]
     except Exception as error:  # of many types, depending on the fault
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__

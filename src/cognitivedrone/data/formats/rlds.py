@@ -41,6 +41,7 @@ from cognitivedrone.data.formats.tfrecord import (
 )
 from cognitivedrone.errors import DataError
 from cognitivedrone.files import create
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.types import IMAGE_SIZE
 
 NAME = "cognitivedrone"
@@ -233,8 +234,8 @@ def _episode_of(payload: bytes, where: str) -> tuple[Split, Episode]:
             "height": state[:, 3],
             "yaw_rate": state[:, 4],
         }
-        facts = json.loads(record)
-    except (KeyError, ValueError, TypeError, AttributeError, IndexError, RecursionError) as error:
+        facts = parse_json(record)
+    except (KeyError, ValueError, TypeError, AttributeError, IndexError) as error:
         raise DataError(f"{where}: not an episode that this package exported ({brief(error)})") from None
     return episode_from(facts, images, arrays, where)
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, did_you_mean
 from cognitivedrone.models.openvla.config import ACTION_SIZE, WORDS
+from cognitivedrone.schema import check_form
 from cognitivedrone.types import Commands, FloatArray
 
 BINS = 256
@@ -70,12 +71,26 @@ class ActionStatistics:
         return np.asarray(self.q01, np.float64), np.asarray(self.q99, np.float64), np.asarray(self.mask, np.bool_)
 
 
+@dataclass(frozen=True, slots=True)
+class _Quantiles:
+    """As published: of any robot, whose number of dimensions is looked at later."""
+
+    q01: tuple[float, ...]
+    q99: tuple[float, ...]
+    mask: tuple[bool, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Statistics:
+    action: _Quantiles
+
+
 def choose_statistics(norm_stats: Mapping[str, Any], key: str | None) -> tuple[str, ActionStatistics]:
     """The statistics under `key`, or the only ones that are a drone's: published checkpoints also hold those of arms.
 
     Raises `ModelError` where there are none, several and no key, an unknown key, or those of another robot.
     """
-    if not norm_stats:
+    if not isinstance(norm_stats, Mapping) or not norm_stats:
         raise ModelError(
             "the checkpoint has no action statistics (norm_stats in config.json, or dataset_statistics.json beside it);"
             " without them its answers have no unit: copy that file there, or fine-tune the checkpoint on flights"
@@ -84,14 +99,13 @@ def choose_statistics(norm_stats: Mapping[str, Any], key: str | None) -> tuple[s
         key = _only_drone(norm_stats)
     if key not in norm_stats:
         raise ModelError(f"the checkpoint has no statistics {key!r}; {did_you_mean(key, norm_stats)}")
+    check_form(_Statistics, norm_stats[key], f"statistics {key!r} lack readable q01 and q99: ", ModelError)
     try:
         table = norm_stats[key]["action"]
         q01, q99 = (tuple(float(value) for value in table[name]) for name in ("q01", "q99"))
-        mask = tuple(bool(value) for value in table.get("mask", [True] * len(q01)))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ModelError(f"statistics {key!r} lack readable q01 and q99: {type(error).__name__} {error}") from None
-    try:
-        return key, ActionStatistics(q01, q99, mask)
+        return key, ActionStatistics(q01, q99, tuple(table.get("mask", [True] * len(q01))))
+    except TypeError:  # of null among the numbers
+        raise ModelError(f"statistics {key!r} lack readable q01 and q99") from None
     except ModelError as error:
         raise ModelError(f"statistics {key!r}: {error}") from None
 

@@ -10,7 +10,6 @@ action_head.safetensors        of the parallel decoder, if config.json has a chu
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Mapping
@@ -20,10 +19,12 @@ from typing import Any, Literal
 
 from cognitivedrone.errors import ModelError
 from cognitivedrone.files import open_regular, read_regular
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.models.openvla.actions import ActionStatistics, choose_statistics
 from cognitivedrone.models.openvla.config import Config, read_config
 from cognitivedrone.models.openvla.prepare import ImagePreparation, check_tokenizer, read_preparation
 from cognitivedrone.models.openvla.tensors import Shapes, check_tensors, head_tensors, unused_tensors, used_tensors
+from cognitivedrone.schema import check_form
 
 Quantisation = Literal["none", "int8", "int4"]
 DecoderName = Literal["ar", "parallel"]
@@ -43,6 +44,19 @@ BYTES_PER_WEIGHT: dict[Quantisation, float] = {"none": 2.0, "int8": 1.0, "int4":
 """Bytes per weight of a matrix in Llama's layers; scale and zero have 2 bytes each."""
 _WORK = 0.04
 """Memory for activations, keys, values and workspaces, as a fraction of the weights."""
+
+
+class _NotTensors(ModelError):
+    """A header of another form."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Tensor:
+    """A tensor in the header of a safetensors file."""
+
+    dtype: str
+    shape: tuple[int, ...]
+    data_offsets: tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,12 +158,13 @@ def read_header(path: Path) -> dict[str, Any]:
             size = int.from_bytes(file.read(8), "little")
             text = file.read(size) if 2 <= size <= LARGEST_HEADER else b""
             held = os.fstat(file.fileno()).st_size - 8 - size
-        header: dict[str, Any] = json.loads(text)
+        header: dict[str, Any] = parse_json(text)
         header.pop("__metadata__", None)
-        end = max((int(entry["data_offsets"][1]) for entry in header.values()), default=0)
+        check_form(dict[str, _Tensor], header, "", _NotTensors)
+        end = max((entry["data_offsets"][1] for entry in header.values()), default=0)
     except OSError as error:
         raise ModelError(f"{path}: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError):
+    except (ValueError, TypeError, AttributeError, _NotTensors):
         raise ModelError(f"{path} is not a safetensors file; if it is a pointer of Git LFS, fetch the file") from None
     if held != end:
         raise ModelError(f"{path} is truncated: it holds {held} bytes of tensors, not {end}; copy it again")
@@ -159,7 +174,10 @@ def read_header(path: Path) -> dict[str, Any]:
 def _own_statistics(folder: Path, table: Mapping[str, Any]) -> dict[str, Any]:
     """Action statistics from the configuration `table`, and from fine-tuning."""
     fine_tuned = _read_json(folder / STATISTICS) if (folder / STATISTICS).is_file() else {}
-    return {**table.get("norm_stats", {}), **fine_tuned}
+    published = table.get("norm_stats", {})
+    if not isinstance(published, dict):
+        raise ModelError(f"{CONFIG}: norm_stats is {type(published).__name__}; it must be an object, by data set")
+    return {**published, **fine_tuned}
 
 
 def _tensors(folder: Path) -> tuple[Shapes, dict[str, Path], int]:
@@ -211,10 +229,10 @@ def _head(folder: Path, config: Config) -> Path | None:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        table = json.loads(read_regular(path, LARGEST_HEADER).decode())
+        table = parse_json(read_regular(path, LARGEST_HEADER).decode())
     except OSError as error:
         raise ModelError(f"{path}: {error.strerror}; the folder of a whole OpenVLA checkpoint has it") from None
-    except (ValueError, RecursionError):
+    except ValueError:
         raise ModelError(f"{path} is not JSON; if it is a pointer of Git LFS, fetch the file") from None
     if not isinstance(table, dict):
         raise ModelError(f"{path} is not a JSON object")

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from cognitivedrone.errors import ModelError
+from cognitivedrone.schema import decode
 
 IMAGE = 224
 """Height and width of the towers' input, pixels."""
@@ -20,6 +21,9 @@ WORDS = 32_000
 """Vocabulary size of Llama's tokenizer; the embedding has 64 more rows, for padding."""
 PADDING = 32_000
 """Id of the padding token."""
+LARGEST_SIZE = 1_000_000
+"""Of any width, vocabulary or number of layers; OpenVLA-7B's largest is 32,064."""
+MOST_LAYERS = 1000
 KEY = "cognitivedrone"
 """Key of our own entries in `config.json`, beside the published ones."""
 
@@ -104,6 +108,8 @@ def read_config(table: Mapping[str, Any]) -> Config:
             raise ModelError(f"config.json: {key} is {table.get(key)!r}; an OpenVLA-7B that can be flown has {value!r}")
     own = table.get(KEY, {})
     try:
+        if own.get("chunk") is not None and type(own["chunk"]) is not int:
+            raise TypeError(f"{KEY}.chunk is {own['chunk']!r:.40}")
         dino, siglip = _towers(table, own)
         config = Config(dino, siglip, _language(table["text_config"]), own.get("chunk"))
         _check(config)
@@ -133,7 +139,7 @@ def write_config(config: Config, norm_stats: Mapping[str, Any]) -> dict[str, Any
 
 def _towers(table: Mapping[str, Any], own: Mapping[str, Any]) -> tuple[TowerSize, TowerSize]:
     if "towers" in own:
-        dino, siglip = (TowerSize(**tower) for tower in own["towers"])
+        dino, siglip = decode(tuple[TowerSize, TowerSize], own["towers"], "config.json: towers", ModelError)
         return dino, siglip
     names = list(table["timm_model_ids"])
     if names != list(PUBLISHED_TOWERS):
@@ -147,11 +153,19 @@ def _language(table: Mapping[str, Any]) -> LanguageSize:
     if "num_key_value_heads" not in given and "num_attention_heads" in given:
         given["num_key_value_heads"] = given["num_attention_heads"]
     nested = table.get("rope_parameters") or {}
-    return LanguageSize(**{**given, **({"rope_theta": nested["rope_theta"]} if "rope_theta" in nested else {})})
+    sizes = {**given, **({"rope_theta": nested["rope_theta"]} if "rope_theta" in nested else {})}
+    return decode(LanguageSize, sizes, "config.json: text_config", ModelError)
 
 
 def _check(config: Config) -> None:
     """Raises `ModelError` for sizes that no network can have."""
+    for part in (config.dino, config.siglip, config.language):
+        for name, size in asdict(part).items():  # before anything is counted or made by them
+            if type(size) is int and not 0 <= size <= LARGEST_SIZE:
+                raise ModelError(f"config.json: {name} is {size}; it must be from 0 to {LARGEST_SIZE:,}")
+    depth = max(config.dino.depth, config.siglip.depth, config.language.num_hidden_layers)
+    if depth > MOST_LAYERS:
+        raise ModelError(f"config.json: a part has {depth} layers; at most {MOST_LAYERS} are read")
     language = config.language
     sizes = {
         "dino.width / heads": config.dino.width / config.dino.heads,

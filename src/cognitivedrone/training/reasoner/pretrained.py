@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import torch
 
 from cognitivedrone.errors import TrainingError
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.models.gate_selector import GateSelector, SelectorConfig
 from cognitivedrone.models.reasoner_file import SELECTOR_FILE, GateSelectorModel
 from cognitivedrone.models.scene_tokens import LENGTHS
@@ -30,7 +30,7 @@ def _folder() -> Path:
 
 def pretrained_pieces() -> tuple[str, ...]:
     """The word pieces of its vocabulary, by number. Raises `TrainingError` if it is not installed."""
-    vocabulary: dict[str, int] = json.loads((_folder() / "tokenizer.json").read_text())["model"]["vocab"]
+    vocabulary: dict[str, int] = parse_json((_folder() / "tokenizer.json").read_text())["model"]["vocab"]
     return tuple(sorted(vocabulary, key=vocabulary.__getitem__))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import mmap
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,9 @@ from torch import Tensor, nn
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import check_regular, open_regular, reason_of, replacing
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.models.checksum import BLANK, Finding, check, seal
+from cognitivedrone.schema import check_form
 
 CHECKPOINT = "checkpoint.safetensors"
 """Name of the file in the folder of a run."""
@@ -51,7 +54,7 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
                 raise TrainingError(
                     f"{path}: not a whole checkpoint (it does not match its checksum); delete it or take an earlier one"
                 )
-            facts = json.loads(metadata[_KEY])
+            facts = parse_json(metadata[_KEY])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
     except FileNotFoundError:
         raise TrainingError(f"{path}: no such checkpoint") from None
@@ -60,12 +63,20 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         raise TrainingError(f"{path}: not a whole checkpoint ({reason}); delete it or take an earlier one") from None
     except SafetensorError as error:
         raise TrainingError(f"{path}: not a whole checkpoint ({error}); delete it or take an earlier one") from None
-    except (KeyError, RecursionError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError):
         raise TrainingError(f"{path}: a safetensors file, but not a checkpoint of this project") from None
-    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
+    if not isinstance(facts, dict) or facts.get("format") != FORMAT or isinstance(facts["format"], bool):
         found = facts.get("format") if isinstance(facts, dict) else "unknown"
         raise TrainingError(f"{path}: checkpoint of format {found}; this version reads {FORMAT}")
+    check_form(_Facts, facts, f"{path}: ", TrainingError)
     return tensors, facts
+
+
+@dataclass(frozen=True, slots=True)
+class _Facts:
+    """What every checkpoint says."""
+
+    step: int
 
 
 def _finding(path: Path) -> Finding:
@@ -84,10 +95,24 @@ def restore(tensors: dict[str, Tensor], network: nn.Module, optimizer: torch.opt
         raise TrainingError(f"the checkpoint is of another network: {str(error).splitlines()[-1].strip()}") from None
     if optimizer is None:
         return
+    try:
+        _restore_optimizer(tensors, optimizer)
+    except (ValueError, LookupError, TypeError, AttributeError, RuntimeError) as error:
+        reason = " ".join(str(error).split())[:100]
+        raise TrainingError(
+            f"the checkpoint holds the state of another optimiser ({type(error).__name__}: {reason}); take an earlier"
+            " one, or start anew"
+        ) from None
+
+
+def _restore_optimizer(tensors: dict[str, Tensor], optimizer: torch.optim.Optimizer) -> None:
+    shapes = [parameter.shape for group in optimizer.param_groups for parameter in group["params"]]
     state: dict[int, dict[str, Tensor]] = {}
     for name, value in tensors.items():
         if name.startswith("optimizer."):
             _, number, key = name.split(".", 2)
+            if not value.isfinite().all() or (key != "step" and value.shape != shapes[int(number)]):
+                raise ValueError(f"{name} has another shape than its weights, or is not finite")
             state.setdefault(int(number), {})[key] = value
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
     # Fused optimisers iterate over memory, so moments need the same layout as their weights: channels last, for some.

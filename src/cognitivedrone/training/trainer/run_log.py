@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
 
 from cognitivedrone.files import read_regular, replace_file
+from cognitivedrone.json_text import NotJSON, parse_json
 from cognitivedrone.training.trainer.training_task import Row
 
 METRICS = "metrics.jsonl"
@@ -47,13 +49,13 @@ class RunLog:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """The rows of a metrics file, one JSON object per line; a truncated line is skipped."""
+    """The rows of a metrics file, one JSON object per line; what is no row, such as a truncated line, is skipped."""
     rows = []
     for line in read_regular(path, MAX_METRICS_BYTES).decode().splitlines() if path.exists() else []:
-        try:
-            rows.append(json.loads(line))
-        except ValueError:
-            continue
+        with suppress(NotJSON):
+            row = parse_json(line, non_finite=True)
+            if isinstance(row, dict) and type(row.get("step")) is int:
+                rows.append(row)
     return rows
 
 

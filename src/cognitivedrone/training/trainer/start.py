@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -15,6 +16,7 @@ from cognitivedrone.files import read_regular
 from cognitivedrone.models.onnx_file import LARGEST_BYTES
 from cognitivedrone.models.small_file import FORMER, KIND
 from cognitivedrone.models.text_encoder import TextEncoderModel, encoder_of
+from cognitivedrone.schema import check_form
 from cognitivedrone.training.trainer.checkpoint import origin_of, read_checkpoint
 
 Part = Literal["policy", "language", "reader", "selector"]
@@ -69,6 +71,23 @@ def _part_of(recipe: dict[str, Any]) -> Part:
     return "selector" if "mix" in recipe else "reader"
 
 
+@dataclass(frozen=True, slots=True)
+class _Recipe:
+    name: str
+    network: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class _Facts:
+    """What the checkpoint of a part of the networks says."""
+
+    recipe: _Recipe
+    step: int
+    seed: int
+    attributes: tuple[str, ...]
+    pieces: tuple[str, ...] = ()
+
+
 def read_start(path: Path | None, part: Part) -> Start:
     """A start from a checkpoint or a policy's model file; None, or "small", is the packaged policy.
 
@@ -82,6 +101,7 @@ def read_start(path: Path | None, part: Part) -> Start:
     facts = read_checkpoint(path)[1]
     if "attributes" not in facts or "vocabulary" in facts:
         raise TrainingError(f"{path}: the checkpoint is of an earlier version of the networks; train it again")
+    check_form(_Facts, facts, f"{path}: ", TrainingError)
     found = _part_of(facts["recipe"])
     if found != part and part not in _HAS.get(found, ()):
         raise TrainingError(f"{path}: this is the checkpoint of a {found}; expected that of a {part}")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from cognitivedrone.errors import TrainingError
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.types import FloatArray, Image
 
 Batch: TypeAlias = dict[str, NDArray[np.generic]]
@@ -61,7 +62,7 @@ class Schedule:
 
     def facts(self) -> dict[str, Any]:
         """As JSON gives them back: tuples as lists."""
-        facts: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        facts: dict[str, Any] = parse_json(json.dumps(asdict(self)), non_finite=True)
         return facts
 
 

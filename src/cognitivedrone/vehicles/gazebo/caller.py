@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Iterable, Iterator
 
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.vehicles.gazebo.bindings import load_bindings
 
 
@@ -18,7 +19,7 @@ def replies(release: str, calls: Iterable[str]) -> Iterator[str]:
     bindings = load_bindings(release)
     node = bindings.new_node()
     for call in calls:
-        service, data, asks, answers, timeout_ms = json.loads(call)
+        service, data, asks, answers, timeout_ms = parse_json(call)
         kind = bindings.message(asks)
         request = kind()
         request.ParseFromString(bytes.fromhex(data))

@@ -16,6 +16,7 @@ from contextlib import suppress
 from typing import Final, Protocol
 
 from cognitivedrone.errors import GazeboError
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.processes import environment
 
 _PROGRAM: Final = "cognitivedrone.vehicles.gazebo.caller"
@@ -70,7 +71,7 @@ class ServiceProcess:
                 f"the process that calls Gazebo's services ended with {self._process.poll()};"
                 " what it printed above says why"
             )
-        data = json.loads(reply)
+        data = parse_json(reply)
         return None if data is None else bytes.fromhex(data)
 
     def close(self) -> None:

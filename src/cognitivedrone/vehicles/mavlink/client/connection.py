@@ -364,8 +364,10 @@ class Connection:
             self.traffic = answered(self.traffic, message, now)
         elif kind == "PARAM_VALUE":
             if ("parameter", message.param_id) in self._asked_for:
-                self._kinds[message.param_id] = message.param_type
-                self._replies["parameter", message.param_id] = self.autopilot.parameter(message)
+                value = self.autopilot.parameter(message)
+                if math.isfinite(value):  # no vehicle has another; it counts as no answer
+                    self._kinds[message.param_id] = message.param_type
+                    self._replies["parameter", message.param_id] = value
         else:
             self._replies[kind] = message
 

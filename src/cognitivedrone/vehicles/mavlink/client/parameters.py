@@ -22,6 +22,7 @@ import numpy as np
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.files import read_regular, reason_of, remove, replace_file, safe_name
+from cognitivedrone.json_text import parse_json
 
 ACTS_IN_FLIGHT: Final = frozenset(
     {
@@ -172,7 +173,7 @@ _NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
 def _read(journal: Path) -> dict[str, Change]:
     """What an earlier run left behind."""
     try:
-        content = json.loads(read_regular(journal, LARGEST))
+        content = parse_json(read_regular(journal, LARGEST))
         changes = {name: Change(float(was), float(now)) for name, (was, now) in content.items()}
         for name, change in changes.items():
             if not (_NAME.fullmatch(name) and math.isfinite(change.was) and math.isfinite(change.now)):
@@ -180,7 +181,7 @@ def _read(journal: Path) -> dict[str, Change]:
         return changes
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+    except (OSError, ValueError, TypeError, AttributeError, OverflowError) as error:
         raise LinkError(
             f"cannot read {journal}, the journal of the vehicle's parameters before an earlier flight: {error};"
             " check them with a ground station, then remove it"

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ctypes
 import gc
-import json
 import os
 import resource
 import socket
@@ -16,6 +15,7 @@ from contextlib import suppress
 
 from cognitivedrone.control.safety import SafetyConfig
 from cognitivedrone.errors import CognitiveDroneError
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.client.tlog import PacketLog
 from cognitivedrone.vehicles.mavlink.guard.messages import Reply, from_json
@@ -26,7 +26,7 @@ _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 
 def main() -> int:
     """Guard; returns the exit code."""
-    settings = json.loads(sys.argv[1])
+    settings = parse_json(sys.argv[1], non_finite=True)
     pilot = socket.socket(fileno=settings["pilot"])
     pilot.setblocking(False)
     log = PacketLog(socket.socket(fileno=settings["log"]) if settings["log"] >= 0 else None)

@@ -18,6 +18,7 @@ import numpy as np
 from cattrs.preconf.json import make_converter
 
 from cognitivedrone.choices import DecisionKind
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.mavlink.client.core import Phase
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
@@ -189,7 +190,7 @@ class Reply:
 def unpack(data: bytes) -> Snapshot | Reply:
     """The message in these bytes."""
     if data[:1] == _REPLY:
-        return Reply(*json.loads(data[1:]))
+        return Reply(*parse_json(data[1:], non_finite=True))
     (
         _, sequence, phase, decision, mode, armed, s0, s1, s2, s3, x, y, z, position_at, vx, vy, vz, yaw, yaw_rate,
         attitude_at, received_at, vehicle_time, battery, h0, h1, h2, start, reason,
