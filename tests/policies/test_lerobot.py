@@ -64,6 +64,8 @@ def test_pickled_weights_are_no_checkpoint(tmp_path):
         ("input_features", "observation.state", {"type": "STATE", "shape": [14]}),
         ("output_features", "action", {"type": "ACTION", "shape": [7]}),
         ("output_features", "action", "nonsense"),
+        ("output_features", "action", {"shape": 7}),
+        ("output_features", "action", {"shape": [[4]]}),
     ],
 )
 def test_a_policy_for_another_robot_is_refused(tmp_path, kind, key, feature):
@@ -78,7 +80,7 @@ def test_a_policy_without_image_or_action_is_refused(tmp_path, missing):
         check_features(tmp_path, {**CONFIG, missing: None})
 
 
-@pytest.mark.parametrize("text", ["[1]", "{", "\x00"])
+@pytest.mark.parametrize("text", ["[1]", "{", "\x00", "[" * 200_000, '{"x": ' + "9" * 10_000 + "}", " " * (2 << 20)])
 def test_a_config_that_cannot_be_read_is_refused(tmp_path, text):
     (folder_of(tmp_path, CONFIG) / "config.json").write_text(text)
     with pytest.raises(ModelError, match="copy it again"):

@@ -15,8 +15,10 @@ from typing import Any, Literal
 import numpy as np
 
 from cognitivedrone.errors import MissingExtra, ModelError, PolicyError, import_extra
+from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.policies.small import state_of
+from cognitivedrone.printable import visible
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, Observation
 
 EXTRA = "lerobot"
@@ -24,6 +26,8 @@ IMAGE_KEY, STATE_KEY, ACTION_KEY = "observation.images.front", "observation.stat
 SHAPES = {STATE_KEY: (5,), ACTION_KEY: (4,)}
 _IMAGE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 WEIGHTS = "model.safetensors"
+LARGEST_CONFIG = 1 << 20
+"""Maximum size of config.json, bytes."""
 FILES = ("config.json", WEIGHTS, "policy_preprocessor.json", "policy_postprocessor.json")
 
 
@@ -83,9 +87,10 @@ def read_config(folder: Path) -> dict[str, Any]:
             " lerobot-train wrote, or a local copy of one"
         )
     try:
-        config = json.loads((folder / FILES[0]).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ModelError(f"{folder / FILES[0]} cannot be read ({error}); copy it again") from None
+        config = json.loads(read_regular(folder / FILES[0], LARGEST_CONFIG))
+    except (OSError, ValueError, RecursionError) as error:
+        reason = reason_of(error) if isinstance(error, OSError) else visible(str(error))
+        raise ModelError(f"{folder / FILES[0]} cannot be read ({reason}); copy it again") from None
     if not isinstance(config, dict):
         raise ModelError(f"{folder / FILES[0]} is not an object; copy it again")
     return config
@@ -95,11 +100,12 @@ def check_features(folder: Path, config: dict[str, Any]) -> None:
     """Raises `ModelError` unless the policy takes what our drone sees and answers what it flies."""
     features = {**_features(config, "input_features"), **_features(config, "output_features")}
     for key, feature in features.items():
-        shape = tuple(feature.get("shape") or ()) if isinstance(feature, dict) else ()
+        found = feature.get("shape") if isinstance(feature, dict) else None
+        shape = tuple(found) if isinstance(found, list) and all(isinstance(size, int) for size in found) else ()
         if key != IMAGE_KEY and shape != SHAPES.get(key):
             raise ModelError(
-                f"{folder} is a policy with {key} {shape}; ours has {IMAGE_KEY}, {STATE_KEY} (5,) and {ACTION_KEY}"
-                " (4,): train it on a LeRobot export of this package (docs/data.md)"
+                f"{folder} is a policy with {visible(key[:80])} {shape}; ours has {IMAGE_KEY}, {STATE_KEY} (5,) and"
+                f" {ACTION_KEY} (4,): train it on a LeRobot export of this package (docs/data.md)"
             )
     if ACTION_KEY not in features or IMAGE_KEY not in features:
         raise ModelError(f"{folder / FILES[0]} names no {IMAGE_KEY} or no {ACTION_KEY}; train on our LeRobot export")
