@@ -31,7 +31,7 @@ def attacks() -> list[Attack]:
         *each("serial ports", dict(_serial_ports())),
         *each("tables of facts", dict(_facts())),
         *each("label folders", dict(_labels())),
-        *each("folders of sweep and audit", dict(_sweeps())),
+        *each("sweep and audit", dict(_sweeps())),
         *each("submit", dict(_submit())),
     ]
 
