@@ -18,12 +18,15 @@ from types import FrameType
 from typing import Any
 
 from cognitivedrone.cli import main
+from cognitivedrone.errors import CognitiveDroneError
 from cognitivedrone.printable import unprintable
 
 PROJECT = Path(__file__).resolve().parents[1]
 MARK = "OWNED"
 """A file or folder of this name shows that an attack's code ran."""
 SECRET = "the-attacker-must-not-get-this"  # noqa: S105 - looked for in what is written
+SMOKE = ("--suite", "open-v1:smoke", "--episodes", "1", "--workers", "0")
+"""One short flight, in this process."""
 LONGEST_S = 60
 """An attack that keeps the command busy for longer has fallen it."""
 
@@ -141,6 +144,42 @@ def why_not_refused(ended: Ended, says: str = "") -> str:
     if says not in ended.err:
         return f"refused for another reason: {ended.err[-200:]!r}"
     return ""
+
+
+def told(act: Callable[[Path], object]) -> Callable[[Path], str]:
+    """The call must end with one of the package's errors, in a sentence that can be shown."""
+
+    def run(folder: Path) -> str:
+        try:
+            found = act(folder)
+        except CognitiveDroneError as error:
+            text = str(error)
+            lines = "\n" in text
+            return f"{lines and 'a line end'} was said: {text[:99]!r}" if lines or unprintable(text) else ""
+        return f"it was taken: {found!r:.99}"
+
+    return run
+
+
+def taken(act: Callable[[Path], object]) -> Callable[[Path], str]:
+    """The call must not fail: what it gets is odd, but harmless."""
+
+    def run(folder: Path) -> str:
+        try:
+            act(folder)
+        except CognitiveDroneError as error:
+            return f"harmless, but refused: {str(error)[:150]!r}"
+        return ""
+
+    return run
+
+
+def refused_in(write: Callable[[Path], object], *words: object) -> Callable[[Path], str]:
+    def run(folder: Path) -> str:
+        write(folder)
+        return why_not_refused(command(*words))
+
+    return run
 
 
 def each(kind: str, runs: Mapping[str, Callable[[Path], str]]) -> list[Attack]:

@@ -19,7 +19,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+import attacks_checkpoints
 import attacks_files
+import attacks_grounds
 import attacks_named
 import attacks_submissions
 from attack_tools import PROJECT, Attack, outcome
@@ -37,6 +39,8 @@ def all_attacks(messages: int, seed: int) -> list[Attack]:
         *attacks_named.attacks(document),
         *attacks_submissions.attacks(honest, document),
         *attacks_files.attacks(),
+        *attacks_grounds.attacks(),
+        *attacks_checkpoints.attacks(),
         Attack("messages to a server", f"{messages} hostile messages", server(messages, seed), limit_s=600),
     ]
     for name in OTHERS:

@@ -35,6 +35,9 @@ class PlugIn:
     needs_seed: bool = False
     """Whether it draws random numbers. If so, contexts include a seed of its own."""
 
+    reads_english_only: bool = False
+    """Whether it knows English sentences alone. A person's sentence without one known word is not flown then."""
+
     def reset(self, context: EpisodeContext) -> None:
         """Start a stage. `context.stage` is 0 for a new flight: forget everything before it."""
 

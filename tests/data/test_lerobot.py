@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from factory import make_episode
+from ruamel.yaml import YAML
 
 from cognitivedrone.collect.importing import import_set
 from cognitivedrone.data.episode import Episode, Split
@@ -20,6 +21,7 @@ FLIGHTS: list[tuple[Split, Episode]] = [
     ("val" if index == 1 else "train", make_episode(index, 3 + index)) for index in range(4)
 ]
 DATA = "data/chunk-000/file-000.parquet"
+VAL = "data/chunk-000/file-001.parquet"
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +46,7 @@ def copied(exported, tmp_path):
 def test_the_folder_holds_the_layout_and_nothing_else(exported):
     files = {str(path.relative_to(exported)) for path in exported.rglob("*") if path.is_file()}
     meta = {"meta/info.json", "meta/stats.json", "meta/tasks.parquet", "meta/episodes/chunk-000/file-000.parquet"}
-    assert files == meta | {DATA}
+    assert files == meta | {DATA, VAL, "README.md"}
 
 
 def test_info_counts_and_declares_every_column(exported):
@@ -58,8 +60,30 @@ def test_info_counts_and_declares_every_column(exported):
     assert {"directive", "category", "family", "correct_gate", "seed"} <= set(schema.names)
 
 
+def test_a_plain_reader_finds_the_types_of_the_columns_and_the_files_of_the_splits(exported, exported_video):
+    """As the library `datasets` looks for them: types in the schema's metadata, splits in the card's YAML."""
+    for folder, pictures in ((exported, True), (exported_video, False)):
+        for split, file in (("train", DATA), ("val", VAL)):
+            schema = pq.read_schema(folder / file)
+            types = json.loads(schema.metadata[b"huggingface"])["info"]["features"]
+            assert list(types) == schema.names
+            assert types.get(lerobot.IMAGE_KEY) == ({"_type": "Image"} if pictures else None)
+            assert types["action"] == {
+                "feature": {"dtype": "float32", "_type": "Value"}, "length": 4, "_type": "Sequence",
+            }  # fmt: skip
+            assert types["timestamp"] == {"dtype": "float32", "_type": "Value"}
+            assert types["directive"] == {"dtype": "string", "_type": "Value"}
+            names = set(pq.read_table(folder / file)["episode_index"].to_pylist())
+            assert names == ({3} if split == "val" else {0, 1, 2})
+        card = (folder / "README.md").read_text("utf-8")
+        assert card.startswith("---\n")
+        header = YAML(typ="safe").load(card.split("---")[1])
+        files = {"split": "train", "path": [DATA]}, {"split": "val", "path": [VAL]}
+        assert header["configs"] == [{"config_name": "default", "data_files": list(files)}]
+
+
 def test_rows_count_frames_episodes_and_tasks(exported):
-    table = pq.read_table(exported / DATA)
+    table = pa.concat_tables(pq.read_table(exported / file) for file in (DATA, VAL))
     assert table["index"].to_pylist() == list(range(len(table)))
     tasks = pq.read_table(exported / "meta/tasks.parquet")
     sentences = tasks["__index_level_0__"].to_pylist()
@@ -184,7 +208,11 @@ def test_data_of_others_is_told_apart(copied):
 
 def test_data_of_others_are_read_by_the_example_with_a_map_of_columns(copied, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "examples")
-    for name, renamed in (("meta/episodes/chunk-000/file-000.parquet", {}), (DATA, {lerobot.IMAGE_KEY: "camera"})):
+    for name, renamed in (
+        ("meta/episodes/chunk-000/file-000.parquet", {}),
+        (DATA, {lerobot.IMAGE_KEY: "camera"}),
+        (VAL, {lerobot.IMAGE_KEY: "camera"}),
+    ):
         table = pq.read_table(copied / name)
         kept = [c for c in table.column_names if c not in ("record", "sent", "position", "quaternion", "directive")]
         pq.write_table(table.select(kept).rename_columns([renamed.get(c, c) for c in kept]), copied / name)

@@ -7,6 +7,7 @@ import pytest
 from factory import make_episode
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
+from ruamel.yaml import YAML
 
 from cognitivedrone.data.episode import decode_image
 from cognitivedrone.data.formats import export, import_
@@ -37,6 +38,46 @@ def test_topics_types_and_stamps(bag):
                 assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
         assert stamps["/pose"] == [1_000_000_000, 1_100_000_000, 1_200_000_000, 1_300_000_000]
         assert stamps["/directive"] == [1_000_000_000]
+
+
+def humble(information: dict[str, Any]) -> None:
+    """What rosbag2_storage's `metadata_io.cpp` of ROS 2 Humble takes from `rosbag2_bagfile_information`."""
+    numbers = information["version"], information["message_count"], information["duration"]["nanoseconds"]
+    assert all(isinstance(number, int) for number in numbers)
+    assert isinstance(information["starting_time"]["nanoseconds_since_epoch"], int)
+    names = ("storage_identifier", "compression_format", "compression_mode")
+    assert all(isinstance(information[name], str) for name in names)
+    assert all(isinstance(path, str) for path in information["relative_file_paths"])
+    for topic in information["topics_with_message_count"]:
+        about = topic["topic_metadata"]
+        names = ("name", "type", "serialization_format", "offered_qos_profiles")
+        assert all(isinstance(about[name], str) for name in names)
+        assert isinstance(topic["message_count"], int)
+    for file in information["files"]:
+        assert isinstance(file["path"], str)
+
+
+def iron(information: dict[str, Any]) -> None:
+    """What `yaml.hpp` of Iron takes besides."""
+    humble(information)
+    assert isinstance(information["custom_data"] or {}, dict)
+    for topic in information["topics_with_message_count"]:
+        assert isinstance(topic["topic_metadata"]["type_description_hash"], str)
+
+
+def jazzy(information: dict[str, Any]) -> None:
+    """What `yaml.hpp` of Jazzy and Rolling takes: from version 9 on, profiles of quality of service are a list."""
+    profiles = [topic["topic_metadata"]["offered_qos_profiles"] for topic in information["topics_with_message_count"]]
+    assert all(isinstance(each, list if information["version"] >= 9 else str) for each in profiles)
+    assert isinstance(information["ros_distro"], str)
+
+
+@pytest.mark.parametrize("reader", [humble, iron, jazzy])
+def test_the_metadata_is_read_by_every_distribution(bag, reader):
+    _, folder = bag
+    information = YAML(typ="safe").load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    reader(information)
+    assert b"offered_qos_profiles: ''" in (folder / "episode_000007.mcap").read_bytes()  # the copy within the bag
 
 
 def test_frames_poses_and_words(bag):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cognitivedrone.data.formats.lerobot import IMAGE_KEY, feature_spec
+from cognitivedrone.data.formats.lerobot_columns import IMAGE_KEY, feature_spec
 from cognitivedrone.errors import MissingExtra, ModelError, PolicyError
 from cognitivedrone.policies import make_policy, model_file
 from cognitivedrone.policies.lerobot import FILES, SHAPES, WEIGHTS, check_features
@@ -77,7 +77,7 @@ def test_a_policy_without_image_or_action_is_refused(tmp_path, missing):
         check_features(tmp_path, {**CONFIG, missing: None})
 
 
-@pytest.mark.parametrize("text", ["[1]", "{", "\x00"])
+@pytest.mark.parametrize("text", ["[1]", "{", "\x00", "[" * 200_000, '{"x": ' + "9" * 10_000 + "}", " " * (2 << 20)])
 def test_a_config_that_cannot_be_read_is_refused(tmp_path, text):
     (folder_of(tmp_path, CONFIG) / "config.json").write_text(text)
     with pytest.raises(ModelError, match="copy it again"):

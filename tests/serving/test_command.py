@@ -1,17 +1,31 @@
 """The command `serve`: what it prints, its help, and what it needs."""
 
+import ast
 import logging
+import re
+import socket
 import subprocess
 import sys
+from urllib.parse import urlsplit
 
 import pytest
 from policy_clients import Client, observation
 
 from cognitivedrone import errors
 from cognitivedrone.cli import main
+from cognitivedrone.policies import make_policy
 from cognitivedrone.serving.announce import announced, logging_to_stderr
 from cognitivedrone.serving.config import ServePlan
-from cognitivedrone.serving.server import Address
+from cognitivedrone.serving.server import Address, serving
+
+
+def has_ipv6() -> bool:
+    """Whether this machine has a loopback of IPv6; containers often have none."""
+    try:
+        with socket.create_server(("::1", 0), family=socket.AF_INET6):
+            return True
+    except OSError:
+        return False
 
 
 def test_it_serves_until_it_is_stopped_and_says_how_to_call_it(tiny_model_file):
@@ -36,6 +50,27 @@ def test_it_tells_other_machines_where_they_find_it():
     assert "bench --policy remote:ws://ADDRESS-OF-THIS-MACHINE:8000 --reasoner remote:ws://ADDRESS" in lines
     assert "COGNITIVEDRONE_SERVER_TOKEN" in lines
     assert str(Address("::1", 80)) == "[::1]:80"
+
+
+@pytest.mark.skipif(not has_ipv6(), reason="this machine has no IPv6")
+@pytest.mark.parametrize("host", ["::1", "[::1]"])
+def test_an_address_of_ipv6_is_announced_as_clients_need_it(host):
+    with serving(ServePlan.of(policy="hover", host=host, port=0)) as address:
+        lines = announced(ServePlan.of(policy="hover", host=host), address)
+        policy = make_policy(f"remote:ws://{address}")
+        policy.check()
+        policy.close()
+    (argument,) = re.findall(r"WebsocketClientPolicy\((.*)\)", lines)
+    host, port = ast.literal_eval(argument)
+    uri = urlsplit(f"ws://{host}:{port}")  # as openpi's client makes it
+    assert (uri.hostname, uri.port) == ("::1", address.port)
+    assert all(urlsplit(found).hostname == "::1" for found in re.findall(r"(?:ws|http)://\S+", lines))
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "0:0:0:0:0:0:0:0", ""])  # noqa: S104
+def test_an_address_that_means_all_is_not_announced_as_one_to_connect_to(host):
+    lines = announced(ServePlan.of(policy="hover", host=host), Address(host, 8000)).splitlines()
+    assert all("ADDRESS-OF-THIS-MACHINE" in line for line in lines[1:])
 
 
 def test_the_log_is_as_it_was_afterwards(capsys):

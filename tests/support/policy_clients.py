@@ -73,7 +73,7 @@ def observation(prompt="Fly through the red gate", **changed):
 
 
 @contextlib.contextmanager
-def openpi_server(infer, metadata=None):
+def openpi_server(infer, metadata=None, tls=None):
     """A server that behaves as openpi's does: metadata first, then an answer to each observation.
 
     Text is sent as it is. An exception of `infer` is sent as its traceback, and ends the connection.
@@ -95,7 +95,9 @@ def openpi_server(infer, metadata=None):
     async def main():
         nonlocal stop, address
         stop = (asyncio.get_running_loop(), asyncio.Event())
-        async with websockets.asyncio.server.serve(converse, "127.0.0.1", 0, compression=None, max_size=None) as server:
+        async with websockets.asyncio.server.serve(
+            converse, "127.0.0.1", 0, compression=None, max_size=None, ssl=tls
+        ) as server:
             host, port = server.sockets[0].getsockname()[:2]
             address = f"{host}:{port}"
             ready.set()

@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save_file
 from torch import nn
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.training.trainer.checkpoint import FORMAT, read_checkpoint, restore, save_checkpoint
+from cognitivedrone.training.trainer.checkpoint import FORMAT, read_checkpoint, restore, save_checkpoint, step_of
 
 FACTS = {"step": 7, "recipe": {"name": "debug", "network": {"blocks": 1}}, "vocabulary": ["<pad>", "é"]}
 
@@ -60,6 +60,43 @@ def test_a_training_goes_on_from_a_checkpoint_as_if_it_had_not_stopped(
         assert step(made, optimizer, seed) == step(other, other_optimizer, seed)
     for name, value in made.state_dict().items():
         assert torch.equal(value, other.state_dict()[name]), name
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("optimizer.0.exp_avg", torch.full((4, 3), float("inf")), "optimizer.0.exp_avg has impossible numbers"),
+        ("optimizer.0.exp_avg_sq", -torch.ones(4, 3), "optimizer.0.exp_avg_sq has impossible numbers"),
+        ("optimizer.0.step", torch.tensor(-1.0), "optimizer.0.step has impossible numbers"),
+        ("optimizer.0.exp_avg", torch.ones(1), "optimizer.0.exp_avg is (1,) of torch.float32, not (4, 3) of floats"),
+        ("optimizer.0.exp_avg", torch.ones(4, 3).int(), "not (4, 3) of floats"),
+        ("optimizer.0.\x1b[2J", torch.ones(4, 3), "optimizer.0 has \\x1b[2J, exp_avg"),
+        ("optimizer.0.exp_avg_sq", None, "optimizer.0 has exp_avg, step, not step, exp_avg, exp_avg_sq"),
+        ("optimizer.99.step", torch.tensor(1.0), "has 'optimizer.99.step', which is of no weight"),
+        ("optimizer.-1.step", torch.tensor(1.0), "which is of no weight"),
+        ("optimizer.x", torch.tensor(1.0), "has 'optimizer.x', which is of no weight"),
+    ],
+)
+def test_a_state_that_the_optimiser_cannot_have_is_refused(
+    saved: tuple[Path, nn.Module, torch.optim.Optimizer], name: str, value: torch.Tensor | None, says: str
+) -> None:
+    tensors, _ = read_checkpoint(saved[0])
+    if value is None:
+        del tensors[name]
+    else:
+        tensors[name] = value
+    made = network()
+    with pytest.raises(TrainingError) as refused:
+        restore(tensors, made, optimizer_of(made))
+    assert says in str(refused.value)
+    assert str(refused.value).endswith("take an earlier checkpoint, or train anew in another folder")
+
+
+@pytest.mark.parametrize("step", [None, "1", -1, 10**12, True, 1.5, [1]])
+def test_a_step_that_cannot_be_is_refused(step: object) -> None:
+    assert step_of({"step": 10}, 10) == 10
+    with pytest.raises(TrainingError, match="not one from 0 to 10"):
+        step_of({"step": step}, 10)
 
 
 def test_weights_that_lie_channels_last_in_memory_go_on_the_same(tmp_path: Path) -> None:
@@ -214,5 +251,5 @@ def test_the_state_of_another_optimizer_is_told_in_one_sentence(
 ) -> None:
     tensors = {**read_checkpoint(saved[0])[0], name: value}
     other = network()
-    with pytest.raises(TrainingError, match="the state of another optimiser"):
+    with pytest.raises(TrainingError, match=r"checkpoint(.s optimizer| has '?optimizer\.0)"):
         restore(tensors, other, optimizer_of(other))

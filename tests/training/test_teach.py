@@ -177,6 +177,14 @@ def test_a_bad_table_is_refused_before_any_training(tmp_path: Path, table: str, 
         read_lesson(tmp_path)
 
 
+def test_a_table_that_is_a_link_to_nothing_is_not_passed_over(tmp_path: Path) -> None:
+    for name in ("ada", "alan"):
+        picture(tmp_path / "colleagues" / f"{name}.png", (9, 9, 9))
+    (tmp_path / "facts.csv").symlink_to("moved.csv")
+    with pytest.raises(TaskError, match=r"cannot read .*facts\.csv"):
+        read_lesson(tmp_path)
+
+
 def test_names_that_collide_are_said_and_asked_for_with_their_kind(tmp_path: Path) -> None:
     for path in ("logos/apple.png", "fruit/apple.png", "fruit/red.png"):
         picture(tmp_path / path, (9, 9, 9))

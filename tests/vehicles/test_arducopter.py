@@ -81,6 +81,16 @@ def test_what_cannot_be_started_is_reported(tmp_path):
         ArduCopter(binary, tmp_path, defaults=[tmp_path / "missing.parm"])
 
 
+def test_a_comma_in_a_path_does_not_name_further_parameter_files(tmp_path):
+    file = tmp_path / "a,secret.parm"
+    file.touch()
+    with pytest.raises(LinkError, match=r"a,secret\.parm has a comma, at which ArduCopter parts names"):
+        ArduCopter(tmp_path / "arducopter", tmp_path, defaults=[file])
+    (tmp_path / "flight,1").mkdir()
+    with pytest.raises(LinkError, match="flight,1 has a comma"):
+        ArduCopter(tmp_path / "arducopter", tmp_path / "flight,1")
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends a program with the one that has started it")
 def test_it_does_not_outlive_us(tmp_path):
     binary = script(tmp_path / "arducopter", "echo $$; exec sleep 60")

@@ -373,6 +373,8 @@ def test_one_of_several_vehicles_is_chosen():
         ("udp:127.0.0.1", "such as udp:127.0.0.1:14550"),
         ("tcp:127.0.0.1:99999", "such as tcp:"),
         ("serial:/dev/ttyACM0:fast", "baud rate 'fast'"),
+        (f"serial:/dev/ttyACM0:{'9' * 5000}", "is not a number of up to 8 digits"),
+        (f"udp:127.0.0.1:{'1' * 5000}", "such as udp:127.0.0.1:14550"),
     ],
 )
 def test_a_url_that_cannot_be_read(url, reported):

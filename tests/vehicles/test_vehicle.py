@@ -481,6 +481,7 @@ def test_ports_that_cannot_be_had(simulator: Simulator) -> None:
         ("udp:127.0.0.1:14550", "did you mean"),
         ("udpin:14550", "no host and port"),
         ("tcpin:127.0.0.1:99999", "no host and port"),
+        (f"tcpin:127.0.0.1:{'1' * 5000}", "no host and port"),
         ("udpout:127.0.0.1:0", "no host and port"),
     ):
         with pytest.raises(RunError, match=words):

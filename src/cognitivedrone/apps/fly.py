@@ -19,12 +19,13 @@ from rich.live import Live
 
 from cognitivedrone import terminal
 from cognitivedrone.apps.config import FlyPlan
+from cognitivedrone.apps.evidence import Evidence, taught_names
 from cognitivedrone.apps.film import film_flight
 from cognitivedrone.apps.log import FlightLog, check_free
 from cognitivedrone.apps.mission import Mission, Recorder
 from cognitivedrone.apps.orders import Keyboard, Orders, ending_on_signals, landing_on_interrupt, readable
 from cognitivedrone.apps.request import Understanding
-from cognitivedrone.apps.scene import ChosenScene, choose_scene, own_names, plain_instruction
+from cognitivedrone.apps.scene import ChosenScene, check_evidence, choose_scene, own_names, plain_instruction
 from cognitivedrone.apps.values import Ending, Page, SteeredDrone, Summary
 from cognitivedrone.apps.view import Instruments, Printer, say
 from cognitivedrone.apps.watchdog import HUNG, Watchdog
@@ -46,7 +47,7 @@ from cognitivedrone.pilot import Pilot, open_pilot
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.tasks.missions import is_mission, lands, problem_of, sub_goals
-from cognitivedrone.types import CONTROL_HZ, Event
+from cognitivedrone.types import CONTROL_HZ, Event, SubGoal
 from cognitivedrone.vehicles import check_vehicle, open_vehicle
 from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.contract import ClockedDrone, Pace, Request, Vehicle
@@ -90,10 +91,13 @@ def fly_mission(
         watchdog = stack.enter_context(Watchdog())
         pilot = pilot or stack.enter_context(open_pilot(plan.pilot))
         ros = Ros() if plan.record == "mcap" else None
-        understanding = Understanding(own_names(plan.scenario.labels), _words_of(pilot))
+        understanding = Understanding(own_names(plan.scenario.labels), _words_of(pilot), _taught(pilot))
+        evidence = Evidence.of(understanding, pilot)
         given = scene is not None
         if scene is None:
-            plan, scene = _scene(plan, understanding, console, keyboard)
+            plan, scene = _scene(plan, evidence, console, keyboard)
+        else:
+            check_evidence(evidence, scene, plan.instruction.strip())
         plans = _planned(plan, pilot, scene)
         log, summary, error = None, None, ""
         try:
@@ -103,7 +107,7 @@ def fly_mission(
                     say(console, scene.summary)
                 log = FlightLog(out, _about(plan, scene), ros, pilot.reasoner)
                 with watchdog.over(vehicle, partial(log.close, None)):
-                    plain = functools.cache(partial(plain_instruction, understanding, scene))
+                    plain = functools.cache(partial(plain_instruction, evidence, scene))
                     summary = _fly(plan, vehicle, pilot, log, orders, console, keyboard, plain, pace, page, plans)
                 if vehicle.track_runner is not None:
                     scenes = scenes_of(vehicle.track_runner)
@@ -125,19 +129,27 @@ def _words_of(pilot: Pilot) -> Collection[str]:
     return model.words if isinstance(model, SmallModel) else frozenset()
 
 
-def _scene(
-    plan: FlyPlan, understanding: Understanding, console: Console, keyboard: TextIO
-) -> tuple[FlyPlan, ChosenScene | None]:
+def _taught(pilot: Pilot) -> frozenset[str]:
+    """The names that a pilot was taught besides the packaged ones."""
+    found: set[str] = set()
+    if isinstance(model := getattr(pilot.policy, "model", None), SmallModel):
+        found.update(model.description.attributes)
+    if isinstance(pilot.reasoner, SmallReasoner):
+        found.update(pilot.reasoner.reader.attributes.names)
+    return taught_names(found)
+
+
+def _scene(plan: FlyPlan, evidence: Evidence, console: Console, keyboard: TextIO) -> tuple[FlyPlan, ChosenScene | None]:
     """The scene, and the plan with its instruction: at a terminal, one that names nothing is asked for again."""
-    goals = sub_goals(plan.instruction)
-    if plan.vehicle.kind == "mavlink" and is_mission(goals):
-        if problem := problem_of(goals):
-            raise NotUnderstood(f"the mission {problem}")
-        if any(lands(goal.instruction)[1] for goal in goals):
-            raise NotUnderstood(NO_PADS)
-    while plan.vehicle.kind != "mavlink":
+    while True:
         try:
-            return plan, choose_scene(plan, understanding)
+            scene = None
+            if plan.vehicle.kind == "mavlink":
+                _check_mission(sub_goals(plan.instruction))
+            else:
+                scene = choose_scene(plan, evidence.understanding)
+            check_evidence(evidence, scene, plan.instruction.strip())
+            return plan, scene
         except NotUnderstood as error:
             if not keyboard.isatty():
                 raise
@@ -145,7 +157,16 @@ def _scene(
             if not (typed := keyboard.readline().strip()):
                 raise
             plan = plan.changed(instruction=typed)
-    return plan, None
+
+
+def _check_mission(goals: Sequence[SubGoal]) -> None:
+    """Raise `NotUnderstood` for a mission that a vehicle without a scene cannot fly."""
+    if not is_mission(goals):
+        return
+    if problem := problem_of(goals):
+        raise NotUnderstood(f"the mission {problem}")
+    if any(lands(goal.instruction)[1] for goal in goals):
+        raise NotUnderstood(NO_PADS)
 
 
 def _planned(plan: FlyPlan, pilot: Pilot, scene: ChosenScene | None) -> Plans:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cognitivedrone.apps.sentence import normalised, words_of
+from cognitivedrone.apps.sentence import OFTEN, normalised, stem, words_of
 from cognitivedrone.models.text_encoder import TextEncoderModel
 from cognitivedrone.tasks import vocabulary
 from cognitivedrone.tasks.facts import FACTS, GROUPS, HEALTHY, KIND_OF, UNHEALTHY
@@ -18,6 +18,7 @@ from cognitivedrone.tasks.knowledge.claim import claims
 from cognitivedrone.tasks.knowledge.rows import read_rows
 from cognitivedrone.tasks.knowledge.tables import FOLDER
 from cognitivedrone.tasks.symbols import logo_name
+from cognitivedrone.types import COLORS, SHAPES
 
 LARGEST_NUMBER = 20
 """The largest number that pilots were trained to read."""
@@ -28,6 +29,8 @@ KIND_WORDS = {
     **dict.fromkeys(("letter", "buchstabe", "buchstaben", "lettre", "letra", "lettera"), "letter"),
 }
 """Words for kinds of label."""
+PLACES = {"left": 0, "leftmost": 0, "middle": 1, "centre": 1, "center": 1, "central": 1, "right": 2, "rightmost": 2}
+"""Of gates."""
 _ALIKE = 3.75
 """Standard deviations above the likeness to any word from which a name is worth offering."""
 _COMMON = 8000  # of the encoder's pieces
@@ -126,6 +129,28 @@ def facts() -> tuple[Predicate, ...]:
         if key and not (len(key) == 1 and (vague or key in names() or key[0] in words("vague"))):
             found.setdefault(key, Predicate(key, true, false))
     return tuple(sorted(found.values(), key=lambda each: -len(each.words)))
+
+
+@functools.cache
+def translated() -> Mapping[str, str]:
+    """Colours and places in other languages, in English."""
+    return {stem(word): said for said in (*COLORS, "left", "middle", "right") for word in words(said)}
+
+
+@functools.lru_cache(maxsize=4)
+def things(own: frozenset[str] = frozenset()) -> frozenset[str]:
+    """The words that name or describe what can be shown, those of `own` names too, but none of request."""
+    found = {word for name in names() for word in name} | {word for fact in facts() for word in fact.words}
+    found |= words("people") | KIND_WORDS.keys() | translated().keys() | PLACES.keys() | {*COLORS, *SHAPES}
+    found -= words("small_talk") | words("articles") | words("heads")
+    found = {word for word in found if len(word) > 1}  # letters: "z" and "k" are words of request elsewhere
+    return frozenset(found | {word for name in own for word in words_of(normalised(name))})
+
+
+@functools.lru_cache(maxsize=4)
+def heard(own: frozenset[str] = frozenset()) -> frozenset[str]:
+    """Every word that means something in a sentence, or is one of request."""
+    return things(own) | words("small_talk") | words("articles") | OFTEN.keys()
 
 
 def colored(color: str) -> frozenset[str]:

@@ -9,12 +9,13 @@ from __future__ import annotations
 import difflib
 import functools
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from cognitivedrone.apps import lexicon, persons, signs
-from cognitivedrone.apps.lexicon import KIND_WORDS, Predicate
+from cognitivedrone.apps.lexicon import KIND_WORDS, PLACES, Predicate
+from cognitivedrone.apps.predicates import DENIALS, close_together, denied_alike, says_more, together
 from cognitivedrone.apps.sentence import (
     Speller,
     corrected_parts,
@@ -33,8 +34,6 @@ from cognitivedrone.types import COLORS, SHAPES
 _SMALL_TALK, _ORDINARY, _ARTICLES, _PEOPLE, _TOWARDS, _LOGO_WORDS = map(
     lexicon.words, ("small_talk", "ordinary", "articles", "people", "towards", "logo")
 )
-_TRANSLATED = {stem(word): said for said in (*COLORS, "left", "middle", "right") for word in lexicon.words(said)}
-_PLACES = {"left": 0, "leftmost": 0, "middle": 1, "centre": 1, "center": 1, "central": 1, "right": 2, "rightmost": 2}
 _TO_THE_RIGHT = re.compile(r"(?:^|\b(?:the|go|fly|turn|head|take) )right(?: (?:side|please|pls|now))*$")
 _EATS = re.compile(
     r"\b(?:what(?:ever|soever)?|which(?:ever)?|(?:the |a |an |some )?(?P<group>[a-z]+)(?: that| which)?) "
@@ -56,7 +55,6 @@ _GATE_WORDS = frozenset(
 )  # fmt: skip
 _LOOKS = "gates are big or small; red, green or blue; round, square or triangular; left, middle or right"
 _NO_LOOK = re.compile(r"\? (?:gate|hoop|portal|frame|ring|one|opening|door)\b")
-_DENIALS = frozenset({"not", "no", "without", "never", "nor", "neither"})
 _OF_UNKNOWN = re.compile(
     r"\b(?:a|an|the|some|any|that|my|your) (?:\w+ )?\? "
     r"(?:with|of|wearing|holding|eating|who|that (?:ha|have|is)|in) "
@@ -110,10 +108,24 @@ class Understanding:
     """Names of the user's concepts, such as "blue tit", each with the labels `kind/concept` of its pictures."""
     real: Collection[str] = frozenset()
     """Words that are no typing errors."""
+    taught: frozenset[str] = frozenset()
+    """Names that the pilot was taught, whether there are pictures of them here or not."""
+
+    @property
+    def names_of_own(self) -> frozenset[str]:
+        """Names that are not packaged."""
+        return self.taught.union(self.own)
 
     def understand(self, sentence: str) -> Request:
-        """What a sentence asks for; of a sentence that corrects itself, the last that can be understood."""
+        """What a sentence asks for; of a sentence that corrects itself, the last that can be understood.
+
+        A single word may be misspelt. A sentence without one word as it is known is another language, not errors.
+        """
         text = normalised(sentence)
+        typed = self._typed(text)
+        known = lexicon.heard(self.names_of_own)
+        if len(typed) > 1 and not any(word in known or word.isdecimal() for word in typed):
+            return Request(sentence, unknown=tuple(dict.fromkeys(typed)))
         found = [self._part(sentence, part) for part in corrected_parts(text)] or [Request(sentence)]
         return next((request for request in found if request.understood), found[-1])
 
@@ -129,11 +141,11 @@ class Understanding:
         words = (
             {word for name in self.names for word in name}
             | _SMALL_TALK
-            | set(_PLACES)
+            | set(PLACES)
             | {*COLORS, *SHAPES, "big", "small"}
         )
         facts = {word for predicate in lexicon.facts() for word in predicate.words}
-        words |= _PEOPLE | persons.words() | set(KIND_WORDS) | set(_TRANSLATED)
+        words |= _PEOPLE | persons.words() | set(KIND_WORDS) | set(lexicon.translated())
         return Speller(words, facts | set(self.real), {word for name in self.names for word in name})
 
     def nearest(self, words: Sequence[str], count: int = 3) -> tuple[str, ...]:
@@ -166,7 +178,7 @@ class Understanding:
             order = ", then ".join(f"the {other}" for other in others)
             note = f"those are several things in no order: say 'first the {first}, then {order}', or name one of them"
             return Request(sentence, note=note)
-        facts = [each for each in self._facts_in(part) if _DENIALS.intersection(each.words)]
+        facts = [each for each in self._facts_in(part) if DENIALS.intersection(each.words)]
         wanted, refused = (part, "") if facts else wanted_and_refused(part)
         facts = facts or self._facts_in(wanted)
         eaten = self._eaten(wanted)
@@ -177,7 +189,7 @@ class Understanding:
         named = self._named(words, sentence)
         features, name, telling = persons.described(words, sentence)
         lacks = persons.described(["person", *refused_words], "")[0] if features or _PEOPLE & set(words) else ()
-        true, wrong, used = _together([*(each for each in facts if _says_more(each, named)), *named, *facts])
+        true, wrong, used = together([*(each for each in facts if says_more(each, named)), *named, *facts])
         if true and looks and not _of_gate(refused_words):  # of the thing, not of a gate
             denied |= {label for look in looks for label in lexicon.colored(look)}
             looks = frozenset()
@@ -185,12 +197,12 @@ class Understanding:
             look = (None, None, None)
             for word in words:
                 true = true & lexicon.colored(word) or true
-        place = next((_PLACES[word] for word in words if word in _PLACES and _of_gate(words)), None)
+        place = next((PLACES[word] for word in words if word in PLACES and _of_gate(words)), None)
         unknown = tuple(word for word in dict.fromkeys(words) if not self._known(word) and word not in used | telling)
         if (
             place is None
             and _of_gate(refused_words)
-            and (not_there := {_PLACES.get(word) for word in refused_words} - {None})
+            and (not_there := {PLACES.get(word) for word in refused_words} - {None})
         ):
             place = next((other for other in (1, 0, 2) if other not in not_there), None)
         if place is None and not (named or facts or features or unknown or any(look)):
@@ -251,11 +263,24 @@ class Understanding:
         return Request(sentence, note=f"it is not known how many {what} that is")
 
     def _spelled(self, text: str) -> list[str]:
-        words = [_TRANSLATED.get(word, word) for word in self.speller.corrected(words_of(text))]
+        words = [lexicon.translated().get(word, word) for word in self.speller.corrected(self._typed(text))]
         return placed(" ".join(words)).split()
 
+    def typed(self, sentence: str) -> list[str]:
+        """The words of a sentence as typed, without plural endings."""
+        return self._typed(normalised(sentence))
+
+    def _typed(self, text: str) -> list[str]:
+        """The words of a normalised text; names of one's own in a script without spaces are words of their own."""
+        return [part for word in words_of(text) for part in self._unspaced.split(word) if part]
+
+    @functools.cached_property
+    def _unspaced(self) -> re.Pattern[str]:
+        named = sorted({normalised(name) for name in self.names_of_own if not name.isascii()}, key=len, reverse=True)
+        return re.compile(f"({'|'.join(map(re.escape, named)) or '(?!)'})")
+
     def _known(self, word: str) -> bool:
-        lists = (_SMALL_TALK, _PLACES, _PEOPLE, persons.FEATURE_NAMES, KIND_WORDS, _LOGO_WORDS)
+        lists = (_SMALL_TALK, PLACES, _PEOPLE, persons.FEATURE_NAMES, KIND_WORDS, _LOGO_WORDS)
         return (
             any(word in each or stem(word) in each for each in lists) or any(parse_directive(word)) or word.isdecimal()
         )
@@ -304,9 +329,9 @@ class Understanding:
         described = bool(there & (KIND_WORDS.keys() | GROUPS.keys())) or bool(_DESCRIBED.search(part))
         found = []
         for fact in lexicon.facts():
-            if there.issuperset(fact.words) and _near(words, fact.words) and _denied_alike(words, fact.words):
-                content = [word for word in fact.words if word not in _SMALL_TALK | _DENIALS]
-                if (described and (content or len(fact.words) > 1) and set(fact.words) - _DENIALS) or len(content) > 1:
+            if there.issuperset(fact.words) and close_together(words, fact.words) and denied_alike(words, fact.words):
+                content = [word for word in fact.words if word not in _SMALL_TALK | DENIALS]
+                if (described and (content or len(fact.words) > 1) and set(fact.words) - DENIALS) or len(content) > 1:
                     found.append(fact)
         return found[:6]
 
@@ -329,44 +354,6 @@ class Understanding:
         return Request("", frozenset(foods))
 
 
-def _says_more(fact: Predicate, named: Sequence[Predicate]) -> bool:
-    """Whether a fact names what it is about: "a monkey's favourite" is no monkey."""
-    return any(set(fact.words) > set(name.words) for name in named)
-
-
-def _near(words: Sequence[str], wanted: Sequence[str]) -> bool:
-    """Whether the wanted words are together in a sentence."""
-    places = [max(at for at, word in enumerate(words) if word == one) for one in wanted]
-    return max(places) - min(places) <= 2 * len(wanted) + 3
-
-
-def _denied_alike(words: Sequence[str], wanted: Sequence[str]) -> bool:
-    """Whether wanted words with a denial are in the same order: "an apple, not red" is not "red, not an apple"."""
-    left = iter(words)
-    return _DENIALS.isdisjoint(wanted) or all(word in left for word in wanted)
-
-
-def _together(predicates: Iterable[Predicate]) -> tuple[frozenset[str], frozenset[str], frozenset[str]]:
-    """For which labels predicates hold together, for which clearly not, and the words that were of use.
-
-    What contradicts an earlier one is dropped: "the monkey that eats the banana".
-    """
-    true: frozenset[str] | None = None
-    wrong: frozenset[str] = frozenset()
-    used: set[str] = set()
-    for words, holds, false in predicates:
-        if used.issuperset(words):
-            continue
-        if true is None:
-            true, wrong = holds, false
-        elif true & holds:
-            true, wrong = true & holds, wrong | false
-        else:
-            continue
-        used.update(words)
-    return true or frozenset(), wrong - (true or frozenset()), frozenset(used)
-
-
 def _of_gate(words: Sequence[str]) -> bool:
     """Whether the gate itself is spoken of."""
     return not _GATE_WORDS.isdisjoint(words)
@@ -374,10 +361,10 @@ def _of_gate(words: Sequence[str]) -> bool:
 
 def _only_place(words: Sequence[str]) -> int | None:
     """The place, from the left, of which a sentence says nothing else; "right" is often no place."""
-    places = [word for word in words if word in _PLACES]
+    places = [word for word in words if word in PLACES]
     if not places or (places[-1] == "right" and not _TO_THE_RIGHT.search(" ".join(words))):
         return None
-    return _PLACES[places[-1]]
+    return PLACES[places[-1]]
 
 
 def _plain(request: Request) -> str:

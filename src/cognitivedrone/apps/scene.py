@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cognitivedrone.apps.config import AUTO, FlyPlan
+from cognitivedrone.apps.evidence import Evidence, not_understood
 from cognitivedrone.apps.lexicon import spoken
 from cognitivedrone.apps.request import Request, Understanding
 from cognitivedrone.errors import NotUnderstood
@@ -128,14 +129,23 @@ def _mission_scene(
     return replace(named_scene(suite, 0), summary=f"mission: {steps}", instruction=plain)
 
 
-def plain_instruction(understanding: Understanding, scene: ChosenScene | None, sentence: str) -> str | None:
+def plain_instruction(evidence: Evidence, scene: ChosenScene | None, sentence: str) -> str | None:
     """The instruction of the pilot for the user's sentence, "" at first; none where that is not understood.
 
-    In a scene that was made for the user's words: the same in plain words. Elsewhere, the sentence itself.
+    In a scene that was made for the user's words: the same in plain words. Elsewhere the sentence itself, if it says
+    something to the pilot, or in English what a sentence of another language names.
     """
-    if scene is None or not scene.instruction or lands(sentence)[0]:
+    understanding = evidence.understanding
+    if lands(sentence)[0] or (not sentence and (scene is None or not scene.instruction)):
         return sentence
-    if sentence in ("", scene.track[0].instruction):
+    if scene is None or not scene.instruction:
+        if scene is not None and sentence in _own_sentences(scene):
+            return sentence
+        if evidence.problem(sentence):
+            return None
+        if evidence.as_typed(sentence) or not understanding.understand(sentence).understood:
+            return sentence
+    elif sentence in ("", scene.track[0].instruction):
         return scene.instruction
     request = understanding.understand(sentence)
     if not request.understood:
@@ -143,22 +153,24 @@ def plain_instruction(understanding: Understanding, scene: ChosenScene | None, s
     return sentence if len(request.labels) > 1 and not request.plain else f"Fly through {_meant(request)}"
 
 
-def not_understood(request: Request, understanding: Understanding) -> str:
-    """A sentence that says what was not understood, and what is nearest to it."""
-    if request.note:
-        return f"{request.note}; ask for something else, such as 'fly to the dog'"
-    if not request.unknown:
-        return (
-            f"{request.sentence!r} names nothing that a gate could show; say what to fly to, such as 'fly to the dog'"
-        )
-    words = " and ".join(map(repr, request.unknown[:4]))
-    near = understanding.nearest(request.unknown)
-    offered = (
-        f"the nearest things that there are: {', '.join(near)}"
-        if near
-        else "say what to fly to, such as 'fly to the dog'"
-    )
-    return f"not understood: {words}; {offered}"
+def check_evidence(evidence: Evidence, scene: ChosenScene | None, instruction: str) -> None:
+    """Raise `NotUnderstood` if what is to be flown says nothing to the pilot: a person's words, or else the tasks'."""
+    if scene is not None and not scene.instruction and (not instruction or instruction in _own_sentences(scene)):
+        problem = next(filter(None, map(evidence.problem_of_task, _own_sentences(scene))), "")
+    elif scene is not None and scene.instruction:  # it was made from what was understood
+        problem = ""
+    else:
+        goals = sub_goals(instruction)
+        flown = [goal.instruction for goal in goals if goal.kind == "fly"] if is_mission(goals) else [instruction]
+        problem = next(filter(None, map(evidence.problem, flown)), "")
+    if problem:
+        raise NotUnderstood(problem)
+
+
+def _own_sentences(scene: ChosenScene) -> tuple[str, ...]:
+    """What the tasks of a scene ask for."""
+    found = (said for task in scene.track for said in (task.instruction, task.directive, task.mission or ""))
+    return tuple(dict.fromkeys(filter(None, found)))
 
 
 def own_names(labels: str | Path | None) -> Mapping[str, frozenset[str]]:

@@ -96,7 +96,7 @@ def wanted_and_refused(text: str) -> tuple[str, str]:
     return " , ".join(filter(str.strip, wanted)), " , ".join(filter(str.strip, refused))
 
 
-_OFTEN = {
+OFTEN = {
     "teh": "the",
     "hte": "the",
     "adn": "and",
@@ -128,8 +128,8 @@ class Speller:
         return [known for word in words for known in self._corrected(word)]
 
     def _corrected(self, word: str) -> tuple[str, ...]:
-        if word in self._known or word in _OFTEN:
-            return (_OFTEN.get(word, word),)
+        if word in self._known or word in OFTEN:
+            return (OFTEN.get(word, word),)
         if not word.isascii() or not word.isalpha() or len(word) < 3:
             return (word,)
         if parts := self._parted(word):

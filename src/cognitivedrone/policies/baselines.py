@@ -11,6 +11,8 @@ from cognitivedrone.types import ActionChunk, EpisodeContext, Observation
 class Hover(Policy):
     """Stays where it is."""
 
+    reads_english_only = True
+
     def act(self, observation: Observation) -> ActionChunk:
         """Zero velocity."""
         return np.zeros((1, 4), dtype=np.float32)
@@ -18,6 +20,8 @@ class Hover(Policy):
 
 class Random(Policy):
     """Flies forward with random turns: a new velocity every second."""
+
+    reads_english_only = True
 
     needs_seed = True
 

@@ -144,6 +144,8 @@ def ring_height(size: Size, shape: Shape) -> float:
 class ColourSeeker(Policy):
     """Estimates the gate's position, corrects it with every good sighting, and flies through it."""
 
+    reads_english_only = True
+
     needs_seed = True
 
     def __init__(self) -> None:

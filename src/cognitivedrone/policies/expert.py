@@ -213,6 +213,8 @@ class Expert(Policy):
     the transition from one stage of a track to the next.
     """
 
+    reads_english_only = True
+
     needs_ground_truth = True
 
     def __init__(self, config: ExpertConfig | None = None) -> None:

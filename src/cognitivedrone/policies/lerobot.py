@@ -15,11 +15,12 @@ from typing import Any, Literal
 import numpy as np
 
 from cognitivedrone.errors import MissingExtra, ModelError, PolicyError, import_extra
-from cognitivedrone.files import read_regular
+from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.json_text import parse_json
 from cognitivedrone.models.openvla.checkpoint import read_header
 from cognitivedrone.policies.small import state_of
+from cognitivedrone.printable import visible
 from cognitivedrone.schema import check_form
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, Observation
 
@@ -28,7 +29,8 @@ IMAGE_KEY, STATE_KEY, ACTION_KEY = "observation.images.front", "observation.stat
 SHAPES = {STATE_KEY: (5,), ACTION_KEY: (4,)}
 _IMAGE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 WEIGHTS = "model.safetensors"
-MAX_CONFIG_BYTES = 16 * 2**20
+MAX_CONFIG_BYTES = 1 << 20
+"""Maximum size of config.json, bytes."""
 FILES = ("config.json", WEIGHTS, "policy_preprocessor.json", "policy_postprocessor.json")
 
 
@@ -91,7 +93,8 @@ def read_config(folder: Path) -> dict[str, Any]:
     try:
         config = parse_json(read_regular(folder / FILES[0], MAX_CONFIG_BYTES), non_finite=True)
     except (OSError, ValueError) as error:
-        raise ModelError(f"{folder / FILES[0]} cannot be read ({error}); copy it again") from None
+        reason = reason_of(error) if isinstance(error, OSError) else visible(str(error))
+        raise ModelError(f"{folder / FILES[0]} cannot be read ({reason}); copy it again") from None
     if not isinstance(config, dict):
         raise ModelError(f"{folder / FILES[0]} is not an object; copy it again")
     return config
@@ -112,8 +115,8 @@ def check_features(folder: Path, config: dict[str, Any]) -> None:
         shape = tuple(feature.get("shape", ()))
         if key != IMAGE_KEY and shape != SHAPES.get(key):
             raise ModelError(
-                f"{folder} is a policy with {key} {shape}; ours has {IMAGE_KEY}, {STATE_KEY} (5,) and {ACTION_KEY}"
-                " (4,): train it on a LeRobot export of this package (docs/data.md)"
+                f"{folder} is a policy with {visible(key[:80])} {shape}; ours has {IMAGE_KEY}, {STATE_KEY} (5,) and"
+                f" {ACTION_KEY} (4,): train it on a LeRobot export of this package (docs/data.md)"
             )
     if ACTION_KEY not in features or IMAGE_KEY not in features:
         raise ModelError(f"{folder / FILES[0]} names no {IMAGE_KEY} or no {ACTION_KEY}; train on our LeRobot export")

@@ -65,6 +65,8 @@ class Small(Policy):
     With `stack`, up to so many frames go through the network together: faster, but rounded differently.
     """
 
+    reads_english_only = True
+
     weights = "small.onnx"
     """The packaged file, in `cognitivedrone/models/weights`."""
 

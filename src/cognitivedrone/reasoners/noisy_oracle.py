@@ -27,6 +27,8 @@ class NoisyOracle(Reasoner):
     over accuracies compares like with like.
     """
 
+    reads_english_only = True
+
     needs_ground_truth = True
     needs_seed = True
 

@@ -10,6 +10,8 @@ from cognitivedrone.types import EpisodeContext, Guidance, Image, Task
 class Oracle(Reasoner):
     """Knows the right gate from privileged state; ignores the image."""
 
+    reads_english_only = True
+
     needs_ground_truth = True
 
     def __init__(self) -> None:

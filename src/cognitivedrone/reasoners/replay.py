@@ -86,6 +86,8 @@ class Replay(Reasoner):
     the file, as `unsure`.
     """
 
+    reads_english_only = True
+
     needs_ground_truth = True
 
     def __init__(self, path: Path | str) -> None:

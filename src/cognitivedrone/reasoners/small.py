@@ -79,6 +79,8 @@ class _Stage:
 class SmallReasoner(Reasoner):
     """The packaged reasoner, or the one in a folder with its three files."""
 
+    reads_english_only = True
+
     def __init__(self, folder: Path | str | None = None) -> None:
         """Raises `ModelError` if a file is missing, or the files do not belong together."""
         place = _place_of(folder)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import io
 import os
+import ssl
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -42,6 +43,7 @@ from cognitivedrone.reasoners.prompt import (
 )
 from cognitivedrone.reasoners.reply import quote, read_reply, unfinished
 from cognitivedrone.remote.proxy import proxy_hint
+from cognitivedrone.remote.tls import tls_fault
 from cognitivedrone.types import Guidance, Image, SubGoal
 
 _Answer = TypeVar("_Answer")
@@ -103,7 +105,12 @@ class Vlm(Reasoner):
             headers["Authorization"] = f"Bearer {self._key}"
         # A proxy from the environment must not be used for a server on this machine.
         self._local = urlsplit(self._url).hostname in ("127.0.0.1", "localhost", "::1")
-        self._client = self._httpx.Client(headers=headers, follow_redirects=False, trust_env=not self._local)
+        # httpx looks at SSL_CERT_FILE where it looks for proxies.
+        own = self._local and os.environ.get("SSL_CERT_FILE")
+        verify = ssl.create_default_context() if own else True
+        self._client = self._httpx.Client(
+            headers=headers, follow_redirects=False, trust_env=not self._local, verify=verify
+        )
 
     def __repr__(self) -> str:
         return f"Vlm({self._url!r}, model={self._model!r}, timeout={self._timeout})"
@@ -143,6 +150,8 @@ class Vlm(Reasoner):
         try:
             status, body = self._exchange("GET", "/models", None, time.monotonic() + CHECK_TIMEOUT_S)
         except ReasonerError as error:
+            if error.kind == "http":  # of TLS: it is there
+                raise ServerError(f"the VLM server at {error}") from None
             raise ServerError(
                 f"the VLM server at {self._url} does not answer ({error}); start one, for example with"
                 f" 'vllm serve {self._model}', or give its address: vlm:URL,model=NAME"
@@ -269,6 +278,8 @@ class Vlm(Reasoner):
         except self._httpx.TimeoutException:
             raise self._too_late() from None
         except (self._httpx.HTTPError, self._httpx.InvalidURL) as error:
+            if fault := tls_fault(error):
+                raise ReasonerError("http", f"{self._url} {fault}") from None
             raise ReasonerError(
                 "unreachable", f"{self._url}: {self._hide(str(error) or type(error).__name__)}{self._through()}"
             ) from None

@@ -20,6 +20,7 @@ from cognitivedrone.printable import visible
 from cognitivedrone.remote.codec import EXTRA, pack, unpack
 from cognitivedrone.remote.messages import OURS, PROTOCOL, TOKEN_VARIABLE, Message, raise_error
 from cognitivedrone.remote.proxy import proxy_hint
+from cognitivedrone.remote.tls import tls_fault
 
 LARGEST_ANSWER = 16 << 20
 """Maximum size of a server's message, bytes."""
@@ -319,6 +320,8 @@ def _reason(error: Exception) -> str:
 
 def _refusal(error: Exception, url: str) -> ServerError | None:
     """The error to raise where trying again is of no use: the server refuses this client."""
+    if fault := tls_fault(error):
+        return ServerError(f"the policy server at {url} {fault}")
     status = getattr(getattr(error, "response", None), "status_code", None)
     if status in (401, 403):
         return ServerError(

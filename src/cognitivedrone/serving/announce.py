@@ -6,31 +6,40 @@ import logging
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from ipaddress import ip_address
 
 from cognitivedrone.remote.messages import TOKEN_VARIABLE
 from cognitivedrone.serving.config import ServePlan
 from cognitivedrone.serving.log_limit import LogLimit
 from cognitivedrone.serving.server import Address
 
-EVERY_ADDRESS = {"0.0.0.0": "ADDRESS-OF-THIS-MACHINE", "::": "ADDRESS-OF-THIS-MACHINE"}  # noqa: S104
+EVERY_ADDRESS = "ADDRESS-OF-THIS-MACHINE"
 
 
 def announced(plan: ServePlan, address: Address) -> str:
     """Some lines for a person who wants to use the server."""
-    shown = Address(EVERY_ADDRESS.get(address.host, address.host), address.port)
+    shown = Address(EVERY_ADDRESS if _is_every(address.host) else address.host, address.port)
     reasoner = plan.pilot.shown.reasoner
     pilot = plan.pilot.shown.policy if reasoner == "none" else f"{plan.pilot.shown.policy} behind {reasoner}"
     policy = f"--policy remote:ws://{shown}"
     lines = [
         f"serving {pilot} at ws://{address} (ctrl-C stops)",
         f"  score it     cognitivedrone bench {policy}" + _reasoner(plan, shown),
-        f'  openpi       WebsocketClientPolicy("{shown.host}", {shown.port})',
+        f'  openpi       WebsocketClientPolicy("{shown.uri_host}", {shown.port})',
         f"  OpenVLA      POST http://{shown}/act",
         f"  health       http://{shown}/healthz",
     ]
     if address.needs_token:
         lines.append(f"  clients need the token, ours in the environment variable {TOKEN_VARIABLE}")
     return "\n".join(lines)
+
+
+def _is_every(host: str) -> bool:
+    """Whether a server at this host listens on every address of its machine, in any spelling."""
+    try:
+        return not host or ip_address(host).is_unspecified
+    except ValueError:  # a name
+        return False
 
 
 @contextmanager

@@ -44,3 +44,8 @@ class ServePlan(Options):
     token_file: Path | None = None
     """File with the token that clients must send; otherwise the environment variable COGNITIVEDRONE_SERVER_TOKEN."""
     limits: Limits = Limits()
+
+    @property
+    def bare_host(self) -> str:
+        """The host without the brackets that an address of IPv6 has in a URL."""
+        return self.host[1:-1] if self.host.startswith("[") and self.host.endswith("]") else self.host

@@ -34,8 +34,13 @@ class Address:
     port: int
     needs_token: bool = False
 
+    @property
+    def uri_host(self) -> str:
+        """The host as an address of the web has it: one of IPv6 in brackets."""
+        return f"[{self.host}]" if ":" in self.host else self.host
+
     def __str__(self) -> str:
-        return f"{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
+        return f"{self.uri_host}:{self.port}"
 
 
 def serve(plan: ServePlan, ready: Callable[[Address], None], stop: threading.Event | None = None) -> None:
@@ -43,11 +48,11 @@ def serve(plan: ServePlan, ready: Callable[[Address], None], stop: threading.Eve
 
     Raises `ServerError` if the port cannot be opened or a token is missing, `PolicyError` for the pilot.
     """
-    token = token_of(plan.host, plan.token_file)
+    token = token_of(plan.bare_host, plan.token_file)
     with contextlib.ExitStack() as stack:
         listening = stack.enter_context(contextlib.closing(_listen(plan)))
         served = Served(plan.pilot, stack.enter_context(open_pilot(plan.pilot)))
-        address = Address(plan.host, listening.getsockname()[1], token is not None)
+        address = Address(plan.bare_host, listening.getsockname()[1], token is not None)
         asyncio.run(_run(plan, served, token, listening, lambda: ready(address), stop))
 
 
@@ -87,7 +92,7 @@ def serving(plan: ServePlan) -> Iterator[Address]:
 def _listen(plan: ServePlan) -> socket.socket:
     family = socket.AF_INET6 if ":" in plan.host else socket.AF_INET
     try:
-        listening = socket.create_server((plan.host, plan.port), family=family, backlog=128)
+        listening = socket.create_server((plan.bare_host, plan.port), family=family, backlog=128)
         keep_alive(listening)  # connections inherit these
         if hasattr(socket, "TCP_USER_TIMEOUT"):
             listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * UNREAD_S))

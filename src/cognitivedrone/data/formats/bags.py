@@ -43,7 +43,9 @@ FLIGHT_TOPICS: Final[Mapping[str, str]] = {
     DIRECTIVE: TEXT_TYPE,
 }
 """The topics of every flight bag, with their types."""
-_VERSION = 9  # of rosbag2's metadata
+_VERSION = 8
+"""Of rosbag2's metadata: the newest whose quality of service is a text, here an empty one. In 9 it is a list, at which
+Humble's and Iron's readers stop; Jazzy's and Rolling's read both."""
 
 
 class Bag:

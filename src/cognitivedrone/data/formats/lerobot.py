@@ -1,13 +1,16 @@
 """LeRobot v3: the data set layout of `LeRobotDataset`.
 
     meta/{info.json, stats.json, tasks.parquet}, meta/episodes/chunk-000/file-000.parquet,
-    data/chunk-000/file-000.parquet, and with video videos/observation.images.front/chunk-000/file-000.mp4
+    data/chunk-000/file-000.parquet, README.md, and with video videos/observation.images.front/chunk-000/file-000.mp4
 
 (https://huggingface.co/docs/lerobot/lerobot-dataset-v3). Frames are stored in the parquet files as encoded, or
 optionally in H.264 videos. Directive, category, family, right gate and seed are columns; `sent`, `position` and
 `quaternion` are too, and each episode's row in `meta/episodes` has a `record` with the rest, so the import is
 exact (with video, exact except for the pictures). Split `val` comes after `train`, so that info.json can name both as
-ranges.
+ranges, and in files of its own, so that the card can name those.
+
+As a plain data set of Hugging Face's `datasets`, a data file has the types of its columns in the metadata of its
+schema, and the card (README.md) says which files are data.
 """
 
 from __future__ import annotations
@@ -36,16 +39,24 @@ from cognitivedrone.data.formats.exchange import (
     record_of,
     write_json,
 )
+from cognitivedrone.data.formats.lerobot_columns import (
+    FLOATS,
+    IMAGE_KEY,
+    INTEGERS,
+    TEXTS,
+    card,
+    feature_spec,
+    schema_of,
+)
 from cognitivedrone.data.formats.lerobot_stats import Statistics
-from cognitivedrone.data.formats.lerobot_video import PIXELS, VideoWriter, read_frames
+from cognitivedrone.data.formats.lerobot_video import VideoWriter, read_frames
 from cognitivedrone.data.shards import ShardFile, write_shard_file
 from cognitivedrone.errors import DataError
 from cognitivedrone.files import remove
 from cognitivedrone.json_text import parse_json
-from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE
+from cognitivedrone.types import CONTROL_HZ
 
 VERSION = "v3.0"
-IMAGE_KEY = "observation.images.front"
 CHUNK_SIZE = 1000
 """Files per folder."""
 FILE_MB = 100
@@ -55,6 +66,7 @@ _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 DATA_PATH = f"data/{_FILE}.parquet"
 VIDEO_PATH = f"videos/{{video_key}}/{_FILE}.mp4"
 EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
+CARD_PATH = "README.md"
 
 _OWN = (
     "read it by a function of your own that maps its columns: data import --from module:function"
@@ -65,17 +77,7 @@ _OLDER = (
     "convert it first with LeRobot's lerobot.datasets.v30.convert_dataset_v21_to_v30; if it is not an export of this"
     f" package, {_OWN}"
 )
-_MOTION = ["vx", "vy", "vz", "yaw_rate"]
-_FLOATS: dict[str, tuple[str, list[str]]] = {
-    "observation.state": ("float32", ["vx", "vy", "vz", "height", "yaw_rate"]),
-    "action": ("float32", _MOTION),
-    "sent": ("float32", _MOTION),
-    "position": ("float64", ["x", "y", "z"]),
-    "quaternion": ("float64", ["w", "x", "y", "z"]),
-}
-_INTEGERS = ("frame_index", "episode_index", "index", "task_index", "correct_gate", "seed")
-_TEXTS = ("directive", "category", "family")
-_STEP = {IMAGE_KEY, *_FLOATS, "frame_index", "episode_index"}
+_STEP = {IMAGE_KEY, *FLOATS, "frame_index", "episode_index"}
 _ROW = {"record", "episode_index", "length", "data/chunk_index", "data/file_index"}
 """Columns that are read."""
 
@@ -131,7 +133,7 @@ class _Writer:
     def __init__(self, folder: Path, *, video: bool) -> None:
         self._folder = folder
         self._is_video = video
-        self._schema = _schema(video=video)
+        self.schema_of = schema_of(video=video)
         self._statistics = Statistics(IMAGE_KEY)
         self._tasks: dict[str, int] = {}
         self._frames = 0
@@ -139,14 +141,15 @@ class _Writer:
         self._file_bytes = 0
         self._parquet: pq.ParquetWriter | None = None
         self._video: VideoWriter | None = None
+        self._files: dict[Split, list[str]] = {}
         self.rows: list[dict[str, Any]] = []
 
     def write(self, split: Split, episode: Episode) -> None:
-        parquet = self._file()
+        parquet = self._file(split)
         number, first = len(self.rows), self._frames
         task_index = self._tasks.setdefault(episode.task.instruction, len(self._tasks))
         columns = _columns(episode, number, first, task_index)
-        stats = self._statistics.add({n: v for n, v in columns.items() if n not in _TEXTS}, episode.images)
+        stats = self._statistics.add({n: v for n, v in columns.items() if n not in TEXTS}, episode.images)
         place = {"chunk_index": self._file_number // CHUNK_SIZE, "file_index": self._file_number % CHUNK_SIZE}
         row: dict[str, Any] = {
             "episode_index": number,
@@ -165,7 +168,7 @@ class _Writer:
             self._video.add(episode.images)
         row |= plain_facts(episode) | {"record": json.dumps(record_of(split, episode), ensure_ascii=False)}
         row |= {f"stats/{name}/{what}": v for name, values in stats.items() for what, v in values.items()}
-        parquet.write_table(_table(columns, episode, self._schema))
+        parquet.write_table(_table(columns, episode, self.schema_of))
         self._file_bytes += sum(map(len, episode.images))
         self._frames += len(episode)
         self.rows.append(row | {"split": split})
@@ -186,10 +189,11 @@ class _Writer:
         pq.write_table(_task_table(list(self._tasks)), self._folder / "meta/tasks.parquet")
         write_json(self._folder / "meta/stats.json", self._statistics.total())
         write_json(self._folder / "meta/info.json", self._info())
+        (self._folder / CARD_PATH).write_text(card(self._files), "utf-8")
 
-    def _file(self) -> pq.ParquetWriter:
-        """The current data file: the open one, or a new one if that is large enough."""
-        if self._parquet is not None and self._file_bytes <= FILE_MB * 2**20:
+    def _file(self, split: Split) -> pq.ParquetWriter:
+        """The current data file: the open one, or a new one if that is large enough, or of another split."""
+        if self._parquet is not None and split in self._files and self._file_bytes <= FILE_MB * 2**20:
             return self._parquet
         self.close()
         self._file_number += 1
@@ -197,7 +201,8 @@ class _Writer:
         place = {"chunk_index": self._file_number // CHUNK_SIZE, "file_index": self._file_number % CHUNK_SIZE}
         path = self._folder / DATA_PATH.format(**place)
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._parquet = pq.ParquetWriter(path, self._schema, use_dictionary=list(_TEXTS))
+        self._files.setdefault(split, []).append(DATA_PATH.format(**place))
+        self._parquet = pq.ParquetWriter(path, self.schema_of, use_dictionary=list(TEXTS))
         if self._is_video:
             self._video = VideoWriter(self._folder / VIDEO_PATH.format(video_key=IMAGE_KEY, **place))
         return self._parquet
@@ -222,53 +227,17 @@ class _Writer:
         }
 
 
-def feature_spec(*, video: bool) -> dict[str, Any]:
-    """`features` of info.json."""
-    image: dict[str, Any] = {
-        "dtype": "video" if video else "image",
-        "shape": [IMAGE_SIZE, IMAGE_SIZE, 3],
-        "names": ["height", "width", "channels"],
-    }
-    if video:
-        image["info"] = {
-            "video.height": IMAGE_SIZE,
-            "video.width": IMAGE_SIZE,
-            "video.codec": "h264",
-            "video.pix_fmt": PIXELS,
-            "video.is_depth_map": False,
-            "video.fps": CONTROL_HZ,
-            "video.channels": 3,
-            "has_audio": False,
-        }
-    features = {IMAGE_KEY: image}
-    for name, (dtype, names) in _FLOATS.items():
-        features[name] = {"dtype": dtype, "shape": [len(names)], "names": names}
-    scalars = {"timestamp": "float32"} | dict.fromkeys(_INTEGERS, "int64") | dict.fromkeys(_TEXTS, "string")
-    return features | {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in scalars.items()}
-
-
-def _schema(*, video: bool) -> pa.Schema:
-    """Schema of the data files: columns in the order of `feature_spec`, none for the frames of a video."""
-    fields = [] if video else [pa.field(IMAGE_KEY, pa.struct({"bytes": pa.binary(), "path": pa.string()}))]
-    for name, (dtype, names) in _FLOATS.items():
-        fields.append(pa.field(name, pa.list_(pa.type_for_alias(dtype), len(names))))
-    fields.append(pa.field("timestamp", pa.float32()))
-    fields += [pa.field(name, pa.int64()) for name in _INTEGERS]
-    fields += [pa.field(name, pa.string()) for name in _TEXTS]
-    return pa.schema(fields)
-
-
 def _columns(episode: Episode, number: int, first: int, task_index: int) -> dict[str, NDArray[Any]]:
     length = len(episode)
     facts = plain_facts(episode) | {"episode_index": number, "task_index": task_index}
     frame = np.arange(length)
     return {
         "observation.state": episode.state,
-        **{name: getattr(episode, name) for name in _FLOATS if name != "observation.state"},
+        **{name: getattr(episode, name) for name in FLOATS if name != "observation.state"},
         "timestamp": (frame / CONTROL_HZ).astype(np.float32),
         "frame_index": frame,
         "index": first + frame,
-        **{name: np.full(length, facts[name]) for name in (*_INTEGERS, *_TEXTS) if name in facts and name != "index"},
+        **{name: np.full(length, facts[name]) for name in (*INTEGERS, *TEXTS) if name in facts and name != "index"},
     }
 
 
@@ -277,7 +246,7 @@ def _table(columns: dict[str, NDArray[Any]], episode: Episode, schema: pa.Schema
     for field in schema:
         if field.name == IMAGE_KEY:
             arrays.append(pa.array([{"bytes": image, "path": None} for image in episode.images], field.type))
-        elif field.name in _FLOATS:
+        elif field.name in FLOATS:
             values = np.ascontiguousarray(columns[field.name])
             arrays.append(pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1]))
         else:

@@ -11,8 +11,10 @@ from peft.tuners.lora import LoraLayer
 from torch import Tensor, nn
 from torch.distributed.tensor import DTensor, distribute_tensor
 
+from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.openvla.network import OpenVlaNetwork
 from cognitivedrone.training.openvla.recipes import LoraRecipe
+from cognitivedrone.training.trainer.checkpoint import MOMENTS, check_moments
 
 
 def add_adapters(network: OpenVlaNetwork, recipe: LoraRecipe, seed: int = 0) -> dict[str, nn.Parameter]:
@@ -56,16 +58,28 @@ def as_module(state: dict[str, Tensor]) -> nn.Module:
 
 
 def take_adapters(trained: dict[str, nn.Parameter], tensors: dict[str, Tensor]) -> None:
-    """Load a checkpoint's adapters into the result of `add_adapters`, before sharding."""
+    """Load a checkpoint's adapters into the result of `add_adapters`, before sharding.
+
+    Raises `TrainingError` where one is missing, of another shape, or not finite.
+    """
     for name, value in trained.items():
-        value.data.copy_(tensors[_stored(f"adapter.{name}")])
+        held = tensors.get(_stored(f"adapter.{name}"))
+        if held is None or held.shape != value.shape or not bool(torch.isfinite(held).all()):
+            raise TrainingError(f"the checkpoint has no usable adapter {name}; train anew in another folder")
+        value.data.copy_(held)
 
 
 def take_moments(optimizer: Any, names: list[str], tensors: dict[str, Tensor]) -> None:
-    """Load a checkpoint's moments into an optimiser of the same adapters, after sharding, if any."""
+    """Load a checkpoint's moments into an optimiser of the same adapters, after sharding, if any.
+
+    Raises `TrainingError` for moments that the optimiser cannot have.
+    """
     for name, value in zip(names, _trained(optimizer), strict=True):
-        for moment in ("step", "exp_avg", "exp_avg_sq"):
-            held = tensors[_stored(f"{moment}.{name}")].to(value.device)
+        stored = {moment: _stored(f"{moment}.{name}") for moment in MOMENTS}
+        moments = {moment: tensors[place] for moment, place in stored.items() if place in tensors}
+        check_moments(name, value, moments)
+        for moment, whole in moments.items():
+            held = whole.to(value.device)
             if isinstance(value, DTensor) and held.ndim:
                 held = distribute_tensor(held, value.device_mesh, value.placements)
             optimizer.state[value][moment] = held

@@ -58,7 +58,7 @@ from cognitivedrone.training.openvla.data import (
     validation_rows,
 )
 from cognitivedrone.training.openvla.recipes import PAPER, LoraRecipe
-from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint, save_checkpoint
+from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint, save_checkpoint, step_of
 from cognitivedrone.training.trainer.run_log import RunLog
 from cognitivedrone.training.trainer.training_task import Row
 
@@ -123,7 +123,7 @@ def fine_tune(config: FineTuning, report: Callable[[str], None] = print) -> Path
     accelerator = _accelerator(config)
     if recipe.batch % accelerator.num_processes:
         raise TrainingError(f"a batch of {recipe.batch} cannot be shared by {accelerator.num_processes} processes")
-    step = 0 if found is None else int(found[1]["step"])
+    step = 0 if found is None else step_of(found[1], config.recipe.steps)
     if step < recipe.steps:
         recompute = _recomputes(config, accelerator)
         if accelerator.is_main_process:
@@ -222,7 +222,7 @@ def _train(
     trained = add_adapters(bare, recipe, config.seed)
     step = 0
     if found is not None:
-        step = int(found[1]["step"])
+        step = step_of(found[1], recipe.steps)
         take_adapters(trained, found[0])
     bare.train()
     optimizer: Any = torch.optim.AdamW(

@@ -15,7 +15,7 @@ FACTS_FILE = "facts.csv"
 def facts_file(labels: Path) -> Path | None:
     """The table of facts in a folder of pictures, if it has one."""
     path = labels / FACTS_FILE
-    return path if path.exists() else None
+    return path if path.exists() or path.is_symlink() else None  # a link to nothing is a mistake, not no table
 
 
 def stated(path: Path, kinds: Mapping[str, str]) -> list[Statement]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import mmap
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,12 +18,16 @@ from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import check_regular, open_regular, reason_of, replacing
 from cognitivedrone.json_text import parse_json
 from cognitivedrone.models.checksum import BLANK, Finding, check, seal
+from cognitivedrone.printable import visible
 from cognitivedrone.schema import check_form
 
 CHECKPOINT = "checkpoint.safetensors"
 """Name of the file in the folder of a run."""
 FORMAT = 1
 _KEY = "cognitivedrone"
+_ANEW = "take an earlier checkpoint, or train anew in another folder"
+MOMENTS = {"step": True, "exp_avg": False, "exp_avg_sq": True}
+"""What AdamW has of each weight, and whether it is never below 0."""
 
 
 def save_checkpoint(
@@ -87,7 +92,10 @@ def _finding(path: Path) -> Finding:
 
 
 def restore(tensors: dict[str, Tensor], network: nn.Module, optimizer: torch.optim.Optimizer | None) -> None:
-    """Restore a network and an optimiser of the same shapes from the result of `read_checkpoint`."""
+    """Restore a network and an AdamW of the same shapes from the result of `read_checkpoint`.
+
+    Raises `TrainingError` for another network, and for a state that such an optimiser cannot have.
+    """
     own = {name.removeprefix("network."): value for name, value in tensors.items() if name.startswith("network.")}
     try:
         network.load_state_dict(own)
@@ -95,31 +103,46 @@ def restore(tensors: dict[str, Tensor], network: nn.Module, optimizer: torch.opt
         raise TrainingError(f"the checkpoint is of another network: {str(error).splitlines()[-1].strip()}") from None
     if optimizer is None:
         return
-    try:
-        _restore_optimizer(tensors, optimizer)
-    except (ValueError, LookupError, TypeError, AttributeError, RuntimeError) as error:
-        reason = " ".join(str(error).split())[:100]
-        raise TrainingError(
-            f"the checkpoint holds the state of another optimiser ({type(error).__name__}: {reason}); take an earlier"
-            " one, or start anew"
-        ) from None
-
-
-def _restore_optimizer(tensors: dict[str, Tensor], optimizer: torch.optim.Optimizer) -> None:
-    shapes = [parameter.shape for group in optimizer.param_groups for parameter in group["params"]]
+    weights = [weight for group in optimizer.param_groups for weight in group["params"]]
     state: dict[int, dict[str, Tensor]] = {}
     for name, value in tensors.items():
         if name.startswith("optimizer."):
-            _, number, key = name.split(".", 2)
-            if not value.isfinite().all() or (key != "step" and value.shape != shapes[int(number)]):
-                raise ValueError(f"{name} has another shape than its weights, or is not finite")
+            _, number, key = (*name.split(".", 2), "", "")[:3]
+            if not (number.isdecimal() and number.isascii() and len(number) < 10 and int(number) < len(weights)):
+                raise TrainingError(f"the checkpoint has {visible(name)!r}, which is of no weight; {_ANEW}")
             state.setdefault(int(number), {})[key] = value
+    for number, moments in state.items():
+        check_moments(f"optimizer.{number}", weights[number], moments)
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
     # Fused optimisers iterate over memory, so moments need the same layout as their weights: channels last, for some.
     for parameter, moments in optimizer.state.items():
         for key, value in moments.items():
             if value.shape == parameter.shape:
                 moments[key] = torch.empty_like(parameter, requires_grad=False).copy_(value)
+
+
+def check_moments(where: str, weight: Tensor, moments: dict[str, Tensor]) -> None:
+    """Raise `TrainingError` for what AdamW cannot have of a weight: one step with it would spoil the network."""
+    if moments.keys() != MOMENTS.keys():
+        found = ", ".join(map(visible, sorted(moments)))
+        raise TrainingError(f"the checkpoint's {where} has {found}, not {', '.join(MOMENTS)}; {_ANEW}")
+    for key, value in moments.items():
+        shape = () if key == "step" else weight.shape
+        if value.shape != shape or not value.is_floating_point():
+            raise TrainingError(
+                f"the checkpoint's {where}.{key} is {tuple(value.shape)} of {value.dtype}, not {tuple(shape)} of"
+                f" floats; {_ANEW}"
+            )
+        if not bool(torch.isfinite(value).all()) or (MOMENTS[key] and bool((value < 0).any())):
+            raise TrainingError(f"the checkpoint's {where}.{key} has impossible numbers; {_ANEW}")
+
+
+def step_of(facts: Mapping[str, Any], last: int) -> int:
+    """The step that a checkpoint was written at, at most `last`; raises `TrainingError` if that cannot be."""
+    step = facts.get("step")
+    if not isinstance(step, int) or isinstance(step, bool) or not 0 <= step <= last:
+        raise TrainingError(f"the checkpoint is of step {str(step)[:20]!r}, not one from 0 to {last}; {_ANEW}")
+    return step
 
 
 def origin_of(facts: dict[str, Any]) -> str:

@@ -23,7 +23,7 @@ from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import check_no_link, remove, remove_left_over, replace_file, writing
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.terminal import console
-from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint
+from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint, step_of
 from cognitivedrone.training.trainer.precision import trains_in_bf16
 from cognitivedrone.training.trainer.prefetch import LEARNERS, PrefetchQueue, learner_path
 from cognitivedrone.training.trainer.run_log import BOARD, RunLog
@@ -132,8 +132,9 @@ def _begin(config: TrainConfig, network: nn.Module, optimizer: torch.optim.Optim
             raise TrainingError(
                 f"{config.out} holds a training run by another recipe, seed or data; choose another folder"
             )
+        step = step_of(found, config.training_task.recipe.steps)
         restore(tensors, network, optimizer)
-        return int(found["step"])
+        return step
     if main:
         (config.out / LEARNERS).mkdir(parents=True, exist_ok=True)
         replace_file(config.out / "recipe.json", json.dumps(identity, indent=2).encode())

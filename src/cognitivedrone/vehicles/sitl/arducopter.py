@@ -146,6 +146,9 @@ class ArduCopter:
         missing = [path for path in defaults if not path.is_file()]
         if missing:
             raise LinkError(f"there is no parameter file {missing[0]}")
+        # ArduCopter takes its parameter files as one list.
+        if unfit := [path for path in (*defaults, folder) if "," in str(path.resolve())]:
+            raise LinkError(f"the path of {unfit[0]} has a comma, at which ArduCopter parts names; rename or move it")
         self.binary = binary
         self.url = f"tcp:127.0.0.1:{FIRST_PORT + PORT_STEP * instance}"
         """Where it listens for MAVLink; it starts with the first connection."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import select
 import socket
 from abc import ABC, abstractmethod
@@ -62,11 +63,11 @@ def open_transport(url: str, *, timeout_s: float = 5.0) -> Transport:
         raise LinkError(f"cannot read the link {url!r}: expected {FORMS}; {did_you_mean(kind, KINDS)}")
     if kind == "serial":
         device, _, baud = rest.partition(":")
-        if not (baud or "57600").isdecimal():
-            raise LinkError(f"cannot read the link {url!r}: the baud rate {baud!r} is not a number")
+        if not _NUMBER.fullmatch(baud or "57600"):
+            raise LinkError(f"cannot read the link {url!r}: the baud rate {baud!r} is not a number of up to 8 digits")
         return _Serial(device, int(baud or 57600))
     host, _, port = rest.rpartition(":")
-    if not host or not port.isdecimal() or not 0 <= int(port) < 65_536:
+    if not host or not _NUMBER.fullmatch(port) or not 0 <= int(port) < 65_536:
         raise LinkError(f"cannot read the link {url!r}: expected {kind}:HOST:PORT, such as {kind}:127.0.0.1:14550")
     address = (host, int(port))
     try:
@@ -78,6 +79,7 @@ def open_transport(url: str, *, timeout_s: float = 5.0) -> Transport:
         raise LinkError(f"cannot {what} {url}: {error.strerror or error}; is the port right, and free?") from None
 
 
+_NUMBER = re.compile("[0-9]{1,8}")
 FORMS = "udp:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE[:BAUD]"
 
 
@@ -194,7 +196,7 @@ class _Serial(_Stream):
         self._device = device
         try:
             self._port = serial.Serial(device, baud, timeout=0)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, OverflowError) as error:
             raise LinkError(f"cannot open the serial port {device}: {error}") from None
 
     def fileno(self) -> int:

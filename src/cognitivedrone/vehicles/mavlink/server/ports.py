@@ -6,6 +6,7 @@ Independent of MAVLink: bytes in, bytes out. Nothing here ever waits.
 from __future__ import annotations
 
 import contextlib
+import re
 import socket
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -40,7 +41,7 @@ def endpoint(text: str) -> Endpoint:
     host, _, port = address.rpartition(":")
     if kind not in _KINDS:
         raise RunError(f"unknown link {text!r} of the simulated vehicle; {did_you_mean(kind, _KINDS)}")
-    if not host or not port.isdecimal() or int(port) > 65535 or (kind == "udpout" and int(port) == 0):
+    if not host or not re.fullmatch("[0-9]{1,5}", port) or int(port) > 65535 or (kind == "udpout" and int(port) == 0):
         raise RunError(f"the link {text!r} has no host and port; write it as {kind}:127.0.0.1:14550")
     # mypy does not narrow types by membership.
     return Endpoint("udpout" if kind == "udpout" else "udpin" if kind == "udpin" else "tcpin", host, int(port))

@@ -1,0 +1,86 @@
+"""Whether a sentence says anything to a pilot: without one word that it knows, nothing is flown.
+
+A network answers to any sentence, and names a gate for one of which it knows no word, too. So each sentence that a
+person gives a pilot is looked at here before it is flown, on every vehicle.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from cognitivedrone.apps import lexicon
+from cognitivedrone.apps.request import Request, Understanding
+from cognitivedrone.pilot import Pilot
+
+LANGUAGE = "the pilot knows English, and names of common things and colours in German, French, Spanish and Italian"
+_EXAMPLE = "say what to fly to, such as 'fly to the dog'"
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a pilot can know from a sentence alone."""
+
+    understanding: Understanding
+    english: bool = True
+    """Whether the pilot reads English alone; which words another one knows is not known here."""
+
+    @classmethod
+    def of(cls, understanding: Understanding, pilot: Pilot) -> Evidence:
+        """For a pilot: its reasoner reads the sentence, if it has one."""
+        return cls(understanding, (pilot.reasoner or pilot.policy).reads_english_only)
+
+    def problem(self, sentence: str) -> str:
+        """Why a person's sentence is not flown, for that person; empty if it says something to the pilot.
+
+        A sentence that names nothing counts if each of its words is one of request, and one of them English: "go".
+        """
+        if not self.english:
+            return ""
+        request = self.understanding.understand(sentence)
+        typed = self.understanding.typed(sentence)
+        if request.understood or not lexicon.things(self.understanding.names_of_own).isdisjoint(typed):
+            return ""
+        if not request.unknown and not lexicon.words("english").isdisjoint(typed):
+            return ""
+        return not_understood(request, self.understanding)
+
+    def problem_of_task(self, sentence: str) -> str:
+        """The same of a task's own instruction, whose author may use any word of English."""
+        typed = self.understanding.typed(sentence)
+        known = lexicon.heard(self.understanding.names_of_own).union(
+            word for word in self.understanding.real if len(word) > 1
+        )
+        if not self.english or not typed or any(word in known or word.isdecimal() for word in typed):
+            return ""
+        return f"the task's instruction {sentence!r} has no word that the pilot knows; {LANGUAGE}"
+
+    def as_typed(self, sentence: str) -> bool:
+        """Whether the pilot is best told a sentence as it is: most of its words are English, or none is known to be."""
+        typed, real = self.understanding.typed(sentence), self.understanding.real
+        known = sum(word in real or word.isdecimal() for word in typed)
+        return not self.english or not real or known >= 0.7 * len(typed)
+
+
+def not_understood(request: Request, understanding: Understanding) -> str:
+    """A sentence that says what was not understood, and what is nearest to it, or which language is known."""
+    if request.note:
+        return f"{request.note}; ask for something else, such as 'fly to the dog'"
+    known = lexicon.things(understanding.names_of_own) | lexicon.words("english")
+    strange = known.isdisjoint(understanding.typed(request.sentence))
+    ways = f"{LANGUAGE}: {_EXAMPLE}" if strange else _EXAMPLE
+    if not request.unknown:
+        return f"{request.sentence!r} names nothing that a gate could show; {ways}"
+    words = " and ".join(map(repr, request.unknown[:4]))
+    misspelt = not strange or (len(request.unknown) == 1 and request.unknown[0].isascii())
+    near = understanding.nearest(request.unknown) if misspelt else ()
+    if near:
+        ways = f"the nearest things that there are: {', '.join(near)}" + (f"; {LANGUAGE}" if strange else "")
+    return f"not understood: {words}; {ways}"
+
+
+def taught_names(attributes: Collection[str]) -> frozenset[str]:
+    """The names of the concepts among a model's attribute values, such as "concept/birds:blue_tit", as one says it."""
+    concepts = (value.rpartition(":")[2].rpartition("/")[2] for value in attributes if value.startswith("concept/"))
+    return frozenset(re.sub(r"[\s_-]+", " ", concept).strip() for concept in concepts if concept)

@@ -1,0 +1,127 @@
+"""A sentence without one word that the pilot knows is never flown; nor is one that only looks like known words."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
+
+from cognitivedrone.apps.config import FlyPlan
+from cognitivedrone.apps.evidence import Evidence, taught_names
+from cognitivedrone.apps.fly import fly_mission
+from cognitivedrone.apps.request import Understanding
+from cognitivedrone.apps.scene import check_evidence, choose_scene, named_scene, plain_instruction
+from cognitivedrone.errors import NotUnderstood
+from cognitivedrone.tasks.format import task_to_json
+from cognitivedrone.tasks.suites import load_suite
+
+ENGLISH = frozenset(
+    {"fly", "to", "the", "through", "gate", "with", "cat", "of", "that", "next", "please", "go", "a", "in"}
+)
+"""Words that a pilot knows whole."""
+FOREIGN = (
+    "飞过有猫的门",
+    "穿过红色的门",
+    "赤いゲートを通って",
+    "고양이에게 날아가",
+    "Пролети через красные ворота",
+    "leć do bramki z kotem",
+    "kediye doğru uç",
+    "طر عبر البوابة الحمراء",
+    "mene punaisen portin läpi",  # the last word but looks like a rabbit's
+    "πέτα προς τη γάτα",
+    "lennä kissan luo",
+    "asdf qwer zxcv",
+    "atraviesa donde corre",
+    "!!!",
+)
+
+
+def quiet() -> Console:
+    return Console(file=io.StringIO())
+
+
+@pytest.mark.parametrize("sentence", FOREIGN)
+def test_a_sentence_without_a_known_word_is_not_flown_and_the_known_language_is_named(sentence):
+    evidence = Evidence(Understanding(real=ENGLISH))
+    assert "the pilot knows English" in evidence.problem(sentence)
+    assert plain_instruction(evidence, None, sentence) is None  # typed in flight, on a vehicle: it hovers
+    with pytest.raises(NotUnderstood, match="the pilot knows English"):
+        check_evidence(evidence, named_scene(load_suite("open-v1:smoke"), 0), sentence)
+    with pytest.raises(NotUnderstood, match="the pilot knows English"):
+        choose_scene(FlyPlan.of(film=False, instruction=sentence))
+
+
+@pytest.mark.parametrize(
+    ("sentence", "told"),
+    [
+        ("go", "go"),
+        ("fly through the next gate please", "fly through the next gate please"),
+        ("Fly to the cat", "Fly to the cat"),
+        ("vuela hacia la puerta con el gato", "Fly through the gate with the cat"),
+        ("gehe zum roten Tor", "Fly through the red gate"),
+        ("attraversa la finestra", "Fly through the gate with the window"),
+        ("catt", "Fly through the gate with the cat"),
+        ("land", "land"),
+        ("", ""),
+    ],
+)
+def test_on_a_vehicle_the_pilot_is_told_what_it_knows(sentence, told):
+    assert plain_instruction(Evidence(Understanding(real=ENGLISH)), None, sentence) == told
+
+
+def test_what_names_nothing_known_is_not_flown_on_a_vehicle_either():
+    evidence = Evidence(Understanding(real=ENGLISH))
+    assert evidence.problem("fly to the frobnitz") == (
+        "not understood: 'frobnitz'; say what to fly to, such as 'fly to the dog'"
+    )
+    assert "candle" in evidence.problem("fly to the chandelier")
+
+
+def test_taught_names_count_as_known_in_any_script():
+    taught = taught_names(["concept/birds:blue_tit", "concept/x:zorgle", "concept/animal:猫", "kind/animal"])
+    assert taught == {"blue tit", "zorgle", "猫"}
+    evidence = Evidence(Understanding(taught=taught))
+    assert not any(map(evidence.problem, ("zorgle", "por zorgle", "飞过有猫的门")))
+    assert evidence.problem("飞过有狗的门")
+    own = Understanding({"猫": frozenset({"animal/猫"})})
+    assert own.understand("飞过有猫的门").labels == {"animal/猫"}
+
+
+def test_a_pilot_that_may_read_other_languages_is_told_the_sentence_as_it_is():
+    evidence = Evidence(Understanding(), english=False)
+    assert plain_instruction(evidence, None, "飞过有猫的门") == "飞过有猫的门"
+    assert not evidence.problem_of_task("飞过有猫的门")
+
+
+def test_nothing_takes_off_over_mavlink(tmp_path):
+    pytest.importorskip("pymavlink")
+    from peer import playing
+
+    with playing() as peer:
+        plan = FlyPlan.of(
+            film=False, instruction="飞过有猫的门", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera="nowhere",
+            policy="small", out=tmp_path / "f", i_understand_this_flies_a_real_drone=True,
+        )  # fmt: skip
+        with pytest.raises(NotUnderstood, match="the pilot knows English") as refused:
+            fly_mission(plan, console=quiet(), keyboard=io.StringIO("arm\n"))
+        assert not peer.received
+    assert refused.value.exit_code == 3
+    assert not (tmp_path / "f").exists()
+
+
+def test_a_task_of_another_language_is_not_flown(tmp_path):
+    task = task_to_json(load_suite("open-v1:smoke").tracks[0][0])
+    text = json.dumps([task], ensure_ascii=False).replace(task["prompt"], "飞过有猫的门")
+    file = tmp_path / "tasks.json"
+    file.write_text(text, "utf-8")
+    plan = FlyPlan.of(film=False, tasks=file, episode=0, out=tmp_path / "f")
+    with pytest.raises(NotUnderstood, match="'飞过有猫的门' has no word that the pilot knows; the pilot knows English"):
+        fly_mission(plan, console=quiet(), keyboard=io.StringIO())
+    assert not (tmp_path / "f").exists()
