@@ -108,6 +108,18 @@ def test_a_benchmark_with_workers_ends_in_order_at_the_first_signal_of_any_kind(
     assert not [*(tmp_path / "tmp").iterdir()]
 
 
+@pytest.mark.parametrize("policy", ["InForeignCode", "HoldingTheInterpreter"])
+def test_a_worker_ends_with_its_parent_whatever_it_is_in(tmp_path, policy):
+    """And what the parent could not remove goes at the next start."""
+    with stuck(tmp_path, policy, *BENCH, "--workers", "1") as (process, worker):
+        process.kill()
+        soon(lambda: not runs(worker), LIMIT_S)
+    assert [*(tmp_path / "tmp").iterdir()]
+    with started(tmp_path, "-c", "from cognitivedrone.temporary import TemporaryFolder; TemporaryFolder()") as process:
+        assert ending(process) == (0, "")
+    assert not [*(tmp_path / "tmp").iterdir()]
+
+
 STOPPED_WHILE_LOADING = """
 import os, signal
 try:

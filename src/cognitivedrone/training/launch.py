@@ -12,6 +12,7 @@ from pathlib import Path
 import tyro
 
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
+from cognitivedrone.processes import end_with_starter
 from cognitivedrone.training.config import TrainPlan
 from cognitivedrone.training.processes import fail, run_processes
 from cognitivedrone.training.recipes import find_recipe
@@ -84,6 +85,7 @@ def _work(plan: TrainPlan) -> Path:
 
 def main() -> None:
     """Entry point of a process of a distributed training."""
+    end_with_starter()  # one that goes on would write beside its successor
     try:
         _work(tyro.cli(TrainPlan))
     except CognitiveDroneError as error:
