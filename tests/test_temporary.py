@@ -13,9 +13,11 @@ import pytest
 from cognitivedrone import temporary
 from cognitivedrone.temporary import TemporaryFolder
 
-MAKE = (
-    "from cognitivedrone.temporary import TemporaryFolder; folder = TemporaryFolder(); print(folder.path, flush=True)"
-)
+MAKE = """
+from cognitivedrone.temporary import TemporaryFolder
+folder = TemporaryFolder()
+print(folder.path, flush=True)
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -29,7 +31,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def made(code: str = "", number: int = signal.SIGKILL) -> Path:
     """A folder of a process that has ended."""
-    kill = f"; import os; os.kill(os.getpid(), {int(number)})"
+    kill = f"import os; os.kill(os.getpid(), {int(number)})"
     done = subprocess.run([sys.executable, "-c", MAKE + (code or kill)], capture_output=True, text=True, check=False)
     return Path(done.stdout.strip())
 
@@ -43,7 +45,7 @@ def test_a_folder_goes_with_its_block_its_object_and_its_process(place: Path) ->
     one.close()
     one.close()
     TemporaryFolder()
-    assert made("; pass").parent == place
+    assert made("pass").parent == place
     assert not [*place.iterdir()]
 
 
