@@ -25,6 +25,7 @@ from cognitivedrone.interrupts import STOPPED, ending_in_order, was_asked
 from cognitivedrone.printable import wrapped
 from cognitivedrone.processes import SAFE_PATH
 from cognitivedrone.ranges import check_arguments, check_words
+from cognitivedrone.shortages import way_out_of
 from cognitivedrone.usage_reports import switch_off
 
 PROGRAM = "cognitivedrone"
@@ -104,7 +105,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except OSError as error:
         place = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
         _drop_output()
-        _end(f"{place}{reason_of(error)}; check the free space and the permissions")
+        _end(f"{place}{reason_of(error)}; {way_out_of(error) or 'check the free space and the permissions'}")
+    except MemoryError as error:
+        _end(f"there is not enough memory; {way_out_of(error)}")
     except KeyboardInterrupt as stop:
         _end(str(stop) or "stopped", STOPPED)
     except Exception as error:

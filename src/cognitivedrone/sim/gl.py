@@ -28,6 +28,7 @@ from typing import Any, Final, TypeVar
 from cognitivedrone.errors import RenderError
 from cognitivedrone.printable import visible
 from cognitivedrone.processes import environment
+from cognitivedrone.shortages import tight_limit, way_out_of
 
 BACKENDS: Final = ("egl", "osmesa")
 _REMEMBERED: Final = "COGNITIVEDRONE_GL"
@@ -43,6 +44,7 @@ print("renderer:", GL.glGetString(GL.GL_RENDERER).decode())
 context.free()
 """
 _PROBE_S: Final = 120.0
+_TOO_SLOW: Final = f"its test did not end within {_PROBE_S:g} s"
 _LINES: Final = 3
 _LONGEST: Final = 400  # characters of somebody else's error
 _STEERING: Final = re.compile(
@@ -283,7 +285,7 @@ def _probe(name: str, without: Collection[str] = ()) -> str:
             env=variables,
         )
     except subprocess.TimeoutExpired:
-        raise RenderError(f"it did not start within {_PROBE_S:g} s") from None
+        raise RenderError(_TOO_SLOW) from None
     except OSError as error:
         raise RenderError(_one_line(error)) from None
     found = [line.removeprefix("renderer:").strip() for line in child.stdout.splitlines() if "renderer:" in line]
@@ -302,6 +304,10 @@ def _one_line(error: object) -> str:
 def _advice(failures: Mapping[str, str], install: str) -> str:
     """What OpenGL itself says, and the way out: variables without which it starts, or else its installation."""
     reasons = "; ".join(f"{name}: {reason}" for name, reason in failures.items())
+    if _TOO_SLOW in failures.values():
+        return f"it is not known whether OpenGL starts ({reasons}), as on a machine that is busy or swaps; try again"
+    if way_out := way_out_of(reasons) or tight_limit():
+        return f"OpenGL does not start ({reasons}); {way_out}"
     steering = [name for name in os.environ if _STEERING.match(name) and not _is_ours(name)]
     if guilty := _guilty(failures, steering):
         shown = " and ".join(_shown(name) for name in guilty)
