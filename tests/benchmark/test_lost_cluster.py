@@ -124,9 +124,9 @@ def test_one_that_fails_on_every_node_ends_the_run_with_the_way_out(play) -> Non
         return None
 
     play(answer)
-    with pytest.raises(RunError, match=rf"episode 1 has lost its worker {LOSSES} times; continue with --resume"):
-        with pool() as flying:
-            list(flying.fly([1]))
+    says = f"episode 1 has lost its worker {LOSSES} times; continue with --resume"
+    with pytest.raises(RunError, match=says), pool() as flying:
+        list(flying.fly([1]))
 
 
 def test_no_node_that_opens_a_worker_ends_it_too(play) -> None:
