@@ -10,11 +10,15 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import stuck_pilots
 from signals import LIMIT_S, handles, press, runs
 from waiting import soon
+
+from cognitivedrone.rollout import pool
+from cognitivedrone.temporary import TemporaryFolder
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
 SUPPORT = Path(__file__).parent / "support"
@@ -106,6 +110,31 @@ def test_a_benchmark_with_workers_ends_in_order_at_the_first_signal_of_any_kind(
     assert code == 130
     assert "cognitivedrone: stopped after 0 of 2 episodes, all kept in out" in output
     assert not [*(tmp_path / "tmp").iterdir()]
+
+
+def test_workers_that_hear_nothing_are_not_waited_for_one_by_one(tmp_path, monkeypatch):
+    """However many they are, stopping takes as long as for one."""
+    waited: list[float] = []
+    monkeypatch.setattr(pool.time, "monotonic", lambda: sum(waited))
+
+    def worker() -> SimpleNamespace:
+        process = SimpleNamespace(terminate=lambda: None, kill=lambda: None, join=waited.append)
+        return SimpleNamespace(process=process, connection=SimpleNamespace(close=lambda: None))
+
+    stopped = object.__new__(pool.ProcessPool)
+    stopped._folder, stopped._workers = TemporaryFolder(), [worker() for _ in range(16)]
+    stopped.stop()
+    assert sum(waited) == pool.STOP_S + pool.JOIN_TIMEOUT_S
+    stopped._folder = TemporaryFolder()
+    stopped.close()
+    assert sum(waited) == 2 * (pool.STOP_S + pool.JOIN_TIMEOUT_S) + pool.JOIN_TIMEOUT_S
+
+
+def test_a_worker_that_ignores_sigterm_is_killed(tmp_path):
+    with stuck(tmp_path, "DeafToSigterm", *BENCH, "--workers", "1") as (process, worker):
+        press(process.pid)
+        assert ending(process)[0] == 130
+        assert not runs(worker)
 
 
 @pytest.mark.parametrize("policy", ["InForeignCode", "HoldingTheInterpreter"])

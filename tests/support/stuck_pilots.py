@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import signal
 from pathlib import Path
 
 from cognitivedrone.policies.baselines import Hover
@@ -40,6 +41,15 @@ class HoldingTheInterpreter(Hover):
     def act(self, observation):
         say_so()
         lock_up(ctypes.PyDLL(None))
+
+
+class DeafToSigterm(Hover):
+    """In foreign code, and SIGTERM is ignored, too."""
+
+    def act(self, observation):
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        say_so()
+        lock_up(ctypes.CDLL(None))
 
 
 class Deaf(Hover):

@@ -30,6 +30,8 @@ from cognitivedrone.temporary import TemporaryFolder
 
 JOIN_TIMEOUT_S = 5.0
 """Time that a worker may take to exit, s."""
+STOP_S = 1.0
+"""Time that all workers together may take to exit where the work is stopped: they have nothing to write, s."""
 POLL_S = 0.2
 """Period of the check for hanging calls, s."""
 FROM_OUTSIDE = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -345,19 +347,25 @@ class ProcessPool(Pool[Item, Answer]):
         """As `Pool.close`."""
         for worker in self._workers:
             worker.connection.close()
-        for worker in self._workers:
-            worker.process.join(JOIN_TIMEOUT_S)
+        self._join(JOIN_TIMEOUT_S)
         self.stop()
 
     def stop(self) -> None:
         """As `Pool.stop`."""
         for worker in self._workers:
             worker.process.terminate()
+        self._join(STOP_S)
         for worker in self._workers:
-            worker.process.join(JOIN_TIMEOUT_S)
-            worker.process.kill()
+            worker.process.kill()  # one that does not hear SIGTERM
             worker.connection.close()
+        self._join(JOIN_TIMEOUT_S)
         self._folder.close()
+
+    def _join(self, timeout_s: float) -> None:
+        """Wait until all workers have ended, together at most that long."""
+        until = time.monotonic() + timeout_s
+        for worker in self._workers:
+            worker.process.join(max(0.0, until - time.monotonic()))
 
 
 @plain_warnings()
