@@ -18,6 +18,8 @@ from cognitivedrone.training.processes import fail, run_processes
 from cognitivedrone.training.recipes import find_recipe
 from cognitivedrone.training.trainer.training_task import Given, Recipe
 
+LAUNCHER = "cognitivedrone.training.processes"
+
 
 def run(plan: TrainPlan) -> Path:
     """Train on the requested number of processes, and export; returns the model file."""
@@ -36,7 +38,7 @@ def run(plan: TrainPlan) -> Path:
 
 def command_of(plan: TrainPlan) -> list[str]:
     """The command that starts all processes of a training run on this machine."""
-    launcher = ["cognitivedrone.training.processes", "--standalone", "--nproc-per-node", str(plan.processes)]
+    launcher = [LAUNCHER, "--standalone", "--nproc-per-node", str(plan.processes)]
     # Without the separating dashes, the launcher would read --start as an abbreviation of its own flag.
     return [sys.executable, "-m", *launcher, "-m", "--", __name__, *plan.words()]
 
