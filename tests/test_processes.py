@@ -7,14 +7,17 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from signals import LIMIT_S, press, runs
+from waiting import soon
 
 from cognitivedrone.cli import main
 from cognitivedrone.errors import GazeboError
-from cognitivedrone.processes import SAFE_PATH, environment, starting
+from cognitivedrone.processes import SAFE_PATH, STARTER, end_with_parent, environment, starting
 from cognitivedrone.sim import gl
 from cognitivedrone.vehicles.gazebo.services import ServiceProcess
 
@@ -102,3 +105,85 @@ def test_our_own_environment_is_as_it_was(had: str | None, monkeypatch: pytest.M
     assert dict(os.environ) == before
     assert environment() == {**before, SAFE_PATH: "1"}
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+TRAINER = """
+import os, sys, time
+from cognitivedrone.processes import end_with_starter
+end_with_starter()
+with open(sys.argv[1] + ".new", "w") as file:
+    file.write(str(os.getpid()))
+os.rename(sys.argv[1] + ".new", sys.argv[1])
+while True:
+    time.sleep(60)
+"""
+LAUNCHER = f"""
+import os, signal, subprocess, sys
+from cognitivedrone.processes import end_with_starter, starter
+end_with_starter()
+def told(*_):
+    open("told", "w").close()
+    trainer.terminate()
+signal.signal(signal.SIGTERM, told)
+trainer = subprocess.Popen([sys.executable, "-c", {TRAINER!r}, "trainer"], env=os.environ | starter())
+trainer.wait()
+"""
+COMMAND = f"""
+import sys
+from cognitivedrone.interrupts import ending_in_order
+from cognitivedrone.training.processes import run_processes
+with ending_in_order():
+    run_processes([sys.executable, "-c", {LAUNCHER!r}])
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_processes_that_train_together_end_with_the_command_that_started_them(number: int, tmp_path: Path) -> None:
+    """A resumed training would otherwise write beside them; the launcher may end them in order where it is possible."""
+    command = subprocess.Popen([sys.executable, "-c", COMMAND], cwd=tmp_path, stderr=subprocess.DEVNULL)
+    try:
+        soon(lambda: (tmp_path / "trainer").exists(), LIMIT_S)
+        trainer = int((tmp_path / "trainer").read_text())
+        press(command.pid, number)
+        assert command.wait(LIMIT_S) != 0
+        soon(lambda: not runs(trainer), LIMIT_S)
+    finally:
+        command.kill()
+        command.wait()
+    assert (tmp_path / "told").exists() == (number != signal.SIGKILL)
+
+
+def test_one_whose_starter_has_ended_before_it_looks_ends_too(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", TRAINER, str(tmp_path / "it")], env=os.environ | {STARTER: "1"}, check=False
+    )
+    assert done.returncode == -signal.SIGKILL
+    assert not (tmp_path / "it").exists()
+
+
+def _echo(words: multiprocessing.Queue[str], answers: multiprocessing.Queue[str]) -> None:
+    end_with_parent()
+    answers.put(words.get(timeout=LIMIT_S))
+    answers.put(words.get(timeout=LIMIT_S))
+
+
+def test_a_process_outlives_the_thread_that_started_it() -> None:
+    """The kernel would end it with that thread."""
+    context = multiprocessing.get_context("spawn")
+    with starting():
+        words, answers = context.Queue(), context.Queue()
+    process = context.Process(target=_echo, args=(words, answers), daemon=True)
+
+    def start() -> None:
+        with starting():
+            process.start()
+        words.put("first")
+        assert answers.get(timeout=LIMIT_S) == "first"
+
+    thread = threading.Thread(target=start)
+    thread.start()
+    thread.join()
+    words.put("second")
+    assert answers.get(timeout=LIMIT_S) == "second"
+    process.join(LIMIT_S)
+    assert process.exitcode == 0

@@ -1,5 +1,15 @@
-"""`python -m cognitivedrone`: the same as the `cognitivedrone` command."""
+"""The command `cognitivedrone`, also as `python -m cognitivedrone`; Ctrl-C is no traceback from the first import on."""
 
-from cognitivedrone.cli import main
+from cognitivedrone.interrupts import leaving_at_once
 
-main()
+
+def main() -> None:
+    """Run the command."""
+    with leaving_at_once():
+        from cognitivedrone.cli import main as run
+
+        run()
+
+
+if __name__ == "__main__":
+    main()

@@ -32,6 +32,7 @@ from pathlib import Path, PurePath
 from typing import BinaryIO
 
 from cognitivedrone.errors import CognitiveDroneError
+from cognitivedrone.shortages import way_out_of
 
 LONGEST_NAME = 100
 """Maximum length of the result of `safe_name` in bytes of UTF-8; file systems allow 255."""
@@ -312,7 +313,7 @@ def writing(
     try:
         yield
     except OSError as refused:
-        raise error(f"cannot write {path}: {reason_of(refused)}; {then}") from None
+        raise error(f"cannot write {path}: {reason_of(refused)}; {way_out_of(refused) or then}") from None
 
 
 def reason_of(error: OSError) -> str:

@@ -1,21 +1,29 @@
 """Python processes that we start. None imports what lies in the current folder, such as a json.py of somebody else.
 
 `environment` is for those of `subprocess`, `starting` for those of `multiprocessing`, `isolated` for those that
-libraries start.
+libraries start. They end with us, however we end: `end_with_parent` is called by those of `multiprocessing`, and
+`end_with_starter` by those of `subprocess`.
 """
 
 from __future__ import annotations
 
+import ctypes
+import multiprocessing
 import os
 import signal
+import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
+from multiprocessing.process import BaseProcess
 from typing import Final
 
 SAFE_PATH: Final = "PYTHONSAFEPATH"
 """Python's variable that keeps the current folder out of the path of `python -c` and `python -m`."""
+STARTER: Final = "COGNITIVEDRONE_STARTER"
+"""The variable with the id of the process whose main thread started this one."""
+_PR_SET_PDEATHSIG: Final = 1
 _one_at_a_time = threading.RLock()
 
 
@@ -24,19 +32,30 @@ def environment() -> dict[str, str]:
     return {**os.environ, SAFE_PATH: "1"}
 
 
+def starter() -> dict[str, str]:
+    """What `end_with_starter` needs in the environment of a process that this thread starts and waits for."""
+    return {STARTER: str(os.getpid())}
+
+
 @contextmanager
 def isolated() -> Iterator[None]:
     """What is started here, by whatever library, has the environment of `environment`."""
-    with _one_at_a_time:
-        had = os.environ.get(SAFE_PATH)
-        os.environ[SAFE_PATH] = "1"
-        try:
-            yield
-        finally:
-            if had is None:
-                del os.environ[SAFE_PATH]
+    with _one_at_a_time, _variables({SAFE_PATH: "1"}):
+        yield
+
+
+@contextmanager
+def _variables(values: Mapping[str, str]) -> Iterator[None]:
+    had = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in had.items():
+            if value is None:
+                del os.environ[name]
             else:
-                os.environ[SAFE_PATH] = had
+                os.environ[name] = value
 
 
 @contextmanager
@@ -45,10 +64,45 @@ def starting() -> Iterator[None]:
 
     Ctrl-C reaches the whole process group, and only this process handles it: those started here inherit a mask.
     """
-    with isolated():  # multiprocessing passes on this interpreter's flags, and takes no environment
+    # The kernel goes by the thread that starts a process; only the main thread is sure to last.
+    lasting = starter() if threading.current_thread() is threading.main_thread() else {STARTER: ""}
+    with (
+        isolated(),
+        _variables(lasting),
+    ):  # multiprocessing passes on this interpreter's flags, and takes no environment
         resource_tracker.ensure_running()  # a Python process too; starting it later would lift the mask
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
             yield
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def end_with_parent() -> None:
+    """End this process of `multiprocessing`, begun in `starting`, when its parent ends; else it might wait for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+    threading.Thread(target=_end_after, args=(parent,), name="parent", daemon=True).start()
+    if os.environ.get(STARTER) == str(parent.pid):
+        _let_the_kernel_end()  # also where foreign code keeps that thread from running
+
+
+def end_with_starter() -> None:
+    """End this process when the one that started it ends, however: on Linux, the kernel kills it then.
+
+    Where that one gave it `starter`, and has ended already, this process ends now.
+    """
+    _let_the_kernel_end()
+    if os.environ.get(STARTER, str(os.getppid())) != str(os.getppid()):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _end_after(parent: BaseProcess) -> None:
+    parent.join()
+    os._exit(1)
+
+
+def _let_the_kernel_end() -> None:
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -20,6 +20,7 @@ import av
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import stuck_pilots
 from rich.console import Console
 
 pytest.importorskip("pymavlink")
@@ -30,6 +31,7 @@ from app_fakes import Typist, camera
 from arducopters import played_arducopter
 from peer import MODES, Peer, playing
 from pymavlink import mavutil
+from signals import LIMIT_S, press
 from waiting import soon
 
 from cognitivedrone.apps.config import FlyPlan, SimPlan
@@ -324,8 +326,8 @@ def flight(peer: Peer, url: str, out: Path, policy: str = "hover", **options: ob
         *("--policy", policy, "--reasoner", "none", "--i-understand-this-flies-a-real-drone"),
         *(word for name, value in options.items() for word in (f"--{name}", value)),
     ]
-    fakes = Path(__file__).parent
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(fakes), os.environ.get("PYTHONPATH", "")])}
+    fakes = (str(Path(__file__).parent), str(Path(stuck_pilots.__file__).parent))
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([*fakes, os.environ.get("PYTHONPATH", "")])}
     reading, writing = os.pipe()
     os.write(writing, b"arm\n")
     with (out.parent / "output").open("wb") as output:
@@ -357,6 +359,25 @@ def test_a_terminal_that_goes_away_and_a_request_to_terminate_land_and_leave_a_l
     about = json.loads((tmp_path / "f" / "flight.json").read_text())
     reason = about["end"]["error"] if climbing else about["end"]["reason"]
     assert reason == ("the terminal has gone" if number == signal.SIGHUP else "asked to terminate")
+
+
+@pytest.mark.parametrize("policy", ["app_fakes:Hangs", "stuck_pilots:InForeignCode"])
+def test_a_second_ctrl_c_ends_the_command_once_the_drone_is_down(tmp_path, policy, monkeypatch):
+    """Also where the policy is in foreign code: the rules of safety land, and then nothing is waited for."""
+    monkeypatch.setenv(stuck_pilots.FILE, str(tmp_path / "stuck"))
+    with playing() as peer, camera() as url:
+        process = flight(peer, url, tmp_path / "f", policy)
+        try:
+            soon(lambda: len(peer.setpoints_since(0)) > 5 or (tmp_path / "stuck").exists())
+            press(process.pid)
+            press(process.pid)
+            assert process.wait(LIMIT_S) == 130
+            assert peer.part.mode == MODES["LAND"]
+            assert not peer.part.armed
+        finally:
+            process.kill()
+            process.wait()
+    assert "error" in json.loads((tmp_path / "f" / "flight.json").read_text())["end"]
 
 
 @pytest.mark.parametrize(

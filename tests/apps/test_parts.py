@@ -28,9 +28,9 @@ from cognitivedrone.apps.log import FlightLog
 from cognitivedrone.apps.mjpeg import MOST_VIEWERS, FrameServer
 from cognitivedrone.apps.orders import Keyboard, Orders, landing_on_interrupt
 from cognitivedrone.apps.values import Ending, Status, Step, Summary
-from cognitivedrone.apps.vehicle import until_interrupted
 from cognitivedrone.apps.view import EVENTS_SHOWN, Instruments, Printer, summary_table
 from cognitivedrone.errors import CameraError, LinkError, RunError
+from cognitivedrone.interrupts import until_asked
 from cognitivedrone.types import Event, EventKind, Guidance, Observation
 from cognitivedrone.vehicles.camera import open_camera
 from cognitivedrone.vehicles.mavlink.client.tlog import TlogWriter
@@ -154,7 +154,7 @@ def test_ctrl_c_asks_to_land_first_and_stops_at_the_second():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) == before
-    with until_interrupted() as stop:
+    with until_asked() as stop:
         assert not stop()
         signal.raise_signal(signal.SIGINT)
         assert stop()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import combinations
@@ -134,3 +136,22 @@ def test_shared_memory_holds_sentences_in_any_language():
 def test_what_is_no_instruction_is_not_in_the_space(value):
     assert value not in InstructionSpace()
     assert InstructionSpace(seed=0).sample() in InstructionSpace()
+
+
+@pytest.mark.parametrize("does", ["", "one.close(); many.close()", "del one, many", "Single('open-v1:smoke').close()"])
+def test_a_forked_child_ends_as_it_wants_and_leaves_the_environments_to_its_parent(does):
+    program = f"""
+import os, sys
+from cognitivedrone.envs.gym import CognitiveDroneEnv as Single
+from cognitivedrone.envs.vector import CognitiveDroneVectorEnv as Vector
+one, many = Single("open-v1:smoke", render_mode="rgb_array", camera="chase"), Vector(2, "open-v1:smoke", threads=2)
+one.reset(seed=1), many.reset(seed=1), one.render()
+if not (child := os.fork()):
+    {does}
+    print("child")
+    sys.exit(3)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+one.render()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.stdout, done.stderr, done.returncode) == ("child\n3\n", "", 0)

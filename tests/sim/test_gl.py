@@ -194,3 +194,22 @@ def test_the_users_choice_that_is_not_installed_says_what_installs_it(fresh: pyt
         match=r"with MUJOCO_GL=osmesa \(osmesa: osmesa is not there\); unset it, .*, or install it: .* libosmesa6",
     ):
         gl.backend()
+
+
+def test_a_test_that_runs_out_of_time_says_nothing_of_an_installation(fresh: pytest.MonkeyPatch) -> None:
+    """A machine that is busy has an OpenGL, too."""
+
+    def slow(command: list[str], **_: object) -> object:
+        raise subprocess.TimeoutExpired(command, gl._PROBE_S)
+
+    fresh.setattr(subprocess, "run", slow)
+    with pytest.raises(RenderError, match=r"not known whether OpenGL starts \(egl: .* within 120 s;") as caught:
+        gl.backend()
+    assert "install" not in str(caught.value)
+
+
+def test_a_limit_of_memory_is_named_where_the_driver_says_nothing_of_it(fresh: pytest.MonkeyPatch) -> None:
+    fresh.setattr(gl, "tight_limit", lambda: "raise it first")
+    fresh.setenv("LIBGL_DRIVERS_PATH", "/nowhere")
+    with pytest.raises(RenderError, match=r"OpenGL does not start \(nonsense: .*\); raise it first$"):
+        gl.create_context("nonsense", 16, 16)

@@ -265,7 +265,7 @@ def _fly(
     mission = Mission(plan, vehicle, orders, drone.now, hold, passage, plain, flown, plans)
     timed = TimedPolicy(pilot.policy)
     with ExitStack() as stack:
-        stack.enter_context(landing_on_interrupt(orders))
+        stack.enter_context(landing_on_interrupt(orders, at_once=vehicle.track_runner is not None))
         keys = stack.enter_context(Keyboard(keyboard, orders.say))
         shown: Instruments | Printer = Printer(console)
         if plan.view and console.is_terminal:

@@ -7,22 +7,19 @@ import fcntl
 import os
 import select
 import signal
-import stat
 import termios
 import threading
 import tty
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from types import FrameType
 from typing import TextIO
 
 from cognitivedrone.apps.values import Ending
 from cognitivedrone.errors import RunError
+from cognitivedrone.interrupts import ENDED, handling, undone_at_the_end
 
 LAND = frozenset({"land", "stop"})
-ENDED: dict[int, str] = {
-    signal.SIGINT: "ctrl-C", signal.SIGTERM: "asked to terminate", signal.SIGHUP: "the terminal has gone"
-}  # fmt: skip
 LONGEST = 500
 """Maximum length of an instruction in characters; the rest is dropped."""
 _WAY_OUT = "fly reads instructions from it: run it in a terminal's foreground, or give it a pipe or </dev/null"
@@ -71,56 +68,29 @@ def ending_on_signals() -> Iterator[None]:
 
     def handler(number: int, _: FrameType | None) -> None:
         nonlocal raised
-        _leave_terminal(number)
         if not raised:
             raised = True
             raise KeyboardInterrupt(ENDED[number])
 
-    with _handling((signal.SIGTERM, signal.SIGHUP), handler):
+    with handling(handler, (signal.SIGTERM, signal.SIGHUP)):
         yield
 
 
 @contextmanager
-def landing_on_interrupt(orders: Orders) -> Iterator[None]:
+def landing_on_interrupt(orders: Orders, *, at_once: bool = False) -> Iterator[None]:
     """In the block, ctrl-C, SIGTERM and SIGHUP request a landing; a second ctrl-C raises `KeyboardInterrupt`.
 
-    Only possible in the main thread; elsewhere nothing is changed.
+    `at_once`: nothing real is in the air, so even the kernel may answer a second ctrl-C. Only possible in the main
+    thread; elsewhere nothing is changed.
     """
 
     def handler(number: int, _: FrameType | None) -> None:
-        _leave_terminal(number)
         if orders.ending is not None and number == signal.SIGINT:
             raise KeyboardInterrupt
         orders.land(Ending("interrupted", ENDED[number]))
 
-    with _handling((signal.SIGINT, signal.SIGTERM, signal.SIGHUP), handler):
+    with handling(handler, kernel=at_once):
         yield
-
-
-@contextmanager
-def _handling(numbers: Iterable[int], handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    numbers = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
-    before = {number: signal.signal(number, handler) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, old in before.items():
-            signal.signal(number, old)
-
-
-def _leave_terminal(number: int) -> None:
-    """After a hang-up, write to nowhere what went to the terminal: every write there would be an error."""
-    if number != signal.SIGHUP:
-        return
-    with suppress(OSError):
-        nowhere = os.open(os.devnull, os.O_RDWR)
-        for file in (0, 1, 2):
-            if stat.S_ISCHR(os.fstat(file).st_mode):
-                os.dup2(nowhere, file)
-        os.close(nowhere)
 
 
 def readable(stream: TextIO | None) -> TextIO:
@@ -170,12 +140,14 @@ class Keyboard:
         except (OSError, ValueError):  # no file descriptor, or closed
             self._file = -1
         self._thread = threading.Thread(target=self._run, name="keyboard", daemon=True)
+        self._undo = ExitStack()
 
     def __enter__(self) -> Keyboard:
         if self._file >= 0:
             if os.isatty(self._file):
                 with suppress(termios.error):  # one that has gone meanwhile: the flight goes on without
                     self._before = termios.tcgetattr(self._file)
+                    self._undo.enter_context(undone_at_the_end(self._put_back))
                     tty.setcbreak(self._file)
             self._thread.start()
         return self
@@ -184,6 +156,10 @@ class Keyboard:
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join()
+        self._undo.close()
+        self._put_back()
+
+    def _put_back(self) -> None:
         if self._before is not None:
             with suppress(termios.error):  # a terminal that has gone
                 termios.tcsetattr(self._file, termios.TCSADRAIN, self._before)  # type: ignore[arg-type]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -47,18 +46,6 @@ class Served:
         if self.camera_url is not None:
             lines.append(f"camera at {self.camera_url}: connect with --camera {self.camera_url}")
         return "\n".join([*lines, "ctrl-C ends it"])
-
-
-@contextmanager
-def until_interrupted() -> Iterator[Callable[[], bool]]:
-    """Yields a function that is true after ctrl-C or SIGTERM; only in the main thread."""
-    asked = threading.Event()
-    before = {n: signal.signal(n, lambda *_: asked.set()) for n in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield asked.is_set
-    finally:
-        for number, old in before.items():
-            signal.signal(number, old)
 
 
 def serve_vehicle(config: SimPlan, stop: Callable[[], bool], announce: Callable[[Served], None]) -> float:

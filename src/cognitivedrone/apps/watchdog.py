@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import faulthandler
-import os
+import math
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
+from cognitivedrone.interrupts import STOPPED, end_at_once, last_resort, terminating_for_s
 from cognitivedrone.vehicles.contract import Vehicle
 
 GRACE_S = 5.0
@@ -19,6 +20,10 @@ HELD_S = 90.0
 of it have landed the drone long before."""
 HUNG = 1
 """Exit code: the rules of safety ended the flight."""
+AT_ONCE_S = 1.0
+"""For the thread that flies to end in order after a second ctrl-C, where nothing real is in the air."""
+SAFE_S = 60.0
+"""For a vehicle to be down after a second ctrl-C; its guard, a process of its own, goes on after ours has ended."""
 _CHECK_S = 0.25
 
 
@@ -31,14 +36,19 @@ class Watchdog:
         self._keep: Callable[[str], object] = lambda _: None
         self._since: float | None = None
         self._leave_at: float | None = None
+        self._opened: Vehicle | None = None
+        self._pressed_at = math.inf
         self._code = HUNG
+        self._resort = last_resort(self._press)
         self._thread = threading.Thread(target=self._run, name="watchdog", daemon=True)
 
     def __enter__(self) -> Watchdog:
         self._thread.start()
+        self._resort.__enter__()
         return self
 
     def __exit__(self, *exception: object) -> None:
+        self._resort.__exit__(None, None, None)
         self._stopping.set()
         self._thread.join()
 
@@ -49,6 +59,7 @@ class Watchdog:
         `keep` is called with the reason first: it writes what is left to write.
         """
         self._keep, self._vehicle = keep, vehicle
+        self._opened = vehicle
         try:
             yield
         finally:
@@ -57,7 +68,12 @@ class Watchdog:
 
     def leaving(self, code: int) -> None:
         """From now on only policy and reasoner are to close; the process ends with `code` where they do not."""
+        self._opened = None
         self._code, self._leave_at = code, time.monotonic() + GRACE_S
+
+    def _press(self) -> None:
+        """A second ctrl-C: end the process as soon as nothing real is in the air."""
+        self._pressed_at = min(self._pressed_at, time.monotonic())
 
     def _run(self) -> None:
         armed_at = float("-inf")
@@ -68,18 +84,32 @@ class Watchdog:
                 faulthandler.dump_traceback_later(HELD_S, exit=True, file=2)
             self._since = None if vehicle is None or not _down(vehicle) else self._since or now
             if self._since is not None and now - self._since > GRACE_S and vehicle is not None:
-                reason = f"the policy hangs; the flight had ended: {vehicle.over}"
-                with suppress(Exception):
-                    self._keep(reason)
-                _end(reason, HUNG)
+                self._end(f"the policy hangs; the flight had ended: {vehicle.over}", HUNG)
             if self._leave_at is not None and now > self._leave_at:
                 _end("the policy or the reasoner does not close", self._code)
+            if self._opened is None or self._opened.track_runner is not None:
+                if now - self._pressed_at > AT_ONCE_S:
+                    self._end("stopped at once", STOPPED)
+                if terminating_for_s() > GRACE_S and self._leave_at is None:
+                    self._end("asked to terminate, and the policy hangs", STOPPED)
+            elif now - self._pressed_at > (AT_ONCE_S if _safe(self._opened) else SAFE_S):
+                self._end("stopped at once", STOPPED)
+
+    def _end(self, reason: str, code: int) -> None:
+        """End the process; what is left to write is written, unless the thread that flies is about to."""
+        if self._vehicle is not None:
+            with suppress(Exception):
+                self._keep(reason)
+        _end(reason, code)
 
 
 def _down(vehicle: Vehicle) -> bool:
-    """Whether the vehicle is not ours to fly any more: on the ground, or flown by its pilot."""
-    if vehicle.over is None:
-        return False
+    """Whether the flight is over, and the vehicle not ours to fly any more: on the ground, or flown by its pilot."""
+    return vehicle.over is not None and _safe(vehicle)
+
+
+def _safe(vehicle: Vehicle) -> bool:
+    """Whether the vehicle is not ours to fly: on the ground, or flown by its pilot."""
     status = vehicle.status()
     return not status.armed or status.decision == "hands_off"
 
@@ -88,8 +118,7 @@ def _end(reason: str, code: int) -> None:
     """End the process now."""
     with suppress(Exception):
         sys.stdout.flush()
-        os.write(2, f"cognitivedrone: {reason}; the process is ended\n".encode())
-    os._exit(code)
+    end_at_once(f"{reason}; the process is ended", code)
 
 
 def end_lingering(before: frozenset[threading.Thread], code: int) -> None:

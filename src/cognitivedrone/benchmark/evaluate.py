@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import sys
-import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from cognitivedrone.pilot import Pilot
 from cognitivedrone.policies import make_policy
 from cognitivedrone.printable import visible
 from cognitivedrone.reasoners import NONE, make_reasoner
+from cognitivedrone.temporary import TemporaryFolder
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +82,8 @@ def evaluate(
             plan = plan.changed(workers=0)
             pilot, command = _pilot(undo, **parts), _call_of(plan)
         if plan.out is None:
-            folder = undo.enter_context(tempfile.TemporaryDirectory(prefix="cognitivedrone-"))
-            plan = plan.changed(out=Path(folder) / "run", clips=0)
+            folder = undo.enter_context(TemporaryFolder())
+            plan = plan.changed(out=folder / "run", clips=0)
         return Evaluation(run(plan, progress=progress, pilot=pilot, command=command))
 
 

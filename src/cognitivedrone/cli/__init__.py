@@ -15,16 +15,19 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from typing import Any, NoReturn
 
 import tyro
 
 from cognitivedrone.cli.streams import prepare_streams
-from cognitivedrone.errors import CognitiveDroneError, UsageError, did_you_mean, plain_warnings
+from cognitivedrone.errors import CognitiveDroneError, MissingExtra, UsageError, did_you_mean, plain_warnings
 from cognitivedrone.files import reason_of
+from cognitivedrone.interrupts import STOPPED, ending_in_order, was_asked
 from cognitivedrone.printable import message, wrapped
 from cognitivedrone.processes import SAFE_PATH
 from cognitivedrone.ranges import check_arguments, check_words
+from cognitivedrone.shortages import way_out_of
 from cognitivedrone.usage_reports import switch_off
 
 PROGRAM = "cognitivedrone"
@@ -94,9 +97,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         # Our own Python processes must not import modules that happen to lie in the current folder, such as json.py.
         os.environ.setdefault(SAFE_PATH, "1")
     try:
-        _run(list(sys.argv[1:] if arguments is None else arguments))
+        # In a process of somebody else's, the signals are not ours.
+        _run(*((sys.argv[1:], ending_in_order) if arguments is None else (list(arguments), contextlib.nullcontext)))
         sys.stdout.flush()  # a full disk behind it shows up here, not after the last line
     except CognitiveDroneError as error:
+        if isinstance(error, MissingExtra) and _was_stopped(error):
+            _end("stopped", STOPPED)
         _end(str(error), error.exit_code)
     except BrokenPipeError:
         _drop_output()  # the reader of the output has closed it
@@ -104,14 +110,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except OSError as error:
         place = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
         _drop_output()
-        _end(f"{place}{reason_of(error)}; check the free space and the permissions")
+        _end(f"{place}{reason_of(error)}; {way_out_of(error) or 'check the free space and the permissions'}")
+    except MemoryError as error:
+        _end(f"there is not enough memory; {way_out_of(error)}")
     except KeyboardInterrupt as stop:
-        _report(str(stop) or "stopped")
-        sys.exit(130)
+        _end(str(stop) or "stopped", STOPPED)
     except Exception as error:
-        if isinstance(error, ImportError) and isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
-            _report("stopped")  # ctrl-C while a compiled module was being loaded, which then fails
-            sys.exit(130)
+        if _was_stopped(error):
+            _end("stopped", STOPPED)  # ctrl-C in foreign code, such as a compiled module being loaded, which then fails
         _drop_output()
         _end(_unexpected(error), UNEXPECTED)
 
@@ -131,7 +137,16 @@ def _unexpected(error: Exception) -> str:
     return f"{sentence}; please report it, with the traceback that is in {file.name}"
 
 
-def _run(arguments: list[str]) -> None:
+def _was_stopped(error: BaseException) -> bool:
+    """Whether an error is what became of Ctrl-C."""
+    causes = [error]
+    while (cause := causes[-1].__cause__ or causes[-1].__context__) is not None and cause not in causes:
+        causes.append(cause)
+    return was_asked() or any(isinstance(cause, KeyboardInterrupt) for cause in causes)
+
+
+def _run(arguments: list[str], ending: Callable[[], AbstractContextManager[None]]) -> None:
+    """Run a command; `ending` makes the context in which signals end it."""
     if not arguments or arguments[0] in ("-h", "--help"):
         print(help_text())  # noqa: T201
         return
@@ -149,16 +164,17 @@ def _run(arguments: list[str]) -> None:
         command.__doc__ = command.__doc__.replace(":\n\n", ":\n")  # of which tyro's help would make two blank lines
     words = arguments[len(name.split()) :]
     check_words(words)
-    tyro.cli(_checked(command), prog=f"{PROGRAM} {name}", args=words)
+    tyro.cli(_checked(command, ending), prog=f"{PROGRAM} {name}", args=words)
 
 
-def _checked(command: Callable[..., None]) -> Callable[..., None]:
+def _checked(command: Callable[..., None], ending: Callable[[], AbstractContextManager[None]]) -> Callable[..., None]:
     """The command, which begins once its arguments are in their ranges."""
 
     @functools.wraps(command)
     def begin(*values: Any, **named: Any) -> None:
         check_arguments(command, inspect.signature(command).bind(*values, **named).arguments)
-        command(*values, **named)
+        with ending():
+            command(*values, **named)
 
     return begin
 

@@ -26,7 +26,8 @@ OUTCOMES = ("passed", "failed", "skipped")
 def fly(plan: Annotated[Flat[FlyPlan], tyro.conf.arg(name="")]) -> None:
     """Fly a drone by an instruction, in real time: our simulator, ArduPilot SITL or a vehicle over MAVLink.
 
-    During the flight, type a new instruction, or "land"; ctrl-C lands, too. Steps, events and a film are recorded. Exit
+    During the flight, type a new instruction, or "land"; ctrl-C lands, too, and a second one ends the command once the
+    drone is safe. Steps, events and a film are recorded. Exit
     code 0: through the right gate or one that only you can judge, declined rightly, or landed by order; 1: any other
     end; 130: ctrl-C. Examples:
 
@@ -89,9 +90,10 @@ def sim(plan: Annotated[Flat[SimPlan], tyro.conf.arg(name="")]) -> None:
 
       cognitivedrone sim --mavlink --camera-port 8090 --suite open-v1:test --episode 3
     """
-    from cognitivedrone.apps.vehicle import serve_vehicle, until_interrupted
+    from cognitivedrone.apps.vehicle import serve_vehicle
+    from cognitivedrone.interrupts import until_asked
 
-    with until_interrupted() as stop:
+    with until_asked() as stop:
         lost = serve_vehicle(plan, stop, lambda served: print(wrapped(str(served), sys.stdout), flush=True))  # noqa: T201
     print(f"stopped; the vehicle fell {lost:.1f} s behind the clock")  # noqa: T201
 

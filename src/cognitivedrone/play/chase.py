@@ -13,7 +13,7 @@ import PIL.Image
 
 from cognitivedrone.errors import CognitiveDroneError, RenderError
 from cognitivedrone.film.frame import Scene
-from cognitivedrone.processes import starting
+from cognitivedrone.processes import end_with_parent, starting
 from cognitivedrone.sim.airframe import Airframe
 from cognitivedrone.sim.chase import LIVE_SIZE, ChaseView
 from cognitivedrone.types import FloatArray, Image
@@ -74,6 +74,7 @@ def jpeg(image: Image) -> bytes:
 
 def _draw(pipe: Connection, airframe: Airframe) -> None:
     """The process: answers scenes and poses until the pipe is closed."""
+    end_with_parent()
     if hasattr(os, "nice"):
         os.nice(_NICENESS)
     view: ChaseView | None = None

@@ -12,7 +12,6 @@ import faulthandler
 import multiprocessing
 import os
 import signal
-import tempfile
 import time
 import traceback
 from abc import ABC, abstractmethod
@@ -26,10 +25,13 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 from cognitivedrone.errors import CognitiveDroneError, RunError, plain_warnings
-from cognitivedrone.processes import starting
+from cognitivedrone.processes import end_with_parent, starting
+from cognitivedrone.temporary import TemporaryFolder
 
 JOIN_TIMEOUT_S = 5.0
 """Time that a worker may take to exit, s."""
+STOP_S = 1.0
+"""Time that all workers together may take to exit where the work is stopped: they have nothing to write, s."""
 POLL_S = 0.2
 """Period of the check for hanging calls, s."""
 FROM_OUTSIDE = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -224,7 +226,7 @@ class ProcessPool(Pool[Item, Answer]):
         self._work = work
         self.size = workers
         self._context = multiprocessing.get_context("spawn")
-        self._folder = tempfile.TemporaryDirectory(prefix="cognitivedrone-")
+        self._folder = TemporaryFolder()
         self._hired = 0
         self._workers: list[_Worker] = []
         try:
@@ -238,7 +240,7 @@ class ProcessPool(Pool[Item, Answer]):
         """A new worker process."""
         self._hired += 1
         began = self._context.RawValue(c_double, 0.0)
-        file = Path(self._folder.name) / f"worker-{self._hired}.txt"
+        file = self._folder.path / f"worker-{self._hired}.txt"
         ours, theirs = self._context.Pipe()
         process = self._context.Process(target=_work, args=(theirs, began, file, self._work), daemon=True)
         with starting():  # without ctrl-C: this process shuts them down in order
@@ -345,24 +347,31 @@ class ProcessPool(Pool[Item, Answer]):
         """As `Pool.close`."""
         for worker in self._workers:
             worker.connection.close()
-        for worker in self._workers:
-            worker.process.join(JOIN_TIMEOUT_S)
+        self._join(JOIN_TIMEOUT_S)
         self.stop()
 
     def stop(self) -> None:
         """As `Pool.stop`."""
         for worker in self._workers:
             worker.process.terminate()
+        self._join(STOP_S)
         for worker in self._workers:
-            worker.process.join(JOIN_TIMEOUT_S)
-            worker.process.kill()
+            worker.process.kill()  # one that does not hear SIGTERM
             worker.connection.close()
-        self._folder.cleanup()
+        self._join(JOIN_TIMEOUT_S)
+        self._folder.close()
+
+    def _join(self, timeout_s: float) -> None:
+        """Wait until all workers have ended, together at most that long."""
+        until = time.monotonic() + timeout_s
+        for worker in self._workers:
+            worker.process.join(max(0.0, until - time.monotonic()))
 
 
 @plain_warnings()
 def _work(connection: Connection, began: Any, crash_file: Path, work: Work[Any, Any]) -> None:
     """Main function of a worker process: make a worker, do the items that come, exit when the stream ends."""
+    end_with_parent()
     with crash_file.open("w") as crashes:
         faulthandler.enable(crashes)
         faulthandler.register(signal.SIGUSR1, crashes)

@@ -18,8 +18,10 @@ from typing import Any
 
 from cognitivedrone.cluster import ray_cluster
 from cognitivedrone.errors import CognitiveDroneError, RunError
+from cognitivedrone.printable import visible
 from cognitivedrone.rollout.pool import JOIN_TIMEOUT_S, Answer, Item, Pool, ProcessPool, Work, WorkerCrash, WorkerLost
 
+_LONGEST = 300  # characters of Ray's own text
 LOSSES = 3
 """An item that has cost so many actors ends the work: it is probably the cause."""
 
@@ -103,19 +105,21 @@ class RayPool(Pool[Item, Answer]):
     def ready(self) -> None:
         """As `Pool.ready`."""
         lost = Counter[str]()
-        while not self._idle:
-            self._receive(lost)
+        with _own_words():
+            while not self._idle:
+                self._receive(lost)
 
     def fly(self, items: Sequence[Item]) -> Iterator[tuple[Answer, str]]:
-        """As `Pool.fly`. Raises `RunError` if an item loses its actor several times."""
+        """As `Pool.fly`. Raises `RunError` if an item loses its actor several times, or the cluster itself fails."""
         todo = deque(items)
         left = len(todo)
         lost = Counter[str]()
         while left:
-            while todo and self._idle:
-                actor, item = self._idle.pop(), todo.popleft()
-                self._pending[actor.fly.remote(item)] = actor, item
-            lost_item, answers = self._receive(lost)
+            with _own_words():  # not around what the caller does with the answers
+                while todo and self._idle:
+                    actor, item = self._idle.pop(), todo.popleft()
+                    self._pending[actor.fly.remote(item)] = actor, item
+                lost_item, answers = self._receive(lost)
             if answers is not None:
                 left -= 1
                 yield from answers
@@ -133,9 +137,9 @@ class RayPool(Pool[Item, Answer]):
         try:
             answers = self._ray.get(message)
         except errors.RayTaskError as raised:
-            if not isinstance(raised.cause, WorkerLost):
+            if not isinstance(raised.cause, (WorkerLost, errors.RayError)):
                 raise _cause(raised) from None
-            loss: Exception = raised.cause
+            loss: Exception = raised.cause  # of the worker, or of the node that it was on
         except errors.RayError as error:
             loss = error
         else:
@@ -168,9 +172,22 @@ class RayPool(Pool[Item, Answer]):
 
     def stop(self) -> None:
         """As `Pool.stop`; leaves the cluster as it was found."""
-        for actor in [*self._idle, *(actor for actor, _ in self._pending.values())]:
-            self._ray.kill(actor)
-        self._stack.close()
+        with contextlib.suppress(Exception):  # of a cluster that has failed: another error is on its way
+            for actor in [*self._idle, *(actor for actor, _ in self._pending.values())]:
+                self._ray.kill(actor)
+            self._stack.close()
+
+
+@contextlib.contextmanager
+def _own_words() -> Iterator[None]:
+    """Turn what Ray raises, such as when a node's agent was killed, into a `RunError` with the way out."""
+    try:
+        yield
+    except CognitiveDroneError:
+        raise
+    except Exception as error:
+        reason = visible(" ".join(f"{type(error).__name__}: {error}".split())[:_LONGEST])
+        raise RunError(f"the Ray cluster has failed; continue with --resume once it is up again ({reason})") from error
 
 
 def _room(ray: Any, cpus: int, gpus: float) -> int:

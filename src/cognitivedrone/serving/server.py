@@ -13,6 +13,7 @@ import uvicorn
 
 from cognitivedrone.errors import ServerError
 from cognitivedrone.files import reason_of
+from cognitivedrone.interrupts import until_asked
 from cognitivedrone.pilot import open_pilot
 from cognitivedrone.remote.connection import keep_alive
 from cognitivedrone.serving.access import token_of
@@ -53,7 +54,23 @@ def serve(plan: ServePlan, ready: Callable[[Address], None], stop: threading.Eve
         listening = stack.enter_context(contextlib.closing(_listen(plan)))
         served = Served(plan.pilot, stack.enter_context(open_pilot(plan.pilot)))
         address = Address(plan.bare_host, listening.getsockname()[1], token is not None)
-        asyncio.run(_run(plan, served, token, listening, lambda: ready(address), stop))
+        with until_asked() as asked:
+            asyncio.run(_run(plan, served, token, listening, lambda: ready(address), _either(stop, asked)))
+        if asked():
+            raise KeyboardInterrupt
+
+
+def _either(stop: threading.Event | None, asked: Callable[[], bool]) -> Callable[[], bool]:
+    return lambda: asked() or (stop is not None and stop.is_set())
+
+
+class _Server(uvicorn.Server):
+    """Leaves the signals to us: uvicorn would raise those that it has handled once more at its end."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Do nothing."""
+        yield
 
 
 @contextlib.contextmanager
@@ -109,12 +126,12 @@ async def _run(
     token: str | None,
     listening: socket.socket,
     ready: Callable[[], None],
-    stop: threading.Event | None,
+    stop: Callable[[], bool],
 ) -> None:
     application = PolicyServer(served, plan.limits, token)
     admission = Admission(plan.limits, token)
     http, websocket = limited(admission)
-    server = uvicorn.Server(
+    server = _Server(
         uvicorn.Config(
             application.app,
             http=http,
@@ -137,7 +154,7 @@ async def _run(
         if not running.done():
             ready()
         while not running.done():
-            server.should_exit = server.should_exit or (stop is not None and stop.is_set())
+            server.should_exit = server.should_exit or stop()
             await asyncio.wait([running], timeout=0.1)
         await running
     finally:

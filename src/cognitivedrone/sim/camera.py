@@ -55,7 +55,7 @@ class Cameras:
             thread = GLThread(size, size, display=index % 2)
             self._threads.append(thread)
             owned = len(range(index, slots, threads))
-            self._renderers.append(thread.call(partial(_Renderer, owned, size)).result())
+            self._renderers.append(thread.keep(thread.call(partial(_Renderer, owned, size)).result()))
 
     def __enter__(self) -> Cameras:
         return self
@@ -255,7 +255,7 @@ def _aspect(image: NDArray[np.uint8]) -> float:
 
 def _close(threads: list[GLThread], renderers: list[_Renderer]) -> None:
     for thread, renderer in zip(threads, renderers, strict=False):
-        thread.call(renderer.free).result()
+        thread.release(renderer)
     renderers.clear()
     for thread in threads:
         thread.stop()

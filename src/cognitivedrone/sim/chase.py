@@ -89,7 +89,7 @@ class ChaseView:
     def close(self) -> None:
         """Free the OpenGL context; may be called repeatedly."""
         if self._finalizer.alive and self._renderer is not None:
-            self._thread.call(self._renderer.free).result()
+            self._thread.release(self._renderer)
             self._renderer = None
         self._finalizer()
 
@@ -99,8 +99,8 @@ class ChaseView:
             raise RenderError("this view is closed; make a new one.")
         made = partial(_Renderer, stage, scenery, self.size, self._airframe, self._samples)
         if self._renderer is not None:
-            self._thread.call(self._renderer.free).result()
-        self._renderer = self._thread.call(made).result()
+            self._thread.release(self._renderer)
+        self._renderer = self._thread.keep(self._thread.call(made).result())
 
     def cut(self) -> None:
         """Begin the next frame behind the drone, wherever the camera is now: for a new flight."""

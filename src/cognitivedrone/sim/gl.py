@@ -8,6 +8,7 @@ its children. A user's own `MUJOCO_GL` takes precedence.
 from __future__ import annotations
 
 import atexit
+import ctypes
 import importlib
 import os
 import re
@@ -15,6 +16,7 @@ import signal
 import subprocess
 import sys
 import threading
+import weakref
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
@@ -26,6 +28,7 @@ from typing import Any, Final, TypeVar
 from cognitivedrone.errors import RenderError
 from cognitivedrone.printable import visible
 from cognitivedrone.processes import environment
+from cognitivedrone.shortages import tight_limit, way_out_of
 
 BACKENDS: Final = ("egl", "osmesa")
 _REMEMBERED: Final = "COGNITIVEDRONE_GL"
@@ -41,6 +44,7 @@ print("renderer:", GL.glGetString(GL.GL_RENDERER).decode())
 context.free()
 """
 _PROBE_S: Final = 120.0
+_TOO_SLOW: Final = f"its test did not end within {_PROBE_S:g} s"
 _LINES: Final = 3
 _LONGEST: Final = 400  # characters of somebody else's error
 _STEERING: Final = re.compile(
@@ -160,9 +164,11 @@ class GLThread:
         self._jobs: SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None] = SimpleQueue()
         self._process = os.getpid()
         self._stopped = False
+        self._kept: list[object] = []
         self._thread = threading.Thread(target=_serve, args=(self._jobs,), name="cognitivedrone-gl", daemon=True)
         self._thread.start()
         self._context = self.call(partial(_thread_context, chosen, width, height, display)).result()
+        _threads.add(self)
         # Registered after MuJoCo's own handler, so it runs first: contexts are freed before the display.
         atexit.register(self.stop)
 
@@ -176,6 +182,17 @@ class GLThread:
         self._jobs.put((job, future))
         return future
 
+    def keep(self, made: T) -> T:
+        """What was made in the context, unchanged; a forked child, which has no such thread, will never free it."""
+        self._kept.append(made)
+        return made
+
+    def release(self, made: Any) -> None:
+        """Run `free()` of what is kept, in the thread; a forked child has nothing to free, and nothing is done."""
+        if os.getpid() == self._process:
+            self.call(made.free).result()
+            self._kept = [kept for kept in self._kept if kept is not made]
+
     def stop(self) -> None:
         """Free the context and end the thread, once."""
         if self._stopped or os.getpid() != self._process:
@@ -184,8 +201,36 @@ class GLThread:
         self._stopped = True
         self._jobs.put(None)
         self._thread.join()
+        self._kept.clear()
         atexit.unregister(self.stop)
         freed.result()
+
+    def abandon(self) -> None:
+        """In a forked child: let nothing of it ever be freed, not even at the end of the process, which would crash."""
+        for made in (self._context, *self._kept):
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(made))
+
+
+_threads: weakref.WeakSet[GLThread] = weakref.WeakSet()
+
+
+def _in_a_forked_child() -> None:
+    """Keep the child from freeing what is its parent's, now and at its end.
+
+    At the end of a process, Mesa waits for its own threads, which a child has not, and crashes: there the C library's
+    functions for the end, from outside Python, are left out.
+    """
+    if _chosen is None:
+        return
+    for thread in _threads:
+        thread.abandon()
+    library = ctypes.CDLL(None)
+    if hasattr(library, "on_exit"):  # they are called in reverse: the output of C is still written
+        library.on_exit(library._exit, None)
+        library.__cxa_atexit(library.fflush, None, None)
+
+
+os.register_at_fork(after_in_child=_in_a_forked_child)
 
 
 def _thread_context(chosen: Backend, width: int, height: int, display: int) -> Any:
@@ -240,7 +285,7 @@ def _probe(name: str, without: Collection[str] = ()) -> str:
             env=variables,
         )
     except subprocess.TimeoutExpired:
-        raise RenderError(f"it did not start within {_PROBE_S:g} s") from None
+        raise RenderError(_TOO_SLOW) from None
     except OSError as error:
         raise RenderError(_one_line(error)) from None
     found = [line.removeprefix("renderer:").strip() for line in child.stdout.splitlines() if "renderer:" in line]
@@ -259,6 +304,10 @@ def _one_line(error: object) -> str:
 def _advice(failures: Mapping[str, str], install: str) -> str:
     """What OpenGL itself says, and the way out: variables without which it starts, or else its installation."""
     reasons = "; ".join(f"{name}: {reason}" for name, reason in failures.items())
+    if _TOO_SLOW in failures.values():
+        return f"it is not known whether OpenGL starts ({reasons}), as on a machine that is busy or swaps; try again"
+    if way_out := way_out_of(reasons) or tight_limit():
+        return f"OpenGL does not start ({reasons}); {way_out}"
     steering = [name for name in os.environ if _STEERING.match(name) and not _is_ours(name)]
     if guilty := _guilty(failures, steering):
         shown = " and ".join(_shown(name) for name in guilty)

@@ -12,10 +12,13 @@ from pathlib import Path
 import tyro
 
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
+from cognitivedrone.processes import end_with_starter
 from cognitivedrone.training.config import TrainPlan
 from cognitivedrone.training.processes import fail, run_processes
 from cognitivedrone.training.recipes import find_recipe
 from cognitivedrone.training.trainer.training_task import Given, Recipe
+
+LAUNCHER = "cognitivedrone.training.processes"
 
 
 def run(plan: TrainPlan) -> Path:
@@ -35,7 +38,7 @@ def run(plan: TrainPlan) -> Path:
 
 def command_of(plan: TrainPlan) -> list[str]:
     """The command that starts all processes of a training run on this machine."""
-    launcher = ["cognitivedrone.training.processes", "--standalone", "--nproc-per-node", str(plan.processes)]
+    launcher = [LAUNCHER, "--standalone", "--nproc-per-node", str(plan.processes)]
     # Without the separating dashes, the launcher would read --start as an abbreviation of its own flag.
     return [sys.executable, "-m", *launcher, "-m", "--", __name__, *plan.words()]
 
@@ -84,6 +87,7 @@ def _work(plan: TrainPlan) -> Path:
 
 def main() -> None:
     """Entry point of a process of a distributed training."""
+    end_with_starter()  # one that goes on would write beside its successor
     try:
         _work(tyro.cli(TrainPlan))
     except CognitiveDroneError as error:

@@ -10,31 +10,48 @@ import logging
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
 
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
 from cognitivedrone.printable import message
-from cognitivedrone.processes import environment
+from cognitivedrone.processes import end_with_starter, environment, starter, starting
+from cognitivedrone.temporary import TemporaryFolder
 
 ERROR_FILE = "COGNITIVEDRONE_TRAINING_ERROR"
 """The variable that names the file."""
+END_S = 40.0
+"""For PyTorch's launcher to end the processes: it kills after 30 s what SIGTERM has not ended."""
 USAGE = 2
 """Exit code of a process that met a user's error."""
 
 
 def run_processes(command: Sequence[str]) -> None:
-    """Run the command that starts the processes until they end; raises TrainingError if one failed."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "error"
-        variables = {"OMP_NUM_THREADS": "1", **environment(), ERROR_FILE: str(file)}
-        done = subprocess.run(command, env=variables, check=False)  # noqa: S603
+    """Run the command that starts the processes until they end; raises TrainingError if one failed.
+
+    They end with this call, with an exception in it, and with this process, however that ends.
+    """
+    with TemporaryFolder("training") as folder:
+        file = folder / "error"
+        variables = {"OMP_NUM_THREADS": "1", **environment(), **starter(), ERROR_FILE: str(file)}
+        with starting():  # without ctrl-C: this process shuts them down in order
+            process = subprocess.Popen(command, env=variables)  # noqa: S603
+        try:
+            code = process.wait()
+        except BaseException:
+            process.terminate()
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(END_S)
+            raise
+        finally:
+            process.kill()
+            process.wait()
         if file.is_file():
             raise TrainingError(file.read_text(encoding="utf-8"))
-    if done.returncode:
-        raise TrainingError(f"the training ended with exit code {done.returncode}; its messages are above")
+    if code:
+        raise TrainingError(f"the training ended with exit code {code}; its messages are above")
 
 
 def fail(error: CognitiveDroneError) -> NoReturn:
@@ -50,12 +67,19 @@ def fail(error: CognitiveDroneError) -> NoReturn:
 
 def main() -> None:
     """PyTorch's launcher; of a process that met a user's error it says nothing more."""
+    from torch.distributed.elastic.multiprocessing.api import SignalException
     from torch.distributed.elastic.multiprocessing.errors import ChildFailedError
     from torch.distributed.run import main as launch
 
+    end_with_starter()
+    os.environ.update(starter())  # of the processes that it starts
     logging.disable(logging.ERROR)  # what it logs of a failed process stands in its last message too
+    # Without a folder, it makes one among the temporary files and leaves it there.
+    folder = ["--log-dir", str(Path(os.environ[ERROR_FILE]).parent)] if ERROR_FILE in os.environ else []
     try:
-        launch()
+        launch([*folder, *sys.argv[1:]])
+    except SignalException as stop:
+        sys.exit(128 + stop.sigval)
     except ChildFailedError as error:
         if error.get_first_failure()[1].exitcode != USAGE:
             raise

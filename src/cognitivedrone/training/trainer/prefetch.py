@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import queue
-import threading
 import time
 from collections.abc import Callable, Iterator, MutableSequence
 from pathlib import Path
@@ -14,7 +12,7 @@ import torch
 from torch import nn
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.processes import starting
+from cognitivedrone.processes import end_with_parent, starting
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.trainer.training_task import Batch, TrainingTask, Watched
 
@@ -95,7 +93,7 @@ def _generate(
     first_round: int,
 ) -> None:
     """Fill the queue, round by round, until the training run is complete."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent()
     torch.set_num_threads(1)
     schedule, batches_of, network = training_task.recipe, training_task.batches(), training_task.network()
     learner = training_task.learner(network)
@@ -112,14 +110,6 @@ def _generate(
         batches = batches_of((seed, rank, round_), learner if flown else None)
         for _ in range(min(schedule.round_steps, schedule.steps - round_ * schedule.round_steps)):
             out_queue.put(next(batches))
-
-
-def _end_with_parent() -> None:
-    """End this process with its parent: otherwise it would wait at the full queue forever after a kill."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def _load(network: nn.Module, path: Path) -> None:

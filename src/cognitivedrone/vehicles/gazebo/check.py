@@ -11,12 +11,12 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from cognitivedrone.errors import GazeboError
+from cognitivedrone.temporary import TemporaryFolder
 
 COMMANDS = ("gz", "ign")
 LIBRARIES = tuple(f"sdformat{major}" for major in range(16, 11, -1))
@@ -72,9 +72,9 @@ def _problem(checker: Checker, file: Path) -> str:
     The parser skips unknown elements and mentions them only in the log that it writes into the home folder; here they
     are errors, too.
     """
-    with tempfile.TemporaryDirectory() as home:
+    with TemporaryFolder("home") as home:
         done = _ran((*checker.command, str(file)), home)
-        logs = [path.read_text(encoding="utf-8", errors="replace") for path in Path(home).rglob("*.log")]
+        logs = [path.read_text(encoding="utf-8", errors="replace") for path in home.rglob("*.log")]
     output = done.stderr.strip()
     if done.returncode and not output:
         output = done.stdout.strip() or f"exit code {done.returncode}"
@@ -82,10 +82,15 @@ def _problem(checker: Checker, file: Path) -> str:
     return " ".join((output or "\n".join(dict.fromkeys(unknown))).split())
 
 
-def _ran(command: Sequence[str], home: str) -> subprocess.CompletedProcess[str]:
+def _ran(command: Sequence[str], home: Path) -> subprocess.CompletedProcess[str]:
     try:
         return subprocess.run(  # noqa: S603 - a fixed command, with the file as a single argument
-            command, check=False, capture_output=True, text=True, timeout=_LIMIT_S, env={**os.environ, "HOME": home}
+            command,
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=_LIMIT_S,
+            env={**os.environ, "HOME": str(home)},
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise GazeboError(f"cannot run {command[0]}: {error}; is libsdformat installed completely?") from None

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -13,6 +11,7 @@ import numpy as np
 from cognitivedrone.control.health import Health
 from cognitivedrone.control.safety import Decision, Order, SafetyConfig, order
 from cognitivedrone.errors import LinkError
+from cognitivedrone.temporary import TemporaryFolder
 from cognitivedrone.types import Action
 from cognitivedrone.vehicles.contract import Request
 from cognitivedrone.vehicles.external import ExternalWorld
@@ -51,7 +50,7 @@ def open_gazebo(
     the camera sends no frames.
     """
     with ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cognitivedrone-gazebo-")))
+        folder = stack.enter_context(TemporaryFolder("gazebo"))
         world = stack.enter_context(GazeboWorld(folder, config, bindings))
         path = world.path()
         stack.callback(path.close)

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from cognitivedrone.sim.camera import Cameras
 from cognitivedrone.sim.drone_world import Scenery, Start
 from cognitivedrone.sim.dynamics import Flight
 from cognitivedrone.sim.gl import renderer_name
+from cognitivedrone.temporary import TemporaryFolder
 from cognitivedrone.types import Action, DroneState, FloatArray, Image, Observation, Stage, Track
 from cognitivedrone.vehicles import autopilot_file
 from cognitivedrone.vehicles.camera import Shot
@@ -138,7 +138,7 @@ class GuardedSitl:
         source.look(0.0)
         server = self._undo.enter_context(SitlServer(plant, instance=safety.sitl_instance, control=source.look))
         self._undo.enter_context(serving(server))
-        folder = request.folder or Path(self._undo.enter_context(TemporaryDirectory(prefix="cognitivedrone-sitl-")))
+        folder = request.folder or self._undo.enter_context(TemporaryFolder("sitl"))
         folder.mkdir(parents=True, exist_ok=True)
         autopilot = self._undo.enter_context(
             ArduCopter(

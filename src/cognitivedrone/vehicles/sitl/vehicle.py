@@ -6,7 +6,6 @@ in its inbox before its next step begins, so a flight does not depend on how lon
 
 from __future__ import annotations
 
-import tempfile
 import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -17,6 +16,7 @@ from cognitivedrone.control.health import Health
 from cognitivedrone.control.safety import Decision, Order
 from cognitivedrone.errors import LinkError, RunError
 from cognitivedrone.sim.airframe import IRIS, Airframe
+from cognitivedrone.temporary import TemporaryFolder
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.camera import Shot
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
@@ -81,7 +81,7 @@ class SitlVehicle:
     def __init__(self, binary: Path, airframe: Airframe = IRIS) -> None:
         self.plant = Plant(airframe)
         with ExitStack() as undo:
-            folder = Path(undo.enter_context(tempfile.TemporaryDirectory(prefix="cognitivedrone-sitl-")))
+            folder = undo.enter_context(TemporaryFolder("sitl"))
             self._server, instance = open_server(self.plant)
             undo.callback(self._server.close)
             self._autopilot = undo.enter_context(

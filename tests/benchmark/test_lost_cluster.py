@@ -1,0 +1,138 @@
+"""A Ray cluster that fails, or a node of it, played without Ray: a sentence with the way out, not Ray's text."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from cognitivedrone.errors import RunError
+from cognitivedrone.rollout import ray_pool
+from cognitivedrone.rollout.ray_pool import LOSSES, RayPool
+
+
+class RayError(Exception):
+    """Ray's own."""
+
+
+class RayTaskError(RayError):
+    """What an actor raised."""
+
+    def __init__(self, cause: Exception) -> None:
+        super().__init__("Ray's own text\n of several lines")
+        self.cause = cause
+
+
+class PlayedRay:
+    """As much of Ray as a pool uses; `answer` makes the answer of a call of an actor's method."""
+
+    exceptions = SimpleNamespace(RayError=RayError, RayTaskError=RayTaskError)
+
+    def __init__(self, answer: Callable[[str, object], object]) -> None:
+        self.actors = 0
+        self._answer = answer
+
+    def nodes(self) -> list[dict[str, Any]]:
+        return [{"Alive": True, "Resources": {"CPU": 1.0}}]
+
+    def put(self, thing: object) -> object:
+        return thing
+
+    def remote(self, **_: object) -> Callable[[type], Any]:
+        def made(*_: object) -> SimpleNamespace:
+            self.actors += 1
+            return SimpleNamespace(
+                **{name: SimpleNamespace(remote=self._called(name)) for name in ("open", "fly", "close")}
+            )
+
+        return lambda _: SimpleNamespace(remote=made)
+
+    def _called(self, name: str) -> Callable[..., object]:
+        return lambda *arguments: (name, *arguments)
+
+    def wait(self, messages: list[Any], **_: object) -> tuple[list[Any], list[Any]]:
+        return messages[:1], messages[1:]
+
+    def get(self, message: tuple[str, ...]) -> object:
+        return self._answer(message[0], message[-1])
+
+    def kill(self, actor: object) -> None:
+        if self._answer("kill", None) == "fails":
+            raise RayError("no cluster")
+
+
+@pytest.fixture
+def play(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[str, object], object]], PlayedRay]:
+    """Plays a cluster that answers so."""
+
+    def playing(answer: Callable[[str, object], object]) -> PlayedRay:
+        ray = PlayedRay(answer)
+
+        @contextlib.contextmanager
+        def cluster(_: object) -> Iterator[PlayedRay]:
+            yield ray
+
+        monkeypatch.setattr(ray_pool, "ray_cluster", cluster)
+        return ray
+
+    return playing
+
+
+def pool() -> RayPool[int, str]:
+    work: Any = SimpleNamespace(title=lambda item: f"episode {item}")
+    return RayPool(work, 1, 1)
+
+
+def test_what_ray_itself_raises_is_one_sentence_with_the_way_out(play) -> None:
+    def answer(name: str, _: object) -> object:
+        if name == "fly":
+            raise RuntimeError("The node with node id: 12ab\nhas been marked dead because the agent failed")
+        return "fails" if name == "kill" else None
+
+    play(answer)
+    with (
+        pytest.raises(
+            RunError, match=r"^the Ray cluster has failed; continue with --resume .* \(RuntimeError: The node"
+        ),
+        pool() as flying,
+    ):
+        list(flying.fly([1, 2]))
+
+
+def test_an_episode_on_a_node_that_fails_is_flown_again(play) -> None:
+    failed: list[object] = []
+
+    def answer(name: str, item: object) -> object:
+        if name == "fly" and not failed:
+            failed.append(item)
+            raise RayTaskError(RayError("the agent of this node has died"))
+        return [(f"flown {item}", "")] if name == "fly" else None
+
+    ray = play(answer)
+    with pool() as flying:
+        assert sorted(flying.fly([1, 2])) == [("flown 1", ""), ("flown 2", "")]
+    assert ray.actors == 2
+
+
+def test_one_that_fails_on_every_node_ends_the_run_with_the_way_out(play) -> None:
+    def answer(name: str, _: object) -> object:
+        if name == "fly":
+            raise RayTaskError(RayError("the agent of this node has died"))
+        return None
+
+    play(answer)
+    says = f"episode 1 has lost its worker {LOSSES} times; continue with --resume"
+    with pytest.raises(RunError, match=says), pool() as flying:
+        list(flying.fly([1]))
+
+
+def test_no_node_that_opens_a_worker_ends_it_too(play) -> None:
+    def answer(name: str, _: object) -> object:
+        raise RayError("the agent of this node has died")
+
+    play(lambda name, item: None if name == "kill" else answer(name, item))
+    with pytest.raises(RunError, match="no worker of the Ray cluster becomes ready; continue with --resume"), pool():
+        pass

@@ -1,0 +1,40 @@
+"""Signals to another process, in step with it: by what the kernel tells of it, not by time."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+from waiting import soon
+
+LIMIT_S = 60.0  # of a machine that is busy with other things
+
+
+def press(pid: int, number: int = signal.SIGINT) -> None:
+    """Send a signal, and wait until it has been delivered: two of a kind that wait together would be one."""
+    os.kill(pid, number)
+    soon(lambda: not (runs(pid) and _has(pid, "ShdPnd", number)), LIMIT_S)
+
+
+def handles(pid: int, number: int = signal.SIGINT) -> bool:
+    """Whether the process has a handler of its own for a signal; else the kernel ends it."""
+    return _has(pid, "SigCgt", number)
+
+
+def runs(pid: int) -> bool:
+    """Whether there is such a process, and it has not ended."""
+    state = _facts(pid).get("State", "X")
+    return state[0] not in "XZ"
+
+
+def _has(pid: int, which: str, number: int) -> bool:
+    return bool(int(_facts(pid).get(which, "0"), 16) & 1 << (number - 1))
+
+
+def _facts(pid: int) -> dict[str, str]:
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except OSError:
+        return {}
+    return {name: value.strip() for name, _, value in (line.partition(":") for line in lines)}
