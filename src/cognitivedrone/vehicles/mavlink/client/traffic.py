@@ -52,10 +52,14 @@ class Traffic:
     commander_at: float = -math.inf
     impostor_at: float = -math.inf
     """When somebody else last sent as the vehicle."""
+    impostor: str = ""
+    """By what that was noticed, as a description."""
     ignored: int = 0
     """Messages of neither the vehicle nor anybody who matters."""
     broken: int = 0
     """Pieces of bytes that are no message."""
+    dropped: int = 0
+    """Packets that were too many to be decoded, and not needed."""
 
     @property
     def masks(self) -> tuple[tuple[int, int], ...]:

@@ -134,7 +134,7 @@ class GuardedDrone:
         """Why the flight is over, once it lands or has been taken over; a mission ends then."""
         snapshot = self._snapshot
         if snapshot.phase == "released" and snapshot.telemetry.armed:
-            return f"{snapshot.reason}; process {self.process} heartbeats until it is disarmed, or killed"
+            return f"{snapshot.reason}; process {self.process} stays until it is disarmed, or killed"
         return snapshot.reason if snapshot.phase == "released" or snapshot.decision in ("land", "hands_off") else None
 
     # Before the flight.
@@ -216,7 +216,7 @@ class GuardedDrone:
     def close(self) -> None:
         """Land a drone that is still ours, then hang up.
 
-        A guard that is still needed, for heartbeats to a vehicle that was taken over and is armed, stays.
+        A guard of a vehicle that was taken over and is armed stays: it puts the vehicle's parameters back.
         """
         with self._undo:
             if not self._closed:
