@@ -346,7 +346,7 @@ def test_a_guard_that_dies_is_reported():
         assert drone.camera.closed
 
 
-def test_after_a_take_over_it_heartbeats_orders_nothing_and_outlives_the_pilot_process():
+def test_after_a_take_over_it_is_silent_orders_nothing_and_outlives_the_pilot_process():
     with playing() as peer:
         with connected(peer) as drone:
             drone.take_off(lambda _: True)
@@ -354,14 +354,16 @@ def test_after_a_take_over_it_heartbeats_orders_nothing_and_outlives_the_pilot_p
             peer.part.mode = MODES["LOITER"]
             soon(lambda: drone.over)
             assert "LOITER" in drone.over
-            assert f"process {drone.process} heartbeats until it is disarmed" in drone.over
+            assert f"process {drone.process} stays until it is disarmed" in drone.over
             released = time.monotonic()
             assert not drone.send(FORWARD).any()
             drone.close()
-            beats = len(peer.of("HEARTBEAT"))
-            soon(lambda: len(peer.of("HEARTBEAT")) >= beats + 2)
+            beats, asked = len(peer.of("HEARTBEAT")), len(peer.of("TIMESYNC"))
+            soon(lambda: len(peer.of("TIMESYNC")) >= asked + 8)  # five a second
+            assert len(peer.of("HEARTBEAT")) <= beats + 1  # silent, it lets the vehicle's own failsafe act
             assert drone._process.poll() is None
             os.kill(drone.process, signal.SIGHUP)  # a terminal that goes away is no dismissal
+            peer.part.mode = MODES["RTL"]  # which a silence of ours would change
             soon(lambda: len(peer.of("HEARTBEAT")) >= beats + 3)
             peer.part.armed = False
             assert drone._process.wait(10) == process.LANDED

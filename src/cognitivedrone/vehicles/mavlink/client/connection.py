@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS, REAL32, Autopilot
 from cognitivedrone.vehicles.mavlink.client.decoder import Decoder
-from cognitivedrone.vehicles.mavlink.client.heartbeats import Flown, Heartbeats, Shown, heard
+from cognitivedrone.vehicles.mavlink.client.heartbeats import Chain, Flown, Heartbeats, Shown, heard
 from cognitivedrone.vehicles.mavlink.client.traffic import (
     OUR_COMPONENT,
     OUR_SYSTEM,
@@ -56,8 +56,6 @@ SIGNS = (
     "it signs its packets, and may ignore ours, which are not signed: switch signing off on this link, or put a router"
     " between that signs"
 )
-CHAIN_S = 0.1
-"""A heartbeat's sequence number follows that of another message: so long ago that may have come."""
 MODE_S = 0.1
 """How often a vehicle that heartbeats too seldom by itself is asked for a heartbeat."""
 
@@ -118,8 +116,7 @@ class Connection:
         self.telemetry = Telemetry()
         """What the vehicle reports; its mode, and whether it is armed, only as its heartbeats are believed."""
         self.heartbeats = Heartbeats()
-        self._numbers = [-math.inf] * 256
-        """When a message with this sequence number came, of those that are no heartbeat."""
+        self._chain = Chain()
         self.beating = True
         """Whether we heartbeat: as long as the vehicle is to notice our silence."""
         self.traffic = Traffic(nonce=secrets.randbelow(1000))
@@ -332,7 +329,7 @@ class Connection:
                 # A message with an impossible value must not end the loop; the values it should have set grow old.
                 with contextlib.suppress(ValueError, OverflowError):
                     self._receive(message, peer, now)
-            self.traffic = replace(self.traffic, broken=self._decoder.broken, dropped=self._decoder.dropped)
+            self.traffic = replace(self.traffic, broken=self._decoder.broken)
             self._news.notify_all()
 
     def _receive(self, message: Any, peer: Hashable, now: float) -> None:
@@ -348,7 +345,7 @@ class Connection:
         where, last = self._peer
         if where is not None and peer != where:
             if now - last < MOVED_S:
-                self._doubt("packets come from a second address", now)
+                self._doubt("", now)
                 return
             if self._mover[0] != peer:
                 self._mover = peer, now
@@ -362,7 +359,7 @@ class Connection:
                 self.telemetry = replace(self.telemetry, received_at=now)
                 return
         else:
-            self._numbers[message.get_seq()] = now
+            self._chain.note(message.get_seq(), now)
         self.telemetry = updated(self.telemetry, message, now, self.autopilot)
         if kind == "COMMAND_ACK":
             if message.target_system in (0, OUR_SYSTEM) and ("ack", message.command) in self._asked_for:
@@ -383,9 +380,7 @@ class Connection:
             self._doubt(f"a heartbeat of MAV_TYPE {message.type} and MAV_AUTOPILOT {message.autopilot}", now)
             return False
         mode, armed = self.autopilot.mode(message.custom_mode), bool(message.base_mode & ARMED_FLAG)
-        sequence = message.get_seq()
-        chained = now - self._numbers[(sequence - 1) % 256] <= CHAIN_S
-        shown = Shown(mode, armed, sequence, chained)
+        shown = Shown(mode, armed, message.get_seq(), self._chain.follows(message.get_seq(), now))
         self.heartbeats = heard(self.heartbeats, shown, self._flown(now), now)
         if self.heartbeats.contradicted_at == now:
             self._doubt(self.heartbeats.contradiction, now)

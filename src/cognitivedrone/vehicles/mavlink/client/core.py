@@ -33,6 +33,7 @@ from cognitivedrone.vehicles.mavlink.client.heartbeats import Flown
 from cognitivedrone.vehicles.mavlink.client.inspection import inspect
 from cognitivedrone.vehicles.mavlink.client.parameters import ParameterChanges, journal_of
 from cognitivedrone.vehicles.mavlink.client.setpoints import SETPOINT_S, STREAM_FIRST_S, climb, fields_of
+from cognitivedrone.vehicles.mavlink.client.traffic import impostor_of
 from cognitivedrone.vehicles.mavlink.client.transport import open_transport
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, last_words
 
@@ -251,7 +252,7 @@ class FlightCore:
                 self._settle()
                 traffic = self.link.traffic
                 if traffic.impostor_at > self._climbs_since:
-                    self.land(f"somebody else sends as the vehicle: {traffic.impostor}")
+                    self.land(impostor_of(traffic))
                 elif self.telemetry.mode not in self._modes or (self._was_armed and not self.telemetry.armed):
                     stopped = "" if self.telemetry.armed else ", its motors stopped"
                     self.phase, self._taken_over = "released", f"the vehicle is in {self.telemetry.mode}{stopped}"
@@ -367,12 +368,14 @@ class FlightCore:
 
     def _flown(self, now: float) -> Flown:
         """How the vehicle must show itself; called for every heartbeat, while the link has its lock: takes none."""
-        phase = self.phase
-        if phase == "ground":
-            return Flown()
-        armed = phase == "flying" or self.telemetry.armed
-        stands = grounded(self.telemetry, self.home, now)
-        return Flown(None if phase == "released" else self._modes, armed, stands)
+        match self.phase:
+            case "ground":
+                return Flown()
+            case "released":
+                return Flown(armed=self.telemetry.armed)
+            case phase:
+                armed = phase == "flying" or self.telemetry.armed
+                return Flown(self._modes, armed, grounded(self.telemetry, self.home, now))
 
     def _expect(self, mode: str) -> None:
         """From now on the vehicle may show this mode, and until it does those that it might be in."""

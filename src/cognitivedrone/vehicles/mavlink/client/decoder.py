@@ -15,8 +15,10 @@ NEEDED: Final = frozenset({0, 1, 30, 32, 65, 77, 85, 111, 193, 230, 245})
 """Messages that the rules of safety judge by, or that are waited for: they are always decoded. HEARTBEAT, SYS_STATUS,
 ATTITUDE, LOCAL_POSITION_NED, RC_CHANNELS, COMMAND_ACK, POSITION_TARGET_LOCAL_NED, TIMESYNC, EKF_STATUS_REPORT,
 ESTIMATOR_STATUS, EXTENDED_SYS_STATE."""
-OTHERS_HZ = 500.0
-"""So many others are decoded a second, and as many at once."""
+OTHERS_HZ = 200.0
+"""So many of any other message are decoded a second, and as many at once."""
+MOST_KINDS = 256
+"""Messages whose numbers are counted; more are a flood of their own, for which the counting begins again."""
 _HEADERS: Final = {0xFD: (12, slice(7, 10)), 0xFE: (8, slice(5, 6))}
 """By the first byte of a packet of MAVLink 2 or 1: its bytes beside the payload, and where its number is."""
 _SIGNED, _SIGNATURE_BYTES = 1, 13
@@ -29,7 +31,8 @@ class Decoder:
         self._dialect = dialect()
         self._datagrams = datagrams
         self._stream = self._new()
-        self._allowed, self._at = OTHERS_HZ, 0.0
+        self._allowed: dict[int, tuple[float, float]] = {}
+        """By a message's number, how many are decoded yet, and when that was counted."""
         self.broken = 0
         """Pieces of bytes that are no message."""
         self.dropped = 0
@@ -59,12 +62,13 @@ class Decoder:
         number = number_of(data)
         if number is None or number in NEEDED:
             return True
-        self._allowed = min(OTHERS_HZ, self._allowed + OTHERS_HZ * (now - self._at))
-        self._at = now
-        if self._allowed < 1:
-            return False
-        self._allowed -= 1
-        return True
+        if len(self._allowed) > MOST_KINDS:
+            self._allowed.clear()
+        allowed, counted_at = self._allowed.get(number, (OTHERS_HZ, now))
+        allowed = min(OTHERS_HZ, allowed + OTHERS_HZ * (now - counted_at))
+        affordable = allowed >= 1
+        self._allowed[number] = (allowed - affordable, now)
+        return affordable
 
     def _new(self) -> Any:
         decoder = self._dialect.MAVLink(None)

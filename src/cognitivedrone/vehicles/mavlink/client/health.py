@@ -11,7 +11,7 @@ import numpy as np
 from cognitivedrone.control.health import VELOCITY_MODES, Health
 from cognitivedrone.types import FloatArray
 from cognitivedrone.vehicles.mavlink.client.heartbeats import Grounded
-from cognitivedrone.vehicles.mavlink.client.traffic import Traffic
+from cognitivedrone.vehicles.mavlink.client.traffic import Traffic, impostor_of
 from cognitivedrone.vehicles.mavlink.telemetry import POSITION_IGNORED, Telemetry, stick_moved
 
 BLIND_M = 1.0
@@ -137,7 +137,7 @@ def intruder(
     if traffic.commander_at > since:
         return traffic.commander
     if traffic.impostor_at > max(since, now - IMPOSTOR_S):
-        return f"somebody else sends as the vehicle: {traffic.impostor}; what it reports cannot be trusted"
+        return f"{impostor_of(traffic)}: what it reports cannot be trusted"
     if traffic.masks:
         return f"another ground station has our system id ({traffic.masks[0][0]}): it hides our silence"
     if foreign_target(telemetry, since, sent):

@@ -1,4 +1,4 @@
-"""Which of the heartbeats under the vehicle's id are believed: pure functions of immutable values.
+"""Which of the heartbeats under the vehicle's id are believed.
 
 A heartbeat is one packet, and anybody behind the same router may send as the vehicle: a second vehicle of the same
 system id does so all the time. What ends our part in a flight, a mode that we did not order or motors that stand
@@ -189,3 +189,22 @@ def _just_left(beats: Heartbeats, shown: Shown) -> bool:
 def _newer(beats: Heartbeats, shown: Shown, now: float) -> bool:
     """Whether it was sent after all that agree, as far as that can be told."""
     return now - beats.last_at >= STALE_S or 0 < (shown.sequence - beats.newest) % 256 < _HALF
+
+
+CHAIN_S = 0.1
+"""So long ago the message before a heartbeat may have come."""
+
+
+class Chain:
+    """The sequence numbers of the messages that are no heartbeats."""
+
+    def __init__(self) -> None:
+        self._came = [-math.inf] * 256
+
+    def note(self, sequence: int, now: float) -> None:
+        """A message with this number came."""
+        self._came[sequence] = now
+
+    def follows(self, sequence: int, now: float) -> bool:
+        """Whether the message with the number before came just now."""
+        return now - self._came[(sequence - 1) % 256] <= CHAIN_S

@@ -14,7 +14,7 @@ from cognitivedrone.vehicles.checklist import Checklist, Finding, State
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS, Autopilot
 from cognitivedrone.vehicles.mavlink.client.connection import Vehicle
 from cognitivedrone.vehicles.mavlink.client.expected import EXPECTED, Expected, Values
-from cognitivedrone.vehicles.mavlink.client.traffic import OUR_SYSTEM, Traffic
+from cognitivedrone.vehicles.mavlink.client.traffic import OUR_SYSTEM, Traffic, impostor_of
 from cognitivedrone.vehicles.mavlink.renames import Own
 from cognitivedrone.vehicles.mavlink.telemetry import COPTER_TYPES, Telemetry
 
@@ -208,7 +208,7 @@ def _others(traffic: Traffic) -> list[Finding]:
             Finding(
                 "sender",
                 "bad",
-                f"somebody else sends as the vehicle: {traffic.impostor}",
+                impostor_of(traffic),
                 "one vehicle",
                 "whose state is it?",
             )
