@@ -22,6 +22,7 @@ from waiting import soon
 
 from cognitivedrone.control.safety import Guard, SafetyConfig
 from cognitivedrone.errors import LinkError
+from cognitivedrone.vehicles.mavlink.autopilot import PX4
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.client.handover import ENDS_BY_ITSELF, must_beat
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
@@ -238,6 +239,8 @@ def test_our_heartbeats_go_on_only_where_silence_would_act_against_the_pilot():
     assert must_beat(replace(flown, armed=False), (), 9.0)
     for mode in ENDS_BY_ITSELF:
         assert must_beat(replace(flown, mode=mode), (), 99.0)
+    # Which acts when our velocities stop, and in a pilot's mode when our heartbeats do.
+    assert must_beat(replace(flown, mode="POSCTL"), (), 99.0, PX4)
 
 
 # Over a socket.

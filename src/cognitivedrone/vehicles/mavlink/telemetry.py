@@ -239,6 +239,20 @@ def last_words(telemetry: Telemetry, since: float) -> str:
     return f"; it reports: {'; '.join(texts[-4:])}" if texts else ""
 
 
+LANDING_SILENT_S = 15.0
+"""A landing vehicle that has shown no heartbeat for so long is not waited for: nobody would see that it has landed."""
+
+
+def unlanded(telemetry: Telemetry, ordered: str, waited_s: float, now: float) -> str:
+    """Why a landing is not waited for any more, after so long, as an error message."""
+    silent_s = now - telemetry.heartbeat_at
+    if silent_s > LANDING_SILENT_S:
+        seen = f"no heartbeat of the vehicle for {silent_s:.0f} s, {ordered} was ordered: whether it has landed is not seen"
+    else:
+        seen = f"not landed {waited_s:g} s after {ordered} was ordered: the vehicle is in {telemetry.mode}"
+    return f"{seen}{last_words(telemetry, now - 5)}; take over by hand"
+
+
 def is_vehicle(message: Any) -> bool:
     """Whether a heartbeat comes from an autopilot, and not from a ground station, a gimbal or another companion."""
     return bool(message.autopilot != 8 and message.get_srcComponent() == 1)  # 8: MAV_AUTOPILOT_INVALID

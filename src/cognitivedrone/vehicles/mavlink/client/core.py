@@ -35,7 +35,7 @@ from cognitivedrone.vehicles.mavlink.client.parameters import ParameterChanges, 
 from cognitivedrone.vehicles.mavlink.client.setpoints import SETPOINT_S, STREAM_FIRST_S, climb, fields_of
 from cognitivedrone.vehicles.mavlink.client.traffic import impostor_of
 from cognitivedrone.vehicles.mavlink.client.transport import open_transport
-from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, last_words
+from cognitivedrone.vehicles.mavlink.telemetry import LANDING_SILENT_S, Telemetry, last_words, unlanded
 
 SET_MODE, ARM, TAKE_OFF = 176, 400, 22
 """MAV_CMD of DO_SET_MODE, COMPONENT_ARM_DISARM and NAV_TAKEOFF."""
@@ -222,11 +222,14 @@ class FlightCore:
 
     def wait_for_landing(self) -> None:
         """Wait until it is not ours any more; raises `LinkError` where it has not landed in time."""
-        if not self.link.until(lambda: self.phase in ("ground", "released"), self.config.landing_timeout_s):
-            raise LinkError(
-                f"not landed {self.config.landing_timeout_s:g} s after {self._landing} was ordered: the vehicle is in"
-                f" {self.telemetry.mode}{last_words(self.telemetry, monotonic() - 5)}; take over by hand"
-            )
+        began, not_ours = monotonic(), ("ground", "released")
+
+        def ended() -> bool:
+            return self.phase in not_ours or monotonic() - max(began, self.telemetry.heartbeat_at) > LANDING_SILENT_S
+
+        self.link.until(ended, self.config.landing_timeout_s)
+        if self.phase not in not_ours:
+            raise LinkError(unlanded(self.telemetry, self._landing, self.config.landing_timeout_s, monotonic()))
 
     def close(self) -> None:
         """Put the vehicle's parameters back, and hang up."""
@@ -241,9 +244,9 @@ class FlightCore:
             if self.phase == "released":
                 # The pilot flies: what we have set on the vehicle must not act against them.
                 self._changes.put_back_meanwhile(self.link, monotonic(), flying=self.telemetry.armed)
-                self._released_at = min(self._released_at, monotonic())
+                self._released_at = min(self._released_at, now := monotonic())
                 changed = self._changes.open if self.config.put_back else ()
-                self.link.beating = must_beat(self.telemetry, changed, monotonic() - self._released_at)
+                self.link.beating = must_beat(self.telemetry, changed, now - self._released_at, self.link.autopilot)
             elif self.phase == "flying":
                 health = self._health()
                 self._obey(self._guard.judge(health), health)

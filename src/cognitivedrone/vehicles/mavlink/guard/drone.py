@@ -38,7 +38,14 @@ from cognitivedrone.vehicles.mavlink.client.core import PAUSE_S, LandingMode
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, Met
 from cognitivedrone.vehicles.mavlink.client.tlog import TlogWriter, leave
 from cognitivedrone.vehicles.mavlink.guard.messages import Kind, Reply, Snapshot, from_json, pack, to_json, unpack
-from cognitivedrone.vehicles.mavlink.telemetry import TEXTS_KEPT, Telemetry, Text, dialect, last_words
+from cognitivedrone.vehicles.mavlink.telemetry import (
+    LANDING_SILENT_S,
+    TEXTS_KEPT,
+    Telemetry,
+    Text,
+    dialect,
+    unlanded,
+)
 
 T = TypeVar("T")
 
@@ -207,11 +214,15 @@ class GuardedDrone:
             return
         self._check()
         self._post(Kind.LAND if mode == "LAND" else Kind.RETURN)
-        if not self._wait(lambda: self._snapshot.phase == "released" or None, self.config.landing_timeout_s):
-            raise LinkError(
-                f"not landed {self.config.landing_timeout_s:g} s after {mode} was ordered: the vehicle is in"
-                f" {self.telemetry.mode}{last_words(self.telemetry, monotonic() - 5)}; take over by hand"
-            )
+        began = monotonic()
+
+        def ended() -> bool | None:
+            silent = monotonic() - max(began, self._snapshot.telemetry.heartbeat_at) > LANDING_SILENT_S
+            return self._snapshot.phase == "released" or silent or None
+
+        self._wait(ended, self.config.landing_timeout_s)
+        if self._snapshot.phase != "released":
+            raise LinkError(unlanded(self.telemetry, mode, self.config.landing_timeout_s, monotonic()))
 
     def close(self) -> None:
         """Land a drone that is still ours, then hang up.
