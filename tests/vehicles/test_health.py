@@ -318,6 +318,6 @@ def test_whether_it_stands_is_as_it_reports(state, landed):
 def test_a_landing_that_nobody_can_see_is_not_waited_for():
     silent = unlanded(replace(GOOD, heartbeat_at=START), "LAND", 60.0, START + 20)
     assert silent == (
-        "no heartbeat of the vehicle for 20 s, LAND was ordered: whether it has landed is not seen; take over by hand"
+        "no heartbeat of the vehicle for 20 s, LAND was ordered: whether it landed is not seen; take over by hand"
     )
     assert "not landed 60 s after LAND" in unlanded(GOOD, "LAND", 60.0, START + 1)

@@ -22,7 +22,9 @@ from waiting import soon
 
 from cognitivedrone.control.safety import Guard, SafetyConfig
 from cognitivedrone.errors import LinkError
+from cognitivedrone.vehicles.mavlink import telemetry
 from cognitivedrone.vehicles.mavlink.autopilot import PX4
+from cognitivedrone.vehicles.mavlink.client import core
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.client.handover import ENDS_BY_ITSELF, must_beat
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
@@ -35,6 +37,8 @@ from cognitivedrone.vehicles.mavlink.client.heartbeats import (
     Shown,
     heard,
 )
+from cognitivedrone.vehicles.mavlink.guard import drone as guard_drone
+from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
 
 GUIDED = Flown(frozenset({"GUIDED"}), armed=True, grounded="unproven")
@@ -214,7 +218,7 @@ def test_two_vehicles_on_the_ground_are_noticed_and_a_switch_that_is_tried_is_no
 
 
 @pytest.mark.parametrize(
-    ("telemetry", "stands"),
+    ("reported", "stands"),
     [
         (Telemetry(landed=True, landed_at=9.5), "yes"),
         (Telemetry(landed=False, landed_at=9.5), "no"),
@@ -226,8 +230,8 @@ def test_two_vehicles_on_the_ground_are_noticed_and_a_switch_that_is_tried_is_no
         (Telemetry(position=np.full(3, np.nan), position_at=9.9), "unproven"),
     ],
 )
-def test_whether_a_vehicle_may_stand(telemetry, stands):
-    assert grounded(telemetry, np.zeros(3), 10.0) == stands
+def test_whether_a_vehicle_may_stand(reported, stands):
+    assert grounded(reported, np.zeros(3), 10.0) == stands
 
 
 def test_our_heartbeats_go_on_only_where_silence_would_act_against_the_pilot():
@@ -379,3 +383,24 @@ def test_after_a_take_over_nothing_of_ours_keeps_the_vehicles_failsafe_from_acti
         assert len(peer.of("HEARTBEAT")) <= beats + 1
         peer.part.mode = MODES["RTL"]
         soon(lambda: len(peer.of("HEARTBEAT")) >= beats + 2)
+
+
+@pytest.mark.parametrize("guarded", [True, False])
+def test_a_landing_that_nobody_can_see_ends_with_a_sentence(monkeypatch, guarded):
+    for module in (core, guard_drone):
+        monkeypatch.setattr(module, "LANDING_SILENT_S", 0.5)
+        monkeypatch.setattr(telemetry, "LANDING_SILENT_S", 0.5)
+    with playing() as peer:
+        url, camera = f"udpout:127.0.0.1:{peer.port}", StillCamera()
+        drone = GuardedDrone(url, camera, RULES, FAST) if guarded else MavlinkDrone(url, camera, Guard(RULES), FAST)
+        try:
+            drone.take_off(lambda _: True)
+            peer.part.quiet = frozenset({"HEARTBEAT", "ATTITUDE", "LOCAL_POSITION_NED", "SYS_STATUS"})
+            text = bytes(m.MAVLink_statustext_message(3, b"a text").pack(m.MAVLink(None, srcSystem=1, srcComponent=1)))
+            peer.part.also = (text,) * 10
+            with pytest.raises(LinkError, match=r"no heartbeat of the vehicle for \d+ s.*take over by hand"):
+                drone.close()
+        finally:
+            if guarded:
+                drone._process.kill()
+                drone._process.wait()

@@ -247,7 +247,7 @@ def unlanded(telemetry: Telemetry, ordered: str, waited_s: float, now: float) ->
     """Why a landing is not waited for any more, after so long, as an error message."""
     silent_s = now - telemetry.heartbeat_at
     if silent_s > LANDING_SILENT_S:
-        seen = f"no heartbeat of the vehicle for {silent_s:.0f} s, {ordered} was ordered: whether it has landed is not seen"
+        seen = f"no heartbeat of the vehicle for {silent_s:.0f} s, {ordered} was ordered: whether it landed is not seen"
     else:
         seen = f"not landed {waited_s:g} s after {ordered} was ordered: the vehicle is in {telemetry.mode}"
     return f"{seen}{last_words(telemetry, now - 5)}; take over by hand"

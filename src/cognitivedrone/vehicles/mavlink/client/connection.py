@@ -91,14 +91,13 @@ class Connection:
         flown: Callable[[float], Flown] = lambda _: Flown(),
         threaded: bool = True,
     ) -> None:
-        self._dialect = dialect()
         self._transport = transport
         self._system = system
         self._log = log
         self._watch = watch
         self._flown = flown
         self._beat = self._vehicle_beat = self._watched = self._pinged = self._asked = -math.inf
-        self._encoder = self._dialect.MAVLink(_Outlet(self._put), OUR_SYSTEM, OUR_COMPONENT)
+        self._encoder = dialect().MAVLink(_Outlet(self._put), OUR_SYSTEM, OUR_COMPONENT)
         self._decoder = Decoder(datagrams=transport.datagrams)
         self._sending = threading.Lock()
         self._asking = threading.RLock()
@@ -334,10 +333,9 @@ class Connection:
 
     def _receive(self, message: Any, peer: Hashable, now: float) -> None:
         kind, sender = message.get_type(), (message.get_srcSystem(), message.get_srcComponent())
-        if kind == "HEARTBEAT":
-            wanted = self._system in (None, sender[0])
-            if self.vehicle is None and wanted and is_vehicle(message):
-                self.vehicle = Vehicle(*sender, message.type, message.autopilot)
+        wanted = self.vehicle is None and self._system in (None, sender[0])
+        if kind == "HEARTBEAT" and wanted and is_vehicle(message):
+            self.vehicle = Vehicle(*sender, message.type, message.autopilot)
         known = (self.vehicle.system, self.vehicle.component) if self.vehicle is not None else None
         if sender != known:
             self.traffic = noticed(self.traffic, message, known, now)

@@ -166,8 +166,8 @@ class Snapshot:
         return _SNAPSHOT.pack(
             _SNAP, self.sequence, PHASES.index(self.phase), DECISIONS.index(self.decision), t.mode.encode()[:16],
             t.armed, t.heartbeat_at, *self.sent, *t.position, t.position_at, *t.velocity, t.yaw, t.yaw_rate,
-            t.attitude_at, t.received_at, t.vehicle_time, math.nan if t.battery is None else t.battery, *self.home, self.start,
-            self.reason.encode()[:200],
+            t.attitude_at, t.received_at, t.vehicle_time, math.nan if t.battery is None else t.battery, *self.home,
+            self.start, self.reason.encode()[:200],
         )  # fmt: skip
 
 
