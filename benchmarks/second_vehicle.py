@@ -395,6 +395,7 @@ class Outcome:
 def fly(name: str, attack: Attack, start: Callable[[Path], Any]) -> Outcome:
     """Fly one."""
     with tempfile.TemporaryDirectory(prefix="second-vehicle-") as folder, start(Path(folder)) as craft:
+        sitl_vehicle.come_first()
         os.environ["XDG_STATE_HOME"] = folder
         seconds = PASSES_S if attack.end == "flies on" else 60.0
         log = str(Path(folder) / "flight.tlog")

@@ -172,6 +172,15 @@ def test_a_landing_is_believed_when_it_was_shown_more_than_once():
     assert ear.hears("LAND", armed=False)
 
 
+def test_a_landing_beside_another_that_shows_a_mode_is_a_landing():
+    ear = Ear(LANDING)
+    for _ in range(20):
+        ear.hears("LAND", after=0.05)
+        ear.hears("LOITER", after=0.05, chained=False)
+    while not ear.hears("LAND", armed=False, after=0.05):
+        assert not ear.hears("LOITER", after=0.05, chained=False)
+
+
 def stale(ear: Ear, *sequences: int) -> None:
     """Heartbeats of before the take-off, overtaken."""
     for sequence in sequences:
@@ -326,7 +335,10 @@ def test_one_in_the_climb_brings_it_down():
                     peer.say_as_another(beat(MODES["LOITER"]))
 
             peer._do = do
-            with pytest.raises(LinkError, match="landing was ordered during take-off"):
+            with pytest.raises(
+                LinkError,
+                match=r"landing was ordered during take-off: somebody else sends as the vehicle.*LOITER, then",
+            ):
                 drone.take_off(lambda _: True)
             soon(lambda: drone.over)
             assert "contradict" in drone.over

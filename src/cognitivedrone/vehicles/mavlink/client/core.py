@@ -212,8 +212,8 @@ class FlightCore:
         with self._lock:
             if self.phase == "released":
                 return
+            self._given_up = self._given_up or reason
             if self.phase == "ground":
-                self._given_up = reason
                 return
             if self.over is None:
                 self._landing = mode
@@ -326,7 +326,7 @@ class FlightCore:
         if self.phase == "released":
             raise LinkError(f"taken over during take-off: {self.over}")
         if self.phase != "climbing":
-            raise LinkError("landing was ordered during take-off")
+            raise LinkError(f"landing was ordered during take-off: {self._given_up}")
 
     def _health(self) -> Health:
         self._settle()

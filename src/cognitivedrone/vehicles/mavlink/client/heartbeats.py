@@ -172,7 +172,9 @@ def _doubted(before: Heartbeats, shown: Shown, grounded: Grounded, now: float) -
     after = replace(before, others=others, other=shown, other_at=now)
     if shown.chained:
         after = replace(after, others_chained=before.others_chained + 1, other_chained_at=now)
-    after = replace(after, believed=lasts or (shown.chained and after.foreign(now)))
+    # Where some follow the vehicle's messages, the ones that do not are another's.
+    own = shown.chained or not after.others_chained
+    after = replace(after, believed=(lasts and own) or (shown.chained and after.foreign(now)))
     if shown.armed or grounded == "yes":
         return after
     if not after.believed and (others < SEEN or passed < LASTS_S):
