@@ -344,6 +344,8 @@ class Attack:
     inject: Inject
     end: Literal["ground", "pilot", "flies on"] = "ground"
     when: Literal["start", "climb", "flight", "landing"] = "flight"
+    guard_stays: bool = False
+    """The other one flies on, so that the guard does not leave."""
 
 
 ATTACKS: dict[str, Attack] = {
@@ -364,7 +366,7 @@ ATTACKS: dict[str, Attack] = {
     "LOITER and disarmed, 50 times a second each": Attack(always(50, beat(LOITER), beat(armed=False))),
     "random modes, 100 times a second": Attack(random_modes),
     "a whole vehicle that stands": Attack(telemetry(flies=False)),
-    "a whole vehicle that flies in GUIDED": Attack(telemetry(flies=True)),
+    "a whole vehicle that flies in GUIDED": Attack(telemetry(flies=True), guard_stays=True),
     "5000 texts a second in place of telemetry": Attack(texts_in_place_of_telemetry),
     "a take-over, beside GUIDED 10 times a second": Attack(take_over_beside_another, "pilot"),
     "a take-over": Attack(take_over, "pilot"),
@@ -435,7 +437,8 @@ def _flown(name: str, attack: Attack, flight: Flight, lines: list[str]) -> Outco
     craft, pilot = flight.craft, flight.pilot
 
     def ended() -> bool:
-        return pilot.poll() is not None and not Path(f"/proc/{flight.guard}").exists()
+        gone = attack.guard_stays or not Path(f"/proc/{flight.guard}").exists()
+        return pilot.poll() is not None and gone
 
     if attack.when == "climb":
         _until(lambda: craft.height > 0.3 or ended(), 90)
