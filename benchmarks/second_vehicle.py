@@ -345,7 +345,7 @@ class Attack:
     end: Literal["ground", "pilot", "flies on"] = "ground"
     when: Literal["start", "climb", "flight", "landing"] = "flight"
     guard_stays: bool = False
-    """The other one flies on, so that the guard does not leave."""
+    """The other one flies on, or the vehicle is not heard any more, so that the guard does not leave."""
 
 
 ATTACKS: dict[str, Attack] = {
@@ -367,7 +367,7 @@ ATTACKS: dict[str, Attack] = {
     "random modes, 100 times a second": Attack(random_modes),
     "a whole vehicle that stands": Attack(telemetry(flies=False)),
     "a whole vehicle that flies in GUIDED": Attack(telemetry(flies=True), guard_stays=True),
-    "5000 texts a second in place of telemetry": Attack(texts_in_place_of_telemetry),
+    "5000 texts a second in place of telemetry": Attack(texts_in_place_of_telemetry, guard_stays=True),
     "a take-over, beside GUIDED 10 times a second": Attack(take_over_beside_another, "pilot"),
     "a take-over": Attack(take_over, "pilot"),
     "5000 texts a second beside telemetry": Attack(texts, "flies on"),

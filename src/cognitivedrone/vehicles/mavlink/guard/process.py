@@ -49,7 +49,7 @@ AT_ONCE = 64
 REOPEN_S, GIVE_UP_S = 0.5, 60.0
 """A link that was cut is opened again that often, for so long."""
 GONE_S = 300.0
-"""A vehicle that has been silent for so long is not waited for any more, once the pilot process is done."""
+"""A vehicle without a heartbeat for so long is not waited for any more, once the pilot process is done."""
 LANDED, FAILED, LOST, LEFT = 0, 2, 3, 4
 """Exit codes: on the ground; could not begin; vehicle lost; dismissed while the vehicle was armed and not ours."""
 NAMES = {signal.SIGHUP: "the terminal has gone (SIGHUP)", signal.SIGTERM: "SIGTERM", signal.SIGINT: "SIGINT"}
@@ -197,7 +197,7 @@ class GuardProcess:
         if core.phase == "released" and not core.telemetry.armed:
             self._landed_at = self._landed_at or now
             return None if core.restoring and now - self._landed_at < RESTORE_S else LANDED
-        return LOST if now - core.telemetry.received_at > GONE_S else None
+        return LOST if now - core.telemetry.heartbeat_at > GONE_S else None
 
     # The pilot process.
 
