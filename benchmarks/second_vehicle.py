@@ -55,9 +55,10 @@ ARDUPILOT, PX4 = m.MAV_AUTOPILOT_ARDUPILOTMEGA, m.MAV_AUTOPILOT_PX4
 class Craft(Protocol):
     """A vehicle behind a relay."""
 
-    url: str
-    relay: Relay
-
+    @property
+    def url(self) -> str: ...
+    @property
+    def relay(self) -> Relay: ...
     @property
     def armed(self) -> bool: ...
     @property

@@ -283,6 +283,26 @@ def test_one_message_of_the_future_changes_nothing():
     assert not now.restarted
 
 
+def test_one_message_of_the_future_changes_nothing_either_where_the_way_becomes_a_little_faster():
+    telemetry = GOOD
+    for step in range(1, 20):  # each 1 ms faster than the one before
+        at = START + step * 0.05
+        telemetry = reported((at, attitude(at + step * 0.001)), (at, position(at + step * 0.001)), since=telemetry)
+    telemetry = reported((at, attitude(at + 9)), since=telemetry)
+    later = reported((at + 0.05, attitude(at + 0.07)), (at + 0.05, position(at + 0.07)), since=telemetry)
+    assert not health(later, at + 0.05).restarted
+    assert health(later, at + 0.05).state_age_s < 0.05
+
+
+@pytest.mark.parametrize("speed", [2, 8, 50])
+def test_a_simulation_that_runs_fast_is_followed(speed):
+    telemetry = GOOD
+    for step in range(1, 100):
+        at, theirs = START + step * 0.25 / speed, START + step * 0.25
+        telemetry = reported((at, attitude(theirs)), (at, position(theirs)), since=telemetry)
+        assert step < 5 or telemetry.position_time == pytest.approx(theirs - START + 5)
+
+
 def test_a_way_that_has_become_faster_is_believed_when_that_lasts():
     slow = GOOD
     for step in range(20):

@@ -414,6 +414,6 @@ def test_a_landing_that_nobody_can_see_ends_with_a_sentence(monkeypatch, guarded
                 drone.close()
             assert peer.part.armed
         finally:
-            if guarded:
+            if isinstance(drone, GuardedDrone):
                 drone._process.kill()
                 drone._process.wait()

@@ -322,7 +322,9 @@ def _timed(t: Telemetry, message: Any, now: float) -> tuple[Telemetry, float | N
     offset, drifted = now - time, t.clock_offset + CLOCK_DRIFT * (now - t.offset_at)
     ahead = (*t.ahead, offset)[-AHEAD_COUNT:] if offset < drifted else ()
     sure = len(ahead) == AHEAD_COUNT
-    t = replace(t, clock_offset=max(ahead) if sure else drifted, offset_at=now, ahead=ahead)
-    if drifted - offset > AHEAD_S and not sure:
+    clock = max(ahead) if sure else drifted
+    t = replace(t, clock_offset=clock, offset_at=now, ahead=ahead)
+    # A simulation that runs fast is ahead by as much with every step; a mistake is so at once.
+    if clock - offset > AHEAD_S + (3 * (ahead[0] - ahead[2]) if sure else 0.0):
         return t, None
     return replace(t, vehicle_time=max(time, t.vehicle_time)), time  # messages of one moment come in either order
