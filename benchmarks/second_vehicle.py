@@ -377,7 +377,7 @@ ATTACKS: dict[str, Attack] = {
     "one ATTITUDE 9 s ahead": Attack(ahead(9.0), "flies on"),
     "a copy of every packet 0.3 s late": Attack(late(lambda _: LATE_S, copies=True), "flies on", "start"),
     "every packet up to 0.3 s late, out of order": Attack(
-        late(lambda draw: draw.uniform(0, LATE_S), copies=False), "ground", "start"
+        late(lambda draw: draw.uniform(0, LATE_S), copies=False), "flies on", "start"
     ),
 }
 
