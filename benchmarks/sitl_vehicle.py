@@ -77,6 +77,8 @@ class Relay:
         """Modes that the program under test has ordered."""
         self.beats: list[float] = []
         """When its heartbeats came."""
+        self.hook: Callable[[bytes], bool] = lambda _: False
+        """Called with each packet of the vehicle; true where it must not be sent."""
         self._tcp = socket.create_connection(tcp, timeout=10)
         self._udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._udp.bind(("127.0.0.1", 0))
@@ -85,6 +87,11 @@ class Relay:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
+
+    def say(self, packet: bytes) -> None:
+        """Send the program under test a packet from the vehicle's address."""
+        if self._to is not None:
+            self._udp.sendto(packet, self._to)
 
     def close(self) -> None:
         self._stop.set()
@@ -99,8 +106,10 @@ class Relay:
                 with suppress(OSError):
                     if ready is self._tcp:
                         for message in downwards.parse_buffer(self._tcp.recv(4096)) or ():
-                            if self._to is not None and self.down and message.get_type() != "BAD_DATA":
-                                self._udp.sendto(bytes(message.get_msgbuf()), self._to)
+                            if self.down and message.get_type() != "BAD_DATA":
+                                packet = bytes(message.get_msgbuf())
+                                if not self.hook(packet):
+                                    self.say(packet)
                     else:
                         data, self._to = self._udp.recvfrom(4096)
                         self._note(upwards.parse_buffer(data) or ())

@@ -310,7 +310,7 @@ def test_the_pilot_ends_the_flight(tmp_path):
         pilot.start()
         summary = fly_mission(config, console=quiet(), keyboard=io.StringIO("arm\n"))
         pilot.join()
-        peer.part.armed = False  # the guard heartbeats until it sees that
+        peer.part.armed = False  # the guard stays until it sees that
         assert commands(peer, 400) == [400]
     assert (summary.ending.kind, summary.exit_code) == ("vehicle", 1)
     assert "LOITER" in summary.ending.reason

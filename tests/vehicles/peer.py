@@ -86,6 +86,10 @@ class Part:
     prearm: bool = True
     position: list[float] = field(default_factory=lambda: [3.0, 4.0, -0.5])
     """NED of its estimator."""
+    velocity: tuple[float, float, float] = (1.0, 0.5, 0.25)
+    """NED."""
+    landed: bool | None = None
+    """Whether it says that it stands on the ground; none where it does not say."""
     battery: int = 80
     ekf: int = 0x33F
     climbs: bool = True
@@ -128,6 +132,7 @@ class Peer:
         self.port = self._socket.getsockname()[1]
         self._mav = m.MAVLink(self, srcSystem=1, srcComponent=1)
         self._mav.robust_parsing = True
+        self._other = m.MAVLink(None, srcSystem=1, srcComponent=1)
         if part.wire.startswith("signed"):
             self._mav.signing.secret_key, self._mav.signing.sign_outgoing = b"k" * 32, True
             self._mav.signing.allow_unsigned_callback = lambda _mav, _number: part.wire == "signed"
@@ -138,6 +143,7 @@ class Peer:
         self._stop = threading.Event()
         self._clock, self._looked = 5.0, time.monotonic()
         self._sent_speed = 0.0
+        self._floor = part.position[2]
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -149,6 +155,18 @@ class Peer:
         self._stop.set()
         self._thread.join()
         self._socket.close()
+
+    def come_down(self) -> None:
+        """Land, in no time: it stands where it took off, and its motors stop."""
+        part = self.part
+        part.position, part.velocity, part.armed = [*part.position[:2], self._floor], (0.0, 0.0, 0.0), False
+        part.landed = None if part.landed is None else True
+
+    def say_as_another(self, *messages: Any) -> None:
+        """Send as a second vehicle of the same id behind the same router: with sequence numbers of its own."""
+        for message in messages:
+            self.write(bytes(message.pack(self._other)))
+            self._other.seq = (self._other.seq + 1) % 256
 
     def address(self) -> tuple[str, int]:
         """Of whom it talks to."""
@@ -199,10 +217,12 @@ class Peer:
         messages = [
             m.MAVLink_heartbeat_message(part.kind, part.autopilot, 0x81 if part.armed else 1, part.mode, 3, 3),
             m.MAVLink_attitude_message(boot_ms, part.tilt, 0, part.yaw, 0, 0, 0.25),
-            m.MAVLink_local_position_ned_message(boot_ms, *part.position, 1.0, 0.5, 0.25),
+            m.MAVLink_local_position_ned_message(boot_ms, *part.position, *part.velocity),
             m.MAVLink_sys_status_message(present, enabled, health, 0, 12000, -1, part.battery, 0, 0, 0, 0, 0, 0),
             m.MAVLink_ekf_status_report_message(part.ekf, *[part.variance] * 5),
         ]
+        if part.landed is not None:
+            messages.append(m.MAVLink_extended_sys_state_message(0, 1 if part.landed else 2))
         if part.sticks:
             messages.append(m.MAVLink_rc_channels_message(boot_ms, 4, *part.sticks, *[0] * 14, 255))
         if part.mode == MODES["GUIDED"] and part.armed:
@@ -252,7 +272,7 @@ class Peer:
             case m.MAV_CMD_DO_SET_MODE:
                 part.mode = int(message.param2)
                 if part.mode == MODES["LAND"]:
-                    part.armed = False
+                    self.come_down()
             case m.MAV_CMD_COMPONENT_ARM_DISARM:
                 part.armed = bool(message.param1)
             case m.MAV_CMD_NAV_TAKEOFF if part.climbs:

@@ -31,6 +31,7 @@ from cognitivedrone.control.safety import SafetyConfig, Timeouts
 from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.client.preflight import FRESH_S
+from cognitivedrone.vehicles.mavlink.client.tlog import PacketLog
 from cognitivedrone.vehicles.mavlink.client.transport import LARGEST_BACKLOG, open_transport
 from cognitivedrone.vehicles.mavlink.guard import process
 from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
@@ -346,7 +347,7 @@ def test_a_guard_that_dies_is_reported():
         assert drone.camera.closed
 
 
-def test_after_a_take_over_it_heartbeats_orders_nothing_and_outlives_the_pilot_process():
+def test_after_a_take_over_it_is_silent_orders_nothing_and_outlives_the_pilot_process():
     with playing() as peer:
         with connected(peer) as drone:
             drone.take_off(lambda _: True)
@@ -354,14 +355,16 @@ def test_after_a_take_over_it_heartbeats_orders_nothing_and_outlives_the_pilot_p
             peer.part.mode = MODES["LOITER"]
             soon(lambda: drone.over)
             assert "LOITER" in drone.over
-            assert f"process {drone.process} heartbeats until it is disarmed" in drone.over
+            assert f"process {drone.process} stays until it is disarmed" in drone.over
             released = time.monotonic()
             assert not drone.send(FORWARD).any()
             drone.close()
-            beats = len(peer.of("HEARTBEAT"))
-            soon(lambda: len(peer.of("HEARTBEAT")) >= beats + 2)
+            beats, asked = len(peer.of("HEARTBEAT")), len(peer.of("TIMESYNC"))
+            soon(lambda: len(peer.of("TIMESYNC")) >= asked + 8)  # five a second
+            assert len(peer.of("HEARTBEAT")) <= beats + 1  # silent, it lets the vehicle's own failsafe act
             assert drone._process.poll() is None
             os.kill(drone.process, signal.SIGHUP)  # a terminal that goes away is no dismissal
+            peer.part.mode = MODES["RTL"]  # which a silence of ours would change
             soon(lambda: len(peer.of("HEARTBEAT")) >= beats + 3)
             peer.part.armed = False
             assert drone._process.wait(10) == process.LANDED
@@ -559,3 +562,30 @@ def test_nothing_that_arrives_raises(packets):
         # The same behind a good head, so that the numbers are reached.
         head = setpoint(inbox.sequence + 1)[:20]
         inbox.read((head + packet.ljust(MESSAGE_BYTES, b"\xff"))[:MESSAGE_BYTES], NOW)
+
+
+def test_a_vehicle_whose_heartbeats_are_gone_is_lost_whatever_else_comes(monkeypatch):
+    """Also in a flood of texts, which proves the link and nothing of the vehicle."""
+    monkeypatch.setattr(process, "GONE_S", 0.3)
+    pilot, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with playing() as peer, pilot, other:
+        pilot.setblocking(False)
+        guard = process.GuardProcess(
+            pilot, f"udpout:127.0.0.1:{peer.port}", SafetyConfig(), FAST, PacketLog(None), watched=-1
+        )
+        core = guard._core
+        while core.link.vehicle is None:
+            core.link.step()
+        core.phase, guard._leaving = "flying", True
+        assert guard._code() is None
+        peer.part.quiet = frozenset({"HEARTBEAT"})
+        deadline = time.monotonic() + 60
+        core.link._watch = lambda: None
+        while guard._code() is None:
+            core.link.step()
+            assert time.monotonic() < deadline
+        assert guard._code() == process.LOST
+        assert time.monotonic() - core.telemetry.received_at < 0.3
+        core.link.close()
+        guard._wake.close()
+        guard._woken.close()

@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as m
 
 from cognitivedrone.vehicles.mavlink.client.health import Asked, Baseline, health_of
 from cognitivedrone.vehicles.mavlink.client.traffic import Traffic, answered, noticed, request_time
-from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, updated
+from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, unlanded, updated
 
 REMOTE = m.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 START = 1000.0
@@ -270,3 +270,74 @@ def test_only_the_answer_to_our_own_request_counts():
         assert answered(traffic, m.MAVLink_timesync_message(tc1, ts1), 50.2) == traffic
     newer = replace(traffic, answered_at=50.1)
     assert answered(newer, m.MAVLink_timesync_message(7, asked), 50.2) == newer
+
+
+def test_one_message_of_the_future_changes_nothing():
+    ahead = reported((START + 1, attitude(START + 1)), (START + 1, position(START + 1)), since=GOOD)
+    for lead_s in (0.9, 9.0):
+        ahead = reported((START + 1, attitude(START + 1 + lead_s, yaw=2.0)), since=ahead)
+    assert ahead.yaw == GOOD.yaw
+    telemetry = reported((START + 1.05, attitude(START + 1.05)), (START + 1.05, position(START + 1.05)), since=ahead)
+    now = health(telemetry, START + 1.05)
+    assert now.state_age_s < 0.05
+    assert not now.restarted
+
+
+def test_one_message_of_the_future_changes_nothing_either_where_the_way_becomes_a_little_faster():
+    telemetry = GOOD
+    for step in range(1, 20):  # each 1 ms faster than the one before
+        at = START + step * 0.05
+        telemetry = reported((at, attitude(at + step * 0.001)), (at, position(at + step * 0.001)), since=telemetry)
+    telemetry = reported((at, attitude(at + 9)), since=telemetry)
+    later = reported((at + 0.05, attitude(at + 0.07)), (at + 0.05, position(at + 0.07)), since=telemetry)
+    assert not health(later, at + 0.05).restarted
+    assert health(later, at + 0.05).state_age_s < 0.05
+
+
+@pytest.mark.parametrize("speed", [2, 8, 50])
+def test_a_simulation_that_runs_fast_is_followed(speed):
+    telemetry = GOOD
+    for step in range(1, 100):
+        at, theirs = START + step * 0.25 / speed, START + step * 0.25
+        telemetry = reported((at, attitude(theirs)), (at, position(theirs)), since=telemetry)
+        assert step < 5 or telemetry.position_time == pytest.approx(theirs - START + 5)
+
+
+def test_a_way_that_has_become_faster_is_believed_when_that_lasts():
+    slow = GOOD
+    for step in range(20):
+        at = START + step * 0.05
+        slow = reported((at, attitude(at - 0.5)), (at, position(at - 0.5)), since=slow)
+    slow = replace(slow, clock_offset=slow.clock_offset + 0.5)  # as if it had been slow from its start
+    fast = slow
+    for step in range(20, 30):
+        at = START + step * 0.05
+        fast = reported((at, attitude(at)), (at, position(at)), since=fast)
+    assert fast.position_time == pytest.approx(at - START + 5)
+    slow_again = reported((at + 0.6, attitude(at)), (at + 0.6, position(at)), since=fast)
+    assert health(slow_again, at + 0.6).state_age_s == pytest.approx(0.6, abs=0.01)
+
+
+def test_messages_that_were_overtaken_by_newer_ones_are_no_news():
+    at = START + 1.0
+    telemetry = reported((at, attitude(at, yaw=1.0)), (at, position(at, north=3.0, speed=3.0)), since=GOOD)
+    late = reported((at + 0.02, attitude(at - 0.3)), (at + 0.02, position(at - 0.3)), since=telemetry)
+    assert late.yaw == telemetry.yaw
+    assert late.position.tolist() == telemetry.position.tolist()
+    now = health(late, at + 0.02)
+    assert (now.jump_m, now.restarted) == (telemetry.jump_m, False)
+    assert now.state_age_s < 0.05
+    assert now.link_age_s == 0.0
+
+
+@pytest.mark.parametrize(("state", "landed"), [(0, None), (1, True), (2, False), (3, False), (4, False)])
+def test_whether_it_stands_is_as_it_reports(state, landed):
+    assert reported((START, m.MAVLink_extended_sys_state_message(0, state))).landed is landed
+
+
+def test_a_landing_that_nobody_can_see_is_not_waited_for():
+    silent = unlanded(replace(GOOD, heartbeat_at=START), "LAND", 60.0, START + 20)
+    assert silent == (
+        "no heartbeat of the vehicle for 20 s, LAND was ordered: whether it landed is not seen; take over by hand"
+    )
+    assert "not landed 60 s after LAND" in unlanded(GOOD, "LAND", 60.0, START + 1)

@@ -133,7 +133,7 @@ def test_a_failsafe_that_returns_must_not_climb_above_our_ceiling(action, rtl, c
         ({"position_at": -np.inf}, "position", "bad"),
         ({"home": False}, "home", "bad"),
         ({"battery": None, "status_at": -np.inf}, "battery", "bad"),
-        ({"battery": None}, "battery", "warn"),
+        ({"battery": None}, "battery", "bad"),
         ({"battery": 0.29}, "battery", "bad"),
         ({"sticks": ()}, "remote control", "warn"),
         ({"remote_at": NOW - 5}, "remote control", "warn"),

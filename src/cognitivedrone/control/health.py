@@ -39,15 +39,18 @@ class Health:
     yaw: float
     """Heading, from east to the left, rad."""
     mode: str
-    """The vehicle's flight mode, by its last heartbeat."""
+    """The vehicle's flight mode, by its heartbeats."""
     ordered_modes: frozenset[str]
     """The mode that we ordered and, until the vehicle shows it, the one before."""
     armed: bool
-    """Whether the motors may turn, by its last heartbeat."""
+    """Whether the motors may turn, by its heartbeats."""
     stick_moved: bool
     """Whether a stick of the remote control has left its place since we took over."""
+    suspicion: str = ""
+    """A description of what a heartbeat shows that was not ordered, while `mode` and `armed` are what is believed: it
+    may be the pilot, or somebody else's packet. Empty where there is none."""
     heartbeat_age_s: float = 0.0
-    """Of the vehicle's last heartbeat: so old are `mode` and `armed`."""
+    """Of the vehicle's last heartbeat that is believed: so old are `mode` and `armed`."""
     uplink_age_s: float = 0.0
     """Since we sent the newest request that the vehicle has answered."""
     battery_age_s: float = 0.0

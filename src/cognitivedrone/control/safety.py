@@ -5,6 +5,7 @@ off. `order` makes of it what is sent, `shape` of the policy's wish the command.
 a second, whether the policy does or not. The rules, worst first:
 
 1. The pilot wins. A mode that we did not order, or stopped motors, is hands off: nothing is sent any more, for good.
+   Until that is sure, since one heartbeat proves nothing, the drone is held.
 2. A stick that is moved, or a remote control that is switched on, while we fly, brakes: the pilot wants something.
 3. A battery that stays low lands, and so does a state estimator that stays bad.
 4. What stays silent (policy, camera, vehicle, its state, mode, battery or remote control, the way to it) is held at
@@ -16,9 +17,10 @@ a second, whether the policy does or not. The rules, worst first:
 What brakes or lands never flies again in this run: trust that was lost is given back by a person.
 
 **Nothing here orders a mode but LAND (or RTL), and that only while the vehicle's mode is known**: where the last
-heartbeat is old, the pilot may have taken over. Then the drone is stopped, and brought down, by velocities, which
-only GUIDED obeys (PX4: OFFBOARD). It also never orders ArduCopter's BRAKE: that counts there as a mode that a pilot
-flies, in which the ground-station failsafe does nothing as `FS_OPTIONS` comes. In GUIDED and LAND it acts.
+heartbeat is old, or shows what nobody ordered, the pilot may have taken over. Then the drone is stopped, and brought
+down, by velocities, which only GUIDED obeys (PX4: OFFBOARD). It also never orders ArduCopter's BRAKE: that counts there
+as a mode that a pilot flies, in which the ground-station failsafe does nothing as `FS_OPTIONS` comes. In GUIDED and
+LAND it acts.
 """
 
 from __future__ import annotations
@@ -174,7 +176,8 @@ def _findings(health: Health, memory: Memory, config: SafetyConfig) -> Iterator[
         yield Decision("hands_off", "the motors were stopped")
     if health.mode not in health.ordered_modes:
         reason = (
-            f"the mode became {health.mode}, which was not ordered here: the pilot or a failsafe of the vehicle flies"
+            f"the vehicle's heartbeats show {health.mode}, again and again, which was not ordered here: its pilot or a"
+            " failsafe of its own flies"
         )
         yield Decision("hands_off", reason)
     if memory.floor.kind == "brake" and health.time >= memory.land_at:
@@ -191,6 +194,8 @@ def _findings(health: Health, memory: Memory, config: SafetyConfig) -> Iterator[
         yield Decision("brake", "the vehicle's clock went back: it restarted, or two vehicles answer as one")
     if not health.jump_m <= config.most_jump_m:
         yield Decision("brake", f"the position jumped by {health.jump_m:.1f} m more than its speed explains")
+    if health.suspicion:
+        yield Decision("hold", health.suspicion)
     if health.command is None:
         yield Decision("hold", "the policy has not asked for anything yet")
     elif not np.isfinite(health.command).all():
@@ -248,14 +253,14 @@ def _outside(health: Health, memory: Memory, fence: Fence) -> Iterator[Decision]
 def order(decision: Decision, health: Health, config: SafetyConfig, landing: str = "LAND") -> Order:
     """What is sent for any decision but to fly.
 
-    `landing` is the mode that lands, LAND or RTL. Without a fresh heartbeat no mode is ordered, over a pilot who may
-    have taken over: the drone descends by velocities instead, which only GUIDED obeys.
+    `landing` is the mode that lands, LAND or RTL. Without a fresh heartbeat, or after one that shows something else, no
+    mode is ordered, over a pilot who may have taken over: the drone descends by velocities, which only GUIDED obeys.
     """
     if decision.kind in ("hold", "brake"):
         return Order(setpoint=_STOP) if health.mode in VELOCITY_MODES else Order()
     if decision.kind != "land" or health.mode == landing:
         return Order()
-    if health.heartbeat_age_s <= config.heartbeat.hold_s:
+    if health.heartbeat_age_s <= config.heartbeat.hold_s and not health.suspicion:
         return Order(mode=landing)
     return Order(setpoint=np.array([0, 0, -config.descent_m_s, 0], dtype=np.float32))
 

@@ -101,7 +101,10 @@ ARDUPILOT: Final = Autopilot(
     lack="GUID_TIMEOUT",
     timeout="GUID_TIMEOUT",
     on_silence="FS_GCS_ENABLE",
-    reports={"SYS_STATUS": 1, "EKF_STATUS_REPORT": 193, "RC_CHANNELS": 65, "POSITION_TARGET_LOCAL_NED": 85},
+    reports={
+        "SYS_STATUS": 1, "EKF_STATUS_REPORT": 193, "RC_CHANNELS": 65, "POSITION_TARGET_LOCAL_NED": 85,
+        "EXTENDED_SYS_STATE": 245,
+    },
 )  # fmt: skip
 """Modes by its parameter FLTMODE1."""
 PX4: Final = Autopilot(
@@ -118,7 +121,10 @@ PX4: Final = Autopilot(
     lack="COM_OBL_RC_ACT that acts without a remote control",
     timeout="COM_OF_LOSS_T",
     on_silence="COM_OBL_RC_ACT",
-    reports={"SYS_STATUS": 1, "ESTIMATOR_STATUS": 230, "RC_CHANNELS": 65, "POSITION_TARGET_LOCAL_NED": 85},
+    reports={
+        "SYS_STATUS": 1, "ESTIMATOR_STATUS": 230, "RC_CHANNELS": 65, "POSITION_TARGET_LOCAL_NED": 85,
+        "EXTENDED_SYS_STATE": 245,
+    },
     flies_by_stream=True,
     asked_for_mode=True,
     reports_prearm=True,

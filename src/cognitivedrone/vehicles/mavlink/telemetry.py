@@ -36,6 +36,9 @@ CLOCK_BACK_S = 1.0
 """A vehicle's clock that goes back by more than this has started again; less is a message that was overtaken."""
 CLOCK_DRIFT = 0.001
 """So much slower than ours may a vehicle's clock run without its messages counting as late."""
+AHEAD_S, AHEAD_COUNT = 0.1, 5
+"""A message so far ahead of the vehicle's clock is another's, or a mistake, until so many in a row say the same: then
+the way here has become faster."""
 JUMP_M_S = 2.0
 """Speed that a position may have beyond what the vehicle reports of its velocity."""
 SIMULATED = b"CogDrone"
@@ -44,6 +47,8 @@ STICKS = (1, 2, 3, 4)
 STICK_MOVED_US = 120
 """A stick that is this far from where it was, in microseconds of 1000 to 2000, was moved by somebody."""
 TEXTS_KEPT = 20
+LANDED_UNKNOWN, LANDED = 0, 1
+"""MAV_LANDED_STATE of EXTENDED_SYS_STATE."""
 
 
 def dialect() -> Any:
@@ -91,8 +96,10 @@ class Telemetry:
     position_time: float = -math.inf
     """Vehicle time of attitude and position."""
     clock_offset: float = math.inf
-    """Our time less the vehicle's, with the message that came fastest; a little more as time passes (CLOCK_DRIFT)."""
+    """Our time less the vehicle's, with the messages that came fastest; a little more as time passes (CLOCK_DRIFT)."""
     offset_at: float = -math.inf
+    ahead: tuple[float, ...] = ()
+    """The same of the last messages in a row that came faster, `AHEAD_COUNT` at most: one alone proves nothing."""
     clock_restarts: int = 0
     """How many times its time went back."""
     jump_m: float = 0.0
@@ -104,6 +111,9 @@ class Telemetry:
     """When it last reported its charge."""
     status_at: float = -math.inf
     """SYS_STATUS."""
+    landed: bool | None = None
+    """Whether it says that it stands on the ground; none where it does not say."""
+    landed_at: float = -math.inf
     prearm: bool | None = None
     """Whether its own checks before arming pass; none where it is not reported."""
     ekf: int | None = None
@@ -205,6 +215,9 @@ def updated(before: Telemetry, message: Any, now: float, autopilot: Autopilot = 
             m = message
             ratios = (m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio)
             return replace(t, ekf=m.flags, ekf_variances=ratios, ekf_at=now)
+        case "EXTENDED_SYS_STATE":
+            state = message.landed_state
+            return replace(t, landed=None if state == LANDED_UNKNOWN else state == LANDED, landed_at=now)
         case "RC_CHANNELS":
             sticks = tuple(getattr(message, f"chan{channel}_raw") for channel in STICKS)
             sticks = sticks if all(0 < pulse < 0xFFFF for pulse in sticks) else ()
@@ -226,6 +239,20 @@ def last_words(telemetry: Telemetry, since: float) -> str:
     return f"; it reports: {'; '.join(texts[-4:])}" if texts else ""
 
 
+LANDING_SILENT_S = 15.0
+"""A landing vehicle that has shown no heartbeat for so long is not waited for: nobody would see that it has landed."""
+
+
+def unlanded(telemetry: Telemetry, ordered: str, waited_s: float, now: float) -> str:
+    """Why a landing is not waited for any more, after so long, as an error message."""
+    silent_s = now - telemetry.heartbeat_at
+    if silent_s > LANDING_SILENT_S:
+        seen = f"no heartbeat of the vehicle for {silent_s:.0f} s, {ordered} was ordered: whether it landed is not seen"
+    else:
+        seen = f"not landed {waited_s:g} s after {ordered} was ordered: the vehicle is in {telemetry.mode}"
+    return f"{seen}{last_words(telemetry, now - 5)}; take over by hand"
+
+
 def is_vehicle(message: Any) -> bool:
     """Whether a heartbeat comes from an autopilot, and not from a ground station, a gimbal or another companion."""
     return bool(message.autopilot != 8 and message.get_srcComponent() == 1)  # 8: MAV_AUTOPILOT_INVALID
@@ -237,7 +264,9 @@ def _with_position(t: Telemetry, message: Any, now: float) -> Telemetry:
     velocity = enu_to_ned(np.array([message.vx, message.vy, message.vz], dtype=np.float64))
     if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
         return t
-    t, time = _timed(t, message, now), message.time_boot_ms / 1000
+    t, time = _timed(t, message, now)
+    if time is None or time < t.position_time:
+        return t
     passed = max(0.0, time - t.position_time)
     if math.isfinite(passed):
         speed = max(float(np.linalg.norm(velocity)), float(np.linalg.norm(t.velocity))) + JUMP_M_S
@@ -255,31 +284,47 @@ def _with_attitude(t: Telemetry, message: Any, now: float) -> Telemetry:
     angles = (message.roll, message.pitch, message.yaw, message.rollspeed, message.pitchspeed, message.yawspeed)
     if not all(map(math.isfinite, angles)):
         return t
+    t, time = _timed(t, message, now)
+    if time is None or time < t.attitude_time:
+        return t
     nose = enu_to_ned(np.array([math.cos(message.yaw), math.sin(message.yaw), 0.0]))
     rates = flu_to_frd(np.array(angles[3:], dtype=np.float64))
     return replace(
-        _timed(t, message, now),
+        t,
         yaw=math.atan2(nose[1], nose[0]),
         yaw_rate=float(rates[2]),
         tilt=math.acos(max(-1.0, min(1.0, math.cos(message.roll) * math.cos(message.pitch)))),
         attitude_at=now,
-        attitude_time=message.time_boot_ms / 1000,
+        attitude_time=time,
     )
 
 
-def _timed(t: Telemetry, message: Any, now: float) -> Telemetry:
-    """With the vehicle's clock: how it runs against ours, and whether it went back."""
+def _timed(t: Telemetry, message: Any, now: float) -> tuple[Telemetry, float | None]:
+    """With the vehicle's clock: how it runs against ours, and whether it went back; and the message's time, s.
+
+    None is a time that is not believed. A message that is older than one that came before it was overtaken.
+    """
     time = message.time_boot_ms / 1000
     if time < t.vehicle_time - CLOCK_BACK_S:
-        return replace(
+        restarted = replace(
             t,
             vehicle_time=time,
             clock_restarts=t.clock_restarts + 1,
             clock_offset=now - time,
             offset_at=now,
+            ahead=(),
             attitude_time=-math.inf,
             position_time=-math.inf,
         )
-    drifted = t.clock_offset + CLOCK_DRIFT * (now - t.offset_at) if math.isfinite(t.offset_at) else math.inf
-    time = max(time, t.vehicle_time)  # messages of one moment come in either order
-    return replace(t, vehicle_time=time, clock_offset=min(drifted, now - time), offset_at=now)
+        return restarted, time
+    if not math.isfinite(t.offset_at):
+        return replace(t, vehicle_time=time, clock_offset=now - time, offset_at=now), time
+    offset, drifted = now - time, t.clock_offset + CLOCK_DRIFT * (now - t.offset_at)
+    ahead = (*t.ahead, offset)[-AHEAD_COUNT:] if offset < drifted else ()
+    sure = len(ahead) == AHEAD_COUNT
+    clock = max(ahead) if sure else drifted
+    t = replace(t, clock_offset=clock, offset_at=now, ahead=ahead)
+    # A simulation that runs fast is ahead by as much with every step; a mistake is so at once.
+    if clock - offset > AHEAD_S + (3 * (ahead[0] - ahead[2]) if sure else 0.0):
+        return t, None
+    return replace(t, vehicle_time=max(time, t.vehicle_time)), time  # messages of one moment come in either order

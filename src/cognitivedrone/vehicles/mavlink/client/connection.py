@@ -14,6 +14,8 @@ from typing import Any, TypeVar
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS, REAL32, Autopilot
+from cognitivedrone.vehicles.mavlink.client.decoder import Decoder
+from cognitivedrone.vehicles.mavlink.client.heartbeats import Chain, Flown, Heartbeats, Shown, heard
 from cognitivedrone.vehicles.mavlink.client.traffic import (
     OUR_COMPONENT,
     OUR_SYSTEM,
@@ -24,6 +26,7 @@ from cognitivedrone.vehicles.mavlink.client.traffic import (
 )
 from cognitivedrone.vehicles.mavlink.client.transport import Transport
 from cognitivedrone.vehicles.mavlink.telemetry import (
+    ARMED_FLAG,
     GROUND_STATION,
     Telemetry,
     dialect,
@@ -73,7 +76,8 @@ class Connection:
     """Connects to the first vehicle whose heartbeat arrives, or to the one with system id `system`.
 
     A thread receives and sends heartbeats; without `threaded`, the caller does so by calling `step` repeatedly. `watch`
-    is called from there about fifty times a second, and `log` for every packet received and sent; neither may block.
+    is called from there about fifty times a second, `log` for every packet received and sent, and `flown`, which says
+    how the vehicle must show itself, for every heartbeat; none may block.
     Once the link is cut, every method raises `LinkError`.
     """
 
@@ -84,16 +88,17 @@ class Connection:
         system: int | None = None,
         log: Callable[[bytes], None] = lambda _: None,
         watch: Callable[[], None] = lambda: None,
+        flown: Callable[[float], Flown] = lambda _: Flown(),
         threaded: bool = True,
     ) -> None:
-        self._dialect = dialect()
         self._transport = transport
         self._system = system
         self._log = log
         self._watch = watch
+        self._flown = flown
         self._beat = self._vehicle_beat = self._watched = self._pinged = self._asked = -math.inf
-        self._encoder = self._dialect.MAVLink(_Outlet(self._put), OUR_SYSTEM, OUR_COMPONENT)
-        self._decoder = self._new_decoder()
+        self._encoder = dialect().MAVLink(_Outlet(self._put), OUR_SYSTEM, OUR_COMPONENT)
+        self._decoder = Decoder(datagrams=transport.datagrams)
         self._sending = threading.Lock()
         self._asking = threading.RLock()
         self._news = threading.Condition()
@@ -108,6 +113,11 @@ class Connection:
         self.signs = False
         """Whether the vehicle signs its packets: then it may ignore ours."""
         self.telemetry = Telemetry()
+        """What the vehicle reports; its mode, and whether it is armed, only as its heartbeats are believed."""
+        self.heartbeats = Heartbeats()
+        self._chain = Chain()
+        self.beating = True
+        """Whether we heartbeat: as long as the vehicle is to notice our silence."""
         self.traffic = Traffic(nonce=secrets.randbelow(1000))
         """Other senders on the link, and whether our packets reach the vehicle."""
         self._peer: tuple[Hashable, float] = (None, -math.inf)
@@ -264,7 +274,7 @@ class Connection:
         now = time.monotonic()
         # Once a second of the vehicle's time as well: a simulator that runs fast would think us gone.
         vehicle_time = self.telemetry.vehicle_time
-        if now - self._beat >= HEARTBEAT_S or vehicle_time - self._vehicle_beat >= HEARTBEAT_S:
+        if self.beating and (now - self._beat >= HEARTBEAT_S or vehicle_time - self._vehicle_beat >= HEARTBEAT_S):
             self._beat, self._vehicle_beat = now, vehicle_time
             self.send("heartbeat", GROUND_STATION, 8, 0, 0, 4)  # no autopilot, active
         if self.vehicle is not None and now - self._pinged >= PING_S:
@@ -290,7 +300,8 @@ class Connection:
         """Talk over another transport from now on, after the last one was cut."""
         with self._sending:
             self._transport.close()
-            self._transport, self._decoder, self._failure = transport, self._new_decoder(), None
+            self._transport, self._failure = transport, None
+            self._decoder = Decoder(datagrams=transport.datagrams)
             self._peer = None, -math.inf
 
     def fail(self, error: LinkError) -> None:
@@ -310,35 +321,21 @@ class Connection:
             self.fail(LinkError(f"listening to the vehicle failed: {error!r}"))
 
     def _take(self, data: bytes, peer: Hashable) -> None:
-        # A datagram is whole: what a broken one leaves in a decoder must not swallow the next.
-        decoder = self._new_decoder() if self._transport.datagrams else self._decoder
         now = time.monotonic()
         with self._news:
-            for message in self._messages(decoder, data):
-                if message.get_type().startswith(("BAD_DATA", "UNKNOWN")):
-                    self.traffic = replace(self.traffic, broken=self.traffic.broken + 1)
-                    continue
+            for message in self._decoder.messages(data, now):
                 self._log(bytes(message.get_msgbuf()))
                 # A message with an impossible value must not end the loop; the values it should have set grow old.
                 with contextlib.suppress(ValueError, OverflowError):
                     self._receive(message, peer, now)
+            self.traffic = replace(self.traffic, broken=self._decoder.broken)
             self._news.notify_all()
-
-    def _messages(self, decoder: Any, data: bytes) -> Sequence[Any]:
-        try:
-            return decoder.parse_buffer(data) or ()
-        except Exception:
-            # pymavlink raises several of them for bytes that are no message: none may end the listening.
-            self._decoder = self._new_decoder()
-            self.traffic = replace(self.traffic, broken=self.traffic.broken + 1)
-            return ()
 
     def _receive(self, message: Any, peer: Hashable, now: float) -> None:
         kind, sender = message.get_type(), (message.get_srcSystem(), message.get_srcComponent())
-        if kind == "HEARTBEAT":
-            wanted = self._system in (None, sender[0])
-            if self.vehicle is None and wanted and is_vehicle(message):
-                self.vehicle = Vehicle(*sender, message.type, message.autopilot)
+        wanted = self.vehicle is None and self._system in (None, sender[0])
+        if kind == "HEARTBEAT" and wanted and is_vehicle(message):
+            self.vehicle = Vehicle(*sender, message.type, message.autopilot)
         known = (self.vehicle.system, self.vehicle.component) if self.vehicle is not None else None
         if sender != known:
             self.traffic = noticed(self.traffic, message, known, now)
@@ -346,7 +343,7 @@ class Connection:
         where, last = self._peer
         if where is not None and peer != where:
             if now - last < MOVED_S:
-                self.traffic = replace(self.traffic, impostor_at=now)
+                self._doubt("", now)
                 return
             if self._mover[0] != peer:
                 self._mover = peer, now
@@ -356,6 +353,11 @@ class Connection:
         self.signs = bool(message.get_header().incompat_flags & SIGNED)
         if kind == "HEARTBEAT":
             self._transport.answer_to(peer)  # wherever the vehicle has moved to
+            if not self._believed(message, now):
+                self.telemetry = replace(self.telemetry, received_at=now)
+                return
+        else:
+            self._chain.note(message.get_seq(), now)
         self.telemetry = updated(self.telemetry, message, now, self.autopilot)
         if kind == "COMMAND_ACK":
             if message.target_system in (0, OUR_SYSTEM) and ("ack", message.command) in self._asked_for:
@@ -371,10 +373,22 @@ class Connection:
         else:
             self._replies[kind] = message
 
-    def _new_decoder(self) -> Any:
-        decoder = self._dialect.MAVLink(None)
-        decoder.robust_parsing = True
-        return decoder
+    def _believed(self, message: Any, now: float) -> bool:
+        """Whether the vehicle is as this heartbeat shows it."""
+        vehicle = self._target()
+        if (message.type, message.autopilot) != (vehicle.kind, vehicle.autopilot):
+            self._doubt(f"a heartbeat of MAV_TYPE {message.type} and MAV_AUTOPILOT {message.autopilot}", now)
+            return False
+        mode, armed = self.autopilot.mode(message.custom_mode), bool(message.base_mode & ARMED_FLAG)
+        shown = Shown(mode, armed, message.get_seq(), self._chain.follows(message.get_seq(), now))
+        self.heartbeats = heard(self.heartbeats, shown, self._flown(now), now)
+        if self.heartbeats.contradicted_at == now:
+            self._doubt(self.heartbeats.contradiction, now)
+        return self.heartbeats.accepts(shown)
+
+    def _doubt(self, reason: str, now: float) -> None:
+        """Note that somebody else sends as the vehicle."""
+        self.traffic = replace(self.traffic, impostor_at=now, impostor=reason)
 
     def _put(self, data: bytes) -> None:
         self._log(data)

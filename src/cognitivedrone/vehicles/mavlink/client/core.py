@@ -25,16 +25,17 @@ from cognitivedrone.errors import LinkError
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.mavlink.client.connection import Connection
-from cognitivedrone.vehicles.mavlink.client.expected import EXPECTED
 from cognitivedrone.vehicles.mavlink.client.guard import Decision, Guard
-from cognitivedrone.vehicles.mavlink.client.handshake import HOME_POSITION, MavlinkConfig, Met, meet
-from cognitivedrone.vehicles.mavlink.client.health import OWN_TARGETS_S, Asked, Baseline, health_of
+from cognitivedrone.vehicles.mavlink.client.handover import must_beat
+from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, Met, meet
+from cognitivedrone.vehicles.mavlink.client.health import OWN_TARGETS_S, Asked, Baseline, grounded, health_of
+from cognitivedrone.vehicles.mavlink.client.heartbeats import Flown
+from cognitivedrone.vehicles.mavlink.client.inspection import inspect
 from cognitivedrone.vehicles.mavlink.client.parameters import ParameterChanges, journal_of
-from cognitivedrone.vehicles.mavlink.client.preflight import FRESH_S, Facts, build_checklist, corrections
 from cognitivedrone.vehicles.mavlink.client.setpoints import SETPOINT_S, STREAM_FIRST_S, climb, fields_of
+from cognitivedrone.vehicles.mavlink.client.traffic import impostor_of
 from cognitivedrone.vehicles.mavlink.client.transport import open_transport
-from cognitivedrone.vehicles.mavlink.renames import Own, read_by_either_name
-from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, last_words
+from cognitivedrone.vehicles.mavlink.telemetry import LANDING_SILENT_S, Telemetry, last_words, unlanded
 
 SET_MODE, ARM, TAKE_OFF = 176, 400, 22
 """MAV_CMD of DO_SET_MODE, COMPONENT_ARM_DISARM and NAV_TAKEOFF."""
@@ -85,6 +86,7 @@ class FlightCore:
         self._changes = ParameterChanges(None)
         self._guided_timeout_s: float | None = None
         self._was_armed = False
+        self._climbs_since = self._released_at = math.inf
         self._streaming = False
         """Whether velocities keep the vehicle in its mode until it is up."""
         self._taken_over: str | None = None
@@ -96,7 +98,9 @@ class FlightCore:
         with ExitStack() as undo:
             transport = open_transport(url)
             undo.callback(transport.close)
-            self.link = Connection(transport, system=config.system, log=log, watch=self.watch, threaded=threaded)
+            self.link = Connection(
+                transport, system=config.system, log=log, watch=self.watch, flown=self._flown, threaded=threaded
+            )
             undo.pop_all()
 
     def meet(self) -> None:
@@ -126,38 +130,8 @@ class FlightCore:
 
     def checklist(self, frame_age_s: float) -> Checklist:
         """Read the parameters that safety depends on, correct those that may be set, and return the checklist."""
-        if not self.telemetry.armed:
-            self._changes.put_back(self.link)  # of a flight that could not
-        config, autopilot = self.config, self.link.autopilot
-        names = [expected.name for expected in EXPECTED[autopilot.name]]
-        own = read_by_either_name(self.link.parameters, names, self.met.version)
-        values = {name: it.older(name) for name, it in own.items()}
-        changed = corrections(values, config.ceiling_m, config.only, autopilot) if config.set_parameters else {}
-        wanted = {name: own[name].having(name, value) for name, value in changed.items()}
-        self._changes.make(self.link, {it.name: it.value for it in own.values()}, dict(wanted.values()))
-        values |= changed
-        own |= {name: Own(*it) for name, it in wanted.items()}
-        self._guided_timeout_s = values[autopilot.timeout]
-        # One that was received only just now may not have been asked yet: give it as long as an answer may take.
-        self.link.until(lambda: self.link.traffic.answered_at > -math.inf, FRESH_S)
-        return build_checklist(
-            Facts(
-                now=monotonic(),
-                version=self.met.version,
-                values=values,
-                changed=changed,
-                telemetry=self.telemetry,
-                traffic=self.link.traffic,
-                home=self.link.message("HOME_POSITION", HOME_POSITION) is not None,
-                frame_age_s=frame_age_s,
-                takeoff_height_m=config.takeoff_height_m,
-                ceiling_m=config.ceiling_m,
-                judges_time=config.clock == "wall" and not self.met.simulated,
-                autopilot=autopilot,
-                own=own,
-            ),
-            config.only,
-        )
+        found, self._guided_timeout_s = inspect(self.link, self.met, self.config, self._changes, frame_age_s)
+        return found
 
     def take_off(self, confirm: Callable[[Checklist], bool], frame_age: Callable[[], float]) -> None:
         """Wait until it is ready, have a person confirm the checklist, arm, and climb to the take-off height.
@@ -186,6 +160,7 @@ class FlightCore:
         self.home = self.telemetry.position
         with self._lock:
             self.check_wanted()
+            self._climbs_since = monotonic()
             self.phase = "climbing"  # from here on the drone is ours to bring down
         self.link.command(ARM, 1, what="arming")
         if not self.link.until(lambda: self.telemetry.armed or self.phase != "climbing", 3.0):
@@ -237,8 +212,8 @@ class FlightCore:
         with self._lock:
             if self.phase == "released":
                 return
+            self._given_up = self._given_up or reason
             if self.phase == "ground":
-                self._given_up = reason
                 return
             if self.over is None:
                 self._landing = mode
@@ -247,11 +222,14 @@ class FlightCore:
 
     def wait_for_landing(self) -> None:
         """Wait until it is not ours any more; raises `LinkError` where it has not landed in time."""
-        if not self.link.until(lambda: self.phase in ("ground", "released"), self.config.landing_timeout_s):
-            raise LinkError(
-                f"not landed {self.config.landing_timeout_s:g} s after {self._landing} was ordered: the vehicle is in"
-                f" {self.telemetry.mode}{last_words(self.telemetry, monotonic() - 5)}; take over by hand"
-            )
+        began, not_ours = monotonic(), ("ground", "released")
+
+        def ended() -> bool:
+            return self.phase in not_ours or monotonic() - max(began, self.telemetry.heartbeat_at) > LANDING_SILENT_S
+
+        self.link.until(ended, self.config.landing_timeout_s)
+        if self.phase not in not_ours:
+            raise LinkError(unlanded(self.telemetry, self._landing, self.config.landing_timeout_s, monotonic()))
 
     def close(self) -> None:
         """Put the vehicle's parameters back, and hang up."""
@@ -266,13 +244,19 @@ class FlightCore:
             if self.phase == "released":
                 # The pilot flies: what we have set on the vehicle must not act against them.
                 self._changes.put_back_meanwhile(self.link, monotonic(), flying=self.telemetry.armed)
+                self._released_at = min(self._released_at, now := monotonic())
+                changed = self._changes.open if self.config.put_back else ()
+                self.link.beating = must_beat(self.telemetry, changed, now - self._released_at, self.link.autopilot)
             elif self.phase == "flying":
                 health = self._health()
                 self._obey(self._guard.judge(health), health)
             elif self.phase == "climbing":
                 # The policy has no control yet; the pilot has.
                 self._settle()
-                if self.telemetry.mode not in self._modes or (self._was_armed and not self.telemetry.armed):
+                traffic = self.link.traffic
+                if traffic.impostor_at > self._climbs_since:
+                    self.land(impostor_of(traffic))
+                elif self.telemetry.mode not in self._modes or (self._was_armed and not self.telemetry.armed):
                     stopped = "" if self.telemetry.armed else ", its motors stopped"
                     self.phase, self._taken_over = "released", f"the vehicle is in {self.telemetry.mode}{stopped}"
                 self._was_armed |= self.telemetry.armed
@@ -342,7 +326,7 @@ class FlightCore:
         if self.phase == "released":
             raise LinkError(f"taken over during take-off: {self.over}")
         if self.phase != "climbing":
-            raise LinkError("landing was ordered during take-off")
+            raise LinkError(f"landing was ordered during take-off: {self._given_up}")
 
     def _health(self) -> Health:
         self._settle()
@@ -350,7 +334,8 @@ class FlightCore:
         patience = 0.0 if self.config.clock == "wall" else PAUSE_S
         now = monotonic()
         self._sent = tuple(sent for sent in self._sent if now - sent[0] < 2 * OWN_TARGETS_S)
-        asked = Asked(self.clock(), self._command, self._command_at, self._frame_at, self._modes, self._sent)
+        doubts = self.link.heartbeats.suspicion(now)
+        asked = Asked(self.clock(), self._command, self._command_at, self._frame_at, self._modes, self._sent, doubts)
         judges_time = self.config.clock == "wall" and not self.met.simulated
         return health_of(
             self.telemetry,
@@ -383,6 +368,17 @@ class FlightCore:
             self._expect(order.mode)
             self.link.order(SET_MODE, *self.link.autopilot.mode_order(order.mode))
         return False
+
+    def _flown(self, now: float) -> Flown:
+        """How the vehicle must show itself; called for every heartbeat, while the link has its lock: takes none."""
+        match self.phase:
+            case "ground":
+                return Flown()
+            case "released":
+                return Flown(armed=self.telemetry.armed)
+            case phase:
+                armed = phase == "flying" or self.telemetry.armed
+                return Flown(self._modes, armed, grounded(self.telemetry, self.home, now))
 
     def _expect(self, mode: str) -> None:
         """From now on the vehicle may show this mode, and until it does those that it might be in."""

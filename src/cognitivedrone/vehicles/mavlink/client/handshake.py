@@ -18,6 +18,8 @@ AUTOPILOT_VERSION = 148
 STATE_MESSAGES = {"ATTITUDE": 30, "LOCAL_POSITION_NED": 32}
 """What cannot be flown without, at `stream_hz`."""
 HOME_POSITION = 242
+NOT_AWAITED = frozenset({"POSITION_TARGET_LOCAL_NED", "EXTENDED_SYS_STATE"})
+"""Reports that there are only in flight, or that are a help where they come."""
 SLOW_HZ, HEARTBEAT_HZ = 5, 10
 
 
@@ -82,7 +84,7 @@ def meet(link: Connection, url: str, config: MavlinkConfig) -> Met:
         link.order(SET_MESSAGE_INTERVAL, 0, 1e6 / HEARTBEAT_HZ)
     for name, number in link.autopilot.reports.items():
         link.order(SET_MESSAGE_INTERVAL, number, 1e6 / SLOW_HZ)
-        if name != "POSITION_TARGET_LOCAL_NED":  # which there is only in flight
+        if name not in NOT_AWAITED:
             link.message(name, number, 1.0)  # the first one now: before arming it must not be missed
     simulated = reply is not None and bytes(reply.flight_custom_version) == SIMULATED
     uid, uid2 = (reply.uid, reply.uid2) if reply is not None else (0, ())

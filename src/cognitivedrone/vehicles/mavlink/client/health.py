@@ -10,7 +10,8 @@ import numpy as np
 
 from cognitivedrone.control.health import VELOCITY_MODES, Health
 from cognitivedrone.types import FloatArray
-from cognitivedrone.vehicles.mavlink.client.traffic import Traffic
+from cognitivedrone.vehicles.mavlink.client.heartbeats import Grounded
+from cognitivedrone.vehicles.mavlink.client.traffic import Traffic, impostor_of
 from cognitivedrone.vehicles.mavlink.telemetry import POSITION_IGNORED, Telemetry, stick_moved
 
 BLIND_M = 1.0
@@ -73,6 +74,8 @@ class Asked:
     ordered_modes: frozenset[str]
     sent: tuple[tuple[float, float], ...] = ()
     """Times by our steady clock and speeds, m/s, of the velocities sent last."""
+    suspicion: str = ""
+    """What a heartbeat shows that is not believed yet, as a description."""
 
 
 def health_of(
@@ -120,6 +123,7 @@ def health_of(
         mode=t.mode,
         ordered_modes=asked.ordered_modes,
         armed=t.armed,
+        suspicion=asked.suspicion,
         stick_moved=stick_moved(b.sticks, t.sticks),
         intruder=intruder(t, traffic, b.taken_at, asked.sent, now),
         speed_limit_m_s=b.speed_limit_m_s,
@@ -133,12 +137,29 @@ def intruder(
     if traffic.commander_at > since:
         return traffic.commander
     if traffic.impostor_at > max(since, now - IMPOSTOR_S):
-        return "somebody else sends as the vehicle: what it reports cannot be trusted"
+        return f"{impostor_of(traffic)}: what it reports cannot be trusted"
     if traffic.masks:
         return f"another ground station has our system id ({traffic.masks[0][0]}): it hides our silence"
     if foreign_target(telemetry, since, sent):
         return f"the vehicle flies to a target that we did not send ({telemetry.target_speed:.1f} m/s)"
     return ""
+
+
+ON_GROUND_M, STILL_M_S = 0.5, 0.5
+"""A vehicle that is lower above its take-off, and slower, may stand."""
+
+
+def grounded(telemetry: Telemetry, home: FloatArray, now: float) -> Grounded:
+    """Whether the vehicle may stand on the ground, whatever its heartbeats say; `home` (3,) is where it took off."""
+    t = telemetry
+    if t.landed is not None and now - t.landed_at <= REPORTED_S:
+        return "yes" if t.landed else "no"
+    low = now - t.position_at <= REPORTED_S and float(t.position[2] - home[2]) <= ON_GROUND_M
+    return "yes" if low and float(np.linalg.norm(t.velocity)) <= STILL_M_S else "unproven"
+
+
+REPORTED_S = 1.0
+"""An older report says nothing of now."""
 
 
 def foreign_target(telemetry: Telemetry, since: float, sent: Iterable[tuple[float, float]]) -> bool:

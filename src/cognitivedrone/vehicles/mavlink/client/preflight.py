@@ -14,7 +14,7 @@ from cognitivedrone.vehicles.checklist import Checklist, Finding, State
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS, Autopilot
 from cognitivedrone.vehicles.mavlink.client.connection import Vehicle
 from cognitivedrone.vehicles.mavlink.client.expected import EXPECTED, Expected, Values
-from cognitivedrone.vehicles.mavlink.client.traffic import OUR_SYSTEM, Traffic
+from cognitivedrone.vehicles.mavlink.client.traffic import OUR_SYSTEM, Traffic, impostor_of
 from cognitivedrone.vehicles.mavlink.renames import Own
 from cognitivedrone.vehicles.mavlink.telemetry import COPTER_TYPES, Telemetry
 
@@ -163,7 +163,7 @@ def _battery(t: Telemetry, low: float) -> Finding:
     why = f"it lands below {BATTERY_LANDS:.0%}"
     if t.battery is None:
         found = "SYS_STATUS is not reported" if t.status_at < 0 else "not reported: nothing lands it when it is low"
-        return Finding("battery", "bad" if t.status_at < 0 else "warn", found, f"{low:.0%} or more", why)
+        return Finding("battery", "bad", found, f"{low:.0%} or more", why)
     return Finding("battery", "ok" if t.battery >= low else "bad", f"{t.battery:.0%} left", f"{low:.0%} or more", why)
 
 
@@ -204,5 +204,13 @@ def _others(traffic: Traffic) -> list[Finding]:
     if traffic.commander:
         rows.append(Finding("commander", "bad", traffic.commander, "nobody else", "only one may command"))
     if traffic.impostor_at > 0:
-        rows.append(Finding("sender", "bad", "somebody else sends as the vehicle", "one vehicle", "whose state is it?"))
+        rows.append(
+            Finding(
+                "sender",
+                "bad",
+                impostor_of(traffic),
+                "one vehicle",
+                "whose state is it?",
+            )
+        )
     return rows

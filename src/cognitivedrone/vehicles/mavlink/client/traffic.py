@@ -52,6 +52,8 @@ class Traffic:
     commander_at: float = -math.inf
     impostor_at: float = -math.inf
     """When somebody else last sent as the vehicle."""
+    impostor: str = ""
+    """What it sent, as a description; empty where it sends from a second address."""
     ignored: int = 0
     """Messages of neither the vehicle nor anybody who matters."""
     broken: int = 0
@@ -61,6 +63,11 @@ class Traffic:
     def masks(self) -> tuple[tuple[int, int], ...]:
         """Ground stations with our system id: while they heartbeat, our own silence is not noticed."""
         return tuple(sorted(sender for sender in self.ground_stations if sender[0] == OUR_SYSTEM))
+
+
+def impostor_of(traffic: Traffic) -> str:
+    """That somebody else sends as the vehicle, and by what that was noticed."""
+    return f"somebody else sends as the vehicle ({traffic.impostor or 'packets come from a second address'})"
 
 
 def noticed(before: Traffic, message: Any, vehicle: tuple[int, int] | None, now: float) -> Traffic:

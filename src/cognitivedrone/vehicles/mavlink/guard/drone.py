@@ -38,7 +38,14 @@ from cognitivedrone.vehicles.mavlink.client.core import PAUSE_S, LandingMode
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, Met
 from cognitivedrone.vehicles.mavlink.client.tlog import TlogWriter, leave
 from cognitivedrone.vehicles.mavlink.guard.messages import Kind, Reply, Snapshot, from_json, pack, to_json, unpack
-from cognitivedrone.vehicles.mavlink.telemetry import TEXTS_KEPT, Telemetry, Text, dialect, last_words
+from cognitivedrone.vehicles.mavlink.telemetry import (
+    LANDING_SILENT_S,
+    TEXTS_KEPT,
+    Telemetry,
+    Text,
+    dialect,
+    unlanded,
+)
 
 T = TypeVar("T")
 
@@ -134,7 +141,7 @@ class GuardedDrone:
         """Why the flight is over, once it lands or has been taken over; a mission ends then."""
         snapshot = self._snapshot
         if snapshot.phase == "released" and snapshot.telemetry.armed:
-            return f"{snapshot.reason}; process {self.process} heartbeats until it is disarmed, or killed"
+            return f"{snapshot.reason}; process {self.process} stays until it is disarmed, or killed"
         return snapshot.reason if snapshot.phase == "released" or snapshot.decision in ("land", "hands_off") else None
 
     # Before the flight.
@@ -207,16 +214,20 @@ class GuardedDrone:
             return
         self._check()
         self._post(Kind.LAND if mode == "LAND" else Kind.RETURN)
-        if not self._wait(lambda: self._snapshot.phase == "released" or None, self.config.landing_timeout_s):
-            raise LinkError(
-                f"not landed {self.config.landing_timeout_s:g} s after {mode} was ordered: the vehicle is in"
-                f" {self.telemetry.mode}{last_words(self.telemetry, monotonic() - 5)}; take over by hand"
-            )
+        began = monotonic()
+
+        def ended() -> bool | None:
+            silent = monotonic() - max(began, self._snapshot.telemetry.heartbeat_at) > LANDING_SILENT_S
+            return self._snapshot.phase == "released" or silent or None
+
+        self._wait(ended, self.config.landing_timeout_s)
+        if self._snapshot.phase != "released":
+            raise LinkError(unlanded(self.telemetry, mode, self.config.landing_timeout_s, monotonic()))
 
     def close(self) -> None:
         """Land a drone that is still ours, then hang up.
 
-        A guard that is still needed, for heartbeats to a vehicle that was taken over and is armed, stays.
+        A guard of a vehicle that was taken over and is armed stays: it puts the vehicle's parameters back.
         """
         with self._undo:
             if not self._closed:

@@ -138,7 +138,7 @@ class Inbox:
 
 PHASES: tuple[Phase, ...] = ("ground", "climbing", "flying", "released")
 DECISIONS: tuple[DecisionKind | Literal[""], ...] = ("", "fly", "hold", "brake", "land", "hands_off")
-_SNAPSHOT = struct.Struct("<cQBB16s?4f3dd3d6d3dd200s")
+_SNAPSHOT = struct.Struct("<cQBB16s?d4f3dd3d6d3dd200s")
 _SNAP, _REPLY = b"S", b"R"
 
 
@@ -166,9 +166,9 @@ class Snapshot:
         t = self.telemetry
         return _SNAPSHOT.pack(
             _SNAP, self.sequence, PHASES.index(self.phase), DECISIONS.index(self.decision), t.mode.encode()[:16],
-            t.armed, *self.sent, *t.position, t.position_at, *t.velocity, t.yaw, t.yaw_rate, t.attitude_at,
-            t.received_at, t.vehicle_time, math.nan if t.battery is None else t.battery, *self.home, self.start,
-            self.reason.encode()[:200],
+            t.armed, t.heartbeat_at, *self.sent, *t.position, t.position_at, *t.velocity, t.yaw, t.yaw_rate,
+            t.attitude_at, t.received_at, t.vehicle_time, math.nan if t.battery is None else t.battery, *self.home,
+            self.start, self.reason.encode()[:200],
         )  # fmt: skip
 
 
@@ -192,11 +192,12 @@ def unpack(data: bytes) -> Snapshot | Reply:
     if data[:1] == _REPLY:
         return Reply(*parse_json(data[1:], non_finite=True))
     (
-        _, sequence, phase, decision, mode, armed, s0, s1, s2, s3, x, y, z, position_at, vx, vy, vz, yaw, yaw_rate,
-        attitude_at, received_at, vehicle_time, battery, h0, h1, h2, start, reason,
+        _, sequence, phase, decision, mode, armed, heartbeat_at, s0, s1, s2, s3, x, y, z, position_at, vx, vy, vz, yaw,
+        yaw_rate, attitude_at, received_at, vehicle_time, battery, h0, h1, h2, start, reason,
     ) = _SNAPSHOT.unpack(data)  # fmt: skip
     telemetry = Telemetry(
-        mode=_text(mode), armed=armed, received_at=received_at, position=np.array([x, y, z]), position_at=position_at,
+        mode=_text(mode), armed=armed, heartbeat_at=heartbeat_at, received_at=received_at,
+        position=np.array([x, y, z]), position_at=position_at,
         velocity=np.array([vx, vy, vz]), yaw=yaw, yaw_rate=yaw_rate, attitude_at=attitude_at, vehicle_time=vehicle_time,
         battery=None if math.isnan(battery) else battery,
     )  # fmt: skip

@@ -24,6 +24,7 @@ from cognitivedrone.errors import CognitiveDroneError, LinkError
 from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.mavlink.client.connection import WATCH_S
 from cognitivedrone.vehicles.mavlink.client.core import FlightCore
+from cognitivedrone.vehicles.mavlink.client.handover import RESTORE_S
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.client.tlog import PacketLog
 from cognitivedrone.vehicles.mavlink.client.transport import open_transport
@@ -48,9 +49,7 @@ AT_ONCE = 64
 REOPEN_S, GIVE_UP_S = 0.5, 60.0
 """A link that was cut is opened again that often, for so long."""
 GONE_S = 300.0
-"""A vehicle that has been silent for so long is not waited for any more, once the pilot process is done."""
-RESTORE_S = 3.0
-"""For the vehicle's parameters to be put back, on the ground; what is not is left to the next start."""
+"""A vehicle without a heartbeat for so long is not waited for any more, once the pilot process is done."""
 LANDED, FAILED, LOST, LEFT = 0, 2, 3, 4
 """Exit codes: on the ground; could not begin; vehicle lost; dismissed while the vehicle was armed and not ours."""
 NAMES = {signal.SIGHUP: "the terminal has gone (SIGHUP)", signal.SIGTERM: "SIGTERM", signal.SIGINT: "SIGINT"}
@@ -198,7 +197,7 @@ class GuardProcess:
         if core.phase == "released" and not core.telemetry.armed:
             self._landed_at = self._landed_at or now
             return None if core.restoring and now - self._landed_at < RESTORE_S else LANDED
-        return LOST if now - core.telemetry.received_at > GONE_S else None
+        return LOST if now - core.telemetry.heartbeat_at > GONE_S else None
 
     # The pilot process.
 
