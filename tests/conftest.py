@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import os
+import random
 import signal
 import sys
 from collections.abc import Iterable, Iterator
+from itertools import groupby
 from pathlib import Path
 
 import pytest
@@ -44,6 +47,26 @@ OPTIONAL: tuple[str, ...] = (
 OPTIONAL += ("msgpack", "serial", "starlette", "tensorboard", "tokenizers", "torch", "torchao", "transformers")
 OPTIONAL += ("huggingface_hub", "uvicorn", "websockets")
 ABSENT = {name for name in OPTIONAL if importlib.util.find_spec(name) is None}
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--shuffle", metavar="SEED", help="modules in a random order, and the tests of each of them")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Slow tests are skipped without SLOW=1. In a random order the tests of a module stay together, as their fixtures
+    do; the order is that of the seed, so that all of xdist's processes have the same one."""
+    if os.environ.get("SLOW") != "1":
+        for item in items:
+            if item.get_closest_marker("slow"):
+                item.add_marker(pytest.mark.skip(reason="takes long: make test-slow"))
+    if seed := config.getoption("--shuffle"):
+        modules = [list(tests) for _, tests in groupby(items, key=lambda item: item.path)]
+        numbers = random.Random(seed)
+        numbers.shuffle(modules)
+        for tests in modules:
+            numbers.shuffle(tests)
+        items[:] = [item for tests in modules for item in tests]
 
 
 @pytest.fixture(autouse=True)
