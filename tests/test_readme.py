@@ -80,7 +80,7 @@ def served(command, settings):
         assert process.poll() is None
     finally:
         process.terminate()
-        process.wait(30)
+        process.wait(60)
 
 
 def opened(port, seconds=120):

@@ -82,7 +82,7 @@ def serving() -> Iterator[Served]:
     thread = threading.Thread(target=serve_vehicle, args=(plan, stopping.is_set, announce))
     thread.start()
     try:
-        assert ready.wait(30)
+        assert ready.wait(60)
         yield served[0]
     finally:
         stopping.set()
