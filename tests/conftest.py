@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import itertools
 import os
 import random
 import signal
 import sys
 from collections.abc import Iterable, Iterator
-from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -61,7 +62,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             if item.get_closest_marker("slow"):
                 item.add_marker(pytest.mark.skip(reason="takes long: make test-slow"))
     if seed := config.getoption("--shuffle"):
-        modules = [list(tests) for _, tests in groupby(items, key=lambda item: item.path)]
+        modules = [list(tests) for _, tests in itertools.groupby(items, key=lambda item: item.path)]
         numbers = random.Random(seed)
         numbers.shuffle(modules)
         for tests in modules:
@@ -69,10 +70,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = [item for tests in modules for item in tests]
 
 
+@pytest.fixture(scope="session")
+def state_homes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Folders that are not there, another one each time: most tests need none, and a made one costs a millisecond."""
+    folder = tmp_path_factory.mktemp("state")
+    return (folder / str(number) for number in itertools.count())
+
+
 @pytest.fixture(autouse=True)
-def state_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def state_home(state_homes: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     """What the program keeps from one run to the next is none of the tests' business, nor theirs of the user's."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("XDG_STATE_HOME", str(next(state_homes)))
 
 
 def absent(error: BaseException | None) -> str | None:
@@ -116,6 +124,34 @@ def skipping_absent() -> Iterator[None]:
         if reason := absent(error):
             pytest.skip(reason)
         raise
+
+
+@pytest.fixture(scope="session", autouse=True)
+def nothing_waits_for_the_disk() -> Iterator[None]:
+    """What the tests write need not survive a power failure."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda file: None)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def packaged_weights_open_once() -> Iterator[None]:
+    """Sessions of the packaged networks are kept: a session has no state, and its optimisation takes a second."""
+    from cognitivedrone.models import onnx_file
+
+    weights, made, open_session = Path(onnx_file.__file__).parent / "weights", {}, onnx_file._open_session
+
+    def opened(content: bytes, path: Path, **options: Any) -> Any:
+        if not Path(path).is_relative_to(weights):
+            return open_session(content, path, **options)
+        key = (content, *sorted(options.items()))
+        if key not in made:
+            made[key] = open_session(content, path, **options)
+        return made[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(onnx_file, "_open_session", opened)
+        yield
 
 
 @pytest.fixture(scope="session")
