@@ -7,7 +7,6 @@ import json
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -27,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
 
 from app_fakes import Typist, camera
-from arducopters import played_arducopter
+from arducopters import free_instance, played_arducopter
 from peer import MODES, Peer, playing
 from pymavlink import mavutil
 from waiting import soon
@@ -414,19 +413,6 @@ def test_the_right_gate_ends_a_flight_of_arducopter_and_lands_it(tmp_path):
     events = pq.read_table(tmp_path / "f" / "events.parquet").to_pylist()
     assert [event["kind"] for event in events][-2:] == ["over", "landed"]
     assert events[-2]["time_s"] < 30
-
-
-def free_instance() -> int:
-    """An instance whose ports nobody uses."""
-    for instance in range(40, 200):
-        with socket.socket() as tcp, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-            try:
-                tcp.bind(("127.0.0.1", 5760 + 10 * instance))
-                udp.bind(("127.0.0.1", 9002 + 10 * instance))
-            except OSError:
-                continue
-            return instance
-    raise AssertionError("every port is taken")
 
 
 @pytest.mark.parametrize(
