@@ -2,10 +2,13 @@
 # make test            environment, all checks, all tests
 # make docs            the documentation as a site: build/site/index.html
 # make gate            .ci/run, which every commit of the main branch has passed, from a clean clone of HEAD
-# make release-check   the rest, from a clean clone of HEAD: reproduction in small, other Pythons and versions, image
+# make release-check   the rest, from a clean clone of HEAD: slow tests, reproduction in small, other Pythons and versions, image
+# make test-hard       whether the tests depend on anything but the code: three times, on a busy machine, in random order,
+#                      after a kill; two hours or so. PARTS="tests/files tests/labels" takes these tests alone
 # make lock            constraints.txt from pyproject.toml; UPGRADE=1 takes the newest of everything
 #
 # Parts of release-check:
+# make test-slow       whole flights and trainings of more than 20 s, which make test leaves out
 # make test-smoke      runs/smoke.sh: every step of runs/reproduce.sh in tiny sizes (needs PyTorch: make test TORCH=1)
 # make test-wheel      the built wheel in a fresh environment of PYTHON=python3.13: smoke suite, fast tests
 # make test-sdist      the same from the source archive
@@ -14,7 +17,7 @@
 PYTHON ?= python3
 RUN := .venv/bin
 
-.PHONY: bench test tests check docs format gate lock release-check test-smoke test-wheel test-sdist test-lowest test-newest
+.PHONY: bench test tests check docs format gate lock release-check test-hard test-slow test-smoke test-wheel test-sdist test-lowest test-newest
 
 bench:
 	@$(PYTHON) scripts/setup.py
@@ -50,6 +53,13 @@ lock:
 	$(RUN)/python -m pip install --quiet --disable-pip-version-check uv
 	echo 'hatchling>=1.25' | $(RUN)/uv pip compile --quiet --universal --python-version 3.11 --extra dev --extra dev-torch \
 	  --no-annotate --custom-compile-command "make lock" $(if $(UPGRADE),--upgrade) --output-file constraints.txt pyproject.toml -
+
+test-hard:
+	$(PYTHON) scripts/setup.py dev
+	$(RUN)/python scripts/test_hard.py $(PARTS)
+
+test-slow:
+	SLOW=1 $(RUN)/pytest -m slow --durations 0
 
 test-smoke:
 	SMOKE=1 $(RUN)/pytest tests/scripts/test_smoke.py

@@ -62,6 +62,7 @@ def steps() -> list[Step]:
     ]
     return [
         Step("environment from the lock file", [sys.executable, "scripts/setup.py", "dev"]),
+        Step("slow tests", ["make", "test-slow"]),
         Step("reproduction in small", ["make", "test-smoke"]),
         *others,
         Step("lowest versions", ["make", "test-lowest"]),

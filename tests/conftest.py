@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import itertools
+import os
+import random
 import signal
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -46,10 +50,37 @@ OPTIONAL += ("huggingface_hub", "uvicorn", "websockets")
 ABSENT = {name for name in OPTIONAL if importlib.util.find_spec(name) is None}
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--shuffle", metavar="SEED", help="modules in a random order, and the tests of each of them")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Slow tests are skipped without SLOW=1. In a random order the tests of a module stay together, as their fixtures
+    do; the order is that of the seed, so that all of xdist's processes have the same one."""
+    if os.environ.get("SLOW") != "1":
+        for item in items:
+            if item.get_closest_marker("slow"):
+                item.add_marker(pytest.mark.skip(reason="takes long: make test-slow"))
+    if seed := config.getoption("--shuffle"):
+        modules = [list(tests) for _, tests in itertools.groupby(items, key=lambda item: item.path)]
+        numbers = random.Random(seed)
+        numbers.shuffle(modules)
+        for tests in modules:
+            numbers.shuffle(tests)
+        items[:] = [item for tests in modules for item in tests]
+
+
+@pytest.fixture(scope="session")
+def state_homes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Folders that are not there, another one each time: most tests need none, and a made one costs a millisecond."""
+    folder = tmp_path_factory.mktemp("state")
+    return (folder / str(number) for number in itertools.count())
+
+
 @pytest.fixture(autouse=True)
-def state_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def state_home(state_homes: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     """What the program keeps from one run to the next is none of the tests' business, nor theirs of the user's."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("XDG_STATE_HOME", str(next(state_homes)))
 
 
 def absent(error: BaseException | None) -> str | None:
@@ -93,6 +124,34 @@ def skipping_absent() -> Iterator[None]:
         if reason := absent(error):
             pytest.skip(reason)
         raise
+
+
+@pytest.fixture(scope="session", autouse=True)
+def nothing_waits_for_the_disk() -> Iterator[None]:
+    """What the tests write need not survive a power failure."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda file: None)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def packaged_weights_open_once() -> Iterator[None]:
+    """Sessions of the packaged networks are kept: a session has no state, and its optimisation takes a second."""
+    from cognitivedrone.models import onnx_file
+
+    weights, made, open_session = Path(onnx_file.__file__).parent / "weights", {}, onnx_file._open_session
+
+    def opened(content: bytes, path: Path, **options: Any) -> Any:
+        if not Path(path).is_relative_to(weights):
+            return open_session(content, path, **options)
+        key = (content, *sorted(options.items()))
+        if key not in made:
+            made[key] = open_session(content, path, **options)
+        return made[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(onnx_file, "_open_session", opened)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -27,7 +27,7 @@ from cognitivedrone.tasks.scenario import how_many, suite_of
 
 
 def bench(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    main(["bench", "--suite", "open-v1:smoke", "--workers", "1", "--clips", "0", *map(str, arguments)])
+    main(["bench", "--suite", "open-v1:smoke", "--workers", "0", "--clips", "0", *map(str, arguments)])
     return capsys.readouterr().out
 
 
@@ -195,8 +195,8 @@ def test_a_misspelt_suite_is_answered_with_the_near_one(capsys, tmp_path, monkey
     [
         ("bench --airframe dji", "unknown airframe 'dji'; known: iris, racer"),
         ("bench --airframe racr", "did you mean 'racer'?"),
-        ("bench --policy smal", "did you mean 'small'?"),
-        ("bench --reasoner orcale", "did you mean 'oracle'?"),
+        ("bench --workers 0 --policy smal", "did you mean 'small'?"),
+        ("bench --workers 0 --reasoner orcale", "did you mean 'oracle'?"),
         ("collect --out x --recipe debugg", "did you mean 'debug'?"),
         ("gazebo export --out x --task y --version harmonc", "did you mean 'harmonic'?"),
         ("view --labels nowhere", "no label pack 'nowhere'"),
@@ -288,7 +288,7 @@ def test_view_says_in_words_who_is_right(capsys, tmp_path):
 def test_a_suite_may_still_be_a_file(capsys, tmp_path, own_tasks):
     for option in ("--tasks", "--suite"):
         out = tmp_path / option[2:]
-        main(["bench", option, str(own_tasks), "--policy", "hover", "--workers", "1", "--episodes", "1",
+        main(["bench", option, str(own_tasks), "--policy", "hover", "--workers", "0", "--episodes", "1",
               "--clips", "0", "--out", str(out)])  # fmt: skip
         output = capsys.readouterr().out
         assert "tasks of mine.json" in output
@@ -309,7 +309,7 @@ def test_a_suite_without_an_end_says_how_much_of_it_is_flown(capsys, tmp_path):
     assert how_many(Scenario(suite="open-v1:train", tasks=tmp_path), None) == ""
     assert "its first 300 tasks of seed 0 are flown, --episodes N" in how_many(Scenario(suite="open-v1:train"), None)
     assert len(suite_of(Scenario(suite="open-v1:train")).tracks) == 300
-    main(["bench", "--suite", "open-v1:train", "--policy", "hover", "--episodes", "1", "--workers", "1",
+    main(["bench", "--suite", "open-v1:train", "--policy", "hover", "--episodes", "1", "--workers", "0",
           "--clips", "0", "--out", str(tmp_path)])  # fmt: skip
     assert "its first 1 tasks of seed 0 are flown" in capsys.readouterr().out
 

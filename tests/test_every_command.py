@@ -14,6 +14,18 @@ from every_command import COMMANDS, TRAIN, environment_of, run_all
 
 from cognitivedrone.cli import TARGETS
 
+BRIEF = [
+    "--version",
+    "nonsense",
+    "bench --suite open-v1:smoke --policy hover --workers 1 --episodes 1 --clips 0 --out a",
+    "reason --suite open-v1:smoke --reasoner small --episodes 1 --out reason",
+    "fly --link mavlink:udp:127.0.0.1:9 'Fly through the red gate'",
+    "sim --mavlink --links tcpin:127.0.0.1:PORT",
+    "serve --policy hover --port PORT",
+    "collect --recipe debug --episodes 1 --workers 1 --out set",
+    "data verify set",
+]
+"""Of each kind of process that a command starts."""
 MAVLINK, SERVE = (importlib.util.find_spec(name) is not None for name in ("pymavlink", "uvicorn"))
 TORCH = importlib.util.find_spec("torch") is not None
 
@@ -30,16 +42,17 @@ def poison(folder: Path, mark: Path) -> None:
         (folder / f"{name}.py").write_text(f"open({str(mark)!r}, 'a').write({name!r} + ' ')\nraise SystemExit(77)\n")
 
 
-def test_every_command_runs_nothing_of_its_folder_and_tells_nobody(tmp_path):
+@pytest.mark.parametrize("lines", [BRIEF, pytest.param(COMMANDS, marks=pytest.mark.slow)], ids=["brief", "every"])
+def test_a_command_runs_nothing_of_its_folder_and_tells_nobody(tmp_path, lines):
     folder, home, mark = (tmp_path / name for name in ("folder", "home", "mark"))
     folder.mkdir()
     home.mkdir()
     poison(folder, mark)
-    lines = [*COMMANDS, TRAIN] if TORCH else COMMANDS
+    lines = [*lines, TRAIN] if TORCH and lines is COMMANDS else lines
     trace = tmp_path / "trace"
     tracer = shutil.which("strace")
     before = (tracer, "-f", "-A", "--seccomp-bpf", "-e", "trace=connect", "-o", str(trace)) if tracer else ()
-    environment = environment_of(home, LC_ALL="C", PYTHONIOENCODING="latin-1")
+    environment = environment_of(home, LC_ALL="C", **PLACES["ascii"][0])
     ended = run_all(folder, environment, lines=lines, before=before)
     assert not mark.exists(), f"executed from the working directory: {mark.read_text()}"
     assert [one for one in ended if not one.clean] == []
@@ -55,11 +68,23 @@ CACHES = (".cache/mesa_shader_cache", ".cache/matplotlib", ".config/matplotlib")
 """What the graphics driver and the drawing of curves keep for their next start."""
 
 PLACES = {
+    "latin-1": ({"LC_ALL": "C", "PYTHONIOENCODING": "latin-1"}, ""),
     "ascii": ({"PYTHONIOENCODING": "ascii", "TERM": "dumb", "NO_COLOR": "1", "COLUMNS": "60"}, ""),
     "without streams": ({}, "<&- >&- 2>&-"),
 }
 
 
+def test_a_command_ends_without_a_traceback_where_it_cannot_say_anything(tmp_path):
+    folder, home = tmp_path / "folder", tmp_path / "home"
+    folder.mkdir()
+    home.mkdir()
+    variables, redirect = PLACES["without streams"]
+    ended = run_all(folder, environment_of(home, **variables), lines=["list", *BRIEF[:3]], redirect=redirect)
+    assert [one for one in ended if not one.clean] == []
+    assert [one.code for one in ended] == [0, 0, 2, 0]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("place", PLACES)
 def test_every_command_ends_without_a_traceback(tmp_path, place):
     folder, home = tmp_path / "folder", tmp_path / "home"

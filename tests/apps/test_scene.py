@@ -50,7 +50,9 @@ def made(words: str, **options: object) -> tuple[Task, str, str]:
 
 def test_without_a_word_the_packaged_pilot_flies_a_scene_that_it_is_sure_of(tmp_path):
     console = quiet()
-    summary = fly_mission(FlyPlan.of(film=False, out=tmp_path / "f"), console=console, keyboard=io.StringIO())
+    summary = fly_mission(
+        FlyPlan.of(film=False, out=tmp_path / "f"), console=console, keyboard=io.StringIO(), pace="lockstep"
+    )
     assert (summary.ending.kind, summary.exit_code) == ("passed", 0), summary.ending.reason
     assert "scene: episode 27 of open-v1:smoke, with helicopter, sailboat and car" in console.file.getvalue()
     assert "hold" not in events(tmp_path / "f")
@@ -226,7 +228,7 @@ def test_tasks_and_labels_of_ones_own_are_flown(tmp_path):
         out=tmp_path / "f", time_limit=0.2,
     )  # fmt: skip
     console = quiet()
-    fly_mission(config, console=console, keyboard=io.StringIO())
+    fly_mission(config, console=console, keyboard=io.StringIO(), pace="lockstep")
     assert "with alpha, beta and gamma from left to right" in console.file.getvalue()
     assert "'beta' fits gate 2, beta" in console.file.getvalue()
     about = json.loads((tmp_path / "f" / "flight.json").read_text())
@@ -269,7 +271,7 @@ def test_in_doubt_it_looks_from_nearer_until_the_time_is_over_and_says_so(tmp_pa
         instruction="to the bird", policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", out=tmp_path / "f",
         time_limit=1.6, suite="open-v1:smoke", episode=0,
     )  # fmt: skip
-    summary = fly_mission(config, console=console, keyboard=io.StringIO())
+    summary = fly_mission(config, console=console, keyboard=io.StringIO(), pace="lockstep")
     assert (summary.ending.kind, summary.exit_code) == ("unsure", 1)
     assert summary.ending.reason == (
         "the time limit of 1.6 s is over; it hovered, only 20% sure that the scene shows what is asked for"
@@ -321,7 +323,7 @@ def test_never_hovering_is_an_option(tmp_path):
         instruction="to the bird", policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", out=tmp_path / "f",
         time_limit=1.6, episode=0, hold_below=0.0,
     )  # fmt: skip
-    assert fly_mission(config, console=quiet(), keyboard=io.StringIO()).ending.kind == "missed"
+    assert fly_mission(config, console=quiet(), keyboard=io.StringIO(), pace="lockstep").ending.kind == "missed"
     assert "hold" not in events(tmp_path / "f")
     with pytest.raises(UsageError, match="--hold-below is 2"):
         FlyPlan.of(film=False, hold_below=2)

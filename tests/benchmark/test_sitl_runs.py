@@ -21,7 +21,7 @@ from cognitivedrone.vehicles.external import LinkReport
 @pytest.fixture
 def sitl(tmp_path) -> Plan:
     return Plan.of(
-        policy="colour_seeker", reasoner="oracle", suite="open-v1:smoke", episodes=1, workers=1, clips=0,
+        policy="colour_seeker", reasoner="oracle", suite="open-v1:smoke", episodes=1, workers=0, clips=0,
         link="sitl", airframe="iris", out=tmp_path / "run",
     )  # fmt: skip
 

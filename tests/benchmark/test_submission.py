@@ -268,8 +268,8 @@ def tampered(file: Path, ends: dict[str, Any], *, of: int = 20) -> Path:
 def test_failures_that_are_called_invalid_are_refuted(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     submission = read_submission(tampered(file, {"outcome": "invalid", "chosen": None}))
     assert submission.runs[0].overall.n == 10
-    (checked,) = verify(submission, 4, progress=False)
-    assert checked.valid >= 4  # of the flights called invalid, as many as the sample has, besides those in it
+    (checked,) = verify(submission, 2, progress=False)
+    assert checked.valid >= 2  # of the flights called invalid, as many as the sample has, besides those in it
     assert checked.verdict == "refuted"
     with pytest.raises(SystemExit, match="1"):
         main(["verify", str(file), "--sample", "1"])
@@ -280,8 +280,8 @@ def test_failures_that_are_called_invalid_are_refuted(file: Path, capsys: pytest
 
 @pytest.mark.parametrize("ends", [{"outcome": "passed"}, {"outcome": "collision", "chosen": 1}])
 def test_outcomes_that_are_false_are_refuted_whatever_they_are(file: Path, ends: dict[str, Any]) -> None:
-    (checked,) = verify(read_submission(tampered(file, ends)), 6, seed=1, progress=False)
-    assert checked.equal < 6
+    (checked,) = verify(read_submission(tampered(file, ends)), 3, seed=1, progress=False)
+    assert checked.equal < 3
     assert checked.verdict == "refuted"
 
 

@@ -74,7 +74,10 @@ def test_a_run_in_which_every_episode_fails_is_written_and_ends_with_exit_code_1
     assert "every episode" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("how", ["raise", "quit", "hang", "interrupt", "array hangs"])
+MISTAKES = ("raise", "quit", "hang", "interrupt", "array hangs")
+
+
+@pytest.mark.parametrize("how", ["raise", *(pytest.param(how, marks=pytest.mark.slow) for how in MISTAKES[1:])])
 def test_mistakes_count_the_same_with_one_worker_and_with_two(tmp_path, how):
     for workers in (1, 2):
         evaluate(
@@ -84,6 +87,14 @@ def test_mistakes_count_the_same_with_one_worker_and_with_two(tmp_path, how):
     assert lasting(tmp_path / "1") == lasting(tmp_path / "2")
     assert lasting(tmp_path / "1")["scores"]["through"]["overall"]["outcomes"]["policy_error"] == 2
     assert (tmp_path / "1" / "report.html").exists()
+
+
+@pytest.mark.parametrize("how", MISTAKES[1:])
+def test_mistakes_that_take_the_process_or_its_time_are_counted(tmp_path, how):
+    evaluate(
+        f"user_pilots:Faulty:{how}", episodes=2, workers=2, decision_timeout=3.0, out=tmp_path, clips=0, progress=False
+    )
+    assert lasting(tmp_path)["scores"]["through"]["overall"]["outcomes"]["policy_error"] == 2
 
 
 def test_on_a_track_what_was_flown_before_the_mistake_stays(tmp_path):

@@ -18,7 +18,13 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize(
     ("section", "share", "tried"),
-    [("collect-kills", 0.01, 9), ("bench-kills", 0.04, 3), ("damaged-stores", 0.15, 50)],
+    [
+        ("collect-kills", 0.003, 2),
+        ("damaged-stores", 0.05, 15),
+        pytest.param("collect-kills", 0.01, 9, marks=pytest.mark.slow),
+        pytest.param("bench-kills", 0.04, 3, marks=pytest.mark.slow),
+        pytest.param("damaged-stores", 0.15, 50, marks=pytest.mark.slow),
+    ],
 )
 def test_a_sample_of_faults_is_survived(section: str, share: float, tried: int) -> None:
     done = run(section, "--share", str(share))

@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles" / "gazebo"))
 
-from arducopters import played_arducopter
+from arducopters import free_instance, played_arducopter
 from fake_gazebo import FakeGazebo
 from moving import moving, opened
 from px4_peer import playing_px4
@@ -42,7 +42,6 @@ from cognitivedrone.vehicles.gazebo.export import export
 SUITE = load_suite("open-v1:smoke")
 EPISODE = 4
 """The shortest flight."""
-INSTANCE = 37
 
 
 @contextmanager
@@ -52,7 +51,7 @@ def opened_vehicle(kind: str, pace: Pace, folder: Path) -> Iterator[Vehicle]:
         spec, safety = VehicleSpec(kind if "mavlink" not in kind else "mavlink:udp:127.0.0.1:1"), SafetySpec()
         if kind == "sitl":
             spec = VehicleSpec("sitl", sitl=played_arducopter(folder))
-            safety = SafetySpec(sitl_instance=INSTANCE, takeoff_height=0.8)
+            safety = SafetySpec(sitl_instance=free_instance(), takeoff_height=0.8)
         if kind == "gazebo":
             world = export("open-v1:track", track="0", out=folder / "track").out / "stage_1.sdf"
             gazebo = stack.enter_context(FakeGazebo(models=tuple(models(read_world(world)))).running())
@@ -82,7 +81,7 @@ def serving() -> Iterator[Served]:
     thread = threading.Thread(target=serve_vehicle, args=(plan, stopping.is_set, announce))
     thread.start()
     try:
-        assert ready.wait(30)
+        assert ready.wait(60)
         yield served[0]
     finally:
         stopping.set()

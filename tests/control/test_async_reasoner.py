@@ -131,7 +131,7 @@ def test_a_thread_thinks_beside_the_loop():
 
     class Slow(Reasoner):
         def refine(self, image, instruction):
-            go.wait(10)
+            go.wait(60)
             done.set()
             return Guidance(threading.current_thread().name, None, 1.0)
 
@@ -140,7 +140,7 @@ def test_a_thread_thinks_beside_the_loop():
     assert not async_reasoner.idle(0.0)
     assert async_reasoner.answer(0.0) is None
     go.set()
-    assert done.wait(10)
+    assert done.wait(60)
     answer = wait(async_reasoner)
     assert answer.guidance.directive.startswith("reasoner")
     assert async_reasoner.idle(1.0)

@@ -98,7 +98,12 @@ MODEL_FAULTS = {
 """Which take a pilot that uses the whole image, or all of the state."""
 
 
-@pytest.mark.parametrize("how", MODEL_FAULTS)
+LESS_LIKELY = {"upside down", "height and yaw rate", "velocity reversed"}
+
+
+@pytest.mark.parametrize(
+    "how", [pytest.param(how, marks=[pytest.mark.slow] * (how in LESS_LIKELY)) for how in MODEL_FAULTS]
+)
 def test_faults_around_a_model_are_named(views, how):
     question, sentence = MODEL_FAULTS[how]
     wrong = wrong_with(Remembering(how), views)

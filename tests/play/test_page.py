@@ -159,14 +159,14 @@ def test_nothing_that_a_browser_sends_ends_the_connection_of_another(page):
     with live(address) as good, live(address) as bad:
         for rubbish in ("", "{", "[]", "1", '{"do": 3}', '{"no": 1}', '{"do": "bad"}', "[" * 9000, '{"do": {}}'):
             bad.send(rubbish)
-            assert json.loads(bad.recv(timeout=5))["channel"] == "error"
+            assert json.loads(bad.recv(timeout=60))["channel"] == "error"
         bad.send("x" * 100_000)
         with pytest.raises(ConnectionClosed):
-            bad.recv(timeout=5)
+            bad.recv(timeout=60)
         channels.publish("state", {"time": 1})
-        assert json.loads(good.recv(timeout=5))["time"] == 1
+        assert json.loads(good.recv(timeout=60))["time"] == 1
         good.send('{"do": "say", "text": "hello"}')
-        deadline = time.monotonic() + 5
+        deadline = time.monotonic() + 60
         while not controls.done and time.monotonic() < deadline:
             time.sleep(0.01)
     assert controls.done == [("say", {"text": "hello"})]
@@ -178,7 +178,7 @@ def test_only_so_many_pages_can_be_open(page, monkeypatch):
     with live(address):
         channels.publish("state", {"time": 1})
         with pytest.raises((InvalidStatus, ConnectionClosed)), live(address) as second:
-            second.recv(timeout=5)
+            second.recv(timeout=60)
 
 
 def test_a_picture_that_is_too_large_is_refused_while_it_arrives(page):
@@ -265,12 +265,12 @@ def test_a_page_and_a_browser_that_hangs_change_nothing_in_a_flight(tmp_path):
     try:
         flight = FlightPage(FlyPlan("Fly through the gate with the cat"), board, channels)
         with serving_page(PAGE, channels, flight, None) as address, live(address) as hung, live(address, max_queue=1):
-            assert json.loads(hung.recv(timeout=10))["mode"] == "flight"
+            assert json.loads(hung.recv(timeout=60))["mode"] == "flight"
             watched, again = flown(tmp_path / "watched", board)
             kinds = {"session"}
-            deadline = time.monotonic() + 20
+            deadline = time.monotonic() + 60
             while kinds < {"session", "scene", "state", "camera", "chase"} and time.monotonic() < deadline:
-                message = hung.recv(timeout=20)
+                message = hung.recv(timeout=60)
                 kinds.add({99: "camera", 118: "chase"}[message[0]] if isinstance(message, bytes) else
                           json.loads(message)["channel"])  # fmt: skip
     finally:

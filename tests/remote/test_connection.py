@@ -289,7 +289,7 @@ def test_a_connection_that_is_closed_while_it_closes_leaves_no_socket_open():
             made.open(0.3)
         (thread,) = [one for one in threading.enumerate() if one.name == "policy server"]
         made.close()
-        thread.join(5)
+        thread.join(60)
         del made
         gc.collect()  # a socket that is open would warn here
 
@@ -304,7 +304,7 @@ def mute_server(sent):
             key = head.partition(b"Sec-WebSocket-Key: ")[2].partition(b"\r\n")[0].decode()
             upgraded = b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
             accepted.sendall(upgraded + f"Sec-WebSocket-Accept: {accept_key(key)}\r\n\r\n".encode() + sent)
-            done.wait(10)
+            done.wait(60)
 
     done = threading.Event()
     with socket.create_server(("127.0.0.1", 0)) as server:

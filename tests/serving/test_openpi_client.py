@@ -46,6 +46,7 @@ def python(pytestconfig):
     return python_with(pytestconfig, PACKAGE, "typing-extensions")  # which it imports without requiring it
 
 
+@pytest.mark.slow  # it is installed from the package index
 @pytest.mark.parametrize("token", ["", TOKEN])
 def test_it_gets_the_actions_of_the_local_policy_to_the_bit(python, tiny_model_file, token, monkeypatch):
     monkeypatch.setenv("COGNITIVEDRONE_SERVER_TOKEN", token)

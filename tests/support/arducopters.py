@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import random
+import socket
 import sys
 from pathlib import Path
 
@@ -17,6 +19,21 @@ def played_arducopter(folder: Path) -> Path:
     return script(
         folder / "arducopter", f'exec "{sys.executable}" "{Path(__file__).parent / "fake_arducopter.py"}" "$@"'
     )
+
+
+def free_instance() -> int:
+    """An instance number whose ports nobody uses; drawn, so that tests beside this one take others."""
+    numbers = list(range(40, 256))
+    random.shuffle(numbers)
+    for instance in numbers:
+        with socket.socket() as tcp, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+            try:
+                tcp.bind(("127.0.0.1", 5760 + 10 * instance))
+                udp.bind(("127.0.0.1", 9002 + 10 * instance))
+            except OSError:
+                continue
+            return instance
+    raise AssertionError("every port is taken")
 
 
 def script(path: Path, line: str) -> Path:

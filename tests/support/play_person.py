@@ -54,7 +54,7 @@ def playing(plan):
 
     thread = threading.Thread(target=play, args=(plan, opened, stop))
     thread.start()
-    assert ready.wait(30)
+    assert ready.wait(60)
     try:
         yield found[0]
     finally:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 
-def soon(holds: Callable[[], object], timeout_s: float = 30.0) -> float:
+def soon(holds: Callable[[], object], timeout_s: float = 120.0) -> float:
     """Seconds until it holds."""
     began = time.monotonic()
     while not holds():

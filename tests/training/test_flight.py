@@ -11,8 +11,9 @@ import torch
 from quick_trainings import SCHEDULE, train_here
 
 from cognitivedrone.errors import ModelError
-from cognitivedrone.models.small_file import SmallModel
+from cognitivedrone.models.text_encoder import FILE
 from cognitivedrone.training.recipes import RECIPES, find_recipe
+from cognitivedrone.training.small_vla import export
 from cognitivedrone.training.small_vla.flight import FLIGHT
 from cognitivedrone.training.small_vla.trained import load_trained
 from cognitivedrone.training.trainer.training_task import Given
@@ -23,7 +24,7 @@ _STREAM = replace(RECIPES["debug"].stream, layouts=0.8)
 TINY = replace(FLIGHT, **SCHEDULE, stream=_STREAM, validation_frames=8, fly_tasks=2)
 
 
-def test_only_flying_learns(policy_checkpoint: Path, tmp_path: Path) -> None:
+def test_only_flying_learns(policy_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     task = TINY.training(Given(start=policy_checkpoint))
     checkpoint = train_here(tmp_path / "flown", task)
     network, start = load_trained(checkpoint)
@@ -35,8 +36,13 @@ def test_only_flying_learns(policy_checkpoint: Path, tmp_path: Path) -> None:
         name.partition(".")[0] for name, value in before.state_dict().items() if not torch.equal(value, after[name])
     }
     assert changed == {"finder", "flight"}
+    # What is written of a policy is looked at in test_export; here it is for whom.
+    written: list[tuple[str, Path]] = []
+    monkeypatch.setattr(export, "write_reasoner_parts", lambda *_, **__: None)
+    monkeypatch.setattr(export, "write_policy", lambda _, encoder, *others, **__: written.append((encoder, others[-1])))
     task.export(checkpoint, tmp_path)
-    assert SmallModel.load(tmp_path / "model.onnx").description.encoder == known.facts["encoder"]
+    assert written == [(known.facts["encoder"], tmp_path / "model.onnx")]
+    assert (tmp_path / FILE).read_bytes() == (policy_checkpoint.parent / FILE).read_bytes()
 
 
 def test_a_policy_without_its_text_encoder_is_not_trained_further(policy_checkpoint: Path, tmp_path: Path) -> None:

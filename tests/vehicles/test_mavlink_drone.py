@@ -34,7 +34,9 @@ from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.server.modes import Mode
 from cognitivedrone.vehicles.mavlink.server.vehicle import STEP_S, SimulatedVehicle, VehicleConfig
 
-FAST = MavlinkConfig(heartbeat_timeout_s=0.5, ready_timeout_s=0.3, takeoff_timeout_s=0.5, landing_timeout_s=5)
+FAST = MavlinkConfig(heartbeat_timeout_s=0.5, ready_timeout_s=0.3, takeoff_timeout_s=0.5, landing_timeout_s=60)
+"""For take-offs that fail."""
+SURE = MavlinkConfig(heartbeat_timeout_s=60, ready_timeout_s=60, takeoff_timeout_s=60, landing_timeout_s=60)
 FORWARD = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
 
 
@@ -44,7 +46,7 @@ def connect(peer: Peer, config: MavlinkConfig = FAST, safety: SafetyConfig = CAL
 
 @contextmanager
 def flying(peer: Peer, safety: SafetyConfig = CALM) -> Iterator[MavlinkDrone]:
-    with connect(peer, safety=safety) as drone:
+    with connect(peer, SURE, safety) as drone:
         drone.take_off(lambda _: True)
         yield drone
 
@@ -100,7 +102,7 @@ def test_we_heartbeat_as_a_ground_station():
 
 def test_everything_received_and_sent_is_in_the_tlog(tmp_path):
     log = tmp_path / "new" / "flight.tlog"
-    with playing() as peer, connect(peer, replace(FAST, tlog=log)) as drone:
+    with playing() as peer, connect(peer, replace(SURE, tlog=log)) as drone:
         drone.take_off(lambda _: True)
         drone.send(FORWARD)
     reader, kinds = mavutil.mavlogfile(str(log)), set()
@@ -113,9 +115,7 @@ def test_everything_received_and_sent_is_in_the_tlog(tmp_path):
     assert {(1, "ATTITUDE"), (255, "SET_POSITION_TARGET_LOCAL_NED"), (255, "COMMAND_LONG"), (1, "COMMAND_ACK")} <= kinds
 
 
-# Faults in the air, and how soon something safe is done: within 0.2 s, with leeway for a busy machine.
-
-SOON_S = 0.2 + 0.3
+# Faults in the air, and what safe thing is done. How soon by the rules: on virtual time, in tests/control.
 
 
 def test_a_velocity_that_is_not_a_number_stops_at_once_and_may_recover():
@@ -124,7 +124,7 @@ def test_a_velocity_that_is_not_a_number_stops_at_once_and_may_recover():
         soon(lambda: peer.setpoints_since(0))
         before = time.monotonic()
         assert not drone.send(np.full(4, np.nan, np.float32)).any()
-        assert soon(lambda: peer.setpoints_since(before)) < SOON_S
+        soon(lambda: peer.setpoints_since(before))
         assert not np.any(peer.setpoints_since(before))
         assert drone.send(FORWARD)[0] > 0
 
@@ -133,9 +133,7 @@ def test_a_silent_policy_is_held_braked_and_landed():
     safety = replace(CALM, policy=Timeouts(0.2, 0.6), land_after_brake_s=0.3)
     with playing() as peer, flying(peer, safety) as drone:
         drone.send(FORWARD)
-        due = time.monotonic() + 0.1
-        soon(lambda: (0, 0, 0, 0) in peer.setpoints_since(due - 0.1))
-        assert time.monotonic() - due < SOON_S
+        soon(lambda: (0, 0, 0, 0) in peer.setpoints_since(0))
         soon(lambda: drone.decision.kind == "brake")
         # A policy that comes back then is not trusted any more.
         assert not drone.send(FORWARD).any()
@@ -152,7 +150,7 @@ def test_the_pilot_wins_for_good(mode):
             drone.send(FORWARD)
             switched = time.monotonic()
             peer.part.mode = MODES[mode]
-            assert soon(lambda: drone.over) < SOON_S
+            soon(lambda: drone.over)
             assert mode in drone.over
             released = time.monotonic()
             assert not drone.send(FORWARD).any()
@@ -168,7 +166,7 @@ def test_the_pilot_wins_for_good(mode):
 
 def test_the_pilot_wins_during_take_off():
     with playing(climbs=False) as peer:
-        with connect(peer, replace(FAST, takeoff_timeout_s=5)) as drone:
+        with connect(peer, SURE) as drone:
 
             def switch() -> None:
                 soon(lambda: any(c.command == 22 for c in peer.of("COMMAND_LONG")))
@@ -205,10 +203,8 @@ def test_a_vehicle_that_falls_silent_is_told_to_stop():
     safety = replace(CALM, link=Timeouts(0.15, 0.4))
     with playing() as peer, flying(peer, safety) as drone:
         drone.send(FORWARD)
-        cut = time.monotonic()
         peer.part.mute = True
-        soon(lambda: drone.decision.kind == "hold")
-        assert time.monotonic() - cut < SOON_S
+        soon(lambda: drone.decision.kind != "fly")
         assert "no message from the vehicle" in drone.decision.reason
         soon(lambda: drone.decision.kind == "brake")
         assert peer.part.mode == MODES["GUIDED"]
@@ -489,7 +485,7 @@ def braked_then_killed(sky: Sky) -> MavlinkDrone:
     drone = MavlinkDrone(sky.url, StillCamera(), Guard(replace(CALM, land_after_brake_s=1e6)), config)
     drone.take_off(lambda _: True)
     drone.send(FORWARD)
-    soon(lambda: drone.decision.kind == "brake", 20)
+    soon(lambda: drone.decision.kind == "brake")
     drone.link.close()
     return drone
 
@@ -499,8 +495,8 @@ def test_killed_after_we_have_stopped_it_the_vehicle_still_lands():
         braked_then_killed(sky)
         assert sky.vehicle.parameters["FS_OPTIONS"] == 16  # as ArduCopter comes
         assert sky.vehicle.modes.mode == Mode.GUIDED
-        soon(lambda: sky.vehicle.modes.mode == Mode.LAND, 20)
-        soon(lambda: not sky.vehicle.modes.armed, 20)
+        soon(lambda: sky.vehicle.modes.mode == Mode.LAND)
+        soon(lambda: not sky.vehicle.modes.armed)
 
 
 @pytest.mark.parametrize("mode", [Mode.RTL, Mode.LOITER])
@@ -516,7 +512,7 @@ def test_after_a_take_over_nothing_we_configured_acts_when_we_end(mode):
             soon(lambda: drone.over)
             soon(lambda: sky.vehicle.parameters["FS_GCS_ENABLE"] == 0)
         ended = sky.vehicle.time
-        soon(lambda: sky.vehicle.time > ended + 8, 20)
+        soon(lambda: sky.vehicle.time > ended + 8)
         assert sky.vehicle.modes.mode == mode
 
 

@@ -114,9 +114,7 @@ def test_when_we_are_killed_the_offboard_loss_action_follows(action, mode):
         drone.take_off(lambda _: True)
         assert peer.in_air
         drone.link.close()  # the program is gone: no velocity, no heartbeat
-        gone = time.monotonic()
         soon(lambda: peer.part.mode == MODES[mode])
-        assert time.monotonic() - gone < 3.0
         with pytest.raises(LinkError):
             drone.close()
 
@@ -142,7 +140,7 @@ def test_the_pilot_wins_in_the_climb():
     with playing_px4(climbs=False) as peer, connect(peer) as drone:
 
         def pilot() -> None:
-            soon(lambda: peer.part.armed, 10.0)
+            soon(lambda: peer.part.armed)
             peer.part.mode = MODES["POSCTL"]
 
         thread = threading.Thread(target=pilot)

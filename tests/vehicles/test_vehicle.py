@@ -465,13 +465,13 @@ def test_tcp_and_a_served_vehicle(simulator: Simulator) -> None:
         thread.start()
         try:
             link = mavutil.mavlink_connection(f"tcp:127.0.0.1:{vehicle.addresses[0][1]}", source_system=255)
-            assert link.wait_heartbeat(timeout=5) is not None
+            assert link.wait_heartbeat(timeout=60) is not None
             link.mav.command_long_send(1, 1, m.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
-            assert link.recv_match(type="COMMAND_ACK", blocking=True, timeout=5).result == 0
+            assert link.recv_match(type="COMMAND_ACK", blocking=True, timeout=60).result == 0
             link.close()
         finally:
             done.set()
-            thread.join(5)
+            thread.join(60)
         vehicle.step(2)
         assert not vehicle._peers, "who hung up is forgotten"
 

@@ -142,7 +142,7 @@ def studio(folder: Path, stages: Sequence[Stage], then: str = "sleep 1000 & slee
             running._cameras.close()
 
 
-def gone(pid: int, within_s: float = 30.0) -> bool:
+def gone(pid: int, within_s: float = 60.0) -> bool:
     """Whether a process and its group have ended, waiting for the kernel to take note."""
     end = time.monotonic() + within_s
     while time.monotonic() < end:

@@ -165,7 +165,7 @@ def publishing(gazebo: FakeGazebo, topic: str, *messages) -> threading.Thread:
     """Publishes as soon as somebody listens, from another thread as gz-transport does."""
 
     def run() -> None:
-        end = time.monotonic() + 2.0
+        end = time.monotonic() + 60.0
         while not gazebo.listeners.get(topic) and time.monotonic() < end:
             time.sleep(0.002)
         for message in messages:
